@@ -429,7 +429,7 @@ class ClosedLoop:
     @property
     def name(self) -> str:
         """Names of plant and controller."""
-        return f"{self.system.plant.name} under {self.system.controller.name}"
+        return self.system.title
 
     def parts(self) -> Mapping[str, Callable[[], Part]]:
         """Return the parts of the assessment; run and region only if they are asked for."""

@@ -13,17 +13,28 @@
 from __future__ import annotations
 
 import difflib
+import errno
 from collections.abc import Iterable
 
 __all__ = [
+    "LOSSES",
+    "LOST",
     "InputError",
     "NotApplicable",
     "SolverError",
     "SurctlError",
     "ToolMissing",
     "UnsupportedOperation",
+    "cannot_write",
     "nearest",
 ]
+
+
+LOST = 3
+"""Exit status of a command some of whose output could not be written."""
+
+LOSSES = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS)
+"""Error numbers of a file system that takes no more output, whatever the name of the file is."""
 
 
 class SurctlError(Exception):
@@ -101,6 +112,33 @@ class UnsupportedOperation(InputError):
 
 class SolverError(SurctlError):
     """A numerical solver failed; an infeasible problem is a regular result and never raises this error."""
+
+
+def cannot_write(
+    place: object, error: Exception, *, key: str | None = None, more: str = "",
+    remedy: str = "free disk space, or choose a folder that you may write to",
+) -> InputError:  # fmt: skip
+    """Return the InputError for a file or folder that cannot be written; its exit status is 3 for a full disk.
+
+    Args:
+        place: the file or folder.
+        error: the exception of the attempt.
+        key: option that names the place, if the message shall name it.
+        more: what else the message says about the problem.
+        remedy: what to do.
+
+    Example:
+        >>> from surctl.errors import cannot_write
+        >>> full = cannot_write("out", OSError(28, "No space left on device"))
+        >>> full.problem, full.exit_status
+        ('cannot be written (No space left on device)', 3)
+    """
+    problem = f"cannot be written ({getattr(error, 'strerror', None) or error}){more}"
+    file, value = (place, None) if key is None else (None, place)
+    outcome = InputError(problem, file=file, key=key, value=value, remedy=remedy)
+    if getattr(error, "errno", None) in LOSSES:
+        outcome.exit_status = LOST
+    return outcome
 
 
 def nearest(name: str, known: Iterable[str]) -> str:

@@ -26,7 +26,7 @@ from pydantic import (
 )
 from pydantic_core import PydanticCustomError
 
-from surctl.errors import InputError, nearest
+from surctl.errors import InputError, cannot_write, nearest
 from surctl.units import converted_by_suffix, in_unit, number_and_unit
 
 if TYPE_CHECKING:
@@ -347,9 +347,7 @@ def prepare_folder(folder: Path, *, key: str = "--out") -> Path:
         probe.write_bytes(b"")
         probe.unlink()
     except OSError as error:
-        raise InputError(
-            f"cannot be written ({error.strerror})", key=key, value=str(folder), remedy="name another folder"
-        ) from None
+        raise cannot_write(str(folder), error, key=key, remedy="name another folder") from None
     return folder
 
 
@@ -406,9 +404,9 @@ def opened(path: Path, *, new: bool, buffering: int = -1) -> IO[bytes]:
         return path.open("xb" if new else "wb", buffering=buffering)
     except FileExistsError:
         problem = "exists already: a session never overwrites another"
+        raise InputError(problem, file=path, remedy="name another folder") from None
     except OSError as error:
-        problem = f"cannot be written ({error.strerror})"
-    raise InputError(problem, file=path, remedy="name another folder")
+        raise cannot_write(path, error, remedy="name another folder") from None
 
 
 def file_name(name: str) -> str:
@@ -453,9 +451,5 @@ def write_file(target: Path, content: str | bytes) -> Path:
     except OSError as error:
         with suppress(OSError):  # no second error if the temporary file does not exist or cannot be removed
             staging.unlink()
-        raise InputError(
-            f"cannot be written ({error.strerror})",
-            file=target,
-            remedy="free disk space, or choose a folder that you may write to",
-        ) from None
+        raise cannot_write(target, error) from None
     return target

@@ -19,7 +19,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.errors import InputError, ToolMissing
+from surctl.errors import ToolMissing, cannot_write
 from surctl.files import opened, write_file
 
 __all__ = [
@@ -155,11 +155,11 @@ def write_netcdf(
     except (OSError, RuntimeError) as error:  # netCDF reports a full disk as a RuntimeError
         with suppress(OSError):
             part.unlink(missing_ok=True)
-        reason = getattr(error, "strerror", None) or str(error)
+        cause: Exception = error
         with suppress(OSError):  # HDF5 names another reason for a full disk
-            reason = os.strerror(errno.ENOSPC) if disk_usage(path.parent).free < _LITTLE else reason
-        remedy = "free disk space or name another folder"
-        raise InputError(f"cannot be written ({reason})", file=path, remedy=remedy) from None
+            if disk_usage(path.parent).free < _LITTLE:
+                cause = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        raise cannot_write(path, cause) from None
     return path
 
 

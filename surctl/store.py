@@ -6,7 +6,7 @@ import hashlib
 import os
 import shutil
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,11 +15,17 @@ from typing import IO
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.errors import InputError
+from surctl.errors import InputError, cannot_write
 
-__all__ = ["ChunkStore", "cannot_write"]
+__all__ = ["RESUME", "ChunkStore"]
 
 _MAGIC = "surctl-chunk-1"
+
+RESUME: Mapping[str, str] = {
+    "more": "; finished chunks are kept",
+    "remedy": "free disk space or name another folder with --out; the same command resumes",
+}
+"""What `cannot_write` says about a file beside the chunks."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +55,7 @@ class ChunkStore:
             self.folder.mkdir(parents=True, exist_ok=True)
             lock = (self.folder / "lock").open("w")
         except OSError as error:
-            raise cannot_write(self.folder, error) from None
+            raise cannot_write(self.folder, error, **RESUME) from None
         with lock:
             _hold(lock, self.folder)
             for left in self.folder.glob("*.tmp"):
@@ -85,7 +91,7 @@ class ChunkStore:
         except OSError as error:
             with suppress(OSError):
                 part.unlink(missing_ok=True)
-            raise cannot_write(self.folder, error) from None
+            raise cannot_write(self.folder, error, **RESUME) from None
 
     def column(self, index: int, shape: tuple[int, int], column: int) -> NDArray[np.float64]:
         """Return one column (rows,) of a chunk; the chunk must exist, see `has`."""
@@ -106,23 +112,6 @@ class ChunkStore:
     def _line(self, index: int, shape: tuple[int, int], payload: bytes) -> bytes:
         head = f"{_MAGIC} {self.request} {index} {shape[0]} {shape[1]}"
         return f"{head} {hashlib.sha256(head.encode() + payload).hexdigest()}".encode()
-
-
-def cannot_write(place: Path, error: Exception) -> InputError:
-    """Return the InputError for a full disk or for a folder in which no file can be written.
-
-    Example:
-        >>> from pathlib import Path
-        >>> from surctl.store import cannot_write
-        >>> cannot_write(Path("out"), OSError(28, "No space left on device")).problem
-        'cannot be written (No space left on device); finished chunks are kept'
-    """
-    reason = getattr(error, "strerror", None) or str(error)
-    return InputError(
-        f"cannot be written ({reason}); finished chunks are kept",
-        file=place,
-        remedy="free disk space or name another folder with --out; the same command resumes",
-    )
 
 
 def _hold(lock: IO[str], folder: Path) -> None:

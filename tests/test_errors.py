@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+import errno
+import os
+
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from surctl import errors
 from surctl.errors import (
+    LOSSES,
+    LOST,
     InputError,
     SolverError,
     SurctlError,
     ToolMissing,
     UnsupportedOperation,
+    cannot_write,
     nearest,
 )
 
@@ -32,14 +38,24 @@ def test_every_error_has_its_exit_status(kind: type[SurctlError], status: int) -
     assert kind.exit_status == status
 
 
+def test_only_a_place_that_takes_no_more_output_is_no_mistake_of_the_user() -> None:
+    for code in errno.errorcode:
+        lost = cannot_write("out", OSError(code, os.strerror(code)))
+        assert lost.exit_status == (LOST if code in LOSSES else 2)
+        assert os.strerror(code) in str(lost) and str(lost).startswith("out: ")
+
+
 def test_public_names() -> None:
     assert errors.__all__ == [
+        "LOSSES",
+        "LOST",
         "InputError",
         "NotApplicable",
         "SolverError",
         "SurctlError",
         "ToolMissing",
         "UnsupportedOperation",
+        "cannot_write",
         "nearest",
     ]
 

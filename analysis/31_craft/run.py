@@ -2,7 +2,7 @@
 
     python analysis/31_craft/run.py [--quick] [--write] [VEHICLE...]
 
-Each vehicle (default: those of `CRAFT` that the library has) gets its default gains at its cruise speed, or at the
+Each vehicle (default: those of `CRAFT` that the library has) gets the gains derived for its cruise speed, or for the
 largest speed that derived gains bear. It then runs a straight mission of 20 hull lengths, a mission of two legs, and
 `tank-static` scaled to its size with 20 seeds. Prints Markdown; --write writes the README from it. The exit status is 1
 if a limit does not hold, and 2 for a bad option. --quick: one vehicle, two seeds.
@@ -31,7 +31,7 @@ from surctl.marine.simulation import (
     straight_mission,
     two_leg_mission,
 )
-from surctl.marine.tuning import default_cruise, gains_for
+from surctl.marine.tuning import default_cruise, derive_gains
 from surctl.marine.vehicle import Vehicle, load_vehicle
 from surctl.marine.verification import law_corners
 from surctl.marine.verification.linear import corner_margin
@@ -69,7 +69,7 @@ MOST_CRAB = 15.0  # [deg] mean crab angle of a mission, and largest crab angle o
 SEEDS, SHARE = 20, 0.02
 DT = 0.05  # [s] control period
 HEAD = (
-    "vehicle", "gains", "cruise [m/s]", "disk margin", "simulated at [m/s], disk margin", "straight: end, time [s]",
+    "vehicle", "cruise [m/s]", "disk margin", "simulated at [m/s], disk margin", "straight: end, time [s]",
     "crab mean / max [deg]", "wasted", "two legs: end, time [s]", "crab mean / max [deg]", "tank: reached, collided",
     "least clearance [radii]", "holds",
 )  # fmt: skip
@@ -93,11 +93,12 @@ def shown_margin(vehicle: Vehicle, gains: Gains, cruise: float) -> float:
 def examined(craft: Craft, vehicle: Vehicle, *, seeds: int) -> Row:
     """Return the margins and runs of one vehicle."""
     cruise, own = craft.cruise or default_cruise(vehicle), law_source(default_law(vehicle)).gains
-    gains, derivation = gains_for(None, vehicle, cruise=cruise, own=own)
+    derivation = derive_gains(vehicle, cruise=cruise)
+    gains = derivation.gains.with_own(own)
     margin, speed = shown_margin(vehicle, gains, cruise), cruise
-    if derivation is not None and not derivation.reached:
+    if not derivation.reached:
         speed = derivation.bearable
-        gains, derivation = gains_for(None, vehicle, cruise=speed, own=own)
+        gains = derive_gains(vehicle, cruise=speed).gains.with_own(own)
     held = shown_margin(vehicle, gains, speed)
     defects = [] if held >= LEAST_DISK_MARGIN else [f"disk margin {held:.2f} at {speed:g} m/s"]
     runs = []
@@ -118,7 +119,6 @@ def examined(craft: Craft, vehicle: Vehicle, *, seeds: int) -> Row:
     return Row(
         (
             vehicle.name,
-            gains.name,
             f"{cruise:g}",
             f"{margin:.2f}",
             f"{speed:g}, {held:.2f}" if speed != cruise else "as cruise",

@@ -10,7 +10,7 @@ import pytest
 from surctl.certcheck import check_document
 from surctl.marine.control import load_gains
 from surctl.marine.vehicle import load_vehicle
-from surctl.marine.verification import build_cascade, claims, closed_loop_poles
+from surctl.marine.verification import claims, closed_loop_poles, cruise_loop
 from surctl.marine.verification.braking import BRAKING_CLAIMS
 from surctl.marine.verification.linear import corners, linear_side, margin_speed, open_loop, worst_linear_side
 from surctl.marine.verification.region import prove_turning, turning_claim
@@ -69,14 +69,14 @@ def test_the_margin_is_kept_at_every_corner_below_that_speed_and_lost_above() ->
     speed = margin_speed(tried, GAINS, dt=0.05, highest=0.2)
 
     def least(cruise: float) -> float:
-        loops = [build_cascade(v, GAINS, cruise=cruise, dt=0.05, model=tried.vehicles[0]) for v in tried.vehicles]
+        loops = [cruise_loop(v, GAINS, cruise=cruise, dt=0.05, model=tried.vehicles[0]) for v in tried.vehicles]
         return min(disk_margin(open_loop(c, place)).guaranteed for c in loops for place in ("thrust", "measurement"))
 
     assert least(0.97 * speed) > 0.3 > least(1.03 * speed)
     stable = margin_speed(tried, GAINS, dt=0.05, highest=0.2, least=0.0)
     worst = replace(WU).with_values({"m11": 15.0, "m22": 27.0})
     for factor, good in ((0.98, True), (1.02, False)):
-        assert build_cascade(worst, GAINS, cruise=factor * stable, dt=0.05, model=WU).stable is good
+        assert cruise_loop(worst, GAINS, cruise=factor * stable, dt=0.05, model=WU).stable is good
 
 
 @pytest.mark.parametrize("name", test_margins.LOOPS)

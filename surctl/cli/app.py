@@ -22,7 +22,6 @@ from surctl.cli.listing import listing
 from surctl.cli.mission import scenario
 from surctl.cli.new import new
 from surctl.cli.output import (
-    LOST,
     OutputLost,
     Stopped,
     discard_stdout,
@@ -42,7 +41,7 @@ from surctl.cli.sweep import sweep
 from surctl.cli.tune import tune
 from surctl.cli.vehicle import vehicle
 from surctl.cli.verify import verify
-from surctl.errors import SurctlError
+from surctl.errors import LOST, SurctlError
 
 __all__ = ["app", "main"]
 
@@ -151,8 +150,7 @@ def _status() -> int:
         status = 2
     except SurctlError as error:
         print_message(str(error))
-        cause = error.__context__
-        status = LOST if isinstance(cause, OSError) and failed_write(cause) else error.exit_status
+        status = error.exit_status
     except Stopped as stop:
         print_message(f"stopped; {stop}")
         status = 130

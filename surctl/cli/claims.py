@@ -37,12 +37,11 @@ __all__ = [
     "write_solution",
 ]
 
-_SHOWN = 400  # characters of a printed expression
-
 
 def statement_lines(exact: Statement, certificate: Mapping[str, Any] | None) -> list[str]:
     """Return the statement as the checker reads it: from the certificate, if there is one."""
     from surctl.verification.formula import text_of
+    from surctl.verification.formula.parser import clipped
 
     left, right, *constraints = map(text_of, exact.parts)
     ends = [*zip(exact.names, exact.lower.tolist(), exact.upper.tolist(), strict=True)]
@@ -53,11 +52,7 @@ def statement_lines(exact: Statement, certificate: Mapping[str, Any] | None) -> 
     slack = certificate["claim"]["slack"] if certificate is not None else 0.0
     bound = f"{right} + {slack!r}" if slack else right
     where = [f"{name} in [{low!r}, {high!r}]" for name, low, high in ends] + [f"{g} <= 0" for g in constraints]
-    return [f"  {_clipped(left)} <= {_clipped(bound)}", f"  where {_clipped(', '.join(where))}"]
-
-
-def _clipped(text: str) -> str:
-    return text if len(text) <= _SHOWN else f"{text[:_SHOWN]} ... ({len(text)} characters)"
+    return [f"  {clipped(left)} <= {clipped(bound)}", f"  where {clipped(', '.join(where))}"]
 
 
 def _number(value: float, digits: str) -> str:
@@ -341,7 +336,7 @@ def verify_motion(words: Sequence[str], *, seed: int, time_limit: float, out: Pa
     for word, problem in problems.items():
         with (
             timed(problem.dynamics.name, time_limit),
-            stoppable("the finished claims are above", lines, as_json=as_json),
+            stoppable("", lines, above="the finished claims are above", as_json=as_json),
         ):
             try:
                 solution = solve(problem, time_limit=time_limit, seed=seed, progress=progress)

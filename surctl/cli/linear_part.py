@@ -35,7 +35,7 @@ class LinearPart(NamedTuple):
 
 
 def linear_part(assessment: Assessment, mission: Mission) -> LinearPart:
-    """Return the linear part of an assessment: the cascade of formulae, or any other law linearised numerically."""
+    """Return the linear part of an assessment: about a straight cruise, or about a steady motion."""
     from surctl.marine.control import law_source
 
     loop: LoopAnalysis = assessment.sources["loop"]
@@ -47,7 +47,7 @@ def linear_part(assessment: Assessment, mission: Mission) -> LinearPart:
             word = why
         unjudged: dict[str, Any] = {"margins": [], "linear": {key: why}}
         return LinearPart([f"margins: {word}"], unjudged, None, mission.cruise, assessment)
-    lines, linear, peak = _law_lines(loop, mission) if loop.law is not None else _cascade_lines(loop, mission)
+    lines, linear, peak = _law_lines(loop, mission) if loop.law is not None else _cruise_lines(loop, mission)
     if loop.motion:
         lines.append(f"  {loop.motion}")
         linear["motion"] = loop.motion
@@ -64,29 +64,31 @@ def _law_lines(loop: LoopAnalysis, mission: Mission) -> tuple[list[str], dict[st
     return [f"margins of {mission.vehicle.name}:", *loop.law.lines()], loop.law.to_dict(), math.inf
 
 
-def _cascade_lines(loop: LoopAnalysis, mission: Mission) -> tuple[list[str], dict[str, Any], float]:
+def _cruise_lines(loop: LoopAnalysis, mission: Mission) -> tuple[list[str], dict[str, Any], float]:
     import numpy as np
 
-    from surctl.marine.verification import build_cascade
+    from surctl.marine.verification import cruise_loop
     from surctl.marine.verification.linear import DISK_PLACES, open_loop, slowest_mode
     from surctl.verification.linear import sensitivity_of
 
     vehicle, gains, dt = mission.vehicle, mission.gains.values, mission.period
     nominal, worst, mode = *loop.sides, loop.mode
-    assert mode is not None  # the analysis is that of the cascade
+    assert mode is not None  # the analysis is that of a cruise
     lines = list(mode.lines())
     if not nominal.stable:
         lines.append(
             "  the kinematic claims assume that the vehicle follows the commanded velocity, but this loop is unstable"
         )
-    cascade = build_cascade(vehicle, gains, cruise=loop.cruise, dt=dt)
-    curves = [sensitivity_of(open_loop(cascade, p), p, highest=np.pi / dt) for p in DISK_PLACES[:2] if cascade.stable]
+    law = mission.law_ref
+    nominal_loop = cruise_loop(vehicle, gains, cruise=loop.cruise, dt=dt, law=law)
+    shown = DISK_PLACES[:2] if nominal_loop.stable else ()
+    curves = [sensitivity_of(open_loop(nominal_loop, place), place, highest=np.pi / dt) for place in shown]
     if curves:
         peaks = "; ".join(f"S {c.S.max():.2f}, T {c.T.max():.2f} ({c.place})" for c in curves)
         lines.append(f"  largest sensitivity of all loops together: {peaks}")
     lines += [*nominal.lines(), *(worst.lines() if worst.corner else [])]
     if not worst.stable and worst.at not in (None, vehicle):
-        lines += slowest_mode(worst.at, gains, cruise=loop.cruise, dt=dt, model=vehicle).remedy_lines()
+        lines += slowest_mode(worst.at, gains, cruise=loop.cruise, dt=dt, model=vehicle, law=law).remedy_lines()
     data = {"nominal": nominal.to_dict(), "worst": worst.to_dict(), "mode": mode.to_dict()}
     peak = max((float(c.S.max()) for c in curves), default=math.inf)
     return lines, data | {"sensitivity": [c.to_dict() for c in curves]}, peak
@@ -114,7 +116,7 @@ def _by_sonar(mission: Mission) -> tuple[list[str], list[dict[str, Any]]]:
 
 
 def speed_lines(
-    vehicle: Vehicle, gains: Mapping[str, float], *, cruise: float, cap: float, dt: float, uncertainty: float
+    vehicle: Vehicle, gains: Mapping[str, float], *, law: str, cruise: float, cap: float, dt: float, uncertainty: float
 ) -> tuple[list[str], dict[str, float]]:
     """Return the highest speeds at which all corners are stable, and have a disk margin: lines to print, numbers.
 
@@ -129,13 +131,13 @@ def speed_lines(
     tried = corners(vehicle, uncertainty or None)
 
     def searched() -> dict[str, float]:
-        nominal = bearable_speed(vehicle, gains, dt=dt)
-        stable = margin_speed(tried, gains, dt=dt, highest=nominal, least=0.0)
-        robust = margin_speed(tried, gains, dt=dt, highest=stable)
+        nominal = bearable_speed(vehicle, gains, dt=dt, law=law)
+        stable = margin_speed(tried, gains, dt=dt, highest=nominal, least=0.0, law=law)
+        robust = margin_speed(tried, gains, dt=dt, highest=stable, law=law)
         return {"nominal_stable": nominal, "stable": stable, "with_margin": robust, "disk_margin": LEAST_DISK_MARGIN}
 
-    key = ([each.digest() for each in tried.vehicles], sorted(gains.items()), dt)
-    numbers: dict[str, float] = stored_numbers(("surctl",), key, searched)  # the cascade reads laws, gains and plant
+    key = ([each.digest() for each in tried.vehicles], sorted(gains.items()), dt, law)
+    numbers: dict[str, float] = stored_numbers(("surctl",), key, searched)  # the loop reads laws, gains and plant
     nominal, stable, robust = numbers["nominal_stable"], numbers["stable"], numbers["with_margin"]
     whom = "the nominal vehicle and the corners" if len(tried.vehicles) > 1 else "the nominal vehicle"
     margin = f"disk margin at least {LEAST_DISK_MARGIN:g}"

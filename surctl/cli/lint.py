@@ -147,7 +147,7 @@ def _linted(file: str, vehicle: str | None) -> _Linted:
     from surctl.marine.tuning import gains_for, load_goals
     from surctl.marine.vehicle import LIBRARY as VEHICLES
     from surctl.marine.vehicle import load_vehicle
-    from surctl.marine.verification.cascade import has_cascade
+    from surctl.marine.verification.cruise_loop import has_cruise_loop
     from surctl.marine.verification.region import load_region
     from surctl.tuning import load_loop_goals
     from surctl.verification import load_claim
@@ -180,7 +180,7 @@ def _linted(file: str, vehicle: str | None) -> _Linted:
             problems += findings(leg.scenario, leg.vehicle)
         wrong = any(one.level == "error" for one in problems)
         # another law is linearised about its runs, which `study` simulates
-        if not wrong and has_cascade(plan.law, plan.guidance):
+        if not wrong and has_cruise_loop(plan.law, plan.guidance):
             source = Path(plan.vehicle.source)
             word = plan.vehicle.name if source.parent == VEHICLES else str(source)
             about_loop, derive = _loop_findings(assessed(plan, plan.gains), word if plan.derivation else None)

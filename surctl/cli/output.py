@@ -24,13 +24,12 @@ from typing import TYPE_CHECKING, Any, NoReturn, TextIO, TypeVar, cast
 
 import click
 
-from surctl.errors import SurctlError
+from surctl.errors import LOSSES, LOST, SurctlError
 
 if TYPE_CHECKING:
     from surctl.verification.verdict import Inapplicable
 
 __all__ = [
-    "LOST",
     "FiniteRange",
     "OutputLost",
     "Stopped",
@@ -62,7 +61,6 @@ __all__ = [
 ]
 
 _ESCAPE = "surctl-escape"
-_LOSES_TEXT = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS)
 
 
 class OutputLost(Exception):
@@ -139,7 +137,7 @@ def is_utf8() -> bool:
 
 def failed_write(error: OSError) -> str | None:
     """Return the message if the error means that output to a file was lost; None for any other error."""
-    if error.errno not in _LOSES_TEXT:
+    if error.errno not in LOSSES:
         return None
     return (f"{error.filename}: " if error.filename else "") + _lost_text(error)
 
@@ -242,8 +240,6 @@ def signs_of_life(patience: float = 10.0) -> Iterator[None]:
 
 C = TypeVar("C", bound=Callable[..., Any])
 
-LOST = 3
-"""Exit status of a command whose result is as expected, but some of whose output could not be written."""
 _LOST_FILES = "surctl.lost_files"  # key of the command's context
 
 
@@ -366,8 +362,13 @@ class Stopped(click.Abort):
 
 
 @contextmanager
-def stoppable(message: str, lines: Sequence[str] = (), *, as_json: bool = False) -> Iterator[None]:
-    """Turn Ctrl-C inside the `with` statement into `Stopped`, after `lines` are printed (except with --json)."""
+def stoppable(
+    message: str, lines: Sequence[str] = (), *, above: str = "", as_json: bool = False
+) -> Iterator[None]:  # fmt: skip
+    """Turn Ctrl-C inside the `with` statement into `Stopped`, after `lines` are printed (except with --json).
+
+    The text `above` is about the printed lines: it is left out where there are none.
+    """
     try:
         yield
     except (Exception, KeyboardInterrupt) as error:
@@ -376,7 +377,9 @@ def stoppable(message: str, lines: Sequence[str] = (), *, as_json: bool = False)
         if lines and not as_json:
             sys.stdout.write("\n".join(lines) + "\n")
             sys.stdout.flush()
-        raise Stopped(message) from None
+        else:
+            above = ""
+        raise Stopped("; ".join(filter(None, (above, message))) or "no result was finished") from None
 
 
 def interrupted(error: BaseException | None) -> bool:

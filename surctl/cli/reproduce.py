@@ -48,7 +48,8 @@ def reproduce(
     if out is not None:
         prepare_folder(out)
     lines = list[str]()
-    with stoppable("the rows above are finished; for the others: surctl reproduce ROW", lines, as_json=as_json):
+    above, message = "the rows above are finished", "for the other rows: surctl reproduce ROW"
+    with stoppable(message, lines, above=above, as_json=as_json):
         done = compute(
             rows,
             quick=quick,

@@ -153,20 +153,20 @@ def linear_warning(
     line.
     """
     from surctl.errors import InputError
-    from surctl.marine.verification.cascade import has_cascade
+    from surctl.marine.verification.cruise_loop import has_cruise_loop
     from surctl.marine.verification.linear import corner_margin, slowest_mode
     from surctl.verification.linear import LEAST_DISK_MARGIN
 
-    if not has_cascade(law, guidance):
+    if not has_cruise_loop(law, guidance):
         return None, []
     try:
-        margin, _, corner = corner_margin(vehicle, gains, cruise=cruise, dt=dt, model=model)
+        margin, _, corner = corner_margin(vehicle, gains, cruise=cruise, dt=dt, model=model, law=law)
     except InputError:
         return None, []
     data: dict[str, Any] = {"cruise_m_per_s": cruise, "stable": True, "disk_margin": margin, "corner": corner}
     if margin >= LEAST_DISK_MARGIN:
         return data, []
-    mode = slowest_mode(vehicle, gains, cruise=cruise, dt=dt, model=model)
+    mode = slowest_mode(vehicle, gains, cruise=cruise, dt=dt, model=model, law=law)
     data |= {"stable": mode.stable, "mode": mode.to_dict()}
     if mode.stable:
         word = f"has a disk margin of {margin:.2f}" if margin > 0 else "is unstable"

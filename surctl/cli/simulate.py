@@ -167,8 +167,10 @@ def simulate(
     # built after the other checks, because it takes a second
     laws = [robot.build(law, scenario, vehicle) for scenario, vehicle in zip(missions, vehicles, strict=True)]
     results: list[dict[str, Any]] = []
-    message = "the runs above are finished" + (f", files in {out}" if out else "") + "; --seed N starts at another seed"
-    with stoppable(message if runs * len(missions) > 1 else "the run was not finished", lines, as_json=as_json):
+    one = runs * len(missions) == 1
+    message = "the run was not finished" if one else "--seed N starts at another seed"
+    above = "" if one else "the runs above are finished" + (f", files in {out}" if out else "")
+    with stoppable(message, lines, above=above, as_json=as_json):
         for scenario, choice, simulated, built in zip(missions, choices, vehicles, laws, strict=True):
             tuned = choose_gains(robot.gains, simulated, cruise=scenario.cruise, own=own)
             gains_used = tuned.gains

@@ -185,7 +185,9 @@ def study_system(
     controller = own.system.controller
     progress("comparing C with Python")
     bundle = build_bundle(controller, controller.gains.unpack(record.controller[2]))
-    files = write_bundle(bundle, out / "export")
+    files: Sequence[object] = ()
+    with saving("code"):
+        files = write_bundle(bundle, out / "export")
     with tempfile.TemporaryDirectory(prefix="surctl-sil-") as scratch:
         (sil,) = compare_runs(build_controller(controller, bundle, Path(scratch, bundle.name)), [record])
 
@@ -197,17 +199,20 @@ def study_system(
     subject = ClosedLoop(
         own.system, values, {**own.system.ranges, **uncertain}, record, region=None if problem is None else solved
     )
-    assessment = assess(subject).with_lines([export_line(sil)])
+    ran = [end_text(own, record), *cost_lines(own.system, record.figures)]
+    swept = None
+    with stoppable(f"the code is in {out / 'export'}; not finished: margins, region, sweep", ran, as_json=as_json):
+        assessment = assess(subject).with_lines([export_line(sil)])
+        if design is not None:
+            progress(f"sweep of {len(design[0].points)} points")
+            with saving("sweep"):
+                swept = sweep_system(own.system, design[0], duration, draws=design[1], values=values, threads=workers)
     loop, solution = assessment.sources["loop"], assessment.sources.get("region")
     judged = not isinstance(loop, InputError)
-    swept = None
-    if design is not None:
-        progress(f"sweep of {len(design[0].points)} points")
-        swept = sweep_system(own.system, design[0], duration, draws=design[1], values=values, threads=workers)
     best = {} if swept is None else best_points(swept)
     about = [word for word in others if not word.startswith("start.")]
     study = SystemStudy(
-        title=f"Study of {own.title}", record=record, assessment=assessment,
+        title=f"Study of {own.system.title}", record=record, assessment=assessment,
         resting=resting(own.system, loop.nominal.at) if judged else {}, mode=mode_text(loop.nominal) if judged else "",
         swept=swept, best=[] if swept is None else [best_line(swept, name, row) for name, row in best.items()], sil=sil,
         commands={
@@ -222,10 +227,11 @@ def study_system(
     with saving("report"):
         report = write_file(out / "report.html", render_system_page(study))
     passed = assessment.passed is not False and (solution is None or solution.verdict == "proved")
-    lines = [f"study {own.title}: {'passed' if passed else 'NOT passed'}: {assessment.banner}"]
+    lines = [f"study {own.system.title}: {'passed' if passed else 'NOT passed'}: {assessment.banner}"]
     lines += [f"{line.mark} {line.text}" for line in assessment.lines]
-    lines += [end_text(own, record), *cost_lines(own.system, record.figures), *study.best]
-    lines += ["", f"code   {out / 'export'} ({len(files)} files)", *([f"report {report}"] if report else [])]
+    lines += [*ran, *study.best]
+    lines += ["", *([f"code   {out / 'export'} ({len(files)} files)"] if files else [])]
+    lines += [f"report {report}"] if report else []
     data: dict[str, Any] = {
         **own.names,
         "passed": passed,

@@ -74,11 +74,6 @@ class OwnSystem:
         return {"source": f"surctl {__version__}", "system": self.label, "file_sha256": self.sha256}
 
     @property
-    def title(self) -> str:
-        """Return the names of plant and controller as text."""
-        return f"{self.system.plant.name} under {self.system.controller.name}"
-
-    @property
     def names(self) -> dict[str, Any]:
         """Return the names of system, plant and controller, and the control period, for JSON."""
         system = self.system
@@ -219,7 +214,7 @@ def command_line(command: str, own: OwnSystem, *words: str) -> str:
 def end_text(own: OwnSystem, record: Record) -> str:
     """Return one line with the system, and when and why the run ended."""
     why = f"{record.stopped}: {record.lost}" if record.lost else record.stopped
-    return f"{own.title}: ended after {record.duration:.10g} s ({why}), control period {own.system.dt:g} s"
+    return f"{own.system.title}: ended after {record.duration:.10g} s ({why}), control period {own.system.dt:g} s"
 
 
 def cost_lines(system: System, figures: Mapping[str, float]) -> list[str]:
@@ -244,7 +239,7 @@ def cost_data(system: System, figures: Mapping[str, float]) -> dict[str, Any]:
 def loop_lines(own: OwnSystem, loop: SystemCorners) -> list[str]:
     """Return lines of text: equilibrium, slowest mode, margins of each loop alone and of all loops at once."""
     nominal, period = loop.nominal, own.system.dt
-    lines = [f"{own.title}, linear about its equilibrium, with references and disturbances of t = 0:"]
+    lines = [f"{own.system.title}, linear about its equilibrium, with references and disturbances of t = 0:"]
     lines += [
         f"  {kind} {label} = {value:.6g} {unit}"
         for kind, rows in resting(own.system, nominal.at).items()

@@ -283,6 +283,7 @@ def _locus(
     import numpy as np
 
     from surctl.marine.verification import sweep_locus
+    from surctl.marine.verification.cruise_loop import TRACKING_LAW, has_cruise_loop
 
     first = cases[0]
     values = np.union1d(np.linspace(swept.min(), swept.max(), _LOCUS), [at[parameter]] if parameter in at else [])
@@ -296,6 +297,7 @@ def _locus(
         model=first.model,
         smooth=_SMOOTH,
         about=at,
+        law=first.law if has_cruise_loop(first.law, "los") else TRACKING_LAW,
     )
 
 
@@ -370,7 +372,7 @@ def sweep_own_system(
     best = {name: row | {"assessment": loops[name].to_dict()} for name, row in best.items()}
     indices = None if sensitivity is None else sobol_indices(chosen, swept.mean(sensitivity), sensitivity)
     lost = [k for k, stopped in enumerate(runs.stopped) if stopped == LOST]
-    lines = [f"{own.title}: {len(runs.time)} runs of {duration:g} s, control period {own.system.dt:g} s"]
+    lines = [f"{own.system.title}: {len(runs.time)} runs of {duration:g} s, control period {own.system.dt:g} s"]
     lines += _rows(swept) if indices is None else indices.lines()
     for name, row in best.items():
         lines += [best_line(swept, name, row), *(f"  {line.mark} {line.text}" for line in loops[name].lines)]

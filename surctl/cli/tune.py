@@ -268,6 +268,8 @@ def tune(
     try:
         check_goals(goals, all_runs)
     except InputError as error:
+        if error.value in (cruise or ()):
+            raise InputError(error.problem, key="--cruise", value=error.value, remedy=error.remedy) from None
         raise error.inside(goals_file or plan.source) from None
     prepare_folder(out)
     request = Request(
@@ -437,7 +439,7 @@ def tune_own_system(
     lines = [
         headline,
         *doubtful,
-        f"{own.title}: {result.trials} gain sets{earlier}{runs}",
+        f"{own.system.title}: {result.trials} gain sets{earlier}{runs}",
         *(f"  {line}" for line in result.lines(own.system)),
         *([f"gains {table}"] if table else []),
         "",

@@ -50,11 +50,13 @@ def check_goal_cases(goals: Sequence[Goal], plan: Plan, file: str) -> None:
 
 def caps(cases: Sequence[Case], gains: Mapping[str, float]) -> list[str]:
     """Return one line for each vehicle whose speed limit exceeds the largest speed with a stable linear loop."""
-    from surctl.marine.verification.cascade import has_cascade
+    from surctl.marine.verification.cruise_loop import has_cruise_loop
     from surctl.marine.verification.linear import cap_above_bearable
 
-    distinct = {(c.vehicle.name, c.scenario.cap): c for c in cases if has_cascade(c.law, c.guidance)}
-    texts = (cap_above_bearable(c.vehicle, gains, cap=c.scenario.cap, dt=c.build().dt) for c in distinct.values())
+    distinct = {(c.vehicle.name, c.scenario.cap): c for c in cases if has_cruise_loop(c.law, c.guidance)}
+    texts = (
+        cap_above_bearable(c.vehicle, gains, cap=c.scenario.cap, dt=c.build().dt, law=c.law) for c in distinct.values()
+    )
     return [f"warning: {line}" for line in texts if line is not None]
 
 

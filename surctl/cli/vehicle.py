@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 __all__ = ["thrusters", "vehicle"]
 
 _FASTEST, _LARGEST = 100.0, 1e9  # [m/s], [N, N m]
-_AXES = ("surge", "sway", "heave", "yaw")
 
 
 @click.command
@@ -50,6 +49,7 @@ def thrusters(
     from surctl.marine.allocation import allocate, working_flags
     from surctl.marine.simulation import held_share, thruster_findings
     from surctl.marine.vehicle import axis_ends, load_vehicle
+    from surctl.marine.vehicle.specs import AXES
 
     if not 0 <= speed <= _FASTEST:
         problem = f"must be at least 0 and at most {_FASTEST:g}"
@@ -72,7 +72,7 @@ def thrusters(
         "order": list(actuators.order),
         "failed": list(failed),
         "speed_m_per_s": speed,
-        "intervals": {axis: ends.tolist() for axis, ends in zip(_AXES, intervals, strict=True)},
+        "intervals": {axis: ends.tolist() for axis, ends in zip(AXES[:4], intervals, strict=True)},
         "box_share": share,
         "findings": [finding.to_dict() for finding in thruster_findings(vehicle)],
     }
@@ -81,7 +81,7 @@ def thrusters(
     at = f" that have thrust at rest, at {speed:g} m/s" if actuators.fins else ""
     lost = f", without {', '.join(failed)}" if failed else ""
     lines.append(f"largest values on each axis, with 0 on the others{at}{lost}")
-    for axis, (low, high), unit in zip(_AXES, intervals.tolist(), ("N", "N", "N", "N m"), strict=True):
+    for axis, (low, high), unit in zip(AXES[:4], intervals.tolist(), ("N", "N", "N", "N m"), strict=True):
         lines.append(f"  {axis:<6} {low:>8.2f} to {high:>7.2f} {unit}")
     limits = ", ".join(f"{key} {vehicle[key]:g}" for key in ("Fu_max", "Fv_max", "Fw_max", "Fr_max"))
     lines.append(f"at once in every combination: {share:.3g} times the limits {limits}")

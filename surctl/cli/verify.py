@@ -190,7 +190,7 @@ def verify(
     require_own_speeds(region_names, None if cruise is None else max(cruise), cap)
     check_regions(region_names, robot, tuned.gains, speeds)  # mistakes are reported before the linear analysis
     dt = build_law().dt
-    options = {"dt": dt, "uncertainty": uncertainty}
+    options: dict[str, Any] = {"dt": dt, "uncertainty": uncertainty, "law": chosen_law}
     cascaded = CASCADE in source.parts
     check_barrier(barrier, movers)
     scenarios = () if mission is None else (replace(mission, cruise=speeds[0], cap=speeds[1]),)
@@ -210,9 +210,9 @@ def verify(
     braked = prove_all([n for n in claims if is_braking(n)], vehicle=vehicle, gains=tuned.gains, cap=speeds[1], out=out)
     verdicts, files, lines = [], dict[str, Path](), list[str]()
     where = "" if out is None else f", certificates in {out}"
-    message = f"the finished claims are above{where}; for the other claims: surctl verify CLAIM"
+    above, message = f"the finished claims are above{where}", "for the other claims: surctl verify CLAIM"
     for claim in chosen:
-        with timed(claim.name), stoppable(message, lines, as_json=as_json):
+        with timed(claim.name), stoppable(message, lines, above=above, as_json=as_json):
             verdicts.append(decide(claim, seed=seed, time_limit=time_limit or _SHORT, progress=progress))
         files |= _write_certificates(verdicts[-1:], out)
         lines.append(claim_line(verdicts[-1]))
@@ -255,7 +255,9 @@ def verify(
     certificates = [*files.values(), *regions.files, *braked.files]
     if out is not None:
         margins_at = None if linear.stable is None or not cascaded else cruise or speeds[:1]
-        result["pictures"] = _draw(verdicts, regions.claims, robot, values, out, cruise=margins_at, dt=dt)
+        result["pictures"] = _draw(
+            verdicts, regions.claims, robot, values, out, cruise=margins_at, dt=dt, law=chosen_law
+        )
         lines.append(f"certificates: {len(certificates)}, pictures: {len(result['pictures'])}, in {out}")
     failures = [line.text for line in judged if line.rank == 0]
     failures += [f"{v.claim.name} is {v.verdict}, not {v.claim.expected}" for v in verdicts if not v.as_expected]
@@ -322,6 +324,7 @@ def _draw(
     *,
     cruise: Sequence[float] | None,
     dt: float,
+    law: str,
 ) -> list[str]:
     progress("pictures")
     proved = {region["claim"]: region["certificate"] for region in regions if region["certificate"]}
@@ -331,7 +334,7 @@ def _draw(
 
         pictures += save_verdicts(verdicts, out)
         pictures += save_regions(proved, out)
-        pictures += [] if cruise is None else save_margins(vehicle, gains, out, cruise=cruise, dt=dt)
+        pictures += [] if cruise is None else save_margins(vehicle, gains, out, cruise=cruise, dt=dt, law=law)
     return [str(path) for path in pictures]
 
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from surctl import __version__
 from surctl.certcheck.bundle import manifest_seal, numbers_sha256
-from surctl.errors import InputError
+from surctl.errors import InputError, cannot_write
 from surctl.export.contract import DATA, FILES, Exportable, checked_name, commands, is_robot_law
 from surctl.export.envelope import Envelope, anywhere, self_test_vectors
 from surctl.export.guard_text import range_text
@@ -260,11 +260,7 @@ def write_bundle(bundle: Bundle, directory: Path | str) -> list[ExportedFile]:
         _stage(bundle, staging)
         _publish(bundle, staging, target)
     except OSError as error:
-        raise InputError(
-            f"cannot be written ({error.strerror})",
-            file=target,
-            remedy="choose a folder that you may write to",
-        ) from None
+        raise cannot_write(target, error) from None
     finally:
         shutil.rmtree(staging, ignore_errors=True)
     written = [ExportedFile(target / name, _sha256(text)) for name, text in bundle.files.items()]
@@ -287,9 +283,7 @@ def check_folder(directory: Path | str) -> None:
             (target / staging.name).mkdir()
             (target / staging.name).rmdir()
     except OSError as error:
-        raise InputError(
-            f"cannot be written ({error.strerror})", file=target, remedy="choose a folder that you may write to"
-        ) from None
+        raise cannot_write(target, error) from None
     finally:
         shutil.rmtree(staging, ignore_errors=True)
 

@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl import __version__
-from surctl.errors import InputError
+from surctl.errors import InputError, cannot_write
 from surctl.export.bundle import Bundle, ExportedFile
 from surctl.export.contract import DATA, MISSION_FILES, Exportable, commands, is_robot_law, status_table
 from surctl.export.envelope import Envelope, anywhere
@@ -429,9 +429,7 @@ def _write(folder: Path, name: str, members: dict[str, bytes]) -> ExportedFile:
         digest = hashlib.sha256(staged.read_bytes()).hexdigest()
         staged.replace(target)
     except OSError as error:
-        raise InputError(
-            f"cannot be written ({error.strerror})", file=target, remedy="choose a folder that you may write to"
-        ) from None
+        raise cannot_write(target, error) from None
     finally:
         with contextlib.suppress(OSError):
             staged.unlink()

@@ -19,7 +19,8 @@ __all__ = ["Command", "Dynamics", "Range", "Sampling", "State", "exact"]
 
 Array = NDArray[np.float64]
 
-_REST = 1e-9  # largest residual of an equilibrium, relative to the largest rate in the box
+_REST = 1e-9  # largest residual of an equilibrium, relative to the largest rate of the same state in the box
+_DRAWS, _ULPS = 61, 8  # sampled points of the box; rounding of a stated equilibrium, in units of its last digit
 
 
 @dataclass(frozen=True)
@@ -193,10 +194,10 @@ class Dynamics:
     def require_rest(self) -> None:
         """Raise InputError unless the equilibrium is one for all parameters, up to rounding, inside the box."""
         self.require_equilibrium()
-        if not self.residual() <= _REST * self.size():
+        if not self.rests():
             raise InputError(
                 "is not an equilibrium: the largest rate there is", key=f"{self.name}.equilibrium",
-                value=self.residual(), remedy="give the equilibrium of the states",
+                value=float(self.residual().max()), remedy="give the equilibrium of the states",
             )  # fmt: skip
 
     @property
@@ -267,8 +268,18 @@ class Dynamics:
         at = self.ranges.mean(axis=0) if w is None else np.asarray(w, dtype=float)
         return np.asarray(jacobian(self.equilibrium, at))
 
-    def residual(self) -> float:
-        """Return the largest |f(x*, w)|, or |f(x*, w) − x*| in discrete time, over the corners of the parameters.
+    def rests(self) -> bool:
+        """Return whether no state moves at the equilibrium, up to rounding and relative to its rates, for any w."""
+        corners = self.corners()
+        w = np.repeat(corners, _DRAWS, axis=1)
+        unit = np.tile(np.random.default_rng(0).uniform(-1, 1, (len(self.states), _DRAWS)), corners.shape[1])
+        rest = self.equilibrium[:, None]
+        moved = self.evaluate(rest * (1 + _ULPS * np.finfo(float).eps * unit), w)
+        rounding = np.abs(moved - self.evaluate(np.repeat(rest, w.shape[1], axis=1), w)).max(axis=1)
+        return bool(np.all(self.residual() <= np.maximum(_REST * self.size(), rounding)))
+
+    def residual(self) -> Array:
+        """Return the largest |f(x*, w)|, or |f(x*, w) − x*| in discrete time, of each state (n,) over the corners of w.
 
         Raises:
             InputError: the dynamics are not defined there.
@@ -283,12 +294,15 @@ class Dynamics:
                 "is not finite at " + ", ".join(f"{name} = {value:.6g}" for name, value in pairs),
                 key=f"{self.name}.dynamics", remedy="exclude this point from the ranges",
             )  # fmt: skip
-        return float(np.abs(rest - (self.equilibrium[:, None] if self.discrete else 0.0)).max())
+        return np.asarray(np.abs(rest - (self.equilibrium[:, None] if self.discrete else 0.0)).max(axis=1))
 
-    def size(self) -> float:
-        """Return the largest rate or successor at the middle and two corners of the box; at least 1."""
-        values = self.evaluate(np.column_stack([self.box.mean(axis=0), *self.box]))
-        return max(float(np.abs(values[np.isfinite(values)]).max(initial=0.0)), 1.0)
+    def size(self) -> Array:
+        """Return the largest |f(x, w)|, or |f(x, w) − x| in discrete time, of each state (n,) at sampled points."""
+        low, high = self.box[:, :, None]
+        unit = np.random.default_rng(0).uniform(size=(len(self.states), _DRAWS))
+        x = np.hstack([low, high, (low + high) / 2, low + (high - low) * unit])
+        values = self.evaluate(x) - (x if self.discrete else 0.0)
+        return np.asarray(np.abs(np.where(np.isfinite(values), values, 0.0)).max(axis=1))
 
     def corners(self, most: int = 10) -> Array:
         """Return the corners (m, 2^k) of the ranges of the k ≤ `most` parameters that vary, or their middle (m, 1)."""

@@ -15,7 +15,7 @@ __all__ = ["Linear", "at_equilibrium", "common_quadratic", "equilibria", "linear
 
 Array = NDArray[np.float64]
 
-_REST = 1e-9  # largest residual of an equilibrium, relative to the largest rate in the box
+_REST = 1e-9  # largest residual of an equilibrium, relative to the largest rate of the same state in the box
 _MARGIN = 1e-7  # real parts within this share of the largest modulus of an eigenvalue count as 0
 _STARTS = 64
 
@@ -43,15 +43,16 @@ def equilibria(dynamics: Dynamics, *, seed: int = 0) -> list[Array]:
     d = dynamics
     low, high = d.box
     size = d.size()
+    size[size == 0] = 1.0
 
     def rest(z: Array) -> Array:
         x = low + (high - low) * z
-        return d.evaluate(x[:, None])[:, 0] - (x if d.discrete else 0.0)
+        return (d.evaluate(x[:, None])[:, 0] - (x if d.discrete else 0.0)) / size
 
     outcome: list[Array] = []
     for start in qmc.Sobol(len(low), seed=seed).random(_STARTS):
         z, _, flag, _ = fsolve(rest, start, full_output=True)
-        if flag != 1 or np.any(z < 0) or np.any(z > 1) or np.abs(rest(z)).max() > _REST * size:
+        if flag != 1 or np.any(z < 0) or np.any(z > 1) or np.abs(rest(z)).max() > _REST:
             continue
         if all(np.abs(z - other).max() > 1e-6 for other in outcome):
             outcome.append(z)
@@ -59,15 +60,16 @@ def equilibria(dynamics: Dynamics, *, seed: int = 0) -> list[Array]:
     return [_short(d, low + (high - low) * z, size) for z in ordered]
 
 
-def _short(d: Dynamics, x: Array, size: float) -> Array:
-    """Return the equilibrium with the fewest decimals that is as exact, if there is one."""
+def _short(d: Dynamics, x: Array, size: Array) -> Array:
+    """Return the equilibrium with the fewest decimals, counted from the size of the box, that is as exact."""
 
-    def rest(at: Array) -> float:
-        return float(np.abs(d.evaluate(at[:, None])[:, 0] - (at if d.discrete else 0.0)).max())
+    def rest(at: Array) -> Array:
+        return np.asarray(np.abs(d.evaluate(at[:, None])[:, 0] - (at if d.discrete else 0.0)))
 
-    for decimals in range(10):
-        rounded = np.round(x, decimals) + 0.0
-        if rest(rounded) <= max(rest(x), 1e-13 * size):
+    whole = -np.floor(np.log10(d.box[1] - d.box[0])).astype(int)
+    for decimals in range(16):
+        rounded = np.array([round(float(v), int(k) + decimals) for v, k in zip(x, whole, strict=True)]) + 0.0
+        if np.all(rest(rounded) <= np.maximum(rest(x), 1e-13 * size)):
             return rounded
     return x
 
@@ -82,8 +84,7 @@ def at_equilibrium(dynamics: Dynamics, *, seed: int = 0) -> Dynamics:
             there.
     """
     d = dynamics
-    size = d.size()
-    if np.all((d.box[0] < d.equilibrium) & (d.equilibrium < d.box[1])) and d.residual() <= _REST * size:
+    if np.all((d.box[0] < d.equilibrium) & (d.equilibrium < d.box[1])) and d.rests():
         return d
     outcome = equilibria(d, seed=seed)
     texts = "; ".join(", ".join(f"{name} = {v:.9g}" for name, v in zip(d.names, x, strict=True)) for x in outcome)
@@ -96,7 +97,7 @@ def at_equilibrium(dynamics: Dynamics, *, seed: int = 0) -> Dynamics:
         )
     states = tuple(replace(s, equilibrium=float(v)) for s, v in zip(d.states, outcome[0], strict=True))
     moved = replace(d, states=states)
-    if not moved.residual() <= _REST * size:
+    if not moved.rests():
         raise InputError(
             f"moves with the parameters (at their middle: {texts})", key=f"{d.name}.equilibrium",
             remedy="fix the parameters, or claim a bound instead of stability",

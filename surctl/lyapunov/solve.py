@@ -21,7 +21,7 @@ from surctl.lyapunov.sampled import SampledStability
 from surctl.lyapunov.search import find_stability
 from surctl.verification.falsifier import sobol
 from surctl.verification.formula import Node, ordered, parse, text_of, values_of
-from surctl.verification.formula.parser import decimal_text
+from surctl.verification.formula.parser import clipped, decimal_text
 
 __all__ = [
     "NextStep",
@@ -138,7 +138,6 @@ def limits_sentence(dynamics: Dynamics, function: Node, level: float, whole: Dyn
     return text + (f"one acts at V = {beyond.min():.3g}" if beyond.size else "none acts in the box either")
 
 
-_SHOWN = 400  # characters of a printed rate
 _HELP, _HELP_MOST = 0.25, 15.0  # share of the time limit for weaker claims, and the most [s]
 _MULTIPLIERS = ("0", "-1", "-0.1", "1", "-10")
 
@@ -341,7 +340,9 @@ def _solved(
         problem.dynamics, problem.initial, problem.unsafe, time_limit=time_limit, seed=seed, progress=progress
     )
     verdict: Literal["proved", "unknown"] = "proved" if barrier.verdict == "proved" else "unknown"
-    reason = "" if verdict == "proved" else f"no barrier was found ({', '.join(barrier.tried)})"
+    tried = ", ".join(barrier.tried) or "at the samples, no polynomial of degree 4 or lower meets the conditions"
+    limit = f"the time limit was {time_limit:g} s of processor time"
+    reason = "" if verdict == "proved" else f"no barrier was found: {tried}; {limit}"
     seconds = time.perf_counter() - began
     return Solution(problem, verdict, reason, barrier.decision, None, "linear program over samples", seconds)
 
@@ -373,16 +374,12 @@ def stated_lines(d: Dynamics, kind: str, *, sampled: bool = False) -> list[str]:
         rows = [(command.name, command.value) for command in d.sampling.commands]
         rows += [(f"{name}+", node) for name, node in d.sampling.next.items()]
         rows += [(f"{name}'", node) for name, node in d.sampling.flow.items()]
-    lines = [f"  {name} = {_clipped(text_of(node))}" for name, node in rows]
+    lines = [f"  {name} = {clipped(text_of(node))}" for name, node in rows]
     ranges = ", ".join(f"{v.name} in [{every_digit(v.lower)}, {every_digit(v.upper)}] {v.unit}" for v in d.variables)
     lines.append(f"  where {ranges}")
     if kind == "lyapunov":
         lines.append(f"  equilibrium {', '.join(f'{s.name} = {decimal_text(s.rest)}' for s in d.states)}")
     return lines
-
-
-def _clipped(text: str) -> str:
-    return text if len(text) <= _SHOWN else f"{text[:_SHOWN]} ... ({len(text)} characters)"
 
 
 def _with_multiplier(

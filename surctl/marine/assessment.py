@@ -31,7 +31,8 @@ from surctl.marine.vehicle import Vehicle
 from surctl.marine.vehicle.linearise import check_cruise
 from surctl.marine.vehicle.specs import DEFAULTED
 from surctl.marine.verification import LawCorners, closed_loop_poles, law_corners, steady_motion, worst_margins
-from surctl.marine.verification.cascade import has_cascade
+from surctl.marine.verification.corners import DRAG_SPREAD, MASS_SPREAD
+from surctl.marine.verification.cruise_loop import TRACKING_LAW, has_cruise_loop
 from surctl.marine.verification.linear import (
     LinearSide,
     Mode,
@@ -42,7 +43,6 @@ from surctl.marine.verification.linear import (
     slowest_mode,
     worst_linear_side,
 )
-from surctl.marine.verification.linear.corners import DRAG_SPREAD, MASS_SPREAD
 from surctl.marine.verification.region import RegionStatement, applicable_region, prove_statement
 from surctl.own_code import label
 from surctl.verification import Inapplicable, LoopMargins
@@ -63,15 +63,17 @@ def assumptions(
     *,
     cruise: float,
     dt: float,
+    law: str = TRACKING_LAW,
     uncertainty: float | None = None,
 ) -> tuple[Assumption, ...]:
     """Return the defaults on which the linear loop of a vehicle depends.
 
     Args:
         vehicle: the vehicle.
-        gains: gains of a law with the built-in cascade; None: no margins.
+        gains: gains of a law for which `has_cruise_loop` holds; None: no margins.
         cruise: cruise speed [m/s].
         dt: control period [s].
+        law: that law.
         uncertainty: relative error of mass and drag that takes the place of the ranges, or None.
 
     Example:
@@ -83,7 +85,7 @@ def assumptions(
         >>> ranges.value, ranges.margins[0] > ranges.margins[2]
         ('of mass ±5% and of drag ±20%', True)
     """
-    margin = partial(_margin, gains=gains, cruise=cruise, dt=dt, uncertainty=uncertainty)
+    margin = partial(_margin, gains=gains, cruise=cruise, dt=dt, law=law, uncertainty=uncertainty)
     assumed = []
     for name, parameter in vehicle.parameters.items():
         if parameter.provenance == DEFAULTED and parameter.value:
@@ -105,13 +107,14 @@ def _margin(
     gains: Mapping[str, float] | None,
     cruise: float,
     dt: float,
+    law: str,
     uncertainty: float | None,
     spread: float = 1.0,
 ) -> float:
     if gains is None:
         return float("nan")
     try:
-        worst = corner_margin(vehicle, gains, cruise=cruise, dt=dt, uncertainty=uncertainty, spread=spread)
+        worst = corner_margin(vehicle, gains, cruise=cruise, dt=dt, law=law, uncertainty=uncertainty, spread=spread)
     except InputError:  # the vehicle cannot hold the speed
         return float("nan")
     return worst.margin
@@ -363,8 +366,8 @@ def _analyse_loop(
 ) -> LoopAnalysis:
     """Return the linear analysis of a law.
 
-    A law with the built-in cascade is linearised by formulae, a law that steers numerically about a straight cruise,
-    any other law numerically about the steadiest motion of a run.
+    A law that tracks is linearised about a straight cruise by its derivatives, a law that steers there by differences,
+    any other law by differences about the steadiest motion of a run.
 
     Args:
         vehicle: nominal plant and model of the controller.
@@ -382,12 +385,12 @@ def _analyse_loop(
     """
     source = law_source(law)
     built = build_law(law, guidance=guidance) if dt is None else build_law(law, guidance=guidance, dt=dt)
-    if source.steering is None and has_cascade(law, guidance):
+    if source.steering is None and has_cruise_loop(law, guidance):
         try:
             check_cruise(vehicle, cruise)
         except InputError as error:
             return LoopAnalysis(cruise, unjudged=f"a cruise at {cruise:g} m/s {error.problem}")
-        speeds: dict[str, Any] = {"cruise": cruise, "dt": built.dt}
+        speeds: dict[str, Any] = {"cruise": cruise, "dt": built.dt, "law": law}
         values = gains.values
         analysis = LoopAnalysis(
             cruise,

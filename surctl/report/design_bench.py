@@ -142,7 +142,7 @@ class SystemBench:
     @property
     def title(self) -> str:
         """Return plant, controller and file."""
-        return f"{self.system.plant.name} under {self.system.controller.name}, {self.label}"
+        return f"{self.system.title}, {self.label}"
 
     @property
     def points(self) -> tuple[str, ...]:

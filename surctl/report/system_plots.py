@@ -70,10 +70,7 @@ def plot_record(record: Record, *, limits: Mapping[str, tuple[float, float]] = _
     groups, limits = _groups(record), limits or record.system.limits
     figure = new_figure(8.5, 1.0 + 1.8 * len(groups))
     system = record.system
-    head(
-        figure,
-        f"{system.plant.name} under {system.controller.name}, ended after {record.duration:g} s ({record.stopped})",
-    )
+    head(figure, f"{system.title}, ended after {record.duration:g} s ({record.stopped})")
     axes = figure.subplots(len(groups), 1, sharex=True, squeeze=False)[:, 0]
     for ax, (name, unit, lines) in zip(axes, groups, strict=True):
         for k, (label, values, held) in enumerate(lines):

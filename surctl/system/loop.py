@@ -232,6 +232,11 @@ class System:
         return connected(self.plant.measurements, *self.blocks.outputs["sensors"])
 
     @property
+    def title(self) -> str:
+        """Return the names of plant and controller as text."""
+        return f"{self.plant.name} under {self.controller.name}"
+
+    @property
     def dt(self) -> float:
         """Return the control period [s]."""
         return self.controller.dt

@@ -23,9 +23,9 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.errors import InputError, SurctlError
+from surctl.errors import InputError, SurctlError, cannot_write
 from surctl.recorded_write import Column, write_netcdf
-from surctl.store import ChunkStore, cannot_write
+from surctl.store import RESUME, ChunkStore
 from surctl.tuning.design import Axis, Design, Span
 
 __all__ = [
@@ -345,7 +345,9 @@ def evaluated_chunks(
             yield column
         except InputError as error:
             problem, remedy = f"{error.problem}; finished chunks are kept", f"{error.remedy}; the same command resumes"
-            raise InputError(problem, file=error.file, key=error.key, value=error.value, remedy=remedy) from None
+            again = InputError(problem, file=error.file, key=error.key, value=error.value, remedy=remedy)
+            again.exit_status = error.exit_status
+            raise again from None
     store.remove()
 
 
@@ -396,7 +398,7 @@ def _set_aside(target: Path, progress: Progress) -> None:
     try:
         target.replace(other)
     except OSError as error:
-        raise cannot_write(target, error) from None
+        raise cannot_write(target, error, **RESUME) from None
     progress(f"{target} contained the table of another request; it is now {other}")
 
 

@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 
 from surctl.errors import InputError
 from surctl.ir.cache import stored_numbers
+from surctl.verification.loops import golden_section
 
 __all__ = [
     "LEAST_DISK_MARGIN",
@@ -101,25 +102,47 @@ class OpenLoop:
         B: input matrix (…, n, q).
         C: output matrix (…, q, n).
         D: feedthrough matrix (…, q, q) of L; I + D must be invertible.
+        dt: control period [s] if s stands for z = (1 + s dt/2)/(1 − s dt/2) of a sampled loop (`of_sampled`); else 0.
     """
 
     A: Array
     B: Array
     C: Array
     D: Array
+    dt: float = 0.0
+
+    @classmethod
+    def of_sampled(cls, A: Array, B: Array, C: Array, D: Array, dt: float) -> OpenLoop:
+        """Return the loop L(z) = C (zI − A)⁻¹ B + D by z = (1 + s dt/2)/(1 − s dt/2), from the circle to the axis.
+
+        The transformation keeps every value of the frequency response, at the frequency that `warped` gives; −1 must
+        not be an eigenvalue of A.
+        """
+        eye = np.eye(A.shape[-1])
+        whole = np.linalg.inv(A + eye)
+        root = 2 / np.sqrt(dt)
+        return cls(2 / dt * whole @ (A - eye), root * whole @ B, root * C @ whole, D - C @ whole @ B, dt)
+
+    def warped(self, omega: Array) -> Array:
+        """Return where on the imaginary axis of s the frequencies ω [rad/s] are."""
+        return np.asarray(2 / self.dt * np.tan(0.5 * self.dt * omega) if self.dt else omega, dtype=float)
+
+    def frequency(self, axis: float) -> float:
+        """Return the frequency [rad/s] at a point of the imaginary axis of s."""
+        return float(2 / self.dt * np.arctan(0.5 * self.dt * axis)) if self.dt else axis
 
     def __getitem__(self, chosen: NDArray[np.intp]) -> OpenLoop:
         """Return the loops at the given indices of the leading axis."""
-        return OpenLoop(self.A[chosen], self.B[chosen], self.C[chosen], self.D[chosen])
+        return OpenLoop(self.A[chosen], self.B[chosen], self.C[chosen], self.D[chosen], self.dt)
 
     def complementary(self) -> OpenLoop:
         """Return the complementary sensitivity T = L (I + L)⁻¹; the poles of T are those of the closed loop."""
         inverse = np.linalg.inv(np.eye(self.D.shape[-1]) + self.D)
         B = self.B @ inverse
-        return OpenLoop(self.A - B @ self.C, B, inverse @ self.C, self.D @ inverse)
+        return OpenLoop(self.A - B @ self.C, B, inverse @ self.C, self.D @ inverse, self.dt)
 
     def response(self, omega: Array) -> NDArray[np.complex128]:
-        """Return the frequency response L(jω) (…, k, q, q) at the frequencies ω (k,) [rad/s]."""
+        """Return L(s) (…, k, q, q) at points s = jω of the imaginary axis, ω (k,) [rad/s]."""
         A, B, C, D = (m[..., None, :, :] for m in (self.A, self.B, self.C, self.D))
         pencil = 1j * np.asarray(omega)[:, None, None] * np.eye(A.shape[-1]) - A
         inner = np.linalg.solve(pencil, np.broadcast_to(B, (*pencil.shape[:-1], B.shape[-1])))
@@ -179,7 +202,7 @@ def sensitivity_of(loop: OpenLoop, place: str = "", *, highest: float) -> Sensit
             "is unstable and has no frequency response", key="loop", value=place, remedy="lower the cruise speed"
         )
     omega = np.geomspace(_SLOWEST, highest, _FREQUENCIES)
-    T = closed.response(omega)
+    T = closed.response(closed.warped(omega))
     S = np.eye(T.shape[-1]) - T
     return Sensitivity(place, omega, *(np.linalg.norm(m, 2, axis=(1, 2)) for m in (S, T)))
 
@@ -198,7 +221,6 @@ _SCREENED_TOGETHER = 16  # loops evaluated together, so that their responses fit
 _PEAKS = 3  # largest number of peaks of the grid that are refined
 _LOW_PEAK = 0.9  # lowest peak that is refined, as a share of the highest
 _SHRINKS = 24
-_GOLDEN = (np.sqrt(5) - 1) / 2
 _EXCESS = 2e-3  # the level for the proof exceeds the highest peak found by this share
 _SWEEPS = 12  # largest number of passes over the channels to balance a matrix
 _LITTLE = 1e-6  # the passes end if they change all squared scalings by at most this share
@@ -279,11 +301,11 @@ def disk_margin(loop: OpenLoop, place: str = "") -> DiskMargin:
             alpha = 1 / level
             gain = (2 - alpha) / (2 + alpha)
             phase = float(np.rad2deg(2 * np.arctan(alpha / 2)))
-            return DiskMargin(place, True, alpha, 1 / least, where, (gain, 1 / gain), phase)
+            return DiskMargin(place, True, alpha, 1 / least, loop.frequency(where), (gain, 1 / gain), phase)
         open_ends = [higher]
         level *= 1 + _EXCESS / 4  # raise the level, because rounding decides if it lies just below the peak
     nothing = float("nan")
-    return DiskMargin(place, True, nothing, 1 / least, where, (nothing, nothing), nothing)
+    return DiskMargin(place, True, nothing, 1 / least, loop.frequency(where), (nothing, nothing), nothing)
 
 
 def quick_disk_margin(loop: OpenLoop) -> float:
@@ -307,10 +329,10 @@ def _peaks_of(closed: OpenLoop) -> list[float]:
 
 
 def stored_disk_margin(loop: OpenLoop, place: str) -> DiskMargin:
-    """Return the disk margin of a loop of the cascade, from the cache on disk if it was computed before."""
-    matrices = [np.asarray(matrix, dtype=float) for matrix in (loop.A, loop.B, loop.C, loop.D)]
+    """Return the disk margin of a loop, from the cache on disk if it was computed before."""
+    matrices = [np.asarray(matrix, dtype=float) for matrix in (loop.A, loop.B, loop.C, loop.D, loop.dt)]
     values = stored_numbers(
-        ("surctl.verification.linear", "surctl.verification.linear"),
+        ("surctl.verification.linear",),
         [(matrix.shape, matrix.tobytes()) for matrix in matrices],
         lambda: asdict(disk_margin(loop)),
         suffix=".disk",
@@ -320,7 +342,8 @@ def stored_disk_margin(loop: OpenLoop, place: str) -> DiskMargin:
 
 def disk_profile(loop: OpenLoop, omega: Array) -> Array:
     """Return a lower bound (k,) of the disk margin α at each single frequency ω (k,) [rad/s]."""
-    profile: Array = 1 / _balanced(_sensitivity(loop.complementary(), np.asarray(omega, dtype=float)))[1]
+    at = loop.warped(np.asarray(omega, dtype=float))
+    profile: Array = 1 / _balanced(_sensitivity(loop.complementary(), at))[1]
     return profile
 
 
@@ -460,22 +483,18 @@ def _local_peaks(values: Array) -> list[int]:
 
 
 def _refined(closed: OpenLoop, grid: Array, at: list[int]) -> list[float]:
-    # golden-section search between the neighbours on the grid
+    # between the neighbours on the grid
     places = np.array(at)
     low, high = grid[np.maximum(places - 1, 0)], grid[np.minimum(places + 1, len(grid) - 1)]
 
-    def heights(omega: Array) -> Array:
-        return _balanced(_sensitivity(closed, omega.reshape(-1)))[1].reshape(omega.shape)
+    def depths(omega: Array) -> Array:
+        return -_balanced(_sensitivity(closed, omega.reshape(-1)))[1].reshape(omega.shape)
 
-    best, where = heights(grid[places]), grid[places]
-    for _ in range(_SHRINKS):
-        both = np.stack([high - _GOLDEN * (high - low), low + _GOLDEN * (high - low)])
-        values = heights(both)
-        for height, omega in zip(values, both, strict=True):
-            higher = height > best
-            best, where = np.where(higher, height, best), np.where(higher, omega, where)
-        lower = values[0] > values[1]
-        low, high = np.where(lower, low, both[0]), np.where(lower, both[1], high)
+    best, where = depths(grid[places]), grid[places]
+    for both, values in golden_section(depths, low, high, shrinks=_SHRINKS):
+        for depth, omega in zip(values, both, strict=True):
+            deeper = depth < best
+            best, where = np.where(deeper, depth, best), np.where(deeper, omega, where)
     return [float(omega) for omega in where]
 
 

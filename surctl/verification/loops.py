@@ -1,14 +1,14 @@
 """Frequency responses and margins of one loop of many systems at once; they are computed from eigenvalues.
 
 Let A_o be the system matrix with a loop open and A_c the matrix with this loop closed. The loop transfer function is
-l(s) = det(sI − A_c)/det(sI − A_o) − 1. Its frequency response is therefore a product over poles, and no linear system
-is solved at any frequency. A is first split into its decoupled diagonal blocks (surge; heave; sway with yaw), and each
-loop uses only the block that contains it.
+l(s) = det(sI − A_c)/det(sI − A_o) − 1, and the same in z for a sampled loop. Its frequency response is therefore a
+product over poles, and no linear system is solved at any frequency. A is first split into its decoupled diagonal blocks
+(surge; heave; sway with yaw), and each loop uses only the block that contains it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -22,6 +22,7 @@ __all__ = [
     "LoopMargins",
     "SensitivityShape",
     "crossings_of",
+    "golden_section",
     "margins_from",
     "shape_of",
     "state_blocks",
@@ -40,21 +41,23 @@ class BrokenLoop:
     """One loop at n operating points; it is opened at one signal while all other loops are closed.
 
     Attributes:
-        closed: (n, k) poles [rad/s] of the system with this loop closed.
-        opened: (n, k) poles [rad/s] of the system with this loop open.
+        closed: (n, k) poles [rad/s] of the system with this loop closed; poles z of a sampled loop.
+        opened: (n, k) poles of the system with this loop open.
+        dt: control period [s] of a sampled loop; 0: continuous.
     """
 
     closed: NDArray[np.complex128]
     opened: NDArray[np.complex128]
+    dt: float = 0.0
 
     def response(self, omega: NDArray[np.float64], points: NDArray[np.intp] | slice) -> NDArray[np.complex128]:
-        """Return the frequency response L(jω) (p, …) of the p selected points.
+        """Return the frequency response L(jω), or L(e^(jω dt)), (p, …) of the p selected points.
 
         Args:
             omega: frequencies [rad/s] in an array of shape (p, …), or of a shape that broadcasts to (p, …).
             points: indices of the p points, or a slice.
         """
-        s = 1j * omega
+        s = np.exp(1j * self.dt * omega) if self.dt else 1j * omega
         closed, opened = self.closed[points], self.opened[points]
         shape = (len(closed), *(1,) * (omega.ndim - 1))
         product = np.ones(np.broadcast_shapes(shape, omega.shape), dtype=complex)
@@ -106,7 +109,7 @@ def state_blocks(A: NDArray[np.float64]) -> list[NDArray[np.intp]]:
     return blocks
 
 
-def crossings_of(loop: BrokenLoop, *, highest: float) -> Crossings:
+def crossings_of(loop: BrokenLoop, *, highest: float = np.inf, grid: NDArray[np.float64] | None = None) -> Crossings:
     """Return the margins of one loop at n operating points; the closed loop must be stable at every point.
 
     The margins are defined as in python-control's `stability_margins` and `disk_margins`. Crossings are bracketed on a
@@ -115,9 +118,10 @@ def crossings_of(loop: BrokenLoop, *, highest: float) -> Crossings:
     Args:
         loop: the loop.
         highest: highest frequency of the grid [rad/s].
+        grid: ascending frequencies [rad/s] in place of that grid.
     """
     count = len(loop.closed)
-    grid = np.geomspace(_LOWEST, highest, _POINTS)
+    grid = np.geomspace(_LOWEST, highest, _POINTS) if grid is None else grid
     response = loop.response(grid[None], slice(None))
     gain_margin, lag, delay = (np.full(count, np.inf) for _ in range(3))
     crossover, least_gain = np.zeros(count), np.zeros(count)
@@ -130,9 +134,10 @@ def crossings_of(loop: BrokenLoop, *, highest: float) -> Crossings:
 
     left = response[:, :-1].real <= 0  # where the real part is positive, the real axis is crossed at 0°, not −180°
     points, omega = _zeros(loop, grid, response, at_phase, left)
-    gain = 1 / np.abs(loop.response(omega, points))
-    still = _still(loop)
-    points, gain = np.append(points, still[0]), np.append(gain, still[1])
+    with np.errstate(divide="ignore"):  # a loop that is 0 there has no margin there
+        gain = 1 / np.abs(loop.response(omega, points))
+    for ends, factors in _at_ends(loop):
+        points, gain = np.append(points, ends), np.append(gain, factors)
     more, less = (gain > 1) & (gain < 1 / _SPURIOUS), (gain < 1) & (gain > _SPURIOUS)
     np.minimum.at(gain_margin, points[more], gain[more])
     np.maximum.at(least_gain, points[less], gain[less])
@@ -170,11 +175,15 @@ def shape_of(loop: BrokenLoop, *, highest: float) -> SensitivityShape:
     return SensitivityShape(1 / _least(loop, grid, response, distance), rejection, crossover)
 
 
-def _still(loop: BrokenLoop) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
-    """Return the points with loop phase −180° at ω = 0, and their gain factors that put a closed-loop pole at s = 0."""
-    points = np.flatnonzero(np.all(np.abs(loop.opened) > _SPURIOUS * _LOWEST, axis=1))
-    value = loop.response(np.zeros(1), points).real
-    return points[value < 0], -1 / value[value < 0]
+def _at_ends(loop: BrokenLoop) -> list[tuple[NDArray[np.intp], NDArray[np.float64]]]:
+    """Return the points with phase −180° at ω = 0, and the gain factors that put a pole there; likewise at Nyquist."""
+    ends = []
+    for omega in (0.0, np.pi / loop.dt) if loop.dt else (0.0,):
+        steady, near = (np.cos(omega * loop.dt), loop.dt) if loop.dt else (0.0, 1.0)
+        points = np.flatnonzero(np.all(np.abs(loop.opened - steady) > _SPURIOUS * _LOWEST * near, axis=1))
+        value = loop.response(np.array([omega]), points).real
+        ends.append((points[value < 0], -1 / value[value < 0]))
+    return ends
 
 
 def _zeros(
@@ -216,16 +225,47 @@ def _least(
 ) -> NDArray[np.float64]:
     """Return the least value of `radius` over frequency at every point (n,), by golden-section search from the grid."""
     points, log = np.arange(len(response)), np.log(grid)
+
+    def radii(at: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.stack([radius(loop.response(np.exp(one), points)) for one in at])
+
     coarse = radius(response)
     nearest = np.argmin(coarse, axis=1)
     low, high = log[np.maximum(nearest - 1, 0)], log[np.minimum(nearest + 1, len(grid) - 1)]
     least: NDArray[np.float64] = coarse[points, nearest]
-    for _ in range(_SHRINKS):
-        one, other = high - _GOLDEN * (high - low), low + _GOLDEN * (high - low)
-        first, second = (radius(loop.response(np.exp(at), points)) for at in (one, other))
-        least = np.minimum(least, np.minimum(first, second))
-        low, high = np.where(first < second, low, one), np.where(first < second, other, high)
+    for _, values in golden_section(radii, low, high, shrinks=_SHRINKS):
+        least = np.minimum(least, values.min(axis=0))
     return least
+
+
+def golden_section(
+    function: Callable[[NDArray[np.float64]], NDArray[np.float64]],
+    low: NDArray[np.float64],
+    high: NDArray[np.float64],
+    *,
+    shrinks: int,
+) -> Iterator[tuple[NDArray[np.float64], NDArray[np.float64]]]:
+    """Yield points (2, n) and the values there while n intervals shrink around least values of a function.
+
+    Args:
+        function: the values (2, n) at points (2, n).
+        low: lower ends (n,) of the intervals.
+        high: upper ends (n,).
+        shrinks: how often the intervals shrink, each time to 0.618 of their length.
+
+    Example:
+        >>> import numpy as np
+        >>> from surctl.verification.loops import golden_section
+        >>> *_, (points, values) = golden_section(lambda x: (x - 0.3) ** 2, np.zeros(1), np.ones(1), shrinks=30)
+        >>> points.round(5).ravel().tolist()
+        [0.3, 0.3]
+    """
+    for _ in range(shrinks):
+        both = np.stack([high - _GOLDEN * (high - low), low + _GOLDEN * (high - low)])
+        values = function(both)
+        yield both, values
+        lower = values[0] < values[1]
+        low, high = np.where(lower, low, both[0]), np.where(lower, both[1], high)
 
 
 # Stability margins of one loop at a time.

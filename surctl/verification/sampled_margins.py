@@ -17,7 +17,7 @@ from surctl.system import LinearLoop, Operating, System, find_equilibrium, linea
 from surctl.system.linear import Linearisation
 from surctl.system.values import checked_ranges
 from surctl.verification.linear import DiskMargin, OpenLoop, disk_margin
-from surctl.verification.loops import LoopMargins
+from surctl.verification.loops import BrokenLoop, LoopMargins, crossings_of, margins_from
 
 __all__ = [
     "SampledLoop",
@@ -32,12 +32,9 @@ Array = NDArray[np.float64]
 
 __all__ = ["quick_margins", "system_disk_margin", "system_margins"]
 
-_SPURIOUS = 1e-6  # a gain factor below this value, or above its inverse, comes from a zero of the loop
 _SINGULAR = 1e12  # condition number from which z counts as a pole
-_ROOT = 1e-6  # largest ratio of imaginary to absolute value of L where it counts as real
 _POINTS, _FEW = 1500, 150  # number of angles towards each end of (0, π)
 _NEAR = np.geomspace(1e-3, 30.0, 24)  # distances from a pole's angle, in distances of the pole from the unit circle
-_PARTS, _SPLITS = 16, 13  # an interval with a root is split so often into so many parts: by 2^52
 _INWARDS = 1e-6  # relative move of the poles of a loop that has one at z = -1
 _EDGE = 1e-9  # a pole this near to the unit circle counts as on it
 
@@ -98,7 +95,7 @@ def system_disk_margin(linear: LinearLoop, *openings: str) -> DiskMargin:
     if not _is_stable(linear):
         return DiskMargin.unstable(place)
     margin = disk_margin(_continuous(linear, *chosen), place)
-    return replace(margin, frequency_rad_s=float(2 * np.arctan(margin.frequency_rad_s) / linear.dt))
+    return replace(margin, frequency_rad_s=2.0 * margin.frequency_rad_s / linear.dt)
 
 
 def _is_stable(linear: LinearLoop) -> bool:
@@ -118,127 +115,32 @@ def quick_margins(linear: LinearLoop, *openings: str) -> tuple[LoopMargins, ...]
 
 def _margins(linear: LinearLoop, opening: str, *, quick: bool = False) -> LoopMargins:
     """Compute the margins of one loop from the crossings of its frequency response; without a crossing, inf."""
-    matrices, dt = linear.opened(opening), linear.dt
-    angles = _angles(matrices[0], linear.poles(), points=_FEW if quick else _POINTS)
-    loop = _Response(*matrices)
-    response = loop(angles)
-    real = loop(_roots(loop, angles, response, np.imag))
-    crossed = real[(real.real < 0) & (np.abs(real.imag) <= _ROOT * np.abs(real))].real  # no jump at a pole
-    gains = np.concatenate([-1 / crossed, _at_ends(*matrices)])
-    gains = gains[(gains > _SPURIOUS) & (gains < 1 / _SPURIOUS)]
-    at = _roots(loop, angles, response, lambda value: np.abs(value) - 1)
-    lags = np.remainder(np.angle(-loop(at)), 2 * np.pi)  # a lead counts as a lag of 360° less
-    disk = _refined_disk(loop, angles, response) if quick else _proved_disk(linear, opening)
-    return LoopMargins(
-        opening,
-        True,
-        float(min(gains[gains > 1], default=np.inf)),
-        float(min(np.rad2deg(lags), default=np.inf)),
-        float(min(lags / at * dt, default=np.inf)),
-        disk,
-        float(max(at, default=0.0)) / dt,
-        float(max(gains[gains < 1], default=0.0)),
-    )
+    A, dt, closed = linear.opened(opening)[0], linear.dt, linear.poles()
+    opened = np.linalg.eigvals(A).astype(complex)
+    grid = _angles(np.concatenate([opened, closed]), points=_FEW if quick else _POINTS) / dt
+    margins = margins_from(opening, crossings_of(BrokenLoop(closed[None], opened[None], dt), grid=grid))
+    return replace(margins, disk_margin=min(margins.disk_margin, 2.0) if quick else _proved_disk(linear, opening))
 
 
 def _proved_disk(linear: LinearLoop, opening: str) -> float:
     return disk_margin(_continuous(linear, opening), opening).guaranteed
 
 
-def _refined_disk(loop: _Response, angles: Array, response: NDArray[np.complex128]) -> float:
-    """Return the least |2 (1 + L)/(1 - L)| (Seiler, Packard and Gahinet 2020) on a grid, refined about its minimum."""
-
-    def radius(L: NDArray[np.complex128]) -> Array:
-        with np.errstate(divide="ignore"):
-            return np.asarray(2 * np.abs(1 + L) / np.abs(1 - L), dtype=float)
-
-    coarse = radius(response)
-    k = int(coarse.argmin())
-    low, high = angles[max(k - 1, 0)], angles[min(k + 1, len(angles) - 1)]
-    least = float(coarse[k])
-    for _ in range(3):
-        fine = np.linspace(low, high, 41)
-        values = radius(loop(fine))
-        j = int(values.argmin())
-        least, low, high = min(least, float(values[j])), fine[max(j - 1, 0)], fine[min(j + 1, 40)]
-    return min(least, 2.0)
-
-
-def _angles(A: Array, closed: NDArray[np.complex128], *, points: int) -> Array:
-    """Return angles of z [rad] in (0, π), dense towards both ends and around each pole of the open and closed loop."""
+def _angles(poles: NDArray[np.complex128], *, points: int) -> Array:
+    """Return angles of z [rad] in (0, π), dense towards both ends and around each of the poles."""
     ends = np.geomspace(1e-8, 1.0, points)
-    poles = np.concatenate([np.linalg.eigvals(A), closed])
     width = np.maximum(np.abs(1 - np.abs(poles)), 1e-6)
     near = np.abs(np.angle(poles))[:, None] + width[:, None] * np.concatenate([-_NEAR, _NEAR])
     angles = np.unique(np.concatenate([np.pi * ends, np.pi * (1 - ends / 2), near.ravel()]))
     return angles[(angles > 1e-9) & (angles < np.pi * (1 - 1e-9))]
 
 
-class _Response:
-    """L(z) of one opened loop, as a function of the angles (n,) of z; polynomials of several states lose all digits.
-
-    The state matrix is brought to triangular form once (Schur), which keeps its errors as small as those of the matrix.
-    """
-
-    def __init__(self, A: Array, B: Array, C: Array, D: Array) -> None:
-        from scipy.linalg import schur  # takes a second to import
-
-        T, Q = schur(A, output="complex") if len(A) else (A, A)
-        self.T: NDArray[np.complex128] = np.asarray(T, dtype=np.complex128)
-        self.B, self.C, self.D = Q.conj().T @ B[:, 0], C[0] @ Q, D[0, 0]
-
-    def __call__(self, angles: Array) -> NDArray[np.complex128]:
-        z, value = np.exp(1j * angles), np.full(len(angles), self.D, dtype=np.complex128)
-        driven = np.repeat(self.B[:, None], len(angles), axis=1)
-        for k in range(len(self.T) - 1, -1, -1):  # products of two vectors: threads of a BLAS take longer to start
-            state = driven[k] / (z - self.T[k, k])
-            driven[:k] += self.T[:k, k, None] * state
-            value += self.C[k] * state
-        return value
-
-
-def _roots(
-    loop: _Response,
-    angles: Array,
-    response: NDArray[np.complex128],
-    function: Callable[[NDArray[np.complex128]], Array],
-) -> Array:
-    """Return the angles at which a function of L changes its sign, between neighbouring angles."""
-    signs = np.sign(function(response))
-    between = np.flatnonzero(signs[1:] != signs[:-1])
-    low, high, sign = angles[between], angles[between + 1], signs[between]
-    every = np.arange(len(between))
-    for _ in range(_SPLITS if len(between) else 0):
-        ends = np.linspace(low, high, _PARTS + 1)
-        inner = np.sign(function(loop(ends[1:-1].ravel()))).reshape(_PARTS - 1, -1)
-        changed = np.vstack([inner != sign, np.ones((1, len(between)), dtype=bool)]).argmax(axis=0)
-        low, high = ends[changed, every], ends[changed + 1, every]
-    return (low + high) / 2
-
-
-def _at_ends(A: Array, B: Array, C: Array, D: Array) -> Array:
-    """Return the gain factors that put a closed-loop pole at z = 1 or at z = -1 (the Nyquist frequency)."""
-    factors = []
-    for z in (1.0, -1.0):
-        pencil = z * np.eye(len(A)) - A
-        if np.linalg.cond(pencil) < _SINGULAR:
-            value = float((D + C @ np.linalg.solve(pencil, B))[0, 0])
-            factors += [-1 / value] if value < 0 else []
-    return np.array(factors)
-
-
 def _continuous(linear: LinearLoop, *openings: str) -> OpenLoop:
-    """Transform the open loop by z = (1 + s)/(1 - s), which maps the unit circle to the imaginary axis.
-
-    The transformation does not change the values of the frequency response, except by 1e-6 for a loop with a pole at z
-    = -1.
-    """
+    """Return the open loop in continuous form; a pole at z = -1 changes its frequency response by 1e-6."""
     A, B, C, D = linear.opened(*openings)
     if np.linalg.cond(A + np.eye(len(A))) > _SINGULAR:  # a pole at z = -1, which the transform maps to infinity
         A = A * (1 - _INWARDS)
-    whole = np.linalg.inv(A + np.eye(len(A)))
-    root = np.sqrt(2)
-    return OpenLoop(whole @ (A - np.eye(len(A))), root * whole @ B, root * C @ whole, D - C @ whole @ B)
+    return OpenLoop.of_sampled(A, B, C, D, 2.0)  # frequencies per period: the grid of a search fits any period
 
 
 # What is read from a sampled linear loop of any law or system: poles, margins, disk margin, the worst corner

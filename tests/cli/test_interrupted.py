@@ -37,6 +37,19 @@ def test_the_inner_message_stays() -> None:
         raise KeyboardInterrupt
 
 
+@pytest.mark.parametrize("as_json", [False, True])
+@pytest.mark.parametrize("lines", [[], ["claim 1"]])
+def test_nothing_is_said_to_be_above_where_nothing_is_printed(
+    lines: list[str], as_json: bool, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for message in ("", "for the others: again"):
+        with pytest.raises(Stopped) as end, stoppable(message, lines, above="see above", as_json=as_json):
+            raise KeyboardInterrupt
+        printed = capsys.readouterr().out
+        assert ("see above" in str(end.value)) == bool(printed) == bool(lines and not as_json)
+        assert message in str(end.value) and str(end.value)
+
+
 class Pressed:
     """An argument during whose conversion Ctrl-C is pressed."""
 

@@ -8,6 +8,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -64,6 +65,7 @@ WRITING = {  # command: what its results on stdout contain
     ("verify", "v1-corrected", "m-norm-corrected", "--vehicle", "sur400", "--out", "out"): "ok   m-norm-corrected",
     ("verify", "braking-rule-20", "--vehicle", "sur400", "--out", "out"): "ok   braking-rule-20",
     ("verify", "loop.py:build", "within.x=-1..1", "--out", "out"): "proved",
+    ("study", "loop.py:build", "--seconds", "1", "k=1..2:2", "--out", "out"): "study cart under hold: passed",
     ("gains", "derive", "bluerov2-vonbenzon", "--cruise", "0.2", "--out", "gains.toml"): "",
     ("new", "vehicle", "mine"): "",
 }  # fmt: skip
@@ -82,6 +84,24 @@ def test_a_full_disk_leaves_the_results_on_stdout(
     complaints = [line for line in done.err.splitlines() if not line.startswith("  ")]
     assert done.status == 3 and WRITING[words] in done.out, done
     assert complaints and all(line.count(os.strerror(errno.ENOSPC)) == 1 for line in complaints)
+
+
+def test_a_disk_that_is_full_when_a_sweep_ends_keeps_the_finished_runs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object, **__: object) -> None:
+        raise RuntimeError("NetCDF: HDF error")
+
+    (tmp_path / "loop.py").write_text(LOOP)
+    words = ("sweep", "loop.py:build", "k=1,2", "--seconds", "1", "--out", "out")
+    with monkeypatch.context() as patch:
+        patch.setattr("netCDF4.Dataset", full)
+        patch.setattr("surctl.recorded_write.disk_usage", lambda _: SimpleNamespace(free=0))
+        done = surctl_here(*words, cwd=tmp_path)
+    assert done.status == 3 and os.strerror(errno.ENOSPC) in done.err, done
+    assert "finished chunks are kept" in done.err and list(tmp_path.glob("out/sweep.chunks/*/*.chunk"))
+    again = surctl_here(*words, cwd=tmp_path)
+    assert again.status == 0 and (tmp_path / "out" / "sweep.nc").exists(), again
 
 
 PLOTTING = ("save_", "plot_", "render_", "write_")

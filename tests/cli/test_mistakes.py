@@ -148,6 +148,7 @@ WORDS = {
     "one of several is too fast": (["verify", "--cruise", "0.1,9"], ["--cruise = 9.0", "thrust"]),
     "no list of speeds": (["verify", "--cruise", "0.1..0.2"], ["--cruise = '0.1..0.2'", "LOW..HIGH:COUNT"]),
     "a negative speed of a tuning": (["tune", "--cruise", "0.1,-0.1"], ["--cruise = -0.1", "greater than 0"]),
+    "a speed of a tuning above the cap": (["tune", "--cruise", "0.1,9"], ["surctl: --cruise = 9", "above the cap"]),
     "a speed of a sweep above the cap": (["sweep", "k_v=1,2", "--cruise", "0.9"], ["--cruise = 0.9", "cap"]),
     "no axis": (["sweep", "lookahead", "k_v=1,2"], ["lookahead", "PARAMETER="]),
     "axis twice": (["sweep", "k_v=1,2", "k_v=1,2"], ["k_v", "twice"]),

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.cli.process import surctl_here
 from tests.cli.test_lost_output import LOOP
 from tests.processes import Running
 
@@ -87,3 +88,18 @@ def test_a_stopped_sweep_of_a_system_resumes(sent: signal.Signals, tmp_path: Pat
         running.send(signal.SIGKILL)
         running.wait()
         assert f"sweep {4096 * stored}/1000000 runs" in running.err
+
+
+@pytest.mark.parametrize("part", ["surctl.assessment.assess", "surctl.tuning.sweep_system"])
+def test_a_stopped_study_of_a_system_prints_its_run_and_names_its_code(
+    part: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def stopped(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    (tmp_path / "loop.py").write_text(LOOP)
+    monkeypatch.setattr(part, stopped)
+    done = surctl_here("study", "loop.py:build", "--seconds", "1", "--out", "out", cwd=tmp_path)
+    assert done.status == 130 and "final" in done.out, done
+    assert done.err.splitlines()[-1].startswith("surctl: stopped; the code is in out/export")
+    assert (tmp_path / "out" / "export" / "hold.c").exists()

@@ -22,7 +22,7 @@ from surctl.marine.simulation import Case, case_parameters, law_numbers, load_sc
 from surctl.marine.testing import check_law
 from surctl.marine.tuning import build_cases, default_tuned, gain_ranges
 from surctl.marine.vehicle import load_vehicle
-from surctl.marine.verification.cascade import has_cascade
+from surctl.marine.verification.cruise_loop import has_cruise_loop
 from surctl.own_code import own_file
 
 STUDY = Path(__file__).parents[2] / "analysis" / "27_own_law"
@@ -130,9 +130,9 @@ def test_own_gains_are_gains(law: str, tmp_path: Path, mission: Path) -> None:
 
 def test_a_law_without_a_linear_model_has_no_margins(law: str) -> None:
     """Commands leave their margins out: study 40."""
-    assert not has_cascade(law, "los")
-    assert has_cascade("guarded", "los")
-    assert not has_cascade("dwa", "los")
+    assert not has_cruise_loop(law, "los")
+    assert has_cruise_loop("guarded", "los")
+    assert not has_cruise_loop("dwa", "los")
 
 
 def test_the_command_line_runs_an_own_law(law: str, mission: Path, tmp_path: Path) -> None:

@@ -28,7 +28,7 @@ from surctl.marine.simulation import Run, findings, law_numbers
 from surctl.marine.simulation.toml_text import toml_text
 from surctl.marine.vehicle import load_vehicle
 from surctl.marine.vehicle.parameters import write_vehicle
-from surctl.marine.verification import build_cascade, law_loop, loop_margins
+from surctl.marine.verification import cruise_loop, law_loop, loop_margins
 from tests.craft import CRUISE, craft, mission, table
 
 
@@ -117,7 +117,7 @@ def test_the_law_follows_from_the_forces() -> None:
     with pytest.raises(InputError, match=r"needs a sway force, but otter has none \(Fv_max = 0\); use law steered"):
         check_forces("guarded", craft("otter"))
     with pytest.raises(InputError, match="has no sway force"):
-        build_cascade(craft("otter"), gains().values, cruise=0.77, dt=0.05)
+        cruise_loop(craft("otter"), gains().values, cruise=0.77, dt=0.05)
 
 
 def test_findings_say_what_the_craft_cannot_do() -> None:

@@ -68,3 +68,20 @@ def test_a_proved_region_says_that_its_limit_never_acts() -> None:
     assert small.verdict == large.verdict == "proved"
     assert f"  {small.limits}" in small.lines() and small.limits and not large.limits
     assert small.to_dict()["limits"] == small.limits and large.to_dict()["limits"] is None
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_barrier_that_is_not_found_names_what_was_tried_and_its_time_limit(seed: int, tmp_path: Path) -> None:
+    speed, limit = np.random.default_rng(seed).uniform([0.1, 3.0], [1.0, 6.0]).round(3)  # x reaches the unsafe set
+    text = f"""
+    kind = "barrier"
+    name = "drift"
+    initial = ["x <= -0.5"]
+    unsafe = ["x >= 0.5"]
+    [states]
+    x = {{ rate = "{speed}", lower = -1, upper = 1 }}
+    """
+    found = solve(load_problem(written(tmp_path, text)), time_limit=limit)
+    assert found.verdict == "unknown"
+    cause, said = found.reason.removeprefix("no barrier was found: ").rsplit("; ", 1)
+    assert "degree" in cause and said == f"the time limit was {limit:g} s of processor time"

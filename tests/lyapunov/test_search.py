@@ -275,3 +275,40 @@ def test_a_controller_state_is_a_state_and_a_state_that_rests_is_none() -> None:
         continuous_dynamics(System(plant, law), {"pair[0]": (-1.0, 1.0)}, values={"start.pair[1]": 0.5})
     with pytest.raises(InputError, match=r"within\.pair\[1\]: has equal bounds, but moves"):
         continuous_dynamics(System(plant, law), {"pair[0]": (-1.0, 1.0), "pair[1]": (0.5, 0.5)})
+
+
+@pytest.mark.parametrize("seed", range(1, 5))
+def test_the_unit_of_a_state_does_not_change_its_equilibrium(seed: int) -> None:
+    # a pendulum, h = 0 in continuous time; the units of states and time are powers of ten
+    random = np.random.default_rng(seed)
+    x, y, slow = (10.0 ** int(k) for k in random.integers(-12, 9, 3))
+    at = round(float(random.uniform(0.2, 1.2)), 3)
+    rates = [f"{slow!r}*{x!r}*(y/{y!r})", f"{slow!r}*{y!r}*(-sin(x/{x!r} - {at}) - 0.8*y/{y!r})"]
+    states = {"x": (-x, 3 * x), "y": (-2 * y, 2 * y)}
+    for discrete in (False, True):
+        step = [f"{name} + {0.1 / slow!r}*({rate})" for name, rate in zip("xy", rates, strict=True)]
+        d = dynamics(states, step if discrete else rates, discrete=discrete)
+        assert not d.rests()  # 0 is none, although its residual is small in these units
+        rest = at_equilibrium(d)
+        assert rest.rests()
+        assert rest.equilibrium == pytest.approx([at * x, 0.0], rel=1e-8, abs=1e-9 * y)
+        assert linearisation(rest).verdict == "stable"
+
+
+@pytest.mark.parametrize("width", [0.0, 2e-4])  # samples do not meet a bump as narrow as that
+def test_a_state_rests_in_the_whole_box_or_is_refused(width: float) -> None:
+    pair, push = Port("pair", (2,), "m", ""), Port("push", (1,), "m/s", "")
+    plant = Plant(
+        "pair", Layout((pair,)), Layout((push,)),
+        lambda x, f, d, p: {"pair": [f["push"] + x["pair"][1], ca.fmax(0, width - ca.fabs(x["pair"][0] - 0.3))
+                                     + (0.1 + 0.2 - 0.3) * x["pair"][0]]},
+    )  # fmt: skip
+    law = Controller("hold", 0.1, Layout((pair,)), Layout((push,)), lambda x, u, p: -u["pair"][0])
+    if width:
+        with pytest.raises(InputError, match=r"within\.pair\[1\]: is not shown to stay at rest in the whole box"):
+            continuous_dynamics(System(plant, law), {"pair[0]": (-1.0, 1.0)})
+    else:
+        assert (
+            "pair[1] stay at rest up to rounding"
+            in continuous_dynamics(System(plant, law), {"pair[0]": (-1.0, 1.0)}).source
+        )

@@ -29,7 +29,7 @@ from surctl.marine.report.signals import plot_force, spans
 from surctl.marine.simulation import Run, load_scenario, simulate
 from surctl.marine.tuning import SweepTable
 from surctl.marine.vehicle import load_vehicle
-from surctl.marine.verification import build_cascade
+from surctl.marine.verification import cruise_loop
 from surctl.report import margin_slice, plot_counterexample, plot_replay, plot_slice, plot_sobol_indices
 from surctl.report.evidence import _sense
 from surctl.report.theme import BAD, printable
@@ -135,11 +135,11 @@ def test_what_the_font_lacks_is_replaced() -> None:
 
 
 def test_loop_responses_are_those_of_python_control() -> None:
-    cascade = build_cascade(vehicle(), GAINS.values, **ABOUT)
+    whole = cruise_loop(vehicle(), GAINS.values, **ABOUT)
     loops = loop_responses(vehicle(), GAINS.values, **ABOUT)
     assert [loop.name for loop in loops] == [m.name for m in report().margins]
-    for loop, broken in ((loops[1], cascade.at_thrust(1)), (loops[7], cascade.at_output(3))):
-        expected = control.frequency_response(control.ss(*broken, 0), loop.omega).complex
+    for loop, broken in ((loops[1], whole.at_thrust(1)), (loops[7], whole.at_output(3))):
+        expected = control.frequency_response(control.ss(*broken, 0, ABOUT["dt"]), loop.omega).complex
         np.testing.assert_allclose(loop.response, np.ravel(expected), rtol=1e-6, atol=1e-12)
 
 
@@ -156,7 +156,7 @@ def test_loops_and_poles_are_drawn() -> None:
     poles = report().poles
     assert poles is not None
     shown = next(line for line in plot_poles(poles).lines if line.get_label() == "stable")
-    assert len(shown.get_xdata()) == 12  # twelve more belong to the delay
+    assert len(shown.get_xdata()) == 12  # four more belong to the delay
     rendered(plot_poles(poles))
     rendered(plot_poles(np.array([0.1 + 2j, 0.1 - 2j, -1.0])))
     rendered(plot_poles(np.array([-1.0 + 0j])))

@@ -7,6 +7,7 @@ from math import pi
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from surctl.errors import InputError
@@ -110,6 +111,19 @@ def test_a_cap_that_the_thrust_does_not_hold_is_told_by_axis() -> None:
     [told] = [f for f in findings(fast, boat) if f.key == "cap_m_per_s"]
     assert told.level == "warning" and "1.13 m/s in surge and 0.498 m/s in sway" in told.text
     assert not [f for f in findings(replace(POOL, cap=0.49), boat) if f.key == "cap_m_per_s"]
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_warning_about_the_cap_names_one_that_satisfies_it(seed: int) -> None:
+    most, cruise = np.random.default_rng(seed).uniform([0.3, 0.05], [9.0, 0.4])
+    boat, fast = load_vehicle("sur400").with_values({"Fv_max": most}), replace(POOL, cruise=cruise, cap=2.0)
+    [told] = [f for f in findings(fast, boat) if f.key == "cap_m_per_s"]
+    if told.level == "info":  # not even the cruise speed is held sideways
+        assert [f for f in findings(replace(fast, cap=cruise), boat) if f.key == "cap_m_per_s"]
+        return
+    cap = float(told.text.rsplit("write at most ", 1)[1])
+    assert told.level == "warning" and cap > cruise - 1e-3
+    assert not [f for f in findings(replace(fast, cap=cap), boat) if f.key == "cap_m_per_s"]
 
 
 def test_the_way_to_stop_is_that_of_surge_and_the_law_s_caution_is_told_apart() -> None:

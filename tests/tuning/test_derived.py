@@ -59,7 +59,7 @@ def test_derived_gains_have_the_margin_of_all_loops_at_once(vehicle: Vehicle, cr
 
 def test_a_speed_that_no_gains_bear_is_stated_with_the_largest_that_they_do() -> None:
     fast = derive_gains(WU, cruise=0.47)
-    assert not fast.reached and fast.searched and 0.3 < fast.bearable < 0.36
+    assert not fast.reached and fast.searched and 0.3 < fast.bearable < 0.4
     assert reached(WU, fast.gains, 0.47) == fast.disk_margin > 0  # stable: the best set at this speed
     assert reached(WU, derived_gains(WU, cruise=fast.bearable), fast.bearable) >= LEAST_DISK_MARGIN
     head, warning = fast.lines()

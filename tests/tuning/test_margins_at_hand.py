@@ -3,14 +3,11 @@
 import numpy as np
 import pytest
 
-from surctl.errors import InputError
 from surctl.marine.control import load_gains
 from surctl.marine.simulation import load_scenario
 from surctl.marine.tuning import build_cases
 from surctl.marine.tuning.measure import LINEAR_COLUMNS, SweepEvaluation
-from surctl.marine.tuning.start import _no_start
 from surctl.marine.tuning.sweep import judged
-from surctl.marine.vehicle import load_vehicle
 
 GAINS = load_gains("default")
 
@@ -29,12 +26,3 @@ def test_margins_that_are_not_judged_do_not_decide_what_is_feasible() -> None:
     assert judged(flown)["feasible"].tolist() == [1.0, 1.0]
     nothing = {"delay_margin_s": np.full(2, np.nan), "disk_margin": np.full(2, np.nan)}  # no straight cruise at all
     assert judged(flown | nothing)["feasible"].tolist() == [0.0, 0.0]
-
-
-def test_a_missing_regulator_start_is_blamed_on_what_it_is() -> None:
-    wu, values = load_vehicle("bluerov2-wu"), GAINS.values
-    unstable = _no_start(wu, values, cruise=0.3, dt=0.05)
-    assert isinstance(unstable, InputError) and "Munk moment" in str(unstable) and "k_r = 4.5" in str(unstable)
-    assert "shorten" not in str(unstable)
-    slow = _no_start(load_vehicle("sur400"), values | {"k_v": 4.0}, cruise=0.15, dt=0.1)
-    assert "dt = 0.1" in str(slow) and "shorten it" in str(slow)

@@ -33,7 +33,7 @@ from surctl.marine.vehicle import (
     trim_thrust,
     write_vehicle,
 )
-from surctl.marine.verification import build_cascade
+from surctl.marine.verification import cruise_loop
 from surctl.marine.verification.braking_claims import braking_keeps
 
 Array = NDArray[np.float64]
@@ -193,8 +193,8 @@ def test_laws_know_the_drag_at_their_cruise_speed() -> None:
     assert plain.drag_at(0.4).tolist() == plain.linear_drag.tolist()
     same = plain.with_values({"Yv": plain["Yv"] + 0.8, "Nr": plain["Nr"] + 0.2})
     gains = load_gains("default").values
-    there = build_cascade(same, gains, cruise=0.4, dt=0.05)
-    np.testing.assert_allclose(build_cascade(vehicle, gains, cruise=0.4, dt=0.05).K, there.K, rtol=1e-12)
+    there = cruise_loop(same, gains, cruise=0.4, dt=0.05)
+    np.testing.assert_allclose(cruise_loop(vehicle, gains, cruise=0.4, dt=0.05).law[3], there.law[3], rtol=1e-12)
     scenario = replace(load_scenario("tank-static"), cruise=0.4)
     numbers = [
         law_numbers(scenario, load_gains("default"), v)[PARAMETERS.slice("linear_drag")] for v in (vehicle, same)

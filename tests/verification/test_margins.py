@@ -2,14 +2,16 @@ import casadi as ca
 import control
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 from scipy.signal import tf2ss
 
 from surctl.errors import InputError
-from surctl.marine.control import load_gains
+from surctl.marine.control import build_law, load_gains
 from surctl.marine.control.closing import velocity_control
+from surctl.marine.control.paper import DAMPING
 from surctl.marine.guidance.tracking import along_command, tracking_velocity
 from surctl.marine.vehicle import load_vehicle, planar_rotation
-from surctl.marine.verification import build_cascade, closed_loop_poles, loop_margins, worst_margins
+from surctl.marine.verification import closed_loop_poles, cruise_loop, law_loop, loop_margins, worst_margins
 from surctl.verification.loops import BrokenLoop, LoopMargins, crossings_of, margins_from
 
 GAINS = {"k1": 0.3, "k2": 0.3, "k_psi": 0.6, "k_r": 1.5, "k_v": 1.5, "lookahead": 1.2}
@@ -81,11 +83,16 @@ def test_the_delay_margin_is_the_least_over_all_crossings() -> None:
 
 
 def test_heave_of_a_vehicle_without_drag_and_lag_is_a_double_integrator() -> None:
-    # L = e^(−sT) k_v (s + k2)/s² : crossover and phase by hand
+    # held over a period T and one period late: L = k_v (T/(z − 1) + k2 T² (z + 1)/(2 (z − 1)²))/z
     free = VEHICLE.with_values({"thrust_lag": 0.0, "Zw": 0.0})
     dt, k_v, k2 = 0.05, GAINS["k_v"], GAINS["k2"]
-    cross = np.sqrt((k_v**2 + np.sqrt(k_v**4 + 4 * k_v**2 * k2**2)) / 2)
-    phase = np.arctan(cross / k2) - cross * 1.5 * dt
+
+    def loop(omega: float) -> complex:
+        z = np.exp(1j * omega * dt)
+        return complex(k_v * (dt / (z - 1) + k2 * dt**2 * (z + 1) / (2 * (z - 1) ** 2)) / z)
+
+    cross = brentq(lambda omega: abs(loop(omega)) - 1, 0.1, 10.0)
+    phase = np.angle(-loop(cross))
     heave = {m.name: m for m in loop_margins(free, GAINS, cruise=0.15, dt=dt)}["heave"]
     assert heave.crossover_rad_s == pytest.approx(cross, rel=1e-5)
     assert heave.phase_margin_deg == pytest.approx(np.rad2deg(phase), rel=1e-4)
@@ -109,7 +116,7 @@ def test_gain_margin_of_heading_is_where_its_poles_cross() -> None:
     assert heading.name == "heading"
     for factor, stable in ((0.98, True), (1.02, False)):
         gains = {**GAINS, "k_psi": GAINS["k_psi"] * heading.gain_margin * factor}
-        assert build_cascade(VEHICLE, gains, cruise=0.15, dt=0.05).stable is stable
+        assert cruise_loop(VEHICLE, gains, cruise=0.15, dt=0.05).stable is stable
 
 
 @pytest.mark.parametrize("name", ["sur540-flooded", "sur400", "bluerov2-vonbenzon"])
@@ -138,19 +145,36 @@ def test_the_controller_is_the_derivative_of_the_laws_own_expressions(name: str)
     )
     both = ca.vertcat(thrust, held - xi)  # a period of 1 s: the step of ξ is its rate
     slope = ca.Function("slope", [y, xi], [ca.jacobian(both, ca.vertcat(y, xi))])
-    expected = -np.asarray(slope(np.zeros(8), np.zeros(4)))
-    found = build_cascade(vehicle, {**GAINS, "k_i": k_i}, cruise=cruise, dt=0.05).K
-    assert found == pytest.approx(expected, abs=1e-9)
+    expected = np.asarray(slope(np.zeros(8), np.zeros(4)))
+    dt = 0.05
+    Az, By, Cz, D = cruise_loop(vehicle, {**GAINS, "k_i": k_i}, cruise=cruise, dt=dt, law="guarded").law
+    assert np.block([[D, Cz], [By / dt, (Az - np.eye(4)) / dt]]) == pytest.approx(expected, abs=1e-9)
 
 
-@pytest.mark.parametrize("delay", [0.075, 0.3])
-def test_the_delay_is_that_of_python_control(delay: float) -> None:
-    vehicle, gains = load_vehicle("sur400").with_values({"thrust_lag": 0.0}), load_gains("default").values
-    plain, late = (build_cascade(vehicle, gains, cruise=0.15, dt=0.05, delay=d) for d in (0.0, delay))
-    lag = control.tf(*control.pade(delay, 3))
+@pytest.mark.parametrize(
+    ("law", "rel"), [("closed_form", 2 * DAMPING**2), ("paper", 1e-9), ("apf", 1e-9), ("vo", 1e-9)]
+)
+def test_all_laws_that_track_have_one_loop(law: str, rel: float) -> None:
+    one, other = (cruise_loop(VEHICLE, GAINS, cruise=0.15, dt=0.05, law=name) for name in ("guarded", law))
+    assert other.law[3] == pytest.approx(one.law[3], rel=rel, abs=1e-9) and other.states == one.states
+
+
+@pytest.mark.parametrize("k_i", [0.0, 0.2])
+def test_the_loop_of_derivatives_is_that_of_differences_of_the_steps_of_the_law(k_i: float) -> None:
+    gains = load_gains("default").with_values({"k_i": k_i})
+    stepped = law_loop(build_law("closed_form"), VEHICLE, gains, cruise=0.15)
+    found = np.sort_complex(cruise_loop(VEHICLE, gains.values, cruise=0.15, dt=0.05).poles)
+    expected = np.sort_complex(np.log(stepped.poles) / 0.05)
+    assert found == pytest.approx(expected, rel=1e-4, abs=1e-4)
+
+
+def test_a_held_and_late_thrust_is_that_of_python_control() -> None:
+    loop = cruise_loop(load_vehicle("sur400"), load_gains("default").values, cruise=0.15, dt=0.05)
+    A, B, C, _ = loop.matrices
+    held = control.sample_system(control.ss(*loop.plant, C[:, : len(loop.plant[0])], np.zeros((8, 4))), 0.05)
     for omega in (0.1, 3.0, 20.0):
-        whole, rest = (c.C @ np.linalg.solve(1j * omega * np.eye(len(c.A)) - c.A, c.B) for c in (late, plain))
-        assert whole == pytest.approx(rest * lag(1j * omega), rel=1e-9, abs=1e-12)
+        z = np.exp(0.05j * omega)
+        assert C @ np.linalg.solve(z * np.eye(len(A)) - A, B) == pytest.approx(held(z) / z, rel=1e-9, abs=1e-12)
 
 
 def test_every_loop_is_reported_with_finite_crossovers_and_no_spurious_margin() -> None:
@@ -223,11 +247,11 @@ def test_worst_margins_are_the_least_of_the_corners():
 def test_python_control_has_the_margins_that_are_printed(name: str) -> None:
     gains, k, below = {**GAINS, "k_i": 0.05}, LOOPS.index(name), np.pi / 0.05
     ours = loop_margins(VEHICLE, gains, cruise=0.15, dt=0.05)[k]
-    cascade = build_cascade(VEHICLE, gains, cruise=0.15, dt=0.05)
-    A, b, c = cascade.at_thrust(k) if k < 4 else cascade.at_output(k - 4)
-    L = control.ss(A, b, c, 0)
-    with np.errstate(over="ignore"):  # its polynomials of many states overflow far beyond every frequency that counts
-        gm, pm, _, w_phase, w_gain, _ = control.stability_margins(L, returnall=True)
+    loop = cruise_loop(VEHICLE, gains, cruise=0.15, dt=0.05)
+    A, b, c = loop.at_thrust(k) if k < 4 else loop.at_output(k - 4)
+    L = control.ss(A, b, c, 0, 0.05)
+    response = control.frd(L, np.geomspace(1e-3, below, 4_000), smooth=True)
+    gm, pm, _, w_phase, w_gain, _ = control.stability_margins(response, returnall=True)
     gm = gm[(gm > 1) & (w_phase < below)]
     lag = np.remainder(pm[w_gain < below], 360.0)
     assert ours.gain_margin == pytest.approx(min(gm, default=np.inf), rel=1e-5)

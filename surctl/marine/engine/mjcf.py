@@ -23,6 +23,7 @@ from surctl.ir.native import loaded
 from surctl.marine.engine.fluid import Body, EngineOptions, body_of, environment, fluid_program
 from surctl.marine.simulation import build_world
 from surctl.marine.vehicle import WATER
+from surctl.marine.vehicle.specs import AXES
 
 if TYPE_CHECKING:
     from surctl.marine.simulation import Obstacle, Scenario
@@ -206,7 +207,7 @@ def _engine(module: str) -> ctypes.CDLL:
 
 HULL, OBSTACLE, THRUSTER = "hull", "obstacle/", "thruster/"
 WALLS = ("wall/x0", "wall/x1", "wall/y0", "wall/y1")
-_ACTUATORS = ("surge", "sway", "heave", "yaw")
+_ACTUATORS = AXES[:4]
 
 _THICK = 0.1  # [m] of walls and floor
 _TOP = 0.06  # [m] height of walls above the water

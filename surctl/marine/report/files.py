@@ -39,7 +39,8 @@ from surctl.marine.sensing import Replay, SensorCalibration, file_stems
 from surctl.marine.simulation import Run, priority_timeline
 from surctl.marine.tuning import SweepTable, Tuning
 from surctl.marine.vehicle import Vehicle
-from surctl.marine.verification import Locus, build_cascade, loop_margins
+from surctl.marine.verification import Locus, cruise_loop, loop_margins
+from surctl.marine.verification.cruise_loop import TRACKING_LAW
 from surctl.marine.verification.linear import DISK_PLACES, open_loop
 from surctl.marine.verification.portrait import Portrait, planes_of, portrait
 from surctl.report.evidence import margin_slice, plot_cells, plot_counterexample, plot_open_boxes, plot_slice
@@ -175,12 +176,18 @@ def _handles(one: Portrait) -> list[Artist]:
 
 
 def save_margins(
-    vehicle: Vehicle, gains: Mapping[str, float], folder: Path | str, *, cruise: float | Sequence[float], dt: float
+    vehicle: Vehicle,
+    gains: Mapping[str, float],
+    folder: Path | str,
+    *,
+    cruise: float | Sequence[float],
+    dt: float,
+    law: str = TRACKING_LAW,
 ) -> list[Path]:
     r"""Write PNGs of Bode (loops of least margin), Nyquist, disk-margin and sensitivity plots; return the paths.
 
     With several cruise speeds [m/s], the sensitivities S and T are plotted at each speed, and all other plots are for
-    the largest speed. Nothing is written for an unstable loop.
+    the largest speed. Nothing is written for an unstable loop. `law` is a law that tracks, as in `loop_margins`.
 
     Raises:
         InputError: see `loop_margins`; or the folder cannot be written.
@@ -201,8 +208,8 @@ def save_margins(
     """
     speeds = [float(speed) for speed in np.atleast_1d(cruise)]
     cruise = max(speeds)
-    margins = loop_margins(vehicle, gains, cruise=cruise, dt=dt)
-    loops = loop_responses(vehicle, gains, cruise=cruise, dt=dt)
+    margins = loop_margins(vehicle, gains, cruise=cruise, dt=dt, law=law)
+    loops = loop_responses(vehicle, gains, cruise=cruise, dt=dt, law=law)
     if not all(m.stable for m in margins):
         return []
     figures: dict[str, Figure] = {}
@@ -212,11 +219,12 @@ def save_margins(
         figures[f"bode-{tightest[0].name}"] = plot_marked_bode(*tightest)
         least = min(m.disk_margin for _, m in group)
         figures[f"nyquist-{at}"] = plot_nyquist([loop for loop, _ in group], disk_margin=least).figure.figure
-    cascade = build_cascade(vehicle, gains, cruise=cruise, dt=dt)
-    opened = [open_loop(cascade, place) for place in DISK_PLACES]
+    loop = cruise_loop(vehicle, gains, cruise=cruise, dt=dt, law=law)
+    opened = [open_loop(loop, place) for place in DISK_PLACES]
     pairs = [(loop, stored_disk_margin(loop, place)) for loop, place in zip(opened, DISK_PLACES, strict=True)]
     figures["disk"] = plot_disk_margins(pairs, highest=np.pi / dt)
-    figures["sensitivity"] = plot_s_and_t(sensitivities(vehicle, gains, cruise=speeds, dt=dt, places=DISK_PLACES[:2]))
+    curves = sensitivities(vehicle, gains, cruise=speeds, dt=dt, places=DISK_PLACES[:2], law=law)
+    figures["sensitivity"] = plot_s_and_t(curves)
     return [save_figure(figure, folder, ("margins", vehicle.name, name)) for name, figure in figures.items()]
 
 

@@ -16,7 +16,9 @@ from matplotlib.patches import Circle
 from numpy.typing import NDArray
 
 from surctl.marine.vehicle import Vehicle
-from surctl.marine.verification import Locus, build_cascade
+from surctl.marine.vehicle.specs import AXES
+from surctl.marine.verification import Locus, cruise_loop
+from surctl.marine.verification.cruise_loop import TRACKING_LAW
 from surctl.marine.verification.linear import open_loop
 from surctl.report.theme import (
     AVOIDING,
@@ -49,7 +51,6 @@ __all__ = [
     "sensitivities",
 ]
 
-_THRUST = ("surge", "sway", "heave", "yaw")
 _MEASURED = ("along_track", "cross_track", "depth", "heading")
 _SLOWEST = 1e-2  # [rad/s]
 _POINTS = 400
@@ -74,7 +75,7 @@ class LoopResponse:
 
 
 def loop_responses(
-    vehicle: Vehicle, gains: Mapping[str, float], *, cruise: float, dt: float
+    vehicle: Vehicle, gains: Mapping[str, float], *, cruise: float, dt: float, law: str = TRACKING_LAW
 ) -> tuple[LoopResponse, ...]:
     """Return the frequency responses of the eight loops of `loop_margins`, in the order of `loop_margins`.
 
@@ -83,6 +84,7 @@ def loop_responses(
         gains: gain values by name.
         cruise: cruise speed U [m/s].
         dt: control period [s].
+        law: the law that tracks, as in `loop_margins`.
 
     Raises:
         InputError: a gain is missing or not positive, or the vehicle cannot cruise at that speed.
@@ -99,21 +101,20 @@ def loop_responses(
         >>> omega.shape, omega[[0, -1]].round(2).tolist()
         ((400,), [0.01, 62.83])
     """
-    cascade = build_cascade(vehicle, gains, cruise=cruise, dt=dt)
+    loop = cruise_loop(vehicle, gains, cruise=cruise, dt=dt, law=law)
     omega = np.geomspace(_SLOWEST, np.pi / dt, _POINTS)
-    broken = [(name, "thrust", cascade.at_thrust(k)) for k, name in enumerate(_THRUST)]
-    broken += [(name, "measurement", cascade.at_output(k)) for k, name in enumerate(_MEASURED)]
-    return tuple(LoopResponse(name, at, omega, _frequency_response(*loop, omega)) for name, at, loop in broken)
+    broken = [(name, "thrust", loop.at_thrust(k)) for k, name in enumerate(AXES[:4])]
+    broken += [(name, "measurement", loop.at_output(k)) for k, name in enumerate(_MEASURED)]
+    z = np.exp(1j * dt * omega)
+    return tuple(LoopResponse(name, at, omega, _frequency_response(*each, z)) for name, at, each in broken)
 
 
 def _frequency_response(
-    A: NDArray[np.float64], b: NDArray[np.float64], c: NDArray[np.float64], omega: NDArray[np.float64]
+    A: NDArray[np.float64], b: NDArray[np.float64], c: NDArray[np.float64], z: NDArray[np.complex128]
 ) -> NDArray[np.complex128]:
-    # c (jω − A)⁻¹ b, (k,)
-    pencils = 1j * omega[:, None, None] * np.eye(len(A)) - A
-    response: NDArray[np.complex128] = (c @ np.linalg.solve(pencils, np.broadcast_to(b, (len(omega), *b.shape))))[
-        :, 0, 0
-    ]
+    # c (z − A)⁻¹ b, (k,)
+    pencils = z[:, None, None] * np.eye(len(A)) - A
+    response: NDArray[np.complex128] = (c @ np.linalg.solve(pencils, np.broadcast_to(b, (len(z), *b.shape))))[:, 0, 0]
     return response
 
 
@@ -340,19 +341,26 @@ def plot_disk_margins(loops: Sequence[tuple[OpenLoop, DiskMargin]], *, highest: 
 
 
 def sensitivities(
-    vehicle: Vehicle, gains: Mapping[str, float], *, cruise: Sequence[float], dt: float, places: Sequence[str]
+    vehicle: Vehicle,
+    gains: Mapping[str, float],
+    *,
+    cruise: Sequence[float],
+    dt: float,
+    places: Sequence[str],
+    law: str = TRACKING_LAW,
 ) -> list[Sensitivity]:
     """Return sensitivities S and T of the loop opened at each of `places`, at each cruise speed with a stable loop.
 
     The names in `places` are those of `DISK_PLACES`. If there are several speeds, the attribute `place` of each result
-    also contains the speed. `cruise` are the cruise speeds [m/s], `dt` is the control period [s].
+    also contains the speed. `cruise` are the cruise speeds [m/s], `dt` is the control period [s], `law` a law that
+    tracks, as in `loop_margins`.
     """
     curves: list[Sensitivity] = []
     for speed in cruise:
-        cascade = build_cascade(vehicle, gains, cruise=speed, dt=dt)
+        loop = cruise_loop(vehicle, gains, cruise=speed, dt=dt, law=law)
         at = f" at {speed:g} m/s" if len(cruise) > 1 else ""
-        shown = places if cascade.stable else ()
-        curves += [sensitivity_of(open_loop(cascade, place), f"{place}{at}", highest=np.pi / dt) for place in shown]
+        shown = places if loop.stable else ()
+        curves += [sensitivity_of(open_loop(loop, place), f"{place}{at}", highest=np.pi / dt) for place in shown]
     return curves
 
 

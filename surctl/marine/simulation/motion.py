@@ -385,11 +385,14 @@ def _cap(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
     ahead, most = vehicle.thrust_range[1], command_range(vehicle)[1]
     axes = {"surge": ("Xu", 0), "sway": ("Yv", 1)}
     held = {axis: _held(vehicle, drag, float(most[k])) for axis, (drag, k) in axes.items() if ahead[k] > 0}
-    if scenario.cap <= min(held.values()):
+    least = min(held.values())
+    if scenario.cap <= least:
         return []
     speeds = " and ".join(f"{speed:.3g} m/s in {axis}" for axis, speed in held.items())
     text = f"the cap of {scenario.cap:g} m/s is above the speeds that {vehicle.name} can hold by thrust: {speeds}"
-    return [Finding("warning", "cap_m_per_s", text)]
+    if scenario.cruise > least:  # no cap from the cruise speed on is held by every axis
+        return [Finding("info", "cap_m_per_s", f"{text}; so is the cruise speed: motion there is slower")]
+    return [Finding("warning", "cap_m_per_s", f"{text}; write at most {np.floor(least * 1e3) / 1e3:g}")]
 
 
 def _held(vehicle: Vehicle, axis: str, most: float) -> float:

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.errors import InputError, nearest
+from surctl.errors import InputError, cannot_write, nearest
 from surctl.files import file_name, write_file
 from surctl.marine.simulation.run import Run
 from surctl.marine.simulation.scenario import Scenario
@@ -257,7 +257,7 @@ def save_scene(run: Run, folder: Path) -> Path:
             scene.text(float(record.time[-1]), end, warning=not run.metrics.reached)
         part.replace(path)
     except OSError as error:
-        raise InputError(f"cannot be written ({error.strerror})", file=path, remedy="free disk space") from None
+        raise cannot_write(path, error) from None
     write_layout(folder, sonars=0 if sonar is None else sonar.shape[1])
     return path
 

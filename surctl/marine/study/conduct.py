@@ -50,7 +50,7 @@ class Loops:
     Attributes:
         analysis: the analysis at their largest cruise speed, as it was assessed.
         over: metrics of the linear loops at the cruise speeds that the plan names, or None.
-        responses: frequency responses of the loops; empty for a law without the built-in cascade.
+        responses: frequency responses of the loops; empty for a law without a loop about a cruise.
     """
 
     analysis: LoopAnalysis
@@ -83,8 +83,8 @@ def loops_of(plan: Plan, gains: Gains, analysis: LoopAnalysis, *, dt: float) -> 
     vehicle, values = plan.vehicle, gains.values
     return Loops(
         analysis,
-        over_speeds(vehicle, values, cruise=plan.cruise, dt=dt) if plan.cruise else None,
-        loop_responses(vehicle, values, cruise=analysis.cruise, dt=dt),
+        over_speeds(vehicle, values, cruise=plan.cruise, dt=dt, law=plan.law) if plan.cruise else None,
+        loop_responses(vehicle, values, cruise=analysis.cruise, dt=dt, law=plan.law),
     )
 
 

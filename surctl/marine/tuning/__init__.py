@@ -27,13 +27,15 @@ if TYPE_CHECKING:
         judged_goals,
         scope,
     )
-    from surctl.marine.tuning.finals import CHECKED, Finals, check_finals
     from surctl.marine.tuning.goals import ASSESSED, Goal, goals_at, goals_from_tables, load_goals, with_floor
     from surctl.marine.tuning.measure import build_cases, check_column
     from surctl.marine.tuning.montecarlo import Counterexample, MonteCarlo
     from surctl.marine.tuning.outcome import (
+        CHECKED,
+        Finals,
         Miss,
         advice,
+        check_finals,
         goal_rows,
         misses,
         summary,
@@ -43,7 +45,6 @@ if TYPE_CHECKING:
     )
     from surctl.marine.tuning.pool import TUNED, GainRange, Pool, Request, default_tuned, gain_ranges
     from surctl.marine.tuning.search import search
-    from surctl.marine.tuning.start import lqr_start
     from surctl.marine.tuning.sweep import SweepTable, SweptAxis, load_sweep, sweep
 
 
@@ -89,7 +90,6 @@ __all__ = [
     "judged_goals",
     "load_goals",
     "load_sweep",
-    "lqr_start",
     "misses",
     "scope",
     "search",

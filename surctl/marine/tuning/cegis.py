@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from surctl.errors import InputError
 from surctl.files import write_file
 from surctl.marine.control import write_gains
+from surctl.marine.tuning.derived import DEPENDENT, derive_gains
 from surctl.marine.tuning.evaluation import check_goals
 from surctl.marine.tuning.montecarlo import (
     APART,
@@ -31,7 +32,6 @@ from surctl.marine.tuning.montecarlo import (
 )
 from surctl.marine.tuning.pool import ClaimPoint, Pool, Request, joined_pools, refuted_claims
 from surctl.marine.tuning.search import BATCH, BEST, conflict, search
-from surctl.marine.tuning.start import starting_sets
 from surctl.tuning.chunked import Progress
 from surctl.tuning.search import Journal
 
@@ -345,6 +345,25 @@ def _longer(trials: int, done: Sequence[Round]) -> int:
     return 2 * trials if done and _barren(done[-1]) else trials
 
 
+def starting_sets(request: Request, *, progress: Progress = lambda _: None) -> list[dict[str, float]]:
+    """Return gain sets, within the search space, that a search simulates before it samples gain sets at random.
+
+    There is one for each vehicle of the request: the gains derived from the vehicle as the controller knows it, and the
+    start values of the request for all gains that do not follow from a vehicle.
+    """
+    sets = []
+    for case in {c.vehicle.name: c for c in request.cases}.values():
+        try:
+            gains = derive_gains(case.model or case.vehicle, cruise=case.scenario.cruise, dt=case.build().dt).gains
+        except InputError as error:
+            # the remedies of the error are about one vehicle; the search needs none, because it has other starts
+            progress(f"{case.vehicle.name}: {error.problem}; the search starts without derived gains")
+            continue
+        values = {**request.base.values, **{name: gains[name] for name in DEPENDENT}}
+        sets.append({s.name: s.clip(values[s.name]) for s in request.space})
+    return sets
+
+
 def _searched(request: Request, done: Sequence[Round], trials: int, journal: Journal, progress: Progress) -> Pool:
     """Search once and, if no gain set meets all hard goals, search again for the hard goals alone.
 
@@ -382,6 +401,7 @@ def _round(
     """
     left, verified = Screened(request, pool.gains(pool.best(pool.evaluation.normalised[0])), ()), None
     if runs:
+        progress(f"testing the best gain sets with {TRAINING * runs} training runs and {runs} fresh ones")
         left = screen(request, pool, runs=TRAINING * runs, progress=progress)
         conditions = fresh(request.cases, runs=runs, first=used + number * runs, tuning=request.seed)
         verified = monte_carlo(request.goals, conditions, left.gains, threads=request.threads)

@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 from surctl.errors import InputError
 from surctl.ir.cache import stored_numbers
 from surctl.marine.control import GAINS, Gains, GainSpec, build_law, default_law, law_source, load_gains
-from surctl.marine.vehicle import LIBRARY, Vehicle, load_vehicle, plant_parameters, steady_speed
+from surctl.marine.vehicle import LIBRARY, Vehicle, load_vehicle, steady_speed
 from surctl.marine.vehicle.linearise import check_cruise
 from surctl.marine.verification import law_corners
-from surctl.marine.verification.cascade import Cascade, build_cascades
+from surctl.marine.verification.cruise_loop import CruiseLoop, cruise_loops
 from surctl.marine.verification.linear import DISK_PLACES, corner_margin, open_loop
 from surctl.verification.linear import LEAST_DISK_MARGIN, screened_peaks
 
@@ -250,21 +250,17 @@ def _estimates(
     vehicle: Vehicle, inner: Array, cruise: float, dt: float, *, speed: float, plant: Vehicle | None = None
 ) -> Array:
     # of the vehicle at both places together; of a plant, the lesser of both places
-    cascades = _cascades(vehicle, inner, cruise, speed, dt, plant or vehicle)
+    loops = _loops(vehicle, inner, cruise, speed, dt, plant or vehicle)
     places = ("both",) if plant is None else DISK_PLACES[:2]
-    peaks = np.max([screened_peaks(open_loop(cascades, place)) for place in places], axis=0)
-    growth = np.maximum(cascades.poles[:, 0].real, 0.0)
+    peaks = np.max([screened_peaks(open_loop(loops, place)) for place in places], axis=0)
+    growth = np.maximum(loops.poles[:, 0].real, 0.0)
     return np.where(np.isfinite(peaks), 1 / peaks, _UNSTABLE / (1 + growth))
 
 
-def _cascades(vehicle: Vehicle, inner: Array, cruise: float, speed: float, dt: float, plant: Vehicle) -> Cascade:
+def _loops(vehicle: Vehicle, inner: Array, cruise: float, speed: float, dt: float, plant: Vehicle) -> CruiseLoop:
     rows = [rule(vehicle, one, cruise=cruise, dt=dt) for one in inner]
-    actual, model = (np.tile(plant_parameters(one), (len(inner), 1)) for one in (plant, vehicle))
     gains = {name: np.array([row[name] for row in rows]) for name in rows[0]}
-    form = vehicle.form
-    return build_cascades(
-        actual, gains, cruise=np.full(len(inner), speed), dt=dt, model=model, form=plant.form, model_form=form
-    )
+    return cruise_loops([plant], gains, cruise=speed, dt=dt, model=vehicle)
 
 
 TUNED_FOR = ("sur400", "sur400-tilting", "sur540-flooded", "sur540-light", "sur540-tilting")
@@ -396,7 +392,7 @@ def derive_gains(vehicle: Vehicle, *, cruise: float, dt: float = _DT) -> Derivat
         >>> from surctl.marine.tuning import derive_gains
         >>> from surctl.marine.vehicle import load_vehicle
         >>> fast = derive_gains(load_vehicle("bluerov2-wu"), cruise=0.47)
-        >>> fast.reached, 0.3 < fast.bearable < 0.36
+        >>> fast.reached, 0.3 < fast.bearable < 0.4
         (False, True)
     """
     for key, value in (("cruise", cruise), ("dt", dt)):

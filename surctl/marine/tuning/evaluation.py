@@ -20,7 +20,7 @@ from surctl.marine.simulation.loop import SingleRun
 from surctl.marine.tuning.goals import PART_OF, Goal
 from surctl.marine.vehicle import Vehicle
 from surctl.marine.verification import OperatingPoint, check_held, law_loop, linear_table, steady_motion
-from surctl.marine.verification.cascade import has_cascade
+from surctl.marine.verification.cruise_loop import has_cruise_loop
 from surctl.marine.verification.law_loop import operating_point, steadiest
 from surctl.own_code import is_own
 from surctl.system import LinearLoop
@@ -456,7 +456,7 @@ def judged_goals(
         >>> [[goal.name for goal in part] for part in judged_goals(goals, cases)]
         [['soon'], ['robust'], ['calm']]
     """
-    linear = all(has_cascade(case.law, case.guidance) for case in cases)
+    linear = all(has_cruise_loop(case.law, case.guidance) for case in cases)
     late = [goal for goal in goals if goal.final or (goal.linear and goal.loop is None and not linear)]
     assessed = {max(case.scenario.cruise for case in cases)}
     final = tuple(g for g in late if g.metric in PART_OF and not g.cases and set(g.cruise) <= assessed)
@@ -497,7 +497,7 @@ def _linear(
     case: Case, speed: float | None, conditions: Sequence[Condition], sets: Sets, names: set[str], threads: int
 ) -> dict[str, NDArray[np.float64]]:
     # linear metrics (n, conditions), computed once for each plant: seeds have no effect
-    if not has_cascade(case.law, case.guidance):  # the metrics of another law would mislead
+    if not has_cruise_loop(case.law, case.guidance):  # the metrics of another law would mislead
         return dict.fromkeys(names, np.full((len(next(iter(sets.values()))), len(conditions)), np.nan))
     keys = [tuple(sorted(c.plant.items())) for c in conditions]
     plants = dict(zip(keys, conditions, strict=True))
@@ -513,5 +513,6 @@ def _linear(
         model=case.model or case.vehicle,
         columns=sorted(names),
         workers=threads,
+        law=case.law,
     )
     return {name: table[name].reshape(count, len(plants))[:, which] for name in names}

@@ -27,7 +27,7 @@ from surctl.marine.verification import (
     linear_table,
     worst_place,
 )
-from surctl.marine.verification.cascade import has_cascade
+from surctl.marine.verification.cruise_loop import has_cruise_loop
 from surctl.priority import Mode
 from surctl.tuning.design import SEED, Design
 
@@ -130,7 +130,7 @@ class SweepEvaluation:
     @property
     def has_margins(self) -> bool:
         """Whether the loop of every case has a linear model; if not, margins are NaN and are not checked."""
-        return all(has_cascade(case.law, case.guidance) for case in self.cases)
+        return all(has_cruise_loop(case.law, case.guidance) for case in self.cases)
 
     @property
     def runs_per_point(self) -> int:
@@ -186,6 +186,7 @@ class SweepEvaluation:
                 cruise=case.scenario.cruise if cruise is None else cruise,
                 dt=build_law(case.law).dt,
                 model=case.model,
+                law=case.law,
             )
             margins.append(metrics["disk_margin"])
             for k, (name, spec) in enumerate(LINEAR_METRICS.items()):

@@ -12,6 +12,7 @@ from pydantic import Field
 
 from surctl.errors import InputError, nearest
 from surctl.files import Quantity, Strict, quoted, validate
+from surctl.marine.vehicle.specs import AXES
 from surctl.marine.vehicle.thrusters import (
     DEFAULT_ORDER,
     ORDERS,
@@ -26,7 +27,6 @@ from surctl.marine.vehicle.thrusters import (
 __all__ = ["axis_ends", "axis_limits", "common_lag", "read_actuators", "thruster_text"]
 
 _MOST = 16
-_AXES = ("surge", "sway", "heave", "yaw")
 _UNIT = 0.01  # allowed error of the length of a unit vector, because files round its entries
 _FORM = 'write "44 N"'
 _LIFT = "N s^2/m^2"
@@ -365,7 +365,7 @@ def _check_order(order: tuple[str, ...]) -> None:
     if order[-1:] != ("effort",) or order.count("effort") > 1 or len(order) < 2:
         raise InputError("must end with effort", value=list(order), remedy='write ["yaw", "force", "effort"]')
     axes = [axis for name in order for axis in ORDERS[name]]
-    for axis, name in enumerate(_AXES):
+    for axis, name in enumerate(AXES[:4]):
         if axes.count(axis) != 1:
             how = "twice" if axes.count(axis) else "in no level"
             raise InputError(f"names {name} {how}", value=list(order), remedy="name each axis once")

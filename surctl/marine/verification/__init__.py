@@ -6,8 +6,14 @@ from surctl.lazy import load_at_first_use
 
 if TYPE_CHECKING:
     from surctl.marine.verification.avoidance_claims import settling_intrusion
-    from surctl.marine.verification.cascade import CASCADE_GAINS, Cascade, build_cascade
-    from surctl.marine.verification.cascade_margins import closed_loop_poles, loop_margins, worst_margins
+    from surctl.marine.verification.cruise_loop import (
+        LINEAR_GAINS,
+        CruiseLoop,
+        closed_loop_poles,
+        cruise_loop,
+        loop_margins,
+        worst_margins,
+    )
     from surctl.marine.verification.law_loop import (
         LawCorners,
         LawLoop,
@@ -36,10 +42,10 @@ if TYPE_CHECKING:
     )
 
 __all__ = [
-    "CASCADE_GAINS",
+    "LINEAR_GAINS",
     "LINEAR_METRICS",
     "LINEAR_PARAMETERS",
-    "Cascade",
+    "CruiseLoop",
     "LawCorners",
     "LawLoop",
     "Locus",
@@ -47,10 +53,10 @@ __all__ = [
     "OverSpeeds",
     "SonarMargins",
     "applicable_claims",
-    "build_cascade",
     "check_held",
     "claims",
     "closed_loop_poles",
+    "cruise_loop",
     "cruise_speeds",
     "law_corners",
     "law_loop",

@@ -1,8 +1,8 @@
 """The sampled loop of any law about a straight cruise, linearised numerically from the law that runs.
 
 The law is differentiated by central differences of its control step, so the linear loop needs no model of the law. All
-quantities are deviations from a cruise along x at the speed U, far from the ends of the path, obstacles and walls (the
-same place as in `cascade`), or from a steady motion of a run. The plant is continuous, with thrust lag; thrust commands
+quantities are deviations from a cruise along x at the speed U, far from the ends of the path, obstacles and walls (as
+in `cruise_loop`), or from a steady motion of a run. The plant is continuous, with thrust lag; thrust commands
 are held over a control period and computed one period before they act.
 
 A state of the law belongs to the loop if the measurements change it and it changes the thrust. An axis that the law
@@ -22,12 +22,13 @@ from numpy.typing import NDArray
 
 from surctl.errors import InputError
 from surctl.marine.allocation import allocate
-from surctl.marine.control import Gains, Law, law_parameters, law_source
-from surctl.marine.guidance import Path
+from surctl.marine.control import Gains, Law, law_source
 from surctl.marine.simulation import Run, Scenario
 from surctl.marine.vehicle import PLANT_PARAMETERS, Vehicle, plant_jacobians, plant_parameters, trim_thrust
 from surctl.marine.vehicle.linearise import STATE_NAMES, TILT_NAMES, check_cruise
-from surctl.marine.verification.linear.corners import corners
+from surctl.marine.vehicle.specs import AXES
+from surctl.marine.verification.corners import corners
+from surctl.marine.verification.cruise_loop import COUPLED, FAR, NEUTRAL, in_loop, law_numbers
 from surctl.own_code import label
 from surctl.system import LinearLoop
 from surctl.system.linear_loop import LoopNames
@@ -180,12 +181,7 @@ _REMEDY = "give a scenario with a longer straight part"
 
 
 _UNITS = {"x": "m", "y": "m", "z": "m", "psi": "rad", "u": "m/s", "v": "m/s", "w": "m/s", "r": "rad/s"}
-_AXES = ("surge", "sway", "heave", "yaw")
-_HEADROOM = 1.5  # speed cap over the cruise speed: the cap must not act in a cruise
-_FAR = 1e6  # [m]
 _STEP = 1e-6  # of the central differences
-_COUPLED = 1e-9  # largest derivative that counts as none
-_NEUTRAL = 1e-4  # the same for x and y, as a share of the larger: the heading of a run is not exact
 _KINK = 0.01  # relative difference of one-sided derivatives that is reported
 
 
@@ -294,17 +290,10 @@ def law_loop(
     check_cruise(vehicle, cruise)
     p = law_numbers(law, model or vehicle, gains.with_own(law_source(law.ref).gains), cruise=cruise)
     nu, x = np.array([cruise, 0.0, 0.0, 0.0]), law.initial_state()
-    x[law.state.slice("progress")] = _FAR  # arc length of the path's middle
+    x[law.state.slice("progress")] = FAR  # arc length of the path's middle
     if "surge" in law.state:  # in a cruise, a law that predicts its speed through the water has found it
         x[law.state.slice("surge")] = cruise
     return _loop(law, vehicle, OperatingPoint(x, law.inputs.pack({"eta": np.zeros(4), "nu": nu}), p, nu, 0.0, ""))
-
-
-def law_numbers(law: Law, model: Vehicle, gains: Gains, *, cruise: float) -> Array:
-    """Return the law's parameters for a straight cruise in the middle of a path without end."""
-    path = Path(np.array([[-_FAR, 0.0], [_FAR, 0.0]]))
-    site = (-2 * _FAR, 2 * _FAR, -2 * _FAR, 2 * _FAR)
-    return law_parameters(gains, model, path=path, depth=0.0, cruise=cruise, cap=_HEADROOM * cruise, walls=site)
 
 
 def _loop(law: Law, vehicle: Vehicle, at: OperatingPoint, *, place: str = "") -> LawLoop:
@@ -323,14 +312,14 @@ def _linear(
     (A,), (B,), _ = plant_jacobians(numbers, at.nu[None], psi=psi, form=form, current=along)
     B = B @ delivered(vehicle, at.nu - np.array([*ahead, 0.0, 0.0]))
     Az, By, C, D = slopes
-    acting = [bool(np.abs(row).max() > _COUPLED) for row in np.hstack([C, D])]
+    acting = [bool(np.abs(row).max() > COUPLED) for row in np.hstack([C, D])]
     lagged = float(plant_parameters(vehicle)[PLANT_PARAMETERS.slice("thrust_lag")][0]) > 0
     tilt = range(len(STATE_NAMES), len(A))
     # x, y and psi follow the surge, sway and yaw motion; the depth, and heave without coupling, stand alone
     coupled = A[[4, 5, 7, *tilt], 6].any()
     apart = [] if acting[2] else [2] if coupled else [2, 6]
-    slope = np.abs(np.vstack([By[_in_loop(Az, By, C)], D])).max(axis=0)
-    felt = slope > np.maximum(_COUPLED, np.where(np.arange(8) < 2, _NEUTRAL * slope[:2].max(), 0.0))
+    slope = np.abs(np.vstack([By[in_loop(Az, By, C)], D])).max(axis=0)
+    felt = slope > np.maximum(COUPLED, np.where(np.arange(8) < 2, NEUTRAL * slope[:2].max(), 0.0))
     free = _free(A, felt, [k for k in range(4) if k not in apart])
     apart += free
     moving = [k for k in range(8) if k not in apart]
@@ -338,9 +327,9 @@ def _linear(
     included, driven = [*moving, *thrusts, *tilt], [k for k in range(4) if acting[k]]
     states = [(*STATE_NAMES, *TILT_NAMES)[k] for k in included]
     A, B = A[np.ix_(included, included)], B[np.ix_(included, driven)]
-    own = _in_loop(Az, By[:, moving], C)
+    own = in_loop(Az, By[:, moving], C)
     Az, By, C, D = Az[np.ix_(own, own)], By[np.ix_(own, moving)], C[np.ix_(driven, own)], D[np.ix_(driven, moving)]
-    names, axes = states[: len(moving)], [_AXES[k] for k in driven]
+    names, axes = states[: len(moving)], [AXES[k] for k in driven]
     # a state of the law may have several entries, so the loop names them by number
     inner = [f"law_{k}" for k in range(len(own))] + [f"late_{axis}" for axis in axes]
     zero, none = np.zeros((len(driven), len(driven))), np.zeros((len(driven), 0))
@@ -390,7 +379,7 @@ def delivered(vehicle: Vehicle, nu: Array) -> Array:
         for sign in (1.0, -1.0)
     ]
     J = np.column_stack([(steps[2 * k] - steps[2 * k + 1]) / (2 * scale) for k in range(4)])
-    return np.eye(4) if np.abs(J - np.eye(4)).max() < _COUPLED**0.5 else J
+    return np.eye(4) if np.abs(J - np.eye(4)).max() < COUPLED**0.5 else J
 
 
 def _turned(angle: float) -> Array:
@@ -427,8 +416,8 @@ def _differentiated(law: Law, at: OperatingPoint) -> tuple[tuple[Array, Array, A
     ahead = np.array([(outputs(dz, du, _STEP) - here) / _STEP for dz, du in directions]).T
     behind = np.array([(here - outputs(dz, du, -_STEP)) / _STEP for dz, du in directions]).T
     J = (ahead + behind) / 2
-    kink = float(np.abs(ahead[size:] - behind[size:]).max() / max(np.abs(J[size:]).max(), _COUPLED))
-    inside = _in_loop(J[:size, :size], J[:size, size:], J[size:, :size])  # the progress along a path may be outside
+    kink = float(np.abs(ahead[size:] - behind[size:]).max() / max(np.abs(J[size:]).max(), COUPLED))
+    inside = in_loop(J[:size, :size], J[:size, size:], J[size:, :size])  # the progress along a path may be outside
     angle = _neutral(J[[*inside, *range(size, len(J))], size : size + 2])
     J[:, size : size + 2] @= _turned(angle)
     return (J[:size, :size], J[:size, size:], J[size:, :size], J[size:, size:]), kink, at.course + angle
@@ -437,20 +426,10 @@ def _differentiated(law: Law, at: OperatingPoint) -> tuple[tuple[Array, Array, A
 def _neutral(slopes: Array) -> float:
     # angle [rad], within a right angle, by which x and y are turned so that the law depends on one of them alone
     _, sizes, directions = np.linalg.svd(slopes, full_matrices=False)
-    if not (sizes[0] > _COUPLED and sizes[1] <= _NEUTRAL * sizes[0]):
+    if not (sizes[0] > COUPLED and sizes[1] <= NEUTRAL * sizes[0]):
         return 0.0
     quarter = 0.5 * np.pi
     return float((np.arctan2(directions[0, 1], directions[0, 0]) + 0.5 * quarter) % quarter - 0.5 * quarter)
-
-
-def _in_loop(A: Array, B: Array, C: Array) -> list[int]:
-    # states that the measurements reach, and that reach the thrust
-    links = np.abs(A) > _COUPLED
-    reached, reaches = (np.abs(B) > _COUPLED).any(axis=1), (np.abs(C) > _COUPLED).any(axis=0)
-    for _ in range(len(A)):
-        reached = reached | (links @ reached)
-        reaches = reaches | (links.T @ reaches)
-    return [int(k) for k in np.flatnonzero(reached & reaches)]
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,20 +21,20 @@ from numpy.typing import ArrayLike, NDArray
 from surctl.errors import InputError, nearest
 from surctl.marine.simulation.metrics import MetricSpec
 from surctl.marine.vehicle import PARAMETERS, PLANT_PARAMETERS, TERMS, PlantForm, Vehicle, plant_parameters
-from surctl.marine.vehicle.dynamics import PAPER, trim_function
+from surctl.marine.vehicle.dynamics import trim_function
 from surctl.marine.vehicle.linearise import can_hold
-from surctl.marine.verification.cascade import (
-    CASCADE_GAINS,
+from surctl.marine.verification.corners import corners
+from surctl.marine.verification.cruise_loop import (
+    LINEAR_GAINS,
     LOOP_NAMES,
-    Cascade,
+    TRACKING_LAW,
+    CruiseLoop,
     broken_loops,
-    build_cascades,
     check_positive,
+    cruise_loops,
 )
-from surctl.marine.verification.linear.corners import corners
 from surctl.marine.verification.linear.side import least_disk
 from surctl.plotted import Plotted
-from surctl.system.linear_loop import expm
 from surctl.verification.loops import crossings_of, shape_of, state_blocks
 
 __all__ = [
@@ -55,29 +55,32 @@ _DECAYS = 10.0  # duration of the response, in time constants of the slowest pol
 _LEVELS, _RATIO, _SAMPLES = 4, 8, 512  # number of time grids, each `_RATIO` times longer than the one before; samples
 
 
-def step_system(cascade: Cascade, name: str) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return the systems (A, b, c) from a reference to the controlled variable; a leading axis holds the cascades.
+def step_system(loop: CruiseLoop, name: str) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Return the sampled systems (A, b, c) from a reference to the controlled variable; a leading axis holds the loops.
 
     `cross_track`: the path is displaced to one side by a step; all loops are closed. `heading`: the desired heading
     changes by a step, and the path does not change; all loops are closed. `surge_speed`: the desired surge speed
     changes by a step; the along-track loop is open, and the response is correct up to a constant factor.
     """
-    B, K = cascade.B, cascade.K
+    _, B, C, K = loop.matrices
     if name == "cross_track":
-        return cascade.closed, B @ K[..., [1]], cascade.C[..., [1], :]
+        return loop.closed, B @ K[..., [1]], C[..., [1], :]
     if name == "heading":
+        # only the thrust in yaw, and states of the law that change no other: in sway, ψ enters by the rotation into {B}
+        others = np.any(K[..., :3, 8:] != 0, axis=tuple(range(K.ndim - 1)))
         drive = np.zeros_like(K[..., [3]])
-        drive[..., 3::4, :] = K[..., 3::4, [3]]  # only rows of yaw: in sway, ψ enters by the rotation of ν_c into {B}
-        return cascade.closed, B @ drive, cascade.C[..., [3], :]
-    opened, b, _ = cascade.at_output(0)
+        rows = [3, *(4 + np.flatnonzero(~others))]
+        drive[..., rows, :] = K[..., rows, 3][..., None]
+        return loop.closed, B @ drive, C[..., [3], :]
+    opened, b, _ = loop.at_output(0)
     # k1 x takes the place of the desired speed, up to a factor that does not change the metrics; x is then unused
-    return opened[..., 1:, 1:], b[..., 1:, :], cascade.C[..., [4], 1:]
+    return opened[..., 1:, 1:], b[..., 1:, :], C[..., [4], 1:]
 
 
 def step_figures(
-    cascade: Cascade, stable: NDArray[np.bool_]
+    loop: CruiseLoop, stable: NDArray[np.bool_]
 ) -> dict[str, tuple[NDArray[np.float64], NDArray[np.float64]]]:
-    """Return settling time [s] and overshoot of n cascades for each step response; inf if unstable.
+    """Return settling time [s] and overshoot of n loops for each step response; inf if unstable.
 
     The overshoot is a share of the step.
     """
@@ -85,28 +88,28 @@ def step_figures(
     for name in STEP_NAMES:
         settling, overshoot = (np.full(len(stable), np.inf) for _ in range(2))
         if stable.any():
-            A, b, c = (m[stable] for m in step_system(cascade, name))
+            A, b, c = (m[stable] for m in step_system(loop, name))
             block = next(s for s in state_blocks(A) if np.any(b[:, s] != 0))
             A, b, c = A[:, block[:, None], block], b[:, block], c[:, :, block]
-            settling[stable], overshoot[stable] = _step_figures(A, b, c)
+            settling[stable], overshoot[stable] = _step_figures(A, b, c, dt=float(np.max(loop.dt)))
         figures[name] = (settling, overshoot)
     return figures
 
 
 def _step_figures(
-    A: NDArray[np.float64], b: NDArray[np.float64], c: NDArray[np.float64]
+    A: NDArray[np.float64], b: NDArray[np.float64], c: NDArray[np.float64], *, dt: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return settling time and overshoot of stable systems A (n, k, k), b (n, k, 1), c (n, 1, k), by exact sampling.
+    """Return settling time and overshoot of stable sampled systems A (n, k, k), b (n, k, 1), c (n, 1, k).
 
-    The response is 1 − d(t) with the remaining error d(t) = c e^(At) x_∞/(c x_∞) and the final state x_∞ = −A⁻¹ b. The
-    response is sampled on four time grids, each eight times longer than the previous grid; together they resolve both
-    an early peak and a late end. Between samples the response is interpolated.
+    The response is 1 − d(t) with the remaining error d(t) = c A^(t/dt) x_∞/(c x_∞) and the final state x_∞ = (I − A)⁻¹
+    b. The response is sampled on four time grids of whole periods, each eight times longer than the previous grid;
+    together they resolve both an early peak and a late end. Between samples the response is interpolated.
     """
-    rest = -np.linalg.solve(A, b)
+    rest = np.linalg.solve(np.eye(A.shape[-1]) - A, b)
     final = (c @ rest)[:, :, 0]
-    slowest = np.min(-np.linalg.eigvals(A).real, axis=1)
-    step = _DECAYS / slowest / (_SAMPLES * _RATIO ** (_LEVELS - 1))
-    power = expm(A * step[:, None, None])
+    slowest = -np.log(np.max(np.abs(np.linalg.eigvals(A)), axis=1)) / dt
+    periods = np.ceil(_DECAYS / slowest / (_SAMPLES * _RATIO ** (_LEVELS - 1)) / dt).astype(int)
+    step, power = periods * dt, _powers(A, periods)
     settling, peak, overshoot = np.zeros(len(A)), np.zeros(len(A)), np.zeros(len(A))
     for level in range(_LEVELS):
         rows, power = _sampled(power, c)
@@ -120,6 +123,14 @@ def _step_figures(
         peak, overshoot = np.where(higher, highest, peak), np.where(higher, refined, overshoot)
         step = step * _RATIO
     return settling, overshoot
+
+
+def _powers(A: NDArray[np.float64], exponents: NDArray[np.intp]) -> NDArray[np.float64]:
+    power: NDArray[np.float64] = np.broadcast_to(np.eye(A.shape[-1]), A.shape)
+    while exponents.any():
+        power = np.where((exponents % 2 == 1)[:, None, None], power @ A, power)
+        A, exponents = A @ A, exponents // 2
+    return power
 
 
 def _sampled(power: NDArray[np.float64], c: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -173,7 +184,7 @@ _PLACES = {  # vehicle parameter → its index in the plant's flat vector
 }
 
 LINEAR_PARAMETERS: tuple[str, ...] = (
-    *CASCADE_GAINS,
+    *LINEAR_GAINS,
     "k_i",
     "scenario.cruise",
     *(f"vehicle.{name}" for name in _PLACES),
@@ -234,6 +245,7 @@ def linear_table(
     model: Vehicle | None = None,
     columns: Collection[str] = tuple(LINEAR_METRICS),
     workers: int = 1,
+    law: str = TRACKING_LAW,
 ) -> dict[str, NDArray[np.float64]]:
     """Compute the linear metrics of n operating points; return one array (n,) for every requested metric.
 
@@ -273,12 +285,12 @@ def linear_table(
     for name in columns:
         if name not in LINEAR_METRICS:
             raise InputError("no such column", key="columns", value=name, remedy=nearest(name, LINEAR_METRICS))
-    points = _read_points(vehicle, values, base=base, cruise=cruise, dt=dt, model=model)
+    points = _read_points(vehicle, values, base=base, cruise=cruise, dt=dt, model=model, law=law)
     table = {name: np.full(points.count, np.nan) for name in columns}
-    chunks = [group[at : at + _CHUNK] for group in _cascades_by_order(points) for at in range(0, len(group), _CHUNK)]
+    chunks = [group[at : at + _CHUNK] for group in _by_order(points) for at in range(0, len(group), _CHUNK)]
 
     def fill(chunk: NDArray[np.intp]) -> None:
-        figures = _figures(points.cascade(chunk), dt=dt, columns=columns)
+        figures = _figures(points.loops(chunk), columns=columns)
         for name in columns:
             if name in figures:
                 table[name][chunk] = figures[name]
@@ -288,7 +300,7 @@ def linear_table(
         if "disk_margin" in columns:
             exact = {name.partition(".")[2] for name in values}
             tried = [
-                _read_points(v, values, base=base, cruise=cruise, dt=dt, model=model or vehicle)
+                _read_points(v, values, base=base, cruise=cruise, dt=dt, model=model or vehicle, law=law)
                 for v in corners(vehicle, known=exact).vehicles
             ]
             able = np.flatnonzero(points.feasible)
@@ -299,44 +311,45 @@ def linear_table(
 def _disk_margin(tried: Sequence[Points], k: int) -> float:
     # of point k, over the corners that can hold the speed
     groups = [[one for one in tried if one.holds(k) and one.lagged(k) is lagged] for lagged in (True, False)]
-    delayed, plain = ([_together(group, k, delay) for group in groups if group] for delay in (None, 0.0))
-    cascades = (m.tobytes() for c in (*delayed, *plain) for m in (c.A, c.B, c.C, c.K))
-    key = hashlib.sha256(b"".join((np.float64(tried[0].dt).tobytes(), *cascades))).digest()
+    built = [_together(group, k) for group in groups if group]
+    matrices = (m.tobytes() for loops in built for m in (*loops.plant, *loops.law))
+    key = hashlib.sha256(b"".join((np.float64(tried[0].dt).tobytes(), *matrices))).digest()
     if key not in _margins:
         if len(_margins) >= _MOST_MARGINS:
             _margins.clear()
-        _margins[key] = least_disk(delayed, plain, dt=tried[0].dt)[0]
+        _margins[key] = least_disk(built)[0]
     return _margins[key]
 
 
-def _together(group: Sequence[Points], k: int, delay: float | None) -> Cascade:
+def _together(group: Sequence[Points], k: int) -> CruiseLoop:
     first = group[0]
-    return build_cascades(
+    return cruise_loops(
         np.array([one.plant[k] for one in group]),
-        {name: np.repeat(column[k], len(group)) for name, column in first.gains.items()},
-        cruise=np.repeat(first.cruise[k], len(group)),
+        {name: column[k] for name, column in first.gains.items()},
+        cruise=first.cruise[k],
         dt=first.dt,
-        model=np.array([one.model[k] for one in group]),
-        delay=delay,
+        model=first.model,
+        believed=np.array([one.believed[k] for one in group]),
+        law=first.law,
         form=first.form,
-        model_form=first.model_form,
     )
 
 
 @dataclass(frozen=True, eq=False)
 class Points:
-    """n operating points: plant and model (n, …) as in `plant_parameters`, gains (n,), cruise speeds (n,).
+    """n operating points: plant and believed model (n, …) as in `plant_parameters`, gains (n,), cruise speeds (n,).
 
-    `form` has the optional terms of all plants, `model_form` those of the model.
+    `model` is the controller's nominal model, `form` has the optional terms of all plants.
     """
 
     plant: NDArray[np.float64]
-    model: NDArray[np.float64]
+    believed: NDArray[np.float64]
     gains: Mapping[str, NDArray[np.float64]]
     cruise: NDArray[np.float64]
     dt: float
-    form: PlantForm = PAPER
-    model_form: PlantForm = PAPER
+    model: Vehicle
+    form: PlantForm
+    law: str = TRACKING_LAW
 
     @property
     def count(self) -> int:
@@ -363,16 +376,17 @@ class Points:
             least[:, axis] = -self.plant[:, PLANT_PARAMETERS.size + self.form.terms.index(name)]
         return can_hold(trim, least, most)
 
-    def cascade(self, chosen: NDArray[np.intp]) -> Cascade:
-        """Build the cascades of the chosen points; all of them must have the same order."""
-        return build_cascades(
+    def loops(self, chosen: NDArray[np.intp]) -> CruiseLoop:
+        """Build the loops of the chosen points; all of them must have the same order."""
+        return cruise_loops(
             self.plant[chosen],
             {name: column[chosen] for name, column in self.gains.items()},
             cruise=self.cruise[chosen],
             dt=self.dt,
-            model=self.model[chosen],
+            model=self.model,
+            believed=self.believed[chosen],
+            law=self.law,
             form=self.form,
-            model_form=self.model_form,
         )
 
 
@@ -384,6 +398,7 @@ def _read_points(
     cruise: ArrayLike,
     dt: float,
     model: Vehicle | None,
+    law: str,
 ) -> Points:
     """Return the operating points that the arguments of `linear_table` describe."""
     known = {name: np.asarray(values[name], dtype=float) for name in LINEAR_PARAMETERS if name in values}
@@ -399,7 +414,7 @@ def _read_points(
     def column(value: ArrayLike) -> NDArray[np.float64]:
         return np.broadcast_to(np.asarray(value, dtype=float), (count,)).copy()
 
-    gains = {n: column(known[n] if n in known else base[n]) for n in (*CASCADE_GAINS, "k_i") if n in known or n in base}
+    gains = {n: column(known[n] if n in known else base[n]) for n in (*LINEAR_GAINS, "k_i") if n in known or n in base}
     flat = [np.tile(plant_parameters(v), (count, 1)) for v in (vehicle, model or vehicle)]
     for kind, targets in (("vehicle", flat), ("plant", flat[:1])):
         for key in [key for key in known if key.startswith(f"{kind}.")]:
@@ -414,11 +429,11 @@ def _read_points(
                 elif target is flat[0]:
                     raise InputError(f"{vehicle.name} has no such term", key=key, remedy="add it to the vehicle file")
     check_positive({"cruise": column(speed)})
-    return Points(flat[0], flat[1], gains, column(speed), dt, vehicle.form, (model or vehicle).form)
+    return Points(flat[0], flat[1], gains, column(speed), dt, model or vehicle, vehicle.form, law)
 
 
-def _cascades_by_order(points: Points) -> Iterator[NDArray[np.intp]]:
-    """Yield the indices of the feasible points, in groups whose cascades have equal states."""
+def _by_order(points: Points) -> Iterator[NDArray[np.intp]]:
+    """Yield the indices of the feasible points, in groups whose loops have equal states."""
     lag = points.plant[:, _PLACES["thrust_lag"]] > 0
     integral = points.gains.get("k_i", np.zeros(points.count)) > 0
     feasible = points.feasible
@@ -439,8 +454,8 @@ def _check_parameter(name: str, key: str, values: NDArray[np.float64]) -> None:
         )
 
 
-def _figures(cascade: Cascade, *, dt: float, columns: Collection[str]) -> dict[str, NDArray[np.float64]]:
-    poles = cascade.poles
+def _figures(loops: CruiseLoop, *, columns: Collection[str]) -> dict[str, NDArray[np.float64]]:
+    poles, highest = loops.poles, np.pi / float(np.max(loops.dt))
     size = np.abs(poles)
     damping = np.where(poles.imag != 0, -poles.real / np.where(size > 0, size, 1), 1.0)
     figures = {"slowest_pole_per_s": poles[:, 0].real, "least_damping": damping.min(axis=1)}
@@ -448,18 +463,18 @@ def _figures(cascade: Cascade, *, dt: float, columns: Collection[str]) -> dict[s
     requested = {_SINGLE.get(name, name.partition(".")[0]) for name in columns if name != "disk_margin"}
     nothing = {"gain_margin": 1.0, "phase_margin_deg": 0.0, "delay_margin_s": 0.0, "disk_margin": 0.0}
     if requested & nothing.keys():
-        for name, loop in zip(LOOP_NAMES, broken_loops(cascade), strict=True):
-            margins = crossings_of(loop, highest=np.pi / dt)
+        for name, loop in zip(LOOP_NAMES, broken_loops(loops), strict=True):
+            margins = crossings_of(loop, highest=highest)
             figures |= {f"{m}.{name}": np.where(stable, getattr(margins, m), left) for m, left in nothing.items()}
         figures |= {_LEAST[m]: np.min([figures[f"{m}.{name}"] for name in LOOP_NAMES], axis=0) for m in nothing}
     nowhere = {"sensitivity_peak": np.inf, "rejection_rad_per_s": 0.0, "crossover_rad_per_s": np.nan}
     if requested & nowhere.keys():
-        for name, loop in zip(LOOP_NAMES, broken_loops(cascade), strict=True):
-            shape = shape_of(loop, highest=np.pi / dt)
+        for name, loop in zip(LOOP_NAMES, broken_loops(loops), strict=True):
+            shape = shape_of(loop, highest=highest)
             figures |= {f"{m}.{name}": np.where(stable, getattr(shape, m), left) for m, left in nowhere.items()}
         figures["sensitivity_peak"] = np.max([figures[f"sensitivity_peak.{name}"] for name in LOOP_NAMES], axis=0)
     if requested & {"settling_time_s", "overshoot"}:
-        for name, (settling, overshoot) in step_figures(cascade, stable).items():
+        for name, (settling, overshoot) in step_figures(loops, stable).items():
             figures |= {f"settling_time_s.{name}": settling, f"overshoot.{name}": overshoot}
     return figures
 
@@ -505,8 +520,9 @@ def sweep_locus(
     model: Vehicle | None = None,
     smooth: float = np.inf,
     about: Mapping[str, float] = MappingProxyType({}),
+    law: str = TRACKING_LAW,
 ) -> Locus:
-    """Compute the poles of the cascade over the values of one parameter.
+    """Compute the poles of the loop over the values of one parameter.
 
     The poles at neighbouring values are paired so that the sum of the distances between paired poles is smallest.
 
@@ -522,6 +538,7 @@ def sweep_locus(
             pole moves further, for example where two poles separate, values are inserted between two given values, down
             to a spacing of 2⁻⁸ of the given spacing.
         about: fixed values of other parameters by name; parameters that move no pole are ignored.
+        law: a law for which `has_cruise_loop` holds.
 
     Raises:
         InputError: the parameter moves no pole, the values are not in order or out of bounds, the vehicle cannot hold
@@ -535,7 +552,7 @@ def sweep_locus(
         >>> gains = load_gains("default").values
         >>> locus = sweep_locus(load_vehicle("sur400"), gains, "k_psi", [0.2, 0.4, 0.8, 1.6, 3.2], cruise=0.15, dt=0.05)
         >>> locus.poles.shape, locus.poles.real.max(axis=1).round(2).tolist()
-        ((5, 24), [-0.22, -0.22, -0.22, -0.22, 0.12])
+        ((5, 16), [-0.22, -0.22, -0.22, -0.22, 0.12])
     """
     if parameter not in LINEAR_PARAMETERS:
         raise InputError("moves no pole", key="locus", value=parameter, remedy=nearest(parameter, LINEAR_PARAMETERS))
@@ -546,16 +563,18 @@ def sweep_locus(
         )
 
     def followed(values: NDArray[np.float64]) -> NDArray[np.complex128]:
-        points = _read_points(vehicle, {**about, parameter: values}, base=gains, cruise=cruise, dt=dt, model=model)
+        points = _read_points(
+            vehicle, {**about, parameter: values}, base=gains, cruise=cruise, dt=dt, model=model, law=law
+        )
         if not points.feasible.all():
             at = float(values[np.argmin(points.feasible)])
             raise InputError("needs more thrust than the vehicle has", key=parameter, value=at, remedy="cruise slower")
-        groups = list(_cascades_by_order(points))
+        groups = list(_by_order(points))
         if len(groups) > 1:
             raise InputError(
                 "changes the number of poles where it is 0", key=parameter, remedy="begin the range above 0"
             )
-        return _paired(points.cascade(groups[0]).poles)
+        return _paired(points.loops(groups[0]).poles)
 
     poles = followed(swept)
     for _ in range(_HALVED):

@@ -27,13 +27,14 @@ from surctl.marine.control import Gains, Law, law_source
 from surctl.marine.sensing import OwnState, OwnStateFilter
 from surctl.marine.vehicle import PLANT_PARAMETERS, Vehicle, plant_jacobians, plant_parameters
 from surctl.marine.vehicle.linearise import check_cruise, dynamic_states
-from surctl.marine.verification.law_loop import delivered, law_numbers
+from surctl.marine.vehicle.specs import AXES
+from surctl.marine.verification.cruise_loop import law_numbers
+from surctl.marine.verification.law_loop import delivered
 
 __all__ = ["SonarLoop", "SonarMargins", "sonar_loop", "sonar_margins"]
 
 Array = NDArray[np.float64]
 
-_AXES = ("surge", "sway", "heave")
 _FAR = 1e6  # [m] arc length of the path's middle
 _CONVERGED = 800  # periods until the covariance of the filter is steady
 _STEADY = 600  # periods until the law's memory is that of a steady cruise
@@ -278,13 +279,13 @@ class SonarMargins:
             return f"  {self.signals} signals: UNSTABLE"
         parts = [
             f"{axis} {m:.2f} and {'at least ' if t >= self.longest_s else ''}{t:.2f} s"
-            for axis, m, t in zip(_AXES, self.disk, self.delay_s, strict=True)
+            for axis, m, t in zip(AXES[:3], self.disk, self.delay_s, strict=True)
         ]
         return f"  {self.signals} signals: disk margin and delay of the loop {', '.join(parts)}"
 
     def to_dict(self) -> dict[str, Any]:
         """Return the margins as plain data for JSON."""
-        margins = {a: {"disk_margin": m, "delay_s": t} for a, m, t in zip(_AXES, self.disk, self.delay_s, strict=False)}
+        margins = {a: {"disk_margin": m, "delay_s": t} for a, m, t in zip(AXES, self.disk, self.delay_s, strict=False)}
         return {"signals": self.signals, "stable": self.stable, "loops": margins}
 
 
@@ -315,7 +316,7 @@ def sonar_margins(
     for signals, values in limits.items():
         loop = sonar_loop(law, vehicle, whole.with_values(values), cruise=cruise, own=own or OwnState())
         stable = loop.stable()
-        places = [(k,) for k in range(len(_AXES) if stable else 0)]
+        places = [(k,) for k in range(3 if stable else 0)]
         disk, delay = tuple(loop.disk(axes) for axes in places), tuple(loop.delay(axes) for axes in places)
         margins.append(SonarMargins(signals, stable, disk, delay, _LONGEST * law.dt))
     return tuple(margins)

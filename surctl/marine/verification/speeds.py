@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from surctl.errors import InputError
 from surctl.marine.vehicle import Vehicle
 from surctl.marine.vehicle.linearise import WITHIN_LAW, check_cruise
+from surctl.marine.verification.cruise_loop import TRACKING_LAW
 from surctl.marine.verification.linear_table import LINEAR_METRICS, linear_table
 
 __all__ = ["OverSpeeds", "check_held", "cruise_speeds", "over_speeds", "speeds_text", "worst_place", "worst_text"]
@@ -147,6 +148,7 @@ def over_speeds(
     cruise: Sequence[float],
     dt: float,
     columns: Collection[str] = ("delay_margin_s", "disk_margin", "sensitivity_peak", "slowest_pole_per_s"),
+    law: str = TRACKING_LAW,
 ) -> OverSpeeds:
     """Return the columns of `linear_table` at each cruise speed [m/s]; `dt` is the control period [s].
 
@@ -163,5 +165,5 @@ def over_speeds(
         >>> round(pole, 3), speed
         (-0.065, 0.05)
     """
-    table = linear_table(vehicle, {}, base=gains, cruise=list(cruise), dt=dt, columns=columns)
+    table = linear_table(vehicle, {}, base=gains, cruise=list(cruise), dt=dt, columns=columns, law=law)
     return OverSpeeds(tuple(cruise), {name: table[name] for name in columns})

@@ -37,6 +37,7 @@ __all__ = [
     "IDENTIFIER",
     "LARGEST_POWER",
     "LONGEST",
+    "clipped",
     "decimal",
     "decimal_text",
     "from_casadi",
@@ -341,6 +342,17 @@ def reads_back(root: Node, names: Collection[str]) -> bool:
             length += lengths[a]
         lengths[node] = length
     return lengths[root] <= LONGEST
+
+
+def clipped(text: str, most: int = 400) -> str:
+    """Return the text of an expression for a screen: its first characters, and its length if that is more than `most`.
+
+    Example:
+        >>> from surctl.verification.formula.parser import clipped
+        >>> clipped("x + y", 3), clipped("x + y")
+        ('x + ... (5 characters)', 'x + y')
+    """
+    return text if len(text) <= most else f"{text[:most]} ... ({len(text)} characters)"
 
 
 def decimal_text(value: Fraction) -> str:

@@ -8,13 +8,13 @@ from numpy.typing import NDArray
 
 from surctl.errors import InputError
 from surctl.marine.vehicle import load_vehicle
-from surctl.marine.verification import build_cascade, loop_margins
+from surctl.marine.verification import cruise_loop, loop_margins
 from surctl.marine.verification.linear import DISK_PLACES, open_loop
 from surctl.verification.linear import OpenLoop, _balanced, disk_margin, stored_disk_margin, structured_bounds
 
 GAINS = {"k1": 0.3, "k2": 0.3, "k_psi": 0.6, "k_r": 1.5, "k_v": 1.5, "lookahead": 1.2}
 VEHICLE = load_vehicle("sur540-flooded")
-CASCADE = build_cascade(VEHICLE, GAINS, cruise=0.15, dt=0.05)
+LOOP = cruise_loop(VEHICLE, GAINS, cruise=0.15, dt=0.05)
 
 
 def of(system: control.StateSpace) -> OpenLoop:
@@ -78,7 +78,7 @@ def test_the_satellite_bears_far_less_in_all_loops_than_in_each() -> None:
 
 @pytest.mark.parametrize("place", DISK_PLACES)
 def test_the_perturbation_that_is_found_destabilises_and_none_smaller_by_the_bound_does(place: str) -> None:
-    loop = open_loop(CASCADE, place)
+    loop = open_loop(LOOP, place)
     found = disk_margin(loop, place)
     q = len(loop.D)
     assert found.stable and found.guaranteed <= found.reached <= 1.01 * found.guaranteed
@@ -91,9 +91,9 @@ def test_the_perturbation_that_is_found_destabilises_and_none_smaller_by_the_bou
 
 
 def test_no_gains_inside_the_margin_destabilise() -> None:
-    low, high = disk_margin(open_loop(CASCADE, "both"), "both").gain
+    low, high = disk_margin(open_loop(LOOP, "both"), "both").gain
     rng = np.random.default_rng(5)
-    loop = open_loop(CASCADE, "both")
+    loop = open_loop(LOOP, "both")
     draws = np.exp(rng.uniform(np.log(low), np.log(high), size=(200, 8)))
     draws[:100] = np.where(rng.uniform(size=(100, 8)) < 0.5, low, high)
     for factors in draws:
@@ -104,7 +104,7 @@ def test_no_gains_inside_the_margin_destabilise() -> None:
 def test_all_thrusts_at_once_bear_no_more_than_the_worst_of_them() -> None:
     margins = loop_margins(VEHICLE, GAINS, cruise=0.15, dt=0.05)
     for place, names in (("thrust", margins[:4]), ("measurement", margins[4:])):
-        assert disk_margin(open_loop(CASCADE, place), place).guaranteed <= min(m.disk_margin for m in names)
+        assert disk_margin(open_loop(LOOP, place), place).guaranteed <= min(m.disk_margin for m in names)
 
 
 def test_a_peak_between_the_points_of_the_grid_is_not_missed() -> None:
@@ -144,25 +144,26 @@ def test_scalings_balance_rows_and_columns_of_every_frequency() -> None:
 
 
 def test_integral_action_stays_closed_when_the_thrust_is_opened() -> None:
-    cascade = build_cascade(VEHICLE, {**GAINS, "k_i": 0.2}, cruise=0.15, dt=0.05)
+    loop = cruise_loop(VEHICLE, {**GAINS, "k_i": 0.2}, cruise=0.15, dt=0.05)
     for place in DISK_PLACES:
-        closed = np.linalg.eigvals(open_loop(cascade, place).complementary().A)
-        assert np.sort(closed.real) == pytest.approx(np.sort(cascade.poles.real), abs=1e-5)
+        closed = 0.025 * np.linalg.eigvals(open_loop(loop, place).complementary().A)
+        poles = np.log((1 + closed) / (1 - closed)) / 0.05
+        assert np.sort(poles.real) == pytest.approx(np.sort(loop.poles.real), abs=1e-5)
 
 
 def test_an_unstable_loop_has_nothing_left_and_a_wrong_place_is_named() -> None:
-    bad = build_cascade(VEHICLE, {**GAINS, "k_psi": 60.0}, cruise=0.15, dt=0.05)
+    bad = cruise_loop(VEHICLE, {**GAINS, "k_psi": 60.0}, cruise=0.15, dt=0.05)
     found = disk_margin(open_loop(bad, "thrust"), "thrust")
     assert not found.stable and (found.guaranteed, found.gain) == (0.0, (1.0, 1.0))
     with pytest.raises(InputError, match=r"place = .*thrust"):
-        open_loop(CASCADE, "thrusts")
+        open_loop(LOOP, "thrusts")
 
 
 def test_a_stored_margin_is_the_computed_one_and_another_loop_has_its_own(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setenv("SURCTL_CACHE", str(tmp_path / "cache"))
-    loop, faster = (open_loop(build_cascade(VEHICLE, GAINS, cruise=u, dt=0.05), "thrust") for u in (0.15, 0.1))
+    loop, faster = (open_loop(cruise_loop(VEHICLE, GAINS, cruise=u, dt=0.05), "thrust") for u in (0.15, 0.1))
     first = stored_disk_margin(loop, "thrust")
     assert first == disk_margin(loop, "thrust")
 

@@ -7,7 +7,7 @@ import pytest
 
 from surctl.marine.control import load_gains
 from surctl.marine.vehicle import load_vehicle
-from surctl.marine.verification import build_cascade
+from surctl.marine.verification import cruise_loop
 from surctl.marine.verification.linear import bearable_speed, linear_side, open_loop, slowest_mode
 from surctl.verification.linear import DiskMargin, disk_margin
 
@@ -16,12 +16,12 @@ WU = load_vehicle("bluerov2-wu")  # 17 kg in surge, 24.2 kg in sway
 
 
 def stable(cruise: float, **gains: float) -> bool:
-    return build_cascade(WU, {**GAINS, **gains}, cruise=cruise, dt=0.05).stable
+    return cruise_loop(WU, {**GAINS, **gains}, cruise=cruise, dt=0.05).stable
 
 
 def test_an_unstable_loop_names_the_munk_moment_and_what_stabilises_it() -> None:
     mode = slowest_mode(WU, GAINS, cruise=0.25, dt=0.05)
-    assert not mode.stable and mode.real == pytest.approx(build_cascade(WU, GAINS, cruise=0.25, dt=0.05).poles[0].real)
+    assert not mode.stable and mode.real == pytest.approx(cruise_loop(WU, GAINS, cruise=0.25, dt=0.05).poles[0].real)
     assert mode.cause == "Munk moment (m22 - m11) u v" and mode.without[mode.cause] < -0.3
     assert next(iter(mode.participation)) == "psi" and sum(mode.participation.values()) == pytest.approx(1, abs=0.01)
     # a larger k_r stabilises, which "lower k_v and k_r" would not have told
@@ -44,11 +44,11 @@ def test_with_one_mass_there_is_no_munk_moment_and_the_thrust_bounds_the_speed()
 
 def test_participation_is_that_of_the_mode_s_residue() -> None:
     # p_k = dλ/da_kk: what the pole moves by when a state's own rate does
-    cascade = build_cascade(WU, GAINS, cruise=0.2, dt=0.05)
+    loop = cruise_loop(WU, GAINS, cruise=0.2, dt=0.05)
     mode = slowest_mode(WU, GAINS, cruise=0.2, dt=0.05)
-    scale = abs(_moved(cascade.closed, 3)) / mode.participation["psi"]
+    scale = abs(_moved(loop.closed, 3)) / mode.participation["psi"]
     for name, k in (("v", 5), ("r", 7)):
-        assert abs(_moved(cascade.closed, k)) == pytest.approx(scale * mode.participation[name], rel=1e-3)
+        assert abs(_moved(loop.closed, k)) == pytest.approx(scale * mode.participation[name], rel=1e-3)
 
 
 def _moved(closed: np.ndarray, k: int) -> float:
@@ -62,7 +62,7 @@ def test_a_disk_margin_that_cannot_be_shown_is_not_judged_and_ends_nothing(
 ) -> None:
     monkeypatch.setenv("SURCTL_CACHE", str(tmp_path / "cache"))  # this result must not be stored for others
     monkeypatch.setattr("surctl.verification.linear._STEPS", 0)
-    loop = open_loop(build_cascade(WU, GAINS, cruise=0.15, dt=0.05), "thrust")
+    loop = open_loop(cruise_loop(WU, GAINS, cruise=0.15, dt=0.05), "thrust")
     found: DiskMargin = disk_margin(loop, "thrust")
     assert found.stable and np.isnan(found.guaranteed) and found.reached > 0
     side = linear_side(WU, GAINS, cruise=0.15, dt=0.05)

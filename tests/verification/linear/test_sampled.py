@@ -7,11 +7,11 @@ import pytest
 from surctl.errors import InputError
 from surctl.marine.control import load_gains
 from surctl.marine.vehicle import load_vehicle
-from surctl.marine.verification import Cascade, build_cascade
+from surctl.marine.verification import CruiseLoop, cruise_loop
 from surctl.marine.verification.linear import (
     corners,
-    sampled,
     sampled_limits,
+    side,
     worst_linear_side,
 )
 
@@ -20,14 +20,14 @@ GAINS = load_gains("default").values
 ABOUT = {"cruise": 0.15}
 
 
-def integrators(gain: float) -> Cascade:
-    eye = np.eye(4)
-    return Cascade(np.zeros((4, 4)), eye, eye, gain * eye)
+def integrators(gain: float, dt: float = 0.1) -> CruiseLoop:
+    law = (np.zeros((0, 0)), np.zeros((0, 8)), np.zeros((4, 0)), -gain * np.eye(4, 8))
+    return CruiseLoop((np.zeros((4, 4)), np.eye(4)), law, ("x", "y", "z", "psi"), dt)
 
 
 def test_integrators_are_lost_where_algebra_says() -> None:
     # z − 1 + kT, z² − z + kT, z³ − z² + kT: kT below 2, 1 and the golden section
-    found = sampled_limits(integrators(2.0), 0.1)
+    found = sampled_limits(integrators(2.0))
     assert found.largest_period_s == pytest.approx((1.0, 0.5, (np.sqrt(5) - 1) / 4), rel=1e-5)
     # d periods of delay bear kT < 2 sin(π/(4d + 2))
     borne = max(d for d in range(50) if 2 * np.sin(np.pi / (4 * d + 2)) > 0.2)
@@ -36,59 +36,62 @@ def test_integrators_are_lost_where_algebra_says() -> None:
 
 
 def test_a_loop_that_no_period_saves_has_none() -> None:
-    found = sampled_limits(integrators(-1.0), 0.1)
+    found = sampled_limits(integrators(-1.0))
     assert found.largest_period_s == (0.0, 0.0, 0.0) and found.delay_periods == -1
 
 
 @pytest.mark.parametrize("k_i", [0.0, 0.2])
 def test_short_periods_have_the_slowest_pole_of_the_loop_without_delay(k_i: float) -> None:
-    gains, period = {**GAINS, "k_i": k_i}, 1e-4
-    undelayed = build_cascade(VEHICLE, gains, dt=period, delay=0.0, **ABOUT)
-    one = Cascade(*(getattr(undelayed, name)[None] for name in ("A", "B", "C", "K")))
-    [radius] = sampled.radii_of(one, period, 0)
-    assert np.log(radius) / period == pytest.approx(undelayed.poles.real.max(), rel=1e-4)
+    short = cruise_loop(VEHICLE, {**GAINS, "k_i": k_i}, dt=1e-4, **ABOUT).resampled(1e-4, 0)
+    (A, B), (Az, By, Cz, D) = short.plant, short.law
+    C = np.eye(8, len(A))
+    continuous = np.block([[A + B @ D @ C, B @ Cz], [By @ C / 1e-4, (Az - np.eye(len(Az))) / 1e-4]])
+    assert short.poles.real.max() == pytest.approx(np.linalg.eigvals(continuous).real.max(), rel=1e-3)
 
 
 @pytest.mark.parametrize(("delay", "k_i"), [(2, 0.2)])  # without: study 40
 def test_the_loop_flown_step_by_step_decays_below_the_largest_period_and_grows_above(delay: int, k_i: float) -> None:
     gains = {**GAINS, "k_i": k_i}
-    limit = sampled_limits(build_cascade(VEHICLE, gains, dt=0.05, delay=0.0, **ABOUT), 0.05).largest_period_s[delay]
+    limit = sampled_limits(cruise_loop(VEHICLE, gains, dt=0.05, **ABOUT)).largest_period_s[delay]
     for factor, decays in ((0.97, True), (1.03, False)):
         assert (flown(gains, factor * limit, delay) < 1.0) is decays
 
 
 def flown(gains: dict[str, float], period: float, delay: int) -> float:
     """How a deviation grows over the last half of a long flight, by small steps of the plant and a held thrust."""
-    cascade = build_cascade(VEHICLE, gains, dt=period, delay=0.0, **ABOUT)
-    A, B, C, K = cascade.A, cascade.B, cascade.C, cascade.K
+    loop = cruise_loop(VEHICLE, gains, dt=period, **ABOUT)
+    (A, B), (Az, By, Cz, D) = loop.plant, loop.law
     steps = int(np.ceil(period / 0.04))
     h, x, sizes = period / steps, np.random.default_rng(1).normal(size=len(A)), []
-    waiting = [np.zeros(4)] * delay
-    for _ in range(300):
-        f = -K @ C @ x
-        waiting.append(f[:4])
-        held = np.concatenate([waiting.pop(0), f[4:]])
+    waiting, z = [np.zeros(4)] * delay, np.zeros(len(Az))
+    for _ in range(600):
+        waiting.append(D @ x[:8] + Cz @ z)
+        held, z = waiting.pop(0), By @ x[:8] + Az @ z
         for _ in range(steps):
             rates = [A @ x + B @ held]
             for share in (0.5, 0.5, 1.0):
                 rates.append(A @ (x + share * h * rates[-1]) + B @ held)
             x = x + h / 6 * (rates[0] + 2 * rates[1] + 2 * rates[2] + rates[3])
         sizes.append(np.linalg.norm(x))
-    return float(max(sizes[275:]) / max(sizes[125:150]))
+    return float(max(sizes[575:]) / max(sizes[275:300]))
 
 
 def test_limits_of_corners_are_computed_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SURCTL_CACHE", str(tmp_path / "cache"))
-    one, other = integrators(2.0), integrators(3.0)
-    pair = Cascade(*(np.stack([getattr(one, name), getattr(other, name)]) for name in ("A", "B", "C", "K")))
-    first = sampled_limits(pair, 0.05)
-    assert first == sampled._sampled_limits(pair, 0.05)
-    longer = sampled_limits(pair, 0.06)
-    monkeypatch.setattr(sampled, "_sampled_limits", None)  # what is called now ends the test
-    assert sampled_limits(pair, 0.05) == first and sampled_limits(pair, 0.06) == longer != first
-    for name in ("A", "B", "C", "K"):
+    one, other = integrators(2.0, 0.05), integrators(3.0, 0.05)
+    plant, law = (
+        tuple(np.stack(both) for both in zip(getattr(one, part), getattr(other, part), strict=True))
+        for part in ("plant", "law")
+    )
+    pair = replace(one, plant=plant, law=law)
+    first = sampled_limits(pair)
+    assert first == side._sampled_limits(pair)
+    longer = sampled_limits(pair.resampled(0.06))
+    monkeypatch.setattr(side, "_sampled_limits", None)  # what is called now ends the test
+    assert sampled_limits(pair) == first and sampled_limits(pair.resampled(0.06)) == longer != first
+    for changed in ({"plant": (0.01 + plant[0], plant[1])}, {"law": (*law[:3], 0.01 + law[3])}):
         with pytest.raises(TypeError):
-            sampled_limits(replace(pair, **{name: 0.01 + getattr(pair, name)}), 0.05)
+            sampled_limits(replace(pair, **changed))
 
 
 def test_masses_of_surge_and_sway_that_differ_may_turn_it_broadside() -> None:

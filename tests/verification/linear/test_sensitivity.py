@@ -5,7 +5,7 @@ import pytest
 from surctl.errors import InputError
 from surctl.marine.control import load_gains
 from surctl.marine.vehicle import load_vehicle
-from surctl.marine.verification import build_cascade
+from surctl.marine.verification import cruise_loop
 from surctl.marine.verification.linear import open_loop
 from surctl.verification.linear import OpenLoop, sensitivity_of
 
@@ -23,9 +23,9 @@ def test_one_loop_has_the_sensitivity_of_python_control() -> None:
 
 
 def test_all_loops_together_are_deaf_to_fast_noise_and_an_unstable_one_has_no_response() -> None:
-    cascade = build_cascade(load_vehicle("sur400"), GAINS, cruise=0.15, dt=0.05)
-    found = sensitivity_of(open_loop(cascade, "measurement"), "measurement", highest=60.0)
+    loop = cruise_loop(load_vehicle("sur400"), GAINS, cruise=0.15, dt=0.05)
+    found = sensitivity_of(open_loop(loop, "measurement"), "measurement", highest=60.0)
     assert found.T[-1] < 0.02 and found.S[-1] == pytest.approx(1, abs=0.02) and np.all(found.S + found.T >= 1 - 1e-9)
     with pytest.raises(InputError, match="is unstable"):
-        wu = build_cascade(load_vehicle("bluerov2-wu"), GAINS, cruise=0.47, dt=0.05)
+        wu = cruise_loop(load_vehicle("bluerov2-wu"), GAINS, cruise=0.47, dt=0.05)
         sensitivity_of(open_loop(wu, "thrust"), "thrust", highest=60.0)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from surctl import __version__
-from surctl.errors import InputError
+from surctl.errors import InputError, cannot_write
 from surctl.files import Strict, file_name, prepare_folder, read_toml, validate, write_file
 from surctl.marine.control import Barrier, Gains, Movers, law_ref, law_source, load_gains
 from surctl.marine.guidance import AvoidanceForm, Guidance
@@ -35,7 +35,7 @@ from surctl.marine.simulation.toml_text import toml_text
 from surctl.marine.vehicle import Vehicle, parameter_spec
 from surctl.marine.vehicle.parameters import vehicle_from_table
 from surctl.priority import Mode
-from surctl.store import ChunkStore, cannot_write
+from surctl.store import RESUME, ChunkStore
 
 __all__ = ["CHUNK", "FASTEST", "Campaign", "CampaignFolder", "Replay", "load_replay", "run_campaign"]
 
@@ -381,7 +381,7 @@ class CampaignFolder:
             try:
                 old.unlink()
             except OSError as error:
-                raise cannot_write(old, error) from None
+                raise cannot_write(old, error, **RESUME) from None
         replays = campaign.worst(worst)
         return [write_file(files / f"{name}-worst-{k}.toml", one.to_toml()) for k, one in enumerate(replays, start=1)]
 

@@ -1,17 +1,18 @@
 """The linearised closed loop of a mission: margins over the corners, poles, and the exactly sampled loop."""
 
-from surctl.marine.verification.linear.corners import Corners, corners
+from surctl.marine.verification.corners import Corners, corners
 from surctl.marine.verification.linear.modes import Mode, bearable_speed, cap_above, cap_above_bearable, slowest_mode
-from surctl.marine.verification.linear.sampled import SampledLimits, sampled_limits
 from surctl.marine.verification.linear.side import (
     DISK_PLACES,
     LinearSide,
     Pole,
+    SampledLimits,
     corner_margin,
     least_disk,
     linear_side,
     margin_speed,
     open_loop,
+    sampled_limits,
     worst_linear_side,
 )
 

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.marine.vehicle import Vehicle, plant_parameters
-from surctl.marine.vehicle.linearise import STATE_NAMES, state_names
-from surctl.marine.verification.cascade import CASCADE_GAINS, Cascade, build_cascade, build_cascades
+from surctl.marine.vehicle import Vehicle
+from surctl.marine.verification.cruise_loop import LINEAR_GAINS, TRACKING_LAW, CruiseLoop, cruise_loop, cruise_loops
 
 __all__ = ["Mode", "bearable_speed", "cap_above_bearable", "slowest_mode"]
 
@@ -25,19 +24,19 @@ _COUNTED = 1e-3  # least participation of a state that is stored
 _EDGE = 1e-9
 _BROUGHT = 0.02  # a term is named as the cause if it moves the pole by more than this share of |s|
 
-_SURGE, _SWAY, _YAW = (STATE_NAMES.index(name) for name in ("u", "v", "r"))
+_AT_ONCE = 1e-2  # share of the control period: held for so short a time, a thrust is not delayed
 
 
 @dataclass(frozen=True)
 class Mode:
-    """The mode of the slowest pole of the closed loop with delay; for an unstable loop, of the fastest growing pole.
+    """The mode of the slowest pole of the sampled loop; for an unstable loop, of the fastest growing pole.
 
     Attributes:
         cruise: cruise speed U [m/s] about which the loop is linearised.
         real, imaginary: real and imaginary part of the pole [rad/s]; of a complex pair, the pole in the upper
             half-plane.
         participation: participation factor of each state in the mode, largest first; values below 0.001 are omitted.
-            All delay states together are one entry, and all states of the integral action together are another entry.
+            All waiting thrusts together are the entry `delay`; each state of the law has an entry.
         without: mapping from the name of a physical term to the real part [1/s] that the slowest pole has without this
             term.
         remedies: mapping from the name of a gain to the value, among those tried, that is nearest to the present value
@@ -131,7 +130,13 @@ class Mode:
 
 
 def slowest_mode(
-    vehicle: Vehicle, gains: Mapping[str, float], *, cruise: float, dt: float, model: Vehicle | None = None
+    vehicle: Vehicle,
+    gains: Mapping[str, float],
+    *,
+    cruise: float,
+    dt: float,
+    model: Vehicle | None = None,
+    law: str = TRACKING_LAW,
 ) -> Mode:
     """Return the mode of the slowest pole; for the arguments see `loop_margins`.
 
@@ -151,26 +156,36 @@ def slowest_mode(
     """
     from scipy.linalg import eig
 
-    cascade = build_cascade(vehicle, gains, cruise=cruise, dt=dt, model=model)
-    values, left, right = eig(cascade.closed, left=True, right=True)
-    at = int(np.lexsort((-values.imag, -values.real))[0])
+    loop = cruise_loop(vehicle, gains, cruise=cruise, dt=dt, model=model, law=law)
+    z, left, right = eig(loop.closed, left=True, right=True)
+    at = int(np.lexsort((-z.imag, -np.abs(z)))[0])
     share = np.abs(left[:, at] * right[:, at])
     grouped: dict[str, float] = {}
-    for name, part in zip(_names(cascade, vehicle, gains), share / share.sum(), strict=True):
+    plant = loop.plant[0].shape[-1]
+    names = (*loop.states[:plant], *["delay"] * (len(share) - len(loop.states)), *loop.states[plant:])
+    for name, part in zip(names, share / share.sum(), strict=True):
         grouped[name] = grouped.get(name, 0.0) + float(part)
-    real = float(values[at].real)
+    pole = np.log(complex(z[at])) / dt
+    real = float(pole.real)
     return Mode(
         cruise,
         real,
-        float(abs(values[at].imag)),
+        float(abs(pole.imag)),
         {k: v for k, v in sorted(grouped.items(), key=lambda item: -item[1]) if v >= _COUNTED},
-        _without(cascade, vehicle, gains, cruise=cruise, dt=dt, model=model or vehicle),
-        {} if real < -_EDGE else _remedies(vehicle, gains, cruise=cruise, dt=dt, model=model or vehicle),
-        bearable_speed(vehicle, gains, dt=dt, model=model),
+        _without(loop, vehicle, gains, cruise=cruise, model=model or vehicle, law=law),
+        {} if real < -_EDGE else _remedies(vehicle, gains, cruise=cruise, dt=dt, model=model or vehicle, law=law),
+        bearable_speed(vehicle, gains, dt=dt, model=model, law=law),
     )
 
 
-def bearable_speed(vehicle: Vehicle, gains: Mapping[str, float], *, dt: float, model: Vehicle | None = None) -> float:
+def bearable_speed(
+    vehicle: Vehicle,
+    gains: Mapping[str, float],
+    *,
+    dt: float,
+    model: Vehicle | None = None,
+    law: str = TRACKING_LAW,
+) -> float:
     """Return the largest cruise speed [m/s] up to which the linear loop is stable and the thrust suffices; 0 if none.
 
     The search divides the range up to the largest speed that the thrust can hold (10 m/s at most) into 60 steps. The
@@ -191,14 +206,16 @@ def bearable_speed(vehicle: Vehicle, gains: Mapping[str, float], *, dt: float, m
     low, high = 0.0, min(_fastest(vehicle), _HIGHEST)
     for _ in range(_ROUNDS):
         speeds = np.linspace(low, high, _SPEEDS + 1)[1:]
-        lost = np.flatnonzero(~_stable(vehicle, gains, speeds, dt=dt, model=model or vehicle))
+        lost = np.flatnonzero(~_stable(vehicle, gains, speeds, dt=dt, model=model or vehicle, law=law))
         if not lost.size:
             return float(high)
         low, high = float(speeds[lost[0] - 1]) if lost[0] else low, float(speeds[lost[0]])
     return low
 
 
-def cap_above_bearable(vehicle: Vehicle, gains: Mapping[str, float], *, cap: float, dt: float) -> str | None:
+def cap_above_bearable(
+    vehicle: Vehicle, gains: Mapping[str, float], *, cap: float, dt: float, law: str = TRACKING_LAW
+) -> str | None:
     """Return a line of text if the linear loop becomes unstable below the speed cap `cap` [m/s]; otherwise None.
 
     The text gives the cap and the bearable speed, up to which the loop is stable (see `bearable_speed`).
@@ -217,7 +234,7 @@ def cap_above_bearable(vehicle: Vehicle, gains: Mapping[str, float], *, cap: flo
         'the cap of 0.47 m/s is above the bearable speed of ... m/s, up to which the linear loop ... is stable'
         >>> cap_above_bearable(load_vehicle("sur400"), gains, cap=0.22, dt=0.05)
     """
-    return cap_above(vehicle, bearable_speed(vehicle, gains, dt=dt), cap=cap)
+    return cap_above(vehicle, bearable_speed(vehicle, gains, dt=dt, law=law), cap=cap)
 
 
 def cap_above(vehicle: Vehicle, bearable: float, *, cap: float) -> str | None:
@@ -238,68 +255,50 @@ def _fastest(vehicle: Vehicle) -> float:
 
 
 def _stable(
-    vehicle: Vehicle, gains: Mapping[str, float], speeds: Array, *, dt: float, model: Vehicle
+    vehicle: Vehicle, gains: Mapping[str, float], speeds: Array, *, dt: float, model: Vehicle, law: str
 ) -> NDArray[np.bool_]:
-    count = len(speeds)
-    many = build_cascades(
-        np.tile(plant_parameters(vehicle), (count, 1)),
-        {name: np.full(count, float(value)) for name, value in gains.items()},
-        cruise=speeds,
-        dt=dt,
-        model=np.tile(plant_parameters(model), (count, 1)),
-        form=vehicle.form,
-        model_form=model.form,
-    )
+    many = cruise_loops([vehicle], gains, cruise=speeds, dt=dt, model=model, law=law)
     stable: NDArray[np.bool_] = many.poles[:, 0].real < -_EDGE
     return stable
 
 
-def _names(cascade: Cascade, vehicle: Vehicle, gains: Mapping[str, float]) -> list[str]:
-    plant = state_names(vehicle)
-    integral = 4 if gains.get("k_i", 0.0) > 0 else 0
-    delay = len(cascade.A) - len(plant) - integral
-    return [*plant, *["delay"] * delay, *["integral"] * integral]
-
-
 def _without(
-    cascade: Cascade, vehicle: Vehicle, gains: Mapping[str, float], *, cruise: float, dt: float, model: Vehicle
+    loop: CruiseLoop, vehicle: Vehicle, gains: Mapping[str, float], *, cruise: float, model: Vehicle, law: str
 ) -> dict[str, float]:
     """Return, for each physical term, the real part [1/s] of the slowest pole of the loop without this term."""
-    closed, slowest = cascade.closed, {}
-    munk, coriolis = closed.copy(), closed.copy()
-    munk[_YAW, [_SURGE, _SWAY]] -= cascade.A[_YAW, [_SURGE, _SWAY]]
-    coriolis[[_SURGE, _SWAY], _YAW] -= cascade.A[[_SURGE, _SWAY], _YAW]
+    A, B = loop.plant
+    surge, sway, yaw = (loop.states.index(name) for name in ("u", "v", "r"))
+    munk, coriolis, slowest = A.copy(), A.copy(), {}
+    munk[yaw, [surge, sway]] = 0.0
+    coriolis[[surge, sway], yaw] = 0.0
     coupled = bool(vehicle.form.terms)  # the slopes then include coupled inertia and drag
-    slowest["yaw moment by surge and sway" if coupled else "Munk moment (m22 - m11) u v"] = _slowest(munk)
-    slowest["surge and sway force by yaw" if coupled else "Coriolis force m11 u r"] = _slowest(coriolis)
-    slowest["loop delay"] = _slowest(build_cascade(vehicle, gains, cruise=cruise, dt=dt, model=model, delay=0.0).closed)
+    slowest["yaw moment by surge and sway" if coupled else "Munk moment (m22 - m11) u v"] = _slowest(
+        replace(loop, plant=(munk, B))
+    )
+    slowest["surge and sway force by yaw" if coupled else "Coriolis force m11 u r"] = _slowest(
+        replace(loop, plant=(coriolis, B))
+    )
+    slowest["loop delay"] = _slowest(loop.resampled(_AT_ONCE * loop.dt, 0))
     if vehicle["thrust_lag"] > 0:
         instant = vehicle.with_values({"thrust_lag": 0.0})
-        slowest["thrust lag"] = _slowest(build_cascade(instant, gains, cruise=cruise, dt=dt, model=model).closed)
+        without = cruise_loop(instant, gains, cruise=cruise, dt=float(loop.dt), model=model, law=law)
+        slowest["thrust lag"] = _slowest(without)
     return slowest
 
 
-def _slowest(closed: Array) -> float:
-    return float(np.linalg.eigvals(closed).real.max())
+def _slowest(loop: CruiseLoop) -> float:
+    return float(loop.poles[0].real)
 
 
 def _remedies(
-    vehicle: Vehicle, gains: Mapping[str, float], *, cruise: float, dt: float, model: Vehicle
+    vehicle: Vehicle, gains: Mapping[str, float], *, cruise: float, dt: float, model: Vehicle, law: str
 ) -> dict[str, float]:
     """For each gain, return the tried value nearest to the present value that makes the loop stable."""
     factors = np.concatenate([_FACTORS, 1 / _FACTORS])
-    names = np.repeat(CASCADE_GAINS, len(factors))
-    tried = np.tile(factors, len(CASCADE_GAINS))
-    count = len(tried)
-    many = build_cascades(
-        np.tile(plant_parameters(vehicle), (count, 1)),
-        {name: np.where(names == name, value * tried, value) for name, value in gains.items()},
-        cruise=np.full(count, cruise),
-        dt=dt,
-        model=np.tile(plant_parameters(model), (count, 1)),
-        form=vehicle.form,
-        model_form=model.form,
-    )
+    names = np.repeat(LINEAR_GAINS, len(factors))
+    tried = np.tile(factors, len(LINEAR_GAINS))
+    changed = {name: np.where(names == name, value * tried, value) for name, value in gains.items()}
+    many = cruise_loops([vehicle], changed, cruise=cruise, dt=dt, model=model, law=law)
     good = many.poles[:, 0].real < -_EDGE
     remedies: dict[str, tuple[float, float]] = {}
     for name, factor in zip(names[good].tolist(), tried[good].tolist(), strict=True):

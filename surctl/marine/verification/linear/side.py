@@ -3,23 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError, nearest
+from surctl.ir.cache import stored_numbers
 from surctl.marine.vehicle import Vehicle, plant_parameters
 from surctl.marine.vehicle.dynamics import trim_function
 from surctl.marine.vehicle.linearise import can_hold
-from surctl.marine.verification.cascade import Cascade, build_cascade, build_cascades
-from surctl.marine.verification.linear.corners import Corners, corners
-from surctl.marine.verification.linear.sampled import SampledLimits, radii_of, sampled_limits
+from surctl.marine.verification.corners import Corners, corners
+from surctl.marine.verification.cruise_loop import TRACKING_LAW, CruiseLoop, cruise_loop, cruise_loops
 from surctl.verification.linear import (
     LEAST_DISK_MARGIN,
     DiskMargin,
     OpenLoop,
+    eigenvalues,
     quick_disk_margin,
     screened_peaks,
     stored_disk_margin,
@@ -30,36 +32,40 @@ __all__ = [
     "CornerMargin",
     "LinearSide",
     "Pole",
+    "SampledLimits",
     "corner_margin",
     "least_disk",
     "linear_side",
     "margin_speed",
     "open_loop",
+    "sampled_limits",
     "worst_linear_side",
 ]
 
 DISK_PLACES = ("thrust", "measurement", "both")
 """The places where all loops are opened at once: the four thrust commands, the measured x_e, y_e, z_e, ψ, or both."""
 
+Array = NDArray[np.float64]
+
 _AXES = 4
 
 
-def open_loop(cascade: Cascade, place: str) -> OpenLoop:
-    """Open the loops of one or several cascades at `place`, one of `DISK_PLACES`; all other connections stay closed.
+def open_loop(loop: CruiseLoop, place: str) -> OpenLoop:
+    """Open one or several loops at `place`, one of `DISK_PLACES`; all other connections stay closed.
 
     Raises:
         InputError: `place` is not one of `DISK_PLACES`.
     """
-    A, B, C, K = cascade.A, cascade.B, cascade.C, cascade.K
+    A, B, C, K = loop.matrices
     thrust, pose = np.arange(K.shape[-2]) < _AXES, np.arange(K.shape[-1]) < _AXES
-    nothing = np.zeros((*K.shape[:-2], _AXES, _AXES))
+    nothing, dt = np.zeros((*K.shape[:-2], _AXES, _AXES)), float(np.max(loop.dt))
     if place == "thrust":
-        # the rows of K for the integral action stay closed
+        # the law's own states stay connected
         inner = A - B[..., ~thrust] @ K[..., ~thrust, :] @ C
-        return OpenLoop(inner, B[..., thrust], K[..., thrust, :] @ C, nothing)
+        return OpenLoop.of_sampled(inner, B[..., thrust], K[..., thrust, :] @ C, nothing, dt)
     if place == "measurement":
         inner = A - B @ K[..., ~pose] @ C[..., ~pose, :]
-        return OpenLoop(inner, B @ K[..., pose], C[..., pose, :], nothing)
+        return OpenLoop.of_sampled(inner, B @ K[..., pose], C[..., pose, :], nothing, dt)
     if place != "both":
         raise InputError("no such place", key="place", value=place, remedy=nearest(place, DISK_PLACES))
     # the second input u2 is the negative of the measured pose that the law receives
@@ -68,12 +74,12 @@ def open_loop(cascade: Cascade, place: str) -> OpenLoop:
     enter = np.concatenate([B[..., thrust], B[..., ~thrust] @ own[..., pose]], axis=-1)
     leave = np.concatenate([acting[..., ~pose] @ C[..., ~pose, :], C[..., pose, :]], axis=-2)
     through = np.block([[nothing, -acting[..., pose]], [nothing, nothing]])
-    return OpenLoop(inner, enter, leave, through)
+    return OpenLoop.of_sampled(inner, enter, leave, through, dt)
 
 
 @dataclass(frozen=True)
 class Pole:
-    """One pole s of the closed loop with delay; a complex pair is represented by the pole in the upper half-plane.
+    """One pole z of the sampled loop as s = ln(z)/dt; a complex pair is represented by the pole with imaginary > 0.
 
     Attributes:
         real, imaginary: real and imaginary part of s [rad/s].
@@ -87,6 +93,96 @@ class Pole:
     damping: float
 
 
+# The control periods and the delays up to which the loop is stable
+
+_SHORTEST, _LONGEST = 1e-3, 20.0  # [s]
+_GROWTH = 1.06  # ratio of a tried period to the previous period
+_BISECTIONS = 24
+_MOST = 400  # largest delay that is tried, in periods
+_ON_CIRCLE = 1e-9  # a pole this close to the unit circle counts as lying on the circle
+_DELAYS = (0, 1, 2)
+
+
+@dataclass(frozen=True)
+class SampledLimits:
+    """Limits of the control period and of the delay up to which the sampled loop is stable.
+
+    Attributes:
+        period_s: control period [s].
+        radius: largest |z| of the poles at the control period `period_s` with one period of delay.
+        largest_period_s: largest control periods [s] up to which the loop is stable, for a delay of 0, 1 and 2 periods.
+            Periods are tried in steps of 6 % and refined by bisection; inf if the loop is stable up to 20 s, 0 if it is
+            unstable at all periods.
+        delay_periods: largest delay, in whole periods, up to which the loop is stable at the period `period_s`; −1 if
+            the loop is unstable without delay.
+    """
+
+    period_s: float
+    radius: float
+    largest_period_s: tuple[float, float, float]
+    delay_periods: int
+
+    def to_dict(self) -> dict[str, Any]:
+        """The limits as plain data for JSON."""
+        return {**asdict(self), "largest_period_s": dict(zip(map(str, _DELAYS), self.largest_period_s, strict=True))}
+
+
+def sampled_limits(loop: CruiseLoop) -> SampledLimits:
+    """Return the sampling limits of a loop.
+
+    If it has a leading axis with several loops, each limit is the worst over these loops, and the result is cached on
+    disk: for the corners of a vehicle's ranges it takes seconds.
+    """
+    if loop.plant[0].ndim == 2:
+        return _sampled_limits(loop)
+    matrices = [np.asarray(matrix, dtype=float) for matrix in (*loop.plant, *loop.law)]
+    values = stored_numbers(
+        ("surctl.marine.verification.linear.side", "surctl.marine.verification.cruise_loop"),
+        (loop.dt, loop.states, *((matrix.shape, matrix.tobytes()) for matrix in matrices)),
+        lambda: asdict(_sampled_limits(loop)),
+        suffix=".sampled",
+    )
+    return SampledLimits(**{**values, "largest_period_s": tuple(values["largest_period_s"])})
+
+
+def _sampled_limits(loop: CruiseLoop) -> SampledLimits:
+    period, borne = float(np.max(loop.dt)), -1
+    for delay in range(_MOST + 1):
+        if np.max(_radius(loop.resampled(period, delay))) >= 1 - _ON_CIRCLE:
+            break
+        borne = delay
+    one, two, three = (_largest(loop, delay) for delay in _DELAYS)
+    return SampledLimits(period, float(np.max(_radius(loop.resampled(period)))), (one, two, three), borne)
+
+
+def _radius(loop: CruiseLoop) -> Array:
+    closed = loop.closed
+    poles = np.linalg.eigvals(closed) if closed.ndim == 2 else eigenvalues(closed)
+    radius: Array = np.max(np.abs(poles), axis=-1)
+    return radius
+
+
+def _largest(loop: CruiseLoop, delay: int) -> float:
+    """Return the largest period up to which all loops are stable; bisection refines the first unstable step."""
+    good, bad = 0.0, _SHORTEST
+    while True:
+        lost = _radius(loop.resampled(bad, delay)) >= 1 - _ON_CIRCLE * bad
+        if np.any(lost):
+            break
+        good, bad = bad, bad * _GROWTH
+        if good >= _LONGEST:
+            return float("inf")
+    if good == 0.0:
+        return 0.0
+    first = loop if lost.ndim == 0 else loop[lost]
+    low, high = (np.full(first.plant[0].shape[:-2], end) for end in (good, bad))
+    for _ in range(_BISECTIONS):
+        middle = (low + high) / 2
+        stable = _radius(first.resampled(middle, delay)) < 1 - _ON_CIRCLE * middle
+        low, high = np.where(stable, middle, low), np.where(stable, high, middle)
+    return float(np.min(low))
+
+
 @dataclass(frozen=True)
 class LinearSide:
     """Results of the linear analysis about straight cruise: disk margins of all loops, poles, and sampling limits.
@@ -96,7 +192,7 @@ class LinearSide:
             ranges.
         disks: disk margins with the loops opened at `DISK_PLACES`; for several corners, the least margin over the
             corners.
-        poles: closed-loop poles of the nominal vehicle, slowest first, including the poles of the approximated delay.
+        poles: closed-loop poles of the nominal vehicle, slowest first, including those of the delay.
         slowest_per_s: largest real part [1/s] of a pole over all corners.
         least_damping: least damping ratio of the poles, over all corners.
         sampled: limits of the sampled loop; for several corners, the least value of every limit and the largest radius.
@@ -124,10 +220,7 @@ class LinearSide:
 
     @property
     def stable(self) -> bool:
-        """Whether the loop is stable for all vehicles.
-
-        The loop must be stable in two models: continuous with approximated delay, and sampled with one period of delay.
-        """
+        """Whether the sampled loop, with one period of delay, is stable for all vehicles."""
         return all(d.stable for d in self.disks) and self.sampled.radius < 1
 
     def to_dict(self) -> dict[str, Any]:
@@ -163,27 +256,39 @@ class LinearSide:
 
 
 def linear_side(
-    vehicle: Vehicle, gains: Mapping[str, float], *, cruise: float, dt: float, model: Vehicle | None = None
+    vehicle: Vehicle,
+    gains: Mapping[str, float],
+    *,
+    cruise: float,
+    dt: float,
+    model: Vehicle | None = None,
+    law: str = TRACKING_LAW,
 ) -> LinearSide:
     """Return the linear analysis of one vehicle; for the arguments see `loop_margins`.
 
     Raises:
         InputError: a gain is missing or not positive, or the vehicle cannot hold the cruise speed.
     """
-    delayed, plain = (build_cascade(vehicle, gains, cruise=cruise, dt=dt, model=model, delay=d) for d in (None, 0.0))
-    poles = _poles(delayed.poles)
+    loop = cruise_loop(vehicle, gains, cruise=cruise, dt=dt, model=model, law=law)
+    poles = _poles(loop.poles)
     return LinearSide(
         of=f"{vehicle.name}, nominal",
-        disks=tuple(stored_disk_margin(open_loop(delayed, place), place) for place in DISK_PLACES),
+        disks=tuple(stored_disk_margin(open_loop(loop, place), place) for place in DISK_PLACES),
         poles=poles,
-        slowest_per_s=float(delayed.poles[0].real),
+        slowest_per_s=float(loop.poles[0].real),
         least_damping=min(p.damping for p in poles),
-        sampled=sampled_limits(plain, dt),
+        sampled=sampled_limits(loop),
     )
 
 
 def worst_linear_side(
-    tried: Corners, gains: Mapping[str, float], *, cruise: float, dt: float, model: Vehicle | None = None
+    tried: Corners,
+    gains: Mapping[str, float],
+    *,
+    cruise: float,
+    dt: float,
+    model: Vehicle | None = None,
+    law: str = TRACKING_LAW,
 ) -> LinearSide:
     """Return the linear analysis with the worst results over several vehicles; `model` defaults to the first vehicle.
 
@@ -201,30 +306,31 @@ def worst_linear_side(
             "needs more thrust than any of the vehicles has", key="cruise", value=cruise, remedy="lower it"
         )
     groups = _alike_in_states(able)
-    delayed, plain = ([_built(g, gains, cruise, dt, believed, d) for g in groups] for d in (None, 0.0))
+    built = [cruise_loops(group, gains, cruise=cruise, dt=dt, model=believed, law=law) for group in groups]
     disks, lowest = [], list[Vehicle]()
     for place in DISK_PLACES:
-        loops = [open_loop(group, place) for group in delayed]
+        loops = [open_loop(group, place) for group in built]
         peaks = [screened_peaks(loop) for loop in loops]
         worst = int(np.argmax([each.max() for each in peaks]))
         at = int(np.argmax(peaks[worst]))
         disks.append(stored_disk_margin(loops[worst][np.asarray(at)], place))
         lowest.append(groups[worst][at])
-    slowest = [group.poles[:, 0].real for group in delayed]
+    poles = [group.poles for group in built]
+    slowest = [each[:, 0].real for each in poles]
     fastest = int(np.argmax([each.max() for each in slowest]))
     if slowest[fastest].max() >= 0:
         bad = groups[fastest][int(np.argmax(slowest[fastest]))]
     else:
         bad = lowest[int(np.argmin([d.guaranteed for d in disks[:2]]))]
-    every = [_poles(poles) for group in delayed for poles in group.poles]
+    every = [_poles(each) for group in poles for each in group]
     beyond = f"; {unable} of them cannot hold {cruise:g} m/s with their thrust" if unable else ""
     return LinearSide(
         of=f"{believed.name}, worst of {tried.text}{beyond}",
         disks=tuple(disks),
         poles=every[0],
-        slowest_per_s=max(float(group.poles[:, 0].real.max()) for group in delayed),
-        least_damping=min(p.damping for poles in every for p in poles),
-        sampled=_least_sampled([sampled_limits(group, dt) for group in plain]),
+        slowest_per_s=max(float(each.max()) for each in slowest),
+        least_damping=min(p.damping for each in every for p in each),
+        sampled=_least_sampled([sampled_limits(group) for group in built]),
         corner=tried.label(bad) if len(tried.vehicles) > 1 else "",
         at=bad,
     )
@@ -235,28 +341,6 @@ def _alike_in_states(vehicles: Sequence[Vehicle]) -> list[list[Vehicle]]:
     lagged = vehicles[0]["thrust_lag"] > 0
     parts = [[v for v in vehicles if (v["thrust_lag"] > 0) is kind] for kind in (lagged, not lagged)]
     return [part for part in parts if part]
-
-
-def _built(
-    vehicles: Sequence[Vehicle],
-    gains: Mapping[str, float],
-    cruise: float,
-    dt: float,
-    model: Vehicle,
-    delay: float | None,
-) -> Cascade:
-    """Return the cascades of vehicles that have equal states."""
-    count = len(vehicles)
-    return build_cascades(
-        np.array([plant_parameters(v) for v in vehicles]),
-        {name: np.full(count, float(value)) for name, value in gains.items()},
-        cruise=np.full(count, cruise),
-        dt=dt,
-        model=np.tile(plant_parameters(model), (count, 1)),
-        delay=delay,
-        form=vehicles[0].form,
-        model_form=model.form,
-    )
 
 
 def _can_cruise(vehicles: Sequence[Vehicle], cruise: float) -> list[bool]:
@@ -297,7 +381,13 @@ _STEPS, _HALVINGS = 12, 6
 
 
 def margin_speed(
-    tried: Corners, gains: Mapping[str, float], *, dt: float, highest: float, least: float = LEAST_DISK_MARGIN
+    tried: Corners,
+    gains: Mapping[str, float],
+    *,
+    dt: float,
+    highest: float,
+    least: float = LEAST_DISK_MARGIN,
+    law: str = TRACKING_LAW,
 ) -> float:
     """Return the largest cruise speed [m/s] up to which every vehicle keeps a disk margin of all loops; 0 if none.
 
@@ -311,6 +401,7 @@ def margin_speed(
         dt: control period [s].
         highest: largest speed that is tried [m/s].
         least: required disk margin, in (0, 2]; 0 requires stability alone.
+        law: a law that tracks, as in `loop_margins`.
 
     Example:
         >>> from surctl.marine.control import load_gains
@@ -320,46 +411,41 @@ def margin_speed(
         >>> [round(margin_speed(tried, gains, dt=0.05, highest=0.5, least=least), 2) for least in (0.0, 0.3)]
         [0.2, 0.17]
     """
-    model, speed, searched = tried.vehicles[0], highest, list[int]()
+    peaks = partial(_peaks, gains=gains, dt=dt, model=tried.vehicles[0], least=least, law=law)
+    level, speed, searched = 1 / least if least > 0 else 0.0, highest, list[int]()
     while speed > 0:
-        peaks = _peaks(tried.vehicles, gains, [speed], dt=dt, model=model, least=least)[:, 0]
-        worst = int(np.argmax(peaks))
-        if peaks[worst] <= _level(least) or worst in searched:
+        reached = peaks(tried.vehicles, [speed])[:, 0]
+        worst = int(np.argmax(reached))
+        if reached[worst] <= level or worst in searched:
             return speed
         searched.append(worst)
-        speed = _search(tried.vehicles[worst], gains, speed, dt=dt, model=model, least=least)
+        speed = _search(partial(peaks, [tried.vehicles[worst]]), speed, level)
     return 0.0
 
 
-def _level(least: float) -> float:
-    return 1 / least if least > 0 else 0.0
-
-
-def _search(
-    vehicle: Vehicle, gains: Mapping[str, float], highest: float, *, dt: float, model: Vehicle, least: float
-) -> float:
+def _search(peaks: Callable[[Sequence[float]], Array], highest: float, level: float) -> float:
     speeds = np.linspace(0.0, highest, _STEPS + 1)
-    good = _peaks([vehicle], gains, speeds[1:].tolist(), dt=dt, model=model, least=least)[0] <= _level(least)
+    good = peaks(speeds[1:].tolist())[0] <= level
     if good.all():
         return highest
     first = int(np.argmin(good))
     low, high = float(speeds[first]), float(speeds[first + 1])
     for _ in range(_HALVINGS):
         middle = (low + high) / 2
-        enough = _peaks([vehicle], gains, [middle], dt=dt, model=model, least=least)[0, 0] <= _level(least)
-        low, high = (middle, high) if enough else (low, middle)
+        low, high = (middle, high) if peaks([middle])[0, 0] <= level else (low, middle)
     return low
 
 
 def _peaks(
     vehicles: Sequence[Vehicle],
-    gains: Mapping[str, float],
     speeds: Sequence[float],
     *,
+    gains: Mapping[str, float],
     dt: float,
     model: Vehicle,
     least: float,
-) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
+    law: str,
+) -> Array:
     """Return the peak (n, k) of the structured singular value over frequency for n vehicles at k speeds.
 
     The value is inf if the vehicle cannot hold the speed. If `least` is 0, the value is the real part of the slowest
@@ -369,11 +455,11 @@ def _peaks(
     for k, speed in enumerate(speeds):
         able = [v for v, can in zip(vehicles, _can_cruise(vehicles, speed), strict=True) if can]
         for group in _alike_in_states(able) if able else []:
-            cascades = _built(group, gains, speed, dt, model, None)
+            loops = cruise_loops(group, gains, cruise=speed, dt=dt, model=model, law=law)
             if least > 0:
-                values = np.max([screened_peaks(open_loop(cascades, place)) for place in DISK_PLACES[:2]], axis=0)
+                values = np.max([screened_peaks(open_loop(loops, place)) for place in DISK_PLACES[:2]], axis=0)
             else:
-                values = cascades.poles[:, 0].real + 1e-9
+                values = loops.poles[:, 0].real + 1e-9
             for vehicle, value in zip(group, values.tolist(), strict=True):
                 peaks[next(i for i, one in enumerate(vehicles) if one is vehicle), k] = value
     return peaks
@@ -397,6 +483,7 @@ def corner_margin(
     proved: bool = False,
     uncertainty: float | None = None,
     spread: float = 1.0,
+    law: str = TRACKING_LAW,
 ) -> CornerMargin:
     """Return the disk margin at the worst corner of the vehicle's ranges, or of `uncertainty` (see `corners`).
 
@@ -419,8 +506,8 @@ def corner_margin(
         problem = "needs more thrust than the vehicle has"
         raise InputError(problem, key="cruise", value=cruise, remedy="lower it")
     groups = _alike_in_states(able)
-    delayed, plain = ([_built(g, gains, cruise, dt, model or vehicle, d) for g in groups] for d in (None, 0.0))
-    margin, (group, at) = least_disk(delayed, plain, dt=dt, margin_of=_proved if proved else quick_disk_margin)
+    built = [cruise_loops(group, gains, cruise=cruise, dt=dt, model=model or vehicle, law=law) for group in groups]
+    margin, (group, at) = least_disk(built, margin_of=_proved if proved else quick_disk_margin)
     worst = groups[group][at]
     return CornerMargin(margin, worst, tried.label(worst))
 
@@ -430,32 +517,19 @@ def _proved(loop: OpenLoop) -> float:
 
 
 def least_disk(
-    delayed: Sequence[Cascade],
-    plain: Sequence[Cascade],
-    *,
-    dt: float,
-    margin_of: Callable[[OpenLoop], float] = quick_disk_margin,
+    groups: Sequence[CruiseLoop], *, margin_of: Callable[[OpenLoop], float] = quick_disk_margin
 ) -> tuple[float, tuple[int, int]]:
-    """Return the least disk margin of several vehicles, in groups of cascades with equal states, and where it is.
+    """Return the least disk margin of several vehicles, in groups (k, …) of loops with equal states, and where it is.
 
-    The second result is the index of the group and the index in it.
-
-    Args:
-        delayed: cascades (k, …) with the approximated delay.
-        plain: the same cascades built with `delay=0`.
-        dt: control period [s].
-        margin_of: returns the disk margin of one stable loop.
+    The second result is the index of the group and the index in it; `margin_of` returns the margin of a stable loop.
     """
-    for grown in (
-        [group.poles[:, 0].real + 1e-9 for group in delayed],
-        [radii_of(group, dt, 1) - 1 for group in plain],
-    ):
-        worst = int(np.argmax([each.max() for each in grown]))
-        if grown[worst].max() >= 0:
-            return 0.0, (worst, int(np.argmax(grown[worst])))
+    grown = [group.poles[:, 0].real + 1e-9 for group in groups]
+    worst = int(np.argmax([each.max() for each in grown]))
+    if grown[worst].max() >= 0:
+        return 0.0, (worst, int(np.argmax(grown[worst])))
     margins = []
     for place in DISK_PLACES[:2]:
-        loops = [open_loop(group, place) for group in delayed]
+        loops = [open_loop(group, place) for group in groups]
         peaks = [screened_peaks(loop) for loop in loops]
         worst = int(np.argmax([each.max() for each in peaks]))
         at = int(np.argmax(peaks[worst]))

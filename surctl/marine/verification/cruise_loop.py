@@ -1,0 +1,520 @@
+"""The linear loop of a law about a straight cruise, for many vehicles, gains and speeds at once: sampled, with delay.
+
+The law that runs is differentiated: the derivatives of its list of instructions about the cruise are one expression of
+its parameters, which is evaluated at all points together. The plant is continuous, with thrust lag; thrust commands are
+held over a control period and computed one period before they act. All quantities are deviations from a cruise along x
+at the speed U, far from the ends of the path, obstacles and walls.
+
+A state of the law belongs to the loop if the measurements change it and it changes the thrust. An axis that the law
+leaves alone (heave without heave force), and a coordinate that changes nothing, do not belong to the loop.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cache, cached_property, lru_cache
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from surctl.errors import InputError, nearest
+from surctl.ir import on_columns
+from surctl.marine.control import CASCADE, Gains, Law, build_law, law_parameters, law_source, load_gains
+from surctl.marine.guidance import Path
+from surctl.marine.vehicle import PLANT_PARAMETERS, PlantForm, Vehicle, plant_jacobians, plant_parameters
+from surctl.marine.vehicle.linearise import STATE_NAMES, TILT_NAMES, check_cruise
+from surctl.marine.verification.corners import corners
+from surctl.system.linear_loop import expm
+from surctl.verification.linear import blockwise, eigenvalues
+from surctl.verification.loops import BrokenLoop, LoopMargins, crossings_of, margins_from, state_blocks
+
+__all__ = [
+    "LINEAR_GAINS",
+    "LOOP_NAMES",
+    "CruiseLoop",
+    "broken_loops",
+    "check_positive",
+    "closed_loop_poles",
+    "cruise_loop",
+    "cruise_loops",
+    "has_cruise_loop",
+    "law_numbers",
+    "law_slopes",
+    "loop_margins",
+    "worst_margins",
+]
+
+Array = NDArray[np.float64]
+
+LOOP_NAMES = ("surge", "sway", "heave", "yaw", "along_track", "cross_track", "depth", "heading")
+
+LINEAR_GAINS = ("k1", "k2", "k_psi", "k_r", "k_v", "lookahead")
+
+TRACKING_LAW = "guarded"
+"""A law whose loop about a straight cruise is that of every law for which `has_cruise_loop` holds."""
+
+FAR = 1e6  # [m]
+_PATH = Path(np.array([[-FAR, 0.0], [FAR, 0.0]]))
+_SITE = (-2 * FAR, 2 * FAR, -2 * FAR, 2 * FAR)
+COUPLED = 1e-9  # largest derivative that counts as none
+NEUTRAL = 1e-4  # the same for x and y, as a share of the larger: the heading of a run is not exact
+_HEADROOM = 1.5  # speed cap over the cruise speed: the cap must not act in a cruise
+_AXES = 4
+_EDGE = 1e-9  # [1/s] a pole this near to the imaginary axis counts as on it
+_DEADBEAT = 1e-9  # least modulus of a pole z: a signal that is gone after a period has the pole z = 0
+
+
+def has_cruise_loop(law: str, guidance: str) -> bool:
+    """Return whether a law with a guidance tracks a straight cruise with the loop that `LINEAR_GAINS` determine.
+
+    The law `dwa` chooses among discrete velocities and has no linear loop. Guidance with an internal state has gains of
+    its own.
+    """
+    return guidance == "los" and CASCADE in law_source(law).parts
+
+
+@dataclass(frozen=True, eq=False)
+class CruiseLoop:
+    """A sampled linear loop x⁺ = A x + B f, y = C x with f = −K y; a leading axis of the arrays holds several loops.
+
+    The state x has the states of the plant, then the thrust commands that wait, then the law's own state z. The output
+    y has the measurements (x, y, z, ψ, u, v, w, r), then z; the input f the commanded thrust [N, N m], then z⁺.
+
+    Attributes:
+        plant: (A, B), (…, n, n) and (…, n, 4), of the plant in continuous time.
+        law: (A, B, C, D) of z⁺ = A z + B (x, …, r) and thrust = C z + D (x, …, r).
+        states: names of the plant's states, then of the law's.
+        dt: control period [s], a number or (…).
+        delay: whole periods between a measurement and its thrust.
+    """
+
+    plant: tuple[Array, Array]
+    law: tuple[Array, Array, Array, Array]
+    states: tuple[str, ...]
+    dt: float | Array
+    delay: int = 1
+
+    def __getitem__(self, chosen: int | NDArray[np.intp] | NDArray[np.bool_] | None) -> CruiseLoop:
+        """Return the loops at indices of the leading axis; None adds a leading axis."""
+        (A, B), (Az, By, Cz, D) = self.plant, self.law
+        return replace(self, plant=(A[chosen], B[chosen]), law=(Az[chosen], By[chosen], Cz[chosen], D[chosen]))
+
+    def resampled(self, dt: float | Array, delay: int = 1) -> CruiseLoop:
+        """Return the loop at another control period [s], over which the law's state changes in proportion."""
+        ratio = (np.asarray(dt) / self.dt)[..., None, None]
+        Az, By, Cz, D = self.law
+        eye = np.eye(Az.shape[-1])
+        return replace(self, law=(eye + ratio * (Az - eye), ratio * By, Cz, D), dt=dt, delay=delay)
+
+    @cached_property
+    def matrices(self) -> tuple[Array, Array, Array, Array]:
+        """The matrices A (…, n, n), B (…, n, 4 + k), C (…, 8 + k, n), K (…, 4 + k, 8 + k) for k states of the law."""
+        (A, B), (Az, By, Cz, D) = self.plant, self.law
+        many, n, k, late = A.shape[:-2], A.shape[-1], Az.shape[-1], _AXES * self.delay
+        both = np.zeros((*many, n + _AXES, n + _AXES))
+        both[..., :n, :n], both[..., :n, n:] = A, B
+        grown = both * np.asarray(self.dt)[..., None, None]
+        held = expm(grown) if grown.ndim == 2 else blockwise(expm, grown)
+        size = n + late + k
+        joined, enter = np.zeros((*many, size, size)), np.zeros((*many, size, _AXES + k))
+        joined[..., :n, :n], enter[..., n + late :, _AXES:] = held[..., :n, :n], np.eye(k)
+        if self.delay:
+            joined[..., :n, n : n + _AXES] = held[..., :n, n:]
+            joined[..., n : n + late - _AXES, n + _AXES : n + late] = np.eye(late - _AXES)
+            enter[..., n + late - _AXES : n + late, :_AXES] = np.eye(_AXES)
+        else:
+            enter[..., :n, :_AXES] = held[..., :n, n:]
+        leave = np.zeros((*many, 8 + k, size))
+        places = [(STATE_NAMES.index(name), at) for at, name in enumerate(self.states[:n]) if name in STATE_NAMES[:8]]
+        for row, at in places:
+            leave[..., row, at] = 1.0
+        leave[..., 8:, n + late :] = np.eye(k)
+        through = np.concatenate([np.concatenate([D, Cz], axis=-1), np.concatenate([By, Az], axis=-1)], axis=-2)
+        return joined, enter, leave, -through
+
+    @property
+    def closed(self) -> Array:
+        """The closed transition matrix A − B K C, (…, n, n)."""
+        A, B, C, K = self.matrices
+        closed: Array = A - B @ K @ C
+        return closed
+
+    @property
+    def poles(self) -> NDArray[np.complex128]:
+        """The closed-loop poles (…, n) as continuous rates s = ln(z)/dt [rad/s], the slowest first."""
+        closed = self.closed
+        z = np.linalg.eigvals(closed).astype(complex) if closed.ndim == 2 else eigenvalues(closed)
+        size = np.abs(z)
+        small = size < _DEADBEAT
+        poles = np.log(np.where(small, _DEADBEAT, z)) / np.asarray(self.dt)[..., None]
+        return np.take_along_axis(poles, np.argsort(-poles.real, axis=-1, kind="stable"), axis=-1)
+
+    @property
+    def stable(self) -> bool:
+        """Whether every closed-loop pole decays."""
+        return bool(np.all(self.poles[..., 0].real < -_EDGE))
+
+    def at_thrust(self, axis: int) -> tuple[Array, Array, Array]:
+        """The matrices (A, b, c) of the loop that is opened at one thrust command while all other loops are closed."""
+        A, B, C, K = self.matrices
+        rest = K.copy()
+        rest[..., axis, :] = 0
+        return A - B @ rest @ C, B[..., [axis]], K[..., [axis], :] @ C
+
+    def at_output(self, index: int) -> tuple[Array, Array, Array]:
+        """The matrices (A, b, c) of the loop that is opened at one measured output while all other loops are closed."""
+        A, B, C, K = self.matrices
+        rest = K.copy()
+        rest[..., index] = 0
+        return A - B @ rest @ C, B @ K[..., [index]], C[..., [index], :]
+
+
+def cruise_loop(
+    vehicle: Vehicle,
+    gains: Mapping[str, float],
+    *,
+    cruise: float,
+    dt: float,
+    model: Vehicle | None = None,
+    law: str = TRACKING_LAW,
+) -> CruiseLoop:
+    """Return the loop of a plant and a law, linearised at the cruise speed.
+
+    Args:
+        vehicle: the plant.
+        gains: the gains by name; those of `LINEAR_GAINS` must be among them, and k_i [1/s²] for integral action.
+        cruise: cruise speed U [m/s], > 0.
+        dt: control period [s], > 0.
+        model: the controller's model of the vehicle; default the vehicle itself.
+        law: a law for which `has_cruise_loop` holds.
+
+    Raises:
+        InputError: a gain is missing or not positive, or the vehicle cannot cruise at that speed or has no sway force.
+
+    Example:
+        >>> from surctl.marine.control import load_gains
+        >>> from surctl.marine.vehicle import load_vehicle
+        >>> from surctl.marine.verification import cruise_loop
+        >>> loop = cruise_loop(load_vehicle("sur400"), load_gains("default").values, cruise=0.15, dt=0.05)
+        >>> loop.stable, loop.closed.shape, round(float(loop.poles.real.max()), 2)
+        (True, (16, 16), -0.22)
+    """
+    check_positive({"cruise": np.atleast_1d(cruise)})
+    for craft in (vehicle, model or vehicle):
+        if not craft["Fv_max"] > 0:
+            raise InputError(
+                f"the law moves in any direction, but {craft.name} has no sway force",
+                key="Fv_max",
+                value=craft["Fv_max"],
+                remedy="use law_loop with the law steered",
+            )
+    check_cruise(vehicle, cruise)
+    known = {name: float(value) for name, value in gains.items()}
+    return cruise_loops([vehicle], known, cruise=cruise, dt=dt, model=model or vehicle, law=law)[0]
+
+
+def cruise_loops(
+    plants: Sequence[Vehicle] | Array,
+    gains: Mapping[str, ArrayLike],
+    *,
+    cruise: ArrayLike,
+    dt: float,
+    model: Vehicle,
+    believed: Array | None = None,
+    law: str = TRACKING_LAW,
+    form: PlantForm | None = None,
+) -> CruiseLoop:
+    """Build the loops of n points at once; see `cruise_loop`.
+
+    All n loops must have the same order: all or none have thrust lag, and all or none have integral action.
+
+    Args:
+        plants: n vehicles with equal optional terms, or (n, …) plant parameters in the order of `plant_parameters`; the
+            caller must check that the thrust of each plant suffices for the cruise speed.
+        gains: the gains by name, each a number or (n,).
+        cruise: cruise speed U [m/s], a number or (n,).
+        dt: control period [s].
+        model: the controller's model.
+        believed: (n, …) parameters of the controller's model where they differ from those of `model`.
+        law: a law for which `has_cruise_loop` holds.
+        form: the optional terms that all plants have; default: those of the vehicles in `plants`, or of the model.
+
+    Raises:
+        InputError: a gain is missing or not positive, or the loops have different orders.
+    """
+    if isinstance(plants, np.ndarray):
+        plant, form = plants, form or model.form
+    else:
+        plant, form = np.array([plant_parameters(each) for each in plants]), form or plants[0].form
+    values = {name: np.asarray(value, dtype=float) for name, value in gains.items()}
+    (count,) = np.broadcast_shapes((len(plant),), np.shape(cruise), *(v.shape for v in values.values()))
+    plant = np.broadcast_to(plant, (count, plant.shape[1]))
+    speed = np.broadcast_to(np.asarray(cruise, dtype=float), (count,))
+    for name in LINEAR_GAINS:
+        if name not in values:
+            raise InputError("gain is missing", key=name, remedy=nearest(name, values))
+    check_positive({**{name: np.atleast_1d(values[name]) for name in LINEAR_GAINS}, "cruise": speed})
+    check_positive({"dt": np.atleast_1d(dt)})
+    k_i = np.broadcast_to(values.get("k_i", np.zeros(1)), (count,))
+    if not np.all(np.isfinite(k_i) & (k_i >= 0)):
+        raise InputError("must be at least 0", key="k_i", value=float(np.min(k_i)), remedy="correct it")
+    lag = plant[:, PLANT_PARAMETERS.slice("thrust_lag")][:, 0]
+    for key, value in (("thrust_lag", lag), ("k_i", k_i)):
+        if np.any(value > 0) != np.all(value > 0):
+            raise InputError(
+                "is 0 at some points and positive at others",
+                key=key,
+                remedy="build them in separate calls: their loops have different orders",
+            )
+    built = build_law(law)
+    Az, By, Cz, D = law_slopes(built, _numbers(built, model, values, speed, believed))
+    nu = np.zeros((count, 4))
+    nu[:, 0] = speed
+    A, B, _ = plant_jacobians(plant, nu, form=form)
+    names = (*STATE_NAMES, *TILT_NAMES)
+    moving = _moving(A, By, D, lagged=bool(lag[0] > 0))
+    own = in_loop(Az, By, Cz)
+    inner = [port.name for port in built.state.ports for _ in range(port.size)]
+    states = (*(names[k] for k in moving), *(inner[k] for k in own))
+    slopes = Az[:, own][:, :, own], By[:, own], Cz[:, :, own], D
+    return CruiseLoop((A[:, moving][:, :, moving], B[:, moving]), slopes, states, built.dt).resampled(dt)
+
+
+def _moving(A: Array, By: Array, D: Array, *, lagged: bool) -> list[int]:
+    # places of the plant's states that belong to the loop
+    acting = np.abs(D).max(axis=(0, 2)) > COUPLED
+    tilt = range(len(STATE_NAMES), A.shape[-1])
+    # x, y and psi follow the surge, sway and yaw motion; the depth, and heave without coupling, stand alone
+    coupled = bool((A[:, [4, 5, 7, *tilt], 6] != 0).any())
+    apart = [] if acting[2] else [2] if coupled else [2, 6]
+    return [*(k for k in range(8) if k not in apart), *(8 + k for k in range(_AXES) if lagged and acting[k]), *tilt]
+
+
+def _numbers(law: Law, model: Vehicle, gains: Mapping[str, Array], cruise: Array, believed: Array | None) -> Array:
+    # (n, …) parameters of the law; a cruise far from everything depends on no gains but those in `gains`
+    layout, row = law.gains, law_numbers(law, model, _some_gains(law.ref), cruise=float(cruise[0]))
+    numbers = np.tile(row, (len(cruise), 1))
+    own = plant_parameters(model)
+    rows = np.tile(own, (len(cruise), 1)) if believed is None else believed
+    linear = rows[:, PLANT_PARAMETERS.slice("linear_drag")].copy()
+    for axis, name in model.form.ahead():  # as in `Vehicle.drag_at`
+        linear[:, axis] += rows[:, PLANT_PARAMETERS.size + model.form.terms.index(name)] * cruise
+    limits = PLANT_PARAMETERS.slice("thrust_limit")
+    columns: dict[str, Array] = {
+        **{name: value for name, value in gains.items() if name in layout},
+        "mass": rows[:, PLANT_PARAMETERS.slice("mass")],
+        "linear_drag": linear,
+        "quadratic_drag": rows[:, PLANT_PARAMETERS.slice("quadratic_drag")],
+        "thrust_limit": np.where(rows[:, limits] == own[limits], row[layout.slice("thrust_limit")], rows[:, limits]),
+        "cruise": cruise,
+        "cap": _HEADROOM * cruise,
+    }
+    for name, value in columns.items():
+        place = numbers[:, layout.slice(name)]
+        place[:] = value if value.ndim == 2 else np.broadcast_to(value, (len(cruise),))[:, None]
+    return numbers
+
+
+@cache
+def _some_gains(law: str) -> Gains:
+    return load_gains("default", own=law_source(law).gains)
+
+
+def law_numbers(law: Law, model: Vehicle, gains: Gains, *, cruise: float) -> Array:
+    """Return the law's parameters for a straight cruise in the middle of a path without end."""
+    return law_parameters(gains, model, path=_PATH, depth=0.0, cruise=cruise, cap=_HEADROOM * cruise, walls=_SITE)
+
+
+def law_slopes(law: Law, numbers: Array) -> tuple[Array, Array, Array, Array]:
+    """Return A, B, C and D of z⁺ = A z + B y and thrust = C z + D y about a cruise, for parameters (n, …) of the law.
+
+    y = (x, y, z, ψ, u, v, w, r); each of the matrices has a leading axis (n,).
+    """
+    size = law.state.size
+    flat = _slopes(law)(numbers.T)[0].T
+    J = flat.reshape(len(numbers), size + 8, size + _AXES).swapaxes(1, 2)
+    return J[:, :size, :size], J[:, :size, size:], J[:, size:, :size], J[:, size:, size:]
+
+
+@lru_cache(maxsize=8)
+def _slopes(law: Law) -> Callable[[Array], list[Array]]:
+    # derivatives of the law at a cruise, column by column, as a function of its parameters
+    p = ca.SX.sym("p", law.gains.size)
+    numbers = ca.SX(p)
+    for name, value in (("waypoints", _PATH.slots), ("walls", _SITE), ("depth", 0.0), ("launch", 0.0), ("visit", 0.0)):
+        place = law.gains.slice(name)
+        numbers[place.start : place.stop] = ca.DM(np.ravel(value, order="C"))
+    z, y, start = ca.SX.sym("z", law.state.size), ca.SX.sym("y", 8), law.initial_state()
+    cruise = p[law.gains.slice("cruise").start]
+    start[law.state.slice("progress")] = FAR  # arc length of the path's middle
+    at = ca.SX(ca.DM(start))
+    if "surge" in law.state:  # in a cruise, a law that predicts its speed through the water has found it
+        at[law.state.slice("surge").start] = cruise
+    inputs = ca.SX(ca.DM(law.inputs.pack()))
+    for k, name in ((0, "eta"), (4, "nu")):
+        place = law.inputs.slice(name)
+        inputs[place.start : place.stop] = y[k : k + 4]
+    tau, following, *_ = law.function.expand()(z, inputs, numbers)
+    whole = ca.jacobian(ca.vertcat(following, tau), ca.vertcat(z, y))
+    slopes = ca.Function("slopes", [z, y, p], [ca.densify(whole)])
+    about = ca.SX(8, 1)
+    about[4] = cruise
+    return on_columns(ca.Function("cruise", [p], [ca.vec(slopes(at, about, p))]))
+
+
+def in_loop(A: Array, B: Array, C: Array) -> list[int]:
+    """Return the states of a law, or of any of several, that the measurements reach and that reach the thrust."""
+    n = A.shape[-1]
+    links = np.abs(A).reshape(-1, n, n).max(axis=0, initial=0.0) > COUPLED
+    reached = np.abs(B).reshape(-1, n, B.shape[-1]).max(axis=(0, 2), initial=0.0) > COUPLED
+    reaches = np.abs(C).reshape(-1, C.shape[-2], n).max(axis=(0, 1), initial=0.0) > COUPLED
+    for _ in range(n):
+        reached = reached | (links @ reached)
+        reaches = reaches | (links.T @ reaches)
+    return [int(k) for k in np.flatnonzero(reached & reaches)]
+
+
+def check_positive(values: Mapping[str, Array]) -> None:
+    """Raise InputError for the first value that is not finite or not greater than 0."""
+    for name, entries in values.items():
+        wrong = entries[~(np.isfinite(entries) & (entries > 0))]
+        if wrong.size:
+            raise InputError("must be greater than 0", key=name, value=float(wrong[0]), remedy="correct it")
+
+
+# One loop at a time
+
+
+def broken_loops(loops: CruiseLoop) -> list[BrokenLoop]:
+    """Return the eight loops of `LOOP_NAMES` for several cruise loops."""
+    closed, dt = loops.closed, float(np.max(loops.dt))
+    blocks = state_blocks(closed)
+    poles = [np.linalg.eigvals(closed[:, block[:, None], block]).astype(complex) for block in blocks]
+    places = [loops.at_thrust(k) for k in range(4)] + [loops.at_output(k) for k in range(4)]
+    broken = []
+    for A, b, _ in places:
+        # the set of states on which this loop acts
+        where = next((k for k, block in enumerate(blocks) if np.any(b[:, block] != 0)), 0)
+        block = blocks[where]
+        opened = np.linalg.eigvals(A[:, block[:, None], block]).astype(complex)
+        broken.append(BrokenLoop(poles[where], opened, dt))
+    return broken
+
+
+def loop_margins(
+    vehicle: Vehicle,
+    gains: Mapping[str, float],
+    *,
+    cruise: float,
+    dt: float,
+    model: Vehicle | None = None,
+    law: str = TRACKING_LAW,
+) -> tuple[LoopMargins, ...]:
+    """Return the stability margins of the eight loops about cruise; see the module for the linear model.
+
+    The loops `surge`, `sway`, `heave` and `yaw` are opened at the thrust command while guidance stays closed: their
+    margins bound a delay or gain error of this thrust. The loops `along_track`, `cross_track`, `depth` and `heading`
+    are opened at the measured x_e, y_e, z_e, ψ: their margins bound a delay or gain error of this measurement.
+
+    Args:
+        vehicle: the vehicle.
+        gains: k1, k2, k_psi, k_r, k_v [1/s], lookahead [m]; k_i [1/s²] for integral action.
+        cruise: cruise speed U [m/s].
+        dt: control period [s].
+        model: the controller's model of the vehicle; default the vehicle itself.
+        law: a law for which `has_cruise_loop` holds.
+
+    Raises:
+        InputError: a gain is missing or not positive, or the vehicle cannot hold the cruise speed.
+
+    Example:
+        >>> from surctl.marine.control import load_gains
+        >>> from surctl.marine.vehicle import load_vehicle
+        >>> from surctl.marine.verification import loop_margins
+        >>> for loop in loop_margins(load_vehicle("sur400"), load_gains("default").values, cruise=0.15, dt=0.05)[:3]:
+        ...     print(f"{loop.name}: {loop.phase_margin_deg:.0f} deg, {loop.delay_margin_s:.2f} s")
+        surge: 56 deg, 0.70 s
+        sway: 55 deg, 0.69 s
+        heave: 49 deg, 0.61 s
+    """
+    loop = cruise_loop(vehicle, gains, cruise=cruise, dt=dt, model=model, law=law)
+    highest = np.pi / dt  # the Nyquist frequency: a sampled controller does not act above it
+    if not loop.stable:
+        return tuple(LoopMargins.unstable(name) for name in LOOP_NAMES)
+    return tuple(
+        margins_from(name, crossings_of(one, highest=highest))
+        for name, one in zip(LOOP_NAMES, broken_loops(loop[None]), strict=True)
+    )
+
+
+def worst_margins(
+    vehicle: Vehicle,
+    gains: Mapping[str, float],
+    *,
+    uncertainty: float,
+    cruise: float,
+    dt: float,
+    law: str = TRACKING_LAW,
+) -> tuple[LoopMargins, ...]:
+    """Return the least margins of each loop over uncertain mass and drag; the controller keeps the nominal model.
+
+    All masses are multiplied by 1 − uncertainty or 1 + uncertainty, and all drag coefficients likewise. Combining the
+    two signs gives four corner vehicles besides the nominal vehicle. A linear loop is usually worst at a corner, but
+    the result is no proof for the values between the corners.
+
+    Args:
+        vehicle: the nominal vehicle.
+        gains: the gains by name, as in `loop_margins`.
+        uncertainty: relative uncertainty of mass and drag, 0 ≤ uncertainty < 1.
+        cruise: cruise speed U [m/s].
+        dt: control period [s].
+        law: a law for which `has_cruise_loop` holds.
+
+    Raises:
+        InputError: `loop_margins` rejects its arguments, or the uncertainty is out of range.
+
+    Example:
+        >>> from surctl.marine.control import load_gains
+        >>> from surctl.marine.vehicle import load_vehicle
+        >>> from surctl.marine.verification import worst_margins
+        >>> vehicle, gains = load_vehicle("sur400"), load_gains("default").values
+        >>> for share in (0.0, 0.2):
+        ...     worst = worst_margins(vehicle, gains, uncertainty=share, cruise=0.15, dt=0.05)
+        ...     print(share, round(min(loop.disk_margin for loop in worst), 2))
+        0.0 0.81
+        0.2 0.74
+    """
+    tried = corners(vehicle, uncertainty).vehicles
+    margins = [loop_margins(corner, gains, cruise=cruise, dt=dt, model=vehicle, law=law) for corner in tried]
+    return tuple(_least(same) for same in zip(*margins, strict=True))
+
+
+def _least(loops: Sequence[LoopMargins]) -> LoopMargins:
+    return LoopMargins(
+        loops[0].name,
+        all(m.stable for m in loops),
+        min(m.gain_margin for m in loops),
+        min(m.phase_margin_deg for m in loops),
+        min(m.delay_margin_s for m in loops),
+        min(m.disk_margin for m in loops),
+        max(m.crossover_rad_s for m in loops),
+        max(m.least_gain for m in loops),
+    )
+
+
+def closed_loop_poles(
+    vehicle: Vehicle, gains: Mapping[str, float], *, cruise: float, dt: float, law: str = TRACKING_LAW
+) -> NDArray[np.complex128]:
+    """Return the poles (n,) [rad/s] of the closed loop, slowest first; for the arguments see `loop_margins`.
+
+    Example:
+        >>> from surctl.marine.control import load_gains
+        >>> from surctl.marine.vehicle import load_vehicle
+        >>> from surctl.marine.verification import closed_loop_poles
+        >>> poles = closed_loop_poles(load_vehicle("sur400"), load_gains("default").values, cruise=0.15, dt=0.05)
+        >>> poles.real[:3].round(2).tolist(), len(poles)
+        ([-0.22, -0.38, -0.38], 16)
+    """
+    return cruise_loop(vehicle, gains, cruise=cruise, dt=dt, law=law).poles
