@@ -152,7 +152,10 @@ def _vacuous(kind: str, claim: Mapping[str, Any]) -> str:
     """Return why an accepted claim says nothing; empty if a set that it is about may have a point."""
     if kind == "interval":
         names, box = variables_of(claim["variables"])
-        return "no point of the box satisfies the constraints" if is_empty(names, box, claim["constraints"]) else ""
+        empty = is_empty(names, box, claim["constraints"])
+        if empty is None:
+            return "perhaps, as no point of the box is known that satisfies the constraints"
+        return "no point of the box satisfies the constraints" if empty else ""
     if kind == "barrier":
         names, box = variables_of(claim["states"])
         sets = [name for name in ("initial", "unsafe") if is_empty(names, box, claim[name])]
@@ -180,7 +183,7 @@ def _proves_motion(claim: Mapping[str, Any]) -> str:
     discrete = claim["time"] == "discrete"
     if claim["property"] == "safety":
         if claim.get("stays"):
-            return "no solution that starts in the initial set leaves the box or reaches the unsafe set"
+            return "no solution that starts in the initial set in the box leaves the box or reaches the unsafe set"
         return "as long as it stays in the box, no solution that starts in the initial set reaches the unsafe set"
     region = f"every solution that starts in the box where V < {claim['level']:g} stays there"
     if claim["time"] == "sampled":

@@ -23,7 +23,14 @@ from surctl.certcheck.bundle import Listed, Manifest, Port, stated_sha256
 from surctl.certcheck.comparison import ALIKE, LIMITS, ROUNDING, Comparison
 from surctl.certcheck.document import Rejected
 from surctl.certcheck.elementary import Undefined
-from surctl.certcheck.law_points import STEERED_EXCLUDES, Law, compare_braking, compare_following, compare_steering
+from surctl.certcheck.law_points import (
+    STEERED,
+    STEERED_EXCLUDES,
+    Law,
+    compare_braking,
+    compare_following,
+    compare_steering,
+)
 from surctl.certcheck.loop_points import compare_dynamics
 from surctl.certcheck.patience import PATIENCE, patient
 from surctl.certcheck.region_claim import read_claim as read_region
@@ -56,6 +63,7 @@ _FORCE = re.compile("([YN][uvr]?[vru]|m12|m14|Y0|N0)")  # parameters of a vehicl
 _VECTORS = ("plant_state", "controller_state", "gains", "parameters", "reference", "disturbance")
 _PROVED = {"function", "level", "rate", "equilibrium", "inner", "gains", "initial", "unsafe", "multiplier", "stays"}
 """Entries of a claim about dynamics that the certificate itself proves."""
+_ENDS = ("lower", "upper")
 _SAMPLED = ("next", "commands", "period_s")
 """Entries of a claim about a sampled loop that are compared with the bundle."""
 
@@ -261,6 +269,17 @@ class _Comparison(Comparison):
                         f"{ranges[name][0]!r} to {ranges[name][1]!r} m/s certified, the cruise speed is {value!r} m/s"
                     )
                     self.differs.append(f"speed: {text}")
+        if self.claim["time"] != "continuous":
+            self.differs.append("time: the heading loop is compared in continuous time")
+        for row in (*self.claim["states"], *self.claim["parameters"]):
+            if row["unit"] != (unit := STEERED.get(row["name"], "1")):
+                self.differs.append(f"{row['name']}: in {row['unit']} certified, in {unit} exported")
+        sway = max(abs(row[end]) for row in self.claim["states"] if row["name"] == "sway" for end in _ENDS)
+        cap = self.gains("cap")[0]
+        least = cap / hypot(cap, sway)
+        if not (ranges["share"][0] <= least and ranges["share"][1] >= 1):
+            text = f"{ranges['share'][0]!r} to {ranges['share'][1]!r} certified, the speed cap leaves {least:.4g} to 1"
+            self.differs.append(f"share: {text}")
         fins = self.manifest.fins or {}
         most = [fins["moment_nm"]] if fins else self.yaw_limits()[1:]
         for value in self.gains("thrust_limit")[3:4]:

@@ -16,10 +16,11 @@ __all__ = ["is_empty"]
 _MOST = 200  # boxes
 
 
-def is_empty(names: Sequence[str], box: Box, constraints: Sequence[str]) -> bool:
-    """Return True only if on the whole box some constraint is certainly positive: they hold together nowhere.
+def is_empty(names: Sequence[str], box: Box, constraints: Sequence[str]) -> bool | None:
+    """Return whether on the whole box some constraint is certainly positive, so that they hold together nowhere.
 
-    The box is halved until this is shown, a point satisfies all constraints, or `_MOST` boxes were tried.
+    The box is halved until this is shown (True), or a point satisfies all constraints (False). None: neither was shown
+    with `_MOST` boxes.
     """
     table = ExpressionTable(names)
     roots = [table.read(text) for text in constraints]
@@ -41,7 +42,7 @@ def is_empty(names: Sequence[str], box: Box, constraints: Sequence[str]) -> bool
         k = widths.index(max(widths))
         low, high = part[k]
         waiting += [[*part[:k], (low, centre[k]), *part[k + 1 :]], [*part[:k], (centre[k], high), *part[k + 1 :]]]
-    return False
+    return None
 
 
 def _values(table: ExpressionTable, roots: Sequence[int], box: list[Interval]) -> list[Interval]:

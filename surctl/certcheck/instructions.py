@@ -198,6 +198,8 @@ def _procedure(lines: Sequence[str]) -> Block:
     ports = (tables["in"], tables["out"])
     run, operations = evaluator("\n".join(lines[at:]), dict(tables["size"]), memory, ports)
     inputs, outputs = (tuple(size for _, size in table) for table in ports)
+    if operations > _LONGEST:
+        raise ValueError(f"{name} is too large")
     size = sum(inputs) + sum(outputs) + sum(size for *_, size in memory)
     return Block(name, inputs, outputs, operations, 1, size, ("\n".join([*lines, ""]),), run)
 

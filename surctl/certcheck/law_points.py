@@ -38,9 +38,9 @@ __all__ = [
 Array: TypeAlias = NDArray[np.float64]
 Report: TypeAlias = Callable[[str], None]
 
-STEERED = ("y_e", "psi", "v", "r", "crab", "sway")
-"""States of the heading loop of a craft without sway force: cross-track error, heading to the path, sway speed, yaw
-rate, and the two filters of the law: crab angle and modelled sway speed."""
+STEERED = {"y_e": "m", "psi": "rad", "v": "m/s", "r": "rad/s", "crab": "rad", "sway": "m/s"}
+"""States of the heading loop of a craft without sway force, with units: cross-track error, heading to the path, sway
+speed, yaw rate, and the two filters of the law: crab angle and modelled sway speed."""
 
 STEERED_EXCLUDES = (
     "the path is one straight leg, on which the law commands a positive speed; guidance is los",
@@ -241,7 +241,7 @@ def compare_steering(law: Law, claim: Mapping[str, Any], fins: Mapping[str, floa
     rows = [*claim["states"], *claim["parameters"]]
     low, high = (np.array([row[key] for row in rows])[:, None] for key in ("lower", "upper"))
     points, names = low + (high - low) * rng.random((len(rows), n)), [row["name"] for row in rows]
-    if tuple(names[: len(STEERED)]) != STEERED:
+    if names[: len(STEERED)] != list(STEERED):
         raise Rejected("the states are not those of the heading loop")
     [value] = values_at(names, points, {"V": claim["function"]}).values()
     points[: len(STEERED)] *= np.sqrt(claim["level"] / value) * np.where(np.arange(n) % 2, 1.0, rng.random(n))

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import ast
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -21,6 +21,7 @@ __all__ = ["evaluator"]
 Array = NDArray[np.float64]
 
 _LARGEST = 1 << 60
+_UNTIMED = 4096  # most iterations of a loop without a look at the clock
 _KNOWN = {"range": 1, "within": 3, "back": 3, "sqrt": 1, "fabs": 1}  # functions, and how many operands they take
 _NODES = (
     *(ast.Module, ast.FunctionDef, ast.arguments, ast.arg, ast.Assign, ast.AugAssign, ast.If, ast.For, ast.Return),
@@ -49,11 +50,12 @@ def evaluator(
         ValueError: the source has a construct that is not one of a procedure.
     """
     inputs, outputs = ports
-    fields = {*sizes, *(name for name, _, _ in memory), *(name for name, _ in (*inputs, *outputs))}
+    arrays = {*(name for name, _, size in memory if size), *(name for name, _ in (*inputs, *outputs))}
+    fields = {*sizes, *arrays, *(name for name, _, _ in memory)}
     if any(not name.isidentifier() or name.startswith("_") for name in fields):
         raise ValueError("a procedure with an array of a wrong name")
     tree = ast.parse(source)
-    entry, operations = _checked(tree, fields, sizes)
+    entry, operations = _checked(tree, fields, arrays, sizes)
     scope: dict[str, Any] = {"range": _range, "within": _within, "back": _back, "sqrt": _root, "fabs": abs}
     scope |= {"_divided": _divided, "_times": _times, "__builtins__": {}}
     exec(compile(ast.fix_missing_locations(_Executable().visit(tree)), "procedure", "exec"), scope)
@@ -77,14 +79,20 @@ def evaluator(
     return run, operations
 
 
-def _checked(tree: ast.Module, fields: set[str], sizes: Mapping[str, int]) -> tuple[str, int]:
+def _checked(tree: ast.Module, fields: set[str], arrays: set[str], sizes: Mapping[str, int]) -> tuple[str, int]:
     """Return the name of the last function and its number of operations; ValueError if a construct is not allowed."""
     costs: dict[str, int] = {}
+    entries = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Subscript)}
     for node in ast.walk(tree):
         if not isinstance(node, _NODES):
             raise ValueError(f"a procedure with a construct {type(node).__name__}")
         if isinstance(node, ast.Attribute) and not (_is_name(node.value, "s") and node.attr in fields):
             raise ValueError(f"a procedure with an attribute {node.attr}")
+        if isinstance(node, ast.Attribute):  # sums and products of whole arrays would be those of Python's lists
+            if (node.attr in arrays) != (id(node) in entries):
+                raise ValueError(f"a procedure with {node.attr} as a whole, or with an entry of a number")
+            if node.attr in sizes and isinstance(node.ctx, ast.Store):
+                raise ValueError(f"a procedure that changes the size {node.attr}")
         if isinstance(node, ast.Name | ast.arg):
             name, bound = (node.id, _stored(node)) if isinstance(node, ast.Name) else (node.arg, True)
             if name.startswith("_") or (bound and name in _KNOWN):
@@ -123,7 +131,7 @@ def _cost(body: Sequence[ast.AST], sizes: Mapping[str, int], costs: Mapping[str,
                 raise ValueError("a procedure with a loop over something else than numbers")
             if call.func.id not in ("range", "within", "back"):
                 raise ValueError("a procedure with a loop over something else than numbers")
-            total += _constant(call.args[-1], sizes) * (1 + _cost(node.body, sizes, costs))
+            total += max(0, _constant(call.args[-1], sizes)) * (1 + _cost(node.body, sizes, costs))
             total += _cost(call.args, sizes, costs)
             continue
         if isinstance(node, ast.Call):
@@ -179,17 +187,30 @@ def _root(x: float) -> float:
     return math.sqrt(x) if x >= 0.0 else math.nan
 
 
-def _range(stop: int) -> range:
-    go_on()
-    return range(stop)
+def _range(stop: int) -> Iterable[int]:
+    return _timed(range(stop))
 
 
-def _within(start: int, stop: int, most: int) -> range:
-    go_on()
+def _within(start: int, stop: int, most: int) -> Iterable[int]:
+    return _timed(_bounded(start, stop, most))
+
+
+def _back(start: int, stop: int, most: int) -> Iterable[int]:
+    return _timed(_bounded(start, stop, most)[::-1])
+
+
+def _bounded(start: int, stop: int, most: int) -> range:
     if stop - start > most:
         raise ValueError("a loop of a procedure has more iterations than declared")
     return range(start, stop)
 
 
-def _back(start: int, stop: int, most: int) -> range:
-    return _within(start, stop, most)[::-1]
+def _timed(numbers: range) -> Iterable[int]:
+    go_on()
+    return numbers if len(numbers) <= _UNTIMED else _parts(numbers)
+
+
+def _parts(numbers: range) -> Iterator[int]:
+    for first in range(0, len(numbers), _UNTIMED):
+        go_on()
+        yield from numbers[first : first + _UNTIMED]

@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from fractions import Fraction
 from math import isqrt, lcm
 
+from surctl.certcheck.patience import go_on
+
 __all__ = [
     "Matrix",
     "add",
@@ -91,6 +93,7 @@ def inverse(a: Matrix) -> Matrix:
         pivot = rows[k][k]
         rows[k] = [entry / pivot for entry in rows[k]]
         for i in range(n):
+            go_on()
             if i != k and rows[i][k]:
                 factor = rows[i][k]
                 rows[i] = [x - factor * y for x, y in zip(rows[i], rows[k], strict=True)]
@@ -110,6 +113,7 @@ def is_positive_definite(a: Matrix) -> bool:
         if pivot <= 0:
             return False
         for i in range(k + 1, n):
+            go_on()
             for j in range(i, n):
                 whole[i][j] = whole[j][i] = (whole[i][j] * pivot - whole[i][k] * whole[k][j]) // previous
         previous = pivot

@@ -73,7 +73,8 @@ class Stability:
     def statement(self) -> str:
         """The claim in words."""
         pace = "" if self.rate is None else f" at the rate {every_digit(self.rate)}"
-        return f"where V < {every_digit(self.level)}, V decreases{pace} and every solution converges to the equilibrium"
+        region = f"where V < {every_digit(self.level)} in the box"
+        return f"{region}, V decreases{pace} and every solution converges to the equilibrium"
 
     def plain(self) -> dict[str, Any]:
         """Return the claim as plain data, as the certificate states it."""
@@ -148,7 +149,8 @@ class Bound:
     def statement(self) -> str:
         """The claim in words."""
         level = every_digit(self.level)
-        return f"every solution that starts where V < {level} stays there, and V decays to {self.ultimate:g}"
+        start = f"starts where V < {level} in the box"
+        return f"every solution that {start} stays there, and V decays to {self.ultimate:g}"
 
     def plain(self) -> dict[str, Any]:
         """Return the claim as plain data, as the certificate states it."""
@@ -201,7 +203,7 @@ class Safety:
     def statement(self) -> str:
         """The claim in words."""
         safe = (
-            "no solution that starts in the initial set leaves the box or reaches the unsafe set"
+            "no solution that starts in the initial set in the box leaves the box or reaches the unsafe set"
             if self.stays
             else "as long as it stays in the box, no solution that starts in the initial set reaches the unsafe set"
         )

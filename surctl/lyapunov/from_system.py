@@ -12,10 +12,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from surctl.errors import InputError, nearest
-from surctl.lyapunov.dynamics import Command, Dynamics, Range, Sampling, State
+from surctl.lyapunov.dynamics import Command, Dynamics, Range, Sampling, State, exact
 from surctl.system import System, entry_labels, entry_units
 from surctl.system.values import check_scalar, place_of, run_numbers, unit_of
-from surctl.verification.formula import IDENTIFIER, from_casadi
+from surctl.verification.formula import IDENTIFIER, Statement, from_casadi
+from surctl.verification.proving import prove_cases
 
 __all__ = ["NOT_COVERED", "continuous_dynamics", "sampled_dynamics"]
 
@@ -25,6 +26,7 @@ NOT_COVERED = "the control law in continuous time: sampling, hold and delay are 
 _AS_FLOW = "; the controller state z follows z' = (z+ - z) / period"
 
 _ROUNDING, _POINTS = 1e-12, 100
+_PROOF = 2.0  # largest processor time of a proof that a state stays at rest [s]
 
 Bounds = tuple[float, float]
 
@@ -288,8 +290,15 @@ def _check_rest(
         if not row <= _ROUNDING:
             problem = "has equal bounds, but moves" if label in within else "is missing, but the state moves"
             raise InputError(problem, key=f"within.{label}", remedy="give the lower and upper bound of the state")
-    names = ", ".join(apart)
-    return f"; {names} stay at rest up to rounding (rates of at most {_ROUNDING:g} at {_POINTS} points)"
+    # points miss a rate that differs from 0 in a small part of the box
+    names = tuple(v.name for v in variables)
+    for label, rate in zip(apart, from_casadi(symbols, names, list(apart.values()), to_the_bit=True), strict=True):
+        for side in (rate, -rate):
+            statement = Statement(names, low[:, 0], high[:, 0], side, exact(_ROUNDING), ())
+            if prove_cases(statement, label, time_limit=_PROOF).remaining:
+                problem = "is not shown to stay at rest in the whole box"
+                raise InputError(problem, key=f"within.{label}", remedy="give the lower and upper bound of the state")
+    return f"; {', '.join(apart)} stay at rest up to rounding (rates of at most {_ROUNDING:g})"
 
 
 def _identifier(label: str) -> str:

@@ -22,8 +22,8 @@ from surctl.certcheck.belonging import Belonging, compare
 from surctl.certcheck.braking_claim import read_claim as read_braking
 from surctl.certcheck.bundle import Manifest, read_bundle, read_manifest
 from surctl.certcheck.document import read
+from surctl.certcheck.law_points import STEERED, compare_braking
 from surctl.certcheck.law_points import Law as Listing
-from surctl.certcheck.law_points import compare_braking
 from surctl.certcheck.region_claim import read_claim as read_region
 from surctl.errors import InputError
 from surctl.export import Bundle, write_bundle
@@ -279,6 +279,9 @@ def steered() -> tuple[dict[str, Any], Manifest]:
         ("Nrr", [330.0, 422.0], "Nrr: "),
         ("u", [1.11, 1.21], "speed: "),
         ("u", [0.99, 1.09], "speed: "),
+        ("share", [0.9255, 0.999], "share: "),
+        ("share", [0.99, 1.0], "share: "),
+        ("share", None, "bundle: its entries"),
         ("m24", None, "vehicle: it has m24, which the certificate does not cover"),
         ("Yuv", [1.0, 2.0], "Yuv: the bundle does not state it"),
     ],
@@ -290,6 +293,20 @@ def test_a_steering_certificate_is_compared_with_the_vehicle(name: str, ends: An
     result = compare(seal("lyapunov", claim | {"parameters": rows}, {}), manifest)
     assert result.belongs is (not difference), result.differs
     assert any(text.startswith(difference) for text in result.differs) is bool(difference)
+
+
+@pytest.mark.parametrize(("group", "name"), [("states", name) for name in STEERED] + [("parameters", "Yv")])
+def test_the_units_of_a_steering_certificate_are_bound(group: str, name: str) -> None:
+    claim, manifest = steered()
+    rows = [row | {"unit": "km"} if row["name"] == name else row for row in claim[group]]
+    result = compare(seal("lyapunov", claim | {group: rows}, {}), manifest)
+    assert [text for text in result.differs if text.startswith(f"{name}: in km certified")], result.differs
+
+
+def test_a_steering_certificate_is_about_continuous_time() -> None:
+    claim, manifest = steered()
+    result = compare(seal("lyapunov", claim | {"time": "discrete"}, {}), manifest)
+    assert result.differs == ("time: the heading loop is compared in continuous time",)
 
 
 @pytest.mark.parametrize(

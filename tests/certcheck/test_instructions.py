@@ -94,3 +94,8 @@ def test_a_leaf_that_nothing_takes_is_named() -> None:
     assert leaves.left() == ["a.b = 1.0", "a.c[0] = 2.0", "e = {}", "f = None"]
     with pytest.raises(KeyError):
         leaves.take("a", "x")
+
+
+def test_a_procedure_has_a_bounded_number_of_operations() -> None:
+    with pytest.raises(Rejected, match="too large"):
+        read_list("procedure f\nin x 1\nout y 1\ndef f(s):\n    for i in range(1000000000):\n        s.y[0] = 1.0\n")

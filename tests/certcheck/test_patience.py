@@ -18,6 +18,7 @@ from surctl.certcheck.enclosure import enclose, span
 from surctl.certcheck.expressions import ExpressionTable
 from surctl.certcheck.identity import Exact, Sum, _product
 from surctl.certcheck.patience import MEMORY, Account, afford, go_on, patient
+from surctl.certcheck.region_exact import Matrix, inverse, is_positive_definite
 from surctl.certcheck.series import same_sign
 from surctl.certcheck.squares import _Block, _whole
 from surctl.certcheck.squares import _product as packed_product
@@ -189,3 +190,9 @@ def test_the_time_limit_holds_inside_its_block() -> None:
     with patient(-1.0), pytest.raises(Rejected, match="more than -1 s of processor time"):
         go_on()
     go_on()
+
+
+@pytest.mark.parametrize("operation", [inverse, is_positive_definite])
+def test_exact_algebra_looks_at_the_clock(operation: Callable[[Matrix], object]) -> None:
+    with pytest.raises(Rejected, match="processor time"), patient(0.0):
+        operation([[Fraction(2), Fraction(1)], [Fraction(1), Fraction(2)]])

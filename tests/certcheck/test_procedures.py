@@ -8,6 +8,8 @@ from collections.abc import Mapping
 import numpy as np
 import pytest
 
+from surctl.certcheck.document import Rejected
+from surctl.certcheck.patience import patient
 from surctl.certcheck.procedures import evaluator
 
 PORTS = ([("x", 2), ("far", 1)], [("y", 2)])
@@ -68,6 +70,8 @@ def test_operations_are_counted_and_a_loop_counts_by_its_bound() -> None:
     assert count(f"def f(s):\n    for i in range(s.n + s.m - 1):\n    {ASSIGNED}") - count(
         f"def f(s):\n    for i in range(s.n + s.m - 2):\n    {ASSIGNED}"
     ) == (1 + one)
+    pair = "def f(s):\n    for i in range(9):\n        pass\n    for i in range({}):\n        pass\n"
+    assert count(pair.format("1 - 9")) > count(pair.format(0))  # no loop makes up for another one
     call = count("def g(s):\n    pass\ndef f(s):\n    g(s)\n")
     assert count(f"def g(s):\n{ASSIGNED}def f(s):\n    g(s)\n") == call - 1 + one
 
@@ -96,8 +100,8 @@ REFUSED = {
     "def f():\n    pass": "function f",
     "": "without a function",
     "def f(s):\n    def g(s):\n        pass": "function inside another",
-    "def f(s):\n    for i in s.x:\n        pass": "loop over something else",
-    "def f(s):\n    for i in s.x(2):\n        pass": "loop over something else",
+    "def f(s):\n    for i in s.k:\n        pass": "loop over something else",
+    "def f(s):\n    for i in s.k(2):\n        pass": "loop over something else",
     "def f(s):\n    for i in fabs(2):\n        pass": "loop over something else",
     "def f(s):\n    for i in range(2):\n        pass\n    else:\n        pass": "loop over something else",
     "def f(s):\n    for i in range(s.k):\n        pass": "without a bound",
@@ -106,7 +110,12 @@ REFUSED = {
     "def f(s):\n    s.k = 1\n    open(1)": "call of open",
     "def f(s):\n    open(1)\n    s.k = 1": "call of open",
     "def f(s):\n    fabs(1.0, 2.0)": "call of fabs",
-    "def f(s):\n    s.x(1)": "call of something",
+    "def f(s):\n    s.k(1)": "call of something",
+    "def f(s):\n    s.place = s.place * 30000000": "place as a whole",
+    "def f(s):\n    s.r += s.r": "r as a whole",
+    "def f(s):\n    s.y[0] = s.x": "x as a whole",
+    "def f(s):\n    s.k[0] = 1": "k as a whole, or with an entry of a number",
+    "def f(s):\n    s.n = 100000": "changes the size n",
 }
 
 
@@ -128,3 +137,8 @@ def test_an_evaluation_ends_at_its_bounds() -> None:
         run("for i in within(0, 4, s.m):\n        pass")
     with pytest.raises(ValueError, match="too large"):
         run("s.k = 3\n    for i in range(6):\n        s.k = s.k * s.k")
+
+
+def test_a_long_loop_looks_at_the_clock() -> None:
+    with pytest.raises(Rejected, match="processor time"), patient(0.001):
+        run("for i in range(1000000):\n        s.k += s.k + 1")

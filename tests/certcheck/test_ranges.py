@@ -95,10 +95,12 @@ ABOVE = "y^2 - y + 0.6"  # at least 0.35, which is seen in boxes that are narrow
     ("constraints", "empty"),
     [([], False), (["x"], False), (["x + 2", "x"], True), (["x", "x + 2"], True), (["x + 2", "x", "y"], True),
      ([ABOVE, "-1"], True), (["-1", ABOVE], True), ([ABOVE], True), (["x^2 - x + 0.6"], True), (["x", "-x"], False),
-     (["(x - 0.3)^2"], False), (["log(x) + 9", "x + 2"], True), (["log(x - 5)"], False)],
+     (["(x - 0.3)^2"], None), (["log(x) + 9", "x + 2"], True), (["log(x - 5)"], None)],
 )  # fmt: skip
-def test_a_claim_is_empty_only_if_no_point_satisfies_its_constraints(constraints: list[str], empty: bool) -> None:
-    assert is_empty(["x", "y"], [(-1.0, 1.0), (-1.0, 1.0)], constraints) == empty
+def test_a_claim_is_empty_only_if_no_point_satisfies_its_constraints(
+    constraints: list[str], empty: bool | None
+) -> None:
+    assert is_empty(["x", "y"], [(-1.0, 1.0), (-1.0, 1.0)], constraints) is empty
 
 
 # limits

@@ -35,7 +35,8 @@ def document(path: Path = KEPT) -> dict[str, Any]:
 
 
 def form(claim: dict[str, Any]) -> Array:
-    return form_of(parse(claim["function"], {name: variable(name) for name in STEERED}), STEERED) / claim["level"]
+    function = parse(claim["function"], {name: variable(name) for name in STEERED})
+    return form_of(function, tuple(STEERED)) / claim["level"]
 
 
 def rates(claim: dict[str, Any], at: dict[str, Array]) -> Array:

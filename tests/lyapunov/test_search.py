@@ -293,3 +293,22 @@ def test_the_unit_of_a_state_does_not_change_its_equilibrium(seed: int) -> None:
         assert rest.rests()
         assert rest.equilibrium == pytest.approx([at * x, 0.0], rel=1e-8, abs=1e-9 * y)
         assert linearisation(rest).verdict == "stable"
+
+
+@pytest.mark.parametrize("width", [0.0, 2e-4])  # samples do not meet a bump as narrow as that
+def test_a_state_rests_in_the_whole_box_or_is_refused(width: float) -> None:
+    pair, push = Port("pair", (2,), "m", ""), Port("push", (1,), "m/s", "")
+    plant = Plant(
+        "pair", Layout((pair,)), Layout((push,)),
+        lambda x, f, d, p: {"pair": [f["push"] + x["pair"][1], ca.fmax(0, width - ca.fabs(x["pair"][0] - 0.3))
+                                     + (0.1 + 0.2 - 0.3) * x["pair"][0]]},
+    )  # fmt: skip
+    law = Controller("hold", 0.1, Layout((pair,)), Layout((push,)), lambda x, u, p: -u["pair"][0])
+    if width:
+        with pytest.raises(InputError, match=r"within\.pair\[1\]: is not shown to stay at rest in the whole box"):
+            continuous_dynamics(System(plant, law), {"pair[0]": (-1.0, 1.0)})
+    else:
+        assert (
+            "pair[1] stay at rest up to rounding"
+            in continuous_dynamics(System(plant, law), {"pair[0]": (-1.0, 1.0)}).source
+        )

@@ -139,6 +139,16 @@ def test_a_claim_about_nothing_is_called_vacuous(tmp_path: Path) -> None:
     assert not verdict(tmp_path, "-2", "0", (-3, 2), "x + 1 >= 0").vacuous
 
 
+def test_a_claim_about_a_set_of_which_no_point_is_known_is_called_doubtful(tmp_path: Path) -> None:
+    path = tmp_path / "claim.toml"  # two discs that nearly touch
+    path.write_text(
+        'kind = "claim"\nname = "c"\nleft = "2"\nconstraints = ["x^2 + y^2 <= 1", "(x - 2)^2 + y^2 <= 0.9999999"]\n'
+        "[variables]\nx = { lower = -3, upper = 3 }\ny = { lower = -3, upper = 3 }\n"
+    )
+    result = decide(load_claim(path), samples=512, starts=4, time_limit=20.0)
+    assert result.verdict == "proved" and result.vacuous.startswith("perhaps, as no point of the box is known")
+
+
 def test_a_counterexample_without_a_value_is_restored_and_replayed(tmp_path: Path) -> None:
     found = verdict(tmp_path, "x/x", "1", (-1, 1))
     assert found.counterexample is not None

@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.certcheck.law_points import STEERED_EXCLUDES
+from surctl.certcheck.law_points import STEERED, STEERED_EXCLUDES
 from surctl.errors import InputError, NotApplicable
 from surctl.lyapunov.dynamics import Dynamics, Range, State
 from surctl.marine.control import Gains, build_law, law_source
@@ -32,8 +32,6 @@ Pair = tuple[float, float]
 _GAINS = ("k_psi", "k_r", "crab_time", "sideslip", "lookahead")
 _BOX = {"y_e": 0.9, "psi": 1.2, "v": 0.6, "r": 1.5, "crab": 1.0, "sway": 0.6}
 """Bounds of the states in which a region is searched: y_e in look-ahead distances, speeds in cruise speeds."""
-
-_UNITS = {"y_e": "m", "psi": "rad", "v": "m/s", "r": "rad/s", "crab": "rad", "sway": "m/s"}
 
 
 @dataclass(frozen=True)
@@ -126,7 +124,7 @@ class SteeringClaim:
         units = {"y_e": float(steering_of(p).lookahead), "v": self.cruise, "sway": self.cruise}
         return Dynamics(
             self.name, "continuous",
-            tuple(State(k, -end * units.get(k, 1.0), end * units.get(k, 1.0), _UNITS[k]) for k, end in _BOX.items()),
+            tuple(State(k, -end * units.get(k, 1.0), end * units.get(k, 1.0), STEERED[k]) for k, end in _BOX.items()),
             tuple(from_casadi(symbols, [*x, *ranges], rates)),
             tuple(Range(name, float(low), float(high)) for name, (_, (low, high)) in ranges.items()),
             about={
