@@ -44,7 +44,7 @@ PRINTED = {
         "400 runs: the cart is within 2 cm after 2.7 to",
         "unmet: ()",
         "unmet: peak, quick",
-        "robust  hard: default 0.79, fast 1.32",
+        "robust  hard: default 0.79, fast 1.31",
     ),
     "05_export": (
         "SIL hold_speed: passed over 200 steps",
