@@ -609,7 +609,7 @@ def test_a_bundle_of_an_older_version(folder: Path) -> None:
     table = json.loads(path.read_text())
     del table["lists"]
     path.write_text(json.dumps(table))
-    with pytest.raises(InputError, match=r"without the law's instruction list.*export the controller again"):
+    with pytest.raises(InputError, match=r"an older version wrote it; export the controller again"):
         read_bundle(folder)
 
 
