@@ -46,7 +46,7 @@ SAME = (
 )
 """Words of which MuJoCo's run gets the same as that of the own plant."""
 
-AFTER = ("--explain", "--animate", "--save", "--frame", "--out", "--json", "--film")
+AFTER = ("--explain", "--animate", "--save", "--frame", "--out", "--json", "--verbose", "--film")
 """Options for what is written of a finished run, of whatever plant."""
 
 REFUSED = {
@@ -68,7 +68,7 @@ PROCESSES = "--threads"
 def test_the_lists_name_every_option() -> None:
     words = " ".join([*SAME, *AFTER, *REFUSED, PROCESSES, "--plant", "--help"]).split()
     known = {name for parameter in app.commands["simulate"].params for name in parameter.opts if name.startswith("-")}
-    assert {word for word in words if word.startswith("-")} - {"--help"} == known - {"-h", "--help"}
+    assert {word for word in words if word.startswith("-")} - {"--help"} == known - {"-h", "--help", "-v"}
 
 
 @pytest.fixture
