@@ -46,7 +46,7 @@ def fly(case, values, *, seeds):
 CALLS = []
 
 
-def linear(vehicle, values, *, base, cruise, dt, model=None):
+def linear(vehicle, values, *, base, cruise, dt, model=None, law=None):
     n = len(next(iter(values.values())))
     CALLS.append(n)
     k_v = np.broadcast_to(values.get("k_v", base["k_v"]), n)
