@@ -32,7 +32,7 @@ QUICK = (
     "calibrate table-ii --out fitted",
     "sonar-replay readings.csv",
 )
-"""In this order: some read what earlier ones write. Study 40 runs the others."""
+"""In this order: some read what earlier ones write. Costly commands (study, export, fly, reproduce) are left out."""
 FILES = {
     "mine.toml": CLAIM,
     "track.gpx": '<gpx xmlns="http://www.topografix.com/GPX/1/1"><rte><rtept lat="59.0" lon="18.0"/>'
