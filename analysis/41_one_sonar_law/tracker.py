@@ -231,10 +231,8 @@ class Elements:
         self.centre += max(dt, 0.0) * self.velocity
 
     def _resample(self, k: int, apex: Array) -> None:
-        # systematic resampling; some hypotheses take another radius, with the same front towards the sonar
-        many = self.HYPOTHESES
-        steps = (np.arange(many) + self.rng.random()) / many
-        chosen = np.minimum(np.searchsorted(np.cumsum(self.weight[k]), steps), many - 1)
+        # some hypotheses take another radius, with the same front towards the sonar
+        many, chosen = self.HYPOTHESES, self._chosen(k)
         centre, radius = self.centre[k, chosen], self.radius[k, chosen]
         away = centre - apex
         other = np.where(self.rng.random(many) < 0.03, self.rng.choice(self.RADII, many), radius)
@@ -242,14 +240,23 @@ class Elements:
         self.centre[k] = centre + 0.003 * self.rng.standard_normal((many, 2))
         self.velocity[k], self.radius[k], self.weight[k] = self.velocity[k, chosen], other, 1 / many
 
-    def _add(self, firing: Firing) -> None:
+    def _chosen(self, k: int) -> NDArray[np.intp]:
+        # systematic resampling
+        steps = (np.arange(self.HYPOTHESES) + self.rng.random()) / self.HYPOTHESES
+        return np.minimum(np.searchsorted(np.cumsum(self.weight[k]), steps), self.HYPOTHESES - 1)
+
+    def _drawn(self, firing: Firing) -> tuple[int, Array, Array]:
+        # the body that a new one replaces (an empty one, or else the farthest), and bearings and ranges of the echo
         many = self.HYPOTHESES
         distance = np.hypot(*np.moveaxis(self.centre.mean(axis=1) - firing.apex, -1, 0))
-        k = int(np.argmax(np.where(self.exists > 0, distance, np.inf)))  # an empty one, or else the farthest
         reach = firing.reading + SPREAD / 2 * self.rng.standard_normal(many)
         if firing.blind:
             reach = self.array.blind * np.sqrt(self.rng.random(many))
         bearing = firing.axis + self.array.half_angle * self.rng.permutation(np.linspace(-1, 1, many))
+        return int(np.argmax(np.where(self.exists > 0, distance, np.inf))), bearing, reach
+
+    def _add(self, firing: Firing) -> None:
+        many, (k, bearing, reach) = self.HYPOTHESES, self._drawn(firing)
         ray = np.stack([np.cos(bearing), np.sin(bearing)], axis=1)
         front = firing.apex + reach[:, None] * ray
         self.radius[k] = self.rng.choice(self.RADII, many)
@@ -357,20 +364,13 @@ class Points(Elements):
         self.centre[beside] += mean
 
     def _resample(self, k: int, apex: Array) -> None:
-        steps = (np.arange(self.HYPOTHESES) + self.rng.random()) / self.HYPOTHESES
-        chosen = np.minimum(np.searchsorted(np.cumsum(self.weight[k]), steps), self.HYPOTHESES - 1)
+        chosen = self._chosen(k)
         self.centre[k] = self.centre[k, chosen] + self.JITTER * self.rng.standard_normal((self.HYPOTHESES, 2))
         self.middle[k], self.width[k] = self.middle[k, chosen], self.width[k, chosen]
         self.weight[k] = 1 / self.HYPOTHESES
 
     def _add(self, firing: Firing) -> None:
-        many = self.HYPOTHESES
-        distance = np.hypot(*np.moveaxis(self.centre.mean(axis=1) - firing.apex, -1, 0))
-        k = int(np.argmax(np.where(self.exists > 0, distance, np.inf)))  # an empty one, or else the farthest
-        reach = firing.reading + SPREAD / 2 * self.rng.standard_normal(many)
-        if firing.blind:
-            reach = self.array.blind * np.sqrt(self.rng.random(many))
-        bearing = firing.axis + self.array.half_angle * self.rng.permutation(np.linspace(-1, 1, many))
+        k, bearing, reach = self._drawn(firing)
         self.centre[k] = firing.apex + reach[:, None] * np.stack([np.cos(bearing), np.sin(bearing)], axis=1)
         self.middle[k], self.width[k] = wrapped(bearing + np.pi), 0.0
         weight = np.where(self.free.holds(self.centre[k], firing.time, bearing, self.WITHIN), 1e-2, 1.0)

@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from math import hypot
 from typing import Any
 
+from surctl.certcheck.braking_claim import STOPPING
 from surctl.certcheck.braking_claim import read_claim as read_braking
 from surctl.certcheck.bundle import Listed, Manifest, Port, stated_sha256
 from surctl.certcheck.comparison import ALIKE, LIMITS, ROUNDING, Comparison
@@ -58,7 +59,6 @@ _VARIABLES = {"m": ("m11", "m22"), "X": ("Xu", "Yv"), "X2": ("Xuu", "Yvv")}
 _GUARDED = (
     ("margin", "margin_m"), ("reaction", "reaction_s"), ("brake", "brake"), ("k_v", "k_v_per_s"), ("k_i", "k_i_per_s2"),
 )  # fmt: skip
-_STOPPING = ("lightest_kg", "heaviest_kg", "most_n", "lag_s", "linear_drag", "quadratic_drag")
 _FORCE = re.compile("([YN][uvr]?[vru]|m12|m14|Y0|N0)")  # parameters of a vehicle that matter to the heading loop
 _VECTORS = ("plant_state", "controller_state", "gains", "parameters", "reference", "disturbance")
 _PROVED = {"function", "level", "rate", "equilibrium", "inner", "gains", "initial", "unsafe", "multiplier", "stays"}
@@ -330,7 +330,7 @@ class _Comparison(Comparison):
         for at in (0, 1):
             self.at_least("thrust_limit", law["limit_n"], "N", self.gains("thrust_limit")[at : at + 1])
         stopping = law["stopping"]
-        for at, key in enumerate(_STOPPING):
+        for at, key in enumerate(STOPPING):
             self.gain("stopping", stopping[key], at)
         for key in ("barrier", "gain"):
             law[key]  # bound by the evaluation

@@ -12,7 +12,7 @@ from surctl.certcheck.document import Rejected, record
 from surctl.certcheck.inequality import listed
 from surctl.certcheck.region_claim import number
 
-__all__ = ["ASSUMES", "MOST_NUMBERS", "BrakingClaim", "GuardedLaw", "read_claim"]
+__all__ = ["ASSUMES", "MOST_NUMBERS", "STOPPING", "BrakingClaim", "GuardedLaw", "read_claim"]
 
 ASSUMES = (
     "there is one obstacle or wall at a time; it is convex, does not rotate and never approaches faster than stated",
@@ -56,7 +56,7 @@ _LAW = (
     "mass_kg", "linear_drag", "quadratic_drag", "stopping",
 )  # fmt: skip
 _SCALARS = ("margin_m", "reaction_s", "brake", "limit_n", "k_v_per_s", "gain", "cap_m_per_s")
-_STOPPING = ("lightest_kg", "heaviest_kg", "most_n", "lag_s", "linear_drag", "quadratic_drag")
+STOPPING = ("lightest_kg", "heaviest_kg", "most_n", "lag_s", "linear_drag", "quadratic_drag")
 _POSITIVE = {
     "mass_kg", "brake_n", "most_n", "fastest_m_per_s", "period_s", "reaction_s", "brake", "limit_n", "k_v_per_s",
     "cap_m_per_s", "lightest_kg", "heaviest_kg",
@@ -194,12 +194,12 @@ def read_claim(claim: Any) -> BrakingClaim:
 
 def _law(value: Any) -> GuardedLaw:
     law = record(value, _LAW, "claim.law")
-    stopping = record(law["stopping"], _STOPPING, "claim.law.stopping")
+    stopping = record(law["stopping"], STOPPING, "claim.law.stopping")
     if _one(law, "k_i_per_s2"):
         raise Rejected("claim.law.k_i_per_s2 must be 0: the certified loop has no integral action")
     if law["barrier"] not in ("inertia", "simple"):
         raise Rejected("claim.law.barrier must be inertia or simple")
-    believed = tuple(_one(stopping, key) for key in _STOPPING)
+    believed = tuple(_one(stopping, key) for key in STOPPING)
     if believed[0] > believed[1]:
         raise Rejected("claim.law.stopping: lightest_kg exceeds heaviest_kg")
     named: dict[str, Any] = {key.partition("_")[0]: _row(law, key, 2) for key in _LAW[9:12]}

@@ -28,14 +28,13 @@ from surctl.marine.sensing import OwnState, OwnStateFilter
 from surctl.marine.vehicle import PLANT_PARAMETERS, Vehicle, plant_jacobians, plant_parameters
 from surctl.marine.vehicle.linearise import check_cruise, dynamic_states
 from surctl.marine.vehicle.specs import AXES
-from surctl.marine.verification.cruise_loop import law_numbers
+from surctl.marine.verification.cruise_loop import FAR, law_numbers
 from surctl.marine.verification.law_loop import delivered
 
 __all__ = ["SonarLoop", "SonarMargins", "sonar_loop", "sonar_margins"]
 
 Array = NDArray[np.float64]
 
-_FAR = 1e6  # [m] arc length of the path's middle
 _CONVERGED = 800  # periods until the covariance of the filter is steady
 _STEADY = 600  # periods until the law's memory is that of a steady cruise
 _LONGEST = 60  # periods of additional delay that are tried
@@ -220,7 +219,7 @@ def _decided(law: Law, p: Array, nu: Array) -> tuple[Array, Array]:
     outputs, size = law.perception.outputs, law.state.size - law.perception.state.size
     slices = {port.name: law.state.slice(port.name) for port in law.state.ports}
     x = law.initial_state()[:size]
-    x[slices["progress"]] = _FAR
+    x[slices["progress"]] = FAR  # arc length of the path's middle
     for name in ("eased", "last_velocity"):
         if name in slices:
             x[slices[name]] = nu[:2]

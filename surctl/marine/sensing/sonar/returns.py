@@ -192,7 +192,6 @@ def detection_odds(
 
 _NAMES = 1 << 20
 
-_IN_CONE = 1e-12
 _BESIDE = 1e-3  # least cosine of a bearing from the axis
 _LEVEL = 1e-6
 """Least sine of the elevation of a ray that meets water surface or floor."""
