@@ -399,9 +399,14 @@ def _summary(
 _FAILS = ("FAIL", "WORSE", "HARD GOALS", "warning", "error", "open", "n/a", "exit status")
 
 
+_NUMBER_AND_UNIT = re.compile(r"(\d) (?=[^\W\d_]{1,3}\b|[%°])")
+
+
 def _folded(text: str, most: int) -> list[str]:
     """Return the text as lines of at most `_WIDTH` columns; the last of `most` lines ends with … if words are left."""
-    lines = wrap(text, _WIDTH, subsequent_indent="     ", break_on_hyphens=False, break_long_words=False)
+    joined = _NUMBER_AND_UNIT.sub("\\1\u00a0", text)  # no line ends between a number and its unit
+    lines = wrap(joined, _WIDTH, subsequent_indent="     ", break_on_hyphens=False, break_long_words=False)
+    lines = [line.replace("\u00a0", " ") for line in lines]
     if len(lines) > most > 0:
         lines[most - 1] = " ".join([lines[most - 1], *map(str.strip, lines[most:])])
     return [_shortened(line, _WIDTH) for line in lines[:most]]

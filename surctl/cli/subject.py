@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import math
+import re
 import shlex
 from collections.abc import Collection, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -148,7 +151,7 @@ def is_system(words: Sequence[str], *allowed: str) -> bool:
         if is_subject(word):
             raise InputError("is not the first argument", key="system", value=word, remedy="give one system, first")
         if word.endswith(".py"):
-            raise InputError("names no function", key="system", value=word, remedy=f"write {word}:FUNCTION")
+            raise InputError("names no function", key="system", value=word, remedy=f"write {word}:{_builder(word)}")
     if not own:
         if context.params.get("seconds") is not None:
             remedy = "begin with FILE.py:FUNCTION, or drop it"
@@ -448,3 +451,11 @@ def nominal_gains(own: OwnSystem) -> dict[str, float]:
 
     gains = own.system.controller.gains
     return dict(zip(entry_labels(gains), gains.pack().tolist(), strict=True))
+
+
+def _builder(word: str) -> str:
+    """Return `build` if the file has a function of this name, its only function, or FUNCTION; the file is not run."""
+    with suppress(OSError, ValueError):
+        names = re.findall(r"^def ([^\W_]\w*)\(", Path(word).read_text(encoding="utf-8"), re.MULTILINE)
+        return "build" if "build" in names else names[0] if len(names) == 1 else "FUNCTION"
+    return "FUNCTION"

@@ -117,6 +117,15 @@ def test_what_fails_comes_before_what_holds(
     assert printed(capsys, lines, "-v") == lines
 
 
+def test_no_line_ends_between_a_number_and_its_unit(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("SURCTL_VERBOSE")
+    for length in range(60, 100):
+        shown = printed(capsys, [f"{'x' * length} 0.050 m, 0.2 rad/s, crab 23 deg"])
+        assert all(f"{value}" in "".join(shown) for value in ("0.050 m", "0.2 rad/s", "23 deg"))
+
+
 def test_the_text_of_a_file_is_printed_whole(tmp_path: Path) -> None:
     done = surctl_here("verify", "v2-static", "--show", cwd=tmp_path, SURCTL_VERBOSE="")
     assert done.out.count("\n") > 5 and done.out == surctl_here("verify", "v2-static", "--show", cwd=tmp_path).out

@@ -296,7 +296,7 @@ MISTAKES = {
     "a function that fails": (("simulate", "mine.py:fails", "--seconds", "1"), "fails with ZeroDivisionError"),
     "a function that exits": (("verify", "mine.py:leaves"), "fails with SystemExit: 0; correct the file"),
     "a file that fails": (("verify", "broken.py:build"), "line 1"),
-    "no function": (("simulate", "mine.py", "--seconds", "1"), "write mine.py:FUNCTION"),
+    "no function": (("simulate", "mine.py", "--seconds", "1"), "write mine.py:build"),
     "two systems": (("verify", "mine.py:build", "mine.py:bare"), "one system, first"),
     "a system behind a scenario": (("simulate", "tank-static", "mine.py:build"), "one system, first"),
     "an unknown number": (("simulate", "mine.py:build", "kk=1", "--seconds", "1"), "did you mean 'k'"),
@@ -355,6 +355,7 @@ MISTAKES = {
     "seconds of a scenario": (("simulate", "tank-static", "--seconds", "1"), "--seconds: applies only to a system"),
     "seconds of a sweep": (("sweep", "k_v=1,2", "--seconds", "1"), "--seconds: applies only to a system"),
     "seconds of an export": (("export", "--seconds", "1"), "--seconds: applies only to a system"),
+    "a file without functions": (("verify", "broken.py"), "names no function; write broken.py:FUNCTION"),
     "another word": (("export", "pool-static"), "unexpected extra argument (pool-static)"),
 }  # fmt: skip
 
