@@ -32,7 +32,7 @@ from surctl.certcheck.law_points import (
     compare_following,
     compare_steering,
 )
-from surctl.certcheck.loop_points import compare_dynamics
+from surctl.certcheck.loop_dynamics import compare_dynamics
 from surctl.certcheck.patience import PATIENCE, patient
 from surctl.certcheck.region_claim import read_claim as read_region
 from surctl.certcheck.turning_claim import read_claim as read_turning
@@ -76,20 +76,23 @@ class Belonging:
         differs: one message for each mismatch; empty if the certificate belongs to the controller.
         excludes: one message for each part of the exported controller that the certificate does not cover.
         unbound: path and value of each number or text of the claim that nothing binds to the controller.
+        undecided: one message for each part of the dynamics that is not shown to be that of the exported controller,
+            though no point shows a difference.
     """
 
     differs: tuple[str, ...]
     excludes: tuple[str, ...]
     unbound: tuple[str, ...] = ()
+    undecided: tuple[str, ...] = ()
 
     @property
     def belongs(self) -> bool:
-        """Return whether the certificate belongs to the controller: nothing differs, and nothing is unbound."""
-        return not self.differs and not self.unbound
+        """Return whether the certificate belongs to the controller: nothing differs, is unbound or is undecided."""
+        return not (self.differs or self.unbound or self.undecided)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the result as plain data for JSON."""
-        texts = {key: list(getattr(self, key)) for key in ("differs", "unbound", "excludes")}
+        texts = {key: list(getattr(self, key)) for key in ("differs", "unbound", "undecided", "excludes")}
         return {"belongs": self.belongs, **texts}
 
 
@@ -117,7 +120,8 @@ def compare(document: Mapping[str, Any], manifest: Manifest) -> Belonging:
         comparison.excludes.append(_CODE)
     if manifest.extra:
         comparison.excludes.append(f"files: {', '.join(manifest.extra)} are results of a compiler, which are not read")
-    return Belonging(tuple(comparison.differs), tuple(comparison.excludes), tuple(comparison.leaves.left()))
+    lists = comparison.differs, comparison.excludes, comparison.leaves.left(), comparison.undecided
+    return Belonging(*map(tuple, lists))
 
 
 def _units(ports: Sequence[Port], entries: Sequence[Any]) -> dict[str, str]:
@@ -403,5 +407,6 @@ class _Comparison(Comparison):
         if not self.differs:
             commands = {row["name"]: row["value"] for row in self.claim["commands"]} if sampled else {}
             further = (self.claim["next"], commands) if sampled else None
-            apart = compare_dynamics(names, box, self.claim["dynamics"], vectors, lists, self.manifest.period, further)
-            self.differs += [f"dynamics: {apart}"] if apart else []
+            found = compare_dynamics(names, box, self.claim["dynamics"], vectors, lists, self.manifest.period, further)
+            for messages, texts in zip((self.differs, self.undecided), found, strict=True):
+                messages += [f"dynamics: {text}" for text in texts]

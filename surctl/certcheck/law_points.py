@@ -16,6 +16,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -25,12 +26,16 @@ from surctl.certcheck.braking import bound_distance
 from surctl.certcheck.braking_claim import BrakingClaim, GuardedLaw
 from surctl.certcheck.bundle import Listed, Manifest, Port
 from surctl.certcheck.document import Rejected
+from surctl.certcheck.elementary import Undefined
+from surctl.certcheck.enclosure import enclose, middle, rational
+from surctl.certcheck.expressions import ExpressionTable
 from surctl.certcheck.instructions import evaluate, read_list
-from surctl.certcheck.loop_points import values_at
+from surctl.certcheck.patience import go_on
 from surctl.certcheck.turning_law import Follower, followed
 
 __all__ = [
     "STEERED", "STEERED_EXCLUDES", "Law", "Same", "compare_braking", "compare_following", "compare_steering",
+    "values_at",
 ]  # fmt: skip
 
 Array: TypeAlias = NDArray[np.float64]
@@ -173,6 +178,21 @@ class _Leg:
 
 def _leg(angle: float, progress: float) -> _Leg:
     return _Leg(np.array([np.cos(angle), np.sin(angle)]), progress, np.array([3.0, -2.0]))
+
+
+def values_at(names: Sequence[str], points: Array, texts: Mapping[str, str]) -> dict[str, Array]:
+    """Return the values (N,) of texts at points (n, N) of the named variables."""
+    table = ExpressionTable(names)
+    roots = [table.read(text) for text in texts.values()]
+    rows: list[list[float]] = []
+    for point in points.T:
+        go_on()
+        try:
+            values = enclose(table, roots, [rational(Fraction(x)) for x in point.tolist()])
+        except Undefined as reason:
+            raise Rejected(f"a text is not defined at a point: {reason}") from None
+        rows.append([middle(value.value) for value in values])
+    return dict(zip(texts, np.array(rows).T, strict=True))
 
 
 def compare_following(law: Law, model: Follower, wait: float, report: Report) -> float:
