@@ -15,7 +15,7 @@ from surctl.errors import InputError, nearest
 from surctl.lyapunov.dynamics import Command, Dynamics, Range, Sampling, State, exact
 from surctl.system import System, entry_labels, entry_units
 from surctl.system.values import check_scalar, place_of, run_numbers, unit_of
-from surctl.verification.formula import IDENTIFIER, Node, Statement, from_casadi, number, substitute
+from surctl.verification.formula import IDENTIFIER, Node, Statement, from_casadi, number, rebuilt, substitute
 from surctl.verification.proving import prove_cases
 
 __all__ = ["NOT_COVERED", "continuous_dynamics", "sampled_dynamics"]
@@ -257,7 +257,23 @@ class _Constants:
         by = {f"number{value}": number(Fraction(value)) for value in self._symbols}
         whole = ca.vertcat(symbols, *self._symbols.values())
         nodes = from_casadi(whole, [*names, *by], ca.vertsplit(ca.densify(column)), to_the_bit=True)
-        return [substitute(node, by) for node in nodes]
+        return [rebuilt(substitute(node, by), _signed) for node in nodes]
+
+
+def _signed(node: Node, args: tuple[Node, ...]) -> Node:
+    return _negative(*args) if node.op == "neg" else Node(node.op, args, node.value, node.name)
+
+
+def _negative(node: Node) -> Node:
+    """Return −node, with the sign at the numbers of sums and products that begin with one."""
+    first = node.args[0] if node.args else node
+    if node.op == "num":
+        return number(-node.value)
+    if node.op == "mul" and first.op == "num":
+        return number(-first.value) * node.args[1]
+    if node.op == "add" and (signed := _negative(first)).op != "neg":
+        return signed - node.args[1]
+    return -node
 
 
 def _about(system: System, flat: Mapping[str, ca.SX]) -> dict[str, Any]:

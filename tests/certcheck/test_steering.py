@@ -13,7 +13,7 @@ import pytest
 from numpy.typing import NDArray
 
 from surctl.certcheck import check_document
-from surctl.certcheck.law_points import STEERED, _steered_rates
+from surctl.certcheck.steering import STEERED
 from surctl.lyapunov.slope_search import form_of
 from surctl.marine.control import build_law, law_parameters, law_source
 from surctl.marine.guidance import Path as Route
@@ -179,10 +179,7 @@ def test_the_dynamics_are_the_law_and_the_vehicle_of_the_toolkit(name: str, path
         moved = state[k].copy()
         moved[4:] = np.ravel(after["crab"])[0], np.ravel(after["sway"])[0]
         now = dict(zip(STEERED, moved[:, None], strict=True)) | known
-        assert np.allclose(rates(claim, now)[2:4, 0], rate[[5, 7]], atol=2e-3)
-        # the checker's own equations of the craft, with the moment of the law
-        checked = _steered_rates(now, np.array(tau[3:4]), side)
-        assert np.allclose([checked[key][0] for key in ("y_e", "psi", "v", "r")], rate[[1, 3, 5, 7]], atol=1e-9)
+        assert np.allclose(rates(claim, now)[2:4, 0], rate[[5, 7]], atol=1e-9)
 
 
 def test_a_certificate_without_a_floor_is_drawn_in_its_planes() -> None:

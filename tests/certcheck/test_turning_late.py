@@ -226,3 +226,19 @@ def test_a_claim_without_its_lag_or_current_is_refused(key: str) -> None:
     whole = document()
     del whole["claim"]["vehicle"][key]
     assert key in check_document(sealed(whole)).reason
+
+
+def test_a_force_by_surge_speed_acts_on_its_axis() -> None:
+    claim, rng, n = read_claim(document()["claim"]), np.random.default_rng(4), 5
+    boat = {key: np.ones((n, 2)) for key in ("mass", "linear", "quadratic")} | {
+        "term_mass": np.ones(n),
+        "term": np.ones(n),
+    }
+    state, still = rng.uniform(-0.3, 0.3, (n, 4)), np.zeros(n)
+    u, v, r = *state[:, 2:].T, rng.uniform(-0.5, 0.5, n)
+    first = true_rate(replace(claim, terms={}), boat, state, still, r)
+    for name, speeds in {"Xuv": np.abs(u) * v, "Yu": u, "Yvu": np.abs(v) * u, "Yur": np.abs(u) * r}.items():
+        axis = "XY".index(name[0])
+        change = true_rate(replace(claim, terms={name: Fraction(2)}), boat, state, still, r) - first
+        assert np.allclose(change[:, 2 + axis], -2 * speeds / float(claim.mass[axis]), rtol=0, atol=1e-12), name
+        assert not change[:, 3 - axis].any()

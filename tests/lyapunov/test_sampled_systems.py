@@ -61,7 +61,7 @@ def test_sampling_limits_and_ranges_come_from_the_system() -> None:
     plain = find_stability(dynamics).claim.plain()  # type: ignore[union-attr]
     assert plain["time"] == "sampled" and plain["period_s"] == 0.2
     assert plain["dynamics"] == {"x": "v", "v": "u/plant_mass"}
-    assert plain["commands"] == [{"name": "u", "unit": "N", "value": "max(-1, min(1, -(4*x + 3*v)))"}]
+    assert plain["commands"] == [{"name": "u", "unit": "N", "value": "max(-1, min(1, -4*x - 3*v))"}]
     assert continuous_dynamics(system, WITHIN).sampling is None
 
 
