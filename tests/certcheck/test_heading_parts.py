@@ -32,8 +32,9 @@ def simple(**changes: Any) -> HeadingClaim:
     law = dict.fromkeys(claim.law, ONE) | {"quadratic_drag": Fraction(0)}
     ranges = dict.fromkeys(claim.ranges, (ONE, ONE)) | {"surge_quadratic": (Fraction(0), Fraction(0))}
     small = Fraction(1, 10)
-    plain = replace(claim, law=law, ranges=ranges, offset=small, beside=small, extent=(small,) * 3, depth=small,
-                    rate=small, ultimate_bound=Fraction(1, 2), limits=dict.fromkeys(claim.limits, Fraction(100)))  # fmt: skip
+    limits = dict.fromkeys(claim.limits, Fraction(100))
+    plain = replace(claim, law=law, offset=small, beside=small, extent=(small,) * 3, depth=small, rate=small,
+                    ultimate_bound=Fraction(1, 2), limits=limits)  # fmt: skip
     ranges = ranges | changes.pop("ranges", {})
     return replace(plain, ranges=ranges, **changes)
 
