@@ -28,6 +28,8 @@ import click
 from surctl.errors import LOSSES, LOST, SurctlError
 
 if TYPE_CHECKING:
+    from sys import UnraisableHookArgs
+
     from surctl.verification.verdict import Inapplicable
 
 __all__ = [
@@ -518,11 +520,19 @@ def noting_interrupts() -> Iterator[None]:
     if before is not signal.default_int_handler or threading.current_thread() is not threading.main_thread():
         yield  # Ctrl-C is ignored, or is another program's
         return
+    print_lost = sys.unraisablehook
+
+    def pass_over(what: UnraisableHookArgs) -> None:
+        if not issubclass(what.exc_type, KeyboardInterrupt):  # noted above; `raise_lost_interrupt` raises it again
+            print_lost(what)
+
     signal.signal(signal.SIGINT, note)
+    sys.unraisablehook = pass_over
     try:
         yield
     finally:
         signal.signal(signal.SIGINT, before)
+        sys.unraisablehook = print_lost
         _interrupts.clear()
         _raised.clear()
 
