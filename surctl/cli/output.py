@@ -14,6 +14,7 @@ import signal
 import sys
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, fields
@@ -244,7 +245,7 @@ def signs_of_life(patience: float = 10.0) -> Iterator[None]:
 C = TypeVar("C", bound=Callable[..., Any])
 
 _WIDTH, _MOST = 100, 5  # of a summary: columns, lines
-_LOST_FILES = "surctl.lost_files"  # key of the command's context
+_LOST_FILES = "surctl.lost_files"  # key of the command's context: what was not saved, counted by kind
 
 
 class FiniteRange(click.FloatRange):
@@ -361,6 +362,10 @@ def finish(
         whole: print all lines in any case, as for the text of a file.
     """
     context = click.get_current_context()
+    lost: Counter[str] = context.meta.get(_LOST_FILES, Counter())
+    if lost.total() > len(lost):
+        print_message(f"{lost.total() - len(lost)} more not saved, for the same reason")
+    files = ["some files are not saved"] if lost else files
     everything = "\n".join([*lines, *(["next", *(f"  {command}" for command in then)] if then else ())])
     if as_json:
         data = {**result, "next": list(then)} if then else result
@@ -371,7 +376,7 @@ def finish(
         text = "\n".join(_summary(everything.split("\n"), lines if brief is None else brief, files, then))
     sys.stdout.write((text if as_json or not _has_colours() else _coloured(text)) + "\n")
     sys.stdout.flush()
-    context.exit(1 if not passed else LOST if context.meta.get(_LOST_FILES) else 0)
+    context.exit(1 if not passed else LOST if lost else 0)
 
 
 def _summary(
@@ -455,8 +460,11 @@ def saving(what: str) -> Iterator[None]:
         if interrupted(error) or isinstance(error, click.Abort):
             raise
         reason = str(error) if isinstance(error, SurctlError) else f"{type(error).__name__}: {error}"
-        print_message(f"{what} not saved: {reason}")
-        click.get_current_context().meta[_LOST_FILES] = True
+        lost = click.get_current_context().meta.setdefault(_LOST_FILES, Counter())
+        kind = f"{what} not saved: {getattr(error, 'problem', reason)}"
+        if not lost[kind]:  # a full disk is told once, not for each of a hundred runs
+            print_message(f"{what} not saved: {reason}")
+        lost[kind] += 1
 
 
 class Stopped(click.Abort):
