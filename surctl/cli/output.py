@@ -462,7 +462,7 @@ def saving(what: str) -> Iterator[None]:
         reason = str(error) if isinstance(error, SurctlError) else f"{type(error).__name__}: {error}"
         lost = click.get_current_context().meta.setdefault(_LOST_FILES, Counter())
         kind = f"{what} not saved: {getattr(error, 'problem', reason)}"
-        if not lost[kind]:  # a full disk is told once, not for each of a hundred runs
+        if not lost[kind]:  # a full disk is reported once, not for each of a hundred runs
             print_message(f"{what} not saved: {reason}")
         lost[kind] += 1
 
