@@ -405,6 +405,8 @@ class _Comparison(Comparison):
         if not self.differs:
             commands = {row["name"]: row["value"] for row in self.claim["commands"]} if sampled else {}
             further = (self.claim["next"], commands) if sampled else None
-            found = compare_dynamics(names, box, self.claim["dynamics"], vectors, lists, self.manifest.period, further)
-            for messages, texts in zip((self.differs, self.undecided), found, strict=True):
+            results = compare_dynamics(
+                names, box, self.claim["dynamics"], vectors, lists, self.manifest.period, further
+            )
+            for messages, texts in zip((self.differs, self.undecided), results, strict=True):
                 messages += [f"dynamics: {text}" for text in texts]

@@ -110,7 +110,7 @@ def greatest(a: Interval, b: Interval) -> Interval:
 
 def middle(a: Interval) -> float:
     """Return about the middle of the interval a."""
-    return (libmp.to_float(a[0]) + libmp.to_float(a[1])) / 2
+    return float(libmp.to_float(a[0]) + libmp.to_float(a[1])) / 2
 
 
 def plus(a: Interval, b: Interval) -> Interval:

@@ -73,7 +73,7 @@ def heading_loop(gains: Gains, names: Collection[str], side: float = 0.0) -> dic
     moment = f"min(max({free}, -({most})), {most})"
     m11, m22, m24, m44 = (name if name in names else "0" for name in ("m11", "m22", "m24", "m44"))
     along = {"Yr": m11, "Nv": f"m22 - {m11}", "Nr": m24}
-    force, torque = (f"{push}{_damping(names, axis, along)}" for axis, push in
+    force, torque = (f"{thrust}{_damping(names, axis, along)}" for axis, thrust in
                      (("Y", f"{side!r}*{moment}" if side else ""), ("N", moment)))  # fmt: skip
     rates = {"v": f"({force})/{m22}", "r": f"({torque})/{m44}"}
     if "m24" in names:
