@@ -165,7 +165,7 @@ def vehicle_bound(pair: Pair, draw: random.Random) -> Change | None:
 def claim_text(pair: Pair, draw: random.Random) -> Change:
     """A text, a name or a unit of the claim, sealed again."""
     claim = copy.deepcopy(pair.certificate["claim"])
-    found = [(path, value) for path, value in leaves(claim) 
+    found = [(path, value) for path, value in leaves(claim)
              if isinstance(value, str) and path[0] not in _PROVED and not is_label(claim, path)]  # fmt: skip
     path, value = draw.choice(found)
     new = draw.choice((value + "x", value[1:], "x", value.upper() if value.upper() != value else "y"))
@@ -496,7 +496,8 @@ def a_file(pair: Pair, draw: random.Random) -> Change:
 
 
 KINDS: Mapping[Callable[[Pair, random.Random], Change | None], int] = {
-    claim_number: 6, vehicle_bound: 3, claim_text: 4, text_of_dynamics: 4, claim_entry: 2, unsealed: 1, other_hash: 2, manifest_leaf: 2,
+    claim_number: 6, vehicle_bound: 3, claim_text: 4, text_of_dynamics: 4, claim_entry: 2, unsealed: 1, other_hash: 2,
+    manifest_leaf: 2,
     manifest_gain: 4, manifest_vehicle: 3, law_list: 4, port: 2, wrong_type: 2, a_file: 5,
 }  # fmt: skip
 """How often each kind of change is drawn, relative to the others."""

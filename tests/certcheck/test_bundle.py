@@ -342,6 +342,15 @@ def test_the_units_of_a_steering_certificate_are_bound(group: str, name: str) ->
     assert [text for text in result.differs if text.startswith(f"{name}: in km certified")], result.differs
 
 
+def test_the_states_of_a_steering_certificate_are_those_of_the_loop() -> None:
+    claim, manifest = steered()
+    states = claim["states"][1::-1] + claim["states"][2:]
+    dynamics = {name: text for name, text in claim["dynamics"].items() if name != "sway"}
+    for change in ({"states": states}, {"dynamics": dynamics}, {"dynamics": {**claim["dynamics"], "more": "1"}}):
+        result = compare({"kind": "lyapunov", "claim": {**claim, **change}}, manifest)
+        assert result.differs == ("law: the states are not those of the heading loop",)
+
+
 def test_a_steering_certificate_is_about_continuous_time() -> None:
     claim, manifest = steered()
     result = compare(seal("lyapunov", claim | {"time": "discrete"}, {}), manifest)

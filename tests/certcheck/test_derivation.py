@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import random
+import re
 from collections.abc import Callable
 from typing import Any
 
@@ -194,6 +195,10 @@ def test_the_loop_of_a_bundle_is_the_stated_one_everywhere_or_does_not_belong(na
         bump = compared(claim, manifest, v=f"{text} + 2e-4*max(0, 1 - abs(x - ({centre}))/{width})")
         assert not bump.belongs and all("rate of v" in text for text in (*bump.differs, *bump.undecided))
         assert not compared(claim, manifest, v=f"({text})*(1 + 1e-30)").belongs
+        near = compared(claim, manifest, v=f"({text})*(1 + 1e-13)")
+        assert near.undecided and not near.differs
+        written = re.sub(r"\bx\b", "(3*x - 2*x)", re.sub(r"\bv\b", "(2*v - v)", text))
+        assert compared(claim, manifest, v=written).belongs
         assert not compared(claim, manifest, x="v + 0*1/(x - 2) + 1e-300").belongs
     other = json.loads(json.dumps(claim))
     other["about"]["gains"]["k"] = [math.nextafter(0.3, 1)]
@@ -210,9 +215,27 @@ def test_a_rate_that_the_code_does_not_define_everywhere_does_not_belong() -> No
     assert text.startswith("dynamics: rate of v: the dynamics may be undefined in the box: a division by")
 
 
+def test_vectors_have_the_sizes_of_the_lists() -> None:
+    system = own(PLANTS["root"])
+    claim, manifest = claim_of(system), bundled(system)
+    claim["about"]["parameters"] = claim["about"]["parameters"][:1]
+    assert says(compared(claim, manifest).differs, "takes vectors of (2, ")
+
+
+def test_an_operation_that_the_grammar_lacks_is_not_shown_to_be_any_text() -> None:
+    floor = own(lambda x, v, a, b: ca.floor(1 + x / 4))
+    claim = claim_of(own(lambda x, v, a, b: 1 + 0 * x))
+    lists = {listed.text.split("\n")[0]: key for key, listed in bundled(floor).lists.items()}
+    claim["about"]["plant"] = lists["program cart"] + lists["program cart_measured"]
+    assert not compared(claim, bundled(floor)).belongs
+
+
 def test_sines_of_large_arguments_do_not_belong() -> None:
     system = own(lambda x, v, a, b: ca.sin(2e6 * x))
     assert says(compared(claim_of(system), bundled(system)).differs, "no sine or cosine of an argument beyond 2^20")
+    for first, second in ((2e6, 1), (1, 2e6)):
+        system = own(lambda x, v, a, b, p=first, q=second: ca.sin(p * x) + ca.cos(q * v))
+        assert says(compared(claim_of(system), bundled(system)).differs, "beyond 2^20")
     near = own(lambda x, v, a, b: ca.sin(1e6 * x))
     assert compared(claim_of(near), bundled(near)).belongs
 
