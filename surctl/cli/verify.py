@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 
     from surctl.errors import NotApplicable
     from surctl.lyapunov import Solution
+    from surctl.marine.control import Gains
     from surctl.marine.vehicle import Vehicle
     from surctl.verification import Claim, Verdict
     from surctl.verification.stack import StackConditions
@@ -258,9 +259,7 @@ def verify(
     certificates = [*files.values(), *regions.files, *braked.files]
     if out is not None:
         margins_at = None if linear.stable is None or not cascaded else cruise or speeds[:1]
-        result["pictures"] = _draw(
-            verdicts, regions.claims, robot, values, out, cruise=margins_at, dt=dt, law=chosen_law
-        )
+        result["pictures"] = _draw(verdicts, regions.claims, robot, tuned.gains, out, cruise=margins_at, law=chosen_law)
         lines.append(f"certificates: {len(certificates)}, pictures: {len(result['pictures'])}, in {out}")
     failures = [line.text for line in judged if line.rank == 0]
     failures += [f"{v.claim.name} is {v.verdict}, not {v.claim.expected}" for v in verdicts if not v.as_expected]
@@ -332,22 +331,22 @@ def _draw(
     verdicts: Sequence[Verdict],
     regions: Sequence[Mapping[str, Any]],
     vehicle: Vehicle,
-    gains: Mapping[str, float],
+    gains: Gains,
     out: Path,
     *,
     cruise: Sequence[float] | None,
-    dt: float,
     law: str,
 ) -> list[str]:
     progress("pictures")
     proved = {region["claim"]: region["certificate"] for region in regions if region["certificate"]}
     pictures = list[Path]()
     with saving("plots"):
+        from surctl.marine.control import build_law
         from surctl.marine.report import save_margins, save_regions, save_verdicts
 
         pictures += save_verdicts(verdicts, out)
         pictures += save_regions(proved, out)
-        pictures += [] if cruise is None else save_margins(vehicle, gains, out, cruise=cruise, dt=dt, law=law)
+        pictures += [] if cruise is None else save_margins(build_law(law), vehicle, gains, out, cruise=cruise)
     return [str(path) for path in pictures]
 
 

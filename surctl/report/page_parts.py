@@ -24,7 +24,7 @@ from surctl.tuning.loop_responses import frequencies, rates, response, stable, s
 from surctl.tuning.loop_scores import LoopScores, Score, judge_loops
 from surctl.verification.sampled_margins import quick_margins
 
-__all__ = ["page", "plot_loop", "plot_loop_goals", "plot_loops", "respond"]
+__all__ = ["page", "plot_loop", "plot_loop_goals", "plot_loops", "plot_tightest", "respond"]
 
 Array = NDArray[np.float64]
 Loops = Mapping[str, LinearLoop]
@@ -177,6 +177,24 @@ def plot_loop(loop: LinearLoop, opening: str = "", *, source: str = "", end: str
     """
     source, end = (source, end) if source else _default_step(loop)
     return plot_loops({"loop": loop}, opening or loop.channels()[0], source=source, end=end)
+
+
+def plot_tightest(loops: Loops) -> dict[str, Figure]:
+    """Plot loops opened where the first of them tolerates the least delay, as `plot_loops`.
+
+    Returns:
+        Two figures, of a command and of a measured output, by the label of the signal.
+    """
+    first = next(iter(loops.values()))
+    command, output = (
+        min(quick_margins(first, *labels), key=lambda margins: margins.delay_margin_s).name
+        for labels in (first.names.commands, first.names.outputs)
+    )
+    end = f"measured.{output}"
+    return {
+        command: plot_loops(loops, command, source=f"command.{command}", end=end),
+        output: plot_loops(loops, output, source=end, end=end),
+    }
 
 
 def _default_step(loop: LinearLoop) -> tuple[str, str]:

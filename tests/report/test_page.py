@@ -7,7 +7,6 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
@@ -85,8 +84,8 @@ def test_nothing_is_fetched_from_anywhere(page: str) -> None:
 
 def test_every_picture_is_inside_and_told_in_words(page: str) -> None:
     images = Reader(page).all("img")
-    # margins 4 + poles, heat maps 4, claims 2 + 1, runs 2 × 2, priorities of the run that decides
-    assert len(images) == 4 + 1 + 4 + 3 + 4 + 1
+    # loops 2, heat maps 4, claims 2 + 1, runs 2 × 2, priorities of the run that decides
+    assert len(images) == 2 + 4 + 3 + 4 + 1
     for image in images:
         kind, _, content = (image["src"] or "").partition(",")
         assert kind == "data:image/png;base64"
@@ -102,7 +101,7 @@ def test_every_picture_is_inside_and_told_in_words(page: str) -> None:
 
 def test_no_title_of_a_picture_is_clipped(pictured: list[Figure]) -> None:
     """Of every third one; study 40 looks at all."""
-    assert len(pictured) > 15
+    assert len(pictured) > 12
     for figure in pictured[::3]:
         assert outside(figure) == []
 
@@ -312,9 +311,8 @@ def test_a_sweep_without_a_feasible_point_says_so() -> None:
 @pytest.mark.usefixtures("blank")
 def test_an_unstable_loop_is_drawn_and_told() -> None:
     margins = tuple(replace(m, stable=False, disk_margin=0.0) for m in report().margins)
-    poles = np.array([0.3 + 1j, 0.3 - 1j, -2.0])
-    text = Reader(render_page(bare(margins=margins, poles=poles, loops=report().loops))).text
-    assert "surge UNSTABLE" in text and "the slowest has the real part 0.3 1/s" in text
+    text = Reader(render_page(bare(margins=margins, loops=report().loops))).text
+    assert "surge UNSTABLE" in text and "where it tolerates the least delay" in text
 
 
 def test_writing_replaces_the_file_in_one_step(tmp_path: Path) -> None:

@@ -40,14 +40,7 @@ if TYPE_CHECKING:
         plot_heat_map,
         plot_parallel,
     )
-    from surctl.marine.report.margin_plots import (
-        LoopResponse,
-        loop_responses,
-        plot_bode,
-        plot_locus,
-        plot_nyquist,
-        plot_poles,
-    )
+    from surctl.marine.report.margin_plots import plot_locus
     from surctl.marine.report.page import render_page, write_page
     from surctl.marine.report.paper_plots import plot_coordinates, plot_position_errors, plot_series
     from surctl.marine.report.plan_view import plot_run
@@ -60,7 +53,6 @@ __all__ = [
     "ExportSummary",
     "GoalBars",
     "GoalView",
-    "LoopResponse",
     "ReportData",
     "check_animation",
     "check_film",
@@ -68,10 +60,8 @@ __all__ = [
     "film_pictures",
     "goal_bars",
     "goal_view",
-    "loop_responses",
     "moment_of",
     "plot_attainable",
-    "plot_bode",
     "plot_calibration",
     "plot_coordinates",
     "plot_front",
@@ -79,9 +69,7 @@ __all__ = [
     "plot_goal_view",
     "plot_heat_map",
     "plot_locus",
-    "plot_nyquist",
     "plot_parallel",
-    "plot_poles",
     "plot_position_errors",
     "plot_prediction",
     "plot_priority",

@@ -14,6 +14,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from surctl.errors import InputError
+from surctl.marine.control import Gains, Law
 from surctl.marine.report.goals import (
     goal_bars,
     goal_views,
@@ -23,15 +24,7 @@ from surctl.marine.report.goals import (
     plot_heat_map,
     plot_parallel,
 )
-from surctl.marine.report.margin_plots import (
-    loop_responses,
-    plot_disk_margins,
-    plot_locus,
-    plot_marked_bode,
-    plot_nyquist,
-    plot_s_and_t,
-    sensitivities,
-)
+from surctl.marine.report.margin_plots import plot_disk_margins, plot_locus
 from surctl.marine.report.plan_view import describe, plot_run
 from surctl.marine.report.signals import plot_priority, plot_run_signals
 from surctl.marine.report.sonar_plots import plot_calibration, plot_sonar_replay
@@ -39,11 +32,12 @@ from surctl.marine.sensing import Replay, SensorCalibration, file_stems
 from surctl.marine.simulation import Run, priority_timeline
 from surctl.marine.tuning import SweepTable, Tuning
 from surctl.marine.vehicle import Vehicle
-from surctl.marine.verification import Locus, cruise_loop, loop_margins
-from surctl.marine.verification.cruise_loop import TRACKING_LAW
+from surctl.marine.verification import Locus, cruise_loop, law_loop
+from surctl.marine.verification.cruise_loop import has_cruise_loop
 from surctl.marine.verification.linear import DISK_PLACES, open_loop
 from surctl.marine.verification.portrait import Portrait, planes_of, portrait
 from surctl.report.evidence import margin_slice, plot_cells, plot_counterexample, plot_open_boxes, plot_slice
+from surctl.report.page_parts import plot_tightest
 from surctl.report.theme import (
     AVOIDING,
     GOOD,
@@ -176,55 +170,34 @@ def _handles(one: Portrait) -> list[Artist]:
 
 
 def save_margins(
-    vehicle: Vehicle,
-    gains: Mapping[str, float],
-    folder: Path | str,
-    *,
-    cruise: float | Sequence[float],
-    dt: float,
-    law: str = TRACKING_LAW,
+    law: Law, vehicle: Vehicle, gains: Gains, folder: Path | str, *, cruise: float | Sequence[float]
 ) -> list[Path]:
-    r"""Write PNGs of Bode (loops of least margin), Nyquist, disk-margin and sensitivity plots; return the paths.
+    r"""Write PNGs of the loops that tolerate the least delay, and of the disk margins of all loops; return the paths.
 
-    With several cruise speeds [m/s], the sensitivities S and T are plotted at each speed, and all other plots are for
-    the largest speed. Nothing is written for an unstable loop. `law` is a law that tracks, as in `loop_margins`.
+    With several cruise speeds [m/s], the loops are plotted at each speed, and opened where the loop at the largest one
+    is tightest. An unstable loop has no disk margin.
 
     Raises:
-        InputError: see `loop_margins`; or the folder cannot be written.
+        InputError: see `law_loop`; or the folder cannot be written.
 
     Example:
-        >>> from surctl.marine.control import load_gains
+        >>> from surctl.marine.control import build_law, load_gains
         >>> from surctl.marine.report import save_margins
         >>> from surctl.marine.vehicle import load_vehicle
-        >>> gains = load_gains("default").values
-        >>> paths = save_margins(load_vehicle("sur400"), gains, "pictures", cruise=0.15, dt=0.05)
+        >>> vehicle, gains = load_vehicle("sur400"), load_gains("default")
+        >>> paths = save_margins(build_law("guarded"), vehicle, gains, "pictures", cruise=0.15)
         >>> print(*(path.name for path in paths), sep="\n")
-        margins-sur400-bode-yaw.png
-        margins-sur400-nyquist-thrust.png
-        margins-sur400-bode-heading.png
-        margins-sur400-nyquist-measurement.png
+        margins-sur400-yaw.png
+        margins-sur400-psi.png
         margins-sur400-disk.png
-        margins-sur400-sensitivity.png
     """
-    speeds = [float(speed) for speed in np.atleast_1d(cruise)]
-    cruise = max(speeds)
-    margins = loop_margins(vehicle, gains, cruise=cruise, dt=dt, law=law)
-    loops = loop_responses(vehicle, gains, cruise=cruise, dt=dt, law=law)
-    if not all(m.stable for m in margins):
-        return []
-    figures: dict[str, Figure] = {}
-    for at in ("thrust", "measurement"):
-        group = [(loop, m) for loop, m in zip(loops, margins, strict=True) if loop.at == at]
-        tightest = min(group, key=lambda pair: pair[1].delay_margin_s)
-        figures[f"bode-{tightest[0].name}"] = plot_marked_bode(*tightest)
-        least = min(m.disk_margin for _, m in group)
-        figures[f"nyquist-{at}"] = plot_nyquist([loop for loop, _ in group], disk_margin=least).figure.figure
-    loop = cruise_loop(vehicle, gains, cruise=cruise, dt=dt, law=law)
-    opened = [open_loop(loop, place) for place in DISK_PLACES]
-    pairs = [(loop, stored_disk_margin(loop, place)) for loop, place in zip(opened, DISK_PLACES, strict=True)]
-    figures["disk"] = plot_disk_margins(pairs, highest=np.pi / dt)
-    curves = sensitivities(vehicle, gains, cruise=speeds, dt=dt, places=DISK_PLACES[:2], law=law)
-    figures["sensitivity"] = plot_s_and_t(curves)
+    speeds = sorted((float(speed) for speed in np.atleast_1d(cruise)), reverse=True)
+    loops = [law_loop(law, vehicle, gains, cruise=u) for u in speeds]
+    figures = plot_tightest({f"{u:g} m/s": loop.linear for u, loop in zip(speeds, loops, strict=True)})
+    if loops[0].stable and has_cruise_loop(law.ref, "los"):
+        loop = cruise_loop(vehicle, gains.values, cruise=speeds[0], dt=law.dt, law=law.ref)
+        pairs = [(open_loop(loop, place), stored_disk_margin(open_loop(loop, place), place)) for place in DISK_PLACES]
+        figures["disk"] = plot_disk_margins(pairs, highest=np.pi / law.dt)
     return [save_figure(figure, folder, ("margins", vehicle.name, name)) for name, figure in figures.items()]
 
 

@@ -190,7 +190,7 @@ def _sections(data: ReportData, runs: Section | None) -> tuple[Section, ...]:
     sections = [] if decisive is None else [decisive]
     if data.margins or data.linear or data.verdicts or data.inapplicable:
         sections.append(findings_section(data))
-    if data.margins or data.loops or data.poles is not None:
+    if data.margins or data.loops:
         sections.append(loops_section(data))
     if data.verdicts:
         sections.append(claims_section(data))
