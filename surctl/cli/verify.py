@@ -342,10 +342,11 @@ def _draw(
     pictures = list[Path]()
     with saving("plots"):
         from surctl.marine.control import build_law
-        from surctl.marine.report import save_margins, save_regions, save_verdicts
+        from surctl.marine.report import plot_region, save_margins, save_verdicts
+        from surctl.report.theme import save_figure
 
         pictures += save_verdicts(verdicts, out)
-        pictures += save_regions(proved, out)
+        pictures += [save_figure(plot_region(document), out, (name, "levels")) for name, document in proved.items()]
         pictures += [] if cruise is None else save_margins(build_law(law), vehicle, gains, out, cruise=cruise)
     return [str(path) for path in pictures]
 

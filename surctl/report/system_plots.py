@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
@@ -28,7 +27,6 @@ from surctl.report.theme import (
     new_axes,
     new_figure,
     printable,
-    save_figure,
 )
 from surctl.system import Record, Runs, System, entry_labels, entry_units
 from surctl.system.values import run_numbers
@@ -42,8 +40,6 @@ __all__ = [
     "plot_record",
     "plot_runs",
     "plot_sobol_indices",
-    "save_record_plot",
-    "save_sobol_plot",
 ]
 
 _NONE: Mapping[str, tuple[float, float]] = MappingProxyType({})
@@ -110,25 +106,6 @@ def _groups(record: Record) -> list[tuple[str, str, list[_Line]]]:
         for label, unit, values in entries:
             groups.setdefault((name, unit), []).append((label, values, name in commands))
     return [(name, unit, lines) for (name, unit), lines in groups.items()]
-
-
-def save_record_plot(record: Record, folder: Path | str, *, name: str) -> Path:
-    """Write the plot of `plot_record` as the PNG with this name; return its path.
-
-    Raises:
-        InputError: the folder cannot be written.
-
-    Example:
-        >>> from surctl.ir import Layout, Port
-        >>> from surctl.report import save_record_plot
-        >>> from surctl.system import Controller, Plant, System, run_system
-        >>> speed, force = Port("speed", (1,), "m/s", "of the cart", 1.0), Port("force", (1,), "m/s^2", "over the mass")
-        >>> cart = Plant("cart", Layout((speed,)), Layout((force,)), lambda x, f, d, p: {"speed": f["force"]})
-        >>> brake = Controller("brake", 0.1, Layout((speed,)), Layout((force,)), lambda x, u, p: -u["speed"])
-        >>> print(save_record_plot(run_system(System(cart, brake), 2.0), "pictures", name="cart").name)
-        cart.png
-    """
-    return save_figure(plot_record(record), folder, (name,))
 
 
 Array = NDArray[np.float64]
@@ -466,17 +443,3 @@ def plot_sobol_indices(result: SobolIndices, ax: Axes | None = None) -> Axes:
     handles, _ = ax.get_legend_handles_labels()
     legend_below(ax, columns=2, handles=handles)
     return ax
-
-
-def save_sobol_plot(result: SobolIndices, folder: Path) -> Path:
-    """Write the plot of Sobol' indices as a PNG; return its path. InputError if the folder cannot be written.
-
-    Example:
-        >>> from pathlib import Path
-        >>> from surctl.report import save_sobol_plot
-        >>> from surctl.tuning import SobolIndices
-        >>> indices = SobolIndices("way", ("k",), (0.7,), (0.8,), ((0.6, 0.8),), ((0.7, 0.9),), False, 9)
-        >>> save_sobol_plot(indices, Path("pictures")).name
-        'sensitivity-way.png'
-    """
-    return save_figure(plot_sobol_indices(result).figure.figure, folder, ("sensitivity", result.column))

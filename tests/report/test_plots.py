@@ -18,7 +18,6 @@ from surctl.marine.report import (
     plot_parallel,
     plot_run,
     plot_run_signals,
-    save_heat_map,
     save_run,
 )
 from surctl.marine.report.signals import plot_force, spans
@@ -29,7 +28,7 @@ from surctl.marine.verification import law_loop
 from surctl.report import margin_slice, plot_counterexample, plot_replay, plot_slice, plot_sobol_indices
 from surctl.report.evidence import _sense
 from surctl.report.page_parts import plot_tightest
-from surctl.report.theme import BAD, printable
+from surctl.report.theme import BAD, printable, save_figure
 from surctl.tuning import SobolIndices
 from surctl.verification import evaluate, replay, system_margins
 from tests.pictures import rendered
@@ -221,9 +220,10 @@ def test_pictures_on_disk_stay_in_their_folder(tmp_path: Path) -> None:
     evil = replace(run(), scenario=replace(run().scenario, name="../../a b"))
     path = save_run(evil, tmp_path)
     assert path.parent == tmp_path and path.read_bytes().startswith(b"\x89PNG")
-    assert save_heat_map(sweep(), "score", tmp_path / "new").name == "sweep-lookahead-k_v-score.png"
+    figure = plot_heat_map(sweep(), "score")
+    assert save_figure(figure, tmp_path / "new", ("a/b", "..")).relative_to(tmp_path).as_posix() == "new/a-b-x.png"
     with pytest.raises(InputError, match="cannot be written"):
-        save_heat_map(sweep(), "score", tmp_path / "new" / "sweep-lookahead-k_v-score.png")
+        save_figure(figure, tmp_path / "new" / "a-b-x.png", ("score",))
 
 
 def test_a_counterexample_is_replayed_where_it_moves_and_sliced_where_not() -> None:

@@ -9,7 +9,7 @@ import pytest
 
 from surctl.errors import InputError
 from surctl.marine.control import build_law, load_gains
-from surctl.marine.report.files import plot_region, save_margins, save_regions, save_verdicts
+from surctl.marine.report.files import plot_region, save_margins, save_verdicts
 from surctl.marine.report.margin_plots import _rim
 from surctl.marine.vehicle import load_vehicle
 from surctl.marine.verification import claims
@@ -78,8 +78,7 @@ def test_a_portrait_needs_a_region(tmp_path: Path, monkeypatch: pytest.MonkeyPat
         portrait({"kind": "interval", "claim": {}}, "along")
     with pytest.raises(InputError, match="across"):
         portrait(certificate("region-cruise-20"), "acros")
-    (path,) = save_regions({"region-cruise-20-lag": certificate("region-cruise-20-lag")}, tmp_path)
-    assert path.name == "region-cruise-20-lag-levels.png" and path.read_bytes().startswith(b"\x89PNG")
+    assert len(plot_region(certificate("region-cruise-20-lag")).axes) == 3
     assert len(plot_region(certificate("region-heading-20")).axes) == 4
 
 

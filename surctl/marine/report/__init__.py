@@ -17,15 +17,8 @@ if TYPE_CHECKING:
     from surctl.marine.report.evidence_sections import runs_section
     from surctl.marine.report.files import (
         plot_region,
-        save_calibrations,
-        save_heat_map,
-        save_locus,
         save_margins,
-        save_parallel,
-        save_priority,
-        save_regions,
         save_run,
-        save_sonar_replay,
         save_tuning,
         save_verdicts,
     )
@@ -47,7 +40,7 @@ if TYPE_CHECKING:
     from surctl.marine.report.sections import ExportSummary, ReportData
     from surctl.marine.report.signals import plot_priority, plot_run_signals
     from surctl.marine.report.sonar_plots import plot_calibration, plot_replay_sensor, plot_sonar_replay
-    from surctl.marine.report.vehicle_plots import plot_attainable, plot_prediction, save_attainable, save_prediction
+    from surctl.marine.report.vehicle_plots import plot_attainable, plot_prediction
 
 __all__ = [
     "ExportSummary",
@@ -82,18 +75,9 @@ __all__ = [
     "render_page",
     "runs_section",
     "save_animation",
-    "save_attainable",
-    "save_calibrations",
     "save_film",
-    "save_heat_map",
-    "save_locus",
     "save_margins",
-    "save_parallel",
-    "save_prediction",
-    "save_priority",
-    "save_regions",
     "save_run",
-    "save_sonar_replay",
     "save_tuning",
     "save_verdicts",
     "write_page",
