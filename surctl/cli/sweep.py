@@ -163,8 +163,9 @@ def sweep(
     from surctl.files import prepare_folder, write_file
     from surctl.marine.control import law_source, load_gains, write_gains
     from surctl.marine.simulation import load_scenario
-    from surctl.marine.tuning import build_cases, check_column
+    from surctl.marine.tuning import build_cases
     from surctl.marine.tuning import sweep as run_sweep
+    from surctl.marine.tuning.measure import check_column
     from surctl.marine.vehicle import load_vehicle
     from surctl.tuning import make_design, parse_axis, saltelli, sobol_indices
 

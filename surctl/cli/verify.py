@@ -342,7 +342,8 @@ def _draw(
     pictures = list[Path]()
     with saving("plots"):
         from surctl.marine.control import build_law
-        from surctl.marine.report import plot_region, save_margins, save_verdicts
+        from surctl.marine.report import plot_region
+        from surctl.marine.report.files import save_margins, save_verdicts
         from surctl.report.theme import save_figure
 
         pictures += save_verdicts(verdicts, out)
@@ -364,7 +365,7 @@ def _chosen(
 ) -> tuple[list[Claim], Mapping[str, NotApplicable]]:
     # without names and files, the claims are those of the library; they do not concern the law `law`
     from surctl.errors import InputError, NotApplicable
-    from surctl.marine.tuning import has_tuned
+    from surctl.marine.tuning.derived import has_tuned
     from surctl.marine.verification import applicable_claims
     from surctl.verification import load_claim
 

@@ -169,17 +169,6 @@ def save_margins(
 
     Raises:
         InputError: see `law_loop`; or the folder cannot be written.
-
-    Example:
-        >>> from surctl.marine.control import build_law, load_gains
-        >>> from surctl.marine.report import save_margins
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> vehicle, gains = load_vehicle("sur400"), load_gains("default")
-        >>> paths = save_margins(build_law("guarded"), vehicle, gains, "pictures", cruise=0.15)
-        >>> print(*(path.name for path in paths), sep="\n")
-        margins-sur400-yaw.png
-        margins-sur400-psi.png
-        margins-sur400-disk.png
     """
     speeds = sorted((float(speed) for speed in np.atleast_1d(cruise)), reverse=True)
     loops = [law_loop(law, vehicle, gains, cruise=u) for u in speeds]
@@ -196,15 +185,6 @@ def save_verdicts(verdicts: Sequence[Verdict], folder: Path | str) -> list[Path]
 
     Raises:
         InputError: the folder cannot be written.
-
-    Example:
-        >>> from surctl.marine.report import save_verdicts
-        >>> from surctl.marine.verification import claims
-        >>> from surctl.verification import decide
-        >>> chosen = claims(names=["v1-printed", "v1-corrected"])
-        >>> verdicts = [decide(claim, samples=256, starts=2) for claim in chosen]
-        >>> [path.name for path in save_verdicts(verdicts, "pictures")]
-        ['v1-printed-replay.png', 'v1-printed-slice.png', 'v1-corrected-cells.png']
     """
     saved = []
     for verdict in verdicts:
@@ -269,18 +249,6 @@ def save_tuning(tuning: Tuning, folder: Path | str) -> list[Path]:
 
     Raises:
         InputError: the folder cannot be written.
-
-    Example:
-        >>> from surctl.marine.control import load_gains
-        >>> from surctl.marine.report import save_tuning
-        >>> from surctl.marine.simulation import load_scenario
-        >>> from surctl.marine.tuning import Goal, Request, build_cases, conditions, gain_ranges, tune
-        >>> gains = load_gains("default")
-        >>> runs = conditions(build_cases([load_scenario("pool-behind")], gains=gains, law="closed_form"), seeds=[0])
-        >>> goals = (Goal("soon", "time_s", "s", 20.0), Goal("clear", "min_clearance_m", "m", 0.08, "at least", "hard"))
-        >>> tuning = tune(Request(goals, runs, gains, gain_ranges(gains, ["k_v"])), trials=8, rounds=1, runs=0)
-        >>> [path.name for path in save_tuning(tuning, "pictures")]
-        ['tuning-goals.png', 'tuning-front.png', 'tuning-soon.png', 'tuning-clear.png']
     """
     axes = {"goals": plot_goal_bars(goal_bars(tuning)), "front": plot_front(tuning)}
     for view in goal_views(tuning, tuning.request.goals):

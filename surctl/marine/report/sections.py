@@ -10,8 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from surctl.errors import InputError
-from surctl.export import Difference, ExportedFile, SilReport
-from surctl.export.sil import TOLERANCE
+from surctl.export import ExportedFile, SilReport
 from surctl.marine.control import Gains
 from surctl.marine.report.goals import COLUMN_TITLES, axis_title, plot_heat_map, plot_parallel
 from surctl.marine.simulation import Run
@@ -32,6 +31,7 @@ from surctl.report.document import (
     picture,
 )
 from surctl.report.page_parts import plot_tightest
+from surctl.report.system_page import sil_blocks
 from surctl.report.theme import file_size, number
 from surctl.system import LinearLoop
 from surctl.verification import Inapplicable, LoopMargins, Verdict
@@ -364,76 +364,8 @@ def export_section(export: ExportSummary) -> Section:
     if export.status:
         blocks.append(Paragraph(export.status))
     blocks.append(Table("Exported files", ("file", "size [byte]", "SHA-256"), rows))
-    blocks += _comparison(export.sil) or [Paragraph("The C was not compiled and not compared with Python.", "note")]
+    blocks += sil_blocks(export.sil) or [Paragraph("The C was not compiled and not compared with Python.", "note")]
     return Section("export", "Exported controller", tuple(blocks), folded=True)
-
-
-@dataclass(frozen=True)
-class _Quantity:
-    name: str
-    difference: Difference
-
-
-def _comparison(reports: Sequence[SilReport]) -> list[Block]:
-    if not reports:
-        return []
-    rows: list[tuple[Cell | str, ...]] = []
-    for k, report in enumerate(reports, start=1):
-        kinds = (("thrust", report.tau), ("next state", report.state), ("telemetry", report.telemetry))
-        rows += [_difference_row(k, report.steps, _Quantity(*kind)) for kind in kinds]
-    heads = (
-        "run",
-        "steps",
-        "quantity",
-        "absolute",
-        "relative",
-        f"mixed (limit {TOLERANCE:g})",
-        "at step",
-        "verdict",
-    )
-    caption = "Largest differences between C and Python over all steps; mixed: relative to max(1, |Python|)"
-    blocks: list[Block] = [Heading("Software in the loop"), Table(caption, heads, tuple(rows)), _checks(reports)]
-    for report in reports:
-        blocks += [Paragraph(f"Failed: {label}", "bad") for label in report.fault_failures[:5]]
-    return blocks
-
-
-def _difference_row(k: int, steps: int, quantity: _Quantity) -> tuple[Cell | str, ...]:
-    d = quantity.difference
-    near = d.mixed <= TOLERANCE
-    return (
-        Cell(str(k), number=True),
-        Cell(str(steps), number=True),
-        quantity.name,
-        *(Cell(number(v, digits=2), number=True) for v in (d.absolute, d.relative, d.mixed)),
-        Cell("–" if d.step is None else str(d.step), number=True),
-        outcome_cell(near, "equal", "DIFFERS"),
-    )
-
-
-def _checks(reports: Sequence[SilReport]) -> Table:
-    rows = []
-    for k, r in enumerate(reports, start=1):
-        rows.append(
-            (
-                Cell(str(k), number=True),
-                _count(len(r.resets), "none"),
-                _count(r.status_mismatches, "none"),
-                _count(len(r.fault_failures), f"all {r.fault_cases} cases: zero thrust, negative status"),
-                outcome_cell(r.self_test, "passes", "FAILS"),
-                Cell(number(r.code_bytes, digits=9), number=True),
-                r.compiler,
-            )
-        )
-    heads = (
-        "run", "state resets", "status mismatches", "NaN and infinity at every state, input and gain", "self-test",
-        "code and constants [byte]", "compiler",
-    )  # fmt: skip
-    return Table("Other checks of the compiled controller", heads, tuple(rows))
-
-
-def _count(failures: int, fine: str) -> Cell:
-    return outcome_cell(failures == 0, fine, f"{failures} FAILED")
 
 
 def time_section(data: ReportData) -> Section:

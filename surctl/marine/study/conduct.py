@@ -31,7 +31,8 @@ from surctl.marine.control import Gains, Law, build_law, law_source, write_gains
 from surctl.marine.export import build_bundle, origin_of
 from surctl.marine.simulation import Run, findings, law_numbers, simulate
 from surctl.marine.study.plan import Leg, Plan
-from surctl.marine.tuning import SweepTable, has_tuned, sweep
+from surctl.marine.tuning import SweepTable, sweep
+from surctl.marine.tuning.derived import has_tuned
 from surctl.marine.verification import OverSpeeds, applicable_claims, law_loop, over_speeds, speeds_text
 from surctl.marine.verification.region import refused_regions
 from surctl.system import LinearLoop
@@ -396,7 +397,9 @@ def conduct(
         >>> study.verdicts[0].verdict, study.runs[0].metrics.stopped_because, study.sil[0].passed
         ('proved', 'reached', True)
     """
-    from surctl.marine.report import ReportData, runs_section, write_page
+    from surctl.marine.report import ReportData
+    from surctl.marine.report.evidence_sections import runs_section
+    from surctl.marine.report.page import write_page
     from surctl.report.document import Section, checks_of
 
     find_compiler()
