@@ -50,13 +50,10 @@ def system_margins(linear: LinearLoop, *openings: str) -> tuple[LoopMargins, ...
         InputError: an entry of `openings` is not the label of a command or of a measured output.
 
     Example:
-        >>> from surctl.ir import Layout, Port
-        >>> from surctl.system import Controller, Plant, System, linearise
+        >>> from surctl.system import linearise
+        >>> from surctl.testing import cart_system
         >>> from surctl.verification import system_margins
-        >>> speed, force = Port("speed", (1,), "m/s", "of the cart"), Port("force", (1,), "m/s^2", "over the mass")
-        >>> cart = Plant("cart", Layout((speed,)), Layout((force,)), lambda x, f, d, p: {"speed": f["force"]})
-        >>> hold = Controller("hold", 0.1, Layout((speed,)), Layout((force,)), lambda x, u, p: -2 * u["speed"])
-        >>> (margins,) = system_margins(linearise(System(cart, hold)), "force")
+        >>> (margins,) = system_margins(linearise(cart_system(2.0)), "force")
         >>> f"{margins.gain_margin:.1f}, {margins.phase_margin_deg:.1f} deg, {margins.delay_margin_s:.2f} s"
         '10.0, 84.3 deg, 0.73 s'
     """
@@ -79,13 +76,10 @@ def system_disk_margin(linear: LinearLoop, *openings: str) -> DiskMargin:
         InputError: an entry of `openings` is not the label of a command or of a measured output.
 
     Example:
-        >>> from surctl.ir import Layout, Port
-        >>> from surctl.system import Controller, Plant, System, linearise
+        >>> from surctl.system import linearise
+        >>> from surctl.testing import cart_system
         >>> from surctl.verification import system_disk_margin
-        >>> speed, force = Port("speed", (1,), "m/s", "of the cart"), Port("force", (1,), "m/s^2", "over the mass")
-        >>> cart = Plant("cart", Layout((speed,)), Layout((force,)), lambda x, f, d, p: {"speed": f["force"]})
-        >>> hold = Controller("hold", 0.1, Layout((speed,)), Layout((force,)), lambda x, u, p: -2 * u["speed"])
-        >>> margin = system_disk_margin(linearise(System(cart, hold)), "force", "speed")
+        >>> margin = system_disk_margin(linearise(cart_system(2.0)), "force", "speed")
         >>> margin.stable, round(margin.guaranteed, 2)
         (True, 0.76)
     """
