@@ -20,7 +20,7 @@ from surctl.verification.linear import DiskMargin, OpenLoop, disk_margin
 from surctl.verification.loops import BrokenLoop, LoopMargins, crossings_of, margins_from
 
 __all__ = [
-    "Corners",
+    "LoopCorners",
     "SampledLoop",
     "SystemLoop",
     "corners_of",
@@ -192,7 +192,7 @@ L = TypeVar("L", bound=SampledLoop)
 
 
 @dataclass(frozen=True, eq=False)
-class Corners(Generic[L]):
+class LoopCorners(Generic[L]):
     """A loop with nominal numbers, and at the worst corner of its uncertain numbers.
 
     Attributes:
@@ -222,7 +222,7 @@ class Corners(Generic[L]):
         return self.worst.disk if self.stable else 0.0
 
 
-def corners_of(nominal: L, name: str, corners: Iterable[tuple[str, Callable[[], L]]]) -> Corners[L]:
+def corners_of(nominal: L, name: str, corners: Iterable[tuple[str, Callable[[], L]]]) -> LoopCorners[L]:
     """Return the nominal and the worst loop.
 
     Args:
@@ -241,7 +241,7 @@ def corners_of(nominal: L, name: str, corners: Iterable[tuple[str, Callable[[], 
         slowest = max(slowest, loop.slowest_per_s)
         if loop.severity > worst.severity:
             worst, corner = loop, label
-    return Corners(nominal, worst, corner, slowest, tuple(lost), count)
+    return LoopCorners(nominal, worst, corner, slowest, tuple(lost), count)
 
 
 # The sampled loop of a system at its equilibrium, for nominal numbers and at the corners of the declared ranges
@@ -272,7 +272,7 @@ def system_corners(
     system: System,
     values: Mapping[str, ArrayLike] | None = None,
     ranges: Mapping[str, tuple[float, float]] | None = None,
-) -> Corners[SystemLoop]:
+) -> LoopCorners[SystemLoop]:
     """Return the loop of a system about its equilibrium, nominal and at the worst corner of ranges of its numbers.
 
     A linear loop is usually worst at a corner, but this is no proof for the numbers between the corners.

@@ -33,7 +33,7 @@ from surctl.own_code import label
 from surctl.system import LinearLoop
 from surctl.system.linear_loop import LoopNames
 from surctl.verification.loops import LoopMargins
-from surctl.verification.sampled_margins import Corners, SampledLoop, corners_of, system_margins
+from surctl.verification.sampled_margins import LoopCorners, SampledLoop, corners_of, system_margins
 
 __all__ = [
     "LawCorners",
@@ -433,7 +433,7 @@ def _neutral(slopes: Array) -> float:
 
 
 @dataclass(frozen=True, eq=False)
-class LawCorners(Corners[LawLoop]):
+class LawCorners(LoopCorners[LawLoop]):
     """The loop of a law for the nominal plant and for the worst corner of its uncertainty.
 
     Corners at which the thrust cannot hold the cruise speed are left out (`lost`).
