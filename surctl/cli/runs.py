@@ -381,7 +381,10 @@ class CampaignOptions:
             ):
                 campaign = run_campaign(plan, runs=runs, threads=self.threads or 2, store=store, progress=progress)
             worst = 5 if self.worst is None else self.worst
-            files = [] if folder is None else folder.write(campaign, worst=worst)
+            files = list[Path]()
+            if folder is not None:
+                with saving(f"table of {plan.name}"):
+                    files = folder.write(campaign, worst=worst)
             reports.append(_report(campaign, files, worst))
             own = None if self.worlds is not None else (plan.case.scenario.name, plan.case.scenario.vehicle)
             choice = choose_vehicle(vehicle, own)
@@ -399,7 +402,8 @@ class CampaignOptions:
 
             from surctl.cli.output import finite
 
-            write_file(out / "summary.json", json.dumps(finite({"campaigns": reports}), indent=1) + "\n")
+            with saving("summary"):
+                write_file(out / "summary.json", json.dumps(finite({"campaigns": reports}), indent=1) + "\n")
         finish({"campaigns": reports}, lines, as_json=as_json, passed=good, brief=brief, files=where(out))
 
 

@@ -441,10 +441,13 @@ def verify_system(words: Sequence[str], *, seed: int, time_limit: float, out: Pa
             return solve(problem, time_limit=time_limit, seed=seed, progress=progress)
 
     subject = ClosedLoop(own.system, values, uncertain, region=None if problem is None else solved)
-    assessment = assess(subject)
-    loop = assessment.sources["loop"]
+    ready = assess(subject, parts=["loop"])
+    loop = ready.sources["loop"]
     if isinstance(loop, InputError):
         raise loop
+    shown = [f"{line.mark} {line.text}" for line in ready.lines if line.counts]
+    with stoppable("the region of attraction is not decided", shown, as_json=as_json):
+        assessment = assess(subject, computed=ready.parts)
     lines, data = loop_lines(own, loop), loop_data(own, loop)
     data |= {"values": {name: value.ravel().tolist() for name, value in values.items()}}
     certificates = list[str]()
