@@ -213,10 +213,10 @@ def _at(layouts: Mapping[str, Layout], points: Mapping[str, Array], k: int) -> s
 
 
 _SPEED, _FORCE = Port("speed", (1,), "m/s", "of the cart", 1.0), Port("force", (1,), "m/s^2", "over the mass")
-_WAY: Mapping[str, Cost] = {"way": Cost(lambda s: s.x["speed"], "integral", "m")}
+_COSTS: Mapping[str, Cost] = {"way": Cost(lambda s: s.x["speed"], "integral", "m")}
 
 
-def cart_system(k: float = 1.0, *, costs: Mapping[str, Cost] = _WAY) -> System:
+def cart_system(k: float = 1.0, *, costs: Mapping[str, Cost] = _COSTS) -> System:
     """Return the system of the examples: a cart that rolls at 1 m/s and is braked at 10 Hz with the gain k [1/s].
 
     The plant has the state `speed` and the command `force` over its mass; the gain `k` can be changed.
