@@ -181,7 +181,8 @@ def recorded(items: Sequence[pytest.Item]) -> dict[str, tuple[float, list[str]]]
     for path, group in groupby(items, key=lambda item: item.path):
         tests = list(group)
         digest = sha256("\0".join([path.read_text(), *(item.nodeid for item in tests)]).encode()).hexdigest()
-        if digest not in known:
+        called = {name.split(":")[0] for _, names in known.get(digest, {}).values() for name in names}
+        if digest not in known or not all((PACKAGE / f"{module}.py").is_file() for module in called):
             process, pipe = forked(lambda tests=tests: _record(tests))
             with os.fdopen(pipe) as file:
                 text = file.read()
