@@ -124,3 +124,13 @@ def test_numbers_of_a_list_are_the_same_at_all_points(routine: str, expected: li
     text = f"routine r\nin x 2\nin b 1\nc = call {{0}}\n{routine}\nout d\n".format(*keys)
     x, b = np.array([[7.0, 8.0, 9.0], [1.0, 2.0, 3.0]]), np.array([[0.0, 1.0, 2.0]])
     assert evaluate(read_list("\n".join([*used, text])), x, b)[0].tolist() == expected
+
+
+PROCEDURE = "procedure p\nin x 1\nout y 1\nsize n 2\nwhole k 0\ndef f(s):\n    s.k = s.n\n    s.y[0] = s.k * s.x[0]\n"
+
+
+def test_the_memory_of_a_procedure_is_declared() -> None:
+    assert evaluate(read_list(PROCEDURE), np.array([[1.5, 2.0]]))[0].tolist() == [[3.0, 4.0]]
+    for bad in ("", "hole k 0\n", "whole k -1\n", "note 1 2\nwhole k 0\n"):
+        with pytest.raises(Rejected, match="not an instruction list"):
+            read_list(PROCEDURE.replace("whole k 0\n", bad))

@@ -7,13 +7,14 @@ import json
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 from surctl.certcheck import check_document
 from surctl.certcheck.document import Rejected
-from surctl.certcheck.turning import _flow, _slopes, _thrust, check_cells
+from surctl.certcheck.turning import _flow, _slopes, _thrust, check_cells, require_bound, require_starts
 from surctl.certcheck.turning_claim import TurningClaim, read_claim
 from tests.certcheck.altering import put, sealed
 
@@ -73,3 +74,43 @@ def test_a_trim_has_two_entries(bad: Any) -> None:
     assert _slopes([1.0, 2.0]) == TWO
     with pytest.raises(Rejected):
         _slopes(bad)
+
+
+def placed(**entries: float) -> list[list[Fraction]]:
+    """A matrix P of (x, y, U_x, U_y)."""
+    p = [[Fraction(i == j) for j in range(4)] for i in range(4)]
+    for name, value in entries.items():
+        i, j = "xyuv".index(name[0]), "xyuv".index(name[1])
+        p[i][j] = p[j][i] = Fraction(value)
+    return p
+
+
+HALF = Fraction(1, 2)
+ROUND: Any = SimpleNamespace(k1=Fraction(1), offset=HALF, cruise=HALF, ultimate_bound=(Fraction(1), Fraction(1)))
+
+
+@pytest.mark.parametrize("moved", [(Fraction(1), Fraction(0)), (Fraction(0), Fraction(-1))])
+def test_a_start_lies_in_the_region_of_every_steady_cruise(moved: Any) -> None:
+    require_starts(ROUND, placed(), (HALF, -HALF), Fraction(0))
+    with pytest.raises(Rejected, match="a start with the target's velocity"):
+        require_starts(ROUND, placed(), moved, Fraction(0))
+
+
+@pytest.mark.parametrize("coupling", [0.9, -0.9])
+def test_a_start_lies_in_the_region_on_both_sides_of_the_path(coupling: float) -> None:
+    moved, most = (Fraction(3, 4), Fraction(3, 4)), replace_offset(Fraction(3, 5))
+    require_starts(most, placed(), moved, Fraction(0))
+    with pytest.raises(Rejected, match="a start with the target's velocity"):
+        require_starts(most, placed(xy=coupling), moved, Fraction(0))
+
+
+def replace_offset(offset: Fraction) -> Any:
+    return SimpleNamespace(**{**vars(ROUND), "offset": offset})
+
+
+@pytest.mark.parametrize(("moved", "beside"), [((HALF, 0 * HALF), 0), ((0 * HALF, -HALF), 0), ((0 * HALF,) * 2, HALF)])
+def test_the_floor_lies_within_the_ultimate_bound(moved: Any, beside: Any) -> None:
+    covariance, floor = placed(), Fraction(9, 25)  # 0.6 m from the steady cruise
+    require_bound(ROUND, covariance, (Fraction(1, 4), -Fraction(1, 4)), Fraction(1, 4), floor)
+    with pytest.raises(Rejected, match="beyond the claimed ultimate bound"):
+        require_bound(ROUND, covariance, moved, Fraction(beside), floor)
