@@ -142,7 +142,7 @@ class Compared(NamedTuple):
 )
 @click.option("--guidance", default="los", metavar="NAME", help="Path guidance: los (default), ilos or alos.")
 @priority_options
-@click.option("--sensing", metavar="NAME", help="Obstacles: sonar (default if the law has it) or truth.")
+@click.option("--sensing", metavar="NAME", help="Obstacles: sonar (default if the law can) or truth.")
 @sensor_options
 @click.option("--name", metavar="TEXT", help="Prefix of files and C symbols (default: the law's name).")
 @click.option("--target", default="c99", metavar="NAME", help="Output: c99 (default), fmu (FMI 2), fmu3 or mjcf.")
@@ -160,7 +160,7 @@ class Compared(NamedTuple):
     metavar="FILE",
     help="Certificate to add to the bundle; may be repeated.",
 )
-@click.option("--check", is_flag=True, help="Compare the C of several compilers and processors with Python.")
+@click.option("--check", is_flag=True, help="Compare C code and Python for all --targets.")
 @click.option(
     "--prove",
     is_flag=True,
@@ -168,7 +168,7 @@ class Compared(NamedTuple):
 )
 @click.option("--targets", metavar="A,B", help="Compilers and processors that --check uses (default: all available).")
 @click.option(
-    "--steps", type=click.IntRange(min=1), metavar="N", help="Single steps that --check tries (default 100000)."
+    "--steps", type=click.IntRange(min=1), metavar="N", help="Single steps that --check compares (default 100000)."
 )
 @click.option(
     "--out",
@@ -197,9 +197,9 @@ def export(
     """Write the controller as C99, compile it, and compare it with Python at every step of a simulated run.
 
     Sensor options override the scenario's tables. --check also runs code built by gcc and clang at -O0 to -O3 and on
-    QEMU's Cortex-M3, -M4F and -M7: every output byte must equal Python's. --prove takes minutes with sonar sensing; it
-    covers gains within the ranges of the gain file. FILE.py:FUNCTION names a system of your own, whose controller is
-    exported. Exit status: 1 if C and Python differ, or if the replayed run collides or does not arrive.
+    QEMU's Cortex-M3, -M4F and -M7: every output byte must equal that of Python. --prove takes minutes with sonar
+    sensing; the proof covers all gains within the ranges of the gain file. FILE.py:FUNCTION exports the controller of a
+    system of your own. Exit status: 1 if C and Python differ, or if the replayed run collides or does not arrive.
 
     Examples: surctl export --gains surctl-out/gains.toml --out firmware; surctl export --law closed_form --sensing
     truth --constant-gains --check; surctl export my_system.py:build --seconds 5

@@ -27,7 +27,9 @@ _SYSTEM = click.IntRange(1, 255)
 @click.option("--vehicle", metavar="FILE", help="Vehicle: name or file (default: the scenario's).")
 @click.option("--gains", metavar="FILE", help=GAINS_HELP)
 @law_option
-@click.option("--sensing", default="truth", metavar="NAME", help="Obstacles as reported: truth (default), or sonar.")
+@click.option(
+    "--sensing", default="truth", metavar="NAME", help="Obstacles: truth (reported positions, default) or sonar."
+)
 @click.option("--mode", default="alt_hold", metavar="NAME", help="Mode: alt_hold (default), manual or guided.")
 @click.option(
     "--send", default="rc", metavar="NAME", help="Messages: rc (channel overrides, default) or manual (MANUAL_CONTROL)."
@@ -88,10 +90,10 @@ def fly(
 ) -> None:
     """Steer an ArduSub vehicle along a scenario's path by the exported law, over MAVLink.
 
-    The bridge steers only after the operator arms the vehicle in the mode of --mode, and never arms it. Loss of the
-    link or of the position makes the thrust neutral; after a long loss, a restart or a change of mode, the operator
-    must disarm and arm again. Read notebooks/guides/field.md first. Exit status: 1 if the vehicle does not arrive,
-    or touches something in a rehearsal.
+    The bridge steers only after the operator arms the vehicle in the mode of --mode; the bridge never arms the vehicle.
+    If the link or the position is lost, the thrust is neutral; after a long loss, a restart or a change of mode, the
+    operator must disarm and arm again. Read notebooks/guides/field.md first. Exit status: 1 if the vehicle does not
+    arrive, or collides in a rehearsal.
 
     Examples: surctl fly tank-speed-015 --dry-run; surctl fly tank-speed-015 --mavlink udp:0.0.0.0:14550
     """

@@ -207,7 +207,7 @@ def law_words(reference: str) -> list[str]:
     return ["--law", own_file(reference)]
 
 
-trust_option = click.option("--trust", is_flag=True, help="Run the law of your own that FILE names.")
+trust_option = click.option("--trust", is_flag=True, help="Allow surctl to run the law of your own in FILE.")
 
 
 priority_options = together(
@@ -221,7 +221,7 @@ priority_options = together(
         "--fallback",
         default="exact",
         metavar="NAME",
-        help="If limits conflict: exact (default), or bounded cost.",
+        help="If limits conflict: exact (default) or bounded cost.",
     ),
 )
 """A decorator that adds these options to a command; the command receives them as `priority_mode` and `fallback`."""

@@ -250,9 +250,7 @@ controller_options = together(
     click.option("--link-delay", type=float, metavar="S", help="Delay of each command [s] (default 0)."),
     click.option("--link-deadline", type=float, metavar="S", help="Largest age of a used command [s] (default 0.25)."),
     click.option("--link-compact", is_flag=True, help="Request short replies, for a slow line."),
-    click.option(
-        "--link-timeout", type=float, metavar="S", help="Stop if the link is silent for S seconds (default 5)."
-    ),
+    click.option("--link-timeout", type=float, metavar="S", help="Stop after S seconds without a message (default 5)."),
 )
 
 

@@ -231,9 +231,9 @@ def further_output(
 MOST_ROWS = 100  # largest number of runs printed as JSON; the files in the output folder hold all runs
 
 campaign_options = together(
-    click.option("--monte-carlo", is_flag=True, help="Draw vehicle and obstacles of each run at random."),
+    click.option("--monte-carlo", is_flag=True, help="Sample vehicle and obstacles of each run at random."),
     click.option(
-        "--random-worlds", "worlds", type=click.IntRange(1, 1_000_000), metavar="N", help="Simulate N worlds."
+        "--random-worlds", "worlds", type=click.IntRange(1, 1_000_000), metavar="N", help="Simulate N random worlds."
     ),
     click.option("--worst", type=click.IntRange(0, 1000), metavar="N", help="Worst runs to save (default 5)."),
     click.option("--threads", type=click.IntRange(1, 1024), metavar="N", help="Parallel runs (default 2; MuJoCo 1)."),

@@ -50,7 +50,7 @@ sensor_options = together(
         "chances",
         multiple=True,
         metavar="KIND=P",
-        help="Probability of this fault per firing; may be repeated.",
+        help="Probability of a fault per ping; may be repeated.",
     ),
     click.option("--beam", type=float, metavar="DEG", help="Sonar beam angle [deg] (default: the scenario's)."),
     click.option("--own-state", metavar="NAME", help="Own pose: measured or truth (default: the scenario's)."),
@@ -60,7 +60,7 @@ sensor_options = together(
 The command receives them as `faults`, `chances`, `beam` and `own_state`."""
 
 
-simulated_echoes = click.option("--echoes", metavar="NAME", help="Surfaces: ideal, webots, specular or diffuse.")
+simulated_echoes = click.option("--echoes", metavar="NAME", help="Echo model: ideal, webots, specular or diffuse.")
 """The option of the simulated echoes, which a law does not know."""
 
 

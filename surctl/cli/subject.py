@@ -45,7 +45,7 @@ __all__ = [
 ]
 
 seconds_option = click.option(
-    "--seconds", type=float, metavar="S", help="Duration of a run of a system [s] (default: its own)."
+    "--seconds", type=float, metavar="S", help="Duration of a system's run [s] (default: the file's)."
 )
 
 _MOST_PERIODS = 10_000_000  # of a run in Python, whose signals are in memory

@@ -53,7 +53,7 @@ __all__ = ["tune", "tune_own_system"]
     "--cruise",
     type=SPEEDS,
     metavar="U1,U2,...",
-    help="Cruise speeds [m/s] of goals about the linear loop that name none themselves.",
+    help="Cruise speeds [m/s] for loop goals without speeds.",
 )
 @click.option(
     "--trials",
@@ -101,7 +101,7 @@ __all__ = ["tune", "tune_own_system"]
     type=click.IntRange(min=0),
     default=2000,
     metavar="N",
-    help="New runs that verify a round (default 2000); up to 10 N more runs train.",
+    help="New runs that test a round (default 2000), after up to 10 N training runs.",
 )
 @click.option(
     "--workers",
@@ -152,14 +152,14 @@ def tune(
     seconds: float | None,
     as_json: bool,
 ) -> None:
-    """Tune gains to goals, and tune them again with the runs in which they fail.
+    """Search for gains that meet goals; repeat with the test runs that fail.
 
     The gains must meet the hard goals for every scenario, seed and corner of the vehicle's ranges; the soft goals are
     minimised. New random runs and the claims then test the result. Exit status: 1 if a hard goal is not met, or fails
     in the test.
 
-    FILE.py:FUNCTION names a system of your own: the first cost is minimised within the bounds of the
-    others and a disk margin of 0.3; NAME=V1,V2 gives cases. With --goals, the worst soft goal is minimised.
+    FILE.py:FUNCTION names a system of your own: its first cost is minimised within the bounds of the other costs and a
+    disk margin of at least 0.3. NAME=V1,V2 gives cases. With --goals, the worst soft goal is minimised.
 
     Examples: surctl tune my-study.toml --gain k_v=0.5..3 --goals my-goals.toml; surctl tune my-system.py:build --page
     """

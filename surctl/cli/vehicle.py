@@ -329,15 +329,16 @@ def from_log(
     A table (CSV, .mat, .nc) without --map has the columns t_s and Fu_N, Fv_N, Fw_N, Fr_N_m (commands, constant until
     the next row). It has those of the columns x_m, y_m, z_m, psi_rad, u_m_per_s, v_m_per_s, w_m_per_s, r_rad_per_s that
     were measured: x forward, y left, z up; or with --frame ned: x north, y east, z down, v to the right, w down. The
-    velocity is that in the heading frame, which turns by the heading alone. A --start that rolls and pitches needs some
-    of roll_rad, pitch_rad, p_rad_per_s, q_rad_per_s too. surctl simulate --save csv (mat, nc) writes such logs.
+    velocity is in the heading frame, which turns by the heading alone. If the vehicle of --start rolls and pitches, the
+    table also needs some of roll_rad, pitch_rad, p_rad_per_s, q_rad_per_s. surctl simulate --save csv (mat, nc) writes
+    such logs.
 
-    Other logs need --map: ArduPilot (.BIN, .tlog), ROS (.bag, .db3 or folder, .mcap), PX4 (.ulg), tables with other or
-    no names of columns. --topics prints what such a log contains.
+    Other logs need --map: ArduPilot (.BIN, .tlog), ROS (.bag, .db3 or folder, .mcap), PX4 (.ulg), tables with other
+    column names or none. --topics prints the topics and fields of such a log.
 
-    A parameter that the log does not determine keeps its value from --start, the others are fitted with it, and the
-    file says so. If a mass or a drag comes out below 0, nothing is written, and the status is 1. The last part of the
-    log is predicted by a fit to the rest, beside a prediction that holds the last velocity.
+    If the log does not determine a parameter, the parameter keeps its value from --start, and the file says so. If a
+    fitted mass or drag is below 0, the command writes no file, and the exit status is 1. As a test, a fit to the first
+    part of the log predicts the last part; the output compares this prediction with a constant velocity.
 
     Example: surctl vehicle from-log trial.csv --start my-vehicle.toml --name fitted
     """

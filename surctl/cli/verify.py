@@ -64,7 +64,7 @@ _SPEED = FiniteRange(min=0, max=100, min_open=True)
 @click.option(
     "--cap", type=_SPEED, metavar="V", help="Largest commanded speed [m/s] (default: the scenario's, else 0.22)."
 )
-@click.option("--scenario", metavar="FILE", help="Scenario: name or file; adds the safety claim.")
+@click.option("--scenario", metavar="FILE", help="Scenario: name or file; adds the no-contact claim.")
 @click.option("--law", metavar="NAME", help="Law: name or FILE.py:FUNCTION (default: the vehicle's).")
 @click.option(
     "--stack", "stacks", multiple=True, metavar="LAW", help="Analyse the task stack of a law: guarded or paper."
@@ -107,20 +107,20 @@ def verify(
     """Prove or refute the paper's claims, or your own, and print stability margins.
 
     A claim is proved (with a certificate that `surctl check` accepts), refuted (with a counterexample), unknown
-    (neither was found), or not applicable (this vehicle, law or gains violate an assumption). The paper's claims
-    concern the kinematic loop at the cruise speed, with speeds limited to --cap. --scenario also prints the safety
-    claim: the barrier, its assumptions, and whether the margin suffices.
+    (neither proved nor refuted), or not applicable (this vehicle, law or gains violate an assumption). The paper's
+    claims concern the kinematic loop at the cruise speed, with speeds limited to --cap. --scenario also checks the
+    no-contact claim and prints its assumptions.
 
     The linear analysis about straight cruise (of --law: about steady motion) gives margins, poles, the slowest mode,
-    stable speeds and sampling limits, nominal and for the worst of --uncertainty or of the vehicle's ranges. Region and
-    braking claims are checked only if named (see surctl list). A file holds an inequality of your own (kind claim;
-    --show prints examples), a region claim with other numbers (kind region), or a region of attraction or a barrier of
-    any dynamics (kind lyapunov or barrier). --stack prints which tasks of a law are orthogonal, independent or
-    dependent, and which converge. Exit status: 1 if a verdict is not as expected, a named claim is not applicable, the
-    loop is unstable at a corner, a margin is too small, or the no-contact claim fails.
+    stable speeds and sampling limits: for the nominal vehicle, and for the worst within --uncertainty or its own
+    ranges. Region and braking claims are checked only if you name them (see surctl list). A file states an inequality
+    of your own (kind claim; --show prints examples), a region claim with other numbers (kind region), or a region of
+    attraction or a barrier of any dynamics (kind lyapunov or barrier). --stack prints which tasks of a law are
+    orthogonal, independent or dependent, and which converge. Exit status: 1 if a verdict is not as expected, a named
+    claim is not applicable, the loop is unstable at a corner, a margin is too small, or the no-contact claim fails.
 
-    For FILE.py:FUNCTION, a system of your own, it prints equilibrium, poles and margins of the sampled loop; with
-    within.STATE=LOW..HIGH for every state, it also proves a region of attraction.
+    For FILE.py:FUNCTION, a system of your own, the command prints equilibrium, poles and margins of the sampled loop;
+    with within.STATE=LOW..HIGH for every state, it also proves a region of attraction.
 
     Examples: surctl verify --out proofs; surctl verify region-cruise-20 claim.toml; surctl verify loop.py:build k=2
     """
