@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from surctl.cli.output import finish, progress, refusal_line, saving, stoppable, timed
+from surctl.errors import InputError, NotApplicable
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -131,7 +132,6 @@ def check_regions(
     Raises:
         InputError: a claim is unknown or has a mistake.
     """
-    from surctl.errors import InputError, NotApplicable
     from surctl.verification import Inapplicable
 
     cruise, cap = speeds
@@ -155,8 +155,6 @@ def require_own_speeds(words: Sequence[str], cruise: float | None, cap: float | 
         cruise: cruise speed of the option [m/s]; None if it is not set.
         cap: speed limit of the option [m/s]; None if it is not set.
     """
-    from surctl.errors import InputError
-
     for word in words:
         statement = region_of(word)
         stated = {"cruise_m_per_s", "cap_m_per_s"} & statement.model_fields_set
@@ -250,7 +248,6 @@ def prove_all(
     """
     if not names:
         return Braking([], [], [], True)
-    from surctl.errors import NotApplicable
     from surctl.marine.control import load_gains
     from surctl.marine.vehicle import load_vehicle
     from surctl.marine.verification.braking import braking_claim_named, prove_braking
@@ -296,7 +293,6 @@ def are_problems(words: Sequence[str], *, only: Sequence[str]) -> bool:
     import click
     from click.core import ParameterSource
 
-    from surctl.errors import InputError
     from surctl.lyapunov import is_problem
 
     about = [word for word in files if is_problem(Path(word))]
@@ -318,7 +314,6 @@ def are_problems(words: Sequence[str], *, only: Sequence[str]) -> bool:
 
 def verify_motion(words: Sequence[str], *, seed: int, time_limit: float, out: Path | None, as_json: bool) -> None:
     """Prove or refute the claims; exit with status 1 if a verdict is not the expected one."""
-    from surctl.errors import InputError
     from surctl.files import prepare_folder
     from surctl.lyapunov import load_problem, solve
 

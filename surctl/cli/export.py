@@ -26,6 +26,7 @@ from surctl.cli.robot_options import (
 )
 from surctl.cli.sensor_options import SensorOptions, sensor_data, sensor_options, split_faults
 from surctl.cli.subject import assigned, cost_data, cost_lines, end_text, is_system, load_system, seconds_option
+from surctl.errors import InputError, nearest
 
 if TYPE_CHECKING:
     from surctl.export import CheckReport, ProofReport, Records, SilReport
@@ -61,7 +62,6 @@ class ExportOptions:
             InputError: `--check` is missing, or a target is unknown.
             ToolMissing: there is no C compiler.
         """
-        from surctl.errors import InputError
         from surctl.export.emulated import chosen_targets
         from surctl.ir import find_compiler
 
@@ -214,7 +214,6 @@ def export(
     import numpy as np
 
     from surctl.cli.runs import failure
-    from surctl.errors import InputError, nearest
     from surctl.export import (
         REALS,
         Records,
@@ -400,7 +399,6 @@ def export_system(
         InputError: an option is not available, `--check` is missing, or the name is one of `reserved`.
     """
     from surctl.assessment import ClosedLoop, assess
-    from surctl.errors import InputError, nearest
     from surctl.export.bundle import build_bundle, check_folder, write_bundle
     from surctl.export.envelope import as_records
     from surctl.export.evidence import evidence_of, with_evidence
@@ -471,7 +469,6 @@ def export_scene(scenario: str, vehicle: str | None, *, out: Path, as_json: bool
         InputError: an option concerns the controller, which is not part of the model, or the hull starts inside an
             obstacle.
     """
-    from surctl.errors import InputError
     from surctl.marine.engine import EngineOptions, write_mjcf
     from surctl.marine.simulation import load_scenario
     from surctl.marine.vehicle import load_vehicle

@@ -15,6 +15,7 @@ import click
 from surctl.cli.output import as_json, finish, progress, same_command, saving, stoppable
 from surctl.cli.robot_options import SPEEDS, at_hand, choose_law, choose_shared, law_option, law_words
 from surctl.cli.subject import OwnSystem, command_line, is_system, load_system, seconds_option
+from surctl.errors import InputError, nearest
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -159,7 +160,6 @@ def sweep(
             axes, seconds=seconds, design=design, points=points, sensitivity=sensitivity, seeds=seeds,
             threads=workers or (2 if dask is None else 1), executor=remote, out=out, as_json=as_json,
         )  # fmt: skip
-    from surctl.errors import InputError, nearest
     from surctl.files import prepare_folder, write_file
     from surctl.marine.control import law_source, load_gains, write_gains
     from surctl.marine.simulation import load_scenario
@@ -350,7 +350,6 @@ def sweep_own_system(
 ) -> None:
     """Simulate the runs of all points in compiled code; print each cost's range and best point."""
     from surctl.assessment import ClosedLoop, assess
-    from surctl.errors import InputError, nearest
     from surctl.files import prepare_folder
     from surctl.ir import find_compiler
     from surctl.recorded_write import write_csv
@@ -441,7 +440,6 @@ def choices_and_draws(
     """
     import numpy as np
 
-    from surctl.errors import InputError
     from surctl.system.values import check_scalar
     from surctl.tuning.design import ONE_POINT, SEED, Axis, Span, make_design, random_draws, saltelli
 

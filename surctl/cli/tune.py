@@ -26,6 +26,7 @@ from surctl.cli.subject import (
     seconds_option,
 )
 from surctl.cli.tuning_output import caps, check_goal_cases, floor_lines, look, region_words, unrepresentative
+from surctl.errors import InputError
 
 if TYPE_CHECKING:
     import numpy as np
@@ -188,7 +189,6 @@ def tune(
         return
     if scenario or port or no_browser:
         raise click.UsageError(_needs_page(scenario))
-    from surctl.errors import InputError
     from surctl.files import prepare_folder, write_file
     from surctl.marine.control import default_law, write_gains
     from surctl.marine.study import load_plan
@@ -393,7 +393,6 @@ def tune_own_system(
 ) -> None:
     """Search gains, write them, print each figure before and after; the exit status is 1 if a bound is violated."""
     from surctl.assessment import ClosedLoop, Comparison, assess
-    from surctl.errors import InputError
     from surctl.files import prepare_folder
     from surctl.ir import find_compiler
     from surctl.recorded_write import write_csv
