@@ -6,7 +6,7 @@ from surctl.lazy import load_at_first_use
 
 if TYPE_CHECKING:
     from surctl.report.cost_map import plot_cost_map
-    from surctl.report.document import Check, render_sections
+    from surctl.report.document import render_sections
     from surctl.report.evidence import MarginSlice, margin_slice, plot_counterexample, plot_replay, plot_slice
     from surctl.report.motion_plots import plot_motion
     from surctl.report.page_parts import plot_loop, plot_loop_goals, plot_loops
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     )
 
 __all__ = [
-    "Check",
     "MarginSlice",
     "margin_slice",
     "plot_attainable_rates",

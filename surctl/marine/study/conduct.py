@@ -400,7 +400,7 @@ def conduct(
     from surctl.marine.report import ReportData
     from surctl.marine.report.evidence_sections import runs_section
     from surctl.marine.report.page import write_page
-    from surctl.report.document import Section, checks_of
+    from surctl.report.document import Section
 
     find_compiler()
     prepare_folder(out)
@@ -477,8 +477,7 @@ def conduct(
             data,
             export=_export_summary(plan, shipment, replayed, sil),
             seconds=dict(clock.seconds),
-            banner=assessment.banner,
-            summary=checks_of(assessment),
+            assessment=assessment,
         )
         report = write_page(data, out / "report.html", runs=section)
     seconds = dict(clock.seconds)
