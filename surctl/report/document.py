@@ -208,22 +208,6 @@ def render_sections(
         lines: the verdicts, shown worst first; `about` is the anchor of the section or heading with the details. If a
             section is folded, only lines that fail or are not decided are open.
         sections: the sections in reading order.
-
-    Example:
-        >>> from surctl.assessment import Line
-        >>> from surctl.report import render_sections
-        >>> page = render_sections(
-        ...     title="Pool",
-        ...     subject="One hull, one pool.",
-        ...     version="1.0",
-        ...     command="",
-        ...     passed=True,
-        ...     banner="All holds.",
-        ...     lines=[Line(True, "margins suffice")],
-        ...     sections=[],
-        ... )
-        >>> page[:15], [words in page for words in ("One hull, one pool.", "margins suffice")]
-        ('<!DOCTYPE html>', [True, True])
     """
     environment = Environment(
         loader=FileSystemLoader(_TEMPLATES),

@@ -9,8 +9,7 @@ from surctl.assessment import Figure, Line
 from surctl.marine.report import render_page
 from surctl.marine.report.page import findings_section
 from surctl.marine.verification import claims
-from surctl.report import render_sections
-from surctl.report.document import Section, Table
+from surctl.report.document import Section, Table, render_sections
 from surctl.report.evidence import claim_words
 from surctl.verification import Inapplicable
 from tests.report.data import report

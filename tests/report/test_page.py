@@ -17,8 +17,7 @@ from surctl.marine.control import write_gains
 from surctl.marine.report import ExportSummary, ReportData, plot_run, render_page
 from surctl.marine.report.evidence_sections import runs_section
 from surctl.marine.report.page import write_page
-from surctl.report import render_sections
-from surctl.report.document import Heading, Section, picture
+from surctl.report.document import Heading, Section, picture, render_sections
 from surctl.report.theme import png
 from tests.pictures import blank_pictures
 from tests.report.data import GAINS, report, run, said, sweep, vehicle

@@ -33,8 +33,7 @@ from surctl.marine.sensing.calibration.file import MEDIA, Medium, table_ii
 from surctl.marine.simulation import Run
 from surctl.marine.verification import claims
 from surctl.marine.world import Box, Disc
-from surctl.report import render_sections
-from surctl.report.document import Block, Cell, Pictures, Section, Table, outcome_cell, picture
+from surctl.report.document import Block, Cell, Pictures, Section, Table, outcome_cell, picture, render_sections
 from surctl.verification import Claim, decide
 from surctl.verification.setting import Setting
 
