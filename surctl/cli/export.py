@@ -135,10 +135,7 @@ class Compared(NamedTuple):
 )
 @law_option
 @click.option(
-    "--avoidance",
-    default="corrected",
-    metavar="NAME",
-    help="Eq. (20): corrected (default), consistent or printed.",
+    "--avoidance", default="corrected", metavar="NAME", help="Eq. (20): corrected (default), consistent or printed."
 )
 @click.option("--guidance", default="los", metavar="NAME", help="Path guidance: los (default), ilos or alos.")
 @priority_options
@@ -147,11 +144,7 @@ class Compared(NamedTuple):
 @click.option("--name", metavar="TEXT", help="Prefix of files and C symbols (default: the law's name).")
 @click.option("--target", default="c99", metavar="NAME", help="Output: c99 (default), fmu (FMI 2), fmu3 or mjcf.")
 @click.option("--real", default="float64", metavar="NAME", help="Number type: float64 (default) or float32.")
-@click.option(
-    "--constant-gains",
-    is_flag=True,
-    help="Compile gains and mission as constants; needs --sensing truth.",
-)
+@click.option("--constant-gains", is_flag=True, help="Compile gains and mission as constants; needs --sensing truth.")
 @click.option(
     "--certificate",
     "certificates",
@@ -161,11 +154,7 @@ class Compared(NamedTuple):
     help="Certificate to add to the bundle; may be repeated.",
 )
 @click.option("--check", is_flag=True, help="Compare the C of several compilers and processors with Python.")
-@click.option(
-    "--prove",
-    is_flag=True,
-    help="Prove that no run-time error occurs (Frama-C's Eva).",
-)
+@click.option("--prove", is_flag=True, help="Prove that no run-time error occurs (Frama-C's Eva).")
 @click.option("--targets", metavar="A,B", help="Compilers and processors that --check uses (default: all available).")
 @click.option(
     "--steps", type=click.IntRange(min=1), metavar="N", help="Single steps that --check tries (default 100000)."

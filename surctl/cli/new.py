@@ -20,11 +20,7 @@ _NEXT = {
     "scenario": ("surctl lint {}", "surctl simulate {}"),
     "study": ("surctl lint {}", "surctl study {}"),
     "task": ("python {}",),
-    "law": (
-        "python {}",
-        "surctl new scenario open-water",
-        "surctl simulate open-water.toml --law {}:@IDENTIFIER@",
-    ),
+    "law": ("python {}", "surctl new scenario open-water", "surctl simulate open-water.toml --law {}:@IDENTIFIER@"),
     "system": (
         "surctl study {}:build",
         "surctl simulate {}:build --out plots",

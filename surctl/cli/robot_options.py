@@ -210,16 +210,10 @@ trust_option = click.option("--trust", is_flag=True, help="Run the law of your o
 
 priority_options = together(
     click.option(
-        "--priority-mode",
-        default="nsb",
-        metavar="NAME",
-        help="Mode: nsb (default), filter, projected, lexicographic.",
+        "--priority-mode", default="nsb", metavar="NAME", help="Mode: nsb (default), filter, projected, lexicographic."
     ),
     click.option(
-        "--fallback",
-        default="exact",
-        metavar="NAME",
-        help="If limits conflict: exact (default), or bounded cost.",
+        "--fallback", default="exact", metavar="NAME", help="If limits conflict: exact (default), or bounded cost."
     ),
 )
 """A decorator that adds these options to a command; the command receives them as `priority_mode` and `fallback`."""
@@ -227,10 +221,7 @@ priority_options = together(
 
 barrier_options = together(
     click.option(
-        "--barrier",
-        default="simple",
-        metavar="NAME",
-        help="Bound on approach speed: simple (default) or inertia.",
+        "--barrier", default="simple", metavar="NAME", help="Bound on approach speed: simple (default) or inertia."
     ),
     click.option("--movers", default="predict", metavar="NAME", help="Moving obstacles: predict (default) or barrier."),
 )

@@ -61,12 +61,7 @@ def activity_line(run: Run) -> str:
     m = run.metrics
     angles = f"crab angle {m.crab_angle_deg:.0f} deg (largest {m.max_crab_angle_deg:.0f}), " * (m.crab_angle_deg >= 0)
     angles += f"heading error {m.heading_error_deg:.0f} deg; " * (m.heading_error_deg >= 0)
-    axes = (
-        m.variation_surge_n_per_s,
-        m.variation_sway_n_per_s,
-        m.variation_heave_n_per_s,
-        m.variation_yaw_n_m_per_s,
-    )
+    axes = (m.variation_surge_n_per_s, m.variation_sway_n_per_s, m.variation_heave_n_per_s, m.variation_yaw_n_m_per_s)
     varies = ", ".join(f"{one if abs(one) > _ROUNDING else 0:.2g}" for one in axes)
     return (
         f"  {angles}thrust varies by {varies} (N/s in surge, sway, heave, N m/s in "
@@ -303,13 +298,7 @@ class CampaignOptions:
             raise InputError("is named twice", key="SCENARIOS", value=" ".join(scenarios), remedy="name each once")
 
     def plans(
-        self,
-        scenarios: tuple[str, ...],
-        robot: RobotOptions,
-        sensors: SensorOptions,
-        *,
-        law: str,
-        seed: int,
+        self, scenarios: tuple[str, ...], robot: RobotOptions, sensors: SensorOptions, *, law: str, seed: int
     ) -> list[Plan]:
         """Return the plans of the requested campaigns.
 

@@ -70,10 +70,7 @@ __all__ = ["simulate", "simulate_own_system"]
 @click.option("--gains", metavar="FILE", help=GAINS_HELP)
 @law_option
 @click.option(
-    "--avoidance",
-    default="corrected",
-    metavar="NAME",
-    help="Eq. (20): corrected (default), consistent or printed.",
+    "--avoidance", default="corrected", metavar="NAME", help="Eq. (20): corrected (default), consistent or printed."
 )
 @click.option("--guidance", default="los", metavar="NAME", help="Path guidance: los (default), ilos or alos.")
 @priority_options

@@ -44,10 +44,7 @@ _EXPLAINED = ("deviation_m", "path_error_m")  # columns whose meaning is printed
 
 @click.command
 @click.argument(
-    "axes",
-    nargs=-1,
-    required=True,
-    metavar="[FILE.py:FUNCTION] PARAMETER=V1,V2,...|LOW..HIGH[:COUNT][:log] ...",
+    "axes", nargs=-1, required=True, metavar="[FILE.py:FUNCTION] PARAMETER=V1,V2,...|LOW..HIGH[:COUNT][:log] ..."
 )
 @seconds_option
 @click.option(
@@ -69,10 +66,7 @@ _EXPLAINED = ("deviation_m", "path_error_m")  # columns whose meaning is printed
 @click.option("--gains", metavar="FILE", help="All other gains: name or file (default: the vehicle's).")
 @law_option
 @click.option(
-    "--priority-mode",
-    default="nsb",
-    metavar="NAME",
-    help="Mode: nsb (default), filter, projected, lexicographic.",
+    "--priority-mode", default="nsb", metavar="NAME", help="Mode: nsb (default), filter, projected, lexicographic."
 )
 @click.option(
     "--guidance",
@@ -106,12 +100,7 @@ _EXPLAINED = ("deviation_m", "path_error_m")  # columns whose meaning is printed
     metavar="N",
     help="Simulate every point with the seeds 0 to N-1 (default 1).",
 )
-@click.option(
-    "--workers",
-    type=click.IntRange(min=1),
-    metavar="N",
-    help="Processes or threads (default 2).",
-)
+@click.option("--workers", type=click.IntRange(min=1), metavar="N", help="Processes or threads (default 2).")
 @click.option("--dask", metavar="ADDRESS", help="Use a Dask scheduler instead of local processes.")
 @click.option(
     "--out",

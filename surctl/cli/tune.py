@@ -38,17 +38,10 @@ __all__ = ["tune", "tune_own_system"]
 @click.command
 @click.argument("words", nargs=-1, metavar="[STUDY | FILE.py:FUNCTION [NAME=VALUE,...]...]")
 @click.option(
-    "--gain",
-    "gain",
-    multiple=True,
-    metavar="NAME[=LOW..HIGH]",
-    help="Gain to tune, with its range; may be repeated.",
+    "--gain", "gain", multiple=True, metavar="NAME[=LOW..HIGH]", help="Gain to tune, with its range; may be repeated."
 )
 @click.option(
-    "--goals",
-    "goals_file",
-    metavar="FILE",
-    help="Goals: name or file (default: the study's, else the built-in goals).",
+    "--goals", "goals_file", metavar="FILE", help="Goals: name or file (default: the study's, else the built-in goals)."
 )
 @click.option(
     "--cruise",
@@ -78,11 +71,7 @@ __all__ = ["tune", "tune_own_system"]
     help="Simulate with the seeds 0 to N-1 (default 4).",
 )
 @click.option(
-    "--vehicle",
-    "vehicles",
-    multiple=True,
-    metavar="FILE",
-    help="Vehicle (name or file) of the runs; may be repeated.",
+    "--vehicle", "vehicles", multiple=True, metavar="FILE", help="Vehicle (name or file) of the runs; may be repeated."
 )
 @click.option(
     "--guidance",
@@ -104,13 +93,7 @@ __all__ = ["tune", "tune_own_system"]
     metavar="N",
     help="New runs that verify a round (default 2000); up to 10 N more runs train.",
 )
-@click.option(
-    "--workers",
-    type=click.IntRange(min=1),
-    default=2,
-    metavar="N",
-    help="Number of threads (default 2).",
-)
+@click.option("--workers", type=click.IntRange(min=1), default=2, metavar="N", help="Number of threads (default 2).")
 @click.option(
     "--out",
     type=click.Path(path_type=Path),

@@ -23,13 +23,7 @@ _FASTEST, _LARGEST = 100.0, 1e9  # [m/s], [N, N m]
 @click.command
 @click.argument("name", metavar="VEHICLE")
 @click.option("--failed", multiple=True, metavar="NAME", help="Thruster that gives no force; may be repeated.")
-@click.option(
-    "--speed",
-    type=float,
-    default=1.0,
-    metavar="U",
-    help="Forward speed of rudders [m/s] (default 1).",
-)
+@click.option("--speed", type=float, default=1.0, metavar="U", help="Forward speed of rudders [m/s] (default 1).")
 @click.option("--force", "wrench", type=float, nargs=4, metavar="FU FV FW FR", help="Allocate this force [N, N m].")
 @out_folder
 @as_json

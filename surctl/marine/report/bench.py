@@ -28,16 +28,7 @@ from surctl.marine.vehicle.linearise import command_range
 from surctl.marine.verification import OperatingPoint, applicable_claims, steady_motion
 from surctl.marine.verification.region import RegionProof, RegionStatement, applicable_region
 from surctl.own_code import is_own, label
-from surctl.report.design_bench import (
-    RunView,
-    Slider,
-    SlowView,
-    View,
-    activity,
-    assessed_lines,
-    gain_file,
-    replaceable,
-)
+from surctl.report.design_bench import RunView, Slider, SlowView, View, activity, assessed_lines, gain_file, replaceable
 from surctl.report.panel import Curve, Panel, Shade
 from surctl.system import LinearLoop
 from surctl.tuning import LoopGoal

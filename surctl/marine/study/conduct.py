@@ -462,15 +462,7 @@ def conduct(
                 section = runs_section(data)
         with clock("software in the loop"):
             sil = shipment.replayed(replayed)
-    assessment = summary(
-        plan,
-        swept,
-        assessment,
-        loops,
-        (*verdicts, *inapplicable),
-        runs,
-        sil,
-    )
+    assessment = summary(plan, swept, assessment, loops, (*verdicts, *inapplicable), runs, sil)
     assessment = assessment.with_lines(left_out([run for run in sonar_runs if run not in replayed]))
     with clock("report"), saving("report"):
         data = replace(

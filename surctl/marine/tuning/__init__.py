@@ -6,13 +6,7 @@ from surctl.lazy import load_at_first_use
 
 if TYPE_CHECKING:
     from surctl.marine.tuning.cegis import Round, Tuning, tune
-    from surctl.marine.tuning.derived import (
-        Derivation,
-        default_cruise,
-        derive_gains,
-        derived_gains,
-        gains_for,
-    )
+    from surctl.marine.tuning.derived import Derivation, default_cruise, derive_gains, derived_gains, gains_for
     from surctl.marine.tuning.evaluation import (
         Condition,
         Evaluation,
@@ -26,15 +20,7 @@ if TYPE_CHECKING:
     from surctl.marine.tuning.goals import ASSESSED, Goal, load_goals
     from surctl.marine.tuning.measure import build_cases
     from surctl.marine.tuning.montecarlo import Counterexample, MonteCarlo
-    from surctl.marine.tuning.outcome import (
-        CHECKED,
-        Finals,
-        Miss,
-        goal_rows,
-        misses,
-        summary,
-        tuned_gains,
-    )
+    from surctl.marine.tuning.outcome import CHECKED, Finals, Miss, goal_rows, misses, summary, tuned_gains
     from surctl.marine.tuning.pool import TUNED, GainRange, Pool, Request, gain_ranges
     from surctl.marine.tuning.search import search
     from surctl.marine.tuning.sweep import SweepTable, SweptAxis, load_sweep, sweep

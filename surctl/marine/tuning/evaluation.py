@@ -91,11 +91,7 @@ def case_loop(
 
 
 def judged_loops(
-    goal: Goal,
-    case: Case,
-    cruise: float | None,
-    plants: Sequence[Mapping[str, float]],
-    sets: Sets,
+    goal: Goal, case: Case, cruise: float | None, plants: Sequence[Mapping[str, float]], sets: Sets
 ) -> NDArray[np.float64]:
     """Return the normalised values (n gain sets, plants) of a goal about the loop.
 
