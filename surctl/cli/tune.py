@@ -183,14 +183,13 @@ def tune(
         conditions,
         gain_ranges,
         load_goals,
-        misses,
         summary,
         tuned_gains,
     )
     from surctl.marine.tuning import tune as run_tuning
     from surctl.marine.tuning.evaluation import check_goals, judged_goals
     from surctl.marine.tuning.goals import goals_at, with_floor
-    from surctl.marine.tuning.outcome import advice, check_finals, tuning_dict
+    from surctl.marine.tuning.outcome import advice, check_finals, misses, tuning_dict
     from surctl.marine.tuning.pool import default_tuned
     from surctl.marine.tuning.search import BEST
     from surctl.marine.vehicle import load_vehicle

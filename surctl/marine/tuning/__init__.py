@@ -12,15 +12,13 @@ if TYPE_CHECKING:
         Evaluation,
         case_loop,
         conditions,
-        corners,
         evaluate,
         figures,
-        scope,
     )
     from surctl.marine.tuning.goals import ASSESSED, Goal, load_goals
     from surctl.marine.tuning.measure import build_cases
     from surctl.marine.tuning.montecarlo import Counterexample, MonteCarlo
-    from surctl.marine.tuning.outcome import CHECKED, Finals, Miss, goal_rows, misses, summary, tuned_gains
+    from surctl.marine.tuning.outcome import CHECKED, Finals, Miss, summary, tuned_gains
     from surctl.marine.tuning.pool import TUNED, GainRange, Pool, Request, gain_ranges
     from surctl.marine.tuning.search import search
     from surctl.marine.tuning.sweep import SweepTable, SweptAxis, load_sweep, sweep
@@ -48,7 +46,6 @@ __all__ = [
     "build_cases",
     "case_loop",
     "conditions",
-    "corners",
     "default_cruise",
     "derive_gains",
     "derived_gains",
@@ -56,11 +53,8 @@ __all__ = [
     "figures",
     "gain_ranges",
     "gains_for",
-    "goal_rows",
     "load_goals",
     "load_sweep",
-    "misses",
-    "scope",
     "search",
     "summary",
     "sweep",
