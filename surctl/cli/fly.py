@@ -10,6 +10,7 @@ import click
 
 from surctl.cli.output import FiniteRange, Stopped, as_json, finish, progress, waiting
 from surctl.cli.robot_options import GAINS_HELP, choose_gains, choose_law, law_option
+from surctl.errors import InputError, SurctlError, nearest
 
 if TYPE_CHECKING:
     from surctl.marine.bridge import Act, Address, Bridge, LinkQuality, RehearsalResult
@@ -100,7 +101,6 @@ def fly(
     from math import radians
 
     from surctl.cli.robot_options import choose_vehicle
-    from surctl.errors import InputError, nearest
     from surctl.files import prepare_folder
     from surctl.marine.bridge import Bridge, LinkQuality, Wire, mode_of, parse_address, parse_site, plan_session
     from surctl.marine.control import law_source
@@ -165,7 +165,6 @@ def fly(
 def _live(bridge: Bridge, address: Address, out: Path) -> tuple[bool, list[str]]:
     import time
 
-    from surctl.errors import SurctlError
     from surctl.marine.bridge import Ended, SessionRecord, run_session
 
     waiting()
@@ -212,7 +211,6 @@ def _stem(mission: Scenario, seed: int) -> str:
 
 
 def _act(text: str) -> Act:
-    from surctl.errors import InputError, nearest
     from surctl.marine.bridge import ACTIONS, Act
 
     at, _, action = text.partition(":")

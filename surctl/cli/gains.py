@@ -13,6 +13,7 @@ import click
 from surctl.cli.new import write_new
 from surctl.cli.output import FiniteRange, as_json, finish
 from surctl.cli.robot_options import derive_words, margin_short
+from surctl.errors import InputError
 
 if TYPE_CHECKING:
     from surctl.marine.simulation import SafetyClaim
@@ -54,7 +55,6 @@ def derive(
 
     Examples: surctl gains derive bluerov2-wu; surctl gains derive rov.toml --cruise 0.3 --out gains.toml
     """
-    from surctl.errors import InputError
     from surctl.marine.control import write_gains
     from surctl.marine.simulation import SafetyClaim
     from surctl.marine.tuning import default_cruise, derive_gains

@@ -35,10 +35,7 @@ def scenario() -> None:
     help="Height of the path [m], below 0 (default: the lowest of the plan).",
 )
 @click.option(
-    "--margin",
-    type=FiniteRange(min=0, min_open=True),
-    default=5.0,
-    help="Free water around the path [m] (default 5).",
+    "--margin", type=FiniteRange(min=0, min_open=True), default=5.0, help="Free water around the path [m] (default 5)."
 )
 @click.option("--out", type=click.Path(path_type=Path), metavar="FILE", help="File to write (default NAME.toml).")
 @click.option("--force", is_flag=True, help="Overwrite an existing file.")

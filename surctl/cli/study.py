@@ -25,6 +25,7 @@ from surctl.cli.subject import (
     load_system,
     seconds_option,
 )
+from surctl.errors import InputError
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -177,7 +178,6 @@ def study_system(
     from surctl.assessment import ClosedLoop, assess
     from surctl.cli.subject import loop_data, mode_text, region_words, resting
     from surctl.cli.sweep import best_line, best_points
-    from surctl.errors import InputError
     from surctl.export.bundle import build_bundle, check_folder, write_bundle
     from surctl.export.process import build_controller
     from surctl.export.sil import compare_runs
@@ -285,7 +285,6 @@ def _design(
 ) -> tuple[Design, Mapping[str, ArrayLike]] | None:
     """Return the grid of the sweep, and the numbers of the runs at each point; None without axes."""
     from surctl.cli.sweep import choices_and_draws
-    from surctl.errors import InputError
     from surctl.tuning import parse_axis
 
     if not axes:

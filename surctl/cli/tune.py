@@ -26,6 +26,7 @@ from surctl.cli.subject import (
     seconds_option,
 )
 from surctl.cli.tuning_output import caps, check_goal_cases, floor_lines, look, region_words, unrepresentative
+from surctl.errors import InputError
 
 if TYPE_CHECKING:
     import numpy as np
@@ -37,17 +38,10 @@ __all__ = ["tune", "tune_own_system"]
 @click.command
 @click.argument("words", nargs=-1, metavar="[STUDY | FILE.py:FUNCTION [NAME=VALUE,...]...]")
 @click.option(
-    "--gain",
-    "gain",
-    multiple=True,
-    metavar="NAME[=LOW..HIGH]",
-    help="Gain to tune, with its range; may be repeated.",
+    "--gain", "gain", multiple=True, metavar="NAME[=LOW..HIGH]", help="Gain to tune, with its range; may be repeated."
 )
 @click.option(
-    "--goals",
-    "goals_file",
-    metavar="FILE",
-    help="Goals: name or file (default: the study's, else the built-in goals).",
+    "--goals", "goals_file", metavar="FILE", help="Goals: name or file (default: the study's, else the built-in goals)."
 )
 @click.option(
     "--cruise",
@@ -77,11 +71,7 @@ __all__ = ["tune", "tune_own_system"]
     help="Simulate with the seeds 0 to N-1 (default 4).",
 )
 @click.option(
-    "--vehicle",
-    "vehicles",
-    multiple=True,
-    metavar="FILE",
-    help="Vehicle (name or file) of the runs; may be repeated.",
+    "--vehicle", "vehicles", multiple=True, metavar="FILE", help="Vehicle (name or file) of the runs; may be repeated."
 )
 @click.option(
     "--guidance",
@@ -103,13 +93,7 @@ __all__ = ["tune", "tune_own_system"]
     metavar="N",
     help="New runs that test a round (default 2000), after up to 10 N training runs.",
 )
-@click.option(
-    "--workers",
-    type=click.IntRange(min=1),
-    default=2,
-    metavar="N",
-    help="Number of threads (default 2).",
-)
+@click.option("--workers", type=click.IntRange(min=1), default=2, metavar="N", help="Number of threads (default 2).")
 @click.option(
     "--out",
     type=click.Path(path_type=Path),
@@ -188,7 +172,6 @@ def tune(
         return
     if scenario or port or no_browser:
         raise click.UsageError(_needs_page(scenario))
-    from surctl.errors import InputError
     from surctl.files import prepare_folder, write_file
     from surctl.marine.control import default_law, write_gains
     from surctl.marine.study import load_plan
@@ -200,14 +183,13 @@ def tune(
         conditions,
         gain_ranges,
         load_goals,
-        misses,
         summary,
         tuned_gains,
     )
     from surctl.marine.tuning import tune as run_tuning
     from surctl.marine.tuning.evaluation import check_goals, judged_goals
     from surctl.marine.tuning.goals import goals_at, with_floor
-    from surctl.marine.tuning.outcome import advice, check_finals, tuning_dict
+    from surctl.marine.tuning.outcome import advice, check_finals, misses, tuning_dict
     from surctl.marine.tuning.pool import default_tuned
     from surctl.marine.tuning.search import BEST
     from surctl.marine.vehicle import load_vehicle
@@ -393,7 +375,6 @@ def tune_own_system(
 ) -> None:
     """Search gains, write them, print each figure before and after; the exit status is 1 if a bound is violated."""
     from surctl.assessment import ClosedLoop, Comparison, assess
-    from surctl.errors import InputError
     from surctl.files import prepare_folder
     from surctl.ir import find_compiler
     from surctl.recorded_write import write_csv

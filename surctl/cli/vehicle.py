@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from surctl.cli.output import FiniteRange, as_json, finish, out_folder, saving
+from surctl.errors import InputError
 
 if TYPE_CHECKING:
     from surctl.marine.vehicle import Identified, MotionLog, Prediction, Vehicle
@@ -22,13 +23,7 @@ _FASTEST, _LARGEST = 100.0, 1e9  # [m/s], [N, N m]
 @click.command
 @click.argument("name", metavar="VEHICLE")
 @click.option("--failed", multiple=True, metavar="NAME", help="Thruster that gives no force; may be repeated.")
-@click.option(
-    "--speed",
-    type=float,
-    default=1.0,
-    metavar="U",
-    help="Forward speed of rudders [m/s] (default 1).",
-)
+@click.option("--speed", type=float, default=1.0, metavar="U", help="Forward speed of rudders [m/s] (default 1).")
 @click.option("--force", "wrench", type=float, nargs=4, metavar="FU FV FW FR", help="Allocate this force [N, N m].")
 @out_folder
 @as_json
@@ -45,7 +40,6 @@ def thrusters(
     Examples: surctl vehicle thrusters bluerov2-heavy --out pictures; surctl vehicle thrusters bluerov2-heavy --failed
     T2 --force 40 30 0 5
     """
-    from surctl.errors import InputError
     from surctl.marine.allocation import allocate, working_flags
     from surctl.marine.simulation import held_share, thruster_findings
     from surctl.marine.vehicle import axis_ends, load_vehicle
@@ -118,7 +112,6 @@ class _Measured(click.ParamType):  # type: ignore[type-arg]  # generic since cli
         self.unit, self.name = unit, unit
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        from surctl.errors import InputError
         from surctl.units import in_unit, number_and_unit
 
         if isinstance(value, float):
@@ -393,7 +386,6 @@ def from_log(
 
     def plot() -> None:
         with saving("plot"):
-            from surctl.errors import InputError
             from surctl.marine.report import plot_prediction
             from surctl.report.theme import save_figure
 
@@ -413,7 +405,6 @@ def from_log(
 
 
 def _read_log(log: Path, map_file: Path | None, frame: str | None) -> MotionLog:
-    from surctl.errors import InputError
     from surctl.marine.vehicle import read_mapped_log, read_motion_log
     from surctl.marine.vehicle.logs.read import READERS
 

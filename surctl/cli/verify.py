@@ -26,11 +26,11 @@ from surctl.cli.output import (
 )
 from surctl.cli.robot_options import GAINS_HELP, SPEEDS, barrier_options, choose_gains, derive_words, margin_short
 from surctl.cli.subject import assigned, command_line, is_system, load_system, loop_data, loop_lines
+from surctl.errors import InputError, NotApplicable
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from surctl.errors import NotApplicable
     from surctl.lyapunov import Solution
     from surctl.marine.control import Gains
     from surctl.marine.vehicle import Vehicle
@@ -125,8 +125,6 @@ def verify(
 
     Examples: surctl verify --out proofs; surctl verify region-cruise-20 claim.toml; surctl verify loop.py:build k=2
     """
-    from surctl.errors import InputError
-
     if time_limit is not None and math.isnan(time_limit):  # click accepts NaN in any range
         raise InputError("is not a valid time", key="--time-limit", value=time_limit, remedy="give seconds, above 0")
     if is_system(claims, "seed", "time_limit", "out", "as_json"):
@@ -314,7 +312,6 @@ def _speeds(cruise: float | None, cap: float | None, scenario: str | None) -> tu
     (cruise speed)/(cruise speed of the scenario).
     """
     from surctl.cli.robot_options import MISSION
-    from surctl.errors import InputError
     from surctl.marine.simulation import load_scenario
 
     mission = load_scenario(MISSION if scenario is None else scenario)
@@ -364,7 +361,6 @@ def _chosen(
     words: Sequence[str], gains: Mapping[str, Any], vehicle: Vehicle, *, law: str | None = None
 ) -> tuple[list[Claim], Mapping[str, NotApplicable]]:
     # without names and files, the claims are those of the library; they do not concern the law `law`
-    from surctl.errors import InputError, NotApplicable
     from surctl.marine.tuning.derived import has_tuned
     from surctl.marine.verification import applicable_claims
     from surctl.verification import load_claim
@@ -416,7 +412,6 @@ def verify_system(words: Sequence[str], *, seed: int, time_limit: float, out: Pa
     from surctl.assessment import ClosedLoop, assess
     from surctl.cli.claims import write_solution
     from surctl.cli.subject import region_words
-    from surctl.errors import InputError
     from surctl.files import prepare_folder
     from surctl.lyapunov import solve
 
