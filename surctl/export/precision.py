@@ -67,14 +67,7 @@ class Rounded(_Same):
         return Rows(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
     def _batch(self, X: Vector, U: Vector, P: Vector) -> Rows:
-        n_tau = command_size(self.law)
-        safe = Rows(
-            np.full(len(X), NONFINITE),
-            np.zeros((len(X), n_tau)),
-            X.copy(),
-            np.zeros((len(X), self.law.outputs.size - n_tau)),
-        )
-        finite = np.flatnonzero(np.isfinite(np.hstack([X, U, P])).all(axis=1))
+        safe, finite = _refused(self.law, X, U, P)
         if not finite.size:
             return safe
         inputs = X[finite], U[finite], P[finite]
@@ -134,20 +127,26 @@ def plain(law: Exportable) -> Exportable:
     return law
 
 
+def _refused(law: Exportable, X: Vector, U: Vector, P: Vector) -> tuple[Rows, NDArray[np.intp]]:
+    """Return the results of steps that are all refused as not finite, and the indices of the steps that are finite."""
+    n_tau = command_size(law)
+    shape = (len(X), law.outputs.size - n_tau)
+    safe = Rows(np.full(len(X), NONFINITE), np.zeros((len(X), n_tau)), np.array(X, dtype=float), np.zeros(shape))
+    return safe, np.flatnonzero(np.isfinite(np.hstack([X, U, P])).all(axis=1))
+
+
 def evaluated(law: Exportable, X: Vector, U: Vector, P: Vector) -> Rows:
     """Run independent steps of the law in Python, step k from row k of states X, inputs U and gains P."""
     if isinstance(law, Guarded):
         return _let_in(law, Records(*(rounded(v, law.real) for v in (X, U, P))))
     if isinstance(law, Rounded):
         return law.steps(X, U, P)
-    steps = [law.step(x, u, p) for x, u, p in zip(X, U, P, strict=True)]
-    width = law.outputs.size - command_size(law)
-    return Rows(
-        np.array([int(s.status) for s in steps], dtype=np.int64),
-        np.array([s.tau for s in steps], dtype=float).reshape(len(steps), -1),
-        np.array([s.x_next for s in steps], dtype=float).reshape(len(steps), law.state.size),
-        np.array([s.telemetry for s in steps], dtype=float).reshape(len(steps), width),
-    )
+    rows, finite = _refused(law, X, U, P)
+    for k in finite.tolist():
+        step = law.step(X[k], U[k], P[k])
+        for column, part in zip(rows, (step.status, step.tau, step.x_next, step.telemetry), strict=True):
+            column[k] = part
+    return rows
 
 
 def _let_in(law: Guarded, records: Records) -> Rows:
@@ -168,15 +167,20 @@ def _let_in(law: Guarded, records: Records) -> Rows:
 
 
 def replayed(
-    law: Exportable, records: Records, load: NDArray[np.bool_], *, counts: NDArray[np.int64] | None = None
+    law: Exportable,
+    records: Records,
+    load: NDArray[np.bool_],
+    *,
+    counts: NDArray[np.int64] | None = None,
+    rows: Rows | None = None,
 ) -> Rows:
     """Run `evaluated`, then the checks that concern successive steps; `load` (T,) is True where a new run starts.
 
     Steps whose inputs changed too fast are rejected. After a gap of refused or missing samples, the step is computed
     from the state that `aged` returns. `counts` (T,) are the sample numbers of the steps; None means that no sample is
-    missing.
+    missing. `rows` are the results of `evaluated`, if they are known.
     """
-    rows = evaluated(law, records.X, records.U, records.P)
+    rows = evaluated(law, records.X, records.U, records.P) if rows is None else rows
     counts = np.arange(len(records)) if counts is None else counts
     if isinstance(law, Guarded):
         rows = law.envelope.chained(rows, records, load, dt=law.dt, real=law.real, counts=counts)
