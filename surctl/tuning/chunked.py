@@ -72,9 +72,9 @@ class LocalExecutor:
 
     Attributes:
         workers: number of processes that evaluate chunks.
-        alone_s: remaining work [s] that the calling process does alone. Each other process needs seconds of processor
-            time to load its libraries, which is longer than most small sweeps take. The work is estimated from the
-            faster of the last two chunks, because the first one often waits for a compiler.
+        alone_s: remaining work, as processor time [s], that the calling process does alone. Each other process needs
+            seconds to load its libraries, which is longer than most small sweeps take. The work is estimated from the
+            faster of the last two chunks, because the first one often builds what the others use again.
 
     Raises:
         InputError: `workers` is less than 1.
@@ -94,9 +94,9 @@ class LocalExecutor:
         last, pace = 0.0, 0.0
         while chunks and (self.workers == 1 or len(chunks) == 1 or pace * len(chunks) < self.alone_s):
             index, points = chunks.popleft()
-            began = time.perf_counter()
+            began = time.process_time()
             result = function(index, points)
-            taken = time.perf_counter() - began
+            taken = time.process_time() - began
             last, pace = taken, min(last, taken)
             yield index, result
         if not chunks:
