@@ -144,8 +144,8 @@ def evaluated(law: Exportable, X: Vector, U: Vector, P: Vector) -> Rows:
     rows, finite = _refused(law, X, U, P)
     for k in finite.tolist():
         step = law.step(X[k], U[k], P[k])
-        for column, part in zip(rows, (step.status, step.tau, step.x_next, step.telemetry), strict=True):
-            column[k] = part
+        rows.status[k], rows.tau[k] = step.status, step.tau
+        rows.state[k], rows.telemetry[k] = step.x_next, step.telemetry
     return rows
 
 
