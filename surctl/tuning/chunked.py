@@ -91,13 +91,13 @@ class LocalExecutor:
     def map_chunks(self, function: Evaluator, chunks: Iterable[Chunk]) -> Results:
         """Evaluate all chunks; yield the pair (index, result) of every chunk, as in `Executor`."""
         chunks = deque(chunks)
-        last, pace = 0.0, 0.0
+        before, pace = 0.0, 0.0
         while chunks and (self.workers == 1 or len(chunks) == 1 or pace * len(chunks) < self.alone_s):
             index, points = chunks.popleft()
             began = time.process_time()
             result = function(index, points)
-            taken = time.process_time() - began
-            last, pace = taken, min(last, taken)
+            now = time.process_time() - began
+            before, pace = now, min(before, now)
             yield index, result
         if not chunks:
             return
