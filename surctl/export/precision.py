@@ -67,7 +67,14 @@ class Rounded(_Same):
         return Rows(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
     def _batch(self, X: Vector, U: Vector, P: Vector) -> Rows:
-        safe, finite = _refused(self.law, X, U, P)
+        n_tau = command_size(self.law)
+        safe = Rows(
+            np.full(len(X), NONFINITE),
+            np.zeros((len(X), n_tau)),
+            X.copy(),
+            np.zeros((len(X), self.law.outputs.size - n_tau)),
+        )
+        finite = np.flatnonzero(np.isfinite(np.hstack([X, U, P])).all(axis=1))
         if not finite.size:
             return safe
         inputs = X[finite], U[finite], P[finite]
@@ -127,26 +134,20 @@ def plain(law: Exportable) -> Exportable:
     return law
 
 
-def _refused(law: Exportable, X: Vector, U: Vector, P: Vector) -> tuple[Rows, NDArray[np.intp]]:
-    """Return the results of steps that are all refused as not finite, and the indices of the steps that are finite."""
-    n_tau = command_size(law)
-    shape = (len(X), law.outputs.size - n_tau)
-    safe = Rows(np.full(len(X), NONFINITE), np.zeros((len(X), n_tau)), np.array(X, dtype=float), np.zeros(shape))
-    return safe, np.flatnonzero(np.isfinite(np.hstack([X, U, P])).all(axis=1))
-
-
 def evaluated(law: Exportable, X: Vector, U: Vector, P: Vector) -> Rows:
     """Run independent steps of the law in Python, step k from row k of states X, inputs U and gains P."""
     if isinstance(law, Guarded):
         return _let_in(law, Records(*(rounded(v, law.real) for v in (X, U, P))))
     if isinstance(law, Rounded):
         return law.steps(X, U, P)
-    rows, finite = _refused(law, X, U, P)
-    for k in finite.tolist():
-        step = law.step(X[k], U[k], P[k])
-        rows.status[k], rows.tau[k] = step.status, step.tau
-        rows.state[k], rows.telemetry[k] = step.x_next, step.telemetry
-    return rows
+    steps = [law.step(x, u, p) for x, u, p in zip(X, U, P, strict=True)]
+    width = law.outputs.size - command_size(law)
+    return Rows(
+        np.array([int(s.status) for s in steps], dtype=np.int64),
+        np.array([s.tau for s in steps], dtype=float).reshape(len(steps), -1),
+        np.array([s.x_next for s in steps], dtype=float).reshape(len(steps), law.state.size),
+        np.array([s.telemetry for s in steps], dtype=float).reshape(len(steps), width),
+    )
 
 
 def _let_in(law: Guarded, records: Records) -> Rows:
