@@ -18,7 +18,7 @@ from fractions import Fraction
 from itertools import pairwise
 from typing import Any
 
-from surctl.certcheck.document import Rejected, record
+from surctl.certcheck.document import Rejected, listed, record
 from surctl.certcheck.region_claim import CruiseClaim, number, read_shells, triangle
 from surctl.certcheck.region_exact import (
     Matrix,
@@ -112,13 +112,9 @@ def _thrust(claim: TurningClaim, value: Any) -> tuple[Fraction, tuple[Phase, ...
 
 def _flow(claim: TurningClaim, value: Any) -> tuple[Pair, Pair, Pair]:
     """Return the coefficients of the gains of the current."""
-    if (
-        not isinstance(value, list)
-        or len(value) != 3
-        or not all(isinstance(row, list) and len(row) == 2 for row in value)
-    ):
+    rows = [tuple(number(entry, "proof.flow", least=-(10**9)) for entry in listed(row)) for row in listed(value)]
+    if [*map(len, rows)] != [2, 2, 2]:
         raise Rejected("proof.flow must have three pairs of numbers")
-    rows = [tuple(number(entry, "proof.flow", least=-(10**9)) for entry in row) for row in value]
     if claim.behind and any(map(any, rows)):
         raise Rejected("with thrust lag or held commands, proof.flow must be 0")
     one, two, three = ((row[0], row[1]) for row in rows)
@@ -126,7 +122,7 @@ def _flow(claim: TurningClaim, value: Any) -> tuple[Pair, Pair, Pair]:
 
 
 def _slopes(value: Any) -> tuple[Fraction, Fraction]:
-    if not isinstance(value, list) or len(value) != 2:
+    if len(listed(value)) != 2:
         raise Rejected("proof.trim must have two entries")
     first, second = (number(entry, "proof.trim", least=-(10**9)) for entry in value)
     return first, second

@@ -68,7 +68,7 @@ def check(
         finish(outcome.to_dict(), printable(lines), as_json=as_json, passed=outcome.accepted, brief=printable(brief))
         return
     manifest = read_bundle(bundle)
-    nothing: dict[str, Any] = {"belongs": False, "differs": [], "unbound": [], "excludes": []}
+    nothing: dict[str, Any] = {"belongs": False, "differs": [], "unbound": [], "undecided": [], "excludes": []}
     result = {**outcome.to_dict(), "bundle": {"id": manifest.id, **nothing}}
     if outcome.accepted:
         # the file is read once: the claim that was checked is the claim that is compared
@@ -86,6 +86,7 @@ def check(
             if differs
             else [f"  not bound: {text}, which nothing of the bundle states" for text in comparison.unbound]
         )
+        lines += [f"  not shown: {text}" for text in comparison.undecided]
         lines += [f"  not covered: {text}" for text in comparison.excludes]
     brief[1:1] = map(str.strip, lines[said:])
     passed = bool(result["bundle"]["belongs"])

@@ -14,6 +14,7 @@ import signal
 import sys
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, fields
@@ -28,6 +29,8 @@ import click
 from surctl.errors import LOSSES, LOST, SurctlError
 
 if TYPE_CHECKING:
+    from sys import UnraisableHookArgs
+
     from surctl.verification.verdict import Inapplicable
 
 __all__ = [
@@ -242,7 +245,7 @@ def signs_of_life(patience: float = 10.0) -> Iterator[None]:
 C = TypeVar("C", bound=Callable[..., Any])
 
 _WIDTH, _MOST = 100, 5  # of a summary: columns, lines
-_LOST_FILES = "surctl.lost_files"  # key of the command's context
+_LOST_FILES = "surctl.lost_files"  # key of the command's context: what was not saved, counted by kind
 
 
 class FiniteRange(click.FloatRange):
@@ -359,6 +362,10 @@ def finish(
         whole: print all lines in any case, as for the text of a file.
     """
     context = click.get_current_context()
+    lost: Counter[str] = context.meta.get(_LOST_FILES, Counter())
+    if lost.total() > len(lost):
+        print_message(f"{lost.total() - len(lost)} more not saved, for the same reason")
+    files = ["some files are not saved"] if lost else files
     everything = "\n".join([*lines, *(["next", *(f"  {command}" for command in then)] if then else ())])
     if as_json:
         data = {**result, "next": list(then)} if then else result
@@ -369,7 +376,7 @@ def finish(
         text = "\n".join(_summary(everything.split("\n"), lines if brief is None else brief, files, then))
     sys.stdout.write((text if as_json or not _has_colours() else _coloured(text)) + "\n")
     sys.stdout.flush()
-    context.exit(1 if not passed else LOST if context.meta.get(_LOST_FILES) else 0)
+    context.exit(1 if not passed else LOST if lost else 0)
 
 
 def _summary(
@@ -453,8 +460,11 @@ def saving(what: str) -> Iterator[None]:
         if interrupted(error) or isinstance(error, click.Abort):
             raise
         reason = str(error) if isinstance(error, SurctlError) else f"{type(error).__name__}: {error}"
-        print_message(f"{what} not saved: {reason}")
-        click.get_current_context().meta[_LOST_FILES] = True
+        lost = click.get_current_context().meta.setdefault(_LOST_FILES, Counter())
+        kind = f"{what} not saved: {getattr(error, 'problem', reason)}"
+        if not lost[kind]:  # a full disk is reported once, not for each of a hundred runs
+            print_message(f"{what} not saved: {reason}")
+        lost[kind] += 1
 
 
 class Stopped(click.Abort):
@@ -518,11 +528,19 @@ def noting_interrupts() -> Iterator[None]:
     if before is not signal.default_int_handler or threading.current_thread() is not threading.main_thread():
         yield  # Ctrl-C is ignored, or is another program's
         return
+    print_lost = sys.unraisablehook
+
+    def pass_over(what: UnraisableHookArgs) -> None:
+        if not issubclass(what.exc_type, KeyboardInterrupt):  # noted above; `raise_lost_interrupt` raises it again
+            print_lost(what)
+
     signal.signal(signal.SIGINT, note)
+    sys.unraisablehook = pass_over
     try:
         yield
     finally:
         signal.signal(signal.SIGINT, before)
+        sys.unraisablehook = print_lost
         _interrupts.clear()
         _raised.clear()
 

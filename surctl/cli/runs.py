@@ -214,11 +214,16 @@ def further_output(
         lines += [f"  {one.time_s:6.2f} s  {one.text}" for one in explanations]
     if out is not None:
         with saving("plots"):
-            from surctl.marine.report import save_priority, save_run
+            from surctl.marine.report import plot_priority, save_run
+            from surctl.marine.report.files import run_labels
+            from surctl.marine.report.plan_view import describe
+            from surctl.marine.simulation import priority_timeline
+            from surctl.report.theme import save_figure
 
             lines.append(f"  {save_run(run, out)}")
             if explained:
-                lines.append(f"  {save_priority(run, out)}")
+                priorities = plot_priority(priority_timeline(run), title=describe(run))
+                lines.append(f"  {save_figure(priorities, out, (*run_labels(run), 'priority'))}")
     if animate is not None:
         with saving("animation"):
             from surctl.marine.report import save_animation
@@ -376,7 +381,10 @@ class CampaignOptions:
             ):
                 campaign = run_campaign(plan, runs=runs, threads=self.threads or 2, store=store, progress=progress)
             worst = 5 if self.worst is None else self.worst
-            files = [] if folder is None else folder.write(campaign, worst=worst)
+            files = list[Path]()
+            if folder is not None:
+                with saving(f"table of {plan.name}"):
+                    files = folder.write(campaign, worst=worst)
             reports.append(_report(campaign, files, worst))
             own = None if self.worlds is not None else (plan.case.scenario.name, plan.case.scenario.vehicle)
             choice = choose_vehicle(vehicle, own)
@@ -394,7 +402,8 @@ class CampaignOptions:
 
             from surctl.cli.output import finite
 
-            write_file(out / "summary.json", json.dumps(finite({"campaigns": reports}), indent=1) + "\n")
+            with saving("summary"):
+                write_file(out / "summary.json", json.dumps(finite({"campaigns": reports}), indent=1) + "\n")
         finish({"campaigns": reports}, lines, as_json=as_json, passed=good, brief=brief, files=where(out))
 
 

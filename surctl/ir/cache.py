@@ -1,4 +1,4 @@
-"""Cache on disk for objects that are costly to build, such as shared libraries and laws, for use by later processes.
+"""The C compiler with its flags, and a cache on disk of what it and other costly steps build, for later processes.
 
 A cache entry is trusted only if it lies in a folder of this user to which nobody else may write, and if its digest
 equals the digest stored when the entry was built. Otherwise the entry is built again.

@@ -99,8 +99,7 @@ def _usual_interrupt() -> Iterator[None]:
 
 
 @pytest.mark.usefixtures("_usual_interrupt")
-@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
-def test_an_interrupt_that_is_lost_comes_with_the_next_progress() -> None:
+def test_an_interrupt_that_is_lost_is_not_printed_and_comes_with_the_next_progress() -> None:
     with noting_interrupts():
         Dropped()
         with pytest.raises(KeyboardInterrupt) as raised:

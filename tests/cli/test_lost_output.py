@@ -175,3 +175,19 @@ def test_the_backend_of_the_environment_has_no_influence(backend: str, tmp_path:
     done = process("vehicle thrusters bluerov2-heavy --out out", tmp_path, MPLBACKEND=backend)
     assert done.status == 0 and list(tmp_path.glob("out/*.png")), done
     assert done.said == "", done
+
+
+def test_a_full_disk_is_told_once_and_the_runs_are_printed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object, **__: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    runs = ("simulate", "pool-static", "--sensing", "truth", "--out", "out", "--runs")
+    with monkeypatch.context() as patch:
+        patch.setattr("surctl.files.os.fsync", full)
+        done = surctl_here(*runs, "3", cwd=tmp_path, SURCTL_VERBOSE="")
+    told = [line for line in done.err.splitlines() if not line.startswith("  ")]
+    assert done.status == 3 and "3 of 3 runs arrive" in done.out and "files out" not in done.out, done
+    assert len(told) == 2 and told[1] == "surctl: 2 more not saved, for the same reason"
+    monkeypatch.setattr("surctl.marine.simulation.campaign.campaign.CampaignFolder.write", full)
+    done = surctl_here(*runs, "8", "--monte-carlo", cwd=tmp_path, SURCTL_VERBOSE="")
+    assert done.status == 3 and "8 reached" in done.out and "table of pool-static not saved" in done.err, done

@@ -103,3 +103,16 @@ def test_a_stopped_study_of_a_system_prints_its_run_and_names_its_code(
     assert done.status == 130 and "final" in done.out, done
     assert done.err.splitlines()[-1].startswith("surctl: stopped; the code is in out/export")
     assert (tmp_path / "out" / "export" / "hold.c").exists()
+
+
+def test_margins_are_printed_where_the_search_for_a_region_is_stopped(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def stopped(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    (tmp_path / "loop.py").write_text(LOOP)
+    monkeypatch.setattr("surctl.lyapunov.solve", stopped)
+    done = surctl_here("verify", "loop.py:build", "within.x=-1..1", cwd=tmp_path)
+    assert done.status == 130 and done.out.startswith("ok   margins at the equilibrium: disk margin"), done
+    assert done.err.splitlines()[-1] == "surctl: stopped; the region of attraction is not decided"

@@ -1,4 +1,4 @@
-"""Check the speeds in a scenario: moving obstacles, current, available thrust, speed cap and time limit."""
+"""Check the motion that a scenario asks for: speeds, current, thrust, corners and turning circle, time limit."""
 
 from __future__ import annotations
 
