@@ -168,15 +168,20 @@ def _let_in(law: Guarded, records: Records) -> Rows:
 
 
 def replayed(
-    law: Exportable, records: Records, load: NDArray[np.bool_], *, counts: NDArray[np.int64] | None = None
+    law: Exportable,
+    records: Records,
+    load: NDArray[np.bool_],
+    *,
+    counts: NDArray[np.int64] | None = None,
+    rows: Rows | None = None,
 ) -> Rows:
     """Run `evaluated`, then the checks that concern successive steps; `load` (T,) is True where a new run starts.
 
     Steps whose inputs changed too fast are rejected. After a gap of refused or missing samples, the step is computed
     from the state that `aged` returns. `counts` (T,) are the sample numbers of the steps; None means that no sample is
-    missing.
+    missing. `rows` are the results of `evaluated`, if they are known.
     """
-    rows = evaluated(law, records.X, records.U, records.P)
+    rows = evaluated(law, records.X, records.U, records.P) if rows is None else rows
     counts = np.arange(len(records)) if counts is None else counts
     if isinstance(law, Guarded):
         rows = law.envelope.chained(rows, records, load, dt=law.dt, real=law.real, counts=counts)

@@ -359,7 +359,8 @@ def compare_runs(controller: Controller, runs: Sequence[AnyRecord]) -> tuple[Sil
         >>> report.passed, report.steps, report.tau.mixed
         (True, 410, 0.0)
     """
-    return tuple(_compare(controller, as_records(controller.law, run)) for run in runs)
+    self_test = controller.self_test()
+    return tuple(_compare(controller, as_records(controller.law, run), self_test=self_test) for run in runs)
 
 
 def _named_gains(law: Exportable, run: Records) -> dict[str, Vector]:
@@ -369,12 +370,13 @@ def _named_gains(law: Exportable, run: Records) -> dict[str, Vector]:
     return law.gains.unpack(run.P[0])
 
 
-def _compare(controller: Controller, run: Records) -> SilReport:
+def _compare(controller: Controller, run: Records, *, self_test: bool) -> SilReport:
     law = controller.law
     if controller.bundle.real != "float64":
         run = _on_its_own(controller, run)
-    load = _resets(run, evaluated(law, run.X, run.U, run.P))
-    python = replayed(law, run, load)
+    rows = evaluated(law, run.X, run.U, run.P)
+    load = _resets(run, rows)
+    python = replayed(law, run, load, rows=rows)
     c = controller.run(run, load=load)
     cases, failures = fault_failures(law, controller, run)
     done = python.status >= 0  # a refused step has no telemetry
@@ -389,7 +391,7 @@ def _compare(controller: Controller, run: Records) -> SilReport:
         status_mismatches=int(np.sum(python.status != c.status)),
         fault_cases=cases,
         fault_failures=failures,
-        self_test=controller.self_test(),
+        self_test=self_test,
         compiler=compiler_version(),
         code_bytes=controller.code_bytes,
         command=command_word(law),
@@ -412,8 +414,7 @@ def _resets(run: Records, python: Rows) -> NDArray[np.bool_]:
     # (T,): C is loaded at the first step and at each step whose state does not follow from the previous step
     load = np.zeros(len(run), dtype=bool)
     load[0] = True
-    for k in range(1, len(run)):
-        load[k] = not bool(np.all(_mixed(run.X[k], python.state[k - 1]) <= _JUMP))
+    load[1:] = ~(_mixed(run.X[1:], python.state[:-1]) <= _JUMP).all(axis=1)
     return load
 
 

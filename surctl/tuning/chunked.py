@@ -72,8 +72,9 @@ class LocalExecutor:
 
     Attributes:
         workers: number of processes that evaluate chunks.
-        alone_s: work [s] that the calling process does before it starts other processes. Each of them needs seconds of
-            processor time to load its libraries, which is longer than most small sweeps take.
+        alone_s: remaining work, as processor time [s], that the calling process does alone. Each other process needs
+            seconds to load its libraries, which is longer than most small sweeps take. The work is estimated from the
+            faster of the last two chunks, because the first one often builds what the others use again.
 
     Raises:
         InputError: `workers` is less than 1.
@@ -81,7 +82,7 @@ class LocalExecutor:
     """
 
     workers: int = 1
-    alone_s: float = 2.0
+    alone_s: float = 8.0
 
     def __post_init__(self) -> None:
         if self.workers < 1:
@@ -90,12 +91,13 @@ class LocalExecutor:
     def map_chunks(self, function: Evaluator, chunks: Iterable[Chunk]) -> Results:
         """Evaluate all chunks; yield the pair (index, result) of every chunk, as in `Executor`."""
         chunks = deque(chunks)
-        worked = 0.0
-        while chunks and (self.workers == 1 or len(chunks) == 1 or worked < self.alone_s):
+        before, pace = 0.0, 0.0
+        while chunks and (self.workers == 1 or len(chunks) == 1 or pace * len(chunks) < self.alone_s):
             index, points = chunks.popleft()
-            began = time.perf_counter()
+            began = time.process_time()
             result = function(index, points)
-            worked += time.perf_counter() - began
+            now = time.process_time() - began
+            before, pace = now, min(before, now)
             yield index, result
         if not chunks:
             return

@@ -422,7 +422,7 @@ def _balanced(M: Complex) -> tuple[Array, Array]:
             row = np.einsum("nj,nj->n", size[:, k], 1 / square) * square[:, k]
             column = np.einsum("nj,nj->n", size[:, :, k], square) / square[:, k]
             square[:, k] *= np.sqrt((column + _UNCOUPLED) / (row + _UNCOUPLED))
-            square[:, k] = np.clip(square[:, k], 1 / _WIDEST**2, _WIDEST**2)
+            square[:, k] = np.minimum(np.maximum(square[:, k], 1 / _WIDEST**2), _WIDEST**2)  # faster than np.clip
         if (np.abs(square - before) <= _LITTLE * before).all():
             break
     d = np.sqrt(square)

@@ -20,6 +20,18 @@ def slow_squares(index, points):
 
 
 def own_number(index, points):
-    """The worker's process, and squares; takes a moment."""
-    time.sleep(0.01)
+    """The worker's process, and squares; takes a moment of processor time."""
+    _work(0.01)
     return np.column_stack([np.full(len(points), float(os.getpid())), points[:, 0] ** 2 + index])
+
+
+def slow_to_start(index, points):
+    """`own_number`, whose first chunk takes a moment more, as one that builds what the others use."""
+    _work(0.0 if index else 0.25)
+    return own_number(index, points)
+
+
+def _work(seconds):
+    end = time.process_time() + seconds
+    while time.process_time() < end:
+        pass

@@ -26,7 +26,7 @@ from surctl.verification.linear import LEAST_DISK_MARGIN
 from tests.processes import run_python
 from tests.tools import PATIENCE
 from tests.tuning import stub
-from tests.tuning.chunk_work import CHUNKS, own_number, slow_squares
+from tests.tuning.chunk_work import CHUNKS, own_number, slow_squares, slow_to_start
 
 ROOT = Path(__file__).parents[2]
 GRID = grid([Axis("k_v", (0.5, 1.0, 2.0)), Axis("lookahead", (0.6, 1.0))])
@@ -472,8 +472,13 @@ def test_workers_are_started_for_long_work_alone_and_give_the_same():
     assert {int(found[0, 0]) for found in short.values()} == {os.getpid()}
     long = dict(LocalExecutor(2, alone_s=0.015).map_chunks(own_number, chunks))
     own = [k for k, found in long.items() if int(found[0, 0]) == os.getpid()]
-    assert sorted(long) == list(range(6)) and own in ([0], [0, 1])  # at least 10 ms each
+    assert sorted(long) == list(range(6)) and own == [0, 1]  # at least 10 ms each
     assert all(np.array_equal(short[k][:, 1], long[k][:, 1]) for k in short)
+
+
+def test_a_slow_first_chunk_starts_no_workers():
+    done = LocalExecutor(2, alone_s=1.0).map_chunks(slow_to_start, CHUNKS[:6])
+    assert {int(row[0, 0]) for _, row in done} == {os.getpid()}
 
 
 def test_a_case_that_no_seed_changes_is_flown_once():

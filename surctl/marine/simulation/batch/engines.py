@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from concurrent.futures import Executor, Future
 from dataclasses import dataclass, field
 from functools import cache
 from typing import Any, Literal, NamedTuple, get_args
@@ -41,6 +42,7 @@ __all__ = [
     "StoredLoop",
     "Trace",
     "broadcast",
+    "compile_ahead",
     "compiled_loop",
     "loop_sources",
     "metrics_table",
@@ -184,16 +186,26 @@ def simulate_batch(
     return BatchResult(metrics_table(loop, _through_machine(loop, packed)), "vm")
 
 
+_begun: dict[Structure, Future[Batch]] = {}
+
+
+def compile_ahead(cases: Iterable[Case], pool: Executor) -> None:
+    """Begin to compile the loops of these cases, whose parameters keep their values; `compiled_loop` waits for them."""
+    for structure in dict.fromkeys(structure_of(case, {}) for case in cases):
+        _begun[structure] = pool.submit(compile_batch_source, stored_loop(structure).source)
+
+
 @cache
 def compiled_loop(structure: Structure) -> Batch:
     """Return the compiled loop of a loop structure (the part of a setup that is fixed at compilation).
 
-    The loop is compiled now, or it comes from the cache of compiled loops.
+    The loop is compiled now, or it comes from the cache of compiled loops or from `compile_ahead`.
 
     Raises:
         ToolMissing: there is no C compiler.
     """
-    return compile_batch_source(stored_loop(structure).source)
+    begun = _begun.pop(structure, None)
+    return compile_batch_source(stored_loop(structure).source) if begun is None else begun.result()
 
 
 @cache
