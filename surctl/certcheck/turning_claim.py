@@ -67,6 +67,9 @@ class TurningClaim:
         current: largest speed of a constant current in any direction [m/s].
         lag: range of the time constant of the thrust [s]; (0, 0) for thrust without lag.
         period: time for which a command is held [s]; 0 for continuous commands.
+        force: largest horizontal disturbance force, which may vary arbitrarily [N].
+        place_error, velocity_error: largest error of the measured position [m] and of the measured velocity [m/s]; the
+            errors vary arbitrarily. Only claims without lag and held commands have these errors and a force.
     """
 
     mass_factor: Pair
@@ -97,6 +100,9 @@ class TurningClaim:
     current: Fraction = Fraction(0)
     lag: Pair = (Fraction(0), Fraction(0))
     period: Fraction = Fraction(0)
+    force: Fraction = Fraction(0)
+    place_error: Fraction = Fraction(0)
+    velocity_error: Fraction = Fraction(0)
 
     @property
     def behind(self) -> bool:

@@ -33,7 +33,7 @@ from surctl.certcheck.turning_claim import Pair, TurningClaim, drag_factors, fac
 
 __all__ = [
     "STILL", "UP", "Coupling", "Turn", "coupled_mass", "coupling_of", "flow_gains", "flow_lack", "inverse_masses",
-    "other_forces", "other_moment", "turn_points",
+    "other_forces", "other_moment", "outer_force", "turn_points",
 ]  # fmt: skip
 
 _FORCES, _VELOCITIES = "XY", "uvwr"
@@ -84,6 +84,21 @@ def other_forces(claim: TurningClaim, fastest: Fraction) -> tuple[Fraction, Frac
 def other_moment(claim: TurningClaim, fastest: Fraction) -> Fraction:
     """Return a bound on the yaw moment u p_y − v p_x beside (m22 − m11) u v, with (p_x, p_y) the momentum [N m]."""
     return fastest * (fastest * coupled_mass(claim) + sum(_carried(claim)))
+
+
+def outer_force(claim: TurningClaim, beside: float) -> float:
+    """Return the largest norm [N] of the disturbance force and of the thrust that errors of measurement cause.
+
+    `beside` is the largest |y_e| [m]. A thrust limit does not enlarge a change of thrust. A change of position (x, y)
+    by 1 m changes the commanded velocity along the path by at most k1 (for x) or k1 y_e/Δ (for y), and across the path
+    by less than cap/Δ; Δ is the lookahead distance. This holds below the law's speed cap, at the cap, and when the law
+    commands rest.
+    """
+    gain = max(float(mass * claim.k_v) for mass in claim.mass)
+    steep = gain + max(float(a + 2 * b * claim.cap) for a, b in zip(claim.linear, claim.quadratic, strict=True))
+    far, error = float(claim.lookahead), float(claim.place_error)
+    slant = np.hypot(float(claim.k1) * np.hypot(1, (beside + error) / far), float(claim.cap) / far)
+    return float((float(claim.force) + steep * slant * error + gain * float(claim.velocity_error)) * UP)
 
 
 UP = 1 + 1e-9
