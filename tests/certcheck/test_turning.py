@@ -17,9 +17,9 @@ from surctl.certcheck import check_document, region, turning
 from surctl.certcheck.document import Rejected
 from surctl.certcheck.region_claim import read_claim as read_cruise
 from surctl.certcheck.region_claim import triangle
-from surctl.certcheck.region_exact import quadratic
+from surctl.certcheck.region_exact import quadratic, root_up
 from surctl.certcheck.turning import _check_munk_moment, require_starts
-from surctl.certcheck.turning_cells import Trim, _axis, _lack, heading_cells, steady
+from surctl.certcheck.turning_cells import Trim, _axis, _commanded, _lack, heading_cells, steady
 from surctl.certcheck.turning_claim import drag_factors, factors, read_claim
 from surctl.certcheck.turning_form import Form, axes_of
 from surctl.certcheck.turning_law import true_rate
@@ -212,6 +212,17 @@ def test_the_vertices_of_factors_enclose_every_allowed_vehicle() -> None:
     drag = drag_factors(read_claim(document("region-turning-20")["claim"]))
     assert set(drag) == {(*linear, *quadratic) for linear in vertices for quadratic in vertices}
     assert (Fraction(4, 5),) * 2 + (Fraction(6, 5),) * 2 in drag  # less linear drag, more quadratic drag
+
+
+def test_the_waiting_of_the_target_counts_the_error_of_the_place() -> None:
+    whole = document("region-cruise-20-noise")
+    cruise = read_cruise(whole["claim"])
+    claim, p = region._turning(cruise), triangle(whole["proof"]["P"], 4, "proof.P")
+    trim, form = steady(claim, region._slopes(cruise)), Form(p)
+    reach = 2 * (root_up(form.exact[0][0]) + max(map(abs, trim.moved)) / claim.k1 + claim.place_error)
+    _commanded(replace(claim, wait=reach), trim, form, Fraction(1))
+    with pytest.raises(Rejected, match="target waits"):
+        _commanded(replace(claim, wait=reach - Fraction(1, 10**6)), trim, form, Fraction(1))
 
 
 def test_the_triangles_contain_every_heading() -> None:
