@@ -29,7 +29,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.certcheck.document import Rejected
-from surctl.certcheck.turning_claim import Pair, TurningClaim, drag_factors, factors
+from surctl.certcheck.region_claim import axis_pairs
+from surctl.certcheck.turning_claim import Pair, TurningClaim, drag_factors
 
 __all__ = [
     "STILL", "UP", "Coupling", "Turn", "coupled_mass", "coupling_of", "flow_gains", "flow_lack", "inverse_masses",
@@ -128,12 +129,9 @@ def coupling_of(claim: TurningClaim) -> Coupling:
 
 
 def inverse_masses(claim: TurningClaim, coupling: Coupling) -> list[tuple[float, float, float]]:
-    """Return the vertices of the diagonal of M⁻¹ and of its other entry.
-
-    Two equal factors g with f < g < h are left out: the point (1/g, 1/g) lies between (1/f, 1/f) and (1/h, 1/h).
-    """
+    """Return the vertices of the diagonal of M⁻¹ and of its other entry."""
     ends = claim.mass_factor[0] * coupling.remaining, claim.mass_factor[1]
-    pairs = [pair for pair in factors(ends, claim.mass_asymmetry, 2) if pair[0] != pair[1] or pair[0] in ends]
+    pairs = axis_pairs(ends, claim.mass_asymmetry)
     cross = float(coupling.cross) * UP
     signs = sorted({cross, -cross})
     first, second = claim.mass

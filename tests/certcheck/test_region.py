@@ -15,7 +15,7 @@ from surctl.certcheck import Rejected, check_document, region
 from surctl.certcheck.region_claim import read_claim
 from surctl.certcheck.region_exact import inverse, is_positive_definite, product, root_down, root_up, rounded_up
 from surctl.certcheck.region_inclusion import _misled
-from surctl.certcheck.region_trim import axis_pairs, steady_trim
+from surctl.certcheck.region_trim import steady_trim
 from surctl.certcheck.turning_terms import outer_force
 from surctl.marine.control import build_law, law_parameters, load_gains
 from surctl.marine.guidance import Path as Route
@@ -343,12 +343,6 @@ def test_rounding_up_keeps_a_form_above() -> None:
         a, b, c = (Fraction(float(v)) for v in rng.normal(size=3))
         up = rounded_up([[a, b], [b, c]])
         assert is_positive_definite([[up[0][0] - a, up[0][1] - b], [up[1][0] - b, up[1][1] - c]])
-
-
-def test_pairs_of_drag_keep_their_asymmetry() -> None:
-    pairs = axis_pairs(Fraction(1), Fraction(2), Fraction(1, 10))
-    assert all(abs(a - b) <= Fraction(1, 20) * (a + b) for a, b in pairs)
-    assert axis_pairs(Fraction(1), Fraction(2), Fraction(2)) == [(1, 1), (1, 2), (2, 1), (2, 2)]
 
 
 def test_the_reason_names_what_fails() -> None:

@@ -14,11 +14,12 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
+from surctl.certcheck.region_claim import axis_pairs
 from surctl.certcheck.turning_terms import other_forces, outer_force
 from surctl.marine.verification.region.turning import TurningClaim
 from surctl.marine.verification.region.turning_behind import Behind, behind_of
 
-__all__ = ["Cruise", "Vertices", "corner_factors", "steady_turning", "vertices"]
+__all__ = ["Cruise", "Vertices", "steady_turning", "vertices"]
 
 Array = NDArray[np.float64]
 
@@ -233,14 +234,6 @@ def _straight(plans: Array) -> Array:
     return np.stack([plans[:, 0, 0], plans[:, 1, 1]], 1)
 
 
-def corner_factors(ends: tuple[float, float], asymmetry: float) -> Array:
-    """Return the vertices (k, 2) of the factors of the two masses, or of two drag coefficients."""
-    low, high = ends
-    ratio = (2 + asymmetry) / (2 - asymmetry)
-    pairs = ((low, min(low * ratio, high)), (max(high / ratio, low), high))
-    return np.array(sorted({one for pair in pairs for one in product(pair, repeat=2)}))
-
-
 def steady_turning(claim: TurningClaim, *, cells: int, slopes: tuple[float, float] | None = None) -> Cruise:
     """Return the steady cruise with these slopes of ω; by default ω leaves the least trim error at the worst heading.
 
@@ -248,7 +241,7 @@ def steady_turning(claim: TurningClaim, *, cells: int, slopes: tuple[float, floa
     """
     v, psi = claim.cruise, np.linspace(0, np.pi / 2, 2 * cells + 1)
     n = np.stack([np.cos(psi), np.sin(psi)], 1)  # (2 cells + 1, 2)
-    corners = corner_factors(claim.drag_factor, claim.drag_asymmetry)
+    corners = np.array(axis_pairs(claim.drag_factor, claim.drag_asymmetry))
     f, g = np.repeat(corners, len(corners), axis=0), np.tile(corners, (len(corners), 1))  # linear, quadratic drag
     gain = np.array(claim.mass) * claim.gains["k_v"]
     own = (gain + claim.linear) * n + 2 * np.array(claim.quadratic) * v * n * n  # force per ω
