@@ -16,7 +16,7 @@ from surctl.system.linear import unresponsive
 from surctl.system.values import checked_ranges, run_numbers
 from surctl.verification.linear import LEAST_DISK_MARGIN
 from surctl.verification.loops import LEAST_DELAY_MARGIN, LoopMargins
-from surctl.verification.sampled_margins import SystemCorners, system_corners
+from surctl.verification.sampled_margins import LoopCorners, SystemLoop, system_corners
 
 __all__ = [
     "SATURATED",
@@ -496,7 +496,7 @@ class ClosedLoop:
         return Part((figure,), (line,), solution)
 
 
-def _figures(corners: SystemCorners, dt: float) -> dict[str, Figure]:
+def _figures(corners: LoopCorners[SystemLoop], dt: float) -> dict[str, Figure]:
     nominal = corners.nominal
     return loop_figures(
         (nominal.disk, corners.disk),

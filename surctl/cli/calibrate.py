@@ -50,9 +50,11 @@ def calibrate(file: str, out: Path | None, as_json: bool) -> None:
         ]
         pictures = list[Path]()
         with saving("plots"):
-            from surctl.marine.report import save_calibrations
+            from surctl.marine.report import plot_calibration
+            from surctl.report.theme import save_figure
 
-            pictures = save_calibrations(results, out)
+            for one, stem in zip(results, stems, strict=True):
+                pictures.append(save_figure(plot_calibration(one), out, (f"calibration{stem}",)))
         lines += [f"sonar {path}" for path in fragments] + [f"rows  {rows}"] + [f"plot  {path}" for path in pictures]
         data["files"] = [str(path) for path in (*fragments, rows, *pictures)]
     where = [] if out is None else [f"files {out}"]

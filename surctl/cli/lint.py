@@ -93,7 +93,8 @@ def _loop_findings(mission: Mission, derive_for: str | None) -> tuple[list[Findi
 def _goal_findings(plan: Plan) -> list[Finding]:
     # goals of the file that `tune` cannot judge for its law; the built-in goals are left out there with a line
     from surctl.marine.simulation import Finding
-    from surctl.marine.tuning import judged_goals, load_goals
+    from surctl.marine.tuning import load_goals
+    from surctl.marine.tuning.evaluation import judged_goals
     from surctl.own_code import label
 
     built_in = load_goals()

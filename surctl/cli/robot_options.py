@@ -139,7 +139,7 @@ def choose_shared(
     word: str | None, pairs: Sequence[tuple[Vehicle, float]], *, own: Mapping[str, GainSpec] | None = None
 ) -> GainsChoice:
     """Return one gain set for several vehicles, each with its cruise speed [m/s]; see `tuning.shared_gains`."""
-    from surctl.marine.tuning import has_tuned, shared_gains
+    from surctl.marine.tuning.derived import has_tuned, shared_gains
 
     gains, derivation = shared_gains(word, pairs, own=own)
     if derivation is not None:

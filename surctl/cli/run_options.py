@@ -61,7 +61,7 @@ def check_animate(path: Path | None, *, runs: int, campaign: bool, film: Path | 
         return
     from surctl.errors import InputError
     from surctl.files import prepare_folder
-    from surctl.marine.report import check_animation
+    from surctl.marine.report.animation import check_animation
 
     if campaign:
         remedy = "simulate one run of DIR/worst: --from FILE --animate"
@@ -151,7 +151,7 @@ class PlantOptions:
         if self.film is not None:
             from surctl.files import prepare_folder
             from surctl.marine.engine.pictures import check_pictures
-            from surctl.marine.report import check_film
+            from surctl.marine.report.animation import check_film
 
             check_pictures()
             prepare_folder(check_film(self.film).parent, key="--film")

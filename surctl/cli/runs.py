@@ -214,11 +214,16 @@ def further_output(
         lines += [f"  {one.time_s:6.2f} s  {one.text}" for one in explanations]
     if out is not None:
         with saving("plots"):
-            from surctl.marine.report import save_priority, save_run
+            from surctl.marine.report import plot_priority, save_run
+            from surctl.marine.report.files import run_labels
+            from surctl.marine.report.plan_view import describe
+            from surctl.marine.simulation import priority_timeline
+            from surctl.report.theme import save_figure
 
             lines.append(f"  {save_run(run, out)}")
             if explained:
-                lines.append(f"  {save_priority(run, out)}")
+                priorities = plot_priority(priority_timeline(run), title=describe(run))
+                lines.append(f"  {save_figure(priorities, out, (*run_labels(run), 'priority'))}")
     if animate is not None:
         with saving("animation"):
             from surctl.marine.report import save_animation

@@ -303,9 +303,9 @@ def _write(own: OwnSystem, record: Record, out: Path, kind: str) -> list[Path]:
     with saving("record"):
         files.append(save_record(record, out / f"{name}.{kind}", about=origin))
     with saving("plot"):
-        from surctl.report.system_plots import save_record_plot
+        from surctl.report.theme import save_figure
 
-        files.insert(0, save_record_plot(record, out, name=name))
+        files.insert(0, save_figure(record.plot(), out, (name,)))
     return files
 
 

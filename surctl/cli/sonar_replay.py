@@ -89,9 +89,10 @@ def sonar_replay(
     rows = write_file(out / "filtered.csv", filtered_rows(replayed))
     files = [rows]
     with saving("plot"):
-        from surctl.marine.report import save_sonar_replay
+        from surctl.marine.report import plot_sonar_replay
+        from surctl.report.theme import save_figure
 
-        files.append(save_sonar_replay(replayed, out, title=recording.name))
+        files.append(save_figure(plot_sonar_replay(replayed, title=recording.name), out, ("sonar-replay",)))
     summaries = [replayed.summary(sensor) for sensor in replayed.sensors]
     span = recording.readings.time[-1] - recording.readings.time[0]
     lines = [

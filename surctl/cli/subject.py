@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from surctl.ir import Layout
     from surctl.lyapunov import Problem
     from surctl.system import Operating, Record, System
-    from surctl.verification.sampled_margins import SystemCorners, SystemLoop
+    from surctl.verification.sampled_margins import LoopCorners, SystemLoop
 
 __all__ = [
     "OwnSystem",
@@ -239,7 +239,7 @@ def cost_data(system: System, figures: Mapping[str, float]) -> dict[str, Any]:
     }
 
 
-def loop_lines(own: OwnSystem, loop: SystemCorners) -> list[str]:
+def loop_lines(own: OwnSystem, loop: LoopCorners[SystemLoop]) -> list[str]:
     """Return lines of text: equilibrium, slowest mode, margins of each loop alone and of all loops at once."""
     nominal, period = loop.nominal, own.system.dt
     lines = [f"{own.system.title}, linear about its equilibrium, with references and disturbances of t = 0:"]
@@ -261,7 +261,7 @@ def loop_lines(own: OwnSystem, loop: SystemCorners) -> list[str]:
     return lines
 
 
-def loop_data(own: OwnSystem, loop: SystemCorners) -> dict[str, Any]:
+def loop_data(own: OwnSystem, loop: LoopCorners[SystemLoop]) -> dict[str, Any]:
     """Return equilibrium, poles and margins as plain data for JSON."""
     nominal = loop.nominal
     return {

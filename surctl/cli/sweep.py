@@ -163,8 +163,9 @@ def sweep(
     from surctl.files import prepare_folder, write_file
     from surctl.marine.control import law_source, load_gains, write_gains
     from surctl.marine.simulation import load_scenario
-    from surctl.marine.tuning import build_cases, check_column
+    from surctl.marine.tuning import build_cases
     from surctl.marine.tuning import sweep as run_sweep
+    from surctl.marine.tuning.measure import check_column
     from surctl.marine.vehicle import load_vehicle
     from surctl.tuning import make_design, parse_axis, saltelli, sobol_indices
 
@@ -212,12 +213,14 @@ def sweep(
     pictures = _pictures(table, sobol, out)
     if locus is not None:
         with saving("root locus"):
-            from surctl.marine.report import save_locus
+            from surctl.marine.report import plot_locus
+            from surctl.report.theme import save_figure
 
             at = {} if picked is None else table.at(picked)
             axis = next(axis for axis in table.axes if axis.name == locus)
             poles = _locus(cases, table.gains, locus, axis.values, at)
-            pictures.append(save_locus(poles, out, unit=axis.unit, picked=at.get(locus)))
+            figure = plot_locus(poles, unit=axis.unit, picked=at.get(locus))
+            pictures.append(save_figure(figure, out, ("locus", locus)))
     lines = [*why, *_vehicles(cases, vehicles), *tuned.lines, *_lines(table, sobol)]
     where = "No point is feasible, so no gain file was written." if picked is None else table.gains.provenance
     lines += ["", where, *moved, *([] if gains_path is None else [f"gains {gains_path}"]), f"table {table.path}"]
@@ -273,12 +276,16 @@ def _executor(workers: int | None, dask: str | None) -> Executor:
 def _pictures(table: SweepTable, sobol: SobolIndices | None, out: Path) -> list[Path]:
     pictures = list[Path]()
     with saving("plots"):
-        from surctl.marine.report import save_heat_map, save_parallel
-        from surctl.report import save_sobol_plot
+        from surctl.marine.report import plot_heat_map, plot_parallel
+        from surctl.report.theme import save_figure
 
-        pictures.append(save_parallel(table, out) if sobol is None else save_sobol_plot(sobol, out))
-        if sobol is None and table.is_grid and len(table.axes) > 1:
-            pictures.append(save_heat_map(table, "score", out))
+        if sobol is not None:
+            pictures.append(save_figure(sobol.plot(), out, ("sensitivity", sobol.column)))
+            return pictures
+        pictures.append(save_figure(plot_parallel(table), out, ("sweep", "parallel")))
+        if table.is_grid and len(table.axes) > 1:
+            named = ("sweep", *(axis.name for axis in table.axes[:2]), "score")
+            pictures.append(save_figure(plot_heat_map(table, "score"), out, named))
     return pictures
 
 
@@ -486,7 +493,7 @@ def _system_pictures(swept: SystemSweep, out: Path) -> list[Path]:
         for name, cost in system.costs.items():
             table = swept.worst(name).reshape([len(values) for _, values in axes])
             title = f"{name} [{cost.unit}]" + (f", worst of {swept.each} runs" if swept.each > 1 else "")
-            figure = plot_cost_map(labels, table, title).figure.figure
+            figure = plot_cost_map(labels, table, title)
             files.append(save_figure(figure, out, ("sweep", *(axis for axis, _ in axes), name)))
     return files
 

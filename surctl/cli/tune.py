@@ -196,23 +196,19 @@ def tune(
     from surctl.marine.tuning import (
         CHECKED,
         Request,
-        advice,
         build_cases,
-        check_finals,
-        check_goals,
         conditions,
-        default_tuned,
         gain_ranges,
-        goals_at,
-        judged_goals,
         load_goals,
         misses,
         summary,
         tuned_gains,
-        tuning_dict,
-        with_floor,
     )
     from surctl.marine.tuning import tune as run_tuning
+    from surctl.marine.tuning.evaluation import check_goals, judged_goals
+    from surctl.marine.tuning.goals import goals_at, with_floor
+    from surctl.marine.tuning.outcome import advice, check_finals, tuning_dict
+    from surctl.marine.tuning.pool import default_tuned
     from surctl.marine.tuning.search import BEST
     from surctl.marine.vehicle import load_vehicle
     from surctl.own_code import label
@@ -309,7 +305,7 @@ def tune(
     everything = write_file(out / "tuning.json", json.dumps(finite(result), ensure_ascii=False, indent=1) + "\n")
     pictures = list[Path]()
     with saving("plots"):
-        from surctl.marine.report import save_tuning  # loads matplotlib only now
+        from surctl.marine.report.files import save_tuning
 
         pictures = save_tuning(tuning, out)
     headline, *figures = comparison.lines()

@@ -168,7 +168,8 @@ def serve_page(
     from surctl.marine.report.bench import Bench
     from surctl.marine.simulation import findings, load_scenario
     from surctl.marine.study import load_plan
-    from surctl.marine.tuning import goals_at, load_goals
+    from surctl.marine.tuning import load_goals
+    from surctl.marine.tuning.goals import goals_at
     from surctl.marine.vehicle import load_vehicle
     from surctl.marine.verification import check_held
 

@@ -103,9 +103,11 @@ def thrusters(
         lines.append(f"  not controlled: roll {allocation.roll:.3g} N m, pitch {allocation.pitch:.3g} N m")
     if out is not None:
         with saving("plot"):
-            from surctl.marine.report import save_attainable
+            from surctl.marine.report import plot_attainable
+            from surctl.report.theme import save_figure
 
-            result["file"] = str(save_attainable(vehicle, out, failed=failed))
+            named = (vehicle.name, "thrusters", *(f"without-{name}" for name in failed))
+            result["file"] = str(save_figure(plot_attainable(vehicle, failed=failed), out, named))
             lines.append(f"wrote {result['file']}")
     finish(result, lines, as_json=as_json, passed=True)
 
@@ -391,12 +393,14 @@ def from_log(
     def plot() -> None:
         with saving("plot"):
             from surctl.errors import InputError
-            from surctl.marine.report import save_prediction
+            from surctl.marine.report import plot_prediction
+            from surctl.report.theme import save_figure
 
             if not predictions or picture is None:
                 raise InputError("needs a prediction", key="--picture", remedy="give a longer log")
             title = f"{name}, fitted to the first {1 - share:.0%} of {', '.join(log.name for log in logs)}"
-            lines.append(f"picture {save_prediction(predictions[0], picture, title=title)}")
+            figure = plot_prediction(predictions[0], title=title)
+            lines.append(f"picture {save_figure(figure, picture.parent, (picture.stem,))}")
 
     draw = plot if picture else lambda: None
     if fit.refusal:

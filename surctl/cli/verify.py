@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 
     from surctl.errors import NotApplicable
     from surctl.lyapunov import Solution
+    from surctl.marine.control import Gains
     from surctl.marine.vehicle import Vehicle
     from surctl.verification import Claim, Verdict
     from surctl.verification.stack import StackConditions
@@ -258,9 +259,7 @@ def verify(
     certificates = [*files.values(), *regions.files, *braked.files]
     if out is not None:
         margins_at = None if linear.stable is None or not cascaded else cruise or speeds[:1]
-        result["pictures"] = _draw(
-            verdicts, regions.claims, robot, values, out, cruise=margins_at, dt=dt, law=chosen_law
-        )
+        result["pictures"] = _draw(verdicts, regions.claims, robot, tuned.gains, out, cruise=margins_at, law=chosen_law)
         lines.append(f"certificates: {len(certificates)}, pictures: {len(result['pictures'])}, in {out}")
     failures = [line.text for line in judged if line.rank == 0]
     failures += [f"{v.claim.name} is {v.verdict}, not {v.claim.expected}" for v in verdicts if not v.as_expected]
@@ -332,22 +331,24 @@ def _draw(
     verdicts: Sequence[Verdict],
     regions: Sequence[Mapping[str, Any]],
     vehicle: Vehicle,
-    gains: Mapping[str, float],
+    gains: Gains,
     out: Path,
     *,
     cruise: Sequence[float] | None,
-    dt: float,
     law: str,
 ) -> list[str]:
     progress("pictures")
     proved = {region["claim"]: region["certificate"] for region in regions if region["certificate"]}
     pictures = list[Path]()
     with saving("plots"):
-        from surctl.marine.report import save_margins, save_regions, save_verdicts
+        from surctl.marine.control import build_law
+        from surctl.marine.report import plot_region
+        from surctl.marine.report.files import save_margins, save_verdicts
+        from surctl.report.theme import save_figure
 
         pictures += save_verdicts(verdicts, out)
-        pictures += save_regions(proved, out)
-        pictures += [] if cruise is None else save_margins(vehicle, gains, out, cruise=cruise, dt=dt, law=law)
+        pictures += [save_figure(plot_region(document), out, (name, "levels")) for name, document in proved.items()]
+        pictures += [] if cruise is None else save_margins(build_law(law), vehicle, gains, out, cruise=cruise)
     return [str(path) for path in pictures]
 
 
@@ -364,7 +365,7 @@ def _chosen(
 ) -> tuple[list[Claim], Mapping[str, NotApplicable]]:
     # without names and files, the claims are those of the library; they do not concern the law `law`
     from surctl.errors import InputError, NotApplicable
-    from surctl.marine.tuning import has_tuned
+    from surctl.marine.tuning.derived import has_tuned
     from surctl.marine.verification import applicable_claims
     from surctl.verification import load_claim
 

@@ -30,7 +30,7 @@ from surctl.marine.simulation.echo_fit import detection_range
 from surctl.marine.vehicle import Vehicle
 from surctl.marine.vehicle.linearise import check_cruise
 from surctl.marine.vehicle.specs import DEFAULTED
-from surctl.marine.verification import LawCorners, closed_loop_poles, law_corners, steady_motion, worst_margins
+from surctl.marine.verification import LawCorners, law_corners, steady_motion, worst_margins
 from surctl.marine.verification.corners import DRAG_SPREAD, MASS_SPREAD
 from surctl.marine.verification.cruise_loop import TRACKING_LAW, has_cruise_loop
 from surctl.marine.verification.linear import (
@@ -286,7 +286,6 @@ class LoopAnalysis:
         cruise: cruise speed [m/s].
         margins: margins of each loop alone, of the nominal vehicle, or the least over a stated uncertainty.
         sides: all loops together, nominal and worst corner; empty for a law that is linearised numerically.
-        poles: closed-loop poles [rad/s] of the nominal vehicle; None for such a law.
         mode: the slowest or most unstable mode; None for such a law.
         law: the sampled loop of such a law, or None.
         unjudged: the reason why there is no analysis; else empty.
@@ -298,7 +297,6 @@ class LoopAnalysis:
     cruise: float
     margins: tuple[LoopMargins, ...] = ()
     sides: tuple[LinearSide, ...] = ()
-    poles: Any = None
     mode: Mode | None = None
     law: LawCorners | None = None
     unjudged: str = ""
@@ -399,7 +397,6 @@ def _analyse_loop(
                 linear_side(vehicle, values, **speeds),
                 worst_linear_side(corners(vehicle, uncertainty), values, **speeds),
             ),
-            closed_loop_poles(vehicle, values, **speeds),
             slowest_mode(vehicle, values, **speeds),
             uncertainty=uncertainty,
             assumptions=assumptions(vehicle, values, uncertainty=uncertainty, **speeds),

@@ -18,8 +18,6 @@ if TYPE_CHECKING:
         plot_record,
         plot_runs,
         plot_sobol_indices,
-        save_record_plot,
-        save_sobol_plot,
     )
 
 __all__ = [
@@ -42,8 +40,6 @@ __all__ = [
     "plot_slice",
     "plot_sobol_indices",
     "render_sections",
-    "save_record_plot",
-    "save_sobol_plot",
 ]
 
 load_at_first_use(__name__)

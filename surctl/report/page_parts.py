@@ -24,7 +24,7 @@ from surctl.tuning.loop_responses import frequencies, rates, response, stable, s
 from surctl.tuning.loop_scores import LoopScores, Score, judge_loops
 from surctl.verification.sampled_margins import quick_margins
 
-__all__ = ["page", "plot_loop", "plot_loop_goals", "plot_loops", "respond"]
+__all__ = ["page", "plot_loop", "plot_loop_goals", "plot_loops", "plot_tightest", "respond"]
 
 Array = NDArray[np.float64]
 Loops = Mapping[str, LinearLoop]
@@ -149,14 +149,10 @@ def plot_loops(loops: Loops, opening: str, *, source: str = "", end: str = "") -
     """Plot loops at several operating points: Bode, |S|, |T|, Nyquist, steps, poles and root locus.
 
     Example:
-        >>> from surctl.ir import Layout, Port
         >>> from surctl.report import plot_loops
-        >>> from surctl.system import Controller, Plant, System
+        >>> from surctl.testing import cart_system
         >>> from surctl.tuning import operating_loops
-        >>> speed, force = Port("speed", (1,), "m/s", "of the cart"), Port("force", (1,), "m/s^2", "over the mass")
-        >>> cart = Plant("cart", Layout((speed,)), Layout((force,)), lambda x, f, d, p: {"speed": f["force"]})
-        >>> hold = Controller("hold", 0.1, Layout((speed,)), Layout((force,)), lambda x, u, p: -2 * u["speed"])
-        >>> figure = plot_loops(operating_loops(System(cart, hold), {}), "force", source="command.force", end="speed")
+        >>> figure = plot_loops(operating_loops(cart_system(2.0), {}), "force", source="command.force", end="speed")
         >>> len(figure.axes), figure.axes[5].get_title("left")
         (8, 'Step from command.force to speed')
     """
@@ -167,16 +163,31 @@ def plot_loop(loop: LinearLoop, opening: str = "", *, source: str = "", end: str
     """Plot one loop as `plot_loops`; by default opened at the first command, with the step of the first reference.
 
     Example:
-        >>> from surctl.ir import Layout, Port
-        >>> from surctl.system import Controller, Plant, System, linearise
-        >>> speed, force = Port("speed", (1,), "m/s", "of the cart"), Port("force", (1,), "m/s^2", "over the mass")
-        >>> cart = Plant("cart", Layout((speed,)), Layout((force,)), lambda x, f, d, p: {"speed": f["force"]})
-        >>> hold = Controller("hold", 0.1, Layout((speed,)), Layout((force,)), lambda x, u, p: -2 * u["speed"])
-        >>> linearise(System(cart, hold)).plot().axes[0].get_title("left")
+        >>> from surctl.system import linearise
+        >>> from surctl.testing import cart_system
+        >>> linearise(cart_system(2.0)).plot().axes[0].get_title("left")
         'Loop gain |L|, opened at force'
     """
     source, end = (source, end) if source else _default_step(loop)
     return plot_loops({"loop": loop}, opening or loop.channels()[0], source=source, end=end)
+
+
+def plot_tightest(loops: Loops) -> dict[str, Figure]:
+    """Plot loops opened where the first of them tolerates the least delay, as `plot_loops`.
+
+    Returns:
+        Two figures, of a command and of a measured output, by the label of the signal.
+    """
+    first = next(iter(loops.values()))
+    command, output = (
+        min(quick_margins(first, *labels), key=lambda margins: margins.delay_margin_s).name
+        for labels in (first.names.commands, first.names.outputs)
+    )
+    end = f"measured.{output}"
+    return {
+        command: plot_loops(loops, command, source=f"command.{command}", end=end),
+        output: plot_loops(loops, output, source=end, end=end),
+    }
 
 
 def _default_step(loop: LinearLoop) -> tuple[str, str]:
@@ -192,14 +203,11 @@ def plot_loop_goals(scores: LoopScores) -> Figure:
     """Plot each goal about the loop with its curve at every operating point; the violated side is shaded.
 
     Example:
-        >>> from surctl.ir import Layout, Port
-        >>> from surctl.system import Controller, Plant, System, linearise
+        >>> from surctl.system import linearise
+        >>> from surctl.testing import cart_system
         >>> from surctl.tuning import SensitivityBound, judge_loops
-        >>> speed, force = Port("speed", (1,), "m/s", "of the cart"), Port("force", (1,), "m/s^2", "over the mass")
-        >>> cart = Plant("cart", Layout((speed,)), Layout((force,)), lambda x, f, d, p: {"speed": f["force"]})
-        >>> hold = Controller("hold", 0.1, Layout((speed,)), Layout((force,)), lambda x, u, p: -2 * u["speed"])
         >>> goal = SensitivityBound(name="peak of S", at="force", at_most=2.0)
-        >>> judge_loops([goal], {"nominal": linearise(System(cart, hold))}).plot().axes[0].get_title("left")
+        >>> judge_loops([goal], {"nominal": linearise(cart_system(2.0))}).plot().axes[0].get_title("left")
         'peak of S (soft)'
     """
     return draw_panels(_goal_panels(scores))

@@ -35,7 +35,7 @@ from surctl.report.theme import number
 from surctl.system import Record, Runs, entry_labels, entry_units
 from surctl.tuning import SystemSweep
 
-__all__ = ["SystemStudy", "export_line", "render_system_page"]
+__all__ = ["SystemStudy", "export_line", "render_system_page", "sil_blocks"]
 
 
 @dataclass(frozen=True)
@@ -74,6 +74,15 @@ def export_line(sil: SilReport) -> Line:
     return Line(sil.passed, text, "export")
 
 
+def sil_blocks(reports: Sequence[SilReport]) -> list[Block]:
+    """Return paragraphs about the comparison of C and Python in each replayed run."""
+    blocks: list[Block] = []
+    for report in reports:
+        head, *others = (line.strip() for line in report.summary().splitlines())
+        blocks += [Paragraph(head, "good" if report.conclusive else "bad"), *map(Paragraph, others)]
+    return blocks
+
+
 def render_system_page(study: SystemStudy) -> str:
     """Return the report as one HTML text without links to the network; all text is escaped.
 
@@ -93,13 +102,12 @@ def render_system_page(study: SystemStudy) -> str:
 
 
 def _sections(study: SystemStudy) -> list[Section]:
-    sil = [Paragraph(line.strip()) for line in study.sil.summary().splitlines()]
     return [
         Section("run", "Run", _run(study)),
         Section("margins", "Equilibrium and margins", _margins(study)),
         Section("region", "Region of attraction", _region(study)),
         Section("sweep", "Sweep", _sweep(study)),
-        Section("export", "Export as C", tuple(sil)),
+        Section("export", "Export as C", tuple(sil_blocks([study.sil]))),
         Section("signals", "Signals, parameters and gains", _ports(study.record)),
     ]
 

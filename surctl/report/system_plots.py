@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
@@ -28,7 +27,6 @@ from surctl.report.theme import (
     new_axes,
     new_figure,
     printable,
-    save_figure,
 )
 from surctl.system import Record, Runs, System, entry_labels, entry_units
 from surctl.system.values import run_numbers
@@ -42,8 +40,6 @@ __all__ = [
     "plot_record",
     "plot_runs",
     "plot_sobol_indices",
-    "save_record_plot",
-    "save_sobol_plot",
 ]
 
 _NONE: Mapping[str, tuple[float, float]] = MappingProxyType({})
@@ -58,13 +54,10 @@ def plot_record(record: Record, *, limits: Mapping[str, tuple[float, float]] = _
             any, those of the system are drawn.
 
     Example:
-        >>> from surctl.ir import Layout, Port
         >>> from surctl.report import plot_record
-        >>> from surctl.system import Controller, Plant, System, run_system
-        >>> speed, force = Port("speed", (1,), "m/s", "of the cart", 1.0), Port("force", (1,), "m/s^2", "over the mass")
-        >>> cart = Plant("cart", Layout((speed,)), Layout((force,)), lambda x, f, d, p: {"speed": f["force"]})
-        >>> brake = Controller("brake", 0.1, Layout((speed,)), Layout((force,)), lambda x, u, p: -u["speed"])
-        >>> [ax.get_ylabel() for ax in plot_record(run_system(System(cart, brake), 2.0)).axes]
+        >>> from surctl.system import run_system
+        >>> from surctl.testing import cart_system
+        >>> [ax.get_ylabel() for ax in plot_record(run_system(cart_system(), 2.0)).axes]
         ['speed [m/s]', 'force [m/s^2]']
     """
     groups, limits = _groups(record), limits or record.system.limits
@@ -112,25 +105,6 @@ def _groups(record: Record) -> list[tuple[str, str, list[_Line]]]:
     return [(name, unit, lines) for (name, unit), lines in groups.items()]
 
 
-def save_record_plot(record: Record, folder: Path | str, *, name: str) -> Path:
-    """Write the plot of `plot_record` as the PNG with this name; return its path.
-
-    Raises:
-        InputError: the folder cannot be written.
-
-    Example:
-        >>> from surctl.ir import Layout, Port
-        >>> from surctl.report import save_record_plot
-        >>> from surctl.system import Controller, Plant, System, run_system
-        >>> speed, force = Port("speed", (1,), "m/s", "of the cart", 1.0), Port("force", (1,), "m/s^2", "over the mass")
-        >>> cart = Plant("cart", Layout((speed,)), Layout((force,)), lambda x, f, d, p: {"speed": f["force"]})
-        >>> brake = Controller("brake", 0.1, Layout((speed,)), Layout((force,)), lambda x, u, p: -u["speed"])
-        >>> print(save_record_plot(run_system(System(cart, brake), 2.0), "pictures", name="cart").name)
-        cart.png
-    """
-    return save_figure(plot_record(record), folder, (name,))
-
-
 Array = NDArray[np.float64]
 
 _BANDS = ((5, 95, 0.18), (25, 75, 0.32))  # percentiles and opacity
@@ -153,13 +127,10 @@ def plot_fan(records: Sequence[Record], signal: str, ax: Axes | None = None) -> 
 
     Example:
         >>> import numpy as np
-        >>> from surctl.ir import Layout, Port
         >>> from surctl.report import plot_fan
-        >>> from surctl.system import Controller, Plant, System, run_system
-        >>> speed, force = Port("speed", (1,), "m/s", "of the cart", 1.0), Port("force", (1,), "m/s^2", "over the mass")
-        >>> cart = Plant("cart", Layout((speed,)), Layout((force,)), lambda x, f, d, p: {"speed": f["force"]})
-        >>> brake = Controller("brake", 0.1, Layout((speed,)), Layout((force,)), lambda x, u, p: -u["speed"])
-        >>> runs = [run_system(System(cart, brake), 2.0, {"start.speed": v}) for v in np.linspace(0.5, 1.5, 9)]
+        >>> from surctl.system import run_system
+        >>> from surctl.testing import cart_system
+        >>> runs = [run_system(cart_system(), 2.0, {"start.speed": v}) for v in np.linspace(0.5, 1.5, 9)]
         >>> plot_fan(runs, "speed").get_title("left")
         'speed, 9 runs'
     """
@@ -195,13 +166,10 @@ def plot_phase_plane(records: Sequence[Record], x: str, y: str, ax: Axes | None 
         InputError: there is no such signal.
 
     Example:
-        >>> from surctl.ir import Layout, Port
         >>> from surctl.report import plot_phase_plane
-        >>> from surctl.system import Controller, Plant, System, run_system
-        >>> speed, force = Port("speed", (1,), "m/s", "of the cart", 1.0), Port("force", (1,), "m/s^2", "over the mass")
-        >>> cart = Plant("cart", Layout((speed,)), Layout((force,)), lambda x, f, d, p: {"speed": f["force"]})
-        >>> brake = Controller("brake", 0.1, Layout((speed,)), Layout((force,)), lambda x, u, p: -u["speed"])
-        >>> runs = [run_system(System(cart, brake), 2.0, {"start.speed": v}) for v in (0.5, 1.0)]
+        >>> from surctl.system import run_system
+        >>> from surctl.testing import cart_system
+        >>> runs = [run_system(cart_system(), 2.0, {"start.speed": v}) for v in (0.5, 1.0)]
         >>> ax = plot_phase_plane(runs, "speed", "force")
         >>> ax.get_xlabel(), len(ax.lines)
         ('speed [m/s]', 6)
@@ -317,13 +285,9 @@ def plot_runs(runs: Runs, names: Sequence[str] = ()) -> Figure:
 
     Example:
         >>> import numpy as np
-        >>> from surctl.ir import Layout, Port
-        >>> from surctl.system import Controller, Cost, Plant, System, simulate_system
-        >>> speed, force = Port("speed", (1,), "m/s", "of the cart", 1.0), Port("force", (1,), "m/s^2", "over the mass")
-        >>> cart = Plant("cart", Layout((speed,)), Layout((force,)), lambda x, f, d, p: {"speed": f["force"]})
-        >>> brake = Controller("brake", 0.1, Layout((speed,)), Layout((force,)), lambda x, u, p: -u["speed"])
-        >>> way = Cost(lambda s: s.x["speed"], "integral", "m")
-        >>> runs = simulate_system(System(cart, brake, costs={"way": way}), 5.0, {"start.speed": np.linspace(0, 1, 50)})
+        >>> from surctl.system import simulate_system
+        >>> from surctl.testing import cart_system
+        >>> runs = simulate_system(cart_system(), 5.0, {"start.speed": np.linspace(0, 1, 50)})
         >>> runs.plot().axes[0].get_xlabel()
         'way'
     """
@@ -359,15 +323,11 @@ def plot_dependence(values: Mapping[str, ArrayLike], runs: Runs, name: str) -> F
 
     Example:
         >>> import numpy as np
-        >>> from surctl.ir import Layout, Port
         >>> from surctl.report import plot_dependence
-        >>> from surctl.system import Controller, Cost, Plant, System, simulate_system
-        >>> speed, force = Port("speed", (1,), "m/s", "of the cart", 1.0), Port("force", (1,), "m/s^2", "over the mass")
-        >>> cart = Plant("cart", Layout((speed,)), Layout((force,)), lambda x, f, d, p: {"speed": f["force"]})
-        >>> brake = Controller("brake", 0.1, Layout((speed,)), Layout((force,)), lambda x, u, p: -u["speed"])
-        >>> way = Cost(lambda s: s.x["speed"], "integral", "m")
+        >>> from surctl.system import simulate_system
+        >>> from surctl.testing import cart_system
         >>> values = {"start.speed": np.linspace(0, 1, 50)}
-        >>> runs = simulate_system(System(cart, brake, costs={"way": way}), 5.0, values)
+        >>> runs = simulate_system(cart_system(), 5.0, values)
         >>> plot_dependence(values, runs, "way").axes[0].get_title("left")
         'start.speed: rank correlation 1.00'
     """
@@ -427,16 +387,9 @@ def plot_sobol_indices(result: SobolIndices, ax: Axes | None = None) -> Axes:
         ax: axes to draw in.
 
     Example:
-        >>> from surctl.ir import Layout, Port
-        >>> from surctl.system import Controller, Cost, Plant, System
+        >>> from surctl.testing import cart_system
         >>> from surctl.tuning import parse_axis, saltelli, sobol_indices, sweep_system
-        >>> speed, force = Port("speed", (1,), "m/s", "of the cart", 1.0), Port("force", (1,), "m/s^2", "over the mass")
-        >>> cart = Plant("cart", Layout((speed,)), Layout((force,)), lambda x, f, d, p: {"speed": f["force"]})
-        >>> gain = Layout((Port("k", (1,), "1/s", "gain", 1.0),))
-        >>> brake = Controller(
-        ...     "brake", 0.1, Layout((speed,)), Layout((force,)), lambda x, u, p: -p["k"] * u["speed"], gains=gain
-        ... )
-        >>> system = System(cart, brake, costs={"way": Cost(lambda s: s.x["speed"], "integral", "m")})
+        >>> system = cart_system()
         >>> design = saltelli([parse_axis("k=1..2"), parse_axis("start.speed=0.9..1.1")], base=16)
         >>> way = sweep_system(system, design, 5.0).mean("way")
         >>> ax = sobol_indices(design, way, "way").plot()
@@ -466,17 +419,3 @@ def plot_sobol_indices(result: SobolIndices, ax: Axes | None = None) -> Axes:
     handles, _ = ax.get_legend_handles_labels()
     legend_below(ax, columns=2, handles=handles)
     return ax
-
-
-def save_sobol_plot(result: SobolIndices, folder: Path) -> Path:
-    """Write the plot of Sobol' indices as a PNG; return its path. InputError if the folder cannot be written.
-
-    Example:
-        >>> from pathlib import Path
-        >>> from surctl.report import save_sobol_plot
-        >>> from surctl.tuning import SobolIndices
-        >>> indices = SobolIndices("way", ("k",), (0.7,), (0.8,), ((0.6, 0.8),), ((0.7, 0.9),), False, 9)
-        >>> save_sobol_plot(indices, Path("pictures")).name
-        'sensitivity-way.png'
-    """
-    return save_figure(plot_sobol_indices(result).figure.figure, folder, ("sensitivity", result.column))

@@ -253,12 +253,13 @@ def _command() -> dict[str, str]:
     return {"Description": shlex.join(words).encode("ascii", "backslashreplace").decode()}  # a name may be any bytes
 
 
-def save_figure(figure: Figure, folder: Path | str, what: tuple[str, ...]) -> Path:
-    """Write a figure as a PNG in the folder, named after its contents; return its path.
+def save_figure(plot: Figure | Axes, folder: Path | str, what: tuple[str, ...]) -> Path:
+    """Write the figure of a plot as a PNG in the folder, named after its contents; return its path.
 
     The text `Description` in the file is the command that wrote it, `Software` the function that plotted the figure.
     """
     # names can come from input files: replace characters that could lead out of the folder
     name = "-".join(re.sub(r"[^A-Za-z0-9_.]+", "-", part).strip("-.") or "x" for part in what)
+    figure = plot.figure.figure if isinstance(plot, Axes) else plot
     body = png(figure, **{"Software": getattr(figure, "maker", None), **_command()})
     return write_file(Path(folder) / f"{name}.png", body)

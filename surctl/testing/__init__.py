@@ -2,7 +2,7 @@
 
 from surctl.testing.backends import BACKEND_FAMILIES, BackendReport, check_backend, measure_backend
 from surctl.testing.ranges import CheckFailed, Parameter
-from surctl.testing.systems import SystemReport, check_controller, check_plant
+from surctl.testing.systems import SystemReport, cart_system, check_controller, check_plant
 from surctl.testing.tasks import LimitReport, TaskReport, check_limit, check_task
 
 __all__ = [
@@ -13,6 +13,7 @@ __all__ = [
     "Parameter",
     "SystemReport",
     "TaskReport",
+    "cart_system",
     "check_backend",
     "check_controller",
     "check_limit",

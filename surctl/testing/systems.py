@@ -11,13 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError, nearest
-from surctl.ir import Block, Layout, on_vectors, replay
-from surctl.system import NONFINITE, Controller, Plant
+from surctl.ir import Block, Layout, Port, on_vectors, replay
+from surctl.system import NONFINITE, Controller, Cost, Plant, System
 from surctl.system.controller import step_results
 from surctl.system.parts import not_finite
 from surctl.testing.ranges import CheckFailed, checked_count, checked_type
 
-__all__ = ["SystemReport", "check_controller", "check_plant"]
+__all__ = ["SystemReport", "cart_system", "check_controller", "check_plant"]
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -210,3 +210,30 @@ def _at(layouts: Mapping[str, Layout], points: Mapping[str, Array], k: int) -> s
         for key in points
         for port in layouts[key]
     )
+
+
+_SPEED, _FORCE = Port("speed", (1,), "m/s", "of the cart", 1.0), Port("force", (1,), "m/s^2", "over the mass")
+_COSTS: Mapping[str, Cost] = {"way": Cost(lambda s: s.x["speed"], "integral", "m")}
+
+
+def cart_system(k: float = 1.0, *, costs: Mapping[str, Cost] = _COSTS) -> System:
+    """Return the system of the examples: a cart that rolls at 1 m/s and is braked at 10 Hz with the gain k [1/s].
+
+    The plant has the state `speed` and the command `force` over its mass; the gain `k` can be changed.
+
+    Args:
+        k: default value of the gain.
+        costs: costs of the system; by default the `way` [m] that the cart rolls.
+
+    Example:
+        >>> from surctl.system import run_system
+        >>> from surctl.testing import cart_system
+        >>> round(run_system(cart_system(), 2.0).figures["way"], 2)
+        0.88
+    """
+    cart = Plant("cart", Layout((_SPEED,)), Layout((_FORCE,)), lambda x, f, d, p: {"speed": f["force"]})
+    gains = Layout((Port("k", (1,), "1/s", "gain", k),))
+    brake = Controller(
+        "brake", 0.1, Layout((_SPEED,)), Layout((_FORCE,)), lambda x, u, p: -p["k"] * u["speed"], gains=gains
+    )
+    return System(cart, brake, costs=costs)

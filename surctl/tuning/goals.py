@@ -251,16 +251,13 @@ def load_system_goals(
 
     Example:
         >>> from pathlib import Path
-        >>> from surctl.ir import Layout, Port
-        >>> from surctl.system import Controller, Cost, Plant, System
+        >>> from surctl.system import Cost
+        >>> from surctl.testing import cart_system
         >>> from surctl.tuning import load_system_goals
-        >>> speed, force = Port("speed", (1,), "m/s", "of the cart", 1.0), Port("force", (1,), "m/s^2", "over the mass")
-        >>> cart = Plant("cart", Layout((speed,)), Layout((force,)), lambda x, f, d, p: {"speed": f["force"]})
-        >>> law = Controller("brake", 0.1, Layout((speed,)), Layout((force,)), lambda x, u, p: -u["speed"])
         >>> rest = Cost(lambda s: s.x["speed"] - 0.1, "last_time", "s")
         >>> text = "kind = 'goals'\\nname = 'cart'\\n[[goals]]\\nname = 'quick'\\nmetric = 'rest'\\nat_most = '4 s'"
         >>> _ = Path("cart.toml").write_text(text)
-        >>> [goal] = load_system_goals("cart.toml", System(cart, law, costs={"rest": rest}))[2]
+        >>> [goal] = load_system_goals("cart.toml", cart_system(costs={"rest": rest}))[2]
         >>> goal.metric, goal.sign, goal.limit, goal.unit
         ('rest', '≤', 4.0, 's')
     """

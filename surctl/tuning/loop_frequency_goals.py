@@ -32,14 +32,11 @@ class LoopShape(Opened):
             "below" if it may only not rise above the band (roll-off).
 
     Example:
-        >>> from surctl.ir import Layout, Port
-        >>> from surctl.system import Controller, Plant, System, linearise
+        >>> from surctl.system import linearise
+        >>> from surctl.testing import cart_system
         >>> from surctl.tuning import LoopShape, Profile
-        >>> speed, force = Port("speed", (1,), "m/s", "of the cart"), Port("force", (1,), "m/s^2", "over the mass")
-        >>> cart = Plant("cart", Layout((speed,)), Layout((force,)), lambda x, f, d, p: {"speed": f["force"]})
-        >>> hold = Controller("hold", 0.1, Layout((speed,)), Layout((force,)), lambda x, u, p: -2 * u["speed"])
         >>> goal = LoopShape(name="integrator", at=("force",), target=Profile((0.01, 1.0), (200.0, 2.0)), band_db=1.0)
-        >>> goal.judge(linearise(System(cart, hold))).met
+        >>> goal.judge(linearise(cart_system(2.0))).met
         True
     """
 
@@ -77,14 +74,11 @@ class SensitivityBound(Opened):
         at_most: bound of the largest singular value of S.
 
     Example:
-        >>> from surctl.ir import Layout, Port
-        >>> from surctl.system import Controller, Plant, System, linearise
+        >>> from surctl.system import linearise
+        >>> from surctl.testing import cart_system
         >>> from surctl.tuning import SensitivityBound
-        >>> speed, force = Port("speed", (1,), "m/s", "of the cart"), Port("force", (1,), "m/s^2", "over the mass")
-        >>> cart = Plant("cart", Layout((speed,)), Layout((force,)), lambda x, f, d, p: {"speed": f["force"]})
-        >>> hold = Controller("hold", 0.1, Layout((speed,)), Layout((force,)), lambda x, u, p: -2 * u["speed"])
         >>> goal = SensitivityBound(name="peak", at="force", at_most=2.0)
-        >>> round(goal.judge(linearise(System(cart, hold))).value, 3)
+        >>> round(goal.judge(linearise(cart_system(2.0))).value, 3)
         1.111
     """
 
@@ -105,14 +99,11 @@ class Rejection(Opened):
         attenuation: least factor of attenuation, 1/|S|, over frequency.
 
     Example:
-        >>> from surctl.ir import Layout, Port
-        >>> from surctl.system import Controller, Plant, System, linearise
+        >>> from surctl.system import linearise
+        >>> from surctl.testing import cart_system
         >>> from surctl.tuning import Profile, Rejection
-        >>> speed, force = Port("speed", (1,), "m/s", "of the cart"), Port("force", (1,), "m/s^2", "over the mass")
-        >>> cart = Plant("cart", Layout((speed,)), Layout((force,)), lambda x, f, d, p: {"speed": f["force"]})
-        >>> hold = Controller("hold", 0.1, Layout((speed,)), Layout((force,)), lambda x, u, p: -2 * u["speed"])
         >>> goal = Rejection(name="waves", at=("force",), attenuation=Profile((0.02, 0.2), (100.0, 10.0)))
-        >>> round(goal.judge(linearise(System(cart, hold))).normalised, 2)
+        >>> round(goal.judge(linearise(cart_system(2.0))).normalised, 2)
         1.0
     """
 
@@ -134,14 +125,11 @@ class MaxGain(Between):
         unit: unit of the bound, such as "N m/deg"; empty: that of the end over that of the source.
 
     Example:
-        >>> from surctl.ir import Layout, Port
-        >>> from surctl.system import Controller, Plant, System, linearise
+        >>> from surctl.system import linearise
+        >>> from surctl.testing import cart_system
         >>> from surctl.tuning import MaxGain
-        >>> speed, force = Port("speed", (1,), "m/s", "of the cart"), Port("force", (1,), "m/s^2", "over the mass")
-        >>> cart = Plant("cart", Layout((speed,)), Layout((force,)), lambda x, f, d, p: {"speed": f["force"]})
-        >>> hold = Controller("hold", 0.1, Layout((speed,)), Layout((force,)), lambda x, u, p: -2 * u["speed"])
         >>> goal = MaxGain(name="peak of T", source="measured.speed", end="speed", at_most=1.5)
-        >>> round(goal.judge(linearise(System(cart, hold))).value, 2)
+        >>> round(goal.judge(linearise(cart_system(2.0))).value, 2)
         1.0
     """
 
@@ -168,14 +156,11 @@ class Effort(MaxGain):
     From a setpoint, this is |K S|.
 
     Example:
-        >>> from surctl.ir import Layout, Port
-        >>> from surctl.system import Controller, Plant, System, linearise
+        >>> from surctl.system import linearise
+        >>> from surctl.testing import cart_system
         >>> from surctl.tuning import Effort
-        >>> speed, force = Port("speed", (1,), "m/s", "of the cart"), Port("force", (1,), "m/s^2", "over the mass")
-        >>> cart = Plant("cart", Layout((speed,)), Layout((force,)), lambda x, f, d, p: {"speed": f["force"]})
-        >>> hold = Controller("hold", 0.1, Layout((speed,)), Layout((force,)), lambda x, u, p: -2 * u["speed"])
         >>> goal = Effort(name="noise", source="measured.speed", end="force", at_most=2.5)
-        >>> round(goal.judge(linearise(System(cart, hold))).value, 2)
+        >>> round(goal.judge(linearise(cart_system(2.0))).value, 2)
         2.22
     """
 
@@ -201,14 +186,11 @@ class Tracking(Between):
         peak_error: largest error over all frequencies, as a share.
 
     Example:
-        >>> from surctl.ir import Layout, Port
-        >>> from surctl.system import Controller, Plant, System, linearise
+        >>> from surctl.system import linearise
+        >>> from surctl.testing import cart_system
         >>> from surctl.tuning import Tracking
-        >>> speed, force = Port("speed", (1,), "m/s", "of the cart"), Port("force", (1,), "m/s^2", "over the mass")
-        >>> cart = Plant("cart", Layout((speed,)), Layout((force,)), lambda x, f, d, p: {"speed": f["force"]})
-        >>> hold = Controller("hold", 0.1, Layout((speed,)), Layout((force,)), lambda x, u, p: -2 * u["speed"])
         >>> goal = Tracking(name="follow", source="measured.speed", end="speed", response_s=1.0, peak_error=1.2)
-        >>> goal.judge(linearise(System(cart, hold))).met
+        >>> goal.judge(linearise(cart_system(2.0))).met
         True
     """
 

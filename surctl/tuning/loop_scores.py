@@ -89,16 +89,9 @@ def operating_loops(system: System, points: Mapping[str, Mapping[str, ArrayLike]
         InputError: a point has no equilibrium, or `run_numbers` rejects its numbers.
 
     Example:
-        >>> from surctl.ir import Layout, Port
-        >>> from surctl.system import Controller, Plant, System
+        >>> from surctl.testing import cart_system
         >>> from surctl.tuning import operating_loops
-        >>> speed, force = Port("speed", (1,), "m/s", "of the cart"), Port("force", (1,), "m/s^2", "over the mass")
-        >>> cart = Plant("cart", Layout((speed,)), Layout((force,)), lambda x, f, d, p: {"speed": f["force"]})
-        >>> gain = Layout((Port("k", (1,), "1/s", "gain", 2.0),))
-        >>> hold = Controller(
-        ...     "hold", 0.1, Layout((speed,)), Layout((force,)), lambda x, u, p: -p["k"] * u["speed"], gains=gain
-        ... )
-        >>> loops = operating_loops(System(cart, hold), {"soft": {"k": 1.0}, "stiff": {"k": 4.0}})
+        >>> loops = operating_loops(cart_system(2.0), {"soft": {"k": 1.0}, "stiff": {"k": 4.0}})
         >>> {name: round(float(abs(loop.poles()[0])), 2) for name, loop in loops.items()}
         {'soft': 0.9, 'stiff': 0.6}
     """
@@ -118,15 +111,12 @@ def judge_loops(goals: Sequence[LoopGoal], loops: Mapping[str, LinearLoop]) -> L
         InputError: a goal names a signal or an operating point that does not exist.
 
     Example:
-        >>> from surctl.ir import Layout, Port
-        >>> from surctl.system import Controller, Plant, System, linearise
+        >>> from surctl.system import linearise
+        >>> from surctl.testing import cart_system
         >>> from surctl.tuning import Margins, SensitivityBound, judge_loops
-        >>> speed, force = Port("speed", (1,), "m/s", "of the cart"), Port("force", (1,), "m/s^2", "over the mass")
-        >>> cart = Plant("cart", Layout((speed,)), Layout((force,)), lambda x, f, d, p: {"speed": f["force"]})
-        >>> hold = Controller("hold", 0.1, Layout((speed,)), Layout((force,)), lambda x, u, p: -2 * u["speed"])
         >>> peak = SensitivityBound(name="peak", at="force", at_most=2.0)
         >>> goals = [peak, Margins(name="phase", at="force", phase_deg=60.0)]
-        >>> for line in judge_loops(goals, {"nominal": linearise(System(cart, hold))}).lines():
+        >>> for line in judge_loops(goals, {"nominal": linearise(cart_system(2.0))}).lines():
         ...     print(line)
         met     peak (soft): 0.556, 1.111 for 2, at 31.4 rad/s; nominal
         met     phase (soft): 0.712, 84.26 deg for 60, phase margin 84.3 deg at force; nominal

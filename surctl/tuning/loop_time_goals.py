@@ -30,14 +30,11 @@ class Overshoot(Between):
         at_most: largest overshoot as a share of the final value, such as 0.1 for 10 %.
 
     Example:
-        >>> from surctl.ir import Layout, Port
-        >>> from surctl.system import Controller, Plant, System, linearise
+        >>> from surctl.system import linearise
+        >>> from surctl.testing import cart_system
         >>> from surctl.tuning import Overshoot
-        >>> speed, force = Port("speed", (1,), "m/s", "of the cart"), Port("force", (1,), "m/s^2", "over the mass")
-        >>> cart = Plant("cart", Layout((speed,)), Layout((force,)), lambda x, f, d, p: {"speed": f["force"]})
-        >>> hold = Controller("hold", 0.1, Layout((speed,)), Layout((force,)), lambda x, u, p: -15 * u["speed"])
         >>> goal = Overshoot(name="calm", source="measured.speed", end="speed", at_most=0.1)
-        >>> round(goal.judge(linearise(System(cart, hold))).value, 2)
+        >>> round(goal.judge(linearise(cart_system(15.0))).value, 2)
         0.5
     """
 
@@ -67,14 +64,11 @@ class Settling(Between):
         at_most: longest settling time [s].
 
     Example:
-        >>> from surctl.ir import Layout, Port
-        >>> from surctl.system import Controller, Plant, System, linearise
+        >>> from surctl.system import linearise
+        >>> from surctl.testing import cart_system
         >>> from surctl.tuning import Settling
-        >>> speed, force = Port("speed", (1,), "m/s", "of the cart"), Port("force", (1,), "m/s^2", "over the mass")
-        >>> cart = Plant("cart", Layout((speed,)), Layout((force,)), lambda x, f, d, p: {"speed": f["force"]})
-        >>> hold = Controller("hold", 0.1, Layout((speed,)), Layout((force,)), lambda x, u, p: -2 * u["speed"])
         >>> goal = Settling(name="soon", source="measured.speed", end="speed", at_most=2.5)
-        >>> round(goal.judge(linearise(System(cart, hold))).value, 2)
+        >>> round(goal.judge(linearise(cart_system(2.0))).value, 2)
         1.8
     """
 
@@ -105,15 +99,12 @@ class StepTracking(Between):
 
     Example:
         >>> import control
-        >>> from surctl.ir import Layout, Port
-        >>> from surctl.system import Controller, Plant, System, linearise
+        >>> from surctl.system import linearise
+        >>> from surctl.testing import cart_system
         >>> from surctl.tuning import StepTracking
-        >>> speed, force = Port("speed", (1,), "m/s", "of the cart"), Port("force", (1,), "m/s^2", "over the mass")
-        >>> cart = Plant("cart", Layout((speed,)), Layout((force,)), lambda x, f, d, p: {"speed": f["force"]})
-        >>> hold = Controller("hold", 0.1, Layout((speed,)), Layout((force,)), lambda x, u, p: -2 * u["speed"])
         >>> model = control.tf([2.0], [1.0, 2.0])
         >>> goal = StepTracking(name="as a lag", source="measured.speed", end="speed", model=model, at_most=0.2)
-        >>> goal.judge(linearise(System(cart, hold))).met
+        >>> goal.judge(linearise(cart_system(2.0))).met
         True
     """
 
@@ -170,14 +161,11 @@ class StepRejection(Between):
         unit: unit of the bound; empty: that of the end.
 
     Example:
-        >>> from surctl.ir import Layout, Port
-        >>> from surctl.system import Controller, Plant, System, linearise
+        >>> from surctl.system import linearise
+        >>> from surctl.testing import cart_system
         >>> from surctl.tuning import StepRejection
-        >>> speed, force = Port("speed", (1,), "m/s", "of the cart"), Port("force", (1,), "m/s^2", "over the mass")
-        >>> cart = Plant("cart", Layout((speed,)), Layout((force,)), lambda x, f, d, p: {"speed": f["force"]})
-        >>> hold = Controller("hold", 0.1, Layout((speed,)), Layout((force,)), lambda x, u, p: -2 * u["speed"])
         >>> goal = StepRejection(name="load", source="command.force", end="speed", at_most=0.6)
-        >>> round(goal.judge(linearise(System(cart, hold))).value, 2)
+        >>> round(goal.judge(linearise(cart_system(2.0))).value, 2)
         0.5
     """
 
@@ -209,13 +197,10 @@ class Poles(LoopGoal):
         fastest_rad_per_s: largest |s| [rad/s].
 
     Example:
-        >>> from surctl.ir import Layout, Port
-        >>> from surctl.system import Controller, Plant, System, linearise
+        >>> from surctl.system import linearise
+        >>> from surctl.testing import cart_system
         >>> from surctl.tuning import Poles
-        >>> speed, force = Port("speed", (1,), "m/s", "of the cart"), Port("force", (1,), "m/s^2", "over the mass")
-        >>> cart = Plant("cart", Layout((speed,)), Layout((force,)), lambda x, f, d, p: {"speed": f["force"]})
-        >>> hold = Controller("hold", 0.1, Layout((speed,)), Layout((force,)), lambda x, u, p: -2 * u["speed"])
-        >>> judged = Poles(name="region", decay_per_s=1.0, damping=0.7).judge(linearise(System(cart, hold)))
+        >>> judged = Poles(name="region", decay_per_s=1.0, damping=0.7).judge(linearise(cart_system(2.0)))
         >>> round(judged.normalised, 2), judged.where
         (0.7, 'damping ratio 1')
     """
@@ -265,13 +250,10 @@ class Margins(Opened):
         disk: least disk margin α, 0 to 2.
 
     Example:
-        >>> from surctl.ir import Layout, Port
-        >>> from surctl.system import Controller, Plant, System, linearise
+        >>> from surctl.system import linearise
+        >>> from surctl.testing import cart_system
         >>> from surctl.tuning import Margins
-        >>> speed, force = Port("speed", (1,), "m/s", "of the cart"), Port("force", (1,), "m/s^2", "over the mass")
-        >>> cart = Plant("cart", Layout((speed,)), Layout((force,)), lambda x, f, d, p: {"speed": f["force"]})
-        >>> hold = Controller("hold", 0.1, Layout((speed,)), Layout((force,)), lambda x, u, p: -2 * u["speed"])
-        >>> judged = Margins(name="robust", at="force", gain=2.0).judge(linearise(System(cart, hold)))
+        >>> judged = Margins(name="robust", at="force", gain=2.0).judge(linearise(cart_system(2.0)))
         >>> round(judged.normalised, 2), judged.where
         (0.3, 'gain margin 10 at force')
     """

@@ -133,16 +133,9 @@ def sobol_indices(design: Design, values: NDArray[np.float64], column: str, *, s
         InputError: the design is another, or the column is not finite everywhere.
 
     Example:
-        >>> from surctl.ir import Layout, Port
-        >>> from surctl.system import Controller, Cost, Plant, System
+        >>> from surctl.testing import cart_system
         >>> from surctl.tuning import parse_axis, saltelli, sobol_indices, sweep_system
-        >>> speed, force = Port("speed", (1,), "m/s", "of the cart", 1.0), Port("force", (1,), "m/s^2", "over the mass")
-        >>> cart = Plant("cart", Layout((speed,)), Layout((force,)), lambda x, f, d, p: {"speed": f["force"]})
-        >>> gain = Layout((Port("k", (1,), "1/s", "gain", 1.0),))
-        >>> brake = Controller(
-        ...     "brake", 0.1, Layout((speed,)), Layout((force,)), lambda x, u, p: -p["k"] * u["speed"], gains=gain
-        ... )
-        >>> system = System(cart, brake, costs={"way": Cost(lambda s: s.x["speed"], "integral", "m")})
+        >>> system = cart_system()
         >>> design = saltelli([parse_axis("k=1..2"), parse_axis("start.speed=0.9..1.1")], base=16)
         >>> way = sweep_system(system, design, 5.0).mean("way")
         >>> [round(share, 2) for share in sobol_indices(design, way, "way").total]

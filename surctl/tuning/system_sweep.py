@@ -155,16 +155,9 @@ def sweep_system(
         ToolMissing: there is no C compiler.
 
     Example:
-        >>> from surctl.ir import Layout, Port
-        >>> from surctl.system import Controller, Cost, Plant, System
+        >>> from surctl.testing import cart_system
         >>> from surctl.tuning import Span, grid, parse_axis, random_draws, sweep_system
-        >>> speed, force = Port("speed", (1,), "m/s", "of the cart", 1.0), Port("force", (1,), "m/s^2", "over the mass")
-        >>> cart = Plant("cart", Layout((speed,)), Layout((force,)), lambda x, f, d, p: {"speed": f["force"]})
-        >>> gain = Layout((Port("k", (1,), "1/s", "gain", 1.0),))
-        >>> brake = Controller(
-        ...     "brake", 0.1, Layout((speed,)), Layout((force,)), lambda x, u, p: -p["k"] * u["speed"], gains=gain
-        ... )
-        >>> system = System(cart, brake, costs={"way": Cost(lambda s: s.x["speed"], "integral", "m")})
+        >>> system = cart_system()
         >>> draws = random_draws([Span("start.speed", 0.5, 1.5)], count=20)
         >>> swept = sweep_system(system, grid([parse_axis("k=1,2")]), 5.0, draws=draws)
         >>> swept.worst("way").round(2).tolist(), swept.mean("way").round(2).tolist(), swept.at(swept.best("way"))

@@ -142,17 +142,11 @@ def tune_system(
         ToolMissing: there is no C compiler.
 
     Example:
-        >>> from surctl.ir import Layout, Port
-        >>> from surctl.system import Controller, Cost, Plant, System
+        >>> from surctl.system import Cost
+        >>> from surctl.testing import cart_system
         >>> from surctl.tuning import tune_system
-        >>> speed, force = Port("speed", (1,), "m/s", "of the cart", 1.0), Port("force", (1,), "m/s^2", "over the mass")
-        >>> cart = Plant("cart", Layout((speed,)), Layout((force,)), lambda x, f, d, p: {"speed": f["force"]})
-        >>> gain = Layout((Port("k", (1,), "1/s", "gain", 1.0),))
-        >>> brake = Controller(
-        ...     "brake", 0.1, Layout((speed,)), Layout((force,)), lambda x, u, p: -p["k"] * u["speed"], gains=gain
-        ... )
         >>> cost = Cost(lambda s: s.x["speed"] ** 2 + 0.1 * s.f["force"] ** 2, "integral", "m^2/s")
-        >>> tuned = tune_system(System(cart, brake, costs={"cost": cost}), 5.0, {"k": (0.2, 8.0)}, trials=90)
+        >>> tuned = tune_system(cart_system(costs={"cost": cost}), 5.0, {"k": (0.2, 8.0)}, trials=90)
         >>> 2.5 < tuned.gains["k"] < 3.0, tuned.unmet
         (True, ())
     """

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from surctl.verification.falsifier import falsify
     from surctl.verification.loops import LoopMargins
     from surctl.verification.proving import Proof, prove
-    from surctl.verification.sampled_margins import SystemCorners, system_corners, system_disk_margin, system_margins
+    from surctl.verification.sampled_margins import LoopCorners, system_corners, system_disk_margin, system_margins
     from surctl.verification.setting import Setting, setting_from
     from surctl.verification.verdict import Inapplicable, Verdict
 
@@ -20,12 +20,12 @@ __all__ = [
     "Claim",
     "Counterexample",
     "Inapplicable",
+    "LoopCorners",
     "LoopMargins",
     "Motion",
     "Proof",
     "Replay",
     "Setting",
-    "SystemCorners",
     "Variable",
     "Verdict",
     "VerdictWord",

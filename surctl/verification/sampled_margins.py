@@ -20,12 +20,11 @@ from surctl.verification.linear import DiskMargin, OpenLoop, disk_margin
 from surctl.verification.loops import BrokenLoop, LoopMargins, crossings_of, margins_from
 
 __all__ = [
+    "LoopCorners",
     "SampledLoop",
-    "SystemCorners",
     "SystemLoop",
-    "Worst",
+    "corners_of",
     "system_corners",
-    "worst_loop",
 ]
 
 Array = NDArray[np.float64]
@@ -51,13 +50,10 @@ def system_margins(linear: LinearLoop, *openings: str) -> tuple[LoopMargins, ...
         InputError: an entry of `openings` is not the label of a command or of a measured output.
 
     Example:
-        >>> from surctl.ir import Layout, Port
-        >>> from surctl.system import Controller, Plant, System, linearise
+        >>> from surctl.system import linearise
+        >>> from surctl.testing import cart_system
         >>> from surctl.verification import system_margins
-        >>> speed, force = Port("speed", (1,), "m/s", "of the cart"), Port("force", (1,), "m/s^2", "over the mass")
-        >>> cart = Plant("cart", Layout((speed,)), Layout((force,)), lambda x, f, d, p: {"speed": f["force"]})
-        >>> hold = Controller("hold", 0.1, Layout((speed,)), Layout((force,)), lambda x, u, p: -2 * u["speed"])
-        >>> (margins,) = system_margins(linearise(System(cart, hold)), "force")
+        >>> (margins,) = system_margins(linearise(cart_system(2.0)), "force")
         >>> f"{margins.gain_margin:.1f}, {margins.phase_margin_deg:.1f} deg, {margins.delay_margin_s:.2f} s"
         '10.0, 84.3 deg, 0.73 s'
     """
@@ -80,13 +76,10 @@ def system_disk_margin(linear: LinearLoop, *openings: str) -> DiskMargin:
         InputError: an entry of `openings` is not the label of a command or of a measured output.
 
     Example:
-        >>> from surctl.ir import Layout, Port
-        >>> from surctl.system import Controller, Plant, System, linearise
+        >>> from surctl.system import linearise
+        >>> from surctl.testing import cart_system
         >>> from surctl.verification import system_disk_margin
-        >>> speed, force = Port("speed", (1,), "m/s", "of the cart"), Port("force", (1,), "m/s^2", "over the mass")
-        >>> cart = Plant("cart", Layout((speed,)), Layout((force,)), lambda x, f, d, p: {"speed": f["force"]})
-        >>> hold = Controller("hold", 0.1, Layout((speed,)), Layout((force,)), lambda x, u, p: -2 * u["speed"])
-        >>> margin = system_disk_margin(linearise(System(cart, hold)), "force", "speed")
+        >>> margin = system_disk_margin(linearise(cart_system(2.0)), "force", "speed")
         >>> margin.stable, round(margin.guaranteed, 2)
         (True, 0.76)
     """
@@ -199,32 +192,47 @@ L = TypeVar("L", bound=SampledLoop)
 
 
 @dataclass(frozen=True, eq=False)
-class Worst(Generic[L]):
-    """The worst of the loops at the corners of uncertain numbers and the nominal loop.
+class LoopCorners(Generic[L]):
+    """A loop with nominal numbers, and at the worst corner of its uncertain numbers.
 
     Attributes:
-        loop: the loop with the least disk margin, or an unstable one.
-        corner: where it is, as text.
-        slowest_per_s: largest real part [1/s] of a pole of all loops.
+        nominal: the loop with nominal numbers.
+        worst: the loop with the least disk margin, or an unstable one.
+        corner: the numbers of the worst corner, as text; of the first corner that is lost, if there is one.
+        slowest_per_s: largest real part [1/s] of a pole over all corners.
         lost: corners at which there is no loop, as text.
+        count: number of corners.
     """
 
-    loop: L
+    nominal: L
+    worst: L
     corner: str
     slowest_per_s: float
-    lost: tuple[str, ...]
+    lost: tuple[str, ...] = ()
+    count: int = 0
+
+    @property
+    def stable(self) -> bool:
+        """Whether the loop exists and is stable at every corner."""
+        return not self.lost and self.nominal.stable and self.worst.stable
+
+    @property
+    def disk(self) -> float:
+        """The disk margin at the worst corner; 0 if the loop is unstable or does not exist at one."""
+        return self.worst.disk if self.stable else 0.0
 
 
-def worst_loop(nominal: L, name: str, corners: Iterable[tuple[str, Callable[[], L]]]) -> Worst[L]:
-    """Return the worst loop.
+def corners_of(nominal: L, name: str, corners: Iterable[tuple[str, Callable[[], L]]]) -> LoopCorners[L]:
+    """Return the nominal and the worst loop.
 
     Args:
         nominal: the nominal loop.
         name: its name.
         corners: text of each corner, and a function that returns its loop, or raises InputError if it has none.
     """
-    worst, corner, slowest, lost = nominal, name, nominal.slowest_per_s, list[str]()
+    worst, corner, slowest, lost, count = nominal, name, nominal.slowest_per_s, list[str](), 0
     for label, linearised in corners:
+        count += 1
         try:
             loop = linearised()
         except InputError:
@@ -233,7 +241,7 @@ def worst_loop(nominal: L, name: str, corners: Iterable[tuple[str, Callable[[], 
         slowest = max(slowest, loop.slowest_per_s)
         if loop.severity > worst.severity:
             worst, corner = loop, label
-    return Worst(worst, corner, slowest, tuple(lost))
+    return LoopCorners(nominal, worst, corner, slowest, tuple(lost), count)
 
 
 # The sampled loop of a system at its equilibrium, for nominal numbers and at the corners of the declared ranges
@@ -260,42 +268,11 @@ class SystemLoop(SampledLoop):
         return self.linear.at
 
 
-@dataclass(frozen=True, eq=False)
-class SystemCorners:
-    """The loop of a system with nominal numbers and at the worst corner of its ranges.
-
-    Attributes:
-        nominal: the loop with nominal numbers.
-        worst: the loop with the least disk margin, or an unstable one.
-        corner: the numbers of the worst corner, as text.
-        slowest_per_s: largest real part [1/s] of a pole over all corners.
-        lost: corners at which the loop has no equilibrium, as text.
-        count: number of corners.
-    """
-
-    nominal: SystemLoop
-    worst: SystemLoop
-    corner: str
-    slowest_per_s: float
-    lost: tuple[str, ...] = ()
-    count: int = 0
-
-    @property
-    def stable(self) -> bool:
-        """Whether the loop has an equilibrium at every corner and is stable there."""
-        return not self.lost and self.nominal.stable and self.worst.stable
-
-    @property
-    def disk(self) -> float:
-        """The disk margin at the worst corner; 0 if one is unstable or has no equilibrium."""
-        return self.worst.disk if self.stable else 0.0
-
-
 def system_corners(
     system: System,
     values: Mapping[str, ArrayLike] | None = None,
     ranges: Mapping[str, tuple[float, float]] | None = None,
-) -> SystemCorners:
+) -> LoopCorners[SystemLoop]:
     """Return the loop of a system about its equilibrium, nominal and at the worst corner of ranges of its numbers.
 
     A linear loop is usually worst at a corner, but this is no proof for the numbers between the corners.
@@ -332,6 +309,5 @@ def system_corners(
         return SystemLoop(linearise(system, {**numbers, **corner}))
 
     labels = (", ".join(f"{name} = {end:g}" for name, end in corner.items()) for corner in corners)
-    worst = worst_loop(nominal, "the nominal system", zip(labels, (partial(at, c) for c in corners), strict=True))
-    corner = worst.lost[0] if worst.lost else worst.corner
-    return SystemCorners(nominal, worst.loop, corner, worst.slowest_per_s, worst.lost, len(corners))
+    result = corners_of(nominal, "the nominal system", zip(labels, (partial(at, c) for c in corners), strict=True))
+    return replace(result, corner=result.lost[0]) if result.lost else result

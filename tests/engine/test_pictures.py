@@ -22,7 +22,8 @@ from surctl.marine.control import build_law, load_gains
 from surctl.marine.engine import CAMERAS, EngineOptions, Moment, Scene, mujoco_physics, parse_plant, physics
 from surctl.marine.engine.mjcf import mujoco_library
 from surctl.marine.export import CompiledLaw
-from surctl.marine.report import film_frames, film_pictures, render_page, save_film
+from surctl.marine.report import render_page, save_film
+from surctl.marine.report.animation import film_frames, film_pictures
 from surctl.marine.reproduction import Simulations
 from surctl.marine.reproduction.scenarios import _arrivals
 from surctl.marine.simulation import build_world, load_scenario, simulate

@@ -19,8 +19,8 @@ from PIL import Image
 from surctl.cli.run_options import check_animate
 from surctl.cli.simulate import simulate
 from surctl.errors import InputError, ToolMissing
-from surctl.marine.report import check_animation, save_animation
-from surctl.marine.report.animation import _gif, frame_steps, frames
+from surctl.marine.report import save_animation
+from surctl.marine.report.animation import _gif, check_animation, frame_steps, frames
 from surctl.marine.report.plan_view import INSTANT, beams_at
 from surctl.marine.simulation import Run
 from surctl.report.theme import ROBOT

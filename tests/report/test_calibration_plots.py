@@ -1,11 +1,9 @@
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-from surctl.marine.report import plot_calibration, save_calibrations
+from surctl.marine.report import plot_calibration
 from surctl.marine.report.sonar_plots import plot_errors, plot_studentised
 from surctl.marine.sensing import SensorCalibration, calibrate, calibrate_table_ii
 from tests.pictures import rendered
@@ -60,9 +58,3 @@ def test_the_band_follows_the_noise() -> None:
     band = plot_errors(one(X, X + 0.02 * X * NOISE)).collections[0].get_paths()[0].vertices
     near, far = (np.ptp(band[np.isclose(band[:, 0], x)][:, 1]) for x in (X[0], X[-1]))
     assert far > 4 * near
-
-
-@pytest.mark.usefixtures("blank")
-def test_pictures_are_named_after_the_sensor(tmp_path: Path) -> None:
-    paths = save_calibrations(calibrate_table_ii(), tmp_path)
-    assert [p.name for p in paths] == ["calibration-U1-air.png", "calibration-U1-water.png"]

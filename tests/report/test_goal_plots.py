@@ -3,8 +3,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from surctl.marine.report import GoalBars, goal_bars, goal_view, plot_front, plot_goal_bars, plot_goal_view
-from surctl.marine.report.goals import goal_views
+from surctl.marine.report import GoalBars, plot_front, plot_goal_bars
+from surctl.marine.report.goals import goal_bars, goal_views, plot_goal_view
 from surctl.marine.tuning import Goal, tune
 from tests.pictures import rendered
 from tests.tuning.synthetic import CLEAR, MARGIN, NEAR, THRIFT, case, install, request
@@ -53,7 +53,7 @@ def test_the_front_marks_start_and_tuned(tuning):
 
 def test_a_view_shades_the_bad_side_of_the_bound(tuning):
     goals = {g.name: g for g in tuning.request.goals}
-    floor, cap = (goal_view(tuning, goals[name]) for name in ("keep clear", "stay near"))
+    floor, cap = goal_views(tuning, [goals[name] for name in ("keep clear", "stay near")])
     for view, below in ((floor, True), (cap, False)):
         ax = drawn(plot_goal_view(view))
         (shade,) = ax.patches
@@ -61,17 +61,17 @@ def test_a_view_shades_the_bad_side_of_the_bound(tuning):
         assert (high if below else low) == pytest.approx(view.goal.limit)
         assert ax.get_position().width > 0.6 and view.label in " ".join(ax.get_xlabel().split())
     assert floor.values["tuned"].min() > 0
-    assert goal_view(tuning, goals["delay margin"]) is None
+    assert not list(goal_views(tuning, [goals["delay margin"]]))
 
 
 def test_the_curve_ends_at_the_figure(tuning):
-    view = goal_view(tuning, Goal("near", "deviation_m", "m", 0.3))
+    (view,) = goal_views(tuning, [Goal("near", "deviation_m", "m", 0.3)])
     run_end = view.values["tuned"][-1]
     assert np.isfinite(run_end) and len(view.time["tuned"]) == len(view.values["tuned"])
 
 
 def test_a_late_arrival_is_shaded_along_the_time(tuning):
-    view = goal_view(tuning, Goal("soon", "time_s", "s", 30.0))
+    (view,) = goal_views(tuning, [Goal("soon", "time_s", "s", 30.0)])
     ax = drawn(plot_goal_view(view))
     (shade,) = ax.patches
     assert shade.get_x() == pytest.approx(30.0)

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from surctl.marine.report import write_page
+from surctl.marine.report.page import write_page
 from surctl.marine.simulation import Run
 from surctl.report import Check
 from tests.browser import WIDTHS, Opened, open_page

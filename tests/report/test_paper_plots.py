@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from surctl.errors import InputError
-from surctl.marine.report import plot_coordinates, plot_position_errors, plot_series
+from surctl.marine.report.paper_plots import plot_coordinates, plot_position_errors, plot_series
 from tests.report.data import run
 
 

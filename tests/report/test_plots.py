@@ -3,7 +3,6 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-import control
 import matplotlib as mpl
 import numpy as np
 import pytest
@@ -12,31 +11,28 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Rectangle, Wedge
 
 from surctl.errors import InputError
+from surctl.marine.control import build_law
 from surctl.marine.guidance import Path as Route
 from surctl.marine.report import (
-    loop_responses,
-    plot_bode,
     plot_heat_map,
-    plot_nyquist,
     plot_parallel,
-    plot_poles,
     plot_run,
     plot_run_signals,
-    save_heat_map,
     save_run,
 )
 from surctl.marine.report.signals import plot_force, spans
 from surctl.marine.simulation import Run, load_scenario, simulate
 from surctl.marine.tuning import SweepTable
 from surctl.marine.vehicle import load_vehicle
-from surctl.marine.verification import cruise_loop
+from surctl.marine.verification import law_loop
 from surctl.report import margin_slice, plot_counterexample, plot_replay, plot_slice, plot_sobol_indices
 from surctl.report.evidence import _sense
-from surctl.report.theme import BAD, printable
+from surctl.report.page_parts import plot_tightest
+from surctl.report.theme import BAD, printable, save_figure
 from surctl.tuning import SobolIndices
-from surctl.verification import evaluate, replay
+from surctl.verification import evaluate, replay, system_margins
 from tests.pictures import rendered
-from tests.report.data import ABOUT, GAINS, report, run, sweep, swept, vehicle, verdict
+from tests.report.data import GAINS, report, run, sweep, swept, vehicle, verdict
 
 
 def first_tick(flown: Run) -> Run:
@@ -134,48 +130,16 @@ def test_what_the_font_lacks_is_replaced() -> None:
     assert printable("η\tν 潜\n√") == "η ν ? √"
 
 
-def test_loop_responses_are_those_of_python_control() -> None:
-    whole = cruise_loop(vehicle(), GAINS.values, **ABOUT)
-    loops = loop_responses(vehicle(), GAINS.values, **ABOUT)
-    assert [loop.name for loop in loops] == [m.name for m in report().margins]
-    for loop, broken in ((loops[1], whole.at_thrust(1)), (loops[7], whole.at_output(3))):
-        expected = control.frequency_response(control.ss(*broken, 0, ABOUT["dt"]), loop.omega).complex
-        np.testing.assert_allclose(loop.response, np.ravel(expected), rtol=1e-6, atol=1e-12)
-
-
-def test_loops_and_poles_are_drawn() -> None:
-    loops = report().loops
-    gain, phase = rendered(plot_bode(loops[:4])).axes
-    assert (gain.get_xscale(), phase.get_xscale()) == ("log", "log")
-    dots = [line for line in gain.lines if line.get_marker() == "o"]
-    crossover = {m.name: m.crossover_rad_s for m in report().margins}
-    for loop, dot in zip(loops, dots, strict=False):
-        assert np.max(dot.get_xdata()) == pytest.approx(crossover[loop.name], rel=0.03)
-    rendered(plot_nyquist(loops, disk_margin=0.7))
-    rendered(plot_nyquist(loops))
-    poles = report().poles
-    assert poles is not None
-    shown = next(line for line in plot_poles(poles).lines if line.get_label() == "stable")
-    assert len(shown.get_xdata()) == 12  # four more belong to the delay
-    rendered(plot_poles(poles))
-    rendered(plot_poles(np.array([0.1 + 2j, 0.1 - 2j, -1.0])))
-    rendered(plot_poles(np.array([-1.0 + 0j])))
-
-
-def test_a_fast_unstable_pole_is_never_hidden() -> None:
-    poles = np.array([-0.1, -0.2, 40.0])
-    ax = plot_poles(poles)
-    unstable = next(line for line in ax.lines if line.get_label() == "unstable")
-    assert list(unstable.get_xdata()) == [40.0] and ax.get_xlim()[1] > 40.0
-
-
-def test_the_disk_is_that_of_the_disk_margin() -> None:
-    """On the disk's rim the balanced sensitivity |S + (σ − 1)/2| with σ = 0 equals 1/α."""
-    alpha = 0.7
-    disk = next(p for p in plot_nyquist([], disk_margin=alpha).patches if str(p.get_label()).startswith("disk"))
-    assert isinstance(disk, Circle)
-    rim = disk.get_center()[0] + disk.get_radius() * np.exp(1j * np.linspace(0, 2 * np.pi, 9))
-    np.testing.assert_allclose(np.abs(1 / (1 + rim) - 0.5), 1 / alpha, rtol=1e-12)
+def test_the_tightest_loops_are_drawn() -> None:
+    (loop,) = report().loops.values()
+    delays = {m.name: m.delay_margin_s for m in system_margins(loop)}
+    figures = plot_tightest(report().loops)
+    for opening, group in zip(figures, (loop.names.commands, loop.names.outputs), strict=True):
+        assert opening in group and delays[opening] <= min(delays[name] for name in group) * 1.01
+        assert any(f"opened at {opening}" in ax.get_title("left") for ax in rendered(figures[opening]).axes)
+    fast = law_loop(build_law("guarded"), vehicle(), GAINS.with_values({"k_psi": 60.0}), cruise=0.15).linear
+    lines = {ax.get_title("left"): ax.lines for ax in plot_tightest({"fast": fast})["surge"].axes}
+    assert lines["Poles of the closed loop"] and not lines["Sensitivity |S|"]
 
 
 def test_the_heat_map_marks_and_hatches_the_right_cells() -> None:
@@ -256,9 +220,10 @@ def test_pictures_on_disk_stay_in_their_folder(tmp_path: Path) -> None:
     evil = replace(run(), scenario=replace(run().scenario, name="../../a b"))
     path = save_run(evil, tmp_path)
     assert path.parent == tmp_path and path.read_bytes().startswith(b"\x89PNG")
-    assert save_heat_map(sweep(), "score", tmp_path / "new").name == "sweep-lookahead-k_v-score.png"
+    figure = plot_heat_map(sweep(), "score")
+    assert save_figure(figure, tmp_path / "new", ("a/b", "..")).relative_to(tmp_path).as_posix() == "new/a-b-x.png"
     with pytest.raises(InputError, match="cannot be written"):
-        save_heat_map(sweep(), "score", tmp_path / "new" / "sweep-lookahead-k_v-score.png")
+        save_figure(figure, tmp_path / "new" / "a-b-x.png", ("score",))
 
 
 def test_a_counterexample_is_replayed_where_it_moves_and_sliced_where_not() -> None:

@@ -5,7 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from surctl.marine.report import plot_replay_sensor, plot_sonar_replay, save_sonar_replay
+from surctl.marine.report import plot_sonar_replay
+from surctl.marine.report.sonar_plots import plot_replay_sensor
 from surctl.marine.sensing import Replay, read_readings, replay_readings, sonar_array
 from tests.pictures import rendered
 from tests.sensing.recording import recorded, write
@@ -57,5 +58,3 @@ def test_no_line_spans_a_silence(tmp_path: Path) -> None:
 def test_one_panel_a_sensor_and_one_file(tmp_path: Path) -> None:
     found = replayed(tmp_path, [row for row in recorded(3.0) if row.split(",")[1] != "2"])
     assert len(plot_sonar_replay(found).axes) == 3
-    path = save_sonar_replay(found, tmp_path / "out", title="x")
-    assert path.name == "sonar-replay.png" and path.stat().st_size > 10_000

@@ -278,7 +278,7 @@ def test_a_study_of_an_own_law_judges_nothing_of_another() -> None:
     assessment = assess(assessed(plan, plan.gains), parts=["loop"])
     one = assessment.sources["loop"]
     assert one.mode is None and one.law is not None and one.law.nominal.place.startswith("the steady motion at")
-    loops = loops_of(plan, plan.gains, one, dt=0.05)
+    loops = loops_of(plan, plan.gains, one)
     run = simulate(plan.legs[0].scenario, plan.vehicle, gains=plan.gains, law=build_law(plan.law))
     table = swept({"k_wall": (0.2, 0.4)}, {"score": np.array([1.0, 2.0]), "feasible": np.ones(2)})
     notes = {note.about: note for note in summary(plan, table, assessment, loops, (), [run], ()).lines}

@@ -12,8 +12,8 @@ from surctl.cli.robot_options import choose_gains
 from surctl.errors import InputError
 from surctl.marine.control import GAINS, Gains, load_gains, write_gains
 from surctl.marine.simulation import findings
-from surctl.marine.tuning import default_cruise, derive_gains, derived_gains, gains_for, shared_gains
-from surctl.marine.tuning.derived import held_speed, inner_start, munk_rate, rule
+from surctl.marine.tuning import default_cruise, derive_gains, derived_gains, gains_for
+from surctl.marine.tuning.derived import held_speed, inner_start, munk_rate, rule, shared_gains
 from surctl.marine.vehicle import Vehicle, load_vehicle
 from surctl.marine.verification import check_held
 from surctl.marine.verification.linear import corner_margin, corners, worst_linear_side

@@ -12,18 +12,9 @@ from surctl.errors import InputError
 from surctl.marine.assessment import Mission
 from surctl.marine.control import Gains, load_gains
 from surctl.marine.simulation import METRICS, load_scenario
-from surctl.marine.tuning import (
-    ASSESSED,
-    CHECKED,
-    Goal,
-    Tuning,
-    check_finals,
-    goals_from_tables,
-    load_goals,
-    tune,
-    with_floor,
-)
-from surctl.marine.tuning.goals import PART_OF
+from surctl.marine.tuning import ASSESSED, CHECKED, Goal, Tuning, load_goals, tune
+from surctl.marine.tuning.goals import PART_OF, goals_from_tables, with_floor
+from surctl.marine.tuning.outcome import check_finals
 from surctl.marine.vehicle import load_vehicle
 from surctl.marine.verification import LINEAR_METRICS
 from surctl.tuning.goals import GoalTable

@@ -12,18 +12,18 @@ from surctl.marine.tuning import (
     Condition,
     Goal,
     build_cases,
-    check_goals,
     evaluate,
     goal_rows,
-    goals_at,
     load_goals,
     summary,
     tune,
     tuned_gains,
-    tuning_dict,
 )
+from surctl.marine.tuning.evaluation import check_goals
+from surctl.marine.tuning.goals import goals_at
 from surctl.marine.tuning.measure import SweepEvaluation, check_request
 from surctl.marine.tuning.montecarlo import monte_carlo
+from surctl.marine.tuning.outcome import tuning_dict
 from surctl.marine.tuning.pool import joined_pools
 from surctl.marine.tuning.search import _functions
 from surctl.marine.verification import LINEAR_METRICS, linear_table

@@ -15,7 +15,6 @@ from surctl.marine.control import law_ref, load_gains, write_gains
 from surctl.marine.tuning import (
     Counterexample,
     Goal,
-    advice,
     conditions,
     evaluate,
     figures,
@@ -25,11 +24,11 @@ from surctl.marine.tuning import (
     summary,
     tune,
     tuned_gains,
-    tuning_dict,
 )
 from surctl.marine.tuning.cegis import RoundsFile
 from surctl.marine.tuning.evaluation import judged
 from surctl.marine.tuning.montecarlo import fresh, monte_carlo
+from surctl.marine.tuning.outcome import advice, tuning_dict
 from surctl.marine.tuning.pool import ClaimPoint, Pool, excess, expected_to_hold, refuted_claims
 from surctl.marine.tuning.search import demands, minimal_subset
 from surctl.tuning.search import Journal

@@ -129,13 +129,6 @@ def check_animation(path: Path | str, *, key: str = "--animate") -> Path:
     Raises:
         InputError: the name does not end in .gif or .mp4, or the path is a folder.
         ToolMissing: the name ends in .mp4, and neither ffmpeg nor PyAV is installed.
-
-    Example:
-        >>> from surctl.marine.report import check_animation
-        >>> check_animation("run.avi")
-        Traceback (most recent call last):
-            ...
-        surctl.errors.InputError: --animate = 'run.avi': is not the name of an animation; end the name in .gif or .mp4
     """
     path = Path(path)
     if path.suffix.lower() not in _SUFFIXES:
@@ -326,15 +319,7 @@ _PAGE_WIDTH, _PAGE_FRAMES = 480, 80  # of the film in a report, which has about 
 
 
 def check_film(path: Path | str) -> Path:
-    """Return the path if a film can be written to it; raise as `check_animation` otherwise.
-
-    Example:
-        >>> from surctl.marine.report import check_film
-        >>> check_film("run.avi")
-        Traceback (most recent call last):
-            ...
-        surctl.errors.InputError: --film = 'run.avi': is not the name of an animation; end the name in .gif or .mp4
-    """
+    """Return the path if a film can be written to it; raise as `check_animation` otherwise."""
     return check_animation(path, key="--film")
 
 
@@ -367,18 +352,6 @@ def film_pictures(run: Run) -> tuple[list[int], tuple[str, ...]]:
 
     Raises:
         ToolMissing: MuJoCo, or a library that renders without a screen, is not installed.
-
-    Example:
-        >>> from dataclasses import replace
-        >>> from surctl.marine.control import build_law, load_gains
-        >>> from surctl.marine.report import film_pictures
-        >>> from surctl.marine.simulation import load_scenario, simulate
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> mission, gains = replace(load_scenario("pool-behind"), time_limit=0.2), load_gains("default")
-        >>> run = simulate(mission, load_vehicle("sur400"), gains=gains, law=build_law("closed_form"))
-        >>> steps, pictures = film_pictures(run)
-        >>> steps, pictures[0][:23]
-        ([0, 2, 3], 'data:image/webp;base64,')
     """
     apart = max(0.1, float(run.record.time[-1]) / _PAGE_FRAMES)
     pictures = []
@@ -399,17 +372,6 @@ def film_frames(
         options: the options of MuJoCo.
         apart: time between two frames [s]; None: such that the film lasts at most about 15 s.
         width: width of the frames [pixels], a multiple of 32.
-
-    Example:
-        >>> from dataclasses import replace
-        >>> from surctl.marine.control import build_law, load_gains
-        >>> from surctl.marine.report import film_frames
-        >>> from surctl.marine.simulation import load_scenario, simulate
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> mission, gains = replace(load_scenario("pool-behind"), time_limit=0.2), load_gains("default")
-        >>> run = simulate(mission, load_vehicle("sur400"), gains=gains, law=build_law("closed_form"))
-        >>> next(film_frames(run)).shape
-        (540, 640, 3)
     """
     from surctl.marine.engine import Scene
 

@@ -20,18 +20,9 @@ from surctl.marine.control import Gains, law_source, load_gains, write_gains
 from surctl.marine.report.files import plot_region
 from surctl.marine.report.plan_view import plot_run
 from surctl.marine.simulation import METRICS, Case, Run, Scenario, simulate
-from surctl.marine.tuning import (
-    Evaluation,
-    GainRange,
-    Goal,
-    case_loop,
-    conditions,
-    corners,
-    default_tuned,
-    evaluate,
-    gain_ranges,
-    judged_goals,
-)
+from surctl.marine.tuning import Evaluation, GainRange, Goal, case_loop, conditions, corners, evaluate, gain_ranges
+from surctl.marine.tuning.evaluation import judged_goals
+from surctl.marine.tuning.pool import default_tuned
 from surctl.marine.vehicle import Vehicle
 from surctl.marine.vehicle.linearise import command_range
 from surctl.marine.verification import OperatingPoint, applicable_claims, steady_motion

@@ -206,20 +206,7 @@ def decisive_section(data: ReportData) -> Section | None:
 
 
 def runs_section(data: ReportData) -> Section:
-    """Return a section with a table of runs, then plan view and signals of runs; the decisive run has signals only.
-
-    Example:
-        >>> from surctl.marine.control import build_law, load_gains
-        >>> from surctl.marine.report import ReportData, runs_section
-        >>> from surctl.marine.simulation import load_scenario, simulate
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> vehicle, gains = load_vehicle("sur400"), load_gains("default")
-        >>> run = simulate(load_scenario("pool-behind"), vehicle, gains=gains, law=build_law("closed_form"))
-        >>> data = ReportData(title="Pool", command="", version="1.0", vehicle=vehicle, gains=gains, runs=(run,))
-        >>> section = runs_section(data)
-        >>> section.title, [type(block).__name__ for block in section.blocks]
-        ('Closed-loop runs', ['Paragraph', 'Table', 'Paragraph', 'Heading', 'Paragraph', 'Pictures'])
-    """
+    """Return a section with a table of runs, then plan view and signals of runs; the decisive run has signals only."""
     rows = tuple(_run_row(run, decides) for run, decides in zip(data.runs, data.decides, strict=True))
     heads = (
         "scenario", "vehicle", "law", "sensing", "seed", "reached", "stopped because", "counts",

@@ -14,36 +14,26 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from surctl.errors import InputError
+from surctl.marine.control import Gains, Law
 from surctl.marine.report.goals import (
     goal_bars,
     goal_views,
     plot_front,
     plot_goal_bars,
     plot_goal_view,
-    plot_heat_map,
-    plot_parallel,
 )
-from surctl.marine.report.margin_plots import (
-    loop_responses,
-    plot_disk_margins,
-    plot_locus,
-    plot_marked_bode,
-    plot_nyquist,
-    plot_s_and_t,
-    sensitivities,
-)
-from surctl.marine.report.plan_view import describe, plot_run
-from surctl.marine.report.signals import plot_priority, plot_run_signals
-from surctl.marine.report.sonar_plots import plot_calibration, plot_sonar_replay
-from surctl.marine.sensing import Replay, SensorCalibration, file_stems
-from surctl.marine.simulation import Run, priority_timeline
-from surctl.marine.tuning import SweepTable, Tuning
+from surctl.marine.report.margin_plots import plot_disk_margins
+from surctl.marine.report.plan_view import plot_run
+from surctl.marine.report.signals import plot_run_signals
+from surctl.marine.simulation import Run
+from surctl.marine.tuning import Tuning
 from surctl.marine.vehicle import Vehicle
-from surctl.marine.verification import Locus, cruise_loop, loop_margins
-from surctl.marine.verification.cruise_loop import TRACKING_LAW
+from surctl.marine.verification import cruise_loop, law_loop
+from surctl.marine.verification.cruise_loop import has_cruise_loop
 from surctl.marine.verification.linear import DISK_PLACES, open_loop
 from surctl.marine.verification.portrait import Portrait, planes_of, portrait
 from surctl.report.evidence import margin_slice, plot_cells, plot_counterexample, plot_open_boxes, plot_slice
+from surctl.report.page_parts import plot_tightest
 from surctl.report.theme import (
     AVOIDING,
     GOOD,
@@ -62,15 +52,9 @@ from surctl.verification.linear import stored_disk_margin
 __all__ = [
     "plot_portrait",
     "plot_region",
-    "save_calibrations",
-    "save_heat_map",
-    "save_locus",
+    "run_labels",
     "save_margins",
-    "save_parallel",
-    "save_priority",
-    "save_regions",
     "save_run",
-    "save_sonar_replay",
     "save_tuning",
     "save_verdicts",
 ]
@@ -176,55 +160,23 @@ def _handles(one: Portrait) -> list[Artist]:
 
 
 def save_margins(
-    vehicle: Vehicle,
-    gains: Mapping[str, float],
-    folder: Path | str,
-    *,
-    cruise: float | Sequence[float],
-    dt: float,
-    law: str = TRACKING_LAW,
+    law: Law, vehicle: Vehicle, gains: Gains, folder: Path | str, *, cruise: float | Sequence[float]
 ) -> list[Path]:
-    r"""Write PNGs of Bode (loops of least margin), Nyquist, disk-margin and sensitivity plots; return the paths.
+    r"""Write PNGs of the loops that tolerate the least delay, and of the disk margins of all loops; return the paths.
 
-    With several cruise speeds [m/s], the sensitivities S and T are plotted at each speed, and all other plots are for
-    the largest speed. Nothing is written for an unstable loop. `law` is a law that tracks, as in `loop_margins`.
+    With several cruise speeds [m/s], the loops are plotted at each speed, and opened where the loop at the largest one
+    is tightest. An unstable loop has no disk margin.
 
     Raises:
-        InputError: see `loop_margins`; or the folder cannot be written.
-
-    Example:
-        >>> from surctl.marine.control import load_gains
-        >>> from surctl.marine.report import save_margins
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> gains = load_gains("default").values
-        >>> paths = save_margins(load_vehicle("sur400"), gains, "pictures", cruise=0.15, dt=0.05)
-        >>> print(*(path.name for path in paths), sep="\n")
-        margins-sur400-bode-yaw.png
-        margins-sur400-nyquist-thrust.png
-        margins-sur400-bode-heading.png
-        margins-sur400-nyquist-measurement.png
-        margins-sur400-disk.png
-        margins-sur400-sensitivity.png
+        InputError: see `law_loop`; or the folder cannot be written.
     """
-    speeds = [float(speed) for speed in np.atleast_1d(cruise)]
-    cruise = max(speeds)
-    margins = loop_margins(vehicle, gains, cruise=cruise, dt=dt, law=law)
-    loops = loop_responses(vehicle, gains, cruise=cruise, dt=dt, law=law)
-    if not all(m.stable for m in margins):
-        return []
-    figures: dict[str, Figure] = {}
-    for at in ("thrust", "measurement"):
-        group = [(loop, m) for loop, m in zip(loops, margins, strict=True) if loop.at == at]
-        tightest = min(group, key=lambda pair: pair[1].delay_margin_s)
-        figures[f"bode-{tightest[0].name}"] = plot_marked_bode(*tightest)
-        least = min(m.disk_margin for _, m in group)
-        figures[f"nyquist-{at}"] = plot_nyquist([loop for loop, _ in group], disk_margin=least).figure.figure
-    loop = cruise_loop(vehicle, gains, cruise=cruise, dt=dt, law=law)
-    opened = [open_loop(loop, place) for place in DISK_PLACES]
-    pairs = [(loop, stored_disk_margin(loop, place)) for loop, place in zip(opened, DISK_PLACES, strict=True)]
-    figures["disk"] = plot_disk_margins(pairs, highest=np.pi / dt)
-    curves = sensitivities(vehicle, gains, cruise=speeds, dt=dt, places=DISK_PLACES[:2], law=law)
-    figures["sensitivity"] = plot_s_and_t(curves)
+    speeds = sorted((float(speed) for speed in np.atleast_1d(cruise)), reverse=True)
+    loops = [law_loop(law, vehicle, gains, cruise=u) for u in speeds]
+    figures = plot_tightest({f"{u:g} m/s": loop.linear for u, loop in zip(speeds, loops, strict=True)})
+    if loops[0].stable and has_cruise_loop(law.ref, "los"):
+        loop = cruise_loop(vehicle, gains.values, cruise=speeds[0], dt=law.dt, law=law.ref)
+        pairs = [(open_loop(loop, place), stored_disk_margin(open_loop(loop, place), place)) for place in DISK_PLACES]
+        figures["disk"] = plot_disk_margins(pairs, highest=np.pi / law.dt)
     return [save_figure(figure, folder, ("margins", vehicle.name, name)) for name, figure in figures.items()]
 
 
@@ -233,40 +185,12 @@ def save_verdicts(verdicts: Sequence[Verdict], folder: Path | str) -> list[Path]
 
     Raises:
         InputError: the folder cannot be written.
-
-    Example:
-        >>> from surctl.marine.report import save_verdicts
-        >>> from surctl.marine.verification import claims
-        >>> from surctl.verification import decide
-        >>> chosen = claims(names=["v1-printed", "v1-corrected"])
-        >>> verdicts = [decide(claim, samples=256, starts=2) for claim in chosen]
-        >>> [path.name for path in save_verdicts(verdicts, "pictures")]
-        ['v1-printed-replay.png', 'v1-printed-slice.png', 'v1-corrected-cells.png']
     """
     saved = []
     for verdict in verdicts:
         for name, figure in _pictures(verdict).items():
             saved.append(save_figure(figure, folder, (verdict.claim.name, name)))
     return saved
-
-
-def save_regions(documents: Mapping[str, Mapping[str, Any]], folder: Path | str) -> list[Path]:
-    """Write PNGs of level sets, flow and failure points for named region certificates; return the paths.
-
-    Raises:
-        InputError: a certificate is of another kind, or the folder cannot be written.
-
-    Example:
-        >>> from surctl.marine.control import load_gains
-        >>> from surctl.marine.report import save_regions
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> from surctl.marine.verification.region import prove_statement, region_statement
-        >>> statement = region_statement("region-heading-20").model_copy(update={"attempts": 1})
-        >>> proof = prove_statement(statement, load_vehicle("sur540-flooded"), load_gains("default"))
-        >>> [path.name for path in save_regions({"heading": proof.certificate()}, "pictures")]
-        ['heading-levels.png']
-    """
-    return [save_figure(plot_region(document), folder, (name, "levels")) for name, document in documents.items()]
 
 
 def _pictures(verdict: Verdict) -> dict[str, Figure]:
@@ -309,95 +233,15 @@ def save_run(run: Run, folder: Path | str) -> Path:
     halves = figure.add_gridspec(2, 1, height_ratios=[plan_height, 7.0])
     plot_run(run, figure.add_subfigure(halves[0]).add_subplot())
     plot_run_signals(run, figure.add_subfigure(halves[1]).subplots(3, 2, sharex=True).ravel().tolist())
-    return save_figure(figure, Path(folder), _run_labels(run))
+    return save_figure(figure, folder, run_labels(run))
 
 
-def save_priority(run: Run, folder: Path | str) -> Path:
-    """Write a plot of the relaxation of each priority level over a run as a PNG; return the path of the PNG.
-
-    Raises:
-        InputError: the folder cannot be written.
-
-    Example:
-        >>> from surctl.marine.control import build_law, load_gains
-        >>> from surctl.marine.report import save_priority
-        >>> from surctl.marine.simulation import load_scenario, simulate
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> law, gains = build_law(mode="filter", contacts=1), load_gains("default")
-        >>> run = simulate(load_scenario("pool-behind"), load_vehicle("sur400"), gains=gains, law=law)
-        >>> print(save_priority(run, "pictures").name)
-        pool-behind-sur400-guarded-corrected-filter-truth-seed0-priority.png
-    """
-    return save_figure(
-        plot_priority(priority_timeline(run), title=describe(run)), Path(folder), (*_run_labels(run), "priority")
-    )
-
-
-def _run_labels(run: Run) -> tuple[str, ...]:
+def run_labels(run: Run) -> tuple[str, ...]:
+    """Return the parts of the name of a run's pictures."""
     law = run.law.name.removeprefix("surctl_")  # an identifier, also if the law is of the user's own
     how = (law, run.law.avoidance, *(() if run.law.guidance == "los" else (run.law.guidance,)), run.law.mode)
     how += () if run.law.fallback == "exact" else (run.law.fallback,)
     return (run.scenario.name, run.vehicle.name, *how, run.sensing, f"seed{run.seed}")
-
-
-def save_heat_map(table: SweepTable, column: str, folder: Path | str, *, over: tuple[str, str] | None = None) -> Path:
-    """Write a heat map of one column of a sweep as a PNG, named after column and axes; return the path of the PNG.
-
-    Raises:
-        InputError: see `plot_heat_map`; or the folder cannot be written.
-
-    Example:
-        >>> from surctl.marine.control import load_gains
-        >>> from surctl.marine.report import save_heat_map
-        >>> from surctl.marine.simulation import load_scenario
-        >>> from surctl.marine.tuning import build_cases, sweep
-        >>> from surctl.tuning import grid, parse_axis
-        >>> cases = build_cases([load_scenario("pool-behind")], gains=load_gains("default"), law="closed_form")
-        >>> table = sweep(cases, grid([parse_axis("k_v=1,2"), parse_axis("lookahead=0.4,0.8,1.2")]))
-        >>> save_heat_map(table, "disk_margin", "pictures").name
-        'sweep-k_v-lookahead-disk_margin.png'
-    """
-    across, up = over or (table.axes[0].name, table.axes[1].name if len(table.axes) > 1 else "")
-    figure = plot_heat_map(table, column, over=over).figure.figure
-    return save_figure(figure, Path(folder), ("sweep", across, up, column))
-
-
-def save_parallel(table: SweepTable, folder: Path | str) -> Path:
-    """Write a sweep in parallel coordinates as a PNG; return its path. InputError if the folder cannot be written.
-
-    Example:
-        >>> from surctl.marine.control import load_gains
-        >>> from surctl.marine.report import save_parallel
-        >>> from surctl.marine.simulation import load_scenario
-        >>> from surctl.marine.tuning import build_cases, sweep
-        >>> from surctl.tuning import grid, parse_axis
-        >>> cases = build_cases([load_scenario("pool-behind")], gains=load_gains("default"), law="closed_form")
-        >>> table = sweep(cases, grid([parse_axis("k_v=1,2"), parse_axis("lookahead=0.4,0.8,1.2")]))
-        >>> save_parallel(table, "pictures").name
-        'sweep-parallel.png'
-    """
-    return save_figure(plot_parallel(table).figure.figure, Path(folder), ("sweep", "parallel"))
-
-
-def save_locus(data: Locus, folder: Path | str, *, unit: str = "", picked: float | None = None) -> Path:
-    """Write a plot of a sweep locus as a PNG, named after the swept parameter; return the path of the PNG.
-
-    Raises:
-        InputError: the folder cannot be written.
-
-    Example:
-        >>> from surctl.marine.control import load_gains
-        >>> from surctl.marine.report import save_locus
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> from surctl.marine.verification import sweep_locus
-        >>> gains = load_gains("default").values
-        >>> locus = sweep_locus(load_vehicle("sur400"), gains, "k_psi", [0.2, 0.4, 0.8, 1.6, 3.2], cruise=0.15, dt=0.05)
-        >>> save_locus(locus, "pictures", unit="1/s").name
-        'locus-k_psi.png'
-    """
-    return save_figure(
-        plot_locus(data, unit=unit, picked=picked).figure.figure, Path(folder), ("locus", data.parameter)
-    )
 
 
 def save_tuning(tuning: Tuning, folder: Path | str) -> list[Path]:
@@ -405,58 +249,8 @@ def save_tuning(tuning: Tuning, folder: Path | str) -> list[Path]:
 
     Raises:
         InputError: the folder cannot be written.
-
-    Example:
-        >>> from surctl.marine.control import load_gains
-        >>> from surctl.marine.report import save_tuning
-        >>> from surctl.marine.simulation import load_scenario
-        >>> from surctl.marine.tuning import Goal, Request, build_cases, conditions, gain_ranges, tune
-        >>> gains = load_gains("default")
-        >>> runs = conditions(build_cases([load_scenario("pool-behind")], gains=gains, law="closed_form"), seeds=[0])
-        >>> goals = (Goal("soon", "time_s", "s", 20.0), Goal("clear", "min_clearance_m", "m", 0.08, "at least", "hard"))
-        >>> tuning = tune(Request(goals, runs, gains, gain_ranges(gains, ["k_v"])), trials=8, rounds=1, runs=0)
-        >>> [path.name for path in save_tuning(tuning, "pictures")]
-        ['tuning-goals.png', 'tuning-front.png', 'tuning-soon.png', 'tuning-clear.png']
     """
     axes = {"goals": plot_goal_bars(goal_bars(tuning)), "front": plot_front(tuning)}
     for view in goal_views(tuning, tuning.request.goals):
         axes[view.goal.name] = plot_goal_view(view)
-    return [save_figure(ax.figure.figure, Path(folder), ("tuning", name)) for name, ax in axes.items()]
-
-
-def save_calibrations(results: Sequence[SensorCalibration], folder: Path | str) -> list[Path]:
-    """Write residual plots of calibrations as PNGs, named after sensor and medium; return their paths.
-
-    Raises:
-        InputError: the folder cannot be written.
-
-    Example:
-        >>> from surctl.marine.report import save_calibrations
-        >>> from surctl.marine.sensing import calibrate_table_ii
-        >>> [path.name for path in save_calibrations(calibrate_table_ii(), "pictures")]
-        ['calibration-U1-air.png', 'calibration-U1-water.png']
-    """
-    stems = file_stems(results)
-    return [
-        save_figure(plot_calibration(one), Path(folder), (f"calibration{stem}",))
-        for one, stem in zip(results, stems, strict=True)
-    ]
-
-
-def save_sonar_replay(replayed: Replay, folder: Path | str, *, title: str = "") -> Path:
-    r"""Write a plot of raw and filtered ranges of a sonar recording as a PNG; return the path of the PNG.
-
-    Raises:
-        InputError: the folder cannot be written.
-
-    Example:
-        >>> from pathlib import Path
-        >>> from surctl.marine.report import save_sonar_replay
-        >>> from surctl.marine.sensing import read_readings, replay_readings, sonar_array
-        >>> rows = ["time_s,sensor,range_m", *(f"{0.1 * k:.1f},0,{2.0 - 0.01 * k:.2f}" for k in range(60))]
-        >>> _ = Path("readings.csv").write_text("\n".join(rows))
-        >>> replayed = replay_readings(read_readings(Path("readings.csv"), sonar_array(1)).readings)
-        >>> save_sonar_replay(replayed, "pictures", title="in the tank").name
-        'sonar-replay.png'
-    """
-    return save_figure(plot_sonar_replay(replayed, title=title), Path(folder), ("sonar-replay",))
+    return [save_figure(ax, folder, ("tuning", name)) for name, ax in axes.items()]

@@ -42,7 +42,7 @@ __all__ = [
     "GoalView",
     "axis_title",
     "goal_bars",
-    "goal_view",
+    "goal_views",
     "plot_front",
     "plot_goal_bars",
     "plot_goal_view",
@@ -258,21 +258,7 @@ class GoalBars:
 
 
 def goal_bars(tuning: Tuning) -> GoalBars:
-    """Return the normalised goals of a tuning, hard goals first.
-
-    Example:
-        >>> from surctl.marine.control import load_gains
-        >>> from surctl.marine.report import goal_bars
-        >>> from surctl.marine.simulation import load_scenario
-        >>> from surctl.marine.tuning import Goal, Request, build_cases, conditions, gain_ranges, tune
-        >>> gains = load_gains("default")
-        >>> runs = conditions(build_cases([load_scenario("pool-behind")], gains=gains, law="closed_form"), seeds=[0])
-        >>> goals = (Goal("soon", "time_s", "s", 20.0), Goal("clear", "min_clearance_m", "m", 0.08, "at least", "hard"))
-        >>> tuning = tune(Request(goals, runs, gains, gain_ranges(gains, ["k_v"])), trials=8, rounds=1, runs=0)
-        >>> data = goal_bars(tuning)
-        >>> data.names, data.hard, data.hand.round(2).tolist(), data.tuned.round(2).tolist()
-        (('clear', 'soon'), (True, False), [0.82, 1.02], [0.79, 0.99])
-    """
+    """Return the normalised goals of a tuning, hard goals first."""
     goals = tuning.request.goals
     order = sorted(range(len(goals)), key=lambda j: goals[j].kind != "hard")
     hand, tuned = tuning.hand.evaluation.normalised[0], tuning.tuned.evaluation.normalised[0]
@@ -286,7 +272,8 @@ def plot_goal_bars(data: GoalBars, ax: Axes | None = None) -> Axes:
 
     Example:
         >>> from surctl.marine.control import load_gains
-        >>> from surctl.marine.report import goal_bars, plot_goal_bars
+        >>> from surctl.marine.report import plot_goal_bars
+        >>> from surctl.marine.report.goals import goal_bars
         >>> from surctl.marine.simulation import load_scenario
         >>> from surctl.marine.tuning import Goal, Request, build_cases, conditions, gain_ranges, tune
         >>> gains = load_gains("default")
@@ -426,29 +413,11 @@ _OVER_TIME = {
 }
 
 
-def goal_view(tuning: Tuning, goal: Goal) -> GoalView | None:
-    """Return the metric of a goal over time for start gains and tuned gains, in the worst run of the tuned gains.
-
-    The reference simulation repeats this run. The result is None if the metric is not a function of time.
-
-    Example:
-        >>> from surctl.marine.control import load_gains
-        >>> from surctl.marine.report import goal_view
-        >>> from surctl.marine.simulation import load_scenario
-        >>> from surctl.marine.tuning import Goal, Request, build_cases, conditions, gain_ranges, tune
-        >>> gains = load_gains("default")
-        >>> runs = conditions(build_cases([load_scenario("pool-behind")], gains=gains, law="closed_form"), seeds=[0])
-        >>> goals = (Goal("soon", "time_s", "s", 20.0), Goal("clear", "min_clearance_m", "m", 0.08, "at least", "hard"))
-        >>> tuning = tune(Request(goals, runs, gains, gain_ranges(gains, ["k_v"])), trials=8, rounds=1, runs=0)
-        >>> view = goal_view(tuning, goals[1])
-        >>> view.label, view.course, round(float(view.values["tuned"].min()), 2)
-        ('pool-behind/sur400/truth, seed 0', 'clearance [m]', 0.1)
-    """
-    return next(goal_views(tuning, [goal]), None)
-
-
 def goal_views(tuning: Tuning, goals: Iterable[Goal]) -> Iterator[GoalView]:
-    """Yield the view of each goal that has one; a run that several of them show is simulated once."""
+    """Yield the view of each goal whose metric is a function of time, for start gains and tuned gains.
+
+    It is of the worst run of the tuned gains. A run that several goals show is simulated once.
+    """
     conditions, base = tuning.request.conditions, tuning.request.base
     sets = {"start gains": base, "tuned": base.with_values(tuning.result.gains)}
     tuned = {name: np.array([value]) for name, value in tuning.result.gains.items()}
@@ -499,21 +468,7 @@ def _actual_vehicle(vehicle: Vehicle, condition: Condition) -> Vehicle:
 
 
 def plot_goal_view(data: GoalView, ax: Axes | None = None) -> Axes:
-    """Plot the metric of a goal over time; the side of the bound on which the goal is missed is shaded.
-
-    Example:
-        >>> from surctl.marine.control import load_gains
-        >>> from surctl.marine.report import goal_view, plot_goal_view
-        >>> from surctl.marine.simulation import load_scenario
-        >>> from surctl.marine.tuning import Goal, Request, build_cases, conditions, gain_ranges, tune
-        >>> gains = load_gains("default")
-        >>> runs = conditions(build_cases([load_scenario("pool-behind")], gains=gains, law="closed_form"), seeds=[0])
-        >>> goals = (Goal("soon", "time_s", "s", 20.0), Goal("clear", "min_clearance_m", "m", 0.08, "at least", "hard"))
-        >>> tuning = tune(Request(goals, runs, gains, gain_ranges(gains, ["k_v"])), trials=8, rounds=1, runs=0)
-        >>> ax = plot_goal_view(goal_view(tuning, goals[1]))
-        >>> ax.get_title("left"), ax.get_ylabel()
-        ('clear', 'clearance [m]')
-    """
+    """Plot the metric of a goal over time; the side of the bound on which the goal is missed is shaded."""
     goal = data.goal
     ax = ax or new_axes(6.4, 3.9)
     dress(ax, title=goal.name, x="time [s]", y=data.course)

@@ -190,7 +190,7 @@ def _sections(data: ReportData, runs: Section | None) -> tuple[Section, ...]:
     sections = [] if decisive is None else [decisive]
     if data.margins or data.linear or data.verdicts or data.inapplicable:
         sections.append(findings_section(data))
-    if data.margins or data.loops or data.poles is not None:
+    if data.margins or data.loops:
         sections.append(loops_section(data))
     if data.verdicts:
         sections.append(claims_section(data))
@@ -231,22 +231,5 @@ def write_page(data: ReportData, path: Path | str, *, runs: Section | None = Non
 
     Raises:
         InputError: the folder cannot be written.
-
-    Example:
-        >>> from pathlib import Path
-        >>> from surctl.marine.control import load_gains
-        >>> from surctl.marine.report import ReportData, write_page
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> data = ReportData(
-        ...     title="Pool",
-        ...     command="",
-        ...     version="1.0",
-        ...     vehicle=load_vehicle("sur400"),
-        ...     gains=load_gains("default"),
-        ...     summary=((True, "margins suffice"),),
-        ... )
-        >>> _ = write_page(data, "report.html")
-        >>> "margins suffice" in Path("report.html").read_text(encoding="utf-8")
-        True
     """
     return write_file(Path(path), render_page(data, runs=runs))

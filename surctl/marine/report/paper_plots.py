@@ -21,17 +21,6 @@ def plot_coordinates(runs: Sequence[Run], *, title: str) -> Figure:
 
     Raises:
         InputError: `runs` is empty.
-
-    Example:
-        >>> from surctl.marine.control import build_law, load_gains
-        >>> from surctl.marine.report import plot_coordinates
-        >>> from surctl.marine.simulation import load_scenario, simulate
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> law, gains = build_law("closed_form"), load_gains("default")
-        >>> run = simulate(load_scenario("pool-behind"), load_vehicle("sur400"), gains=gains, law=law)
-        >>> figure = plot_coordinates([run], title="through the pool")
-        >>> [ax.get_ylabel() for ax in figure.axes]
-        ['x [m]', 'y [m]', 'z [m]']
     """
     _some(runs)
     figure = new_figure(9.0, 5.6)
@@ -55,17 +44,6 @@ def plot_position_errors(runs: Sequence[Run], *, title: str, bound: float | None
 
     Raises:
         InputError: `runs` is empty.
-
-    Example:
-        >>> from surctl.marine.control import build_law, load_gains
-        >>> from surctl.marine.report import plot_position_errors
-        >>> from surctl.marine.simulation import load_scenario, simulate
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> law, gains = build_law("closed_form"), load_gains("default")
-        >>> run = simulate(load_scenario("pool-behind"), load_vehicle("sur400"), gains=gains, law=law)
-        >>> ax = plot_position_errors([run], title="through the pool", bound=0.08)
-        >>> ax.get_ylabel(), len(ax.lines)  # the run, and the bound
-        ('distance to the path [m]', 2)
     """
     _some(runs)
     ax = dress(new_axes(9.0, 3.8), title=title, x="time [s]", y="distance to the path [m]")
@@ -84,17 +62,6 @@ def plot_series(runs: Sequence[Run], *, title: str) -> Axes:
 
     Raises:
         InputError: `runs` is empty.
-
-    Example:
-        >>> from surctl.marine.control import build_law, load_gains
-        >>> from surctl.marine.report import plot_series
-        >>> from surctl.marine.simulation import load_scenario, simulate
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> law, gains = build_law("closed_form"), load_gains("default")
-        >>> run = simulate(load_scenario("pool-behind"), load_vehicle("sur400"), gains=gains, law=law)
-        >>> ax = plot_series([run], title="through the pool")
-        >>> ax.get_legend().get_texts()[0].get_text()
-        'pool-behind: reached at 20.4 s'
     """
     _some(runs)
     length, width, _ = runs[0].scenario.site

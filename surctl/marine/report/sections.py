@@ -9,15 +9,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
-import numpy as np
-from numpy.typing import NDArray
-
 from surctl.errors import InputError
-from surctl.export import Difference, ExportedFile, SilReport
-from surctl.export.sil import TOLERANCE
+from surctl.export import ExportedFile, SilReport
 from surctl.marine.control import Gains
 from surctl.marine.report.goals import COLUMN_TITLES, axis_title, plot_heat_map, plot_parallel
-from surctl.marine.report.margin_plots import LoopResponse, plot_bode, plot_nyquist, plot_poles
 from surctl.marine.simulation import Run
 from surctl.marine.tuning import SweepTable
 from surctl.marine.vehicle import Vehicle, parameter_spec
@@ -35,7 +30,10 @@ from surctl.report.document import (
     outcome_cell,
     picture,
 )
+from surctl.report.page_parts import plot_tightest
+from surctl.report.system_page import sil_blocks
 from surctl.report.theme import file_size, number
+from surctl.system import LinearLoop
 from surctl.verification import Inapplicable, LoopMargins, Verdict
 
 __all__ = [
@@ -88,8 +86,7 @@ class ReportData:
         margins: margins of the eight loops.
         linear: linear analysis (all loops together, poles, sampling), for the nominal vehicle and for the worst corner
             of its ranges.
-        poles: closed-loop poles [rad/s]; None if they were not computed.
-        loops: frequency responses of the loops; if empty, the report has no Bode plot.
+        loops: the sampled loop at each speed, by name of the speed; if empty, the report has no Bode plot.
         verdicts: verdicts on the claims.
         inapplicable: claims that do not apply to this vehicle, each with the reason.
         regions: region claims that cannot be proved for this vehicle, grouped by reason.
@@ -115,8 +112,7 @@ class ReportData:
     speeds: tuple[float, float] | None = None
     margins: tuple[LoopMargins, ...] = ()
     linear: tuple[LinearSide, ...] = ()
-    poles: NDArray[np.complex128] | None = None
-    loops: tuple[LoopResponse, ...] = ()
+    loops: Mapping[str, LinearLoop] = field(default_factory=dict)
     verdicts: tuple[Verdict, ...] = ()
     inapplicable: tuple[Inapplicable, ...] = ()
     regions: tuple[Inapplicable, ...] = ()
@@ -258,7 +254,7 @@ def _provenance(gains: Gains) -> str:
 
 
 def loops_section(data: ReportData) -> Section:
-    """Return a section with the margins of each loop, Bode and Nyquist plots, and poles."""
+    """Return a section with the margins of each loop, and plots of the loops that tolerate the least delay."""
     heads = (
         "loop", "closed loop", "gain margin [1]", "least gain [1]", "phase margin [deg]", "delay margin [s]",
         "disk margin [1]", "crossover [rad/s]",
@@ -292,51 +288,18 @@ def loops_section(data: ReportData) -> Section:
             "surge, yaw and the like at the thrust command, x, y, psi, u, v and r at the measurement."
         )
     blocks: list[Block] = [Paragraph(text), Table("Margins about cruise", heads, rows), *_linear_blocks(data.linear)]
-    pictures = _loop_pictures(data)
-    if data.poles is not None:
-        slowest = float(np.max(np.real(data.poles)))
-        pictures += (
-            picture(
-                plot_poles(data.poles),
-                alt=f"Closed-loop poles; the largest real part is {number(slowest)} per second",
-                caption=f"Closed-loop poles; the slowest has the real part {number(slowest)} 1/s.",
-                command=data.command,
-            ),
+    pictures = tuple(
+        picture(
+            figure,
+            alt=f"Bode plot, sensitivities, Nyquist curve, step response and poles of the loop opened at {opening}",
+            caption=f"The sampled loop, opened at {opening}, where it tolerates the least delay.",
+            command=data.command,
         )
+        for opening, figure in (plot_tightest(data.loops) if data.loops else {}).items()
+    )
     if pictures:
         blocks.append(Pictures(pictures))
     return Section("loops", "Margins of each loop", tuple(blocks), folded=True)
-
-
-def _loop_pictures(data: ReportData) -> tuple[Picture, ...]:
-    pictures = []
-    for at in ("thrust", "measurement"):
-        group = [loop for loop in data.loops if loop.at == at]
-        if group:
-            pictures += [_bode_picture(data, group, at), _nyquist_picture(data, group, at)]
-    return tuple(pictures)
-
-
-def _bode_picture(data: ReportData, group: Sequence[LoopResponse], at: str) -> Picture:
-    return picture(
-        plot_bode(group),
-        alt=f"Bode plot of the loops opened at the {at}: {', '.join(loop.name for loop in group)}",
-        caption=f"Bode plot of the loops opened at the {at}. Dots mark where the loop gain crosses 1.",
-        command=data.command,
-    )
-
-
-def _nyquist_picture(data: ReportData, group: Sequence[LoopResponse], at: str) -> Picture:
-    names = [loop.name for loop in group]
-    disks = [m.disk_margin for m in data.margins if m.name in names and m.stable]
-    least = min(disks, default=None)
-    shading = "" if least is None else f" No curve enters the shaded disk of the least disk margin, {number(least)}."
-    return picture(
-        plot_nyquist(group, disk_margin=least),
-        alt=f"Nyquist plot of the loops opened at the {at}, around the point -1",
-        caption=f"Nyquist plot of the loops opened at the {at}.{shading}",
-        command=data.command,
-    )
 
 
 def sweep_section(data: ReportData, sweep: SweepTable) -> Section:
@@ -401,76 +364,8 @@ def export_section(export: ExportSummary) -> Section:
     if export.status:
         blocks.append(Paragraph(export.status))
     blocks.append(Table("Exported files", ("file", "size [byte]", "SHA-256"), rows))
-    blocks += _comparison(export.sil) or [Paragraph("The C was not compiled and not compared with Python.", "note")]
+    blocks += sil_blocks(export.sil) or [Paragraph("The C was not compiled and not compared with Python.", "note")]
     return Section("export", "Exported controller", tuple(blocks), folded=True)
-
-
-@dataclass(frozen=True)
-class _Quantity:
-    name: str
-    difference: Difference
-
-
-def _comparison(reports: Sequence[SilReport]) -> list[Block]:
-    if not reports:
-        return []
-    rows: list[tuple[Cell | str, ...]] = []
-    for k, report in enumerate(reports, start=1):
-        kinds = (("thrust", report.tau), ("next state", report.state), ("telemetry", report.telemetry))
-        rows += [_difference_row(k, report.steps, _Quantity(*kind)) for kind in kinds]
-    heads = (
-        "run",
-        "steps",
-        "quantity",
-        "absolute",
-        "relative",
-        f"mixed (limit {TOLERANCE:g})",
-        "at step",
-        "verdict",
-    )
-    caption = "Largest differences between C and Python over all steps; mixed: relative to max(1, |Python|)"
-    blocks: list[Block] = [Heading("Software in the loop"), Table(caption, heads, tuple(rows)), _checks(reports)]
-    for report in reports:
-        blocks += [Paragraph(f"Failed: {label}", "bad") for label in report.fault_failures[:5]]
-    return blocks
-
-
-def _difference_row(k: int, steps: int, quantity: _Quantity) -> tuple[Cell | str, ...]:
-    d = quantity.difference
-    near = d.mixed <= TOLERANCE
-    return (
-        Cell(str(k), number=True),
-        Cell(str(steps), number=True),
-        quantity.name,
-        *(Cell(number(v, digits=2), number=True) for v in (d.absolute, d.relative, d.mixed)),
-        Cell("–" if d.step is None else str(d.step), number=True),
-        outcome_cell(near, "equal", "DIFFERS"),
-    )
-
-
-def _checks(reports: Sequence[SilReport]) -> Table:
-    rows = []
-    for k, r in enumerate(reports, start=1):
-        rows.append(
-            (
-                Cell(str(k), number=True),
-                _count(len(r.resets), "none"),
-                _count(r.status_mismatches, "none"),
-                _count(len(r.fault_failures), f"all {r.fault_cases} cases: zero thrust, negative status"),
-                outcome_cell(r.self_test, "passes", "FAILS"),
-                Cell(number(r.code_bytes, digits=9), number=True),
-                r.compiler,
-            )
-        )
-    heads = (
-        "run", "state resets", "status mismatches", "NaN and infinity at every state, input and gain", "self-test",
-        "code and constants [byte]", "compiler",
-    )  # fmt: skip
-    return Table("Other checks of the compiled controller", heads, tuple(rows))
-
-
-def _count(failures: int, fine: str) -> Cell:
-    return outcome_cell(failures == 0, fine, f"{failures} FAILED")
 
 
 def time_section(data: ReportData) -> Section:

@@ -164,19 +164,7 @@ def plot_sonar_replay(replayed: Replay, ax: Sequence[Axes] | None = None, *, tit
 
 
 def plot_replay_sensor(replayed: Replay, sensor: int, ax: Axes | None = None) -> Axes:
-    r"""Plot raw samples, filtered range with bound, and health of one sensor over time.
-
-    Example:
-        >>> from pathlib import Path
-        >>> from surctl.marine.report import plot_replay_sensor
-        >>> from surctl.marine.sensing import read_readings, replay_readings, sonar_array
-        >>> rows = ["time_s,sensor,range_m", *(f"{0.1 * k:.1f},0,{2.0 - 0.01 * k:.2f}" for k in range(60))]
-        >>> _ = Path("readings.csv").write_text("\n".join(rows))
-        >>> replayed = replay_readings(read_readings(Path("readings.csv"), sonar_array(1)).readings)
-        >>> ax = plot_replay_sensor(replayed, 0)
-        >>> ax.get_ylabel(), [line.get_label() for line in ax.lines]
-        ('sensor 0: range [m]', ['raw sample', 'filtered range'])
-    """
+    r"""Plot raw samples, filtered range with bound, and health of one sensor over time."""
     r, t = replayed.readings, replayed.tracked
     ax = dress(ax or new_figure(9.0, 3.0).add_subplot(), x="time [s]", y=f"sensor {sensor}: range [m]")
     steps = np.linspace(0, len(r.time) - 1, min(len(r.time), _POINTS)).astype(np.intp)

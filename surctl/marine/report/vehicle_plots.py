@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -26,10 +25,9 @@ from surctl.report.theme import (
     legend_below,
     new_axes,
     new_figure,
-    save_figure,
 )
 
-__all__ = ["plot_attainable", "plot_prediction", "save_attainable", "save_prediction"]
+__all__ = ["plot_attainable", "plot_prediction"]
 
 _LABELS = dict(
     zip(LOG_MOTION, ("x [m]", "y [m]", "z [m]", "ψ [rad]", "u [m/s]", "v [m/s]", "w [m/s]", "r [rad/s]"), strict=True)
@@ -73,26 +71,6 @@ def plot_prediction(prediction: Prediction, *, title: str = "Prediction") -> Fig
     handles, labels = axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=3, fontsize=8.5, frameon=False)
     return figure
-
-
-def save_prediction(prediction: Prediction, path: Path | str, *, title: str = "Prediction") -> Path:
-    """Write the plot of a prediction as a PNG; return its path.
-
-    Raises:
-        InputError: the folder cannot be written.
-
-    Example:
-        >>> import numpy as np
-        >>> from surctl.marine.report import save_prediction
-        >>> from surctl.marine.vehicle import MotionLog, load_vehicle, predict
-        >>> motion = np.full((200, 8), np.nan)
-        >>> motion[:, 4] = 0.3
-        >>> log = MotionLog(0.1 * np.arange(200), motion, np.full((200, 4), 0.1))
-        >>> print(save_prediction(predict(log, load_vehicle("sur400")), "held-out.png"))
-        held-out.png
-    """
-    path = Path(path)
-    return save_figure(plot_prediction(prediction, title=title), path.parent, (path.stem,))
 
 
 def _broken(values: NDArray[np.float64], starts: NDArray[np.int64]) -> NDArray[np.float64]:
@@ -166,19 +144,6 @@ def _plot_turning(vehicle: Vehicle, ax: Axes | None, failed: Sequence[str]) -> A
     ax.autoscale_view()
     legend_below(ax, columns=2, handles=ax.get_legend_handles_labels()[0])
     return ax
-
-
-def save_attainable(vehicle: Vehicle, folder: Path | str, *, failed: Sequence[str] = ()) -> Path:
-    """Write the plot of `plot_attainable` as a PNG file; return its path.
-
-    Example:
-        >>> from surctl.marine.report import save_attainable
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> print(save_attainable(load_vehicle("bluerov2-heavy"), "pictures").name)
-        bluerov2-heavy-thrusters.png
-    """
-    figure = plot_attainable(vehicle, failed=failed).figure.figure
-    return save_figure(figure, folder, (vehicle.name, "thrusters", *(f"without-{name}" for name in failed)))
 
 
 def _thrusters_of(vehicle: Vehicle) -> Actuators:

@@ -13,7 +13,8 @@ import numpy as np
 from surctl import __version__
 from surctl.errors import InputError, nearest
 from surctl.files import write_file
-from surctl.marine.report import plot_coordinates, plot_position_errors, plot_run, plot_series
+from surctl.marine.report import plot_run
+from surctl.marine.report.paper_plots import plot_coordinates, plot_position_errors, plot_series
 from surctl.marine.reproduction.errata import errata_items
 from surctl.marine.reproduction.row import Item, Result, Row, Word, agrees, differs, wrong_in_print
 from surctl.marine.reproduction.scenarios import (

@@ -5,10 +5,10 @@ from __future__ import annotations
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -31,14 +31,16 @@ from surctl.marine.control import Gains, Law, build_law, law_source, write_gains
 from surctl.marine.export import build_bundle, origin_of
 from surctl.marine.simulation import Run, findings, law_numbers, simulate
 from surctl.marine.study.plan import Leg, Plan
-from surctl.marine.tuning import SweepTable, has_tuned, sweep
-from surctl.marine.verification import OverSpeeds, applicable_claims, over_speeds, speeds_text
+from surctl.marine.tuning import SweepTable, sweep
+from surctl.marine.tuning.derived import has_tuned
+from surctl.marine.verification import OverSpeeds, applicable_claims, law_loop, over_speeds, speeds_text
 from surctl.marine.verification.region import refused_regions
+from surctl.system import LinearLoop
 from surctl.tuning import LocalExecutor, grid
 from surctl.verification import Inapplicable, LoopMargins, Verdict, decide
 
 if TYPE_CHECKING:
-    from surctl.marine.report import ExportSummary, LoopResponse
+    from surctl.marine.report import ExportSummary
 
 __all__ = ["Loops", "Study", "conduct", "left_out", "loops_of", "summary", "with_perception"]
 
@@ -50,12 +52,12 @@ class Loops:
     Attributes:
         analysis: the analysis at their largest cruise speed, as it was assessed.
         over: metrics of the linear loops at the cruise speeds that the plan names, or None.
-        responses: frequency responses of the loops; empty for a law without a loop about a cruise.
+        loops: the sampled loop at each speed, by name of the speed; empty if there is no analysis.
     """
 
     analysis: LoopAnalysis
     over: OverSpeeds | None = None
-    responses: tuple[LoopResponse, ...] = ()
+    loops: Mapping[str, LinearLoop] = field(default_factory=dict)
 
     @property
     def margins(self) -> tuple[LoopMargins, ...]:
@@ -74,17 +76,18 @@ class Loops:
         return table | ({} if self.over is None else {"speeds": self.over.to_dict()})
 
 
-def loops_of(plan: Plan, gains: Gains, analysis: LoopAnalysis, *, dt: float) -> Loops:
+def loops_of(plan: Plan, gains: Gains, analysis: LoopAnalysis) -> Loops:
     """Return the control loops of a plan's vehicle with these gains."""
+    if analysis.law is not None:
+        return Loops(analysis, loops={analysis.law.nominal.place or "nominal": analysis.law.nominal.linear})
     if analysis.mode is None:
         return Loops(analysis)
-    from surctl.marine.report import loop_responses  # loads matplotlib only now
-
-    vehicle, values = plan.vehicle, gains.values
+    vehicle, law = plan.vehicle, build_law(plan.law)
+    speeds = sorted({*plan.cruise, analysis.cruise}, reverse=True)
     return Loops(
         analysis,
-        over_speeds(vehicle, values, cruise=plan.cruise, dt=dt, law=plan.law) if plan.cruise else None,
-        loop_responses(vehicle, values, cruise=analysis.cruise, dt=dt, law=plan.law),
+        over_speeds(vehicle, gains.values, cruise=plan.cruise, dt=law.dt, law=plan.law) if plan.cruise else None,
+        {f"{u:g} m/s": law_loop(law, vehicle, gains, cruise=u).linear for u in speeds},
     )
 
 
@@ -394,7 +397,9 @@ def conduct(
         >>> study.verdicts[0].verdict, study.runs[0].metrics.stopped_because, study.sil[0].passed
         ('proved', 'reached', True)
     """
-    from surctl.marine.report import ReportData, runs_section, write_page
+    from surctl.marine.report import ReportData
+    from surctl.marine.report.evidence_sections import runs_section
+    from surctl.marine.report.page import write_page
     from surctl.report.document import Section, checks_of
 
     find_compiler()
@@ -416,7 +421,7 @@ def conduct(
         deciding = tuple(leg.misfit is None and run.sensing == _sensing(plan) for leg, run in leg_runs)
         with clock("assessment"):
             assessment = assess(assessed(plan, swept.gains, runs=runs, extra=tuple(not each for each in deciding)))
-            loops = loops_of(plan, swept.gains, assessment.sources["loop"], dt=laws[0].dt)
+            loops = loops_of(plan, swept.gains, assessment.sources["loop"])
         with clock("claims"):
             # claims about braking take a minute and stay undecided: check them only if the plan names them
             fastest = max((leg.scenario for leg in plan.deciding), key=lambda scenario: scenario.cruise)
@@ -442,8 +447,7 @@ def conduct(
                 speeds=(fastest.cruise, fastest.cap),
                 margins=loops.margins,
                 linear=loops.analysis.sides,
-                poles=loops.analysis.poles,
-                loops=loops.responses,
+                loops=loops.loops,
                 gains_file=str(gain_file),
                 verdicts=verdicts,
                 inapplicable=inapplicable,

@@ -26,15 +26,9 @@ from surctl.marine.simulation import (
 )
 from surctl.marine.simulation.scenario_table import scenario_table
 from surctl.marine.simulation.toml_text import toml_text
-from surctl.marine.tuning import (
-    Derivation,
-    Goal,
-    default_cruise,
-    gains_for,
-    goals_from_tables,
-    load_goals,
-    shared_gains,
-)
+from surctl.marine.tuning import Derivation, Goal, default_cruise, gains_for, load_goals
+from surctl.marine.tuning.derived import shared_gains
+from surctl.marine.tuning.goals import goals_from_tables
 from surctl.marine.vehicle import Vehicle, load_vehicle
 from surctl.marine.verification import applicable_claims, check_held, cruise_speeds
 from surctl.tuning import Axis, GoalTable

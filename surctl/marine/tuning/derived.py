@@ -403,14 +403,7 @@ def derive_gains(vehicle: Vehicle, *, cruise: float, dt: float = _DT) -> Derivat
 
 
 def has_tuned(vehicle: Vehicle) -> bool:
-    """Return whether the gain set `default` was chosen for a vehicle with these parameters.
-
-    Example:
-        >>> from surctl.marine.tuning import has_tuned
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> [has_tuned(load_vehicle(name)) for name in ("sur400", "bluerov2-wu")]
-        [True, False]
-    """
+    """Return whether the gain set `default` was chosen for a vehicle with these parameters."""
     return vehicle.digest() in _tuned_digests()
 
 
@@ -456,15 +449,6 @@ def shared_gains(
 
     If none is named, gains are derived at the largest speed if all vehicles are the same; different vehicles share the
     set `default`.
-
-    Example:
-        >>> from surctl.marine.tuning import shared_gains
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> boat = load_vehicle("bluerov2-vonbenzon")
-        >>> shared_gains(None, [(boat, 0.15), (boat, 0.1)])[1].cruise
-        0.15
-        >>> shared_gains(None, [(boat, 0.15), (load_vehicle("sur400"), 0.15)])[0].name
-        'default'
     """
     vehicle = pairs[0][0]
     if word is None and any(one.digest() != vehicle.digest() for one, _ in pairs):

@@ -324,16 +324,6 @@ def check_goals(goals: Sequence[Goal], conditions: Sequence[Condition]) -> None:
     Raises:
         InputError: a goal names a case that is not simulated, or its cruise speed exceeds the speed cap of one of its
             cases or needs more thrust than the vehicle of the case has.
-
-    Example:
-        >>> from surctl.marine.control import load_gains
-        >>> from surctl.marine.simulation import load_scenario
-        >>> from surctl.marine.tuning import Goal, build_cases, check_goals, conditions
-        >>> runs = conditions(build_cases([load_scenario("pool-behind")], gains=load_gains("default")), seeds=[0])
-        >>> check_goals([Goal("low", "disk_margin", "1", 0.6, "at least", cruise=(0.1, 0.4))], runs)
-        Traceback (most recent call last):
-            ...
-        surctl.errors.InputError: goals.low.cruise_m_per_s = 0.4: is above the cap, 0.22 m/s; lower it, or raise the cap
     """
     for goal in goals:
         about = (conditions[k].case for k in scope(goal, conditions))
@@ -445,16 +435,6 @@ def judged_goals(
     A goal about a metric of the linear loop cannot be judged by the search if the law is not that of the model of these
     metrics. It is checked at the end if the assessment has the figure at that speed. A goal with `type` is judged on
     the law that runs.
-
-    Example:
-        >>> from surctl.marine.control import load_gains
-        >>> from surctl.marine.simulation import load_scenario
-        >>> from surctl.marine.tuning import Goal, build_cases, judged_goals
-        >>> goals = [Goal("soon", "time_s", "s", 20.5), Goal("robust", "disk_margin", "1", 0.6, "at least")]
-        >>> goals.append(Goal("calm", "least_damping", "1", 0.5, "at least"))
-        >>> cases = build_cases([load_scenario("pool-behind")], gains=load_gains("default"), law="dwa")
-        >>> [[goal.name for goal in part] for part in judged_goals(goals, cases)]
-        [['soon'], ['robust'], ['calm']]
     """
     linear = all(has_cruise_loop(case.law, case.guidance) for case in cases)
     late = [goal for goal in goals if goal.final or (goal.linear and goal.loop is None and not linear)]

@@ -189,16 +189,7 @@ def _robot_goals(content: GoalsFile, path: Path) -> tuple[Goal, ...]:
 
 
 def goals_from_tables(tables: Sequence[GoalTable], *, file: object) -> tuple[Goal, ...]:
-    """Build the goals that the `[[goals]]` tables of a file describe; an InputError names the file.
-
-    Example:
-        >>> from surctl.tuning import GoalTable
-        >>> from surctl.marine.tuning import goals_from_tables
-        >>> table = GoalTable(name="soon", metric="time_s", at_most={"value": 20.0, "unit": "s"}, kind="hard")
-        >>> [goal] = goals_from_tables([table], file="my-study.toml")
-        >>> goal.metric, goal.sense, goal.limit, goal.kind
-        ('time_s', 'at most', 20.0, 'hard')
-    """
+    """Build the goals that the `[[goals]]` tables of a file describe; an InputError names the file."""
     try:
         check_names(tables)
         return tuple(_goal(table) for table in tables)
@@ -242,27 +233,12 @@ def _check_keys(table: GoalTable) -> None:
 
 
 def goals_at(goals: Sequence[Goal], cruise: Sequence[float]) -> tuple[Goal, ...]:
-    """Return the goals; every goal about the linear loop that names no speed gets the given cruise speeds [m/s].
-
-    Example:
-        >>> from surctl.marine.tuning import Goal, goals_at
-        >>> [goal] = goals_at([Goal("robust", "disk_margin", "1", 0.6, "at least")], (0.05, 0.2))
-        >>> goal.cruise
-        (0.05, 0.2)
-    """
+    """Return the goals; every goal about the linear loop that names no speed gets the given cruise speeds [m/s]."""
     return tuple(replace(g, cruise=tuple(cruise)) if g.linear and not g.cruise else g for g in goals)
 
 
 def with_floor(goals: Sequence[Goal]) -> tuple[Goal, ...]:
-    """Return the goals, and the built-in hard goals on disk margin and delay margin where no goal bounds this margin.
-
-    Example:
-        >>> from surctl.marine.tuning import Goal, with_floor
-        >>> [goal.name for goal in with_floor([Goal("soon", "time_s", "s", 20.0)])]
-        ['soon', 'delay margin', 'disk margin']
-        >>> [goal.name for goal in with_floor([Goal("low", "disk_margin", "1", 0.2, "at least")])]
-        ['low', 'delay margin']
-    """
+    """Return the goals, and the built-in hard goals on disk margin and delay margin that no goal bounds."""
     known, names = {goal.metric for goal in goals}, {goal.name for goal in goals}
     floor = [goal for goal in load_goals() if goal.metric in _FLOOR and goal.metric not in known]
     return (*goals, *(replace(goal, name=f"least {goal.name}") if goal.name in names else goal for goal in floor))

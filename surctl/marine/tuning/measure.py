@@ -237,16 +237,7 @@ def build_cases(
 
 
 def check_column(name: str) -> None:
-    """Raise InputError, with the nearest known name, if a sweep with linear metrics has no column of this name.
-
-    Example:
-        >>> from surctl.marine.tuning import check_column
-        >>> check_column("min_clearance_m_worst")
-        >>> check_column("min_clearance")
-        Traceback (most recent call last):
-            ...
-        surctl.errors.InputError: column = 'min_clearance': no such column; did you mean 'min_clearance_m'?
-    """
+    """Raise InputError, with the nearest known name, if a sweep with linear metrics has no column of this name."""
     known = (*RUN_COLUMNS, *LINEAR_COLUMNS, "score", "feasible")
     if name not in known:
         raise InputError("no such column", key="column", value=name, remedy=nearest(name, known))

@@ -81,16 +81,7 @@ class Miss:
 
 
 def value_text(goal: Goal, figure: float) -> str:
-    """Return the value of a goal's metric as text, or a word: no arrival, a value that is not finite, an unstable loop.
-
-    Examples:
-        >>> from surctl.marine.tuning import Goal, value_text
-        >>> soon = Goal("soon", "time_s", "s", 20.0)
-        >>> value_text(soon, 19.93), value_text(soon, float("nan"))
-        ('19.93', 'no arrival')
-        >>> value_text(Goal("late", "delay_margin_s", "s", 0.2, "at least"), 0.0)
-        'unstable'
-    """
+    """Return the value of a goal's metric as text; a word for no arrival, an unstable loop, or an infinite value."""
     if np.isnan(figure):
         return "undefined" if goal.linear else "no arrival"
     if goal.metric in _ZERO_IF_UNSTABLE and figure == 0:
@@ -179,18 +170,6 @@ def advice(tuning: Tuning, *, trials: int) -> tuple[str, bool]:
     Args:
         tuning: a tuning that is not accepted.
         trials: number of trials of each search of this tuning.
-
-    Example:
-        >>> from surctl.marine.control import load_gains
-        >>> from surctl.marine.simulation import load_scenario
-        >>> from surctl.marine.tuning import Goal, Request, advice, build_cases, conditions, gain_ranges, tune
-        >>> gains = load_gains("default")
-        >>> runs = conditions(build_cases([load_scenario("pool-behind")], gains=gains, law="closed_form"), seeds=[0])
-        >>> goals = (Goal("fast", "time_s", "s", 15.0, kind="hard"),)
-        >>> tuning = tune(Request(goals, runs, gains, gain_ranges(gains, ["k_v"])), trials=8, rounds=1, runs=0)
-        >>> text, longer = advice(tuning, trials=8)
-        >>> text.split(";")[0], longer
-        ('no gain set of the searches (8 trials each) meets fast even without the other goals', False)
     """
     clash = tuning.conflict
     if not clash:
@@ -338,18 +317,6 @@ def tuning_dict(tuning: Tuning) -> dict[str, Any]:
     """Return the result as plain data for `tuning.json`.
 
     Numbers that are not finite are converted when the file is written.
-
-    Example:
-        >>> from surctl.marine.control import load_gains
-        >>> from surctl.marine.simulation import load_scenario
-        >>> from surctl.marine.tuning import Goal, Request, build_cases, conditions, gain_ranges, tune, tuning_dict
-        >>> gains = load_gains("default")
-        >>> runs = conditions(build_cases([load_scenario("pool-behind")], gains=gains, law="closed_form"), seeds=[0])
-        >>> request = Request((Goal("soon", "time_s", "s", 20.0),), runs, gains, gain_ranges(gains, ["k_v"]))
-        >>> tuning = tune(request, trials=8, rounds=1, runs=0)
-        >>> table = tuning_dict(tuning)
-        >>> table["space"], table["goals"][0]["met"], table["best"]["feasible"], table["conflict"]
-        ({'k_v': [0.375, 6.0]}, True, True, [])
     """
     request, front, best = tuning.request, tuning.front, tuning.result
     start = tuning.hand.evaluation.normalised[0]
@@ -466,25 +433,6 @@ def check_finals(
         subject: the subject of the assessment with these gains.
         default: those of the goals that are left out if the assessment of the tuned gains has no such figure.
         progress: function that receives one line of text for each gain set.
-
-    Example:
-        >>> from surctl.assessment import Figure, Part
-        >>> from surctl.marine.control import load_gains
-        >>> from surctl.marine.simulation import load_scenario
-        >>> from surctl.marine.tuning import Goal, Request, build_cases, check_finals, conditions, gain_ranges, tune
-        >>> gains = load_gains("default")
-        >>> runs = conditions(build_cases([load_scenario("pool-behind")], gains=gains, law="closed_form"), seeds=[0])
-        >>> request = Request((Goal("soon", "time_s", "s", 20.0),), runs, gains, gain_ranges(gains, ["k_v"]))
-        >>> tuning = tune(request, trials=8, rounds=1, runs=0)
-        >>> class Proved:  # in place of a `Mission`
-        ...     name = "proved"
-        ...     def __init__(self, gains):
-        ...         self.figure = Figure("region_m", 0.3, "m", "proved", "high")
-        ...     def parts(self):
-        ...         return {"region": lambda: Part((self.figure,), ())}
-        >>> tuning, finals = check_finals(tuning, [Goal("wide", "region_m", "m", 0.2, "at least")], Proved)
-        >>> print(finals.lines()[-1])
-          wide (soft): region_m ≥ 0.2 m: 0.3 → 0.3
     """
     base = tuning.request.base
     parts = {PART_OF[goal.metric] for goal in goals}

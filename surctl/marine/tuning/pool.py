@@ -108,12 +108,6 @@ def default_tuned(base: Gains) -> tuple[str, ...]:
 
     If the law defines additional gains, these are tuned together with the gains of the velocity loops; otherwise the
     gains in `TUNED` are tuned.
-
-    Example:
-        >>> from surctl.marine.control import load_gains
-        >>> from surctl.marine.tuning import default_tuned
-        >>> default_tuned(load_gains("default"))[:3]
-        ('k1', 'lookahead', 'k_psi')
     """
     # not what follows from the vehicle, nor a gain that may be 0, which is a choice; it is tuned if it is named
     own = [name for name in base.own if name in base.specs and base.ranges.get(name, (1.0, 1.0))[0] > 0]

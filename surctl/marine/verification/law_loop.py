@@ -13,7 +13,7 @@ followed), do not belong to the loop.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property, partial
 from typing import Any
 
@@ -33,7 +33,7 @@ from surctl.own_code import label
 from surctl.system import LinearLoop
 from surctl.system.linear_loop import LoopNames
 from surctl.verification.loops import LoopMargins
-from surctl.verification.sampled_margins import SampledLoop, system_margins, worst_loop
+from surctl.verification.sampled_margins import LoopCorners, SampledLoop, corners_of, system_margins
 
 __all__ = [
     "LawCorners",
@@ -433,40 +433,27 @@ def _neutral(slopes: Array) -> float:
 
 
 @dataclass(frozen=True, eq=False)
-class LawCorners:
+class LawCorners(LoopCorners[LawLoop]):
     """The loop of a law for the nominal plant and for the worst corner of its uncertainty.
 
+    Corners at which the thrust cannot hold the cruise speed are left out (`lost`).
+
     Attributes:
-        nominal: the loop with the nominal plant.
-        worst: the loop with the least disk margin, or an unstable one.
-        corner: the parameters of the worst corner, as text.
-        at: the vehicle of that corner.
+        at: the vehicle of the worst corner.
         text: description of all corners.
-        slowest_per_s: largest real part [1/s] of a pole over all corners.
-        unable: number of corners at which the thrust cannot hold the cruise speed; they are left out.
     """
 
-    nominal: LawLoop
-    worst: LawLoop
-    corner: str
-    at: Vehicle
-    text: str
-    slowest_per_s: float
-    unable: int = 0
+    at: Vehicle = field(kw_only=True)
+    text: str = field(kw_only=True)
 
     @property
     def stable(self) -> bool:
-        """Whether the loop is stable at every corner."""
+        """Whether the loop is stable at every corner at which the thrust holds the speed."""
         return self.nominal.stable and self.worst.stable
-
-    @property
-    def disk(self) -> float:
-        """The disk margin at the worst corner; 0 if one is unstable."""
-        return self.worst.disk
 
     def lines(self) -> list[str]:
         """Return lines of text: the nominal loop, then the worst corner."""
-        left = f"; at {self.unable} of them the thrust cannot hold the speed" if self.unable else ""
+        left = f"; at {len(self.lost)} of them the thrust cannot hold the speed" if self.lost else ""
         word = f"disk margin {self.disk:.2f}" if self.worst.stable else "UNSTABLE"
         return [*self.nominal.lines(), f"  worst of {self.text}{left}: {word} at {self.corner}"]
 
@@ -513,7 +500,7 @@ def law_corners(
     tried = corners(vehicle, uncertainty)
     loop_of = partial(law_loop, law, gains=gains, cruise=cruise, model=vehicle, at=at)
     plants = ((tried.label(plant), partial(loop_of, plant)) for plant in tried.vehicles[1:])
-    worst = worst_loop(nominal, "the nominal vehicle", plants)
+    result = corners_of(nominal, "the nominal vehicle", plants)
     # a corner without a loop is one at which the thrust cannot hold the speed
-    plant = next((p for p in tried.vehicles[1:] if tried.label(p) == worst.corner), vehicle)
-    return LawCorners(nominal, worst.loop, worst.corner, plant, tried.text, worst.slowest_per_s, len(worst.lost))
+    plant = next((p for p in tried.vehicles[1:] if tried.label(p) == result.corner), vehicle)
+    return LawCorners(**vars(result), at=plant, text=tried.text)
