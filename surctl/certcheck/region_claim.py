@@ -165,12 +165,11 @@ def axis_pairs(ends: tuple[Number, Number], asymmetry: Number) -> list[tuple[Num
 
     The numbers lie between t and t ratio for some t, so at a vertex each is one of the two, for the least or largest t.
     """
-    least, largest = ends
-    other = [(least, largest)]
+    least, largest = low, high = ends
     if asymmetry < 2:
         ratio = (2 + asymmetry) / (2 - asymmetry)
-        other = [(least, min(least * ratio, largest)), (max(largest / ratio, least), largest)]
-    return sorted({(least, least), (largest, largest), *other, *((b, a) for a, b in other)})
+        low, high = max(largest / ratio, least), min(least * ratio, largest)
+    return sorted({(least, least), (least, high), (high, least), (largest, largest), (largest, low), (low, largest)})
 
 
 def read_top(claim: Any, system: str, excludes: Sequence[str]) -> Mapping[str, Any]:

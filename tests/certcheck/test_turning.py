@@ -293,7 +293,7 @@ def test_the_corners_that_are_left_out_lie_between_the_others() -> None:
             corners = [(q * (gain + h), q * gain + t) for q in (part, 1) for h in (h0, h1) for t in (low, top)]
             assert np.all((np.array(corners) @ ahead).max(axis=0) <= (kept @ ahead).max(axis=0) + 1e-9)
     kept = np.array(inverse_masses(claim, coupling_of(claim)))[:, :2] * np.array([float(m) for m in claim.mass])
-    share, masses = claim.mass_asymmetry, np.linspace(*(float(f) for f in claim.mass_factor), 41)
+    share, masses = claim.mass_asymmetry, np.linspace(float(claim.mass_factor[0]), float(claim.mass_factor[1]), 41)
     first, second = (grid.ravel() for grid in np.meshgrid(masses, masses))
     every = 1 / np.stack([first, second], 1)[np.abs(first - second) <= float(share) * (first + second) / 2]
     assert len(kept) == 6 and len(every) > 41

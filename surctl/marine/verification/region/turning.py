@@ -153,8 +153,8 @@ class TurningClaim:
     def stated(self) -> Stated:
         """Return the claim as the checker reads it, with a region that is not yet known."""
         stated = read_claim(self.document(offset=1.0, rest_offset=None, ultimate_bound=(1.0, 1.0), munk_moment=0.0))
-        errors = {key: Fraction(repr(getattr(self, key))) for key in ("force", "place_error", "velocity_error")}
-        return replace(stated, **errors)
+        force, place, speed = (Fraction(repr(n)) for n in (self.force, self.place_error, self.velocity_error))
+        return replace(stated, force=force, place_error=place, velocity_error=speed)
 
     @cached_property
     def vertex_numbers(self) -> tuple[float, NDArray[np.float64], NDArray[np.float64]]:

@@ -241,7 +241,7 @@ def steady_turning(claim: TurningClaim, *, cells: int, slopes: tuple[float, floa
     """
     v, psi = claim.cruise, np.linspace(0, np.pi / 2, 2 * cells + 1)
     n = np.stack([np.cos(psi), np.sin(psi)], 1)  # (2 cells + 1, 2)
-    corners = np.array(axis_pairs(claim.drag_factor, claim.drag_asymmetry))
+    corners: Array = np.array(axis_pairs(claim.drag_factor, claim.drag_asymmetry))
     f, g = np.repeat(corners, len(corners), axis=0), np.tile(corners, (len(corners), 1))  # linear, quadratic drag
     gain = np.array(claim.mass) * claim.gains["k_v"]
     own = (gain + claim.linear) * n + 2 * np.array(claim.quadratic) * v * n * n  # force per ω
