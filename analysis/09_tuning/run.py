@@ -34,10 +34,10 @@ from surctl.marine.tuning import (
     evaluate,
     figures,
     gain_ranges,
-    goal_rows,
     tune,
     tuned_gains,
 )
+from surctl.marine.tuning.outcome import goal_rows
 
 CONFIG = Path(__file__).with_name("config.toml")
 

@@ -8,6 +8,7 @@ import json
 import math
 import os
 import random
+import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -86,7 +87,38 @@ def sealed(pair: Pair, claim: Table) -> Mapping[str, Any]:
 # ---- the certificate
 
 
-def claim_number(pair: Pair, draw: random.Random) -> Change:
+def own_loop(claim: Mapping[str, Any]) -> Mapping[str, Any] | None:
+    """Return what a claim about a system of one's own states of the loop; None for other claims."""
+    about: Mapping[str, Any] = claim.get("about") or {}
+    return about if "plant" in about else None
+
+
+def is_label(claim: Mapping[str, Any], path: tuple[Any, ...]) -> bool:
+    """Return whether a text is printed as a label that nothing is compared with."""
+    return path == ("name",) and bool(claim.get("about")) and own_loop(claim) is None
+
+
+def text_of_dynamics(pair: Pair, draw: random.Random) -> Change | None:
+    """A number in a text of the dynamics, or a narrow bump beside it, sealed again."""
+    claim = copy.deepcopy(pair.certificate["claim"])
+    if not claim.get("about"):
+        return None
+    name = draw.choice(sorted(claim["dynamics"]))
+    text = claim["dynamics"][name]
+    numbers = list(re.finditer(r"(?<![\w.^])\d+(\.\d+)?(?![\w.])", text))
+    if numbers and draw.random() < 0.5:
+        place = draw.choice(numbers)
+        new = f"{text[: place.start()]}{off(float(place.group()), draw)!r}{text[place.end() :]}"
+        new = new.replace("--", "+")
+    else:
+        row = draw.choice(claim["states"])
+        centre, width = draw.uniform(row["lower"], row["upper"]), 10 ** draw.uniform(-9, -3)
+        new = f"{text} + {10 ** draw.uniform(-12, -3)!r}*max(0, 1 - abs({row['name']} - ({centre!r}))/{width!r})"
+    claim["dynamics"][name] = new
+    return Change("number or bump in the dynamics", f"{name}: {new[:60]}", sealed(pair, claim))
+
+
+def claim_number(pair: Pair, draw: random.Random) -> Change | None:
     """A number of the claim that the bundle states, sealed again."""
     claim, kind = copy.deepcopy(pair.certificate["claim"]), pair.certificate["kind"]
     found = [
@@ -94,6 +126,8 @@ def claim_number(pair: Pair, draw: random.Random) -> Change:
         if isinstance(value, int | float) and not isinstance(value, bool) and path[-1] not in NEUTRAL
         and (EXACT[kind] == ("",) or path[0] in EXACT[kind])
     ]  # fmt: skip
+    if not found:
+        return None
     path, value = draw.choice(found)
     new = off(float(value), draw)
     if path[-1] in ("thrust_n", "limit_n"):
@@ -131,7 +165,8 @@ def vehicle_bound(pair: Pair, draw: random.Random) -> Change | None:
 def claim_text(pair: Pair, draw: random.Random) -> Change:
     """A text, a name or a unit of the claim, sealed again."""
     claim = copy.deepcopy(pair.certificate["claim"])
-    found = [(path, value) for path, value in leaves(claim) if isinstance(value, str) and path[0] not in _PROVED]
+    found = [(path, value) for path, value in leaves(claim)
+             if isinstance(value, str) and path[0] not in _PROVED and not is_label(claim, path)]  # fmt: skip
     path, value = draw.choice(found)
     new = draw.choice((value + "x", value[1:], "x", value.upper() if value.upper() != value else "y"))
     put(claim, path, new)
@@ -169,7 +204,8 @@ def other_hash(pair: Pair, draw: random.Random) -> Change | None:
     keys = [key for key in ("sha256_law", "sha256_vehicle") if key in claim]
     where = (claim, draw.choice(keys)) if keys else None
     if claim.get("about"):
-        where = (claim["about"], draw.choice(("plant", "controller")))
+        own = own_loop(claim) is not None
+        where = (claim["about"], draw.choice(("plant", "controller") if own else ("sha256_law", "sha256_vehicle")))
     if where is None:
         return None
     table, key = where
@@ -253,12 +289,13 @@ def manifest_gain(pair: Pair, draw: random.Random) -> Change | None:
 def stated_gains(pair: Pair) -> list[str]:
     """Return the names of the gains that the certificate states."""
     claim = pair.certificate["claim"]
-    if claim.get("about"):
-        return [name for name, row in claim["about"]["gains"].items() if not any(isinstance(v, str) for v in row)]
+    if own := own_loop(claim):
+        return [name for name, row in own["gains"].items() if not any(isinstance(v, str) for v in row)]
     kinds = {
         "region": "k1 lookahead k_v k_i wait cruise cap mass linear_drag quadratic_drag",
         "braking": "margin reaction brake k_v k_i mass stopping",
         "interval": "",
+        "lyapunov": "k_psi k_r lookahead crab_time sideslip munk",
     }
     kinds["turning"] = kinds["region"]
     return kinds[pair.certificate["kind"]].split()
@@ -267,8 +304,8 @@ def stated_gains(pair: Pair) -> list[str]:
 def manifest_vehicle(pair: Pair, draw: random.Random) -> Change | None:
     """A parameter of the vehicle, or of the plant, outside of what is certified, with every hash computed again."""
     claim, share = copy.deepcopy(dict(pair.certificate["claim"])), draw.choice((0.3, 3.0))
-    if claim.get("about"):
-        fixed = [k for k, value in enumerate(claim["about"]["parameters"]) if not isinstance(value, str)]
+    if own := own_loop(claim):
+        fixed = [k for k, value in enumerate(own["parameters"]) if not isinstance(value, str)]
         if not fixed:
             return None
         at = draw.choice(fixed)
@@ -277,7 +314,7 @@ def manifest_vehicle(pair: Pair, draw: random.Random) -> Change | None:
             table["lists"]["plant.txt"]["values"][at] *= share
 
         return Change("parameter of the plant", str(at), pair.certificate, rewritten(plant, dependents=True))
-    if pair.certificate["kind"] == "interval":
+    if pair.certificate["kind"] in ("interval", "lyapunov"):
         return None
     name = draw.choice(("m22", "Yvv", "period"))
     if name == "Yvv" and pair.certificate["kind"] == "braking" and share < 1:
@@ -303,7 +340,7 @@ def manifest_vehicle(pair: Pair, draw: random.Random) -> Change | None:
 def law_list(pair: Pair, draw: random.Random) -> Change | None:
     """An instruction or constant of the law, with every hash of bundle and certificate computed again."""
     claim = copy.deepcopy(dict(pair.certificate["claim"]))
-    if not ("sha256_law" in claim or claim.get("about")):
+    if not ("sha256_law" in claim or own_loop(claim)):
         return None
     certified = claim.get("sha256_law") or claim["about"]["controller"]
     manifest = json.loads(pair.bundle.files["manifest.json"])
@@ -369,7 +406,7 @@ def differs_where_claimed(pair: Pair, file: str, laws: tuple[Block, Block]) -> b
 
 def port(pair: Pair, draw: random.Random) -> Change | None:
     """A name, size or unit of a vector that the comparison uses, with every hash computed again."""
-    if pair.certificate["kind"] == "interval":
+    if pair.certificate["kind"] == "interval" or is_label(pair.certificate["claim"], ("name",)):
         return None
     robots = {
         "region": "eta nu progress tau",
@@ -459,7 +496,8 @@ def a_file(pair: Pair, draw: random.Random) -> Change:
 
 
 KINDS: Mapping[Callable[[Pair, random.Random], Change | None], int] = {
-    claim_number: 6, vehicle_bound: 3, claim_text: 4, claim_entry: 2, unsealed: 1, other_hash: 2, manifest_leaf: 2,
+    claim_number: 6, vehicle_bound: 3, claim_text: 4, text_of_dynamics: 4, claim_entry: 2, unsealed: 1, other_hash: 2,
+    manifest_leaf: 2,
     manifest_gain: 4, manifest_vehicle: 3, law_list: 4, port: 2, wrong_type: 2, a_file: 5,
 }  # fmt: skip
 """How often each kind of change is drawn, relative to the others."""

@@ -19,6 +19,7 @@ from surctl.lyapunov import Problem, continuous_dynamics, solve
 from surctl.marine.control import Law, build_law, law_source, load_gains
 from surctl.marine.export import build_bundle, origin_of
 from surctl.marine.simulation import law_numbers, load_scenario
+from surctl.marine.tuning import derived_gains
 from surctl.marine.vehicle import Vehicle, load_vehicle
 from surctl.marine.verification import claims
 from surctl.system import Action, Controller, Plant, System
@@ -96,6 +97,17 @@ def robots() -> Iterator[Pair]:
             law = build_law(**options, **sonar)
             values = numbers_for(claim, law, vehicle)
             yield Pair(f"{source} {sensing}", document, build_bundle(law, values, origin=origin_of(law, vehicle)))
+
+
+def heading_loops() -> Iterator[Pair]:
+    """Yield the pairs of a certificate of the heading loop and the bundle of the law `steered`."""
+    for name, cruise, file in (("otter", 1.1, "region-steered-20"), ("remus100", 1.5, "region-steered-20-remus100")):
+        law, vehicle = build_law("steered"), load_vehicle(name)
+        gains = derived_gains(vehicle.at_speed(cruise), cruise=cruise).with_own(law_source("steered").gains)
+        mission = replace(MISSION, cruise=cruise, cap=round(cruise * 0.22 / 0.15, 9))
+        values = law.gains.unpack(law_numbers(mission, gains, vehicle))
+        document = json.loads((STORED / f"{file}.json").read_text(encoding="utf-8"))
+        yield Pair(f"steered {name}", document, build_bundle(law, values, origin=origin_of(law, vehicle)))
 
 
 def inequalities() -> Iterator[Pair]:
@@ -196,5 +208,6 @@ def own_systems() -> Iterator[Pair]:
 def pairs() -> Iterator[Pair]:
     """Yield all pairs."""
     yield from robots()
+    yield from heading_loops()
     yield from inequalities()
     yield from own_systems()

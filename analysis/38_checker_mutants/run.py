@@ -41,7 +41,11 @@ CAUGHT = Path("surctl-out") / "checker-mutants.json"  # by mutant: a digest and 
 CALLS = Path("surctl-out") / "checker-calls.json"  # by digest of a file of tests: the functions that each test calls
 SLOW = "takes too long"
 _FIRST = "the first operation of a table has no operands, so it is a number or a variable"
+_INNER = "relative to the mass, thrust and drag of the first and last vertex lie between those of the others"
+_HEAVE = 'heading: _check_heave: product(claim.ranges["heave_mass_kg"], drags, (share, Fraction(1))) -> '
 EQUIVALENT = {
+    f'{_HEAVE}[*(product(claim.ranges["heave_mass_kg"], drags, (share, Fraction(1))))][1:]': _INNER,
+    f'{_HEAVE}[*(product(claim.ranges["heave_mass_kg"], drags, (share, Fraction(1))))][:-1]': _INNER,
     "expressions: ExpressionTable.total: return all(self._is_total(self.entries[at]) for at in self.needed(roots)) -> "
     "return all(self._is_total(self.entries[at]) for at in [*(self.needed(roots))][1:])": _FIRST,
     "motion: Motion.require_continuous: table.needed(roots) -> [*(table.needed(roots))][1:]": _FIRST,

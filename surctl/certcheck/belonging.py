@@ -1,13 +1,14 @@
 """Decide whether an accepted certificate applies to an exported controller, number by number.
 
 It is not enough that hashes are equal. Each vehicle parameter must lie in its certified range, each gain must equal the
-certified gain, each certified bound must hold for the exported controller, and what the certificate states about the
-law (or about the dynamics of the loop) must agree with the instruction lists of the bundle, which are evaluated at some
-hundreds of points. If the certificate states a parameter, gain or bound that the manifest lacks, the certificate does
-not belong to the controller. Each number and text of a claim is compared, is a condition that is printed, or is proved
-by the certificate itself; one that is none of these is unbound, and then the certificate does not belong either. If the
-vehicle file gives a wider range than the certificate, or if the certificate does not cover a part of the controller,
-the certificate still belongs to the controller, and `excludes` names what is not covered.
+certified gain, each certified bound must hold for the exported controller, and the dynamics of a loop must be those
+that the checker derives from the instruction lists of the bundle. What a certificate states about the law of a robot is
+compared with the law's list at some hundreds of points, which `excludes` says. If the certificate states a parameter,
+gain or bound that the manifest lacks, the certificate does not belong to the controller. Each number and text of a
+claim is compared, is a condition or label that is printed, or is proved by the certificate itself; one that is none of
+these is unbound, and then the certificate does not belong either. If the vehicle file gives a wider range than the
+certificate, or if the certificate does not cover a part of the controller, the certificate still belongs to the
+controller, and `excludes` names what is not covered.
 """
 
 from __future__ import annotations
@@ -24,17 +25,11 @@ from surctl.certcheck.bundle import Listed, Manifest, Port, stated_sha256
 from surctl.certcheck.comparison import ALIKE, LIMITS, ROUNDING, Comparison
 from surctl.certcheck.document import Rejected
 from surctl.certcheck.elementary import Undefined
-from surctl.certcheck.law_points import (
-    STEERED,
-    STEERED_EXCLUDES,
-    Law,
-    compare_braking,
-    compare_following,
-    compare_steering,
-)
-from surctl.certcheck.loop_points import compare_dynamics
+from surctl.certcheck.law_points import Law, compare_braking, compare_following
+from surctl.certcheck.loop_dynamics import compare_dynamics
 from surctl.certcheck.patience import PATIENCE, patient
 from surctl.certcheck.region_claim import read_claim as read_region
+from surctl.certcheck.steering import STEERED, STEERED_EXCLUDES, compare_steering
 from surctl.certcheck.turning_claim import read_claim as read_turning
 from surctl.certcheck.turning_law import Follower
 
@@ -53,6 +48,7 @@ _BY_EXPORT = (
     "is not evaluated"
 )
 _CODE = "code: that the C files compute what the instruction list states is shown by their tests, not by this check"
+_POINTS = "law: its commands are compared with the instruction list at some hundreds of points, not everywhere"
 _STAGES = "stages: the certificate covers the law before the exported law's further stages, such as allocation"
 _VARIABLES = {"m": ("m11", "m22"), "X": ("Xu", "Yv"), "X2": ("Xuu", "Yvv")}
 """For each variable of the braking inequalities, the vehicle parameters that it represents."""
@@ -76,20 +72,23 @@ class Belonging:
         differs: one message for each mismatch; empty if the certificate belongs to the controller.
         excludes: one message for each part of the exported controller that the certificate does not cover.
         unbound: path and value of each number or text of the claim that nothing binds to the controller.
+        undecided: one message for each part of the dynamics that is not shown to be that of the exported controller,
+            though no point shows a difference.
     """
 
     differs: tuple[str, ...]
     excludes: tuple[str, ...]
     unbound: tuple[str, ...] = ()
+    undecided: tuple[str, ...] = ()
 
     @property
     def belongs(self) -> bool:
-        """Return whether the certificate belongs to the controller: nothing differs, and nothing is unbound."""
-        return not self.differs and not self.unbound
+        """Return whether the certificate belongs to the controller: nothing differs, is unbound or is undecided."""
+        return not (self.differs or self.unbound or self.undecided)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the result as plain data for JSON."""
-        texts = {key: list(getattr(self, key)) for key in ("differs", "unbound", "excludes")}
+        texts = {key: list(getattr(self, key)) for key in ("differs", "unbound", "undecided", "excludes")}
         return {"belongs": self.belongs, **texts}
 
 
@@ -117,7 +116,8 @@ def compare(document: Mapping[str, Any], manifest: Manifest) -> Belonging:
         comparison.excludes.append(_CODE)
     if manifest.extra:
         comparison.excludes.append(f"files: {', '.join(manifest.extra)} are results of a compiler, which are not read")
-    return Belonging(tuple(comparison.differs), tuple(comparison.excludes), tuple(comparison.leaves.left()))
+    lists = comparison.differs, comparison.excludes, comparison.leaves.left(), comparison.undecided
+    return Belonging(*map(tuple, lists))
 
 
 def _units(ports: Sequence[Port], entries: Sequence[Any]) -> dict[str, str]:
@@ -285,8 +285,9 @@ class _Comparison(Comparison):
         for value in self.gains("thrust_limit")[3:4]:
             self.at_least("thrust_limit of yaw", value, "N m", most)
         self.excludes.append(f"conditions: u = {list(ranges['u'])!r}")
-        for key in self.claim.keys() - {"about"}:
-            self.take(key)  # compared by the evaluation, or proved by the certificate
+        for key in self.claim.keys() & _PROVED | {"time", "property", "dynamics", "states", "parameters"}:
+            self.take(key)  # compared, or proved by the certificate
+        self.excludes.append(f"name: {self.take('name')!r} is a label, which nothing is compared with")
         for exported in self._laws(about["sha256_law"]):
             compare_steering(exported, self.claim, fins, self.differs.append)
 
@@ -347,6 +348,7 @@ class _Comparison(Comparison):
         if certified is None or exported is None:
             self.differs.append("law: the bundle does not contain the instruction list of the certified law")
             return []
+        self.excludes.append(_POINTS)
         laws = [Law(certified, self.manifest)]
         inputs = [{port.name for port in listed.vectors["inputs"]} for listed in (certified, exported)]
         if certified is not exported:
@@ -403,5 +405,8 @@ class _Comparison(Comparison):
         if not self.differs:
             commands = {row["name"]: row["value"] for row in self.claim["commands"]} if sampled else {}
             further = (self.claim["next"], commands) if sampled else None
-            apart = compare_dynamics(names, box, self.claim["dynamics"], vectors, lists, self.manifest.period, further)
-            self.differs += [f"dynamics: {apart}"] if apart else []
+            results = compare_dynamics(
+                names, box, self.claim["dynamics"], vectors, lists, self.manifest.period, further
+            )
+            for messages, texts in zip((self.differs, self.undecided), results, strict=True):
+                messages += [f"dynamics: {text}" for text in texts]

@@ -46,13 +46,13 @@ class Comparison:
 
     Attributes:
         leaves: the claim, of which each entry must be taken.
-        differs, excludes: the messages.
+        differs, excludes, undecided: the messages.
     """
 
     def __init__(self, claim: Mapping[str, Any], manifest: Manifest) -> None:
         self.claim, self.manifest, self.leaves = claim, manifest, Leaves(claim)
         self.take = self.leaves.take
-        self.differs, self.excludes = list(manifest.wrong), list[str]()
+        self.differs, self.excludes, self.undecided = list(manifest.wrong), list[str](), list[str]()
         self.ranges = manifest.ranges or {}
 
     def gains(self, name: str) -> Sequence[float]:

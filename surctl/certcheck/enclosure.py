@@ -31,6 +31,7 @@ __all__ = [
     "greatest",
     "is_zero",
     "least",
+    "middle",
     "rational",
     "span",
 ]
@@ -105,6 +106,11 @@ def least(a: Interval, b: Interval) -> Interval:
 def greatest(a: Interval, b: Interval) -> Interval:
     """Return the interval of max(a, b)."""
     return tuple(x if libmp.mpf_ge(x, y) else y for x, y in zip(a, b, strict=True))
+
+
+def middle(a: Interval) -> float:
+    """Return about the middle of the interval a."""
+    return float(libmp.to_float(a[0]) + libmp.to_float(a[1])) / 2
 
 
 def plus(a: Interval, b: Interval) -> Interval:

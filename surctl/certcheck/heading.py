@@ -60,7 +60,7 @@ def _check_extent(claim: HeadingClaim, p: Matrix, p_z: Matrix) -> None:
         if abs(away) > claim.ultimate_bound:
             raise Rejected(f"the vehicle may come to rest {float(abs(away)):.4g} m from its target, beyond the bound")
         start = [-away, claim.offset, *[Fraction(0)] * 4]
-        if quadratic(p, start) > 1 or quadratic(p, [-away, -claim.offset, *[Fraction(0)] * 4]) > 1:
+        if quadratic(p, start) > 1:  # as for −offset, because P is symmetric under reflection
             raise Rejected(f"a cross-track offset of {float(claim.offset):g} m is not in the region")
     if p[1][1] * claim.beside**2 > 1:
         raise Rejected(f"a point {float(claim.beside):g} m beside the point of rest is not in the region")
@@ -76,14 +76,20 @@ def _check_heave(claim: HeadingClaim, p: Matrix) -> None:
     """Check the decay of V_z for ż = w, m33 ẇ = −φ m̂33 k (w + k_z z) − σ w (drag slope σ), in exact arithmetic."""
     covariance = inverse(p)
     velocity_gain, k_z = claim.law["heave_mass_kg"] * claim.law["k"], claim.law["k_z"]
-    linear, square = claim.ranges["heave_linear"], claim.ranges["heave_quadratic"]
-    drags = (linear[0], linear[1] + square[1] * root_up(covariance[1][1]))
-    force = velocity_gain * root_up(quadratic(covariance, [k_z, Fraction(1)]))
-    share = min(Fraction(1), claim.limits["heave_n"] / force)
-    for mass, drag, part in product(claim.ranges["heave_mass_kg"], drags, {share, Fraction(1)}):
+    drags, share = _heave_bounds(claim, covariance)
+    for mass, drag, part in product(claim.ranges["heave_mass_kg"], drags, (share, Fraction(1))):
         a = [[Fraction(0), Fraction(1)], [-part * velocity_gain * k_z / mass, -(part * velocity_gain + drag) / mass]]
         half = [[sum((p[i][k] * a[k][j] for k in (0, 1)), Fraction(0)) for j in (0, 1)] for i in (0, 1)]
         if not is_positive_definite(
             [[-half[i][j] - half[j][i] - claim.rate * p[i][j] for j in (0, 1)] for i in (0, 1)]
         ):
             raise Rejected("V_z does not decay at the claimed rate")
+
+
+def _heave_bounds(claim: HeadingClaim, covariance: Matrix) -> tuple[tuple[Fraction, Fraction], Fraction]:
+    """Return the least and largest drag slope in V_z ≤ 1 [N s/m], and the least share of the heave command."""
+    linear, square = claim.ranges["heave_linear"], claim.ranges["heave_quadratic"]
+    drags = (linear[0], linear[1] + square[1] * root_up(covariance[1][1]))
+    gain, k_z = claim.law["heave_mass_kg"] * claim.law["k"], claim.law["k_z"]
+    force = gain * root_up(quadratic(covariance, [k_z, Fraction(1)]))
+    return drags, min(Fraction(1), claim.limits["heave_n"] / force)

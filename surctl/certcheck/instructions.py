@@ -5,7 +5,8 @@ text has blocks, separated by blank lines: a program is a sequence of assignment
 or in loops. A block is named by its name and the first 16 hexadecimal digits of its digest, which are computed again.
 Constants are hexadecimal floating-point numbers, so each is exact.
 
-The list is evaluated in double precision, as the exported float64 code computes it, at many points at once.
+A list is evaluated in an algebra: `Numbers` computes in double precision, as the exported float64 code does, at many
+points at once; `surctl.certcheck.derivation` derives expressions.
 """
 
 from __future__ import annotations
@@ -23,9 +24,9 @@ from surctl.certcheck.document import Rejected
 from surctl.certcheck.patience import go_on
 from surctl.certcheck.procedures import evaluator
 
-__all__ = ["Block", "digest", "evaluate", "read_list"]
+__all__ = ["Block", "Numbers", "digest", "evaluate", "read_list"]
 
-Array: TypeAlias = NDArray[np.float64]
+Array: TypeAlias = NDArray[Any]
 
 _DEEPEST = 50  # most blocks inside one another
 _LARGEST = 60_000  # most numbers of all arrays and values: each takes 3 kB at 400 points
@@ -63,6 +64,33 @@ _OPERATIONS: Mapping[str, tuple[int, Callable[..., Any]]] = {
 """Number of operands and function of each operation; a comparison is 1 or 0, and a number is true if it is not 0."""
 
 
+class Numbers:
+    """Double precision; values are arrays of n points."""
+
+    dtype: Any = np.float64
+
+    def constant(self, value: float) -> Any:
+        """Return a constant of a list."""
+        return np.float64(value)
+
+    def apply(self, op: str, operands: Sequence[Any]) -> Any:
+        """Return the result of an operation."""
+        value = _OPERATIONS[op][1](*operands)
+        return value if value.dtype == np.float64 else value.astype(np.float64)
+
+    def truth(self, values: Array) -> NDArray[np.bool_]:
+        """Return where values are not 0."""
+        return np.asarray(values != 0)
+
+    def places(self, values: Array, last: int) -> NDArray[np.intp]:
+        """Return values rounded down to places from 0 to `last`; that of NaN is 0."""
+        return np.where(values >= 1, np.where(values < last, values, last), 0).astype(np.intp)
+
+    def procedure(self, run: Callable[[Sequence[Array]], list[Array]], vectors: Sequence[Array]) -> list[Array]:
+        """Return the outputs of a procedure."""
+        return run(vectors)
+
+
 @dataclass(frozen=True, eq=False)
 class Block:
     """A program or routine of a list.
@@ -74,7 +102,7 @@ class Block:
         depth: number of blocks inside one another.
         size: how many numbers it holds itself, without the blocks that it runs.
         texts: text of each block that it runs, in the order of the list; its own is last.
-        run: computes the outputs from the inputs, each an array (entries, n) for n points.
+        run: computes the outputs from the inputs, each an array (entries, n) for n points, in an algebra.
     """
 
     name: str
@@ -84,7 +112,7 @@ class Block:
     depth: int
     size: int
     texts: tuple[str, ...]
-    run: Callable[[Sequence[Array]], list[Array]]
+    run: Callable[[Sequence[Array], Numbers], list[Array]]
 
     @property
     def key(self) -> str:
@@ -123,7 +151,10 @@ def evaluate(block: Block, *vectors: Array) -> list[Array]:
     if tuple(len(vector) for vector in vectors) != block.inputs:
         raise Rejected(f"{block.name} takes vectors of {block.inputs} entries")
     with np.errstate(all="ignore"):
-        return block.run(vectors)
+        return block.run(vectors, _NUMBERS)
+
+
+_NUMBERS = Numbers()
 
 
 def _joined(texts: Sequence[str]) -> str:
@@ -134,7 +165,7 @@ def _program(lines: Sequence[str]) -> Block:
     name = _head(lines[0], "program")
     names, sizes, at = _inputs(lines, "in{}")
     del names
-    steps: list[tuple[Callable[..., Any], tuple[int, ...]]] = []
+    steps: list[tuple[str, tuple[int, ...]]] = []
     constants: dict[int, float] = {}
     loads: dict[int, tuple[int, int]] = {}
     known: dict[str, int] = {}
@@ -146,10 +177,9 @@ def _program(lines: Sequence[str]) -> Block:
         if op == "const":
             constants[number] = _constant(*words)
         elif op in _OPERATIONS:
-            arity, function = _OPERATIONS[op]
-            if len(words) != arity:
+            if len(words) != _OPERATIONS[op][0]:
                 raise ValueError(lines[at])
-            steps.append((function, (number, *(known[word] for word in words))))
+            steps.append((op, (number, *(known[word] for word in words))))
         else:
             loads[number] = _load(op, sizes)
             if words:
@@ -164,18 +194,17 @@ def _program(lines: Sequence[str]) -> Block:
         outputs.append(tuple(known[word] for word in words))
     count = len(known)
 
-    def run(vectors: Sequence[Array]) -> list[Array]:
+    def run(vectors: Sequence[Array], algebra: Numbers) -> list[Array]:
         go_on()
         values: list[Any] = [0.0] * count
         for number, value in constants.items():
-            values[number] = np.float64(value)
+            values[number] = algebra.constant(value)
         for number, (vector, entry) in loads.items():
             values[number] = vectors[vector][entry]
-        for function, (number, *operands) in steps:
-            value = function(*[values[k] for k in operands])
-            values[number] = value if value.dtype == np.float64 else value.astype(np.float64)
+        for op, (number, *operands) in steps:
+            values[number] = algebra.apply(op, [values[k] for k in operands])
         points = max([vector.shape[1] for vector in vectors], default=1)
-        return [_stacked([values[k] for k in places], points) for places in outputs]
+        return [_stacked([values[k] for k in places], points, algebra) for places in outputs]
 
     text = "\n".join([*lines, ""])
     return Block(name, sizes, tuple(map(len, outputs)), len(steps), 1, count, (text,), run)
@@ -201,14 +230,15 @@ def _procedure(lines: Sequence[str]) -> Block:
     if operations > _LONGEST:
         raise ValueError(f"{name} is too large")
     size = sum(inputs) + sum(outputs) + sum(size for *_, size in memory)
-    return Block(name, inputs, outputs, operations, 1, size, ("\n".join([*lines, ""]),), run)
+    text = "\n".join([*lines, ""])
+    return Block(name, inputs, outputs, operations, 1, size, (text,), lambda v, algebra: algebra.procedure(run, v))
 
 
 _KINDS: Mapping[str, Callable[[Sequence[str]], Block]] = {"procedure": _procedure}
 
 
-def _stacked(entries: Sequence[Any], points: int) -> Array:
-    table = np.empty((len(entries), points))
+def _stacked(entries: Sequence[Any], points: int, algebra: Numbers) -> Array:
+    table = np.empty((len(entries), points), dtype=algebra.dtype)
     for k, entry in enumerate(entries):
         table[k] = entry
     return table
@@ -258,7 +288,7 @@ def _whole(word: str, least: int, most: int) -> int:
 
 
 _Scope: TypeAlias = dict[str, Array]
-_Step: TypeAlias = Callable[[_Scope], None]
+_Step: TypeAlias = Callable[[_Scope, Numbers], None]
 
 
 def _routine(lines: Sequence[str], blocks: Mapping[str, Block]) -> Block:
@@ -290,10 +320,10 @@ def _routine(lines: Sequence[str], blocks: Mapping[str, Block]) -> Block:
     if depth > _DEEPEST or operations > _LONGEST:
         raise ValueError(f"{name} is too large")
 
-    def run(vectors: Sequence[Array]) -> list[Array]:
+    def run(vectors: Sequence[Array], algebra: Numbers) -> list[Array]:
         scope = dict(zip(names, vectors, strict=True))
         for step in steps:
-            step(scope)
+            step(scope, algebra)
         return [scope[result] for result in results]
 
     text = "\n".join([*lines, ""])
@@ -309,12 +339,10 @@ def _gather(words: Sequence[str], sizes: Mapping[str, int], targets: Sequence[st
         raise ValueError(" ".join(words))
     pieces, (target,) = sizes[source] // width, targets
 
-    def step(scope: _Scope) -> None:
+    def step(scope: _Scope, algebra: Numbers) -> None:
         groups = scope[source].reshape(-1, width, lanes, scope[source].shape[1])
         table = groups.swapaxes(1, 2).reshape(pieces, width, -1)
-        number = scope[index][0]
-        last = pieces - 1
-        at = np.where(number >= 1, np.where(number < last, number, last), 0).astype(np.intp)
+        at = algebra.places(scope[index][0], pieces - 1)
         points = max(table.shape[2], len(at))
         at, table = np.broadcast_to(at, points), np.broadcast_to(table, (pieces, width, points))
         scope[target] = table[at, :, np.arange(points)].T
@@ -329,8 +357,8 @@ def _call(
     if tuple(sizes[name] for name in arguments) != block.inputs:
         raise ValueError(" ".join(words))
 
-    def step(scope: _Scope) -> None:
-        scope.update(zip(targets, block.run([scope[name] for name in arguments]), strict=True))
+    def step(scope: _Scope, algebra: Numbers) -> None:
+        scope.update(zip(targets, block.run([scope[name] for name in arguments], algebra), strict=True))
 
     return step, list(block.outputs), 1
 
@@ -360,22 +388,22 @@ def _loop(
     stacked = block.outputs[len(state) :]
     order = [*carried, *sliced, *spread, *fixed]
 
-    def step(scope: _Scope) -> None:
+    def step(scope: _Scope, algebra: Numbers) -> None:
         points = max([scope[name].shape[1] for name in order], default=1)
         now = [_by_lane(np.broadcast_to(scope[name], (sizes[name], points)), lanes) for name in carried]
         pieces = [scope[name].reshape(count, -1, lanes, scope[name].shape[1]) for name in sliced]
         apart = [scope[name].reshape(count, lanes, -1, scope[name].shape[1]) for name in spread]
         rows: list[list[Array]] = [[] for _ in stacked]
         for turn in range(count):
-            running = None if until is None else now[until][0, 0] == 0
+            running = None if until is None else ~algebra.truth(now[until][0, 0])
             if running is not None and not np.any(running):
                 break
             results = []
             for lane in range(lanes):
-                number = [np.full((1, points), float(turn * lanes + lane))] if index else []
+                number = [np.full((1, points), algebra.constant(turn * lanes + lane))] if index else []
                 arguments = [*number, *(part[:, lane] for part in now), *(part[turn][:, lane] for part in pieces)]
                 arguments += [part[turn][lane] for part in apart] + [scope[name] for name in fixed]
-                results.append(block.run(arguments))
+                results.append(block.run(arguments, algebra))
             fresh = [np.stack([result[k] for result in results], axis=1) for k in range(len(block.outputs))]
             carried_on = fresh[: len(state)]
             now = (

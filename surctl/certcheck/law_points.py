@@ -13,9 +13,9 @@ the region that is not small.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -25,34 +25,21 @@ from surctl.certcheck.braking import bound_distance
 from surctl.certcheck.braking_claim import BrakingClaim, GuardedLaw
 from surctl.certcheck.bundle import Listed, Manifest, Port
 from surctl.certcheck.document import Rejected
+from surctl.certcheck.elementary import Undefined
+from surctl.certcheck.enclosure import enclose, middle, rational
+from surctl.certcheck.expressions import ExpressionTable
 from surctl.certcheck.instructions import evaluate, read_list
-from surctl.certcheck.loop_points import values_at
+from surctl.certcheck.patience import go_on
 from surctl.certcheck.turning_law import Follower, followed
 
 __all__ = [
-    "STEERED", "STEERED_EXCLUDES", "Law", "Same", "compare_braking", "compare_following", "compare_steering",
+    "Law", "Leg", "Report", "Same", "compare_braking", "compare_following", "leg_of", "report_difference", "values_at",
 ]  # fmt: skip
 
 Array: TypeAlias = NDArray[np.float64]
 Report: TypeAlias = Callable[[str], None]
 
-STEERED = {"y_e": "m", "psi": "rad", "v": "m/s", "r": "rad/s", "crab": "rad", "sway": "m/s"}
-"""States of the heading loop of a craft without sway force, with units: cross-track error, heading to the path, sway
-speed, yaw rate, and the two filters of the law: crab angle and modelled sway speed."""
-
-STEERED_EXCLUDES = (
-    "the path is one straight leg, on which the law commands a positive speed; guidance is los",
-    "no obstacle is near, so that the law chooses the desired course and speed",
-    "the surge loop is not covered: the surge speed u, and that of the law's model, may vary in any way in their range",
-    "measured position, heading and velocity are exact; there is no current and no wave",
-    "the thrusters deliver every commanded yaw moment up to its limit, whatever the surge force; fins do so up to the "
-    "share (speed / cruise)^2 of it below the cruise speed, with a side force in proportion to the moment",
-    "the thrust has no lag; commands are not held, and the two filters of the law are continuous in time",
-    "heave is 0, and roll and pitch are left out",
-)
-"""Restrictions of a claim about this loop; a certificate repeats the restrictions word for word."""
-
-_POINTS, _STEERED_POINTS = 400, 160
+_POINTS = 400
 _STEPS = 2  # steps from fresh memory
 _FAR = 1e4  # [m] distance of walls that are not near
 _RADIUS = 5.0  # [m] of an obstacle
@@ -149,7 +136,7 @@ def _places(ports: Sequence[Port]) -> list[tuple[str, int, int]]:
 
 
 @dataclass(frozen=True)
-class _Leg:
+class Leg:
     """A long straight leg, the arc length of its target and a pose (count,) beside it."""
 
     tangent: Array
@@ -171,8 +158,24 @@ class _Leg:
         return {"waypoints": np.concatenate(points), "walls": np.array(walls), "depth": -3.0, "visit": 0.0}
 
 
-def _leg(angle: float, progress: float) -> _Leg:
-    return _Leg(np.array([np.cos(angle), np.sin(angle)]), progress, np.array([3.0, -2.0]))
+def leg_of(angle: float, progress: float) -> Leg:
+    """Return a leg at an angle to the first axis, whose target has an arc length [m]."""
+    return Leg(np.array([np.cos(angle), np.sin(angle)]), progress, np.array([3.0, -2.0]))
+
+
+def values_at(names: Sequence[str], points: Array, texts: Mapping[str, str]) -> dict[str, Array]:
+    """Return the values (N,) of texts at points (n, N) of the named variables."""
+    table = ExpressionTable(names)
+    roots = [table.read(text) for text in texts.values()]
+    rows: list[list[float]] = []
+    for point in points.T:
+        go_on()
+        try:
+            values = enclose(table, roots, [rational(Fraction(x)) for x in point.tolist()])
+        except Undefined as reason:
+            raise Rejected(f"a text is not defined at a point: {reason}") from None
+        rows.append([middle(value.value) for value in values])
+    return dict(zip(texts, np.array(rows).T, strict=True))
 
 
 def compare_following(law: Law, model: Follower, wait: float, report: Report) -> float:
@@ -184,7 +187,7 @@ def compare_following(law: Law, model: Follower, wait: float, report: Report) ->
         wait: distance behind the target at which the target stops [m].
         report: function that gets one message if the law differs.
     """
-    rng, leg, n = np.random.default_rng(11), _leg(0.7, 40.0), _POINTS
+    rng, leg, n = np.random.default_rng(11), leg_of(0.7, 40.0), _POINTS
     x_e = rng.uniform(-1.2 * wait, 1.5 * model.cruise / model.k1, n)
     y_e = rng.uniform(-2, 2, n) * model.lookahead
     small = np.arange(n) % 2 == 0  # half of the points are near the steady motion, where no limit is reached
@@ -210,86 +213,19 @@ def compare_following(law: Law, model: Follower, wait: float, report: Report) ->
             if (apart := law.same.apart(first, second)).any():
                 at = int(np.argmax(apart))
                 place = f"x_e = {over_ground[at, 0]:.4g} m, y_e = {y_e[at]:.4g} m, heading {psi[at]:.4g} rad"
-                return _differs(report, what, place, unit, first[:, at], second[:, at])
+                return report_difference(report, what, place, unit, first[:, at], second[:, at])
         fastest, x = max(fastest, float(np.max(np.abs(outputs["nu_reference"][3])))), after
     return fastest
 
 
-def _differs(report: Report, what: str, place: str, unit: str, claimed: Array, exported: Array) -> float:
+def report_difference(report: Report, what: str, place: str, unit: str, claimed: Array, exported: Array) -> float:
+    """Report two values of the law that differ at a place; return 0."""
+
     def text(values: Array) -> str:
         return ", ".join(f"{value:.6g}" for value in values)
 
     report(f"law: {what} at {place}: {text(claimed)} {unit} certified, {text(exported)} {unit} exported")
     return 0.0
-
-
-def compare_steering(law: Law, claim: Mapping[str, Any], fins: Mapping[str, float], report: Report) -> None:
-    """Compare the dynamics of the heading loop on a straight leg with the law's list and the equations of the craft.
-
-    The points lie in the region, half of them at its border. The craft has the parameters of the claim at the point,
-    and a surge speed of its own, and the law's yaw moment as far as its thrusters or fins deliver it.
-
-    Args:
-        law: the exported law.
-        claim: a claim of kind `lyapunov` about the system `steered`.
-        fins: the bundle's numbers of fins; empty if the craft has none.
-        report: function that gets one message if something differs.
-    """
-    rng, n = np.random.default_rng(12), _STEERED_POINTS
-    rows = [*claim["states"], *claim["parameters"]]
-    low, high = (np.array([row[key] for row in rows])[:, None] for key in ("lower", "upper"))
-    points, names = low + (high - low) * rng.random((len(rows), n)), [row["name"] for row in rows]
-    if names[: len(STEERED)] != list(STEERED):
-        raise Rejected("the states are not those of the heading loop")
-    [value] = values_at(names, points, {"V": claim["function"]}).values()
-    points[: len(STEERED)] *= np.sqrt(claim["level"] / value) * np.where(np.arange(n) % 2, 1.0, rng.random(n))
-    at = dict(zip(names, points, strict=True))
-    y, psi, v, r, crab, sway = points[: len(STEERED)]
-    u, water = at["u"], at.get("u_model", at["u"])
-    gains, dt, leg = law.gains, law.period, _leg(0.7, 400 * law.gains["lookahead"][0])
-    mission = leg.mission(law) | {"walls": 1e3 * leg.mission(law)["walls"]}
-    inputs = law.inputs(n, eta=leg.pose(np.zeros(n), y, psi, -3.0), nu=np.vstack([u, v, np.zeros(n), r]))
-    outputs, after = law.step(law.state(n, progress=leg.progress, crab=crab, sway=sway, surge=water), inputs, **mission)
-    late = {name: law.part("state", after, name)[0] for name in ("crab", "sway")}
-    damping = (gains["linear_drag"][1] + gains["quadratic_drag"][1] * np.abs(sway)) / gains["mass"][1]
-    left = np.minimum(np.maximum(u, 0) / gains["cruise"][0], 1) ** 2
-    most = gains["thrust_limit"][3] * (1 - gains["fin_share"][0] * (1 - left))
-    moment = np.clip(outputs["tau"][3], -most, most)
-    own = values_at(names, points, claim["dynamics"])
-    # the law's filters take one implicit step, and the moment is that of their new values
-    moved = np.vstack([points[:4], late["crab"], late["sway"], points[len(STEERED) :]])
-    least = next(row["lower"] for row in rows if row["name"] == "share")
-    ends = []
-    for share in (least, 1.0):  # the share of the law's sway speed that the speed cap leaves is not known
-        moved[names.index("share")] = share
-        ends.append(values_at(names, moved, {name: claim["dynamics"][name] for name in ("v", "r")}))
-    rates = _steered_rates(at, moment, fins.get("side_per_m", 0.0))
-    rates["crab"] = (late["crab"] - crab) / dt * (1 + dt / gains["crab_time"][0])
-    rates["sway"] = (late["sway"] - sway) / dt * (1 + dt * damping)
-    for name, rate in rates.items():
-        pair = np.array([end[name] for end in ends] if name in ("v", "r") else [own[name]])
-        claimed = np.clip(rate, pair.min(axis=0), pair.max(axis=0))
-        if (apart := law.same.apart(claimed[None], rate[None])).any():
-            k = int(np.argmax(apart))
-            place = f"y_e = {y[k]:.4g} m, heading {psi[k]:.4g} rad, yaw rate {r[k]:.4g} rad/s"
-            unit = {"y_e": "m/s", "v": "m/s^2", "sway": "m/s^2", "r": "rad/s^2"}.get(name, "rad/s")
-            _differs(report, f"rate of {name}", place, unit, claimed[k : k + 1], rate[k : k + 1])
-            return
-
-
-def _steered_rates(at: Mapping[str, Array], moment: Array, side: float) -> dict[str, Array]:
-    """Return the rates of place, heading, sway speed and yaw rate by the equations of the craft."""
-    u, v, r, psi, zero = at["u"], at["v"], at["r"], at["psi"], np.zeros_like(moment)
-    m11, m22, m44, m24 = (at.get(name, zero) for name in ("m11", "m22", "m44", "m24"))
-    load = {"Y": side * moment - m11 * u * r, "N": moment - (m22 - m11) * u * v - m24 * u * r}
-    for name in at.keys() - {*STEERED}:
-        if re.fullmatch("[YN][uvr]?[vr]", name):
-            load[name[0]] -= at[name] * (np.abs(at[name[1]]) if len(name) == 3 else 1) * at[name[-1]]
-    size = m22 * m44 - m24 * m24
-    return {
-        "y_e": u * np.sin(psi) + v * np.cos(psi), "psi": r,
-        "v": (m44 * load["Y"] - m24 * load["N"]) / size, "r": (m22 * load["N"] - m24 * load["Y"]) / size,
-    }  # fmt: skip
 
 
 def compare_braking(law: Law, claim: BrakingClaim, report: Report) -> None:
@@ -318,7 +254,7 @@ def _compare_approach(
     rng, keep = np.random.default_rng(14), clearance > 0
     bounds, clearance = bounds[keep], clearance[keep]
     n = len(bounds)
-    leg = _leg(0.0 if wall else 0.7, 40.0)
+    leg = leg_of(0.0 if wall else 0.7, 40.0)
     speed = bounds + 0.05 * rng.uniform(-1, 1, n)
     psi = rng.uniform(-np.pi, np.pi, n)
     c, s = np.cos(psi), np.sin(psi)
@@ -347,13 +283,13 @@ def _compare_approach(
     if over.any() or not reached.any():
         at = int(np.argmax(over if over.any() else brakes))
         at_point = place.format(clearance[at], speed[at])
-        _differs(report, what, at_point, "m/s", claimed[at : at + 1], commanded[at : at + 1])
+        report_difference(report, what, at_point, "m/s", claimed[at : at + 1], commanded[at : at + 1])
         return
     thrust = _velocity_loop(claim.law, outputs["nu_reference"][:2], nu[:2], law.gains["thrust_limit"][:2])
     if (apart := law.same.apart(thrust, outputs["tau"][:2])).any():
         at = int(np.argmax(apart))
         at_point = place.format(clearance[at], speed[at])
-        _differs(report, "thrust", at_point, "N", thrust[:, at], outputs["tau"][:2, at])
+        report_difference(report, "thrust", at_point, "N", thrust[:, at], outputs["tau"][:2, at])
 
 
 def _velocity_loop(law: GuardedLaw, desired: Array, nu: Array, limit: Array) -> Array:

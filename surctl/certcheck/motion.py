@@ -24,7 +24,16 @@ from surctl.certcheck.inequality import Box, Inequality, listed, number
 from surctl.certcheck.interval import printable, variables_of
 from surctl.certcheck.patience import go_on
 
-__all__ = ["Motion", "Obligation", "check_all", "decimal_text", "read_motion", "require_loop", "rest_of"]
+__all__ = [
+    "Motion",
+    "Obligation",
+    "check_all",
+    "decimal_text",
+    "read_motion",
+    "require_defined",
+    "require_loop",
+    "rest_of",
+]
 
 _MOST_DECIMALS = 400  # characters
 _LOOP = {
@@ -106,31 +115,10 @@ class Motion:
             # the solutions of rates that jump are not those of an ordinary differential equation
             self.require_continuous(table, rates, "the dynamics contain")
         own = composed(table, root, dict(enumerate(rates))) if self.discrete else along(table, root, rates)
-        self._defined(table, [*rates, own])
+        require_defined(table, [*rates, own], self.box)
         if own != claimed and (not self.normal.equal(claimed, lambda e: e.of(own)) or self.normal.assumed):
             raise Rejected("the stated change of the function does not follow from the dynamics")
         return str(stated)
-
-    def _defined(self, table: ExpressionTable, roots: Sequence[int]) -> None:
-        """Raise Rejected unless the expressions are defined in the whole box, which is halved as often as needed."""
-        waiting, halved = [] if table.total(roots) else [self.box], 0
-        while waiting:
-            box = waiting.pop()
-            go_on()
-            try:
-                enclose(table, roots, [span(*ends) for ends in box])
-            except Undefined as reason:
-                halved += 1
-                if halved > _MOST_HALVED:
-                    raise Rejected(f"the dynamics may be undefined in the box: {reason}") from None
-                widths = [
-                    (high - low) / (top - bottom or 1.0)
-                    for (low, high), (bottom, top) in zip(box, self.box, strict=True)
-                ]
-                k = widths.index(max(widths))
-                low, high = box[k]
-                cut = low / 2 + high / 2
-                waiting += [[*box[:k], (low, cut), *box[k + 1 :]], [*box[:k], (cut, high), *box[k + 1 :]]]
 
     def require_continuous(self, table: ExpressionTable, roots: Sequence[int], what: str) -> None:
         """Raise Rejected if the expressions may jump in the box."""
@@ -176,6 +164,27 @@ class Motion:
             needed.append(Obligation(self.names, self.box, decimal_text(low), rate, constraints))
             needed.append(Obligation(self.names, self.box, rate, decimal_text(high), constraints))
         return needed
+
+
+def require_defined(table: ExpressionTable, roots: Sequence[int], whole: Box) -> None:
+    """Raise Rejected unless the expressions are defined in the whole box; parts are halved as needed."""
+    waiting, halved = [] if table.total(roots) else [whole], 0
+    while waiting:
+        box = waiting.pop()
+        go_on()
+        try:
+            enclose(table, roots, [span(*ends) for ends in box])
+        except Undefined as reason:
+            halved += 1
+            if halved > _MOST_HALVED:
+                raise Rejected(f"the dynamics may be undefined in the box: {reason}") from None
+            widths = [
+                (high - low) / (top - bottom or 1.0) for (low, high), (bottom, top) in zip(box, whole, strict=True)
+            ]
+            k = widths.index(max(widths))
+            low, high = box[k]
+            cut = low / 2 + high / 2
+            waiting += [[*box[:k], (low, cut), *box[k + 1 :]], [*box[:k], (cut, high), *box[k + 1 :]]]
 
 
 def read_motion(claim: Mapping[str, Any]) -> Motion:

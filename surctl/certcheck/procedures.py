@@ -57,7 +57,7 @@ def evaluator(
     tree = ast.parse(source)
     entry, operations = _checked(tree, fields, arrays, sizes)
     scope: dict[str, Any] = {"range": _range, "within": _within, "back": _back, "sqrt": _root, "fabs": abs}
-    scope |= {"_divided": _divided, "_times": _times, "__builtins__": {}}
+    scope |= {"_divided": _divided, "_times": _times, "_before": _before, "__builtins__": {}}
     exec(compile(ast.fix_missing_locations(_Executable().visit(tree)), "procedure", "exec"), scope)
 
     def run(vectors: Sequence[Array]) -> list[Array]:
@@ -88,6 +88,8 @@ def _checked(tree: ast.Module, fields: set[str], arrays: set[str], sizes: Mappin
             raise ValueError(f"a procedure with a construct {type(node).__name__}")
         if isinstance(node, ast.Attribute) and not (_is_name(node.value, "s") and node.attr in fields):
             raise ValueError(f"a procedure with an attribute {node.attr}")
+        if isinstance(node, ast.Subscript) and not isinstance(node.value, ast.Attribute):
+            raise ValueError("a procedure with an entry of something else than an array")
         if isinstance(node, ast.Attribute):  # sums and products of whole arrays would be those of Python's lists
             if (node.attr in arrays) != (id(node) in entries):
                 raise ValueError(f"a procedure with {node.attr} as a whole, or with an entry of a number")
@@ -155,7 +157,7 @@ def _constant(node: ast.AST, sizes: Mapping[str, int]) -> int:
 
 
 class _Executable(ast.NodeTransformer):
-    """Drops annotations, and divides as IEEE 754 defines it, where Python raises an error."""
+    """Drops annotations, divides as IEEE 754 defines it, where Python raises an error, and refuses negative indices."""
 
     def visit_FunctionDef(self, node: ast.FunctionDef) -> ast.FunctionDef:
         node.returns = None
@@ -170,6 +172,21 @@ class _Executable(ast.NodeTransformer):
             name = "_divided" if isinstance(node.op, ast.Div) else "_times"
             return ast.Call(ast.Name(name, ast.Load()), [node.left, node.right], [])
         return node
+
+    def visit_Subscript(self, node: ast.Subscript) -> ast.Subscript:
+        # a list of Python has an entry -1; an index that is too large is an error of its own
+        self.generic_visit(node)
+        if not isinstance(node.slice, ast.Constant):
+            index = ast.NamedExpr(ast.Name("_index", ast.Store()), node.slice)
+            inside = ast.Compare(index, [ast.GtE()], [ast.Constant(0)])
+            node.slice = ast.IfExp(
+                inside, ast.Name("_index", ast.Load()), ast.Call(ast.Name("_before", ast.Load()), [], [])
+            )
+        return node
+
+
+def _before() -> int:
+    raise ValueError("a procedure with a negative index of an array")
 
 
 def _divided(a: float, b: float) -> float:

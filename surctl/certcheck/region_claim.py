@@ -124,7 +124,7 @@ def read_shells(proof: Mapping[str, Any], key: str, most: int) -> tuple[list[Fra
 def two(value: Any, where: str, *, least: Fraction | int = 0, above: bool = False) -> Pair:
     """Return two numbers, see `number`."""
     if not isinstance(value, list) or len(value) != 2:
-        raise Rejected(f"{where} must be two numbers")
+        raise Rejected(f"{where} must have two entries")
     first, second = (number(entry, where, least=least, above=above) for entry in value)
     return first, second
 

@@ -18,7 +18,7 @@ from fractions import Fraction
 from itertools import pairwise
 from typing import Any
 
-from surctl.certcheck.document import Rejected, record
+from surctl.certcheck.document import Rejected, listed, record
 from surctl.certcheck.region_claim import CruiseClaim, axis_pairs, number, read_shells, triangle, two
 from surctl.certcheck.region_exact import (
     Matrix,
@@ -112,7 +112,7 @@ def _thrust(claim: TurningClaim, value: Any) -> tuple[Fraction, tuple[Phase, ...
 
 def _flow(claim: TurningClaim, value: Any) -> tuple[Pair, Pair, Pair]:
     """Return the coefficients of the gains of the current."""
-    if not isinstance(value, list) or len(value) != 3:
+    if len(listed(value)) != 3:
         raise Rejected("proof.flow must have three pairs of numbers")
     first, second, third = (two(row, "proof.flow", least=-(10**9)) for row in value)
     if claim.behind and any(map(any, (first, second, third))):

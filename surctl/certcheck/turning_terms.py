@@ -192,7 +192,7 @@ def flow_lack(claim: TurningClaim, flow: tuple[Pair, Pair, Pair], omega: tuple[f
             left = np.stack([
                 np.max([np.abs(beta - alpha * g) for alpha in law for beta in drag], axis=0) for g in gains
             ], 1)  # fmt: skip
-            size = max(map(abs, gains)) * law[1] + drag[1]
+            size = sum(map(abs, gains)) * law[1] + drag[1]
             lack[:, axis] = np.maximum(
                 lack[:, axis], current * (np.linalg.norm(left * most, axis=1) + 1e-12 * size) * UP
             )

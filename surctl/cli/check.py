@@ -29,7 +29,7 @@ __all__ = ["check"]
     type=FiniteRange(min=0, min_open=True),
     default=None,
     metavar="S",
-    help="Largest processor time [s] of the check (default 8); then the certificate is rejected.",
+    help="Largest processor time [s] of the check (default 8); a certificate that takes longer is rejected.",
 )
 @as_json
 def check(
@@ -37,12 +37,13 @@ def check(
 ) -> None:
     """Check a certificate without trusting the prover that wrote it.
 
-    --bundle also checks whether the certificate applies to an exported controller: every number that it assumes is
-    compared with the manifest of the bundle, every hash is computed again, and what it states about the law is compared
-    with the law's instruction list at hundreds of points. The output names the parts of the controller that the
-    certificate does not cover. An inequality with slack holds only to within this slack and does not prove asymptotic
-    stability. Exit status: 0 if the certificate is accepted (and applies to the controller), 1 if it is rejected,
-    belongs to another controller, or states a number that nothing binds, 2 if a file is not a certificate or bundle.
+    --bundle also checks whether the certificate applies to an exported controller: the checker compares every number of
+    the certificate with the manifest of the bundle, and computes every hash again. It also compares the certificate's
+    statement about the law with the law's instruction list at hundreds of points. The output names the parts of the
+    controller that the certificate does not cover. An inequality with slack holds only to within this slack and does
+    not prove asymptotic stability. Exit status: 0 if the certificate is accepted (and applies to the controller), 1 if
+    it is rejected, belongs to another controller, or states a number that the bundle does not contain, 2 if a file is
+    not a certificate or bundle.
 
     Examples: surctl check proofs/v2-static.json; surctl check firmware/certificate-v2-static.json --bundle firmware
     """
@@ -68,7 +69,7 @@ def check(
         finish(outcome.to_dict(), printable(lines), as_json=as_json, passed=outcome.accepted, brief=printable(brief))
         return
     manifest = read_bundle(bundle)
-    nothing: dict[str, Any] = {"belongs": False, "differs": [], "unbound": [], "excludes": []}
+    nothing: dict[str, Any] = {"belongs": False, "differs": [], "unbound": [], "undecided": [], "excludes": []}
     result = {**outcome.to_dict(), "bundle": {"id": manifest.id, **nothing}}
     if outcome.accepted:
         # the file is read once: the claim that was checked is the claim that is compared
@@ -86,6 +87,7 @@ def check(
             if differs
             else [f"  not bound: {text}, which nothing of the bundle states" for text in comparison.unbound]
         )
+        lines += [f"  not shown: {text}" for text in comparison.undecided]
         lines += [f"  not covered: {text}" for text in comparison.excludes]
     brief[1:1] = map(str.strip, lines[said:])
     passed = bool(result["bundle"]["belongs"])

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 import shlex
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from surctl.cli.output import finish, progress, refusal_line, saving, stoppable, timed
+from surctl.errors import InputError, NotApplicable
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -21,8 +23,7 @@ if TYPE_CHECKING:
     from surctl.verification.formula import Statement
 
 __all__ = [
-    "Braking",
-    "Regions",
+    "Proofs",
     "are_problems",
     "check_regions",
     "claim_line",
@@ -77,20 +78,39 @@ def claim_line(verdict: Verdict) -> str:
     return f"{mark} {verdict.claim.name:<22} {verdict.verdict}{where}"
 
 
-class Regions(NamedTuple):
-    """The result of the region claims.
+class Proofs(NamedTuple):
+    """The result of region or braking claims.
 
     Attributes:
         claims: plain data of each claim.
         lines: lines to print.
         files: certificate files.
-        instead: name of a claim that applies to the vehicle, if one that was asked for does not; "" if there is none.
+        instead: name of a region claim that applies to the vehicle, if a stated one does not; "" if there is none.
     """
 
     claims: list[dict[str, Any]]
     lines: list[str]
     files: list[Path]
-    instead: str
+    instead: str = ""
+
+
+def _proofs(todo: Sequence[tuple[str, Callable[[], Any]]], refused: Sequence[Inapplicable], out: Path | None) -> Proofs:
+    """Prove claims, each with its name and function, and write the certificates to `out` as NAME.json."""
+    proofs, files = [], []
+    for name, prove in todo:
+        with timed(name):
+            proof = prove()
+        proofs.append(proof)
+        if out is not None and proof.verdict == "proved":
+            with saving(f"certificate of {name}"):
+                out.mkdir(parents=True, exist_ok=True)
+                file = out / f"{name}.json"
+                proof.write(file)
+                files.append(file)
+    marks = ["FAIL" if p.verdict != "proved" else "ok  " if getattr(p, "useful", True) else "open" for p in proofs]
+    lines = [f"{mark} {p.claim.name:<22} {p.sentence}" for mark, p in zip(marks, proofs, strict=True)]
+    lines += [refusal_line(one) for one in refused]
+    return Proofs([*(p.to_dict() for p in proofs), *(one.to_dict() for one in refused)], lines, files)
 
 
 def is_region(word: str) -> bool:
@@ -131,7 +151,6 @@ def check_regions(
     Raises:
         InputError: a claim is unknown or has a mistake.
     """
-    from surctl.errors import InputError, NotApplicable
     from surctl.verification import Inapplicable
 
     cruise, cap = speeds
@@ -155,8 +174,6 @@ def require_own_speeds(words: Sequence[str], cruise: float | None, cap: float | 
         cruise: cruise speed of the option [m/s]; None if it is not set.
         cap: speed limit of the option [m/s]; None if it is not set.
     """
-    from surctl.errors import InputError
-
     for word in words:
         statement = region_of(word)
         stated = {"cruise_m_per_s", "cap_m_per_s"} & statement.model_fields_set
@@ -176,7 +193,7 @@ def prove_regions(
     speeds: tuple[float, float],
     seed: int = 0,
     out: Path | None = None,
-) -> Regions:
+) -> Proofs:
     """Prove region claims for a vehicle and a gain file; the certificates are written to `out` as NAME.json.
 
     Args:
@@ -198,39 +215,19 @@ def prove_regions(
     values = load_gains(gains) if isinstance(gains, str) else gains
     cruise, cap = speeds
     stated, refused = check_regions(words, robot, values, speeds)
-    proofs, files = [], []
-    for word, statement in stated.items():
-        if word in refused:
-            continue
-        name = statement.name
-        with timed(name):
-            proof = prove_statement(statement, robot, values, seed=seed, cruise=cruise, cap=cap)
-        proofs.append(proof)
-        if out is not None and proof.verdict == "proved":
-            with saving(f"certificate of {name}"):
-                file = out / f"{name}.json"
-                proof.write(file)
-                files.append(file)
-    marks = ["ok  " if p.useful else "open" if p.verdict == "proved" else "FAIL" for p in proofs]
-    lines = [f"{mark} {p.claim.name:<22} {p.sentence}" for mark, p in zip(marks, proofs, strict=True)]
-    lines += [refusal_line(one) for one in refused.values()]
-    data = [*(p.to_dict() for p in proofs), *(one.to_dict() for one in refused.values())]
+    todo = [
+        (one.name, partial(prove_statement, one, robot, values, seed=seed, cruise=cruise, cap=cap))
+        for word, one in stated.items()
+        if word not in refused
+    ]
+    result = _proofs(todo, list(refused.values()), out)
     known = {statement.name for statement in stated.values()}
     others = [name for name in ("region-turning-20", "region-steered-20") if name not in known]
     instead = applicable_region(others, robot, values, cruise=cruise, cap=cap) if refused and others else None
-    return Regions(data, lines, files, instead.name if isinstance(instead, RegionStatement) else "")
+    return result._replace(instead=instead.name if isinstance(instead, RegionStatement) else "")
 
 
 _KINDS = ("braking-rule", "braking-inertia", "braking-simple")
-
-
-class Braking(NamedTuple):
-    """The result of the braking claims: plain data, lines to print, certificate files, whether all are proved."""
-
-    claims: list[dict[str, Any]]
-    lines: list[str]
-    files: list[Path]
-    passed: bool
 
 
 def is_braking(name: str) -> bool:
@@ -238,9 +235,7 @@ def is_braking(name: str) -> bool:
     return name.startswith(_KINDS)
 
 
-def prove_all(
-    names: Sequence[str], *, vehicle: str, gains: str | Gains, cap: float, out: Path | None = None
-) -> Braking:
+def prove_all(names: Sequence[str], *, vehicle: str, gains: str | Gains, cap: float, out: Path | None = None) -> Proofs:
     """Prove the named braking claims for a vehicle, gains (or their file) and a speed limit `cap` [m/s].
 
     The certificates are written to the folder `out` as NAME.json.
@@ -249,8 +244,7 @@ def prove_all(
         InputError: a claim, vehicle or gain file is unknown; the error is raised before the first proof.
     """
     if not names:
-        return Braking([], [], [], True)
-    from surctl.errors import NotApplicable
+        return Proofs([], [], [])
     from surctl.marine.control import load_gains
     from surctl.marine.vehicle import load_vehicle
     from surctl.marine.verification.braking import braking_claim_named, prove_braking
@@ -258,26 +252,15 @@ def prove_all(
 
     robot = load_vehicle(vehicle)
     values = load_gains(gains) if isinstance(gains, str) else gains
-    proofs, files, claims, refused = [], [], [], []
+    todo, refused = list[tuple[str, Callable[[], Any]]](), []
     for name in names:
         try:
-            claims.append(braking_claim_named(name, robot, values, cap=cap))
+            claim = braking_claim_named(name, robot, values, cap=cap)
         except NotApplicable as reason:
             refused.append(Inapplicable.of(name, reason))
-    for claim in claims:
-        with timed(claim.name):
-            proof = prove_braking(claim)
-        proofs.append(proof)
-        if out is not None and proof.verdict == "proved":
-            with saving(f"certificate of {claim.name}"):
-                out.mkdir(parents=True, exist_ok=True)
-                file = out / f"{claim.name}.json"
-                proof.write(file)
-                files.append(file)
-    lines = [f"{'ok  ' if p.verdict == 'proved' else 'FAIL'} {p.claim.name:<22} {p.sentence}" for p in proofs]
-    lines += [refusal_line(one) for one in refused]
-    data = [*(p.to_dict() for p in proofs), *(one.to_dict() for one in refused)]
-    return Braking(data, lines, files, not refused and all(p.verdict == "proved" for p in proofs))
+        else:
+            todo.append((claim.name, partial(prove_braking, claim)))
+    return _proofs(todo, refused, out)
 
 
 def are_problems(words: Sequence[str], *, only: Sequence[str]) -> bool:
@@ -296,7 +279,6 @@ def are_problems(words: Sequence[str], *, only: Sequence[str]) -> bool:
     import click
     from click.core import ParameterSource
 
-    from surctl.errors import InputError
     from surctl.lyapunov import is_problem
 
     about = [word for word in files if is_problem(Path(word))]
@@ -318,7 +300,6 @@ def are_problems(words: Sequence[str], *, only: Sequence[str]) -> bool:
 
 def verify_motion(words: Sequence[str], *, seed: int, time_limit: float, out: Path | None, as_json: bool) -> None:
     """Prove or refute the claims; exit with status 1 if a verdict is not the expected one."""
-    from surctl.errors import InputError
     from surctl.files import prepare_folder
     from surctl.lyapunov import load_problem, solve
 

@@ -26,6 +26,7 @@ from surctl.cli.robot_options import (
 )
 from surctl.cli.sensor_options import SensorOptions, sensor_data, sensor_options, split_faults
 from surctl.cli.subject import assigned, cost_data, cost_lines, end_text, is_system, load_system, seconds_option
+from surctl.errors import InputError, nearest
 
 if TYPE_CHECKING:
     from surctl.export import CheckReport, ProofReport, Records, SilReport
@@ -61,7 +62,6 @@ class ExportOptions:
             InputError: `--check` is missing, or a target is unknown.
             ToolMissing: there is no C compiler.
         """
-        from surctl.errors import InputError
         from surctl.export.emulated import chosen_targets
         from surctl.ir import find_compiler
 
@@ -135,23 +135,16 @@ class Compared(NamedTuple):
 )
 @law_option
 @click.option(
-    "--avoidance",
-    default="corrected",
-    metavar="NAME",
-    help="Eq. (20): corrected (default), consistent or printed.",
+    "--avoidance", default="corrected", metavar="NAME", help="Eq. (20): corrected (default), consistent or printed."
 )
 @click.option("--guidance", default="los", metavar="NAME", help="Path guidance: los (default), ilos or alos.")
 @priority_options
-@click.option("--sensing", metavar="NAME", help="Obstacles: sonar (default if the law has it) or truth.")
+@click.option("--sensing", metavar="NAME", help="Obstacles: sonar (default if the law can) or truth.")
 @sensor_options
 @click.option("--name", metavar="TEXT", help="Prefix of files and C symbols (default: the law's name).")
 @click.option("--target", default="c99", metavar="NAME", help="Output: c99 (default), fmu (FMI 2), fmu3 or mjcf.")
 @click.option("--real", default="float64", metavar="NAME", help="Number type: float64 (default) or float32.")
-@click.option(
-    "--constant-gains",
-    is_flag=True,
-    help="Compile gains and mission as constants; needs --sensing truth.",
-)
+@click.option("--constant-gains", is_flag=True, help="Compile gains and mission as constants; needs --sensing truth.")
 @click.option(
     "--certificate",
     "certificates",
@@ -160,15 +153,11 @@ class Compared(NamedTuple):
     metavar="FILE",
     help="Certificate to add to the bundle; may be repeated.",
 )
-@click.option("--check", is_flag=True, help="Compare the C of several compilers and processors with Python.")
-@click.option(
-    "--prove",
-    is_flag=True,
-    help="Prove that no run-time error occurs (Frama-C's Eva).",
-)
+@click.option("--check", is_flag=True, help="Compare C code and Python for all --targets.")
+@click.option("--prove", is_flag=True, help="Prove that no run-time error occurs (Frama-C's Eva).")
 @click.option("--targets", metavar="A,B", help="Compilers and processors that --check uses (default: all available).")
 @click.option(
-    "--steps", type=click.IntRange(min=1), metavar="N", help="Single steps that --check tries (default 100000)."
+    "--steps", type=click.IntRange(min=1), metavar="N", help="Single steps that --check compares (default 100000)."
 )
 @click.option(
     "--out",
@@ -197,9 +186,9 @@ def export(
     """Write the controller as C99, compile it, and compare it with Python at every step of a simulated run.
 
     Sensor options override the scenario's tables. --check also runs code built by gcc and clang at -O0 to -O3 and on
-    QEMU's Cortex-M3, -M4F and -M7: every output byte must equal Python's. --prove takes minutes with sonar sensing; it
-    covers gains within the ranges of the gain file. FILE.py:FUNCTION names a system of your own, whose controller is
-    exported. Exit status: 1 if C and Python differ, or if the replayed run collides or does not arrive.
+    QEMU's Cortex-M3, -M4F and -M7: every output byte must equal that of Python. --prove takes minutes with sonar
+    sensing; the proof covers all gains within the ranges of the gain file. FILE.py:FUNCTION exports the controller of a
+    system of your own. Exit status: 1 if C and Python differ, or if the replayed run collides or does not arrive.
 
     Examples: surctl export --gains surctl-out/gains.toml --out firmware; surctl export --law closed_form --sensing
     truth --constant-gains --check; surctl export my_system.py:build --seconds 5
@@ -214,7 +203,6 @@ def export(
     import numpy as np
 
     from surctl.cli.runs import failure
-    from surctl.errors import InputError, nearest
     from surctl.export import (
         REALS,
         Records,
@@ -400,7 +388,6 @@ def export_system(
         InputError: an option is not available, `--check` is missing, or the name is one of `reserved`.
     """
     from surctl.assessment import ClosedLoop, assess
-    from surctl.errors import InputError, nearest
     from surctl.export.bundle import build_bundle, check_folder, write_bundle
     from surctl.export.envelope import as_records
     from surctl.export.evidence import evidence_of, with_evidence
@@ -471,7 +458,6 @@ def export_scene(scenario: str, vehicle: str | None, *, out: Path, as_json: bool
         InputError: an option concerns the controller, which is not part of the model, or the hull starts inside an
             obstacle.
     """
-    from surctl.errors import InputError
     from surctl.marine.engine import EngineOptions, write_mjcf
     from surctl.marine.simulation import load_scenario
     from surctl.marine.vehicle import load_vehicle

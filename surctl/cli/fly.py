@@ -10,6 +10,7 @@ import click
 
 from surctl.cli.output import FiniteRange, Stopped, as_json, finish, progress, waiting
 from surctl.cli.robot_options import GAINS_HELP, choose_gains, choose_law, law_option
+from surctl.errors import InputError, SurctlError, nearest
 
 if TYPE_CHECKING:
     from surctl.marine.bridge import Act, Address, Bridge, LinkQuality, RehearsalResult
@@ -27,7 +28,9 @@ _SYSTEM = click.IntRange(1, 255)
 @click.option("--vehicle", metavar="FILE", help="Vehicle: name or file (default: the scenario's).")
 @click.option("--gains", metavar="FILE", help=GAINS_HELP)
 @law_option
-@click.option("--sensing", default="truth", metavar="NAME", help="Obstacles as reported: truth (default), or sonar.")
+@click.option(
+    "--sensing", default="truth", metavar="NAME", help="Obstacles: truth (reported positions, default) or sonar."
+)
 @click.option("--mode", default="alt_hold", metavar="NAME", help="Mode: alt_hold (default), manual or guided.")
 @click.option(
     "--send", default="rc", metavar="NAME", help="Messages: rc (channel overrides, default) or manual (MANUAL_CONTROL)."
@@ -88,17 +91,16 @@ def fly(
 ) -> None:
     """Steer an ArduSub vehicle along a scenario's path by the exported law, over MAVLink.
 
-    The bridge steers only after the operator arms the vehicle in the mode of --mode, and never arms it. Loss of the
-    link or of the position makes the thrust neutral; after a long loss, a restart or a change of mode, the operator
-    must disarm and arm again. Read notebooks/guides/field.md first. Exit status: 1 if the vehicle does not arrive,
-    or touches something in a rehearsal.
+    The bridge steers only after the operator arms the vehicle in the mode of --mode; the bridge never arms the vehicle.
+    If the link or the position is lost, the thrust is neutral; after a long loss, a restart or a change of mode, the
+    operator must disarm and arm again. Read notebooks/guides/field.md first. Exit status: 1 if the vehicle does not
+    arrive, or collides in a rehearsal.
 
     Examples: surctl fly tank-speed-015 --dry-run; surctl fly tank-speed-015 --mavlink udp:0.0.0.0:14550
     """
     from math import radians
 
     from surctl.cli.robot_options import choose_vehicle
-    from surctl.errors import InputError, nearest
     from surctl.files import prepare_folder
     from surctl.marine.bridge import Bridge, LinkQuality, Wire, mode_of, parse_address, parse_site, plan_session
     from surctl.marine.control import law_source
@@ -163,7 +165,6 @@ def fly(
 def _live(bridge: Bridge, address: Address, out: Path) -> tuple[bool, list[str]]:
     import time
 
-    from surctl.errors import SurctlError
     from surctl.marine.bridge import Ended, SessionRecord, run_session
 
     waiting()
@@ -210,7 +211,6 @@ def _stem(mission: Scenario, seed: int) -> str:
 
 
 def _act(text: str) -> Act:
-    from surctl.errors import InputError, nearest
     from surctl.marine.bridge import ACTIONS, Act
 
     at, _, action = text.partition(":")

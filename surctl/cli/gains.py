@@ -13,6 +13,7 @@ import click
 from surctl.cli.new import write_new
 from surctl.cli.output import FiniteRange, as_json, finish
 from surctl.cli.robot_options import derive_words, margin_short
+from surctl.errors import InputError
 
 if TYPE_CHECKING:
     from surctl.marine.simulation import SafetyClaim
@@ -27,7 +28,7 @@ _SPEED = FiniteRange(min=0, max=100, min_open=True)
 
 @click.group()
 def gains() -> None:
-    """Write a gain file: derive, gains that follow from a vehicle.
+    """Write a gain file; the command derive computes the gains from a vehicle.
 
     Example: surctl gains derive rov.toml --cruise 0.3 --out gains.toml
     """
@@ -47,14 +48,13 @@ def gains() -> None:
 def derive(
     vehicle: str, cruise: float | None, margin: float | None, out: Path | None, force: bool, as_json: bool
 ) -> None:
-    """Derive gains from the mass, drag, thrust, lag and hull of a vehicle, and state the margin that they reach.
+    """Derive gains from the mass, drag, thrust, lag and hull of a vehicle, and print the disk margin with these gains.
 
-    VEHICLE is a name or a file. If no gains reach the disk margin at the cruise speed, the largest speed at which
-    derived gains reach it is printed. Exit status: 1 if the margin is not reached.
+    VEHICLE is a name or a file. If no derived gains have the required disk margin at the cruise speed, the command
+    prints the largest speed at which they have it, and the exit status is 1.
 
     Examples: surctl gains derive bluerov2-wu; surctl gains derive rov.toml --cruise 0.3 --out gains.toml
     """
-    from surctl.errors import InputError
     from surctl.marine.control import write_gains
     from surctl.marine.simulation import SafetyClaim
     from surctl.marine.tuning import default_cruise, derive_gains

@@ -6,6 +6,8 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from surctl.errors import InputError
+
 if TYPE_CHECKING:
     from surctl.assessment import Assessment
     from surctl.marine.assessment import LoopAnalysis, Mission
@@ -95,7 +97,6 @@ def _cruise_lines(loop: LoopAnalysis, mission: Mission) -> tuple[list[str], dict
 
 
 def _by_sonar(mission: Mission) -> tuple[list[str], list[dict[str, Any]]]:
-    from surctl.errors import InputError
     from surctl.marine.control import build_law
     from surctl.marine.sensing import OwnState
     from surctl.marine.verification import sonar_margins

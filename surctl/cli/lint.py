@@ -12,6 +12,7 @@ import click
 
 from surctl.cli.output import as_json, finish, printable
 from surctl.cli.robot_options import derive_words, margin_short
+from surctl.errors import InputError
 
 if TYPE_CHECKING:
     from surctl.marine.assessment import Mission
@@ -147,7 +148,6 @@ def _linted(file: str, vehicle: str | None) -> _Linted:
         InputError: the file cannot be read, or is of no known kind.
     """
     from surctl.cli.robot_options import choose_vehicle
-    from surctl.errors import InputError
     from surctl.files import pick, read_toml
     from surctl.lyapunov import load_problem
     from surctl.marine.assessment import Mission

@@ -8,6 +8,7 @@ from textwrap import wrap
 import click
 
 from surctl.cli.output import as_json, finish
+from surctl.errors import InputError, nearest
 
 __all__ = ["listing"]
 
@@ -21,7 +22,6 @@ def listing(show: str | None, as_json: bool) -> None:
     Example: surctl list --show sur540-flooded > my-vehicle.toml
     """
     from surctl import tuning
-    from surctl.errors import InputError, nearest
     from surctl.marine import control, simulation, study, vehicle
     from surctl.marine.verification import claims
     from surctl.marine.verification.braking import BRAKING_CLAIMS

@@ -35,10 +35,7 @@ def scenario() -> None:
     help="Height of the path [m], below 0 (default: the lowest of the plan).",
 )
 @click.option(
-    "--margin",
-    type=FiniteRange(min=0, min_open=True),
-    default=5.0,
-    help="Free water around the path [m] (default 5).",
+    "--margin", type=FiniteRange(min=0, min_open=True), default=5.0, help="Free water around the path [m] (default 5)."
 )
 @click.option("--out", type=click.Path(path_type=Path), metavar="FILE", help="File to write (default NAME.toml).")
 @click.option("--force", is_flag=True, help="Overwrite an existing file.")
@@ -57,8 +54,9 @@ def from_plan(
     """Take the path of a QGroundControl plan (.plan) or of a GPX file.
 
     Latitude and longitude become x east and y north in metres, in a site around the path. The home position of a plan
-    is at the surface; circles that its geofence excludes become cylinders. What else changes the motion and is not
-    used, such as hold times, is listed. The speed is --cruise, else that of the plan, else 0.15 m/s.
+    is at the surface; circles that the geofence of the plan excludes become cylinders. The command lists entries of the
+    plan that it does not use although they change the motion, such as hold times. The speed is --cruise, else the speed
+    of the plan, else 0.15 m/s.
 
     Example: surctl scenario from-plan survey.plan --depth -2 --out survey.toml
     """

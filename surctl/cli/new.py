@@ -10,6 +10,7 @@ from pathlib import Path
 import click
 
 from surctl.cli.output import as_json, finish
+from surctl.errors import InputError
 
 __all__ = ["new", "path_of", "write_new"]
 
@@ -19,11 +20,7 @@ _NEXT = {
     "scenario": ("surctl lint {}", "surctl simulate {}"),
     "study": ("surctl lint {}", "surctl study {}"),
     "task": ("python {}",),
-    "law": (
-        "python {}",
-        "surctl new scenario open-water",
-        "surctl simulate open-water.toml --law {}:@IDENTIFIER@",
-    ),
+    "law": ("python {}", "surctl new scenario open-water", "surctl simulate open-water.toml --law {}:@IDENTIFIER@"),
     "system": (
         "surctl study {}:build",
         "surctl simulate {}:build --out plots",
@@ -53,7 +50,6 @@ def new(kind: str, name: str, out: Path | None, force: bool, as_json: bool) -> N
     Examples: surctl new system pendulum; surctl new vehicle my-robot; surctl new scenario harbour --out
     sites/harbour.toml; surctl new law my-law
     """
-    from surctl.errors import InputError
     from surctl.files import quoted
 
     template = next(_TEMPLATES.glob(f"{kind}.*"))
@@ -77,8 +73,6 @@ def path_of(name: str, suffix: str) -> Path:
     Raises:
         InputError: the name is empty, contains a folder, or has characters that cannot be printed.
     """
-    from surctl.errors import InputError
-
     if not name.strip() or Path(name).name != name or not name.isprintable():
         raise InputError("cannot be a file name", key="name", value=name, remedy="choose a file with --out FILE")
     return Path(f"{name}{suffix}")
@@ -90,7 +84,6 @@ def write_new(target: Path, text: str, *, force: bool) -> Path:
     Raises:
         InputError: the file exists and `force` is not set, or the file cannot be written.
     """
-    from surctl.errors import InputError
     from surctl.files import write_file
 
     try:

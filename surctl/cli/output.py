@@ -306,7 +306,7 @@ as_json = together(
         expose_value=False,
         envvar="SURCTL_VERBOSE",
         callback=_set_verbose,
-        help=f"Print all lines, not only {_MOST} that summarise them.",
+        help=f"Print all lines, not only a summary of {_MOST} lines.",
     ),
 )
 """A decorator that adds the options of the output, `--json` and `--verbose`, to a command that ends with `finish`."""

@@ -21,8 +21,8 @@ __all__ = ["reproduce", "row_lines"]
 @click.option(
     "--seeds", type=click.IntRange(min=1), metavar="N", help="Number of seeds for each scenario (default 20)."
 )
-@click.option("--independent", is_flag=True, help="Simulate each scenario in MuJoCo, too: one more column.")
-@click.option("--webots", is_flag=True, help="Simulate with sonars and Webots' echoes, too: one more column.")
+@click.option("--independent", is_flag=True, help="Simulate each scenario in MuJoCo, too (adds a column).")
+@click.option("--webots", is_flag=True, help="Simulate with sonars and Webots' echoes, too (adds a column).")
 @out_folder
 @as_json
 def reproduce(
@@ -34,7 +34,7 @@ def reproduce(
     out: Path | None,
     as_json: bool,
 ) -> None:
-    """Compute the paper's results again and compare: one row per result, all rows or only those with the given ids.
+    """Compute the paper's results again and compare: one row for each result, all rows or only the named ROWS.
 
     Exit status: 1 if a row is missing, a verdict differs from the recorded one, or a simulated run collides or does not
     arrive. A travel time that differs from the paper's is printed with the reason. --out writes a page with the paper's

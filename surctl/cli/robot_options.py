@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import click
 
 from surctl.cli.output import together
+from surctl.errors import InputError, nearest
 
 if TYPE_CHECKING:
     from surctl.marine.control import Gains, GainSpec, Law
@@ -77,8 +78,6 @@ def choose_vehicle(
         return VehicleChoice(option, "--vehicle")
     if scenario is not None:
         if scenario[1].endswith(".toml") and not Path(scenario[1]).is_file():
-            from surctl.errors import InputError
-
             key, remedy = f"vehicle of scenario {scenario[0]}", "correct the entry, or give --vehicle"
             raise InputError("no such file", key=key, value=scenario[1], remedy=remedy)
         return VehicleChoice(scenario[1], f"scenario {scenario[0]}")
@@ -182,7 +181,6 @@ def choose_law(law: str | None, vehicles: Sequence[Vehicle]) -> tuple[str, list[
     Raises:
         InputError: the law is unknown, a vehicle lacks a force that it needs, or the vehicles need different laws.
     """
-    from surctl.errors import InputError
     from surctl.marine.control import LAW_NAMES, check_forces, default_law, law_ref
 
     if law is not None:
@@ -207,21 +205,15 @@ def law_words(reference: str) -> list[str]:
     return ["--law", own_file(reference)]
 
 
-trust_option = click.option("--trust", is_flag=True, help="Run the law of your own that FILE names.")
+trust_option = click.option("--trust", is_flag=True, help="Allow surctl to run the law of your own in FILE.")
 
 
 priority_options = together(
     click.option(
-        "--priority-mode",
-        default="nsb",
-        metavar="NAME",
-        help="Mode: nsb (default), filter, projected, lexicographic.",
+        "--priority-mode", default="nsb", metavar="NAME", help="Mode: nsb (default), filter, projected, lexicographic."
     ),
     click.option(
-        "--fallback",
-        default="exact",
-        metavar="NAME",
-        help="If limits conflict: exact (default), or bounded cost.",
+        "--fallback", default="exact", metavar="NAME", help="If limits conflict: exact (default) or bounded cost."
     ),
 )
 """A decorator that adds these options to a command; the command receives them as `priority_mode` and `fallback`."""
@@ -229,10 +221,7 @@ priority_options = together(
 
 barrier_options = together(
     click.option(
-        "--barrier",
-        default="simple",
-        metavar="NAME",
-        help="Bound on approach speed: simple (default) or inertia.",
+        "--barrier", default="simple", metavar="NAME", help="Bound on approach speed: simple (default) or inertia."
     ),
     click.option("--movers", default="predict", metavar="NAME", help="Moving obstacles: predict (default) or barrier."),
 )
@@ -241,7 +230,6 @@ barrier_options = together(
 
 def check_barrier(barrier: str, movers: str) -> None:
     """Raise InputError if one of the options has an unknown value."""
-    from surctl.errors import InputError, nearest
     from surctl.marine.control import BARRIER_NAMES, MOVERS
 
     for key, value, known in (("barrier", barrier, BARRIER_NAMES), ("movers", movers, MOVERS)):
@@ -303,7 +291,6 @@ class Speeds(click.ParamType):  # type: ignore[type-arg]  # generic since click 
 
     def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> tuple[float, ...]:
         """Return the cruise speeds, slowest first; InputError if the text is not a list or range of speeds."""
-        from surctl.errors import InputError
         from surctl.marine.verification import cruise_speeds
         from surctl.tuning import Span, parse_axis
 
@@ -388,7 +375,6 @@ def export_command(
 
 
 def _fits(scenario: Scenario, vehicle: Vehicle) -> bool:
-    from surctl.errors import InputError
     from surctl.marine.simulation import findings
 
     try:

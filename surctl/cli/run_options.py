@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from surctl.cli.output import doing, progress, saving, together
+from surctl.errors import InputError
 
 if TYPE_CHECKING:
     import numpy as np
@@ -41,8 +42,6 @@ class NamedFile(click.Path):
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """Return the path; raise InputError if the name is empty."""
         if value == "":
-            from surctl.errors import InputError
-
             raise InputError("is empty", key=param.opts[0] if param else None, value=value, remedy="name a file")
         return super().convert(value, param, ctx)
 
@@ -59,7 +58,6 @@ def check_animate(path: Path | None, *, runs: int, campaign: bool, film: Path | 
     """
     if path is None:
         return
-    from surctl.errors import InputError
     from surctl.files import prepare_folder
     from surctl.marine.report.animation import check_animation
 
@@ -113,7 +111,6 @@ class PlantOptions:
             InputError: an option is wrong, or does not go with another one.
             ToolMissing: MuJoCo is not installed, or no program writes the film.
         """
-        from surctl.errors import InputError
         from surctl.marine.engine import parse_plant
 
         chosen = parse_plant(self.plant)
@@ -163,8 +160,6 @@ class PlantOptions:
 
     def fit(self, options: EngineOptions | None, vehicles: Iterable[Vehicle]) -> None:
         """Raise InputError if the options do not fit one of the vehicles."""
-        from surctl.errors import InputError
-
         for vehicle in vehicles if options is not None else ():
             try:
                 assert options is not None
@@ -241,18 +236,12 @@ class PlantOptions:
 
 
 controller_options = together(
-    click.option(
-        "--controller",
-        metavar="URL",
-        help="Law as C: c, tcp://HOST:PORT or qemu:cortex-m4f.",
-    ),
+    click.option("--controller", metavar="URL", help="Law as C: c, tcp://HOST:PORT or qemu:cortex-m4f."),
     click.option("--link-loss", type=float, metavar="P", help="Probability that a message is lost (default 0)."),
     click.option("--link-delay", type=float, metavar="S", help="Delay of each command [s] (default 0)."),
     click.option("--link-deadline", type=float, metavar="S", help="Largest age of a used command [s] (default 0.25)."),
     click.option("--link-compact", is_flag=True, help="Request short replies, for a slow line."),
-    click.option(
-        "--link-timeout", type=float, metavar="S", help="Stop if the link is silent for S seconds (default 5)."
-    ),
+    click.option("--link-timeout", type=float, metavar="S", help="Stop after S seconds without a message (default 5)."),
 )
 
 
@@ -269,8 +258,6 @@ class ControllerOptions:
 
     def check(self, *, campaign: bool) -> None:
         """Raise InputError for options that exclude each other, or that require another option that is not given."""
-        from surctl.errors import InputError
-
         options = {
             "loss": self.link_loss,
             "delay": self.link_delay,
@@ -317,7 +304,6 @@ class ControllerOptions:
         if self.controller in (None, "c"):
             yield None
             return
-        from surctl.errors import InputError
         from surctl.export import connect, emulated, emulated_target
         from surctl.marine.export import build_bundle, closed_form, operating_envelope
 

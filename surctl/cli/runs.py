@@ -12,6 +12,7 @@ import click
 
 from surctl.cli.output import finish, progress, same_command, saving, stoppable, together
 from surctl.cli.robot_options import RobotOptions, choose_gains, choose_vehicle
+from surctl.errors import InputError, NotApplicable
 
 if TYPE_CHECKING:
     from surctl.cli.sensor_options import SensorOptions
@@ -60,12 +61,7 @@ def activity_line(run: Run) -> str:
     m = run.metrics
     angles = f"crab angle {m.crab_angle_deg:.0f} deg (largest {m.max_crab_angle_deg:.0f}), " * (m.crab_angle_deg >= 0)
     angles += f"heading error {m.heading_error_deg:.0f} deg; " * (m.heading_error_deg >= 0)
-    axes = (
-        m.variation_surge_n_per_s,
-        m.variation_sway_n_per_s,
-        m.variation_heave_n_per_s,
-        m.variation_yaw_n_m_per_s,
-    )
+    axes = (m.variation_surge_n_per_s, m.variation_sway_n_per_s, m.variation_heave_n_per_s, m.variation_yaw_n_m_per_s)
     varies = ", ".join(f"{one if abs(one) > _ROUNDING else 0:.2g}" for one in axes)
     return (
         f"  {angles}thrust varies by {varies} (N/s in surge, sway, heave, N m/s in "
@@ -158,7 +154,6 @@ def linear_warning(
     has no linear loop, or if the thrust cannot hold the speed (which lint reports). `crab` is appended to the first
     line.
     """
-    from surctl.errors import InputError
     from surctl.marine.verification.cruise_loop import has_cruise_loop
     from surctl.marine.verification.linear import corner_margin, slowest_mode
     from surctl.verification.linear import LEAST_DISK_MARGIN
@@ -182,7 +177,6 @@ def linear_warning(
 
 
 def _sampled_part(run: Run, result: dict[str, Any]) -> list[str]:
-    from surctl.errors import InputError
     from surctl.marine.verification import law_loop
 
     try:
@@ -236,9 +230,9 @@ def further_output(
 MOST_ROWS = 100  # largest number of runs printed as JSON; the files in the output folder hold all runs
 
 campaign_options = together(
-    click.option("--monte-carlo", is_flag=True, help="Draw vehicle and obstacles of each run at random."),
+    click.option("--monte-carlo", is_flag=True, help="Sample vehicle and obstacles of each run at random."),
     click.option(
-        "--random-worlds", "worlds", type=click.IntRange(1, 1_000_000), metavar="N", help="Simulate N worlds."
+        "--random-worlds", "worlds", type=click.IntRange(1, 1_000_000), metavar="N", help="Simulate N random worlds."
     ),
     click.option("--worst", type=click.IntRange(0, 1000), metavar="N", help="Worst runs to save (default 5)."),
     click.option("--threads", type=click.IntRange(1, 1024), metavar="N", help="Parallel runs (default 2; MuJoCo 1)."),
@@ -277,8 +271,6 @@ class CampaignOptions:
 
     def check(self, *, scenarios: tuple[str, ...], runs: int, explained: bool, out: Path | None) -> None:
         """Raise InputError for options that exclude each other, or that require another option that is not given."""
-        from surctl.errors import InputError
-
         if not self.any:
             for key, value in (("--worst", self.worst), ("--threads", self.threads), ("--fresh", self.fresh or None)):
                 if value is not None:
@@ -306,13 +298,7 @@ class CampaignOptions:
             raise InputError("is named twice", key="SCENARIOS", value=" ".join(scenarios), remedy="name each once")
 
     def plans(
-        self,
-        scenarios: tuple[str, ...],
-        robot: RobotOptions,
-        sensors: SensorOptions,
-        *,
-        law: str,
-        seed: int,
+        self, scenarios: tuple[str, ...], robot: RobotOptions, sensors: SensorOptions, *, law: str, seed: int
     ) -> list[Plan]:
         """Return the plans of the requested campaigns.
 
@@ -359,7 +345,6 @@ class CampaignOptions:
 
         `vehicle` is the value of the option `--vehicle`, or None.
         """
-        from surctl.errors import InputError
         from surctl.files import write_file
         from surctl.marine.simulation.campaign.campaign import CampaignFolder, run_campaign
 
@@ -448,7 +433,6 @@ def _claim(case: Case) -> SafetyClaim | Inapplicable:
     # for the unchanged scenario and the vehicle's parameter ranges
     from math import inf
 
-    from surctl.errors import NotApplicable
     from surctl.marine.simulation import safety_claim, turn_rate
     from surctl.marine.simulation.echo_fit import detection_range
     from surctl.verification import Inapplicable
@@ -506,8 +490,6 @@ def simulate_again(
 
     for name, source in _typed().items():
         if name not in ("replayed", "trust", "explained", "out", "animate", "as_json") and source:
-            from surctl.errors import InputError
-
             known = {param.name: param for param in click.get_current_context().command.params}
             what = known[name].opts[0] if isinstance(known[name], click.Option) else f"the {name}"
             raise InputError(

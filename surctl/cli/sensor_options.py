@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 import click
 
 from surctl.cli.output import together
+from surctl.errors import InputError, nearest
 
 if TYPE_CHECKING:
     from surctl.marine.sensing import Fault, FaultChances, SonarArray
@@ -50,7 +51,7 @@ sensor_options = together(
         "chances",
         multiple=True,
         metavar="KIND=P",
-        help="Probability of this fault per firing; may be repeated.",
+        help="Probability of a fault per ping; may be repeated.",
     ),
     click.option("--beam", type=float, metavar="DEG", help="Sonar beam angle [deg] (default: the scenario's)."),
     click.option("--own-state", metavar="NAME", help="Own pose: measured or truth (default: the scenario's)."),
@@ -60,7 +61,7 @@ sensor_options = together(
 The command receives them as `faults`, `chances`, `beam` and `own_state`."""
 
 
-simulated_echoes = click.option("--echoes", metavar="NAME", help="Surfaces: ideal, webots, specular or diffuse.")
+simulated_echoes = click.option("--echoes", metavar="NAME", help="Echo model: ideal, webots, specular or diffuse.")
 """The option of the simulated echoes, which a law does not know."""
 
 
@@ -84,7 +85,6 @@ class SensorOptions:
 
     def check(self, *, law: str, sensing: str) -> None:
         """Raise InputError for an option that has no effect on the runs, or for an unknown value."""
-        from surctl.errors import InputError, nearest
         from surctl.marine.control import law_source
         from surctl.marine.simulation import SENSING
         from surctl.own_code import label
@@ -153,7 +153,6 @@ def parse_fault(text: str) -> Fault:
     Raises:
         InputError: the kind is unknown, or a part is missing, superfluous, not a number or out of range.
     """
-    from surctl.errors import InputError, nearest
     from surctl.files import validate
     from surctl.marine.sensing import FAULT_KINDS
     from surctl.marine.simulation.sensors import SonarTable
@@ -190,7 +189,6 @@ def parse_chances(texts: Sequence[str]) -> FaultChances:
         InputError: a kind is unknown, does not occur at random or is given twice, P is not a number in [0, 1], or the
             probabilities add up to more than 1.
     """
-    from surctl.errors import InputError, nearest
     from surctl.marine.sensing import FAULT_KINDS, FaultChances
 
     chances: dict[str, float] = {}
@@ -236,7 +234,6 @@ def sensor_data(scenario: Scenario) -> dict[str, Any]:
 
 
 def _checked(array: SonarArray, text: str) -> Fault:
-    from surctl.errors import InputError
     from surctl.marine.sensing import check_faults
 
     fault = parse_fault(text)
@@ -248,7 +245,6 @@ def _checked(array: SonarArray, text: str) -> Fault:
 
 
 def _possible(array: SonarArray, texts: Sequence[str]) -> FaultChances:
-    from surctl.errors import InputError
     from surctl.marine.sensing import check_faults
 
     chances = parse_chances(texts)
@@ -260,8 +256,6 @@ def _possible(array: SonarArray, texts: Sequence[str]) -> FaultChances:
 
 
 def _widened(array: SonarArray, beam: float) -> SonarArray:
-    from surctl.errors import InputError
-
     if not 0 < beam < 180:
         raise InputError("is not a beam angle", key="--beam", value=beam, remedy="give degrees between 0 and 180")
     try:
@@ -292,8 +286,6 @@ def _float(text: str) -> float:
 
 
 def _refuse(problem: str, text: str, remedy: str, *, key: str = "--fault") -> NoReturn:
-    from surctl.errors import InputError
-
     raise InputError(problem, key=key, value=text, remedy=remedy)
 
 
@@ -309,8 +301,6 @@ def split_faults(texts: Sequence[str], *, refused: str | None = None) -> tuple[t
     Raises:
         InputError: a thruster fault cannot be read, or `refused` is given and there is one.
     """
-    from surctl.errors import InputError
-
     mine = [text for text in texts if text.startswith(_KIND)]
     if mine and refused is not None:
         raise InputError("is not for this command", key="--fault", value=mine[0], remedy=refused)
@@ -323,7 +313,6 @@ def parse_thruster_fault(text: str) -> ThrusterFault:
     Raises:
         InputError: a part is missing, superfluous, not a number or out of range.
     """
-    from surctl.errors import InputError
     from surctl.marine.simulation import ThrusterFault
 
     name, *times = text.removeprefix(_KIND).split(":")

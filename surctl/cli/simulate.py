@@ -54,6 +54,7 @@ from surctl.cli.subject import (
     load_system,
     seconds_option,
 )
+from surctl.errors import InputError, nearest
 
 if TYPE_CHECKING:
     from surctl.marine.simulation import Sensing
@@ -69,10 +70,7 @@ __all__ = ["simulate", "simulate_own_system"]
 @click.option("--gains", metavar="FILE", help=GAINS_HELP)
 @law_option
 @click.option(
-    "--avoidance",
-    default="corrected",
-    metavar="NAME",
-    help="Eq. (20): corrected (default), consistent or printed.",
+    "--avoidance", default="corrected", metavar="NAME", help="Eq. (20): corrected (default), consistent or printed."
 )
 @click.option("--guidance", default="los", metavar="NAME", help="Path guidance: los (default), ilos or alos.")
 @priority_options
@@ -128,8 +126,6 @@ def simulate(
     check_animate(animate, runs=run_count, campaign=campaign.any and replayed is None, film=physics.film)
     if replayed is not None:
         simulate_again(replayed, trust=trust, explained=explained, out=out, animate=animate, as_json=as_json)
-    from surctl.errors import InputError
-
     if trust:
         remedy = "drop it: a law that --law names runs without it"
         raise InputError("applies only to a saved run", key="--trust", remedy=remedy)
@@ -230,7 +226,6 @@ def simulate(
 def _check_fallback(fallback: str, *, mode: str, explained: bool, campaign: bool) -> None:
     if fallback == "exact":
         return
-    from surctl.errors import InputError
     from surctl.priority import check_fallback
 
     check_fallback(fallback, mode=mode)
@@ -243,7 +238,6 @@ def _check_fallback(fallback: str, *, mode: str, explained: bool, campaign: bool
 def _check_save(save: str | None, frame: str | None, *, out: Path | None, campaign: bool) -> None:
     if save is None and frame is None:
         return
-    from surctl.errors import InputError, nearest
     from surctl.marine.simulation import RUN_FORMATS
     from surctl.marine.vehicle import check_frame
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import click
 
 from surctl.cli.output import FiniteRange, as_json, finish, saving
+from surctl.errors import InputError
 
 __all__ = ["sonar_replay"]
 
@@ -74,7 +75,6 @@ def sonar_replay(
 
     Examples: surctl sonar-replay log.csv --out replay; surctl sonar-replay log.csv --maximum 6 --noise-sd 0.02
     """
-    from surctl.errors import InputError
     from surctl.files import prepare_folder, write_file
     from surctl.marine.sensing import filtered_rows, read_readings, replay_readings, sonar_array
 

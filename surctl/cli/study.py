@@ -25,6 +25,7 @@ from surctl.cli.subject import (
     load_system,
     seconds_option,
 )
+from surctl.errors import InputError
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -53,9 +54,11 @@ __all__ = ["study", "study_system"]
     metavar="N",
     help="Number of processes of the sweep (default 2).",
 )
-@click.option("--vehicle", metavar="FILE", help="Vehicle of the built-in study; a large one gets scaled missions.")
-@click.option("--gains", metavar="FILE", help="Gains to study, name or file, in place of the study's sweep.")
-@click.option("--film", is_flag=True, help="Also show the report's animated run in MuJoCo's scene.")
+@click.option(
+    "--vehicle", metavar="FILE", help="Vehicle of the built-in study; its missions are scaled if the vehicle is large."
+)
+@click.option("--gains", metavar="FILE", help="Gain set to study instead of a sweep: name or file.")
+@click.option("--film", is_flag=True, help="Also show the report's animated run in MuJoCo.")
 @seconds_option
 @trust_option
 @as_json
@@ -72,12 +75,13 @@ def study(
 ) -> None:
     """Sweep gains, select the best point, verify the claims, simulate the scenarios, and export and check the C code.
 
-    FILE is a study file or a vehicle file; without FILE, the built-in study runs. A vehicle that cannot sway, or fits
-    no built-in scenario, gets three missions scaled to it: a straight path, two legs, and the obstacles of the
-    scenario tank-static.
+    FILE is a study file or a vehicle file; without FILE, the built-in study runs. For a vehicle that cannot sway, or
+    does not fit into a built-in scenario, the study scales three missions to the vehicle: a straight path, two legs,
+    and the obstacles of the scenario tank-static.
 
-    FILE.py:FUNCTION names a system of your own: the page has its run, margins, costs over gains, and C code. A WORD is
-    NAME=VALUE of the run, GAIN=LOW..HIGH:COUNT of the sweep, or within.STATE=LOW..HIGH of a region of attraction.
+    FILE.py:FUNCTION names a system of your own: the report has a run, margins, costs over gains, and C code. A WORD
+    sets a value of the run (NAME=VALUE), a swept gain (GAIN=LOW..HIGH:COUNT), or the box of a state for the region of
+    attraction (within.STATE=LOW..HIGH).
 
     Examples: surctl study; surctl study my-vehicle.toml --out results; surctl study --vehicle otter --json >
     study.json; surctl study my_system.py:build --seconds 5
@@ -174,7 +178,6 @@ def study_system(
     from surctl.assessment import ClosedLoop, assess
     from surctl.cli.subject import loop_data, mode_text, region_words, resting
     from surctl.cli.sweep import best_line, best_points
-    from surctl.errors import InputError
     from surctl.export.bundle import build_bundle, check_folder, write_bundle
     from surctl.export.process import build_controller
     from surctl.export.sil import compare_runs
@@ -282,7 +285,6 @@ def _design(
 ) -> tuple[Design, Mapping[str, ArrayLike]] | None:
     """Return the grid of the sweep, and the numbers of the runs at each point; None without axes."""
     from surctl.cli.sweep import choices_and_draws
-    from surctl.errors import InputError
     from surctl.tuning import parse_axis
 
     if not axes:

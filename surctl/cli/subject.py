@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING, Any
 import click
 from click.core import ParameterSource
 
+from surctl.errors import InputError, nearest
+
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import ArrayLike, NDArray
@@ -45,7 +47,7 @@ __all__ = [
 ]
 
 seconds_option = click.option(
-    "--seconds", type=float, metavar="S", help="Duration of a run of a system [s] (default: its own)."
+    "--seconds", type=float, metavar="S", help="Duration of a system's run [s] (default: the file's)."
 )
 
 _MOST_PERIODS = 10_000_000  # of a run in Python, whose signals are in memory
@@ -93,7 +95,6 @@ class OwnSystem:
         Raises:
             InputError: the duration is missing, or is not a valid duration.
         """
-        from surctl.errors import InputError
         from surctl.system import periods
 
         file, key = (None, "--seconds") if seconds is not None else (self.word, "duration")
@@ -116,7 +117,6 @@ class OwnSystem:
         Raises:
             InputError: it cannot be the name of a bundle, or it is one of `reserved`.
         """
-        from surctl.errors import InputError
         from surctl.export.contract import checked_name
 
         try:
@@ -142,7 +142,6 @@ def is_system(words: Sequence[str], *allowed: str) -> bool:
         InputError: an option of the command line applies only to a system, or only to the robot; or a word names a
             system or a Python file in a position where it is not allowed.
     """
-    from surctl.errors import InputError
     from surctl.system.subjects import is_subject
 
     context = click.get_current_context()
@@ -193,8 +192,6 @@ def listed_values(words: Sequence[str]) -> dict[str, list[float]]:
     Raises:
         InputError: a word does not assign a value, a value is not a number, or a name is given twice.
     """
-    from surctl.errors import InputError
-
     values: dict[str, list[float]] = {}
     for word in words:
         name, equals, text = (part.strip() for part in word.partition("="))
@@ -338,7 +335,6 @@ class RegionWords:
         Raises:
             InputError: see `sampled_dynamics`; or the function, the level or the rate is not valid.
         """
-        from surctl.errors import InputError
         from surctl.lyapunov import Problem, sampled_dynamics
         from surctl.verification.formula import parse, variable
 
@@ -369,8 +365,6 @@ def region_words(
     Raises:
         InputError: a range is not LOW..HIGH, a name is given twice, or a claim is stated without `within.STATE`.
     """
-    from surctl.errors import InputError, nearest
-
     others: list[str] = []
     within: dict[str, tuple[float, float]] = {}
     ranges: dict[str, tuple[float, float]] = {}
@@ -401,15 +395,11 @@ def region_words(
 
 
 def _once(table: Mapping[str, object], key: str, name: str) -> None:
-    from surctl.errors import InputError
-
     if key in table:
         raise InputError("is given twice", key=name, remedy="give it once")
 
 
 def _range(text: str, name: str) -> tuple[float, float]:
-    from surctl.errors import InputError
-
     low, dots, high = text.partition("..")
     if not dots:
         raise InputError("is not a range", key=name, value=text, remedy=f"write {name}=-1..1")
@@ -418,8 +408,6 @@ def _range(text: str, name: str) -> tuple[float, float]:
 
 def _finite_number(text: str, name: str) -> float:
     from math import isfinite
-
-    from surctl.errors import InputError
 
     try:
         value = float(text)
@@ -432,7 +420,6 @@ def _finite_number(text: str, name: str) -> float:
 
 def gain_ranges_of(own: OwnSystem, ranges: Mapping[str, tuple[float, float] | None]) -> dict[str, tuple[float, float]]:
     """Return the search ranges of the named gains, or of all gains; default: a quarter to 4 times the nominal value."""
-    from surctl.errors import InputError, nearest
     from surctl.tuning.design import default_range
 
     nominal, result = nominal_gains(own), {}

@@ -15,6 +15,7 @@ import click
 from surctl.cli.output import as_json, finish, progress, same_command, saving, stoppable
 from surctl.cli.robot_options import SPEEDS, at_hand, choose_law, choose_shared, law_option, law_words
 from surctl.cli.subject import OwnSystem, command_line, is_system, load_system, seconds_option
+from surctl.errors import InputError, nearest
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -43,10 +44,7 @@ _EXPLAINED = ("deviation_m", "path_error_m")  # columns whose meaning is printed
 
 @click.command
 @click.argument(
-    "axes",
-    nargs=-1,
-    required=True,
-    metavar="[FILE.py:FUNCTION] PARAMETER=V1,V2,...|LOW..HIGH[:COUNT][:log] ...",
+    "axes", nargs=-1, required=True, metavar="[FILE.py:FUNCTION] PARAMETER=V1,V2,...|LOW..HIGH[:COUNT][:log] ..."
 )
 @seconds_option
 @click.option(
@@ -65,13 +63,10 @@ _EXPLAINED = ("deviation_m", "path_error_m")  # columns whose meaning is printed
     help="Vehicle: name or file; may be repeated (default: each scenario's).",
 )
 @click.option("--sensing", default="truth", metavar="NAME", help="Obstacle positions from truth (default) or sonar.")
-@click.option("--gains", metavar="FILE", help="All other gains: name or file (default: the vehicle's).")
+@click.option("--gains", metavar="FILE", help="Other gains: name or file (default: the vehicle's).")
 @law_option
 @click.option(
-    "--priority-mode",
-    default="nsb",
-    metavar="NAME",
-    help="Mode: nsb (default), filter, projected, lexicographic.",
+    "--priority-mode", default="nsb", metavar="NAME", help="Mode: nsb (default), filter, projected, lexicographic."
 )
 @click.option(
     "--guidance",
@@ -105,12 +100,7 @@ _EXPLAINED = ("deviation_m", "path_error_m")  # columns whose meaning is printed
     metavar="N",
     help="Simulate every point with the seeds 0 to N-1 (default 1).",
 )
-@click.option(
-    "--workers",
-    type=click.IntRange(min=1),
-    metavar="N",
-    help="Processes or threads (default 2).",
-)
+@click.option("--workers", type=click.IntRange(min=1), metavar="N", help="Processes or threads (default 2).")
 @click.option("--dask", metavar="ADDRESS", help="Use a Dask scheduler instead of local processes.")
 @click.option(
     "--out",
@@ -146,8 +136,9 @@ def sweep(
     A parameter is a gain (k_v), a vehicle parameter (vehicle.m11; plant.m11 changes the plant but not the controller's
     model), a number of the scenario (scenario.cruise) or seed. Exit status: 1 if no point is feasible.
 
-    FILE.py:FUNCTION names a system of your own: its costs over gains (k), plant.NAME, reference.NAME, disturbance.NAME,
-    start.NAME. With --seeds N, the worst of N runs counts, and plant.NAME=LOW..HIGH is random.
+    FILE.py:FUNCTION names a system of your own. Its costs are computed over gains (k), plant.NAME, reference.NAME,
+    disturbance.NAME, start.NAME. With --seeds N, the worst of N runs counts, with plant.NAME=LOW..HIGH sampled at
+    random.
 
     Examples: surctl sweep --scenario pool-static lookahead=0.6,0.9,1.2 k_v=0.5..3:6:log;
     surctl sweep k_v=1..3 plant.m11=30..60 --sensitivity deviation_m;
@@ -159,7 +150,6 @@ def sweep(
             axes, seconds=seconds, design=design, points=points, sensitivity=sensitivity, seeds=seeds,
             threads=workers or (2 if dask is None else 1), executor=remote, out=out, as_json=as_json,
         )  # fmt: skip
-    from surctl.errors import InputError, nearest
     from surctl.files import prepare_folder, write_file
     from surctl.marine.control import law_source, load_gains, write_gains
     from surctl.marine.simulation import load_scenario
@@ -350,7 +340,6 @@ def sweep_own_system(
 ) -> None:
     """Simulate the runs of all points in compiled code; print each cost's range and best point."""
     from surctl.assessment import ClosedLoop, assess
-    from surctl.errors import InputError, nearest
     from surctl.files import prepare_folder
     from surctl.ir import find_compiler
     from surctl.recorded_write import write_csv
@@ -441,7 +430,6 @@ def choices_and_draws(
     """
     import numpy as np
 
-    from surctl.errors import InputError
     from surctl.system.values import check_scalar
     from surctl.tuning.design import ONE_POINT, SEED, Axis, Span, make_design, random_draws, saltelli
 

@@ -26,6 +26,7 @@ from surctl.cli.subject import (
     seconds_option,
 )
 from surctl.cli.tuning_output import caps, check_goal_cases, floor_lines, look, region_words, unrepresentative
+from surctl.errors import InputError
 
 if TYPE_CHECKING:
     import numpy as np
@@ -37,23 +38,16 @@ __all__ = ["tune", "tune_own_system"]
 @click.command
 @click.argument("words", nargs=-1, metavar="[STUDY | FILE.py:FUNCTION [NAME=VALUE,...]...]")
 @click.option(
-    "--gain",
-    "gain",
-    multiple=True,
-    metavar="NAME[=LOW..HIGH]",
-    help="Gain to tune, with its range; may be repeated.",
+    "--gain", "gain", multiple=True, metavar="NAME[=LOW..HIGH]", help="Gain to tune, with its range; may be repeated."
 )
 @click.option(
-    "--goals",
-    "goals_file",
-    metavar="FILE",
-    help="Goals: name or file (default: the study's, else the built-in goals).",
+    "--goals", "goals_file", metavar="FILE", help="Goals: name or file (default: the study's, else the built-in goals)."
 )
 @click.option(
     "--cruise",
     type=SPEEDS,
     metavar="U1,U2,...",
-    help="Cruise speeds [m/s] of goals about the linear loop that name none themselves.",
+    help="Cruise speeds [m/s] for loop goals without speeds.",
 )
 @click.option(
     "--trials",
@@ -77,11 +71,7 @@ __all__ = ["tune", "tune_own_system"]
     help="Simulate with the seeds 0 to N-1 (default 4).",
 )
 @click.option(
-    "--vehicle",
-    "vehicles",
-    multiple=True,
-    metavar="FILE",
-    help="Vehicle (name or file) of the runs; may be repeated.",
+    "--vehicle", "vehicles", multiple=True, metavar="FILE", help="Vehicle (name or file) of the runs; may be repeated."
 )
 @click.option(
     "--guidance",
@@ -101,15 +91,9 @@ __all__ = ["tune", "tune_own_system"]
     type=click.IntRange(min=0),
     default=2000,
     metavar="N",
-    help="New runs that verify a round (default 2000); up to 10 N more runs train.",
+    help="New runs that test a round (default 2000), after up to 10 N training runs.",
 )
-@click.option(
-    "--workers",
-    type=click.IntRange(min=1),
-    default=2,
-    metavar="N",
-    help="Number of threads (default 2).",
-)
+@click.option("--workers", type=click.IntRange(min=1), default=2, metavar="N", help="Number of threads (default 2).")
 @click.option(
     "--out",
     type=click.Path(path_type=Path),
@@ -152,14 +136,14 @@ def tune(
     seconds: float | None,
     as_json: bool,
 ) -> None:
-    """Tune gains to goals, and tune them again with the runs in which they fail.
+    """Search for gains that meet goals; repeat with the test runs that fail.
 
     The gains must meet the hard goals for every scenario, seed and corner of the vehicle's ranges; the soft goals are
     minimised. New random runs and the claims then test the result. Exit status: 1 if a hard goal is not met, or fails
     in the test.
 
-    FILE.py:FUNCTION names a system of your own: the first cost is minimised within the bounds of the
-    others and a disk margin of 0.3; NAME=V1,V2 gives cases. With --goals, the worst soft goal is minimised.
+    FILE.py:FUNCTION names a system of your own: its first cost is minimised within the bounds of the other costs and a
+    disk margin of at least 0.3. NAME=V1,V2 gives cases. With --goals, the worst soft goal is minimised.
 
     Examples: surctl tune my-study.toml --gain k_v=0.5..3 --goals my-goals.toml; surctl tune my-system.py:build --page
     """
@@ -188,7 +172,6 @@ def tune(
         return
     if scenario or port or no_browser:
         raise click.UsageError(_needs_page(scenario))
-    from surctl.errors import InputError
     from surctl.files import prepare_folder, write_file
     from surctl.marine.control import default_law, write_gains
     from surctl.marine.study import load_plan
@@ -200,14 +183,13 @@ def tune(
         conditions,
         gain_ranges,
         load_goals,
-        misses,
         summary,
         tuned_gains,
     )
     from surctl.marine.tuning import tune as run_tuning
     from surctl.marine.tuning.evaluation import check_goals, judged_goals
     from surctl.marine.tuning.goals import goals_at, with_floor
-    from surctl.marine.tuning.outcome import advice, check_finals, tuning_dict
+    from surctl.marine.tuning.outcome import advice, check_finals, misses, tuning_dict
     from surctl.marine.tuning.pool import default_tuned
     from surctl.marine.tuning.search import BEST
     from surctl.marine.vehicle import load_vehicle
@@ -393,7 +375,6 @@ def tune_own_system(
 ) -> None:
     """Search gains, write them, print each figure before and after; the exit status is 1 if a bound is violated."""
     from surctl.assessment import ClosedLoop, Comparison, assess
-    from surctl.errors import InputError
     from surctl.files import prepare_folder
     from surctl.ir import find_compiler
     from surctl.recorded_write import write_csv

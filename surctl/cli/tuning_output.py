@@ -12,6 +12,7 @@ import click
 
 from surctl.cli.output import progress, waiting
 from surctl.cli.robot_options import at_hand
+from surctl.errors import InputError, NotApplicable
 
 if TYPE_CHECKING:
     from surctl.assessment import Assessment
@@ -36,8 +37,6 @@ __all__ = [
 
 def check_goal_cases(goals: Sequence[Goal], plan: Plan, file: str) -> None:
     """Raise InputError if a goal names a scenario in which the vehicle does not fit."""
-    from surctl.errors import InputError
-
     deciding = {leg.scenario.name for leg in plan.deciding}
     omitted = {leg.scenario.name: leg.left_out for leg in plan.left_out if leg.scenario.name not in deciding}
     for goal in goals:
@@ -82,7 +81,6 @@ def floor_lines(tuning: Tuning, finals: Finals, plan: Plan, *, trials: int) -> l
 
 def _why(plan: Plan, after: Assessment) -> str:
     """Return what limits the margin: of gains that follow from the vehicle, or of the corners."""
-    from surctl.errors import InputError
     from surctl.marine.control import default_law
     from surctl.marine.tuning import derive_gains
 
@@ -136,7 +134,6 @@ def look(missed: Sequence[Miss], gains: str, law: Sequence[str]) -> list[str]:
 
 def region_words(law: str, scenario: Scenario, vehicle: Vehicle, gains: Gains) -> list[str]:
     """Return the region claim to suggest next."""
-    from surctl.errors import NotApplicable
     from surctl.marine.control import PATH_FOLLOWING, default_law, law_source
     from surctl.marine.verification.region import applicable_region
 
@@ -208,7 +205,6 @@ def serve_system_page(
 ) -> None:
     """Serve the page for a system of the user's own until Ctrl-C; NAME=V1,V2 gives the operating points."""
     from surctl.cli.subject import assigned, gain_ranges_of, listed_values, load_system, region_words
-    from surctl.errors import InputError
     from surctl.report.design_bench import SystemBench
     from surctl.tuning import judge_loops, load_loop_goals
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from surctl.cli.output import FiniteRange, as_json, finish, out_folder, saving
+from surctl.errors import InputError
 
 if TYPE_CHECKING:
     from surctl.marine.vehicle import Identified, MotionLog, Prediction, Vehicle
@@ -22,13 +23,7 @@ _FASTEST, _LARGEST = 100.0, 1e9  # [m/s], [N, N m]
 @click.command
 @click.argument("name", metavar="VEHICLE")
 @click.option("--failed", multiple=True, metavar="NAME", help="Thruster that gives no force; may be repeated.")
-@click.option(
-    "--speed",
-    type=float,
-    default=1.0,
-    metavar="U",
-    help="Forward speed of rudders [m/s] (default 1).",
-)
+@click.option("--speed", type=float, default=1.0, metavar="U", help="Forward speed of rudders [m/s] (default 1).")
 @click.option("--force", "wrench", type=float, nargs=4, metavar="FU FV FW FR", help="Allocate this force [N, N m].")
 @out_folder
 @as_json
@@ -45,7 +40,6 @@ def thrusters(
     Examples: surctl vehicle thrusters bluerov2-heavy --out pictures; surctl vehicle thrusters bluerov2-heavy --failed
     T2 --force 40 30 0 5
     """
-    from surctl.errors import InputError
     from surctl.marine.allocation import allocate, working_flags
     from surctl.marine.simulation import held_share, thruster_findings
     from surctl.marine.vehicle import axis_ends, load_vehicle
@@ -118,7 +112,6 @@ class _Measured(click.ParamType):  # type: ignore[type-arg]  # generic since cli
         self.unit, self.name = unit, unit
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        from surctl.errors import InputError
         from surctl.units import in_unit, number_and_unit
 
         if isinstance(value, float):
@@ -331,15 +324,16 @@ def from_log(
     A table (CSV, .mat, .nc) without --map has the columns t_s and Fu_N, Fv_N, Fw_N, Fr_N_m (commands, constant until
     the next row). It has those of the columns x_m, y_m, z_m, psi_rad, u_m_per_s, v_m_per_s, w_m_per_s, r_rad_per_s that
     were measured: x forward, y left, z up; or with --frame ned: x north, y east, z down, v to the right, w down. The
-    velocity is that in the heading frame, which turns by the heading alone. A --start that rolls and pitches needs some
-    of roll_rad, pitch_rad, p_rad_per_s, q_rad_per_s too. surctl simulate --save csv (mat, nc) writes such logs.
+    velocity is in the heading frame, which turns by the heading alone. If the vehicle of --start rolls and pitches, the
+    table also needs some of roll_rad, pitch_rad, p_rad_per_s, q_rad_per_s. surctl simulate --save csv (mat, nc) writes
+    such logs.
 
-    Other logs need --map: ArduPilot (.BIN, .tlog), ROS (.bag, .db3 or folder, .mcap), PX4 (.ulg), tables with other or
-    no names of columns. --topics prints what such a log contains.
+    Other logs need --map: ArduPilot (.BIN, .tlog), ROS (.bag, .db3 or folder, .mcap), PX4 (.ulg), tables with other
+    column names or none. --topics prints the topics and fields of such a log.
 
-    A parameter that the log does not determine keeps its value from --start, the others are fitted with it, and the
-    file says so. If a mass or a drag comes out below 0, nothing is written, and the status is 1. The last part of the
-    log is predicted by a fit to the rest, beside a prediction that holds the last velocity.
+    If the log does not determine a parameter, the parameter keeps its value from --start, and the file says so. If a
+    fitted mass or drag is below 0, the command writes no file, and the exit status is 1. As a test, a fit to the first
+    part of the log predicts the last part; the output compares this prediction with a constant velocity.
 
     Example: surctl vehicle from-log trial.csv --start my-vehicle.toml --name fitted
     """
@@ -392,7 +386,6 @@ def from_log(
 
     def plot() -> None:
         with saving("plot"):
-            from surctl.errors import InputError
             from surctl.marine.report import plot_prediction
             from surctl.report.theme import save_figure
 
@@ -412,7 +405,6 @@ def from_log(
 
 
 def _read_log(log: Path, map_file: Path | None, frame: str | None) -> MotionLog:
-    from surctl.errors import InputError
     from surctl.marine.vehicle import read_mapped_log, read_motion_log
     from surctl.marine.vehicle.logs.read import READERS
 

@@ -26,11 +26,11 @@ from surctl.cli.output import (
 )
 from surctl.cli.robot_options import GAINS_HELP, SPEEDS, barrier_options, choose_gains, derive_words, margin_short
 from surctl.cli.subject import assigned, command_line, is_system, load_system, loop_data, loop_lines
+from surctl.errors import InputError, NotApplicable
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from surctl.errors import NotApplicable
     from surctl.lyapunov import Solution
     from surctl.marine.control import Gains
     from surctl.marine.vehicle import Vehicle
@@ -65,7 +65,7 @@ _SPEED = FiniteRange(min=0, max=100, min_open=True)
 @click.option(
     "--cap", type=_SPEED, metavar="V", help="Largest commanded speed [m/s] (default: the scenario's, else 0.22)."
 )
-@click.option("--scenario", metavar="FILE", help="Scenario: name or file; adds the safety claim.")
+@click.option("--scenario", metavar="FILE", help="Scenario: name or file; adds the no-contact claim.")
 @click.option("--law", metavar="NAME", help="Law: name or FILE.py:FUNCTION (default: the vehicle's).")
 @click.option(
     "--stack", "stacks", multiple=True, metavar="LAW", help="Analyse the task stack of a law: guarded or paper."
@@ -108,25 +108,23 @@ def verify(
     """Prove or refute the paper's claims, or your own, and print stability margins.
 
     A claim is proved (with a certificate that `surctl check` accepts), refuted (with a counterexample), unknown
-    (neither was found), or not applicable (this vehicle, law or gains violate an assumption). The paper's claims
-    concern the kinematic loop at the cruise speed, with speeds limited to --cap. --scenario also prints the safety
-    claim: the barrier, its assumptions, and whether the margin suffices.
+    (neither proved nor refuted), or not applicable (this vehicle, law or gains violate an assumption). The paper's
+    claims concern the kinematic loop at the cruise speed, with speeds limited to --cap. --scenario also checks the
+    no-contact claim and prints its assumptions.
 
     The linear analysis about straight cruise (of --law: about steady motion) gives margins, poles, the slowest mode,
-    stable speeds and sampling limits, nominal and for the worst of --uncertainty or of the vehicle's ranges. Region and
-    braking claims are checked only if named (see surctl list). A file holds an inequality of your own (kind claim;
-    --show prints examples), a region claim with other numbers (kind region), or a region of attraction or a barrier of
-    any dynamics (kind lyapunov or barrier). --stack prints which tasks of a law are orthogonal, independent or
-    dependent, and which converge. Exit status: 1 if a verdict is not as expected, a named claim is not applicable, the
-    loop is unstable at a corner, a margin is too small, or the no-contact claim fails.
+    stable speeds and sampling limits: for the nominal vehicle, and for the worst within --uncertainty or its own
+    ranges. Region and braking claims are checked only if you name them (see surctl list). A file states an inequality
+    of your own (kind claim; --show prints examples), a region claim with other numbers (kind region), or a region of
+    attraction or a barrier of any dynamics (kind lyapunov or barrier). --stack prints which tasks of a law are
+    orthogonal, independent or dependent, and which converge. Exit status: 1 if a verdict is not as expected, a named
+    claim is not applicable, the loop is unstable at a corner, a margin is too small, or the no-contact claim fails.
 
-    For FILE.py:FUNCTION, a system of your own, it prints equilibrium, poles and margins of the sampled loop; with
-    within.STATE=LOW..HIGH for every state, it also proves a region of attraction.
+    For FILE.py:FUNCTION, a system of your own, the command prints equilibrium, poles and margins of the sampled loop;
+    with within.STATE=LOW..HIGH for every state, it also proves a region of attraction.
 
     Examples: surctl verify --out proofs; surctl verify region-cruise-20 claim.toml; surctl verify loop.py:build k=2
     """
-    from surctl.errors import InputError
-
     if time_limit is not None and math.isnan(time_limit):  # click accepts NaN in any range
         raise InputError("is not a valid time", key="--time-limit", value=time_limit, remedy="give seconds, above 0")
     if is_system(claims, "seed", "time_limit", "out", "as_json"):
@@ -314,7 +312,6 @@ def _speeds(cruise: float | None, cap: float | None, scenario: str | None) -> tu
     (cruise speed)/(cruise speed of the scenario).
     """
     from surctl.cli.robot_options import MISSION
-    from surctl.errors import InputError
     from surctl.marine.simulation import load_scenario
 
     mission = load_scenario(MISSION if scenario is None else scenario)
@@ -364,7 +361,6 @@ def _chosen(
     words: Sequence[str], gains: Mapping[str, Any], vehicle: Vehicle, *, law: str | None = None
 ) -> tuple[list[Claim], Mapping[str, NotApplicable]]:
     # without names and files, the claims are those of the library; they do not concern the law `law`
-    from surctl.errors import InputError, NotApplicable
     from surctl.marine.tuning.derived import has_tuned
     from surctl.marine.verification import applicable_claims
     from surctl.verification import load_claim
@@ -416,7 +412,6 @@ def verify_system(words: Sequence[str], *, seed: int, time_limit: float, out: Pa
     from surctl.assessment import ClosedLoop, assess
     from surctl.cli.claims import write_solution
     from surctl.cli.subject import region_words
-    from surctl.errors import InputError
     from surctl.files import prepare_folder
     from surctl.lyapunov import solve
 

@@ -15,7 +15,7 @@ from surctl.errors import InputError, nearest
 from surctl.lyapunov.dynamics import Command, Dynamics, Range, Sampling, State, exact
 from surctl.system import System, entry_labels, entry_units
 from surctl.system.values import check_scalar, place_of, run_numbers, unit_of
-from surctl.verification.formula import IDENTIFIER, Statement, from_casadi
+from surctl.verification.formula import IDENTIFIER, Node, Statement, from_casadi, number, rebuilt, substitute
 from surctl.verification.proving import prove_cases
 
 __all__ = ["NOT_COVERED", "continuous_dynamics", "sampled_dynamics"]
@@ -146,7 +146,8 @@ def _dynamics(
     if numbers.count != 1:
         raise InputError("has several runs", key="values", remedy="give one number for each name")
     groups = ("plant", "gains", "reference", "disturbance")
-    flat = {group: ca.SX(getattr(numbers, group)[0].tolist()) for group in groups}
+    constants = _Constants()
+    flat = {group: constants.column(getattr(numbers, group)[0].tolist()) for group in groups}
     free, parameters = [], []
     for name, (low, high) in (ranges or {}).items():
         check_scalar(system, name)
@@ -160,7 +161,7 @@ def _dynamics(
     moves = [k for k, label in enumerate(labels) if label in within and within[label][0] != within[label][1]]
     for k in set(range(len(labels))) - set(moves):
         whole[k] = within.get(labels[k], [whole[k]])[0]
-    rest, symbols, whole = whole, ca.SX.sym("x", len(moves)), ca.SX(whole)
+    rest, symbols, whole = whole, ca.SX.sym("x", len(moves)), constants.column(whole.full().ravel().tolist())
     whole[moves] = symbols
     x, z = ca.vertsplit(whole, [0, plant.state.size, whole.numel()])
     reference = system.reference_at(t, flat["reference"])
@@ -170,7 +171,7 @@ def _dynamics(
     empty = ca.SX(0, 1)
     f, _, _ = system.driven(command, x, empty, empty, d=disturbance, p=flat["plant"], q=empty)
     flow = plant.derivative(x, f, disturbance, flat["plant"])
-    rates = ca.densify(ca.vertcat(flow, (after - z) / system.dt))
+    rates = ca.densify(ca.vertcat(flow, (after - z) / constants.column([system.dt])))
     if ca.depends_on(rates, t):
         remedy = "use a constant reference and disturbance"
         raise InputError("depends on time", key=f"{plant.name}.reference", remedy=remedy)
@@ -181,16 +182,17 @@ def _dynamics(
             State(_identifier(labels[k]), float(low), float(high), units[k], "", float(rest[k]), to_the_bit=True)
         )
     names = [v.name for v in (*states, *parameters)]
-    nodes = from_casadi(ca.vertcat(symbols, *free), names, ca.vertsplit(rates[moves]), to_the_bit=True)
-    about = _about(system, whole, flat, reference, disturbance)
+    nodes = constants.expressions(ca.vertcat(symbols, *free), names, rates[moves])
+    vectors = {"state": whole, **flat, "reference": reference, "disturbance": disturbance}
+    about = _about(system, {key: constants.put(vector) for key, vector in vectors.items()})
     limits = NOT_COVERED + _AS_FLOW * bool(controller.state.size)
-    resting = {label: rates[k] for k, label in enumerate(labels) if k not in moves}
+    resting = {label: constants.put(rates[k]) for k, label in enumerate(labels) if k not in moves}
     limits += _check_rest(resting, ca.vertcat(symbols, *free), [*states, *parameters], within)
     flat["reference"], flat["disturbance"] = reference, disturbance
     sampling = None
     if sampled:
         variables = [*states, *parameters]
-        sampling = _sampling(system, moves, whole, flat, f, after, ca.vertcat(symbols, *free), variables)
+        sampling = _sampling(system, moves, whole, flat, f, after, ca.vertcat(symbols, *free), variables, constants)
     return Dynamics(plant.name, "continuous", tuple(states), tuple(nodes), tuple(parameters), limits, about, sampling)
 
 
@@ -203,6 +205,7 @@ def _sampling(
     after: ca.SX,
     symbols: ca.SX,
     variables: Sequence[State | Range],
+    constants: _Constants,
 ) -> Sampling | None:
     """Return the sampled form of the loop; None if a held command may move a state that rests."""
     plant, names = system.plant, [v.name for v in variables]
@@ -210,17 +213,16 @@ def _sampling(
     held = ca.SX.sym("held", plant.inputs.size)
     flow = ca.densify(plant.derivative(x, held, flat["disturbance"], flat["plant"]))
     moving, steps = [k for k in moves if k < x.numel()], [k - x.numel() for k in moves if k >= x.numel()]
-    if not all(ca.simplify(flow[k]).is_zero() for k in set(range(x.numel())) - set(moving)):
+    if not all(ca.simplify(constants.put(flow[k])).is_zero() for k in set(range(x.numel())) - set(moving)):
         return None
     labels = [_identifier(label) for label in entry_labels(plant.inputs)]
     if not set(labels).isdisjoint(names):
         labels = [_identifier(f"command_{label}") for label in labels]
     at = [s.equilibrium if isinstance(s, State) else s.upper for s in variables]
-    rests = np.asarray(ca.Function("rests", [symbols], [f])(at)).ravel()
+    rests = np.asarray(ca.Function("rests", [symbols], [constants.put(f)])(at)).ravel()
     # converted together, so that a limit that both contain is the same expression
-    at_instant = ca.vertsplit(ca.densify(ca.vertcat(f, after[steps])))
-    values = from_casadi(symbols, names, at_instant, to_the_bit=True)
-    rates = from_casadi(ca.vertcat(symbols, held), [*names, *labels], ca.vertsplit(flow[moving]), to_the_bit=True)
+    values = constants.expressions(symbols, names, ca.vertcat(f, after[steps]))
+    rates = constants.expressions(ca.vertcat(symbols, held), [*names, *labels], flow[moving])
     own = [v.name for v in variables if isinstance(v, State)]
     return Sampling(
         system.dt,
@@ -233,15 +235,54 @@ def _sampling(
     )
 
 
-def _about(
-    system: System, whole: ca.SX, flat: Mapping[str, ca.SX], reference: ca.SX, disturbance: ca.SX
-) -> dict[str, Any]:
+class _Constants:
+    """Numbers as symbols, because CasADi would evaluate operations of numbers with rounding errors."""
+
+    def __init__(self) -> None:
+        self._symbols: dict[float, ca.SX] = {}
+
+    def column(self, values: Sequence[float]) -> ca.SX:
+        """Return a column of numbers; operations with 0, 1 and -1 are exact."""
+        return ca.vertcat(ca.SX(0, 1), *(
+            ca.SX(value) if value in (0.0, 1.0, -1.0) else self._symbols.setdefault(value, ca.SX.sym(f"number{value}"))
+            for value in values
+        ))  # fmt: skip
+
+    def put(self, expression: ca.SX) -> ca.SX:
+        """Return an expression with the numbers themselves, computed in doubles."""
+        return ca.substitute(expression, ca.vertcat(*self._symbols.values()), ca.DM([*self._symbols]))
+
+    def expressions(self, symbols: ca.SX, names: Sequence[str], column: ca.SX) -> list[Node]:
+        """Return the exact expressions of a column."""
+        by = {f"number{value}": number(Fraction(value)) for value in self._symbols}
+        whole = ca.vertcat(symbols, *self._symbols.values())
+        nodes = from_casadi(whole, [*names, *by], ca.vertsplit(ca.densify(column)), to_the_bit=True)
+        return [rebuilt(substitute(node, by), _signed) for node in nodes]
+
+
+def _signed(node: Node, args: tuple[Node, ...]) -> Node:
+    return _negative(*args) if node.op == "neg" else Node(node.op, args, node.value, node.name)
+
+
+def _negative(node: Node) -> Node:
+    """Return −node, with the sign at the numbers of sums and products that begin with one."""
+    first = node.args[0] if node.args else node
+    if node.op == "num":
+        return number(-node.value)
+    if node.op == "mul" and first.op == "num":
+        return number(-first.value) * node.args[1]
+    if node.op == "add" and (signed := _negative(first)).op != "neg":
+        return signed - node.args[1]
+    return -node
+
+
+def _about(system: System, flat: Mapping[str, ca.SX]) -> dict[str, Any]:
     """Return which loop the dynamics are about: its digests, and each entry of its vectors, a number or a name.
 
     The result is empty if a reference or disturbance is neither a number nor a parameter, and so has no entry.
     """
     plant, controller = system.plant, system.controller
-    x, z = ca.vertsplit(whole, [0, plant.state.size, whole.numel()])
+    x, z = ca.vertsplit(flat["state"], [0, plant.state.size, flat["state"].numel()])
     labels = iter(entry_labels(plant.state) + entry_labels(controller.state, "controller."))
     try:
         return {
@@ -252,8 +293,8 @@ def _about(
             "controller_state": _entries(z, labels),
             "gains": {p.name: _entries(flat["gains"][controller.gains.slice(p.name)]) for p in controller.gains},
             "parameters": _entries(flat["plant"]),
-            "reference": _entries(reference),
-            "disturbance": _entries(disturbance),
+            "reference": _entries(flat["reference"]),
+            "disturbance": _entries(flat["disturbance"]),
         }
     except ValueError:
         return {}

@@ -6,10 +6,9 @@ from surctl.lazy import load_at_first_use
 
 if TYPE_CHECKING:
     from surctl.report.cost_map import plot_cost_map
-    from surctl.report.document import Check, render_sections
-    from surctl.report.evidence import MarginSlice, margin_slice, plot_counterexample, plot_replay, plot_slice
+    from surctl.report.evidence import margin_slice, plot_counterexample, plot_slice
     from surctl.report.motion_plots import plot_motion
-    from surctl.report.page_parts import plot_loop, plot_loop_goals, plot_loops
+    from surctl.report.page_parts import plot_loops
     from surctl.report.system_plots import (
         plot_attainable_rates,
         plot_dependence,
@@ -17,29 +16,21 @@ if TYPE_CHECKING:
         plot_phase_plane,
         plot_record,
         plot_runs,
-        plot_sobol_indices,
     )
 
 __all__ = [
-    "Check",
-    "MarginSlice",
     "margin_slice",
     "plot_attainable_rates",
     "plot_cost_map",
     "plot_counterexample",
     "plot_dependence",
     "plot_fan",
-    "plot_loop",
-    "plot_loop_goals",
     "plot_loops",
     "plot_motion",
     "plot_phase_plane",
     "plot_record",
-    "plot_replay",
     "plot_runs",
     "plot_slice",
-    "plot_sobol_indices",
-    "render_sections",
 ]
 
 load_at_first_use(__name__)

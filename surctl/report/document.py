@@ -5,21 +5,20 @@ from __future__ import annotations
 import base64
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import ClassVar, Literal, NamedTuple
+from typing import ClassVar, Literal
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from surctl.assessment import Assessment
+from surctl.assessment import Line
 from surctl.report.theme import png
 
 __all__ = [
     "Block",
     "Cell",
-    "Check",
     "Heading",
     "Paragraph",
     "Picture",
@@ -27,43 +26,12 @@ __all__ = [
     "Player",
     "Section",
     "Table",
-    "checks_of",
-    "marked",
     "outcome_cell",
     "picture",
     "render_sections",
 ]
 
 Mark = Literal["", "good", "bad", "note"]
-
-
-class Check(NamedTuple):
-    """A line of the summary.
-
-    Attributes:
-        good: True if the line holds, False if it fails, None if it is open or does not count towards the result.
-        text: the sentence on the line.
-        anchor: anchor of the section or heading with the details; empty for none.
-        open: whether the line counts towards the result, but is not decided.
-    """
-
-    good: bool | None
-    text: str
-    anchor: str = ""
-    open: bool = False
-
-
-def checks_of(assessment: Assessment) -> tuple[Check, ...]:
-    """Return the lines of an assessment, worst first, as those of a summary."""
-    return tuple(
-        Check(line.passed if line.counts else None, line.text, line.about, line.rank == 1) for line in assessment.lines
-    )
-
-
-def marked(passed: bool | None, banner: str) -> tuple[str, str]:
-    """Return style and text of the first line of a page."""
-    style, sign = {False: ("bad", "✗"), None: ("note", "•"), True: ("good", "✓")}[passed]
-    return style, f"{sign} {banner}"
 
 
 @dataclass(frozen=True)
@@ -223,8 +191,9 @@ def render_sections(
     subject: str,
     version: str,
     command: str,
-    outcome: tuple[str, str],
-    summary: Sequence[Check | tuple[bool | None, str]],
+    passed: bool | None,
+    banner: str,
+    lines: Sequence[Line],
     sections: Sequence[Section],
 ) -> str:
     """Return an HTML page with the given sections, in the layout of all reports.
@@ -234,24 +203,11 @@ def render_sections(
         subject: sentence below the heading with the subject of the page.
         version: version of this package.
         command: the command line that produced the page; may be empty.
-        outcome: class (`good`, `bad` or `note`) and text of the first line.
-        summary: lines of the summary, see `Check`. Lines that fail come first, then those that are open; lines
-            that do not count towards the result come last. If a section is folded, the other lines are folded too.
+        passed: outcome of the first line.
+        banner: text of the first line.
+        lines: the verdicts, shown worst first; `about` is the anchor of the section or heading with the details. If a
+            section is folded, only lines that fail or are not decided are open.
         sections: the sections in reading order.
-
-    Example:
-        >>> from surctl.report import Check, render_sections
-        >>> page = render_sections(
-        ...     title="Pool",
-        ...     subject="One hull, one pool.",
-        ...     version="1.0",
-        ...     command="",
-        ...     outcome=("good", "All holds."),
-        ...     summary=[Check(True, "margins suffice")],
-        ...     sections=[],
-        ... )
-        >>> page[:15], [words in page for words in ("One hull, one pool.", "margins suffice")]
-        ('<!DOCTYPE html>', [True, True])
     """
     environment = Environment(
         loader=FileSystemLoader(_TEMPLATES),
@@ -266,8 +222,8 @@ def render_sections(
     scripts = [name for name, needed in (("fold.js", folds), ("player.js", plays)) if needed]
     script = "".join((_TEMPLATES / name).read_text(encoding="utf-8") for name in scripts)
     # a line that the first line quotes whole, and that leads nowhere, is not said twice
-    lines = [line for line in _linked(summary, sections) if line.anchor or not outcome[1].endswith(f": {line.text}")]
-    hidden = [line for line in lines if folds and line.good is not False and not line.open]
+    shown = [line for line in _linked(lines, sections) if line.about or not banner.endswith(f": {line.text}")]
+    hidden = [line for line in shown if folds and line.rank >= 2]
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii")
     page = environment.get_template("page.html")
     return page.render(
@@ -275,7 +231,7 @@ def render_sections(
         subject=subject,
         version=version,
         command=command,
-        checks=[line for line in lines if line not in hidden],
+        checks=[line for line in shown if line not in hidden],
         folded=hidden,
         folded_title=_counted(hidden),
         first_below=next((section for section in sections if section.folded), next(iter(sections), None)),
@@ -283,24 +239,23 @@ def render_sections(
         script=script,
         digest=digest,
         sections=sections,
-        outcome=outcome,
+        rank=Line(passed, banner).rank,
+        banner=banner,
     )
 
 
-def _linked(summary: Sequence[Check | tuple[bool | None, str]], sections: Sequence[Section]) -> list[Check]:
-    # failed checks first, each with the nearest anchor that the page has
+def _linked(lines: Sequence[Line], sections: Sequence[Section]) -> list[Line]:
+    # worst first, each with the nearest anchor that the page has
     there = {section.anchor for section in sections} | {h.anchor for section in sections for h in section.headings}
     linked = []
-    for line in summary:
-        good, text, anchor, undecided = Check(*line)
-        whole = anchor.partition("-")[0]  # the section, if the page does not show this part of it
-        linked.append(Check(good, text, anchor if anchor in there else whole if whole in there else "", undecided))
-    order = {False: 0, None: 1, True: 2}
-    return sorted(linked, key=lambda check: 3 if check.good is None and not check.open else order[check.good])
+    for line in lines:
+        whole = line.about.partition("-")[0]  # the section, if the page does not show this part of it
+        linked.append(replace(line, about=next((name for name in (line.about, whole) if name in there), "")))
+    return sorted(linked, key=lambda line: line.rank)
 
 
-def _counted(lines: Sequence[Check]) -> str:
-    hold = sum(line.good is True for line in lines)
+def _counted(lines: Sequence[Line]) -> str:
+    hold = sum(line.rank == 2 for line in lines)
     notes = len(lines) - hold
     parts = [f"{hold} {'check holds' if hold == 1 else 'checks hold'}"] if hold else []
     parts += [f"{notes} {'note does' if notes == 1 else 'notes do'} not count towards the result"] if notes else []

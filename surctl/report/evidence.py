@@ -146,16 +146,6 @@ def plot_replay(verdict: Verdict, trajectory: Replay, ax: Axes | None = None) ->
 
     Raises:
         InputError: the verdict has no counterexample, or the replay has no motion.
-
-    Example:
-        >>> from surctl.report import plot_replay
-        >>> from surctl.marine.verification import claims
-        >>> from surctl.verification import falsify, replay
-        >>> [claim] = claims(names=["v1-printed"])
-        >>> verdict = falsify(claim, samples=256, starts=2)
-        >>> ax = plot_replay(verdict, replay(claim, verdict.counterexample))
-        >>> ax.get_xlabel(), ax.get_ylabel(), len(ax.lines)
-        ('time from the counterexample [s]', 'V1 [m^2]', 2)
     """
     claim, point = verdict.claim, _counterexample(verdict)
     if trajectory.time.size == 0:

@@ -160,14 +160,7 @@ def plot_loops(loops: Loops, opening: str, *, source: str = "", end: str = "") -
 
 
 def plot_loop(loop: LinearLoop, opening: str = "", *, source: str = "", end: str = "") -> Figure:
-    """Plot one loop as `plot_loops`; by default opened at the first command, with the step of the first reference.
-
-    Example:
-        >>> from surctl.system import linearise
-        >>> from surctl.testing import cart_system
-        >>> linearise(cart_system(2.0)).plot().axes[0].get_title("left")
-        'Loop gain |L|, opened at force'
-    """
+    """Plot one loop as `plot_loops`; by default opened at the first command, with the step of the first reference."""
     source, end = (source, end) if source else _default_step(loop)
     return plot_loops({"loop": loop}, opening or loop.channels()[0], source=source, end=end)
 
@@ -200,16 +193,7 @@ def _default_step(loop: LinearLoop) -> tuple[str, str]:
 
 
 def plot_loop_goals(scores: LoopScores) -> Figure:
-    """Plot each goal about the loop with its curve at every operating point; the violated side is shaded.
-
-    Example:
-        >>> from surctl.system import linearise
-        >>> from surctl.testing import cart_system
-        >>> from surctl.tuning import SensitivityBound, judge_loops
-        >>> goal = SensitivityBound(name="peak of S", at="force", at_most=2.0)
-        >>> judge_loops([goal], {"nominal": linearise(cart_system(2.0))}).plot().axes[0].get_title("left")
-        'peak of S (soft)'
-    """
+    """Plot each goal about the loop with its curve at every operating point; the violated side is shaded."""
     return draw_panels(_goal_panels(scores))
 
 

@@ -22,8 +22,6 @@ from surctl.report.document import (
     Pictures,
     Section,
     Table,
-    checks_of,
-    marked,
     outcome_cell,
     picture,
     render_sections,
@@ -34,8 +32,18 @@ from surctl.report.system_plots import plot_dependence, plot_record
 from surctl.report.theme import number
 from surctl.system import Record, Runs, entry_labels, entry_units
 from surctl.tuning import SystemSweep
+from surctl.verification import LoopMargins
+from surctl.verification.linear import DiskMargin
 
-__all__ = ["SystemStudy", "export_line", "render_system_page", "sil_blocks"]
+__all__ = [
+    "SystemStudy",
+    "disk_table",
+    "export_line",
+    "figures_table",
+    "margins_table",
+    "render_system_page",
+    "sil_blocks",
+]
 
 
 @dataclass(frozen=True)
@@ -83,6 +91,52 @@ def sil_blocks(reports: Sequence[SilReport]) -> list[Block]:
     return blocks
 
 
+def figures_table(assessment: Assessment) -> Table:
+    """Return the table of the figures of an assessment."""
+    rows = tuple(
+        (Cell(f.name, code=True), Cell(number(f.value), number=True), f.unit, f.meaning, f.where)
+        for f in assessment.figures.values()
+    )
+    return Table("Figures of the assessment", ("figure", "value", "unit", "meaning", "worst at"), rows)
+
+
+def margins_table(caption: str, margins: Sequence[LoopMargins]) -> Table:
+    """Return the table of the margins of each loop alone."""
+    rows = tuple(
+        (
+            Cell(m.name, code=True), outcome_cell(m.stable, "stable", "UNSTABLE"),
+            *(Cell(number(v), number=True) for v in (
+                m.gain_margin, m.least_gain, m.phase_margin_deg, m.delay_margin_s, m.disk_margin, m.crossover_rad_s)),
+        )
+        for m in margins
+    )  # fmt: skip
+    heads = (
+        "loop", "closed loop", "gain margin [1]", "least gain [1]", "phase margin [deg]", "delay margin [s]",
+        "disk margin of this loop alone [1]", "crossover [rad/s]",
+    )  # fmt: skip
+    return Table(caption, heads, rows)
+
+
+def disk_table(disks: Sequence[tuple[str, DiskMargin]]) -> Table:
+    """Return the table of disk margins of all loops at once, each with what it is of."""
+    rows: tuple[tuple[Cell | str, ...], ...] = tuple(
+        (
+            of,
+            Cell(disk.place, code=True),
+            outcome_cell(disk.stable, "stable", "UNSTABLE"),
+            *(Cell(number(v, digits=3), number=True) for v in (disk.guaranteed, disk.reached, disk.frequency_rad_s)),
+            Cell(f"{number(disk.gain[0], digits=3)} to {number(disk.gain[1], digits=3)}", number=True),
+            Cell(number(disk.phase_deg, digits=3), number=True),
+        )
+        for of, disk in disks
+    )
+    heads = (
+        "of", "opened at", "closed loop", "guaranteed [1]", "upper bound [1]", "at [rad/s]",
+        "tolerated gain factors [1]", "tolerated phase errors [deg]",
+    )  # fmt: skip
+    return Table("Disk margins of all loops at once", heads, rows)
+
+
 def render_system_page(study: SystemStudy) -> str:
     """Return the report as one HTML text without links to the network; all text is escaped.
 
@@ -95,8 +149,9 @@ def render_system_page(study: SystemStudy) -> str:
         subject=f"Plant {system.plant.name}, controller {system.controller.name}, control period {system.dt:g} s.",
         version=study.version,
         command=study.commands["study"],
-        outcome=marked(assessment.passed, assessment.banner),
-        summary=checks_of(assessment),
+        passed=assessment.passed,
+        banner=assessment.banner,
+        lines=assessment.lines,
         sections=[section for section in _sections(study) if section.blocks],
     )
 
@@ -132,27 +187,11 @@ def _margins(study: SystemStudy) -> tuple[Block, ...]:
     loop = study.assessment.sources["loop"]
     if isinstance(loop, InputError):
         return (Paragraph(f"Not judged: {loop.problem}.", "note"),)
-    figures = tuple(
-        (Cell(f.name, code=True), Cell(number(f.value), number=True), f.unit, f.meaning, f.where)
-        for f in study.assessment.figures.values()
-    )
     rest = tuple(
         (kind, Cell(label, code=True), Cell(number(value, digits=6), number=True), unit)
         for kind, rows in study.resting.items()
         for label, value, unit in rows
     )
-    rows = tuple(
-        (
-            Cell(m.name, code=True), outcome_cell(m.stable, "stable", "UNSTABLE"),
-            *(Cell(number(v), number=True) for v in (
-                m.gain_margin, m.least_gain, m.phase_margin_deg, m.delay_margin_s, m.disk_margin)),
-        )
-        for m in loop.nominal.margins
-    )  # fmt: skip
-    heads = (
-        "opened at", "closed loop", "gain margin [1]", "least gain [1]", "phase margin [deg]", "delay margin [s]",
-        "disk margin of this loop alone [1]",
-    )  # fmt: skip
     text = "The sampled loop, linear about its equilibrium, is opened at one signal while all others stay closed."
     loops = picture(
         plot_loop(loop.nominal.linear),
@@ -160,13 +199,12 @@ def _margins(study: SystemStudy) -> tuple[Block, ...]:
         caption="The sampled loop: loop gain, sensitivities, Nyquist curve, step response and poles.",
         command=study.commands["verify"],
     )
-    together = [margin.line(margin.place) for margin in loop.nominal.disks if loop.nominal.stable]
     return (
-        Table("Figures of the assessment", ("figure", "value", "unit", "meaning", "worst at"), figures),
+        figures_table(study.assessment),
         Paragraph(text),
         Pictures((loops,)),
-        Table("Margins", heads, rows),
-        *map(Paragraph, together),
+        margins_table("Margins", loop.nominal.margins),
+        disk_table([("nominal", disk) for disk in loop.nominal.disks]),
         Paragraph(f"Slowest mode: {study.mode}."),
         Table("Equilibrium", ("kind", "entry", "value", "unit"), rest),
     )

@@ -385,16 +385,6 @@ def plot_sobol_indices(result: SobolIndices, ax: Axes | None = None) -> Axes:
     Args:
         result: the Sobol' indices.
         ax: axes to draw in.
-
-    Example:
-        >>> from surctl.testing import cart_system
-        >>> from surctl.tuning import parse_axis, saltelli, sobol_indices, sweep_system
-        >>> system = cart_system()
-        >>> design = saltelli([parse_axis("k=1..2"), parse_axis("start.speed=0.9..1.1")], base=16)
-        >>> way = sweep_system(system, design, 5.0).mean("way")
-        >>> ax = sobol_indices(design, way, "way").plot()
-        >>> ax.get_title("left"), ax.get_xlabel(), [label.get_text() for label in ax.get_yticklabels()]
-        ('What way depends on', 'share of the variance [1]', ['k', 'start.speed'])
     """
     ax = ax or new_axes(6.4, 1.5 + 0.55 * len(result.axes))
     title = f"What {result.column} depends on"

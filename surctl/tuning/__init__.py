@@ -20,9 +20,9 @@ if TYPE_CHECKING:
         saltelli,
         spread,
     )
-    from surctl.tuning.goals import LIBRARY, GoalTable, RunGoal, load_loop_goals, load_system_goals
+    from surctl.tuning.goals import LIBRARY, GoalTable, RunGoal, load_loop_goals
     from surctl.tuning.loop_frequency_goals import Effort, LoopShape, MaxGain, Rejection, SensitivityBound, Tracking
-    from surctl.tuning.loop_goal_file import LOOP_GOAL_KEYS, LoopGoalTable, PointTable, loop_goal
+    from surctl.tuning.loop_goal_file import LOOP_GOAL_KEYS, LoopGoalTable, PointTable
     from surctl.tuning.loop_goals import Judgement, LoopGoal, LoopView, Profile
     from surctl.tuning.loop_scores import LoopScores, Score, judge_loops, operating_loops
     from surctl.tuning.loop_time_goals import Margins, Overshoot, Poles, Settling, StepRejection, StepTracking
@@ -72,8 +72,6 @@ __all__ = [
     "grid",
     "judge_loops",
     "load_loop_goals",
-    "load_system_goals",
-    "loop_goal",
     "make_design",
     "operating_loops",
     "parse_axis",

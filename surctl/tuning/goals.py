@@ -248,18 +248,6 @@ def load_system_goals(
 
     Raises:
         InputError: as for `load_loop_goals`, or the system has no such cost.
-
-    Example:
-        >>> from pathlib import Path
-        >>> from surctl.system import Cost
-        >>> from surctl.testing import cart_system
-        >>> from surctl.tuning import load_system_goals
-        >>> rest = Cost(lambda s: s.x["speed"] - 0.1, "last_time", "s")
-        >>> text = "kind = 'goals'\\nname = 'cart'\\n[[goals]]\\nname = 'quick'\\nmetric = 'rest'\\nat_most = '4 s'"
-        >>> _ = Path("cart.toml").write_text(text)
-        >>> [goal] = load_system_goals("cart.toml", cart_system(costs={"rest": rest}))[2]
-        >>> goal.metric, goal.sign, goal.limit, goal.unit
-        ('rest', '≤', 4.0, 's')
     """
     return _load(path, system)
 

@@ -78,15 +78,7 @@ LOOP_GOAL_KEYS: Mapping[str, frozenset[str]] = {
 
 
 def loop_goal(table: LoopGoalTable) -> LoopGoal:
-    """Build the goal that a table describes; an InputError names the key.
-
-    Example:
-        >>> from surctl.tuning import LoopGoalTable, loop_goal
-        >>> table = {"name": "calm", "type": "overshoot", "from": "target", "to": "level", "at_most": "10 percent"}
-        >>> goal = loop_goal(LoopGoalTable.model_validate(table))
-        >>> goal.source, goal.end, round(goal.at_most, 3)
-        ('target', 'level', 0.1)
-    """
+    """Build the goal that a table describes; an InputError names the key."""
     key = f"goals.{table.name}"
     if table.type not in LOOP_GOAL_KEYS:
         remedy = nearest(table.type, LOOP_GOAL_KEYS)

@@ -143,10 +143,7 @@ def sobol_indices(design: Design, values: NDArray[np.float64], column: str, *, s
     """
     if design.kind != "saltelli":
         raise InputError(
-            "needs the points of a Saltelli design",
-            key="sensitivity",
-            value=column,
-            remedy="sweep with --sensitivity",
+            "needs the points of a Saltelli design", key="sensitivity", value=column, remedy="sweep with --sensitivity"
         )
     names = design.names
     lost = int((~np.isfinite(values)).sum())

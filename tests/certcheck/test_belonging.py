@@ -65,7 +65,7 @@ def test_the_law_of_a_steering_certificate_is_evaluated() -> None:
     claim, manifest = steered()
     swapped = {"k_psi": "k_r", "k_r": "k_psi"}
     other = otherwise(manifest, "gains", lambda p: replace(p, name=swapped.get(p.name, p.name)))
-    assert says(compare(seal("lyapunov", claim, {}), other).differs, "law: rate of v at ")
+    assert says(compare(seal("lyapunov", claim, {}), other).differs, "law: moment at ")
 
 
 def test_a_steering_certificate_is_about_a_law_without_integral_action() -> None:

@@ -15,7 +15,7 @@ from surctl.certcheck import check_document
 from surctl.certcheck.braking import bound_distance, disturbance, read_distance, thrust_ahead, upper
 from surctl.certcheck.braking_claim import read_claim
 from surctl.certcheck.document import Rejected
-from surctl.certcheck.loop_points import values_at
+from surctl.certcheck.law_points import values_at
 from surctl.marine.control import load_gains
 from surctl.marine.control.closing import velocity_control
 from surctl.marine.control.stopping import BARRIERS, BRAKE

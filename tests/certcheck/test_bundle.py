@@ -22,9 +22,10 @@ from surctl.certcheck.belonging import Belonging, compare
 from surctl.certcheck.braking_claim import read_claim as read_braking
 from surctl.certcheck.bundle import Manifest, read_bundle, read_manifest
 from surctl.certcheck.document import read
-from surctl.certcheck.law_points import STEERED, compare_braking
 from surctl.certcheck.law_points import Law as Listing
+from surctl.certcheck.law_points import compare_braking
 from surctl.certcheck.region_claim import read_claim as read_region
+from surctl.certcheck.steering import STEERED
 from surctl.errors import InputError
 from surctl.export import Bundle, write_bundle
 from surctl.export.bundle import build_bundle as build_core
@@ -114,7 +115,8 @@ def test_the_cruise_of_the_same_law_vehicle_and_gains_belongs(folder: Path) -> N
     assert told.belongs, told.differs
     assert told.excludes[:6] == tuple(region()["claim"]["excludes"])
     assert [text.split(":")[0] for text in told.excludes[6:]] == [
-        "rounding", "mass", "quadratic drag", "thrust", "sampling", "thrust lag", "conditions", "yaw rate", "code"
+        "rounding", "mass", "quadratic drag", "thrust", "sampling", "thrust lag", "conditions", "law", "yaw rate",
+        "code",
     ]  # fmt: skip
     assert told.excludes[7] == "mass: 50.0 to 125.0 in the vehicle file, 76.0 to 114.0 certified"
     held = compare(region(lambda claim: claim["law"].update(period_s=0.05)), manifest)
@@ -259,13 +261,13 @@ def test_what_the_manifest_does_not_say_is_not_known() -> None:
 
 
 @cache
-def steered() -> tuple[dict[str, Any], Manifest]:
+def steered(vehicle: str = "otter", cruise: float = 1.1, file: str = "") -> tuple[dict[str, Any], Manifest]:
     """The claim about the heading loop of a craft, and the manifest of the bundle of its law."""
-    law, boat, cruise = build_law("steered"), load_vehicle("otter"), 1.1
+    law, boat = build_law("steered"), load_vehicle(vehicle)
     gains = derived_gains(boat.at_speed(cruise), cruise=cruise).with_own(law_source("steered").gains)
     mission = replace(MISSION, cruise=cruise, cap=round(cruise * 0.22 / 0.15, 9))
     bundle = build_bundle(law, law.gains.unpack(law_numbers(mission, gains, boat)), origin=Origin(boat, law))
-    claim = read(REGION.with_name("region-steered-20.json"))["claim"]
+    claim = read(REGION.with_name(f"region-steered-20{file}.json"))["claim"]
     return claim, read_manifest(json.loads(bundle.files["manifest.json"]), bundle.files)
 
 
@@ -295,12 +297,58 @@ def test_a_steering_certificate_is_compared_with_the_vehicle(name: str, ends: An
     assert any(text.startswith(difference) for text in result.differs) is bool(difference)
 
 
+def test_the_speed_of_fins_is_that_of_the_law_s_own_model() -> None:
+    claim, manifest = steered("remus100", 1.5, "-remus100")
+    assert compare({"kind": "lyapunov", "claim": claim}, manifest).belongs
+    assert not compare({"kind": "lyapunov", "claim": claim}, replace(manifest, fins={"moment_nm": 10.0})).belongs
+    says = ("law: the law for fins, and no other, has a surge speed u_model of its own",)
+    claim, manifest = steered()
+    finned = replace(manifest, fins={"moment_nm": 1e3})
+    assert compare({"kind": "lyapunov", "claim": claim}, finned).differs == says
+    row = {"name": "u_model", "unit": "1", "lower": 0.9, "upper": 1.3}
+    assert (
+        compare({"kind": "lyapunov", "claim": {**claim, "parameters": [*claim["parameters"], row]}}, manifest).differs
+        == says
+    )
+
+
+def test_the_name_of_a_steering_certificate_is_a_label_and_every_other_text_is_bound() -> None:
+    claim, manifest = steered()
+    other = compare({"kind": "lyapunov", "claim": {**claim, "name": "x"}}, manifest)
+    assert other.belongs and "name: 'x' is a label, which nothing is compared with" in other.excludes
+    assert compare({"kind": "lyapunov", "claim": {**claim, "more": "x"}}, manifest).unbound == ("more = 'x'",)
+    for name, text in claim["dynamics"].items():
+        for changed in (f"{text} + 2e-4*max(0, 1 - abs(psi - 0.1)/1e-3)", f"({text})*(1 + 1e-30)", "0"):
+            result = compare(
+                {"kind": "lyapunov", "claim": {**claim, "dynamics": {**claim["dynamics"], name: changed}}}, manifest
+            )
+            text_ = f"dynamics: the rate of {name} is not that of the heading loop with these gains"
+            assert result.differs == (text_,)
+
+
+@pytest.mark.parametrize("name", ["N0", "Yu", "m14", "Ywv", "other"])
+def test_a_parameter_that_the_heading_loop_lacks_does_not_belong(name: str) -> None:
+    claim, manifest = steered()
+    row = {"name": name, "unit": "1", "lower": 0.0, "upper": 1.0}
+    manifest = replace(manifest, values={**manifest.values, name: 0.5})
+    assert compare(seal("lyapunov", claim | {"parameters": [*claim["parameters"], row]}, {}), manifest).differs
+
+
 @pytest.mark.parametrize(("group", "name"), [("states", name) for name in STEERED] + [("parameters", "Yv")])
 def test_the_units_of_a_steering_certificate_are_bound(group: str, name: str) -> None:
     claim, manifest = steered()
     rows = [row | {"unit": "km"} if row["name"] == name else row for row in claim[group]]
     result = compare(seal("lyapunov", claim | {group: rows}, {}), manifest)
     assert [text for text in result.differs if text.startswith(f"{name}: in km certified")], result.differs
+
+
+def test_the_states_of_a_steering_certificate_are_those_of_the_loop() -> None:
+    claim, manifest = steered()
+    states = claim["states"][1::-1] + claim["states"][2:]
+    dynamics = {name: text for name, text in claim["dynamics"].items() if name != "sway"}
+    for change in ({"states": states}, {"dynamics": dynamics}, {"dynamics": {**claim["dynamics"], "more": "1"}}):
+        result = compare({"kind": "lyapunov", "claim": {**claim, **change}}, manifest)
+        assert result.differs == ("law: the states are not those of the heading loop",)
 
 
 def test_a_steering_certificate_is_about_continuous_time() -> None:

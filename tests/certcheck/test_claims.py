@@ -79,7 +79,7 @@ def test_a_range_is_least_then_largest(kind: str, key: str) -> None:
         *((kind, ("law", key), 0.1, "must be 0: the certified loop has no integral action")
           for kind, key in (("region", "k_i"), ("turning", "k_i"), ("braking", "k_i_per_s2"))),
         ("region", ("vehicle", "lag_s"), [0.0, 0.1], "lag_s must be a range above 0"),
-        ("region", ("motion", "ultimate_bound_m"), [0.1], "ultimate_bound_m must be"),
+        ("region", ("motion", "ultimate_bound_m"), [0.1], "ultimate_bound_m must have two entries"),
         ("turning", ("vehicle", "mass_asymmetry"), 2.0, "an asymmetry must be below 2"),
         ("turning", ("vehicle", "drag_asymmetry"), 2.0, "an asymmetry must be below 2"),
         ("turning", ("vehicle", "lag_s"), [0.0, 0.1], "lag_s must be a range above 0"),

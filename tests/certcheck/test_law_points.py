@@ -12,8 +12,8 @@ import pytest
 
 from surctl.certcheck.bundle import Listed, Manifest, Port
 from surctl.certcheck.document import Rejected
-from surctl.certcheck.law_points import Law, Same
-from surctl.certcheck.loop_points import _joined, _named, values_at
+from surctl.certcheck.law_points import Law, Same, values_at
+from surctl.certcheck.loop_dynamics import _joined, _named
 from tests.certcheck.test_bundle import bundled, loop
 
 
@@ -89,4 +89,4 @@ def test_vectors_are_connected_by_name() -> None:
 def test_rates_are_those_of_the_text_or_not_defined() -> None:
     points = np.array([[0.25, 4.0]])
     assert values_at(["x"], points, {"x": "2*x", "y": "sqrt(x)"})["y"].tolist() == [0.5, 2.0]
-    refuses("not defined at a point of the box", values_at, ["x"], -points, {"x": "sqrt(x)"})
+    refuses("not defined at a point", values_at, ["x"], -points, {"x": "sqrt(x)"})

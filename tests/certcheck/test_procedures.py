@@ -116,6 +116,10 @@ REFUSED = {
     "def f(s):\n    s.y[0] = s.x": "x as a whole",
     "def f(s):\n    s.k[0] = 1": "k as a whole, or with an entry of a number",
     "def f(s):\n    s.n = 100000": "changes the size n",
+    "def f(s):\n    s.k = s.x[0:1]": "construct Slice",
+    "def f(s):\n    s.k = s.x[0, 0]": "construct Tuple",
+    "def f(s):\n    s.y[0] = s.x[0][0]": "entry of something else than an array",
+    "def f(s):\n    s.y[0] = s[0]": "entry of something else than an array",
 }
 
 
@@ -142,3 +146,37 @@ def test_an_evaluation_ends_at_its_bounds() -> None:
 def test_a_long_loop_looks_at_the_clock() -> None:
     with pytest.raises(Rejected, match="processor time"), patient(0.001):
         run("for i in range(1000000):\n        s.k += s.k + 1")
+
+
+INDICES = (
+    "-1",
+    "s.k - 1",
+    "s.place[0] - 1",
+    "i - 1",
+    "s.place[-1]",
+    "s.place[i - 1] + 1",
+    "-(1 - i) * 2 - 1",
+    "0 - s.n",
+)
+
+
+@pytest.mark.parametrize("index", INDICES)
+@pytest.mark.parametrize(
+    "statement", ["s.y[0] = s.x[{}]", "s.y[{}] = 1.0", "s.y[{}] += 1.0", "s.place[s.place[{}]] = 1"]
+)
+def test_an_index_before_the_first_entry_is_refused(index: str, statement: str) -> None:
+    body = f"for i in range(s.n):\n        {statement.format(index)}"
+    with pytest.raises(ValueError, match="negative index"):
+        run(body)
+
+
+@pytest.mark.parametrize("index", ["2", "s.m", "i + 1", "s.place[i] + s.n"])
+@pytest.mark.parametrize("statement", ["s.y[0] = s.x[{}]", "s.y[{}] = 1.0"])
+def test_an_index_behind_the_last_entry_is_refused(index: str, statement: str) -> None:
+    with pytest.raises(IndexError):
+        run(f"for i in range(s.n):\n        {statement.format(index)}")
+
+
+def test_an_index_may_be_an_entry_itself() -> None:
+    body = "s.place[0] = 1\n    s.y[s.place[s.place[1]]] = s.x[s.place[0] - s.place[0]]\n    s.y[s.place[1]] = 7.0"
+    assert run(body, [3.0, 4.0]) == [[7.0, 3.0]]

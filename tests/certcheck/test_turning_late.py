@@ -12,16 +12,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from surctl.certcheck import check_document
+from surctl.certcheck import check_document, turning_cells
+from surctl.certcheck.document import Rejected
 from surctl.certcheck.turning_cells import heading_cells, lateness, steady
-from surctl.certcheck.turning_claim import TurningClaim, read_claim
-from surctl.certcheck.turning_form import Form, lipschitz, stir
+from surctl.certcheck.turning_claim import TurningClaim, drag_factors, read_claim
+from surctl.certcheck.turning_form import Form, held, lipschitz, stir
 from surctl.certcheck.turning_law import commanded, true_rate
+from surctl.certcheck.turning_terms import flow_lack, other_forces
 from surctl.marine.vehicle import PLANT_DISTURBANCE, PLANT_STATE, build_plant, load_vehicle, plant_parameters
 from tests.certcheck.altering import sealed
 from tests.certcheck.turning_samples import draw_motions, draw_vehicles
 
-HERE, STEP = Path(__file__).parent, 1e-6
+HERE, STEP, ONE = Path(__file__).parent, 1e-6, Fraction(1)
 
 
 def document(name: str = "region-turning-20-lag") -> dict[str, Any]:
@@ -226,3 +228,73 @@ def test_a_claim_without_its_lag_or_current_is_refused(key: str) -> None:
     whole = document()
     del whole["claim"]["vehicle"][key]
     assert key in check_document(sealed(whole)).reason
+
+
+def test_a_force_by_surge_speed_acts_on_its_axis() -> None:
+    claim, rng, n = read_claim(document()["claim"]), np.random.default_rng(4), 5
+    boat = {key: np.ones((n, 2)) for key in ("mass", "linear", "quadratic")} | {
+        "term_mass": np.ones(n),
+        "term": np.ones(n),
+    }
+    state, still = rng.uniform(-0.3, 0.3, (n, 4)), np.zeros(n)
+    u, v, r = *state[:, 2:].T, rng.uniform(-0.5, 0.5, n)
+    first = true_rate(replace(claim, terms={}), boat, state, still, r)
+    for name, speeds in {"Xuv": np.abs(u) * v, "Yu": u, "Yvu": np.abs(v) * u, "Yur": np.abs(u) * r}.items():
+        axis = "XY".index(name[0])
+        change = true_rate(replace(claim, terms={name: Fraction(2)}), boat, state, still, r) - first
+        assert np.allclose(change[:, 2 + axis], -2 * speeds / float(claim.mass[axis]), rtol=0, atol=1e-12), name
+        assert not change[:, 3 - axis].any()
+
+
+def test_bounds_of_a_period_are_the_largest_of_all_plans_loops_and_cells(monkeypatch: pytest.MonkeyPatch) -> None:
+    claim, trim, form = read(document())
+    claim, parts = replace(claim, period=Fraction(1, 20)), list[Any]()
+    monkeypatch.setattr(turning_cells, "held", lambda *words: parts.append(words) or held(*words))
+    whole = lateness(claim, trim, heading_cells(claim, trim, 6), form, (Fraction(0), Fraction(0)))
+    claim, form, cells, plans, *rest = parts[0]
+    single = [held(claim, form, cells, [plan], *rest).growing for plan in plans]
+    assert np.all(whole.growing >= np.max(single, axis=0))
+    steep = [100 * plan for plan in plans]
+    assert np.all(
+        held(claim, form, cells, plans + steep, *rest).growing >= held(claim, form, cells, steep, *rest).growing
+    )
+    first = [(at, [rows[:1] for rows in loops], *more) for at, loops, *more in cells]
+    last = [(at, [rows[-1:] for rows in loops], *more) for at, loops, *more in cells]
+    single = [held(claim, form, some, plans, *rest).growing for some in (first, last)]
+    assert np.all(whole.growing >= np.max(single, axis=0)) and np.ptp(single, axis=0).max() > 0
+    fixed = [held(claim, form, [cell], plans, *rest).fixed for cell in cells]
+    assert np.array_equal(whole.fixed, np.max(fixed, axis=0)) and whole.fixed.min() > 0
+
+
+def test_a_form_that_doubles_cannot_hold_is_rejected() -> None:
+    near = [[ONE if i == j else Fraction(10**12 - 1, 10**12) * (i + j == 1) for j in range(4)] for i in range(4)]
+    with pytest.raises(Rejected, match="ill-conditioned"):
+        Form(near)
+
+
+def test_forces_by_surge_speed_are_bounded_on_their_axis() -> None:
+    claim, speed = read_claim(document()["claim"]), Fraction(3)
+    plain = other_forces(replace(claim, terms={}), speed)
+    for name, product in {
+        "Xuv": speed**2,
+        "Yu": speed,
+        "Yur": speed * claim.yaw_rate,
+        "Xwu": claim.heave * speed,
+    }.items():
+        bounds = other_forces(replace(claim, terms={name: Fraction(-2)}), speed)
+        axis = "XY".index(name[0])
+        assert bounds[axis] - plain[axis] == 2 * max(claim.drag_factor[1], ONE) * product
+        assert bounds[1 - axis] == plain[1 - axis]
+
+
+def test_the_command_in_a_current_moves_by_its_largest_gain() -> None:
+    claim = replace(read_claim(document()["claim"]), current=Fraction(1, 50))
+    current, v, gain = 0.02, float(claim.cruise), 5.0
+    pairs = (Fraction(5), Fraction(0)), (Fraction(0), Fraction(0)), (Fraction(0), Fraction(0))
+    share = np.array([[[1.0, 1.0], [0.0, 0.0]]])
+    (bound,) = flow_lack(claim, pairs, (0.0, 0.0), share)
+    linear, square = float(claim.linear[0]), float(claim.quadratic[0])
+    law = (float(claim.mass[0] * claim.k_v) + linear) * gain * current + square * ((v + gain * current) ** 2 - v**2)
+    drags = [float(f[0]) * linear * current + float(f[2]) * square * ((v + current) ** 2 - v**2)
+             for f in drag_factors(claim)]  # fmt: skip
+    assert max(abs(law - drag) for drag in drags) <= bound[0] < 1.2 * abs(law)

@@ -20,6 +20,7 @@ from surctl.errors import InputError
 from surctl.own_code import object_of, pinned
 from surctl.system import System, find_equilibrium, linearise, run_system, simulate_system
 from surctl.verification import system_disk_margin, system_margins
+from tests.certcheck.altering import sealed
 from tests.pictures import blank_pictures
 from tests.tools import need_compiler
 
@@ -465,6 +466,25 @@ def test_a_region_of_a_system_is_proved_and_its_words_are_checked(
     assert about["gains"] == {"k": [2.0]}
     assert run("export", "loop.py:build", "--seconds", "0.1", "--out", "c").exit_code == 0
     assert run("check", "p/cart.json", "--bundle", "c").exit_code == 0
+    # a plant that differs in a small part of the box, with the digests of the other one
+    other = (
+        Path("loop.py")
+        .read_text()
+        .replace("+ f['u']", "+ f['u'] + 2e-4 * ca.fmax(0, 1 - ca.fabs(x['x'] - 0.3123) / 1e-6)")
+    )
+    Path("other.py").write_text(f"import casadi as ca\n{other}")
+    assert (
+        run(
+            "verify", "other.py:build", "within.x=-2..2", "lyapunov.function=x^2", "lyapunov.level=1", "--out", "o"
+        ).exit_code
+        == 0
+    )
+    document = json.loads(Path("o/cart.json").read_text())
+    document["claim"]["about"] = about
+    Path("o/cart.json").write_text(json.dumps(sealed(document)))
+    checked = run("check", "o/cart.json", "--bundle", "c")
+    assert checked.exit_code == 1 and "IS NOT BOUND to the controller" in checked.output
+    assert "not shown: dynamics: rate of x: it is not shown to be the expression of the instruction" in checked.output
     # without a function, the region is that of the sampled loop
     result = run("verify", "loop.py:build", "within.x=-2..2", "--out", "q")
     assert "region of attraction of the sampled loop, with held commands:" in result.output

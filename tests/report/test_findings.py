@@ -5,11 +5,11 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 
+from surctl.assessment import Figure, Line
 from surctl.marine.report import render_page
 from surctl.marine.report.page import findings_section
 from surctl.marine.verification import claims
-from surctl.report import Check, render_sections
-from surctl.report.document import Section, Table
+from surctl.report.document import Section, Table, render_sections
 from surctl.report.evidence import claim_words
 from surctl.verification import Inapplicable
 from tests.report.data import report
@@ -18,9 +18,9 @@ from tests.report.test_page import bare
 
 
 def test_where_sections_are_folded_only_what_fails_is_open() -> None:
-    lines = (Check(True, "good"), Check(False, "bad", "runs"), Check(None, "remark"), Check(True, "fine"))
+    lines = (Line(True, "good"), Line(False, "bad", "runs"), Line(None, "remark", counts=False), Line(True, "fine"))
     told = render_sections(
-        title="t", subject="s", version="0", command="", outcome=("bad", "x"), summary=lines,
+        title="t", subject="s", version="0", command="", passed=False, banner="x", lines=lines,
         sections=(Section("runs", "Runs", (), folded=True),),
     )  # fmt: skip
     open_, folded, _ = re.split(r"<details>|</details>", told, maxsplit=2)
@@ -31,21 +31,22 @@ def test_where_sections_are_folded_only_what_fails_is_open() -> None:
     assert "remark" in folded and "bad" not in folded
 
 
-def test_margins_and_claims_are_one_table_of_sentences() -> None:
+def test_claims_are_one_table_of_sentences_below_the_figures() -> None:
     unfit = Inapplicable("braking-rule-20", "m11 = 1 kg and m22 = 2 kg differ")
     regions = (Inapplicable("region-cruise-20, region-heading-20", "m11 = 3 kg and m22 = 4 kg differ"),)
-    section = findings_section(replace(report(), inapplicable=(unfit,), regions=regions))
-    (table,) = [block for block in section.blocks if isinstance(block, Table)]
+    margin = Figure("disk_margin", 0.31, "1", "all loops", "high", 0.3, "mass -5%")
+    judged = replace(report().assessment, figures={margin.name: margin})
+    section = findings_section(replace(report(), inapplicable=(unfit,), regions=regions, assessment=judged))
+    figures, table = [block for block in section.blocks if isinstance(block, Table)]
+    assert [cell.text for cell in figures.cells[0]] == ["disk_margin", "0.31", "1", "all loops", "mass -5%"]
     rows = {row[0].text: [cell.text for cell in row[1:]] for row in table.cells}
     assert list(rows) == [
-        "each loop alone", "all loops together", "v1-printed", "m-norm-printed", "v1-corrected", "braking-rule-20",
+        "v1-printed", "m-norm-printed", "v1-corrected", "braking-rule-20",
         regions[0].claim,
     ]  # fmt: skip
     for verdict, holds, where, beyond in rows.values():
         assert verdict and holds.endswith(".") and where.startswith("sur540-flooded") and beyond.endswith(".")
         assert "cruise speed 0.15 m/s, speed limit 0.22 m/s" in where
-    least = min(report().margins, key=lambda m: m.delay_margin_s)
-    assert f"{least.delay_margin_s:.3g} s of extra delay (least: {least.name})" in rows["each loop alone"][1]
     refuted, opened = rows["v1-printed"], rows["v1-corrected"]
     share = 100 * report().verdicts[0].fraction
     assert refuted[0] == "refuted, as expected" and refuted[1].startswith("It is not true that the tracking error")

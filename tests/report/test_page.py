@@ -10,17 +10,17 @@ from pathlib import Path
 import pytest
 from matplotlib.figure import Figure
 
+from surctl.assessment import Line
 from surctl.errors import InputError
 from surctl.export import Difference, ExportedFile, SilReport
 from surctl.marine.control import write_gains
 from surctl.marine.report import ExportSummary, ReportData, plot_run, render_page
 from surctl.marine.report.evidence_sections import runs_section
 from surctl.marine.report.page import write_page
-from surctl.report import Check, render_sections
-from surctl.report.document import Heading, Section, picture
+from surctl.report.document import Heading, Section, picture, render_sections
 from surctl.report.theme import png
 from tests.pictures import blank_pictures
-from tests.report.data import GAINS, report, run, sweep, vehicle
+from tests.report.data import GAINS, report, run, said, sweep, vehicle
 from tests.report.reader import Reader
 from tests.report.test_titles import outside
 
@@ -138,7 +138,7 @@ def test_names_are_escaped_and_never_run() -> None:
     leg = replace(base.scenario, name=evil, title=evil, source=evil)
     data = bare(
         title=evil, command=evil, version=evil, vehicle=car, gains=replace(GAINS, name=evil, provenance=evil),
-        runs=(replace(base, scenario=leg, vehicle=car),), summary=((True, evil),), seconds={evil: 1.0},
+        runs=(replace(base, scenario=leg, vehicle=car),), assessment=said(Line(True, evil)), seconds={evil: 1.0},
         export=ExportSummary(name=evil, id=evil, files=(ExportedFile(Path("a<b>.c"), evil),), status=evil),
     )  # fmt: skip
     page = render_page(data)
@@ -160,30 +160,28 @@ def test_numbers_that_are_none_or_endless_are_written_as_signs() -> None:
 
 
 @pytest.mark.parametrize(
-    ("summary", "said"),
+    ("lines", "first"),
     [
-        (((True, "a"), (None, "b")), "✓ All checks hold."),
-        (((True, "a"), (False, "b"), (False, "c")), "✗ 2 checks fail."),
-        (((None, "b"),), "• No check counts towards the result."),
+        ((Line(True, "a"), Line(None, "b", counts=False)), "✓ All that is assessed holds."),
+        ((Line(True, "a"), Line(False, "b"), Line(False, "c")), "✗ Fails: b (and 1 more)"),
+        ((Line(None, "b", counts=False),), "• Nothing is assessed."),
     ],
 )
-def test_the_outcome_stands_first(summary: tuple[tuple[bool | None, str], ...], said: str) -> None:
-    data = bare(summary=summary)
-    text = Reader(render_page(data)).text
-    assert said in text and text.index(said) < text.index("Parameters of vehicle sur540-flooded")
-    assert data.passed is {"✓": True, "✗": False, "•": None}[said[0]]
+def test_the_outcome_stands_first(lines: tuple[Line, ...], first: str) -> None:
+    text = Reader(render_page(bare(assessment=said(*lines)))).text
+    assert first in text and text.index(first) < text.index("Parameters of vehicle sur540-flooded")
 
 
 def test_what_fails_comes_first_and_leads_to_where_more_is_told() -> None:
     lines = (
-        Check(None, "sonar does not decide", "runs-2"),
-        Check(True, "margins suffice", "margins"),
-        Check(False, "run 9 is not drawn", "runs-9"),
-        Check(False, "nothing tells of it", "nowhere"),
-        (True, "no link"),
+        Line(None, "sonar does not decide", "runs-2", counts=False),
+        Line(True, "margins suffice", "margins"),
+        Line(False, "run 9 is not drawn", "runs-9"),
+        Line(False, "nothing tells of it", "nowhere"),
+        Line(True, "no link"),
     )
     told = render_sections(
-        title="t", subject="s", version="0", command="", outcome=("bad", "x"), summary=lines,
+        title="t", subject="s", version="0", command="", passed=False, banner="x", lines=lines,
         sections=(Section("margins", "Margins", ()), Section("runs", "Runs", (Heading("two", "runs-2"), Heading("x")))),
     )  # fmt: skip
     (items,) = re.findall(r'<ul class="checks">(.*?)</ul>', told, re.DOTALL)
@@ -373,6 +371,6 @@ def test_the_linear_side_stands_beside_the_margins(page: str) -> None:
 
 def test_what_the_first_line_quotes_is_not_said_twice() -> None:
     kind = {"title": "Hull", "subject": "", "version": "1", "command": "", "sections": []}
-    lines = [Check(None, "no region", open=True), Check(True, "margins")]
+    lines = [Line(None, "no region"), Line(True, "margins")]
     for banner, times in (("Nothing fails; open: no region", 1), ("Nothing fails; open: no region (and 1 more)", 2)):
-        assert render_sections(outcome=("note", banner), summary=lines, **kind).count("no region") == times
+        assert render_sections(passed=None, banner=banner, lines=lines, **kind).count("no region") == times

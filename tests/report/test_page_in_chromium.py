@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from surctl.assessment import Line
 from surctl.marine.report.page import write_page
 from surctl.marine.simulation import Run
-from surctl.report import Check
 from tests.browser import WIDTHS, Opened, open_page
-from tests.report.data import run, verdict
+from tests.report.data import run, said, verdict
 from tests.report.test_page import bare
 from tests.tools import need
 
@@ -64,10 +64,10 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
         deciding=(True,),
         verdicts=(verdict("v1-printed"),),
         seconds={"sweep": 1.5},
-        summary=(
-            (True, "margins suffice"),
-            Check(False, "a claim is open", "claims-v1-printed"),
-            (None, "sonar does not decide"),
+        assessment=said(
+            Line(True, "margins suffice"),
+            Line(False, "a claim is open", "claims-v1-printed"),
+            Line(None, "sonar does not decide", counts=False),
         ),
     )
     return write_page(data, tmp_path_factory.mktemp("report") / "report.html")

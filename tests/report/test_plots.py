@@ -25,9 +25,10 @@ from surctl.marine.simulation import Run, load_scenario, simulate
 from surctl.marine.tuning import SweepTable
 from surctl.marine.vehicle import load_vehicle
 from surctl.marine.verification import law_loop
-from surctl.report import margin_slice, plot_counterexample, plot_replay, plot_slice, plot_sobol_indices
-from surctl.report.evidence import _sense
+from surctl.report import margin_slice, plot_counterexample, plot_slice
+from surctl.report.evidence import _sense, plot_replay
 from surctl.report.page_parts import plot_tightest
+from surctl.report.system_plots import plot_sobol_indices
 from surctl.report.theme import BAD, printable, save_figure
 from surctl.tuning import SobolIndices
 from surctl.verification import evaluate, replay, system_margins

@@ -4,7 +4,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from surctl.errors import InputError
-from surctl.marine.tuning import Condition, Goal, conditions, corners, evaluate, load_goals
+from surctl.marine.tuning import Condition, Goal, conditions, evaluate, load_goals
+from surctl.marine.tuning.evaluation import corners
 from surctl.marine.vehicle import load_vehicle
 from tests.tuning.synthetic import CLEAR, GAINS, MARGIN, NEAR, THRIFT, case, install
 

@@ -9,7 +9,8 @@ import pytest
 
 from surctl.errors import InputError
 from surctl.system import Cost, System
-from surctl.tuning import RunGoal, Settling, judge_loops, load_system_goals, operating_loops, tune_system
+from surctl.tuning import RunGoal, Settling, judge_loops, operating_loops, tune_system
+from surctl.tuning.goals import load_system_goals
 from tests.cli.test_systems import run
 from tests.tuning.test_loop_goals import SYSTEM
 

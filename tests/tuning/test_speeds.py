@@ -8,22 +8,12 @@ import pytest
 from surctl.errors import InputError
 from surctl.marine.control import load_gains, write_gains
 from surctl.marine.simulation import load_scenario
-from surctl.marine.tuning import (
-    Condition,
-    Goal,
-    build_cases,
-    evaluate,
-    goal_rows,
-    load_goals,
-    summary,
-    tune,
-    tuned_gains,
-)
+from surctl.marine.tuning import Condition, Goal, build_cases, evaluate, load_goals, summary, tune, tuned_gains
 from surctl.marine.tuning.evaluation import check_goals
 from surctl.marine.tuning.goals import goals_at
 from surctl.marine.tuning.measure import SweepEvaluation, check_request
 from surctl.marine.tuning.montecarlo import monte_carlo
-from surctl.marine.tuning.outcome import tuning_dict
+from surctl.marine.tuning.outcome import goal_rows, tuning_dict
 from surctl.marine.tuning.pool import joined_pools
 from surctl.marine.tuning.search import _functions
 from surctl.marine.verification import LINEAR_METRICS, linear_table

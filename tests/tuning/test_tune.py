@@ -19,7 +19,6 @@ from surctl.marine.tuning import (
     evaluate,
     figures,
     gain_ranges,
-    misses,
     search,
     summary,
     tune,
@@ -28,7 +27,7 @@ from surctl.marine.tuning import (
 from surctl.marine.tuning.cegis import RoundsFile
 from surctl.marine.tuning.evaluation import judged
 from surctl.marine.tuning.montecarlo import fresh, monte_carlo
-from surctl.marine.tuning.outcome import advice, tuning_dict
+from surctl.marine.tuning.outcome import advice, misses, tuning_dict
 from surctl.marine.tuning.pool import ClaimPoint, Pool, excess, expected_to_hold, refuted_claims
 from surctl.marine.tuning.search import demands, minimal_subset
 from surctl.tuning.search import Journal

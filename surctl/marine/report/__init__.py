@@ -5,22 +5,9 @@ from typing import TYPE_CHECKING
 from surctl.lazy import load_at_first_use
 
 if TYPE_CHECKING:
-    from surctl.marine.report.animation import (
-        moment_of,
-        save_animation,
-        save_film,
-    )
-    from surctl.marine.report.files import (
-        plot_region,
-        save_run,
-    )
-    from surctl.marine.report.goals import (
-        GoalBars,
-        plot_front,
-        plot_goal_bars,
-        plot_heat_map,
-        plot_parallel,
-    )
+    from surctl.marine.report.animation import moment_of, save_animation, save_film
+    from surctl.marine.report.files import plot_region, save_run
+    from surctl.marine.report.goals import GoalBars, plot_goal_bars, plot_heat_map, plot_parallel
     from surctl.marine.report.margin_plots import plot_locus
     from surctl.marine.report.page import render_page
     from surctl.marine.report.plan_view import plot_run
@@ -36,7 +23,6 @@ __all__ = [
     "moment_of",
     "plot_attainable",
     "plot_calibration",
-    "plot_front",
     "plot_goal_bars",
     "plot_heat_map",
     "plot_locus",

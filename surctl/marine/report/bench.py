@@ -20,24 +20,15 @@ from surctl.marine.control import Gains, law_source, load_gains, write_gains
 from surctl.marine.report.files import plot_region
 from surctl.marine.report.plan_view import plot_run
 from surctl.marine.simulation import METRICS, Case, Run, Scenario, simulate
-from surctl.marine.tuning import Evaluation, GainRange, Goal, case_loop, conditions, corners, evaluate, gain_ranges
-from surctl.marine.tuning.evaluation import judged_goals
+from surctl.marine.tuning import Evaluation, GainRange, Goal, case_loop, conditions, evaluate, gain_ranges
+from surctl.marine.tuning.evaluation import corners, judged_goals
 from surctl.marine.tuning.pool import default_tuned
 from surctl.marine.vehicle import Vehicle
 from surctl.marine.vehicle.linearise import command_range
 from surctl.marine.verification import OperatingPoint, applicable_claims, steady_motion
 from surctl.marine.verification.region import RegionProof, RegionStatement, applicable_region
 from surctl.own_code import is_own, label
-from surctl.report.design_bench import (
-    RunView,
-    Slider,
-    SlowView,
-    View,
-    activity,
-    assessed_lines,
-    gain_file,
-    replaceable,
-)
+from surctl.report.design_bench import RunView, Slider, SlowView, View, activity, assessed_lines, gain_file, replaceable
 from surctl.report.panel import Curve, Panel, Shade
 from surctl.system import LinearLoop
 from surctl.tuning import LoopGoal

@@ -15,13 +15,7 @@ from matplotlib.patches import Patch
 
 from surctl.errors import InputError
 from surctl.marine.control import Gains, Law
-from surctl.marine.report.goals import (
-    goal_bars,
-    goal_views,
-    plot_front,
-    plot_goal_bars,
-    plot_goal_view,
-)
+from surctl.marine.report.goals import goal_bars, goal_views, plot_front, plot_goal_bars, plot_goal_view
 from surctl.marine.report.margin_plots import plot_disk_margins
 from surctl.marine.report.plan_view import plot_run
 from surctl.marine.report.signals import plot_run_signals
@@ -49,15 +43,7 @@ from surctl.report.theme import (
 from surctl.verification import Verdict
 from surctl.verification.linear import stored_disk_margin
 
-__all__ = [
-    "plot_portrait",
-    "plot_region",
-    "run_labels",
-    "save_margins",
-    "save_run",
-    "save_tuning",
-    "save_verdicts",
-]
+__all__ = ["plot_portrait", "plot_region", "run_labels", "save_margins", "save_run", "save_tuning", "save_verdicts"]
 
 # The plots that `surctl verify --out` writes: margins, refuted claims, boxes of proofs, and regions
 

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from surctl.errors import InputError, nearest
 from surctl.marine.control import Gains
 from surctl.marine.simulation import Run, simulate
-from surctl.marine.tuning import Condition, Goal, Pool, SweepTable, SweptAxis, Tuning, figures, scope
+from surctl.marine.tuning import Condition, Goal, Pool, SweepTable, SweptAxis, Tuning, figures
+from surctl.marine.tuning.evaluation import scope
 from surctl.marine.vehicle import Vehicle
 from surctl.report.cost_map import draw_cells, draw_frame, value_range
 from surctl.report.theme import (
@@ -332,19 +333,6 @@ def plot_front(tuning: Tuning, ax: Axes | None = None) -> Axes:
 
     Without soft goals, the largest normalised hard goal takes the place of the score. A hollow mark is a set that
     misses hard goals; the legend has their normalised values, because neither axis shows them.
-
-    Example:
-        >>> from surctl.marine.control import load_gains
-        >>> from surctl.marine.report import plot_front
-        >>> from surctl.marine.simulation import load_scenario
-        >>> from surctl.marine.tuning import Goal, Request, build_cases, conditions, gain_ranges, tune
-        >>> gains = load_gains("default")
-        >>> runs = conditions(build_cases([load_scenario("pool-behind")], gains=gains, law="closed_form"), seeds=[0])
-        >>> goals = (Goal("soon", "time_s", "s", 20.0), Goal("clear", "min_clearance_m", "m", 0.08, "at least", "hard"))
-        >>> tuning = tune(Request(goals, runs, gains, gain_ranges(gains, ["k_v"])), trials=8, rounds=1, runs=0)
-        >>> ax = plot_front(tuning)
-        >>> ax.get_title("left"), ax.get_ylabel()
-        ('what the tuning found', 'mean thrust [N] (lower is better)')
     """
     soft = any(goal.kind == "soft" for goal in tuning.request.goals)
     ax = dress(

@@ -14,18 +14,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from surctl.marine.verification import Locus
-from surctl.report.theme import (
-    AVOIDING,
-    BAD,
-    INK,
-    MUTED,
-    curve,
-    dress,
-    legend_above,
-    new_axes,
-    new_figure,
-    printable,
-)
+from surctl.report.theme import AVOIDING, BAD, INK, MUTED, curve, dress, legend_above, new_axes, new_figure, printable
 from surctl.verification.linear import DiskMargin, OpenLoop, disk_profile
 
 __all__ = ["plot_disk_margins", "plot_locus"]

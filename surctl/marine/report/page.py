@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from math import pi
 from pathlib import Path
 
@@ -17,34 +16,34 @@ from surctl.marine.report.sections import (
     time_section,
     vehicle_section,
 )
-from surctl.marine.verification.linear import LinearSide
-from surctl.report.document import Cell, Paragraph, Section, Table, marked, outcome_cell, render_sections
+from surctl.report.document import Cell, Paragraph, Section, Table, render_sections
 from surctl.report.evidence import claim_words
+from surctl.report.system_page import figures_table
 from surctl.report.theme import interval, number
-from surctl.verification import Claim, Inapplicable, LoopMargins, Verdict
+from surctl.verification import Claim, Inapplicable, Verdict
 
 __all__ = ["findings_section", "render_page", "write_page"]
 
 _Row = tuple[Cell | str, ...]
-_LINEAR = "thrust saturation; large errors; avoidance; curved paths"
 _WIDTHS = (12, 11, 34, 27, 16)  # [%]
 _LEADS = {"proved": "It is proved that", "refuted": "It is not true that"}
 
 
 def findings_section(data: ReportData) -> Section:
-    """Return a table section with one row for single loops, one for each analysis of all loops, one for each claim."""
-    rows = [_loops_row(data)] if data.margins else []
-    rows += [_together_row(data, side) for side in data.linear]
-    rows += [_claim_row(data, verdict) for verdict in data.verdicts]
+    """Return a section with the figures of the assessment, and a table with one row for each claim."""
+    rows = [_claim_row(data, verdict) for verdict in data.verdicts]
     rows += [_inapplicable_row(data, one) for one in data.inapplicable]
     rows += [_region_row(data, one) for one in data.regions]
     text = (
-        "Margins concern the loop linearised about straight cruise. The paper's claims concern the kinematic loop, "
-        "in which velocities follow their commands without delay. Some claims are expected to be refuted as printed."
+        "Margins concern the loop linearised about straight cruise; they do not cover thrust saturation, large errors, "
+        "avoidance and curved paths. The paper's claims concern the kinematic loop, in which velocities follow their "
+        "commands without delay. Some claims are expected to be refuted as printed."
     )
-    heads = ("loop or claim", "verdict", "what holds", "vehicle, speed and set", "not covered")
+    figures = (figures_table(data.assessment),) if data.assessment.figures else ()
+    heads = ("claim", "verdict", "what holds", "vehicle, speed and set", "not covered")
     table = Table("What holds, for which vehicle, speed and set", heads, tuple(rows), _WIDTHS)
-    return Section("margins", "Margins and claims", (Paragraph(text), table))
+    tables = (*figures, *((table,) if rows else ()))
+    return Section("margins", "Margins and claims", (Paragraph(text), *tables))
 
 
 def _where(data: ReportData, vehicle: str) -> str:
@@ -52,47 +51,6 @@ def _where(data: ReportData, vehicle: str) -> str:
         return vehicle
     cruise, cap = data.speeds
     return f"{vehicle}; cruise speed {number(cruise)} m/s, speed limit {number(cap)} m/s"
-
-
-def _loops_row(data: ReportData) -> _Row:
-    stable = all(m.stable for m in data.margins)
-    return (
-        Cell("each loop alone", anchor="loops"),
-        outcome_cell(stable, "stable", "UNSTABLE"),
-        _loops_sentence(data.margins) if stable else "At least one closed loop is unstable and has no margin.",
-        f"{_where(data, data.vehicle.name)}; small deviations from straight cruise.",
-        f"Errors in several loops at once; {_LINEAR}.",
-    )
-
-
-def _loops_sentence(margins: Sequence[LoopMargins]) -> str:
-    delay = min(margins, key=lambda m: m.delay_margin_s)
-    gain = min(margins, key=lambda m: m.gain_margin)
-    phase = min(margins, key=lambda m: m.phase_margin_deg)
-    disk = min(margins, key=lambda m: m.disk_margin)
-    return (
-        f"Each of the {len(margins)} loops stays stable with {number(delay.delay_margin_s, digits=3)} s of extra delay "
-        f"(least: {delay.name}), {number(gain.gain_margin, digits=3)} times its gain (least: {gain.name}) or "
-        f"{number(phase.phase_margin_deg, digits=3)} deg of phase lag (least: {phase.name}); the least disk margin is "
-        f"{number(disk.disk_margin, digits=3)} ({disk.name})."
-    )
-
-
-def _together_row(data: ReportData, side: LinearSide) -> _Row:
-    disk = min(side.disks[:2], key=lambda d: d.guaranteed)
-    low, high = (number(v, digits=3) for v in disk.gain)
-    held = (
-        f"All loops together stay stable with gain factors from {low} to {high}, or with phase errors up to "
-        f"{number(disk.phase_deg, digits=3)} deg. Sampled every {number(side.sampled.period_s)} s, the loop stays "
-        f"stable with up to {side.sampled.delay_periods} periods of delay."
-    )
-    return (
-        Cell("all loops together", anchor="loops"),
-        outcome_cell(side.stable, "stable", "UNSTABLE"),
-        held if side.stable else "The closed loop is unstable and has no margin.",
-        f"{_where(data, side.of)}; small deviations from straight cruise.",
-        f"{_LINEAR[0].upper()}{_LINEAR[1:]}.",
-    )
 
 
 def _claim_row(data: ReportData, v: Verdict) -> _Row:
@@ -158,6 +116,7 @@ def render_page(data: ReportData, *, runs: Section | None = None) -> str:
         runs: result of `runs_section` for `data`, if it was rendered before.
 
     Example:
+        >>> from surctl.assessment import Assessment, Line
         >>> from surctl.marine.control import load_gains
         >>> from surctl.marine.report import ReportData, render_page
         >>> from surctl.marine.vehicle import load_vehicle
@@ -167,7 +126,7 @@ def render_page(data: ReportData, *, runs: Section | None = None) -> str:
         ...     version="1.0",
         ...     vehicle=load_vehicle("sur400"),
         ...     gains=load_gains("default"),
-        ...     summary=((True, "margins suffice"),),
+        ...     assessment=Assessment("pool", {}, (Line(True, "margins suffice"),), {}),
         ... )
         >>> page = render_page(data)
         >>> "margins suffice" in page, "https://" in page
@@ -178,8 +137,9 @@ def render_page(data: ReportData, *, runs: Section | None = None) -> str:
         subject=_subject(data),
         version=data.version,
         command=data.command,
-        outcome=_outcome(data),
-        summary=data.summary,
+        passed=data.assessment.passed,
+        banner=data.assessment.banner,
+        lines=data.assessment.lines,
         sections=_sections(data, runs),
     )
 
@@ -211,16 +171,6 @@ def _subject(data: ReportData) -> str:
         cruise, cap = data.speeds
         speeds = f", cruise speed {number(cruise)} m/s, speed limit {number(cap)} m/s"
     return f"Vehicle {data.vehicle.name}, gains {data.gains.name}{speeds}."
-
-
-def _outcome(data: ReportData) -> tuple[str, str]:
-    failed = sum(line[0] is False for line in data.summary)
-    words = {
-        False: f"{failed} {'check fails' if failed == 1 else 'checks fail'}.",
-        None: "No check counts towards the result.",
-        True: "All checks hold.",
-    }
-    return marked(data.passed, data.banner or words[data.passed])
 
 
 def write_page(data: ReportData, path: Path | str, *, runs: Section | None = None) -> Path:

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
+from surctl.assessment import Assessment
 from surctl.errors import InputError
 from surctl.export import ExportedFile, SilReport
 from surctl.marine.control import Gains
@@ -20,7 +21,6 @@ from surctl.marine.verification.linear import LinearSide
 from surctl.report.document import (
     Block,
     Cell,
-    Check,
     Heading,
     Paragraph,
     Picture,
@@ -31,7 +31,7 @@ from surctl.report.document import (
     picture,
 )
 from surctl.report.page_parts import plot_tightest
-from surctl.report.system_page import sil_blocks
+from surctl.report.system_page import disk_table, margins_table, sil_blocks
 from surctl.report.theme import file_size, number
 from surctl.system import LinearLoop
 from surctl.verification import Inapplicable, LoopMargins, Verdict
@@ -72,6 +72,9 @@ class ExportSummary:
         return all(report.conclusive for report in self.sil) if self.sil else None
 
 
+_NOTHING = Assessment("", {}, (), {})
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ReportData:
     """The contents of one HTML report.
@@ -95,8 +98,7 @@ class ReportData:
         sweep: the parameter sweep that selected the gains, or None.
         export: the exported controller, or None.
         seconds: computing time [s] of each part of the study.
-        summary: lines of the summary, see `Check`.
-        banner: the verdict in one sentence; empty: one that counts the lines.
+        assessment: what is assessed, for the first line and the summary.
         gains_file: name of the gain file with these gains, for the option `--gains`; empty if there is none.
         film: whether MuJoCo's pictures of the scene are shown beside the plan view of the decisive run.
 
@@ -121,8 +123,7 @@ class ReportData:
     sweep: SweepTable | None = None
     export: ExportSummary | None = None
     seconds: Mapping[str, float] = field(default_factory=dict)
-    summary: tuple[Check | tuple[bool | None, str], ...] = ()
-    banner: str = ""
+    assessment: Assessment = _NOTHING
     gains_file: str = ""
     film: bool = False
 
@@ -141,13 +142,6 @@ class ReportData:
             return tuple(run.sensing == "truth" for run in self.runs)
         return self.deciding
 
-    @property
-    def passed(self) -> bool | None:
-        """Return False if a line of the summary fails, None if one is open or none counts, True otherwise."""
-        lines = [Check(*line) for line in self.summary]
-        outcomes = [line.good for line in lines if line.good is not None or line.open]
-        return False if False in outcomes else None if None in outcomes or not outcomes else True
-
 
 def _linear_blocks(sides: Sequence[LinearSide]) -> list[Block]:
     """Return a table of disk margins and a table of poles and sampling; empty if there is no analysis."""
@@ -159,27 +153,7 @@ def _linear_blocks(sides: Sequence[LinearSide]) -> list[Block]:
         "destabilises the loop. The sampled loop is computed without approximation: thrust is constant over each "
         "control period, and delays are whole periods."
     )
-    return [Paragraph(text), _disks(sides), _sampled(sides)]
-
-
-def _disks(sides: Sequence[LinearSide]) -> Table:
-    rows: tuple[tuple[Cell | str, ...], ...] = tuple(
-        (
-            side.of,
-            Cell(disk.place, code=True),
-            outcome_cell(disk.stable, "stable", "UNSTABLE"),
-            *(Cell(number(v, digits=3), number=True) for v in (disk.guaranteed, disk.reached, disk.frequency_rad_s)),
-            Cell(f"{number(disk.gain[0], digits=3)} to {number(disk.gain[1], digits=3)}", number=True),
-            Cell(number(disk.phase_deg, digits=3), number=True),
-        )
-        for side in sides
-        for disk in side.disks
-    )
-    heads = (
-        "vehicle", "opened at", "closed loop", "guaranteed [1]", "upper bound [1]", "at [rad/s]",
-        "tolerated gain factors [1]", "tolerated phase errors [deg]",
-    )  # fmt: skip
-    return Table("Disk margins of all loops at once", heads, rows)
+    return [Paragraph(text), disk_table([(side.of, disk) for side in sides for disk in side.disks]), _sampled(sides)]
 
 
 def _sampled(sides: Sequence[LinearSide]) -> Table:
@@ -255,28 +229,6 @@ def _provenance(gains: Gains) -> str:
 
 def loops_section(data: ReportData) -> Section:
     """Return a section with the margins of each loop, and plots of the loops that tolerate the least delay."""
-    heads = (
-        "loop", "closed loop", "gain margin [1]", "least gain [1]", "phase margin [deg]", "delay margin [s]",
-        "disk margin [1]", "crossover [rad/s]",
-    )  # fmt: skip
-    rows = tuple(
-        (
-            Cell(m.name, code=True),
-            outcome_cell(m.stable, "stable", "UNSTABLE"),
-            *(
-                Cell(number(v), number=True)
-                for v in (
-                    m.gain_margin,
-                    m.least_gain,
-                    m.phase_margin_deg,
-                    m.delay_margin_s,
-                    m.disk_margin,
-                    m.crossover_rad_s,
-                )
-            ),
-        )
-        for m in data.margins
-    )
     text = (
         "Each loop is opened at one place while all others stay closed, about straight cruise. The loops surge, sway, "
         "heave and yaw are opened at the thrust command, along_track, cross_track, depth and heading at the "
@@ -287,7 +239,11 @@ def loops_section(data: ReportData) -> Section:
             "Each loop of the sampled law is opened at one place while all others stay closed, about straight cruise: "
             "surge, yaw and the like at the thrust command, x, y, psi, u, v and r at the measurement."
         )
-    blocks: list[Block] = [Paragraph(text), Table("Margins about cruise", heads, rows), *_linear_blocks(data.linear)]
+    blocks: list[Block] = [
+        Paragraph(text),
+        margins_table("Margins about cruise", data.margins),
+        *_linear_blocks(data.linear),
+    ]
     pictures = tuple(
         picture(
             figure,

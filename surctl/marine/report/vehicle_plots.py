@@ -14,18 +14,7 @@ from surctl.errors import InputError
 from surctl.marine.allocation import working_flags
 from surctl.marine.vehicle import LOG_MOTION, Actuators, Prediction, Vehicle, attainable
 from surctl.marine.vehicle.linearise import command_range
-from surctl.report.theme import (
-    AVOIDING,
-    CYCLE,
-    INK,
-    MUTED,
-    ROBOT,
-    dress,
-    head,
-    legend_below,
-    new_axes,
-    new_figure,
-)
+from surctl.report.theme import AVOIDING, CYCLE, INK, MUTED, ROBOT, dress, head, legend_below, new_axes, new_figure
 
 __all__ = ["plot_attainable", "plot_prediction"]
 

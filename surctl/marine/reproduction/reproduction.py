@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from surctl import __version__
+from surctl.assessment import Line
 from surctl.errors import InputError, nearest
 from surctl.files import write_file
 from surctl.marine.report import plot_run
@@ -32,8 +33,7 @@ from surctl.marine.sensing.calibration.file import MEDIA, Medium, table_ii
 from surctl.marine.simulation import Run
 from surctl.marine.verification import claims
 from surctl.marine.world import Box, Disc
-from surctl.report import render_sections
-from surctl.report.document import Block, Cell, Pictures, Section, Table, outcome_cell, picture
+from surctl.report.document import Block, Cell, Pictures, Section, Table, outcome_cell, picture, render_sections
 from surctl.verification import Claim, decide
 from surctl.verification.setting import Setting
 
@@ -435,16 +435,13 @@ def write_reproduction(done: Reproduction, path: Path, *, command: str) -> Path:
     """
     failing = [row.item.id for row in done.rows if not row.as_expected]
     failing += [f"{name} (missing)" for name in done.missing]
-    outcome = (
-        ("bad", f"✗ Not as expected: {', '.join(failing)}.") if failing else ("good", "✓ Every row is as expected.")
-    )
     groups = list(dict.fromkeys(row.item.group for row in done.rows))
     sections = [_table(group, [row for row in done.rows if row.item.group == group]) for group in groups]
     if {"scenarios", "position errors"} & set(groups):
         runs = [done.simulations.run(name) for name in scenario_names()]
         sections += [_trajectories(runs), _series(runs), _errors(runs)]
     counts = [
-        (
+        Line(
             all(row.as_expected for row in rows),
             f"{group}: {sum(r.as_expected for r in rows)} of {len(rows)} as expected",
         )
@@ -456,8 +453,9 @@ def write_reproduction(done: Reproduction, path: Path, *, command: str) -> Path:
         subject=f"Each scenario is simulated with {done.seeds} seeds and the gain set {done.simulations.gains.name}.",
         version=__version__,
         command=command,
-        outcome=outcome,
-        summary=counts,
+        passed=not failing,
+        banner=f"Not as expected: {', '.join(failing)}." if failing else "Every row is as expected.",
+        lines=counts,
         sections=sections,
     )
     return write_file(path, text)

@@ -400,7 +400,7 @@ def conduct(
     from surctl.marine.report import ReportData
     from surctl.marine.report.evidence_sections import runs_section
     from surctl.marine.report.page import write_page
-    from surctl.report.document import Section, checks_of
+    from surctl.report.document import Section
 
     find_compiler()
     prepare_folder(out)
@@ -462,23 +462,14 @@ def conduct(
                 section = runs_section(data)
         with clock("software in the loop"):
             sil = shipment.replayed(replayed)
-    assessment = summary(
-        plan,
-        swept,
-        assessment,
-        loops,
-        (*verdicts, *inapplicable),
-        runs,
-        sil,
-    )
+    assessment = summary(plan, swept, assessment, loops, (*verdicts, *inapplicable), runs, sil)
     assessment = assessment.with_lines(left_out([run for run in sonar_runs if run not in replayed]))
     with clock("report"), saving("report"):
         data = replace(
             data,
             export=_export_summary(plan, shipment, replayed, sil),
             seconds=dict(clock.seconds),
-            banner=assessment.banner,
-            summary=checks_of(assessment),
+            assessment=assessment,
         )
         report = write_page(data, out / "report.html", runs=section)
     seconds = dict(clock.seconds)

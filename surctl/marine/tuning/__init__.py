@@ -6,35 +6,19 @@ from surctl.lazy import load_at_first_use
 
 if TYPE_CHECKING:
     from surctl.marine.tuning.cegis import Round, Tuning, tune
-    from surctl.marine.tuning.derived import (
-        Derivation,
-        default_cruise,
-        derive_gains,
-        derived_gains,
-        gains_for,
-    )
+    from surctl.marine.tuning.derived import Derivation, default_cruise, derive_gains, derived_gains, gains_for
     from surctl.marine.tuning.evaluation import (
         Condition,
         Evaluation,
         case_loop,
         conditions,
-        corners,
         evaluate,
         figures,
-        scope,
     )
     from surctl.marine.tuning.goals import ASSESSED, Goal, load_goals
     from surctl.marine.tuning.measure import build_cases
     from surctl.marine.tuning.montecarlo import Counterexample, MonteCarlo
-    from surctl.marine.tuning.outcome import (
-        CHECKED,
-        Finals,
-        Miss,
-        goal_rows,
-        misses,
-        summary,
-        tuned_gains,
-    )
+    from surctl.marine.tuning.outcome import CHECKED, Finals, Miss, summary, tuned_gains
     from surctl.marine.tuning.pool import TUNED, GainRange, Pool, Request, gain_ranges
     from surctl.marine.tuning.search import search
     from surctl.marine.tuning.sweep import SweepTable, SweptAxis, load_sweep, sweep
@@ -62,7 +46,6 @@ __all__ = [
     "build_cases",
     "case_loop",
     "conditions",
-    "corners",
     "default_cruise",
     "derive_gains",
     "derived_gains",
@@ -70,11 +53,8 @@ __all__ = [
     "figures",
     "gain_ranges",
     "gains_for",
-    "goal_rows",
     "load_goals",
     "load_sweep",
-    "misses",
-    "scope",
     "search",
     "summary",
     "sweep",

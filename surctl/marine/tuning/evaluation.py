@@ -91,11 +91,7 @@ def case_loop(
 
 
 def judged_loops(
-    goal: Goal,
-    case: Case,
-    cruise: float | None,
-    plants: Sequence[Mapping[str, float]],
-    sets: Sets,
+    goal: Goal, case: Case, cruise: float | None, plants: Sequence[Mapping[str, float]], sets: Sets
 ) -> NDArray[np.float64]:
     """Return the normalised values (n gain sets, plants) of a goal about the loop.
 
@@ -235,13 +231,6 @@ def corners(vehicle: Vehicle) -> tuple[dict[str, float], ...]:
     In a corner, all masses are at the same end of their ranges. All drag coefficients are at one end of their ranges
     too, and so are all thrust limits. These three choices give up to eight corners. A parameter without a range keeps
     its value.
-
-    Example:
-        >>> from surctl.marine.tuning import corners
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> nominal, first, *others = corners(load_vehicle("sur540-flooded"))
-        >>> nominal, len(others) + 1, first["plant.m11"], first["plant.Xuu"], first["plant.Fu_max"]
-        ({}, 8, 50.0, 45.0, 4.25)
     """
     ends = []
     for group in _GROUPS:
@@ -294,16 +283,6 @@ def scope(goal: Goal, conditions: Sequence[Condition]) -> list[int]:
 
     Raises:
         InputError: the goal names a case that is not simulated.
-
-    Example:
-        >>> from surctl.marine.control import load_gains
-        >>> from surctl.marine.simulation import load_scenario
-        >>> from surctl.marine.tuning import Goal, build_cases, conditions, scope
-        >>> missions = [load_scenario("pool-behind"), load_scenario("pool-static")]
-        >>> cases = build_cases(missions, gains=load_gains("default"))
-        >>> runs = conditions(cases, seeds=[0, 1])
-        >>> len(runs), scope(Goal("soon", "time_s", "s", 20.0, cases=("pool-static",)), runs)
-        (4, [2, 3])
     """
     names = {name for c in conditions for name in (c.case.name, c.case.scenario.name)}
     for name in goal.cases:

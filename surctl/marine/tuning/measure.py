@@ -222,10 +222,7 @@ def build_cases(
         ['pool-behind/sur400/truth', 'tank-static/sur540-flooded/truth']
     """
     check_guidance(guidance)
-    for key, value, known in (
-        ("priority-mode", mode, get_args(Mode)),
-        ("sensing", sensing, get_args(Sensing)),
-    ):
+    for key, value, known in (("priority-mode", mode, get_args(Mode)), ("sensing", sensing, get_args(Sensing))):
         if value not in known:
             raise InputError("is not known", key=key, value=value, remedy=nearest(value, known))
     kind: dict[str, Any] = {"law": law and law_ref(law), "mode": mode, "sensing": sensing, "guidance": guidance}

@@ -90,20 +90,7 @@ def value_text(goal: Goal, figure: float) -> str:
 
 
 def misses(tuning: Tuning) -> tuple[Miss, ...]:
-    """Return the hard goals and claims that the tuned gains miss (`Tuning.unmet`), each with its worst run.
-
-    Example:
-        >>> from surctl.marine.control import load_gains
-        >>> from surctl.marine.simulation import load_scenario
-        >>> from surctl.marine.tuning import Goal, Request, build_cases, conditions, gain_ranges, misses, tune
-        >>> gains = load_gains("default")
-        >>> runs = conditions(build_cases([load_scenario("pool-behind")], gains=gains, law="closed_form"), seeds=[0])
-        >>> goals = (Goal("fast", "time_s", "s", 15.0, kind="hard"),)
-        >>> tuning = tune(Request(goals, runs, gains, gain_ranges(gains, ["k_v"])), trials=8, rounds=1, runs=0)
-        >>> [miss] = misses(tuning)
-        >>> miss.text
-        'fast in pool-behind/sur400/truth, seed 0: time_s ... s (reached at ... s), bound ≤ 15 s; missed in 1 of 1 run'
-    """
+    """Return the hard goals and claims that the tuned gains miss (`Tuning.unmet`), each with its worst run."""
     goals = {g.name: g for g in tuning.request.goals}
     request, verified = tuning.request, tuning.result.verified
     own = [goals[name] for name in tuning.unmet if name in goals]
@@ -244,18 +231,6 @@ def goal_rows(tuning: Tuning) -> list[dict[str, Any]]:
 
     `worst_cruise_m_per_s` is the cruise speed at which the goal is worst with the tuned gains; NaN for a goal at the
     scenario's own speed.
-
-    Example:
-        >>> from surctl.marine.control import load_gains
-        >>> from surctl.marine.simulation import load_scenario
-        >>> from surctl.marine.tuning import Goal, Request, build_cases, conditions, gain_ranges, goal_rows, tune
-        >>> gains = load_gains("default")
-        >>> runs = conditions(build_cases([load_scenario("pool-behind")], gains=gains, law="closed_form"), seeds=[0])
-        >>> goals = (Goal("soon", "time_s", "s", 20.0), Goal("clear", "min_clearance_m", "m", 0.08, "at least", "hard"))
-        >>> tuning = tune(Request(goals, runs, gains, gain_ranges(gains, ["k_v"])), trials=8, rounds=1, runs=0)
-        >>> row, _ = goal_rows(tuning)
-        >>> row["name"], row["limit"], row["unit"], round(row["hand"], 2), round(row["tuned"], 1), row["met"]
-        ('soon', 20.0, 's', 20.45, 19.9, True)
     """
     hand, tuned = tuning.hand.evaluation, tuning.tuned.evaluation
     return [

@@ -1,28 +1,27 @@
 """Claim about the heading loop of a craft without sway force under the law `steered`.
 
-The claim is one of kind `lyapunov`, and the slope rule finds and proves its region. Its dynamics are built from the
-expressions of the law: planned yaw rate, yaw moment, thrust, and the drift of the law's model. In a region with small
-heading errors (`SteeringClaim.largest_level`), `planned_yaw_rate` alone limits the yaw rate.
+The claim is one of kind `lyapunov`, and the slope rule finds and proves its region. Its dynamics are the texts of the
+checker (`surctl.certcheck.steering`), which the checker compares with the law. In a region with small heading errors
+(`SteeringClaim.largest_level`), `planned_yaw_rate` alone limits the yaw rate.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.certcheck.law_points import STEERED, STEERED_EXCLUDES
+from surctl.certcheck.steering import STEERED, STEERED_EXCLUDES, heading_loop
 from surctl.errors import InputError, NotApplicable
 from surctl.lyapunov.dynamics import Dynamics, Range, State
 from surctl.marine.control import Gains, build_law, law_source
-from surctl.marine.control.steered import steered_thrust
-from surctl.marine.control.steering import drifted, planned_yaw_rate, steering_of, yaw_moment
+from surctl.marine.control.steering import steering_of, yaw_moment
 from surctl.marine.vehicle import Vehicle
 from surctl.marine.verification.assumptions import check_no_integral
-from surctl.verification.formula import from_casadi
+from surctl.verification.formula import parse, variable
 
 __all__ = ["SteeringClaim", "side_per_moment", "steering_claim"]
 
@@ -72,61 +71,28 @@ class SteeringClaim:
         for name, value in known.items():
             if value and (name in ("m12", "m14", "Y0", "N0") or (name[0] in "YN" and name[-1] == "u")):
                 raise NotApplicable(f"{name} is not covered")
-        x = {name: ca.SX.sym(name) for name in _BOX}
-        y, psi, v, r, crab, sway = x.values()
-        ranges: dict[str, tuple[ca.SX, Pair]] = {}
-
-        def parameter(name: str, ends: Pair) -> ca.SX:
-            ranges[name] = ca.SX.sym(name), (min(ends), max(ends))
-            return ranges[name][0]
-
-        def scaled(name: str, factors: Pair) -> ca.SX:
-            value = craft[name] if name in (*known, *_OWN) else 0.0
-            return parameter(name, (value * factors[0], value * factors[1])) if value else ca.SX(0)
-
-        def drag(force: str, by: str) -> tuple[ca.SX, ca.SX]:
-            # the coefficient of a force by a velocity, and what is multiplied by the surge speed
-            names = [name for name in (*_OWN, *sorted(known)) if name[0] == force and name[-1] == by]
-            sums = [ca.SX(0), ca.SX(0)]
-            for name in names:
-                size = ca.fabs(x[name[1]]) if len(name) == 3 and name[1] in "vr" else 1
-                if name[1] != "w":
-                    sums[name[1] == "u"] += scaled(name, self.drag_factor) * size
-            return sums[0], sums[1]
-
         side = side_per_moment(craft)
-        u = parameter("u", self.speed)
-        water = parameter("u_model", self.speed) if side else u  # a law for fins has its own model of the surge speed
-        m11, m22, m44, m24 = (scaled(name, self.mass_factor) for name in ("m11", "m22", "m44", "m24"))
+        ranges = dict.fromkeys(("u", "u_model")[: 1 + bool(side)], self.speed)  # a law for fins has its own model
+        own = [(name, self.mass_factor) for name in ("m11", "m22", "m44", "m24")]
+        own += [
+            (name, self.drag_factor) for force in "YN" for speed in "vr" for name in (*_OWN, *sorted(known))
+            if name[0] == force and name[-1] == speed and name[1:-1] in ("", "u", "v", "r")
+        ]  # fmt: skip
+        for name, factors in own:
+            if value := craft[name] if name in (*known, *_OWN) else 0.0:
+                ends = value * factors[0], value * factors[1]
+                ranges[name] = min(ends), max(ends)
         # the speed cap leaves a share of the modelled sway speed
         least = self.cap / np.hypot(self.cap, _BOX["sway"] * self.cruise)
-        share = parameter("share", (float(np.floor(1e4 * least) / 1e4), 1.0))
-        error, planned = -ca.atan(y / steering_of(p).lookahead) - crab - psi, planned_yaw_rate(p, water)
-        turn = ca.fmin(ca.fmax(p["k_psi"] * error, -planned), planned)
-        reference, nu = ca.vertcat(0, share * sway, 0, turn), ca.vertcat(u, 0, 0, r)
-        free, most = steered_thrust(reference, nu, ca.SX.zeros(4), p, 0.0)[0][3], yaw_moment(p, u)
-        moment = ca.fmin(ca.fmax(free, -most), most)
-        (yv, yuv), (yr, yur), (nv, nuv), (nr, nur) = (drag(force, by) for force in "YN" for by in "vr")
-        # a factor with a state becomes one slope of the proof, whatever its parameters
-        force = side * moment - (yv + u * yuv) * v - (yr + u * (m11 + yur)) * r
-        torque = moment - (nv + u * (m22 - m11 + nuv)) * v - (nr + u * (m24 + nur)) * r
-        cross, step = m24 / (m22 * m44 - m24 * m24), ca.SX.sym("step")
-        model = ca.substitute(ca.jacobian(drifted(sway, water, r, p, step), step), step, 0)
-        rates = [
-            u * ca.sin(psi) + v * ca.cos(psi),
-            r,
-            force / (m22 - m24 * m24 / m44) - cross * torque,
-            torque / (m44 - m24 * m24 / m22) - cross * force,
-            (ca.atan(v / u) - crab) / p["crab_time"],
-            model,
-        ]
-        symbols = ca.vertcat(*x.values(), *(symbol for symbol, _ in ranges.values()))
-        units = {"y_e": float(steering_of(p).lookahead), "v": self.cruise, "sway": self.cruise}
+        ranges["share"] = float(np.floor(1e4 * least) / 1e4), 1.0
+        texts = heading_loop(p, ranges, side)
+        nodes = {name: variable(name) for name in (*_BOX, *ranges)}
+        units = {"y_e": float(steering_of(_symbols(p)).lookahead), "v": self.cruise, "sway": self.cruise}
         return Dynamics(
             self.name, "continuous",
             tuple(State(k, -end * units.get(k, 1.0), end * units.get(k, 1.0), STEERED[k]) for k, end in _BOX.items()),
-            tuple(from_casadi(symbols, [*x, *ranges], rates)),
-            tuple(Range(name, float(low), float(high)) for name, (_, (low, high)) in ranges.items()),
+            tuple(parse(texts[name], nodes) for name in _BOX),
+            tuple(Range(name, float(low), float(high)) for name, (low, high) in ranges.items()),
             about={
                 "system": "steered", "excludes": list(STEERED_EXCLUDES), "sha256_law": self.digest,
                 "sha256_vehicle": self.vehicle.digest(),
@@ -142,21 +108,26 @@ class SteeringClaim:
         Args:
             p: matrix (6, 6) of a region ξᵀ p ξ ≤ 1.
         """
-        numbers, inverse = self._law_numbers(), np.linalg.inv(p)
+        numbers, inverse = _symbols(self._law_numbers()), np.linalg.inv(p)
         most = float(yaw_moment(numbers, ca.SX(self.speed[0])) / (numbers["mass"][3] * numbers["k_psi"] ** 2))
         ahead, beside = float(steering_of(numbers).lookahead), np.sqrt(inverse[0, 0])
         rows = np.array([[slope, 1, 0, 0, 1, 0] for slope in (np.arctan(beside / ahead) / beside, 1 / ahead)])
         error = np.sqrt(np.einsum("ki,ij,kj->k", rows, inverse, rows).max())
         return float(min(1.0, (most / error) ** 2))
 
-    def _law_numbers(self) -> dict[str, ca.SX]:
+    def _law_numbers(self) -> dict[str, list[float]]:
         """Return the law's parameters by name, as far as the heading loop needs them."""
         craft = self.vehicle.at_speed(self.cruise)
         own = {name: getattr(craft, name) for name in ("mass", "quadratic_drag", "thrust_limit")}
         own |= {name: getattr(craft, name)(self.cruise) for name in ("fin_share", "munk", "centripetal")}
         own |= {"linear_drag": craft.drag_at(self.cruise), "cruise": self.cruise, "cap": self.cap}
         zeros = dict.fromkeys(("k_v", "wait", "brake", "ahead_limit"), 0.0)
-        return {name: ca.SX(ca.DM(value)) for name, value in {**zeros, **self.gains, **own}.items()}
+        whole = {**zeros, **self.gains, **own}
+        return {name: np.atleast_1d(value).astype(float).tolist() for name, value in whole.items()}
+
+
+def _symbols(numbers: Mapping[str, Sequence[float]]) -> dict[str, ca.SX]:
+    return {name: ca.SX(ca.DM(value)) for name, value in numbers.items()}
 
 
 _OWN = ("m11", "m22", "m44", "Yv", "Yvv", "Nr", "Nrr")

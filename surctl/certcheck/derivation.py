@@ -1,0 +1,302 @@
+"""Expressions that instruction lists compute, derived from the instructions, and their comparison with stated texts.
+
+`Derivation` is an algebra for `surctl.certcheck.instructions`: each value is the position of an expression in a table,
+so the evaluation of a list gives one expression in real numbers for each output. Constants are exact, and operations of
+constants are computed. A comparison is an operation of its own until an operation selects by it.
+
+The exported code has its own sine, cosine, atan2 and arccosine, which its lists write out in basic operations. Wherever
+a value may begin such a formula, the formula for this value is put into the table; the instruction that completes it is
+then the function. The formulas agree with the functions up to a few units in the last place, which belong to the
+rounding of the code; sine and cosine do so for arguments up to 2^20.
+"""
+
+from __future__ import annotations
+
+import math
+import operator
+from collections.abc import Callable, Mapping, Sequence
+from fractions import Fraction
+from itertools import product
+from typing import Any, TypeAlias
+
+import numpy as np
+from mpmath import libmp
+from numpy.typing import NDArray
+
+from surctl.certcheck.angles import BITS, Interval
+from surctl.certcheck.document import Rejected
+from surctl.certcheck.enclosure import enclose
+from surctl.certcheck.expressions import BRANCHES, ExpressionTable
+from surctl.certcheck.identity import Exact
+from surctl.certcheck.instructions import Numbers
+
+__all__ = ["Derivation"]
+
+Places: TypeAlias = NDArray[np.intp]
+
+_TRUTHS = ("le", "lt", "eq", "ne", "and", "or", "not")  # operations whose value is true or false
+_COMMUTE = ("add", "mul", "min", "max", "eq", "ne", "and", "or")
+_COMPUTED: Mapping[str, Callable[..., Fraction | int]] = {
+    "add": operator.add, "sub": operator.sub, "mul": operator.mul, "div": operator.truediv, "neg": operator.neg,
+    "abs": abs, "min": min, "max": max, "lt": lambda a, b: int(a < b), "le": lambda a, b: int(a <= b),
+    "eq": lambda a, b: int(a == b), "ne": lambda a, b: int(a != b),
+}  # fmt: skip
+"""Operations whose results of numbers are numbers."""
+_NAMES = {"fabs": "abs", "fmin": "min", "fmax": "max"}  # of operations whose names in the grammar are others
+
+_SINE = (
+    "-0x1.5555555555555p-3 0x1.1111111110babp-7 -0x1.a01a019e820aep-13 0x1.71de37946ed6dp-19 -0x1.ae6008d114485p-26 "
+    "0x1.5e0a4fc16be59p-33"
+)
+_COSINE = (
+    "0x1.5555555555555p-5 -0x1.6c16c16c16963p-10 0x1.a01a019f4ddfdp-16 -0x1.27e4fa16cc2d1p-22 0x1.1eeb67d026ec6p-29 "
+    "-0x1.907cd8ff5ede7p-37"
+)
+_ARCTANGENT = (
+    "-0x1.5555555555555p-2 0x1.999999999933dp-3 -0x1.24924924355d5p-3 0x1.c71c7184c32bfp-4 -0x1.745d0b153ffadp-4 "
+    "0x1.3b126143b5cbcp-4 -0x1.10fa5ee9ab25cp-4 0x1.dfe49b2919c4ep-5 -0x1.a090d1950d2b4p-5 0x1.41495cefb6c73p-5 "
+    "-0x1.39f38ad451ea6p-6"
+)
+_HALF_PI = "0x1.921p+0 0x1.f6ap-13 0x1.110b4611p-26 0x1.4c4c6628b80dcp-59"
+_TWO_BY_PI, _TAN_PI_8, _LARGEST = "0x1.45f306dc9c883p-1", "0x1.a827999fcef34p-2", 2.0**20
+
+
+class Derivation(Numbers):
+    """Expressions of the named variables, as positions in a table.
+
+    Attributes:
+        table: the table.
+    """
+
+    dtype = np.intp
+
+    def __init__(self, names: Sequence[str]) -> None:
+        self.table = ExpressionTable(names)
+        self._normal = Exact(self.table)
+        self._functions: dict[int, int] = {}  # position of a complete formula → position of its function
+        self._same: list[int] = []  # operands of branches, no two of them equal
+
+    def variable(self, name: str) -> int:
+        """Return the position of a variable."""
+        return self.table.put("var", value=self.table.names.index(name))
+
+    # ---- the algebra
+
+    def constant(self, value: float) -> int:
+        """Return the position of a number."""
+        if math.isinf(value):
+            return self.table.put("neg", self.table.put("inf")) if value < 0 else self.table.put("inf")
+        return self.table.put("num", value=Fraction(value))
+
+    def truth(self, values: Any) -> Any:
+        """Return whether a value that is a number is not 0."""
+        return np.array([self._number(values[0]) != 0])
+
+    def places(self, values: Any, last: int) -> Places:
+        """Return a value that is a number, rounded down to a place from 0 to `last`."""
+        return np.array([min(max(math.floor(self._number(values[0])), 0), last)])
+
+    def procedure(self, run: Any, vectors: Any) -> Any:
+        """Raise Rejected: of a procedure, no expression is derived."""
+        raise Rejected("an instruction list has a procedure, of which no expression is derived")
+
+    def apply(self, op: str, operands: Sequence[Any]) -> int:
+        """Return the position of the result of an instruction."""
+        at = self._put(op, *(int(np.ravel(a)[0]) for a in operands))
+        entry = self.table.entries[at]
+        if entry.op == "abs":
+            self._await("sin", *entry.args)
+            self._await("cos", *entry.args)
+        elif op == "lt":  # atan2 and acos compare the two sides of their triangle first
+            x, y = (int(np.ravel(a)[0]) for a in operands)
+            for sides in product(self._with_size(y), self._with_size(x)):
+                self._await("atan2", *sides)
+            if self._op(x) == "sqrt" == self._op(y):
+                below = self.table.entries[self.table.entries[y].args[0]]
+                if below.op == "sub":
+                    self._await("acos", below.args[1])
+        return self._functions.get(at, at)
+
+    def _with_size(self, at: int) -> tuple[int, ...]:
+        """Return what a value may be the absolute value of."""
+        op = self._op(at)
+        return self.table.entries[at].args if op == "abs" else (at, self._put("neg", at)) if op == "num" else ()
+
+    def _number(self, at: Any) -> Fraction:
+        entry = self.table.entries[int(np.ravel(at)[0])]
+        if entry.op != "num":
+            raise Rejected("an instruction list selects by the state how it goes on: no expression is derived")
+        return entry.value
+
+    def _await(self, function: str, *args: int) -> None:
+        formula = getattr(self, f"_{function}")(*args)
+        if formula not in self._functions and self._op(formula) != "num":
+            self._functions[formula] = self.table.put(function, *args)
+
+    # ---- operations
+
+    def _put(self, op: str, *args: int) -> int:
+        match op:
+            case "fma":
+                return self._put("add", self._put("mul", *args[:2]), args[2])
+            case "inv":
+                return self._put("div", self._num(1), *args)
+            case "sq":
+                return self._put("mul", *args, *args)
+            case "twice":
+                return self._put("mul", self._num(2), *args)
+            case "select":
+                return self._chosen(*args)
+            case "if_else_zero":
+                return self._chosen(args[0], args[1], self._num(0))
+            case "not" if self._op(args[0]) in ("lt", "le"):
+                return self._put("le" if self._op(args[0]) == "lt" else "lt", *self.table.entries[args[0]].args[::-1])
+        op = _NAMES.get(op, op)
+        if op not in ("and", "or", "not"):
+            args = tuple(self._chosen(a, self._num(1), self._num(0)) if self._op(a) in _TRUTHS else a for a in args)
+        values = [self.table.entries[a].value for a in args if self._op(a) == "num"]
+        if len(values) == len(args) and op in _COMPUTED and not (op == "div" and not values[1]):
+            return self._num(_COMPUTED[op](*values))
+        if op == "add" and (joined := self._joined(*args)) is not None:
+            return joined
+        return self.table.put(op, *(sorted(args) if op in _COMMUTE else args))
+
+    def _num(self, value: Fraction | int) -> int:
+        return self.table.put("num", value=value)
+
+    def _op(self, at: int) -> str:
+        return self.table.entries[at].op
+
+    def _chosen(self, condition: int, x: int, y: int) -> int:
+        """Return x if the condition holds, and y otherwise."""
+        entry = self.table.entries[condition]
+        match entry.op:
+            case "num":
+                return x if entry.value else y
+            case "le":
+                return self.table.put("select", *entry.args, x, y)
+            case "lt":
+                return self.table.put("select", *entry.args[::-1], y, x)
+            case "eq":
+                a, b = entry.args
+                return self._chosen(self._put("le", a, b), self._chosen(self._put("le", b, a), x, y), y)
+            case "ne":
+                return self._chosen(self._put("eq", *entry.args), y, x)
+            case "not":
+                return self._chosen(entry.args[0], y, x)
+            case "and":
+                return self._chosen(entry.args[0], self._chosen(entry.args[1], x, y), y)
+            case "or":
+                return self._chosen(entry.args[0], x, self._chosen(entry.args[1], x, y))
+        return self._chosen(self._put("eq", condition, self._num(0)), y, x)
+
+    def _joined(self, a: int, b: int) -> int | None:
+        """Return the sum of two selections by one comparison, of which one is 0 in each case; None for other terms."""
+        p, q, zero = self.table.entries[a], self.table.entries[b], self._num(0)
+        if p.op == "select" == q.op and p.args[:2] == q.args[:2]:
+            for first, second in ((p, q), (q, p)):
+                if first.args[3] == zero == second.args[2]:
+                    return self.table.put("select", *first.args[:3], second.args[3])
+        return None
+
+    # ---- formulas of the exported code
+
+    def _do(self, op: str, *args: int | float | str) -> int:
+        def place(a: int | float | str) -> int:
+            return a if isinstance(a, int) else self.constant(float.fromhex(a) if isinstance(a, str) else a)
+
+        return self._put(op, *map(place, args))
+
+    def _polynomial(self, z: int, coefficients: str) -> int:
+        *others, last = coefficients.split()
+        value: int | str = last
+        for coefficient in others[::-1]:
+            value = self._do("add", self._do("mul", value, z), coefficient)
+        return int(value)
+
+    def _wave(self, x: int) -> tuple[int, int, int]:
+        """Return the quadrant of an angle, and its sine and cosine up to their signs."""
+        do = self._do
+        r = do("select", do("le", do("fabs", x), _LARGEST), x, math.inf)
+        k = do("floor", do("add", do("mul", r, _TWO_BY_PI), 0.5))
+        for part in _HALF_PI.split():
+            r = do("sub", r, do("mul", k, part))
+        z = do("sq", r)
+        sine = do("mul", r, do("add", do("mul", z, self._polynomial(z, _SINE)), 1.0))
+        half = do("sub", do("mul", z, 0.5), do("mul", do("sq", z), self._polynomial(z, _COSINE)))
+        cosine, pair = do("sub", 1.0, half), do("mul", k, 0.5)
+        quadrant = do("sub", k, do("mul", do("floor", do("mul", k, 0.25)), 4.0))
+        odd = do("ne", pair, do("floor", pair))
+        return quadrant, do("select", odd, cosine, sine), do("select", odd, sine, cosine)
+
+    def _sin(self, x: int) -> int:
+        quadrant, size, _ = self._wave(x)
+        return self._do("select", self._do("le", 2.0, quadrant), self._do("neg", size), size)
+
+    def _cos(self, x: int) -> int:
+        quadrant, _, size = self._wave(x)
+        middle = self._do("lt", self._do("fabs", self._do("sub", quadrant, 1.5)), 1.0)
+        return self._do("select", middle, self._do("neg", size), size)
+
+    def _quarter(self, y: int, x: int) -> int:
+        """Return atan2(y, x) for y and x that are not negative."""
+        do = self._do
+        steep = do("lt", x, y)
+        small, large = do("select", steep, x, y), do("select", steep, y, x)
+        cut = do("lt", do("mul", large, _TAN_PI_8), small)
+        over = do("select", cut, do("sub", small, large), small)
+        under = do("select", cut, do("add", small, large), large)
+        t = do("div", over, do("select", do("eq", under, 0.0), 1.0, under))
+        z = do("sq", t)
+        angle = do("add", t, do("mul", do("mul", t, z), self._polynomial(z, _ARCTANGENT)))
+        angle = do("select", cut, do("add", angle, math.pi / 4), angle)
+        return do("select", steep, do("sub", math.pi / 2, angle), angle)
+
+    def _atan2(self, y: int, x: int) -> int:
+        do = self._do
+        angle = self._quarter(do("fabs", y), do("fabs", x))
+        angle = do("select", do("lt", x, 0.0), do("sub", math.pi, angle), angle)
+        return do("select", do("lt", y, 0.0), do("neg", angle), angle)
+
+    def _acos(self, x: int) -> int:
+        do = self._do
+        return do("twice", self._quarter(do("sqrt", do("sub", 1.0, x)), do("sqrt", do("add", x, 1.0))))
+
+    # ---- comparison
+
+    def equal(self, first: int, second: int) -> bool:
+        """Return whether two expressions are equal wherever both are defined."""
+        return self._alike(self._canonical(first), self._canonical(second))
+
+    def _alike(self, a: int, b: int) -> bool:
+        return a == b or (self._normal.equal(a, lambda e: e.of(b)) and not self._normal.assumed)
+
+    def _canonical(self, root: int) -> int:
+        """Return an expression whose branches have equal operands wherever their values are equal."""
+        place: dict[int, int] = {}
+        for at in self.table.needed([root]):
+            entry = self.table.entries[at]
+            args = [place[a] for a in entry.args]
+            if entry.op in BRANCHES:
+                args = [self._first(a) for a in args]
+            place[at] = self.table.put(
+                entry.op, *(sorted(args) if entry.op in ("min", "max") else args), value=entry.value
+            )
+        return place[root]
+
+    def _first(self, at: int) -> int:
+        known = next((known for known in self._same if self._alike(at, known)), None)
+        if known is None:
+            self._same.append(at)
+        return at if known is None else known
+
+    def require_angles(self, roots: Sequence[int], box: Sequence[Interval]) -> None:
+        """Raise Rejected unless the code has the sines and cosines in these expressions on a box.
+
+        Raises:
+            Undefined: an argument is not defined on the whole box.
+        """
+        entries = [self.table.entries[at] for at in self.table.needed(roots)]
+        for jet in enclose(self.table, [e.args[0] for e in entries if e.op in ("sin", "cos")], box):
+            if not libmp.mpf_le(libmp.mpi_abs(jet.value, BITS)[1], libmp.from_float(_LARGEST)):
+                raise Rejected("the code has no sine or cosine of an argument beyond 2^20")
