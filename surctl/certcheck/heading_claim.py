@@ -9,11 +9,9 @@ from fractions import Fraction
 from typing import Any
 
 from surctl.certcheck.document import Rejected, record
-from surctl.certcheck.region_claim import number
+from surctl.certcheck.region_claim import Pair, number, ordered
 
 __all__ = ["EXCLUDES", "HeadingClaim", "read_claim"]
-
-Pair = tuple[Fraction, Fraction]
 
 EXCLUDES = (
     "the path is one straight leg, and its target moves along it at the cruise speed",
@@ -107,14 +105,7 @@ def read_claim(claim: Any) -> HeadingClaim:
     )
     ranges = {}
     for key in _RANGES:
-        pair = vehicle[key]
-        if not isinstance(pair, list) or len(pair) != 2:
-            raise Rejected(f"claim.vehicle.{key} must be [least, largest]")
-        inertial = key.endswith(("_kg", "_m2"))
-        low, high = (number(entry, f"claim.vehicle.{key}", above=inertial) for entry in pair)
-        if low > high:
-            raise Rejected(f"claim.vehicle.{key}: the least value exceeds the largest")
-        ranges[key] = (low, high)
+        ranges[key] = ordered(vehicle[key], f"claim.vehicle.{key}", above=key.endswith(("_kg", "_m2")))
     extent = motion["extent"]
     if not isinstance(extent, list) or len(extent) != 3:
         raise Rejected("claim.motion.extent must be [x, y, psi]")

@@ -8,8 +8,8 @@ region into shells. In each shell the closed loop is a linear inclusion, and one
 vertex of the inclusion proves V̇ < −a V. All numbers are exact rational numbers, except the bounds for a current in
 `region_trim`.
 
-Without thrust lag, held commands, current, force and errors of measurement, a proof may also divide the headings into
-cells: the claim is then that of a turning cruise (`turning`) with equal masses and the same ω, with a larger region.
+Without thrust lag, held commands and current, a proof may also divide the headings into cells: the claim is then that
+of a turning cruise (`turning`) with equal masses and the same ω, with a larger region.
 
 If the commands are held between control instants, the decay is proved for a functional W ≥ V that equals V at the
 control instants; `region_inclusion` derives W.
@@ -75,11 +75,11 @@ def _turning(claim: CruiseClaim) -> TurningClaim:
     Raises:
         Rejected: the claim states more than a turning cruise does.
     """
-    more = (claim.lag[1], claim.period, claim.current, claim.force, claim.place_error, claim.velocity_error)
+    more = (claim.lag[1], claim.period, claim.current)
     drag = (claim.linear, claim.linear_model), (claim.quadratic, claim.quadratic_model)
     if any(more) or any(high and not model for (_, high), model in drag) or claim.asymmetry >= 2:
-        raise Rejected("a proof by cells of headings needs a loop without lag, held commands, current, force and error "
-                       "of measurement, the true drag in the law's model, and an asymmetry below 2")  # fmt: skip
+        raise Rejected("a proof by cells of headings needs a loop without lag, held commands and current, the true "
+                       "drag in the law's model, and an asymmetry below 2")  # fmt: skip
     ends = [end / model for pair, model in drag for end in pair if model] or [Fraction(1)]
     zero = Fraction(0)
     return TurningClaim(
@@ -108,6 +108,9 @@ def _turning(claim: CruiseClaim) -> TurningClaim:
         rest_offset=None,
         ultimate_bound=claim.ultimate_bound,
         curvature=zero,
+        force=claim.force,
+        place_error=claim.place_error,
+        velocity_error=claim.velocity_error,
     )
 
 

@@ -7,11 +7,17 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import Any
+from typing import Any, TypeVar
 
 from surctl.certcheck.document import Rejected, record
 
-__all__ = ["EXCLUDES", "CruiseClaim", "number", "read_claim", "read_shells", "read_top", "triangle"]
+__all__ = [
+    "EXCLUDES", "LAW", "CruiseClaim", "Pair", "axis_pairs", "lag_range", "law_gains", "number", "ordered", "read_claim",
+    "read_shells", "read_top", "triangle", "two",
+]  # fmt: skip
+
+Pair = tuple[Fraction, Fraction]
+Number = TypeVar("Number", float, Fraction)
 
 _LARGEST = 10**9
 
@@ -52,12 +58,12 @@ class CruiseClaim:
         ultimate_bound: largest |x_e| and |y_e| [m] in the set that every motion reaches and then does not leave.
     """
 
-    mass: tuple[Fraction, Fraction]
-    linear: tuple[Fraction, Fraction]
-    quadratic: tuple[Fraction, Fraction]
+    mass: Pair
+    linear: Pair
+    quadratic: Pair
     asymmetry: Fraction
     thrust: Fraction
-    lag: tuple[Fraction, Fraction]
+    lag: Pair
     mass_model: Fraction
     linear_model: Fraction
     quadratic_model: Fraction
@@ -115,13 +121,55 @@ def read_shells(proof: Mapping[str, Any], key: str, most: int) -> tuple[list[Fra
     return levels, entries
 
 
-def _pair(value: Any, where: str, *, above: bool = False) -> tuple[Fraction, Fraction]:
+def two(value: Any, where: str, *, least: Fraction | int = 0, above: bool = False) -> Pair:
+    """Return two numbers, see `number`."""
     if not isinstance(value, list) or len(value) != 2:
-        raise Rejected(f"{where} must be [least, largest]")
-    low, high = (number(entry, where, above=above) for entry in value)
+        raise Rejected(f"{where} must have two entries")
+    first, second = (number(entry, where, least=least, above=above) for entry in value)
+    return first, second
+
+
+def ordered(value: Any, where: str, *, above: bool = False) -> Pair:
+    """Return the least and the largest value of a range, see `number`."""
+    low, high = two(value, where, above=above)
     if low > high:
         raise Rejected(f"{where}: the least value exceeds the largest")
     return low, high
+
+
+def lag_range(value: Any) -> Pair:
+    """Return the range of the time constant of the thrust [s]; (0, 0) for thrust without lag."""
+    low, high = ordered(value, "claim.vehicle.lag_s")
+    if high and not low:
+        raise Rejected("claim.vehicle.lag_s must be a range above 0, or [0, 0]")
+    return low, high
+
+
+LAW = (
+    "mass_kg", "linear_drag", "quadratic_drag", "k1", "lookahead", "k_v", "k_i", "wait", "cruise", "cap", "period_s",
+)  # fmt: skip
+"""Entries of `claim.law` in a claim about the path-following law."""
+
+
+def law_gains(law: Mapping[str, Any]) -> dict[str, Fraction]:
+    """Return k1, lookahead, k_v, wait, cruise and cap, which are above 0, and the control period `period`."""
+    if number(law["k_i"], "claim.law.k_i"):
+        raise Rejected("claim.law.k_i must be 0: the certified loop has no integral action")
+    names = ("k1", "lookahead", "k_v", "wait", "cruise", "cap")
+    gains = {name: number(law[name], f"claim.law.{name}", above=True) for name in names}
+    return {**gains, "period": number(law["period_s"], "claim.law.period_s")}
+
+
+def axis_pairs(ends: tuple[Number, Number], asymmetry: Number) -> list[tuple[Number, Number]]:
+    """Return the vertices of {(a, b): least ≤ a, b ≤ largest, |a − b| ≤ asymmetry (a + b)/2}.
+
+    The numbers lie between t and t ratio for some t, so at a vertex each is one of the two, for the least or largest t.
+    """
+    least, largest = low, high = ends
+    if asymmetry < 2:
+        ratio = (2 + asymmetry) / (2 - asymmetry)
+        low, high = max(largest / ratio, least), min(least * ratio, largest)
+    return sorted({(least, least), (least, high), (high, least), (largest, largest), (largest, low), (low, largest)})
 
 
 def read_top(claim: Any, system: str, excludes: Sequence[str]) -> Mapping[str, Any]:
@@ -162,45 +210,25 @@ def read_claim(claim: Any) -> CruiseClaim:
         ),
         "claim.vehicle",
     )
-    law = record(
-        top["law"],
-        ("mass_kg", "linear_drag", "quadratic_drag", "k1", "lookahead", "k_v", "k_i", "wait", "cruise", "cap",
-         "period_s"),
-        "claim.law",
-    )  # fmt: skip
+    law = record(top["law"], LAW, "claim.law")
     motion = record(top["motion"], ("rate_per_s", "offset_m", "ultimate_bound_m"), "claim.motion")
-    if number(law["k_i"], "claim.law.k_i"):
-        raise Rejected("claim.law.k_i must be 0: the certified loop has no integral action")
-    lag = _pair(vehicle["lag_s"], "claim.vehicle.lag_s")
-    if lag[0] == 0 and lag[1] > 0:
-        raise Rejected("claim.vehicle.lag_s must not start at 0: claim a loop without lag separately")
+    lag = lag_range(vehicle["lag_s"])
     current = number(vehicle["current_m_per_s"], "claim.vehicle.current_m_per_s")
-    if current and (lag[1] or number(law["period_s"], "claim.law.period_s")):
+    gains = law_gains(law)
+    if current and (lag[1] or gains["period"]):
         raise Rejected("claim.vehicle.current_m_per_s: a current with lag or with held commands is not supported")
-    ultimate_bound = motion["ultimate_bound_m"]
-    if not isinstance(ultimate_bound, list) or len(ultimate_bound) != 2:
-        raise Rejected("claim.motion.ultimate_bound_m must be [x_e, y_e]")
-
-    def positive(name: str) -> Fraction:
-        return number(law[name], f"claim.law.{name}", above=True)
 
     return CruiseClaim(
-        mass=_pair(vehicle["mass_kg"], "claim.vehicle.mass_kg", above=True),
-        linear=_pair(vehicle["linear_drag"], "claim.vehicle.linear_drag"),
-        quadratic=_pair(vehicle["quadratic_drag"], "claim.vehicle.quadratic_drag"),
+        mass=ordered(vehicle["mass_kg"], "claim.vehicle.mass_kg", above=True),
+        linear=ordered(vehicle["linear_drag"], "claim.vehicle.linear_drag"),
+        quadratic=ordered(vehicle["quadratic_drag"], "claim.vehicle.quadratic_drag"),
         asymmetry=number(vehicle["asymmetry"], "claim.vehicle.asymmetry"),
         thrust=number(vehicle["thrust_n"], "claim.vehicle.thrust_n", above=True),
         lag=lag,
-        mass_model=positive("mass_kg"),
+        mass_model=number(law["mass_kg"], "claim.law.mass_kg", above=True),
         linear_model=number(law["linear_drag"], "claim.law.linear_drag"),
         quadratic_model=number(law["quadratic_drag"], "claim.law.quadratic_drag"),
-        k1=positive("k1"),
-        lookahead=positive("lookahead"),
-        k_v=positive("k_v"),
-        wait=positive("wait"),
-        cruise=positive("cruise"),
-        cap=positive("cap"),
-        period=number(law["period_s"], "claim.law.period_s"),
+        **gains,
         yaw_rate=number(vehicle["yaw_rate_rad_per_s"], "claim.vehicle.yaw_rate_rad_per_s"),
         current=current,
         force=number(vehicle["force_n"], "claim.vehicle.force_n"),
@@ -208,8 +236,5 @@ def read_claim(claim: Any) -> CruiseClaim:
         velocity_error=number(vehicle["velocity_error_m_per_s"], "claim.vehicle.velocity_error_m_per_s"),
         rate=number(motion["rate_per_s"], "claim.motion.rate_per_s", above=True),
         offset=number(motion["offset_m"], "claim.motion.offset_m", above=True),
-        ultimate_bound=(
-            number(ultimate_bound[0], "claim.motion.ultimate_bound_m", above=True),
-            number(ultimate_bound[1], "claim.motion.ultimate_bound_m", above=True),
-        ),
+        ultimate_bound=two(motion["ultimate_bound_m"], "claim.motion.ultimate_bound_m", above=True),
     )

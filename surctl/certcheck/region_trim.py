@@ -25,10 +25,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.certcheck.document import Rejected
-from surctl.certcheck.region_claim import CruiseClaim
+from surctl.certcheck.region_claim import CruiseClaim, axis_pairs
 from surctl.certcheck.region_exact import middle, root_up
 
-__all__ = ["MEAN_SHARE", "Trim", "axis_pairs", "drift_speed", "offset_speed", "quarter", "steady_trim", "trim"]
+__all__ = ["MEAN_SHARE", "Trim", "drift_speed", "offset_speed", "quarter", "steady_trim", "trim"]
 
 MEAN_SHARE = Fraction(17, 20)
 """Mean share, over the heading ψ, of the quadratic drag that acts along the path: 1 at ψ = 0, and 0.71 at ψ = 45°."""
@@ -80,18 +80,6 @@ def quarter(arcs: int) -> list[tuple[Fraction, Fraction]]:
     return [((1 - t * t) / (1 + t * t), 2 * t / (1 + t * t)) for t in ts]
 
 
-def axis_pairs(least: Fraction, largest: Fraction, asymmetry: Fraction) -> list[tuple[Fraction, Fraction]]:
-    """Return the vertices of {(a, b): least ≤ a, b ≤ largest, |a − b| ≤ asymmetry (a + b)/2}."""
-    vertices = {(least, least), (largest, largest)}
-    if asymmetry >= 2:
-        other = [(least, largest)]
-    else:
-        ratio = (2 + asymmetry) / (2 - asymmetry)
-        other = [(least, min(least * ratio, largest)), (max(largest / ratio, least), largest)]
-    vertices |= {pair for a, b in other for pair in ((a, b), (b, a))}
-    return sorted(vertices)
-
-
 def offset_speed(claim: CruiseClaim, linear: Fraction, quadratic: Fraction) -> Fraction:
     """Return ω [m/s] for true drag coefficients that are means over surge and sway."""
     v = claim.cruise
@@ -136,8 +124,8 @@ def trim(claim: CruiseClaim) -> Trim:
     linear_hat, quadratic_hat = claim.linear_model, claim.quadratic_model
     vertices = list(
         product(
-            [(a, b) for a, b in axis_pairs(*claim.linear, claim.asymmetry) if a <= b],  # surge and sway may be swapped
-            axis_pairs(*claim.quadratic, claim.asymmetry),
+            [(a, b) for a, b in axis_pairs(claim.linear, claim.asymmetry) if a <= b],  # surge and sway may be swapped
+            axis_pairs(claim.quadratic, claim.asymmetry),
         )
     )
     omegas = [offset_speed(claim, middle(pair), middle(square)) for pair, square in vertices]
@@ -183,7 +171,7 @@ def _flow_bounds(claim: CruiseClaim) -> tuple[Fraction, Fraction, Fraction, Frac
     c, s = np.cos(psi), np.sin(psi)
     stiff = np.array([velocity_gain + hat + 2 * _SHARE * hat2 * v, velocity_gain + hat + _SHARE * hat2 * v])
     low, high, drift, total, wide = np.inf, -np.inf, 0.0, 0.0, 0.0
-    ranges = [[(float(a), float(b)) for a, b in axis_pairs(*pair, claim.asymmetry)]
+    ranges = [[(float(a), float(b)) for a, b in axis_pairs(pair, claim.asymmetry)]
               for pair in (claim.linear, claim.quadratic)]  # fmt: skip
     ends = []
     for (x1, x2), (q1, q2) in product(*ranges):

@@ -19,7 +19,7 @@ from itertools import pairwise
 from typing import Any
 
 from surctl.certcheck.document import Rejected, listed, record
-from surctl.certcheck.region_claim import CruiseClaim, number, read_shells, triangle
+from surctl.certcheck.region_claim import CruiseClaim, axis_pairs, number, read_shells, triangle, two
 from surctl.certcheck.region_exact import (
     Matrix,
     inverse,
@@ -29,7 +29,7 @@ from surctl.certcheck.region_exact import (
     root_up,
 )
 from surctl.certcheck.turning_cells import check_shell, heading_cells, lateness, steady
-from surctl.certcheck.turning_claim import Pair, TurningClaim, factors, read_claim
+from surctl.certcheck.turning_claim import Pair, TurningClaim, read_claim
 from surctl.certcheck.turning_form import Form, Phase
 from surctl.certcheck.turning_terms import STILL, coupled_mass, other_forces, other_moment
 
@@ -112,20 +112,16 @@ def _thrust(claim: TurningClaim, value: Any) -> tuple[Fraction, tuple[Phase, ...
 
 def _flow(claim: TurningClaim, value: Any) -> tuple[Pair, Pair, Pair]:
     """Return the coefficients of the gains of the current."""
-    rows = [tuple(number(entry, "proof.flow", least=-(10**9)) for entry in listed(row)) for row in listed(value)]
-    if [*map(len, rows)] != [2, 2, 2]:
+    if len(listed(value)) != 3:
         raise Rejected("proof.flow must have three pairs of numbers")
-    if claim.behind and any(map(any, rows)):
+    first, second, third = (two(row, "proof.flow", least=-(10**9)) for row in value)
+    if claim.behind and any(map(any, (first, second, third))):
         raise Rejected("with thrust lag or held commands, proof.flow must be 0")
-    one, two, three = ((row[0], row[1]) for row in rows)
-    return one, two, three
+    return first, second, third
 
 
-def _slopes(value: Any) -> tuple[Fraction, Fraction]:
-    if len(listed(value)) != 2:
-        raise Rejected("proof.trim must have two entries")
-    first, second = (number(entry, "proof.trim", least=-(10**9)) for entry in value)
-    return first, second
+def _slopes(value: Any) -> Pair:
+    return two(value, "proof.trim", least=-(10**9))
 
 
 def require_starts(
@@ -165,7 +161,7 @@ def require_bound(
 def _check_munk_moment(claim: TurningClaim, fastest: Fraction) -> None:
     """Check the claimed bound on the yaw moment of the Coriolis forces: |u v| ≤ |U|²/2, and |U| ≤ `fastest` [m/s]."""
     apart = max(
-        abs(f * claim.mass[0] - g * claim.mass[1]) for f, g in factors(claim.mass_factor, claim.mass_asymmetry, 2)
+        abs(f * claim.mass[0] - g * claim.mass[1]) for f, g in axis_pairs(claim.mass_factor, claim.mass_asymmetry)
     )
     if not (moment := apart * fastest * fastest / 2 + other_moment(claim, fastest)) <= claim.munk_moment:
         stated = math.ceil(1e6 * float(moment)) / 1e6

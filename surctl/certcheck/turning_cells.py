@@ -57,6 +57,7 @@ from surctl.certcheck.turning_terms import (
     flow_gains,
     flow_lack,
     inverse_masses,
+    outer_force,
     turn_points,
 )
 
@@ -76,7 +77,8 @@ class Disturbed:
     Attributes:
         lack: largest |l_i| (2,) [N].
         loose: norm of the Coriolis terms that m12 adds [1/s].
-        stray: largest acceleration by these terms and by the Coriolis term of the current [m/s²].
+        stray: largest acceleration by these terms, by the Coriolis term of the current, and by disturbance forces and
+            errors of measurement [m/s²].
         late: bounds (2,) [m/s³] on w_2 along each axis (`turning_form`); 0 for thrust that is the present command.
         spread, swing: the numbers that multiply |δU| and |δW| in the bound on |w_1 + w_3| [1/s²].
         phase: which form it is, if the thrust differs from the present command.
@@ -364,7 +366,7 @@ def _commanded(claim: TurningClaim, trim: Trim, form: Form, high: Fraction) -> t
         raise Rejected("the region contains points where the speed cap is below the steady command")
     if k1 * x > trim.command[0]:
         raise Rejected("the region contains points where the law would command backward motion")
-    if x + max(map(abs, trim.moved)) / k1 > claim.wait / 2:
+    if x + max(map(abs, trim.moved)) / k1 + claim.place_error > claim.wait / 2:
         raise Rejected("the region contains points where the path's target waits")
     steer = (trim.command[0] - k1 * x, min(trim.command[1] + k1 * x, claim.cap))
     catch = (min(k1, (most - trim.command[1]) / x), k1)
@@ -406,6 +408,8 @@ def check_shell(
     coupling = coupling_of(claim)
     per_mass, loose, current = inverse_masses(claim, coupling), float(coupling.loose) * UP, float(claim.current)
     stray = loose * (float(claim.cruise) + current) + float(np.abs(np.array(turns)[:, :2]).max()) * current * UP
+    beside = float(root_up(form.exact[1][1] * high) + trim.beside) * UP
+    stray += outer_force(claim, beside) * max(max(a, b) + abs(c) for a, b, c in per_mass) * UP
     lack = (cells.lack + np.array([float(force) for force in forces])) * UP
     limit, (omega, fast) = _limit(claim, form, steer[1], high), _fastest(trim)
     floor = float(growth * low) / UP

@@ -10,11 +10,19 @@ from itertools import product
 from typing import Any
 
 from surctl.certcheck.document import Rejected, record
-from surctl.certcheck.region_claim import number, read_top
+from surctl.certcheck.region_claim import (
+    LAW,
+    Pair,
+    axis_pairs,
+    lag_range,
+    law_gains,
+    number,
+    ordered,
+    read_top,
+    two,
+)
 
-__all__ = ["EXCLUDES", "Pair", "TurningClaim", "drag_factors", "factors", "read_claim", "read_terms"]
-
-Pair = tuple[Fraction, Fraction]
+__all__ = ["EXCLUDES", "Pair", "TurningClaim", "drag_factors", "read_claim", "read_terms"]
 
 _TERM = re.compile("m[1-4][1-4]|[XYZN][uvwr]{1,2}|[XYZN]0|F[uvwr]_reverse")
 _EQUATION_3 = {
@@ -67,6 +75,9 @@ class TurningClaim:
         current: largest speed of a constant current in any direction [m/s].
         lag: range of the time constant of the thrust [s]; (0, 0) for thrust without lag.
         period: time for which a command is held [s]; 0 for continuous commands.
+        force: largest horizontal disturbance force, which may vary arbitrarily [N].
+        place_error, velocity_error: largest error of the measured position [m] and of the measured velocity [m/s]; the
+            errors vary arbitrarily. Only claims without lag and held commands have these errors and a force.
     """
 
     mass_factor: Pair
@@ -97,6 +108,9 @@ class TurningClaim:
     current: Fraction = Fraction(0)
     lag: Pair = (Fraction(0), Fraction(0))
     period: Fraction = Fraction(0)
+    force: Fraction = Fraction(0)
+    place_error: Fraction = Fraction(0)
+    velocity_error: Fraction = Fraction(0)
 
     @property
     def behind(self) -> bool:
@@ -104,35 +118,10 @@ class TurningClaim:
         return bool(self.lag[1] or self.period)
 
 
-def factors(ends: Pair, asymmetry: Fraction, count: int) -> list[tuple[Fraction, ...]]:
-    """Return the vertices of the set of `count` numbers in (least, largest) that differ by at most an asymmetry < 2.
-
-    The numbers lie between t and t ratio for some t, so at a vertex each is one of the two, for the least or largest t.
-    """
-    least, largest = ends
-    ratio = (2 + asymmetry) / (2 - asymmetry)
-    low, high = (least, min(least * ratio, largest)), (max(largest / ratio, least), largest)
-    return sorted({vertex for pair in (low, high) for vertex in product(pair, repeat=count)})
-
-
 def drag_factors(claim: TurningClaim) -> list[tuple[Fraction, ...]]:
     """Return the vertices of the drag factors (linear surge, linear sway, quadratic surge, quadratic sway)."""
-    pairs = factors(claim.drag_factor, claim.drag_asymmetry, 2)
+    pairs = axis_pairs(claim.drag_factor, claim.drag_asymmetry)
     return [(*linear, *quadratic) for linear, quadratic in product(pairs, repeat=2)]
-
-
-def _two(value: Any, where: str, *, above: bool = False) -> Pair:
-    if not isinstance(value, list) or len(value) != 2:
-        raise Rejected(f"{where} must have two entries")
-    first, second = (number(entry, where, above=above) for entry in value)
-    return first, second
-
-
-def _factors(value: Any, where: str) -> Pair:
-    low, high = _two(value, where, above=True)
-    if low > high:
-        raise Rejected(f"{where}: the least value exceeds the largest")
-    return low, high
 
 
 def read_claim(claim: Any) -> TurningClaim:
@@ -150,68 +139,39 @@ def read_claim(claim: Any) -> TurningClaim:
          "current_m_per_s", "lag_s"),
         "claim.vehicle",
     )  # fmt: skip
-    law = record(
-        top["law"],
-        (
-            "mass_kg",
-            "linear_drag",
-            "quadratic_drag",
-            "k1",
-            "lookahead",
-            "k_v",
-            "k_i",
-            "wait",
-            "cruise",
-            "cap",
-            "period_s",
-        ),
-        "claim.law",
-    )
+    law = record(top["law"], LAW, "claim.law")
     motion = record(
         top["motion"], ("rate_per_s", "offset_m", "rest_offset_m", "ultimate_bound_m", "curvature_per_m"),
         "claim.motion",
     )  # fmt: skip
-    if number(law["k_i"], "claim.law.k_i"):
-        raise Rejected("claim.law.k_i must be 0: the certified loop has no integral action")
     asymmetries = {key: number(vehicle[key], f"claim.vehicle.{key}") for key in ("mass_asymmetry", "drag_asymmetry")}
     if any(share >= 2 for share in asymmetries.values()):
         raise Rejected("an asymmetry must be below 2")
     rest = motion["rest_offset_m"]
 
-    def positive(name: str) -> Fraction:
-        return number(law[name], f"claim.law.{name}", above=True)
-
     return TurningClaim(
-        mass_factor=_factors(vehicle["mass_factor"], "claim.vehicle.mass_factor"),
-        drag_factor=_factors(vehicle["drag_factor"], "claim.vehicle.drag_factor"),
+        mass_factor=ordered(vehicle["mass_factor"], "claim.vehicle.mass_factor", above=True),
+        drag_factor=ordered(vehicle["drag_factor"], "claim.vehicle.drag_factor", above=True),
         **asymmetries,
-        thrust=_two(vehicle["thrust_n"], "claim.vehicle.thrust_n", above=True),
+        thrust=two(vehicle["thrust_n"], "claim.vehicle.thrust_n", above=True),
         yaw_rate=number(vehicle["yaw_rate_rad_per_s"], "claim.vehicle.yaw_rate_rad_per_s"),
         munk_moment=number(vehicle["munk_moment_nm"], "claim.vehicle.munk_moment_nm"),
         terms=read_terms(vehicle["terms"]),
         heave=number(vehicle["heave_m_per_s"], "claim.vehicle.heave_m_per_s"),
         heave_rate=number(vehicle["heave_m_per_s2"], "claim.vehicle.heave_m_per_s2"),
         turn_rate=number(vehicle["yaw_rad_per_s2"], "claim.vehicle.yaw_rad_per_s2"),
-        mass=_two(law["mass_kg"], "claim.law.mass_kg", above=True),
-        linear=_two(law["linear_drag"], "claim.law.linear_drag"),
-        quadratic=_two(law["quadratic_drag"], "claim.law.quadratic_drag"),
-        **{key: positive(key) for key in ("k1", "lookahead", "k_v", "wait", "cruise", "cap")},
+        mass=two(law["mass_kg"], "claim.law.mass_kg", above=True),
+        linear=two(law["linear_drag"], "claim.law.linear_drag"),
+        quadratic=two(law["quadratic_drag"], "claim.law.quadratic_drag"),
+        **law_gains(law),
         rate=number(motion["rate_per_s"], "claim.motion.rate_per_s", above=True),
         offset=number(motion["offset_m"], "claim.motion.offset_m", above=True),
         rest_offset=None if rest is None else number(rest, "claim.motion.rest_offset_m"),
-        ultimate_bound=_two(motion["ultimate_bound_m"], "claim.motion.ultimate_bound_m", above=True),
+        ultimate_bound=two(motion["ultimate_bound_m"], "claim.motion.ultimate_bound_m", above=True),
         curvature=number(motion["curvature_per_m"], "claim.motion.curvature_per_m"),
         current=number(vehicle["current_m_per_s"], "claim.vehicle.current_m_per_s"),
-        lag=_lag(vehicle["lag_s"]),
-        period=number(law["period_s"], "claim.law.period_s"),
+        lag=lag_range(vehicle["lag_s"]),
     )
-
-
-def _lag(value: Any) -> Pair:
-    low, high = _two(value, "claim.vehicle.lag_s")
-    if low > high or (high and not low):
-        raise Rejected("claim.vehicle.lag_s must be a range above 0, or [0, 0]")
-    return low, high
 
 
 def read_terms(value: Any) -> dict[str, Fraction]:

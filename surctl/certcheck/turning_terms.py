@@ -29,11 +29,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.certcheck.document import Rejected
-from surctl.certcheck.turning_claim import Pair, TurningClaim, drag_factors, factors
+from surctl.certcheck.region_claim import axis_pairs
+from surctl.certcheck.turning_claim import Pair, TurningClaim, drag_factors
 
 __all__ = [
     "STILL", "UP", "Coupling", "Turn", "coupled_mass", "coupling_of", "flow_gains", "flow_lack", "inverse_masses",
-    "other_forces", "other_moment", "turn_points",
+    "other_forces", "other_moment", "outer_force", "turn_points",
 ]  # fmt: skip
 
 _FORCES, _VELOCITIES = "XY", "uvwr"
@@ -86,6 +87,21 @@ def other_moment(claim: TurningClaim, fastest: Fraction) -> Fraction:
     return fastest * (fastest * coupled_mass(claim) + sum(_carried(claim)))
 
 
+def outer_force(claim: TurningClaim, beside: float) -> float:
+    """Return the largest norm [N] of the disturbance force and of the thrust that errors of measurement cause.
+
+    `beside` is the largest |y_e| [m]. A thrust limit does not enlarge a change of thrust. A change of position (x, y)
+    by 1 m changes the commanded velocity along the path by at most k1 (for x) or k1 y_e/Δ (for y), and across the path
+    by less than cap/Δ; Δ is the lookahead distance. This holds below the law's speed cap, at the cap, and when the law
+    commands rest.
+    """
+    gain = max(float(mass * claim.k_v) for mass in claim.mass)
+    steep = gain + max(float(a + 2 * b * claim.cap) for a, b in zip(claim.linear, claim.quadratic, strict=True))
+    far, error = float(claim.lookahead), float(claim.place_error)
+    slant = np.hypot(float(claim.k1) * np.hypot(1, (beside + error) / far), float(claim.cap) / far)
+    return float((float(claim.force) + steep * slant * error + gain * float(claim.velocity_error)) * UP)
+
+
 UP = 1 + 1e-9
 """Factor that covers the rounding of a bound."""
 
@@ -113,12 +129,9 @@ def coupling_of(claim: TurningClaim) -> Coupling:
 
 
 def inverse_masses(claim: TurningClaim, coupling: Coupling) -> list[tuple[float, float, float]]:
-    """Return the vertices of the diagonal of M⁻¹ and of its other entry.
-
-    Two equal factors g with f < g < h are left out: the point (1/g, 1/g) lies between (1/f, 1/f) and (1/h, 1/h).
-    """
+    """Return the vertices of the diagonal of M⁻¹ and of its other entry."""
     ends = claim.mass_factor[0] * coupling.remaining, claim.mass_factor[1]
-    pairs = [pair for pair in factors(ends, claim.mass_asymmetry, 2) if pair[0] != pair[1] or pair[0] in ends]
+    pairs = axis_pairs(ends, claim.mass_asymmetry)
     cross = float(coupling.cross) * UP
     signs = sorted({cross, -cross})
     first, second = claim.mass

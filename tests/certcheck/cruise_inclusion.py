@@ -13,10 +13,10 @@ from dataclasses import dataclass
 from fractions import Fraction
 
 from surctl.certcheck.document import Rejected
-from surctl.certcheck.region_claim import CruiseClaim
+from surctl.certcheck.region_claim import CruiseClaim, axis_pairs
 from surctl.certcheck.region_exact import Matrix, inverse, middle, quadratic, root_down, root_up
 from surctl.certcheck.region_inclusion import Shell, vertex
-from surctl.certcheck.region_trim import Trim, axis_pairs, drift_speed, offset_speed, quarter
+from surctl.certcheck.region_trim import Trim, drift_speed, offset_speed, quarter
 
 __all__ = ["Vehicle", "check_identity", "commanded_thrust", "commanded_velocity", "true_rate"]
 
@@ -125,7 +125,7 @@ def _between(draw: random.Random, low: Fraction, high: Fraction) -> Fraction:
 
 def _boat(claim: CruiseClaim, draw: random.Random) -> Vehicle:
     def drag(pair: Pair) -> Pair:
-        first, second = (draw.choice(axis_pairs(*pair, claim.asymmetry)) for _ in range(2))
+        first, second = (draw.choice(axis_pairs(pair, claim.asymmetry)) for _ in range(2))
         share = Fraction(draw.randint(0, 8), 8)
         a, b = (x + share * (y - x) for x, y in zip(first, second, strict=True))
         return a, b

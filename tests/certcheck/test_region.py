@@ -1,5 +1,6 @@
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -10,11 +11,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from surctl.certcheck import Rejected, check_document
+from surctl.certcheck import Rejected, check_document, region
 from surctl.certcheck.region_claim import read_claim
 from surctl.certcheck.region_exact import inverse, is_positive_definite, product, root_down, root_up, rounded_up
 from surctl.certcheck.region_inclusion import _misled
-from surctl.certcheck.region_trim import axis_pairs, steady_trim
+from surctl.certcheck.region_trim import steady_trim
+from surctl.certcheck.turning_terms import outer_force
 from surctl.marine.control import build_law, law_parameters, load_gains
 from surctl.marine.guidance import Path as Route
 from surctl.marine.vehicle import PLANT_DISTURBANCE, PLANT_PARAMETERS, PLANT_STATE, build_plant, load_vehicle
@@ -85,9 +87,9 @@ CELLS = {key: change for key, change in STRONGER.items() if key not in ("multipl
     "held commands": lambda d, f: d["claim"]["law"].update(period_s=0.05),
     "lag": lambda d, f: d["claim"]["vehicle"].update(lag_s=[0.2, 0.2]),
     "current": lambda d, f: d["claim"]["vehicle"].update(current_m_per_s=0.01),
-    "force": lambda d, f: d["claim"]["vehicle"].update(force_n=0.01),
-    "place": lambda d, f: d["claim"]["vehicle"].update(place_error_m=0.001),
-    "velocity": lambda d, f: d["claim"]["vehicle"].update(velocity_error_m_per_s=0.001),
+    "force": lambda d, f: d["claim"]["vehicle"].update(force_n=0.5 + f),
+    "place": lambda d, f: d["claim"]["vehicle"].update(place_error_m=0.01 + f / 10),
+    "velocity": lambda d, f: d["claim"]["vehicle"].update(velocity_error_m_per_s=0.005 + f / 10),
     "slopes": lambda d, f: d["proof"].update(trim=[0.0, 0.0]),
 }
 
@@ -305,8 +307,12 @@ def test_errors_of_what_is_measured_change_the_thrust_by_no_more_than_is_counted
     measured = state + np.hstack([boat["place"], boat["speed"]])
     change = np.hypot(*(thrust(claim, measured, psi) - thrust(claim, state, psi)).T)
     slope = exact.mass_model * exact.k_v + exact.linear_model + 2 * exact.quadratic_model * exact.cap
-    counted = float(_misled(exact, steady_trim(exact), Fraction(y), slope))
-    assert 0.5 * counted < change.max() <= counted
+    for counted in (
+        float(_misled(exact, steady_trim(exact), Fraction(y), slope)),
+        outer_force(replace(region._turning(exact), force=Fraction(0)), y),
+    ):
+        assert 0.5 * counted < change.max() <= counted
+    assert outer_force(region._turning(exact), y) == pytest.approx(counted + float(exact.force))
 
 
 @settings(max_examples=30, deadline=None, derandomize=True)
@@ -337,12 +343,6 @@ def test_rounding_up_keeps_a_form_above() -> None:
         a, b, c = (Fraction(float(v)) for v in rng.normal(size=3))
         up = rounded_up([[a, b], [b, c]])
         assert is_positive_definite([[up[0][0] - a, up[0][1] - b], [up[1][0] - b, up[1][1] - c]])
-
-
-def test_pairs_of_drag_keep_their_asymmetry() -> None:
-    pairs = axis_pairs(Fraction(1), Fraction(2), Fraction(1, 10))
-    assert all(abs(a - b) <= Fraction(1, 20) * (a + b) for a, b in pairs)
-    assert axis_pairs(Fraction(1), Fraction(2), Fraction(2)) == [(1, 1), (1, 2), (2, 1), (2, 2)]
 
 
 def test_the_reason_names_what_fails() -> None:

@@ -37,7 +37,7 @@ def reason(changed: dict[str, Any]) -> str:
     return check_document(sealed(changed)).reason
 
 
-def parts(name: str = "20-force", **changes: Any) -> tuple[CruiseClaim, Matrix, Trim]:
+def parts(name: str = "20-norms-force", **changes: Any) -> tuple[CruiseClaim, Matrix, Trim]:
     whole = document(name)
     for key, value in changes.items():
         next(part for part in whole["claim"].values() if isinstance(part, dict) and key in part)[key] = value
@@ -46,7 +46,7 @@ def parts(name: str = "20-force", **changes: Any) -> tuple[CruiseClaim, Matrix, 
     return claim, p, steady_trim(claim)
 
 
-@pytest.mark.parametrize("name", ["20-force", "20-lag"])
+@pytest.mark.parametrize("name", ["20-norms-force", "20-lag"])
 def test_the_region_is_the_last_shell(name: str) -> None:
     whole = document(name)
     for shells in (
@@ -77,14 +77,14 @@ def test_the_region_is_the_last_shell(name: str) -> None:
     ],
 )
 def test_a_malformed_proof_is_named(where: str, wrong: Callable[[Any], Any], says: str) -> None:
-    changed = document("20-force")
+    changed = document("20-norms-force")
     changed["proof"][where] = wrong(changed["proof"][where])
     assert says in reason(changed)
 
 
 @pytest.mark.parametrize("at", [0, 5])
 def test_every_shell_needs_its_decay(at: int) -> None:
-    changed = document("20-force")
+    changed = document("20-norms-force")
     changed["proof"]["shells"][at]["multipliers"] = [0.0] * 5
     assert "V does not decay at the claimed rate between levels" in reason(changed)
 
@@ -175,7 +175,7 @@ def test_the_waiting_of_the_target_counts_both_offsets_and_the_error_of_the_plac
 
 def test_the_bounds_of_a_shell_are_on_the_safe_side_to_the_last_digit() -> None:
     """Each of them once more with 40 digits; a root that is rounded to the other side is off by up to 1e-9."""
-    claim, p, steady = parts("20-force", place_error_m=0.003)
+    claim, p, steady = parts("20-norms-force", place_error_m=0.003)
     high, low, cov = Fraction(7, 10), Fraction(1, 3), inverse(p)
     at = shell(claim, steady, cov, low, high)
     with mp.workdps(40):
@@ -275,7 +275,9 @@ def test_each_vertex_needs_its_decay(at: int, monkeypatch: pytest.MonkeyPatch) -
         region.check(whole)
 
 
-@pytest.mark.parametrize("name", ["20-norms", "20-sampled", "20-lag", "ranges", "20-force", "20-noise", "current"])
+@pytest.mark.parametrize(
+    "name", ["20-norms", "20-sampled", "20-lag", "ranges", "20-norms-force", "20-noise", "current"]
+)
 def test_the_inclusion_of_a_shell_is_the_loop_of_law_and_vehicle(name: str) -> None:
     """The loop is written a second time for the tests; other ranges and gains are those of a claim of one's own."""
     rng = np.random.default_rng(len(name))
@@ -294,8 +296,7 @@ def test_the_inclusion_of_a_shell_is_the_loop_of_law_and_vehicle(name: str) -> N
 
 
 BY_CELLS: list[tuple[str, Any]] = [
-    ("lag_s", [0.1, 0.1]), ("period_s", 0.05), ("current_m_per_s", 0.01), ("force_n", 0.01), ("place_error_m", 0.001),
-    ("velocity_error_m_per_s", 0.001), ("asymmetry", 2.0),
+    ("lag_s", [0.1, 0.1]), ("period_s", 0.05), ("current_m_per_s", 0.01), ("asymmetry", 2.0),
 ]  # fmt: skip
 
 
@@ -307,6 +308,14 @@ def test_a_proof_by_cells_covers_no_more_than_a_turning_cruise(key: str, value: 
     claim = read_claim(whole["claim"])
     with pytest.raises(Rejected, match="a proof by cells of headings needs"):
         region._turning(claim)
+
+
+def test_a_proof_by_cells_has_the_force_and_the_errors_of_its_claim() -> None:
+    whole = document("20-noise")
+    claim = read_claim(whole["claim"])
+    names = ("force", "place_error", "velocity_error")
+    own = [getattr(region._turning(claim), name) for name in names]
+    assert own == [getattr(claim, name) for name in names] and all(own)
 
 
 @pytest.mark.parametrize("key", ["linear_drag", "quadratic_drag"])
@@ -330,13 +339,13 @@ def test_the_factors_of_a_turning_cruise_hold_all_drags_of_the_claim() -> None:
 
 
 def test_unknown_keys_and_a_proof_by_cells_that_fails_are_rejected() -> None:
-    assert "the certificate must have exactly the keys" in reason({**document("20-force"), "more": 1})
+    assert "the certificate must have exactly the keys" in reason({**document("20-norms-force"), "more": 1})
     changed = document("20")
     changed["proof"]["floor"] *= 1e-3
     assert reason(changed)
 
 
-@pytest.mark.parametrize("name", ["20-force", "20-lag"])
+@pytest.mark.parametrize("name", ["20-norms-force", "20-lag"])
 def test_the_matrix_is_that_of_the_form(name: str) -> None:
     """ξ and w are drawn, and each term of the form is computed from what it stands for."""
     claim, p, steady = parts(name)
@@ -412,7 +421,7 @@ def test_the_thrust_limit_counts_in_every_direction(low: int, high: int) -> None
 def test_roots_in_the_bounds_of_a_shell_are_rounded_to_the_safe_side(monkeypatch: pytest.MonkeyPatch) -> None:
     """Drawn regions: what one root loses by 1e-9, the others seldom make up for."""
     monkeypatch.setattr(region_inclusion, "_thrust_share", lambda *_: Fraction(1))
-    claim, p, steady = parts("20-force", place_error_m=0.003)
+    claim, p, steady = parts("20-norms-force", place_error_m=0.003)
     base, rng = inverse(p), np.random.default_rng(4)
     for _ in range(60):
         scale = [Fraction(int(n), 997) for n in (*rng.integers(300, 800, size=2), *rng.integers(300, 900_000, size=2))]

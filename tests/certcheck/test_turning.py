@@ -15,12 +15,12 @@ import pytest
 
 from surctl.certcheck import check_document, region, turning
 from surctl.certcheck.document import Rejected
+from surctl.certcheck.region_claim import axis_pairs, triangle
 from surctl.certcheck.region_claim import read_claim as read_cruise
-from surctl.certcheck.region_claim import triangle
-from surctl.certcheck.region_exact import quadratic
+from surctl.certcheck.region_exact import quadratic, root_up
 from surctl.certcheck.turning import _check_munk_moment, require_starts
-from surctl.certcheck.turning_cells import Trim, _axis, _lack, heading_cells, steady
-from surctl.certcheck.turning_claim import drag_factors, factors, read_claim
+from surctl.certcheck.turning_cells import Trim, _axis, _commanded, _lack, heading_cells, steady
+from surctl.certcheck.turning_claim import drag_factors, read_claim
 from surctl.certcheck.turning_form import Form, axes_of
 from surctl.certcheck.turning_law import true_rate
 from surctl.certcheck.turning_terms import STILL, coupling_of, inverse_masses, other_forces, other_moment, turn_points
@@ -203,15 +203,25 @@ def test_no_altered_certificate_that_sampling_refutes_is_accepted() -> None:
 
 
 def test_the_vertices_of_factors_enclose_every_allowed_vehicle() -> None:
-    vertices = factors((Fraction(4, 5), Fraction(6, 5)), Fraction(1, 20), 2)
-    assert len(vertices) == 8
+    vertices = axis_pairs((Fraction(4, 5), Fraction(6, 5)), Fraction(1, 20))
+    assert len(vertices) == 6
     for one in vertices:
         assert min(one) >= Fraction(4, 5) and max(one) <= Fraction(6, 5)
         assert max(one) - min(one) <= Fraction(1, 20) * (max(one) + min(one)) / 2
-    assert factors((Fraction(1), Fraction(1)), Fraction(0), 2) == [(1, 1)]
     drag = drag_factors(read_claim(document("region-turning-20")["claim"]))
     assert set(drag) == {(*linear, *quadratic) for linear in vertices for quadratic in vertices}
     assert (Fraction(4, 5),) * 2 + (Fraction(6, 5),) * 2 in drag  # less linear drag, more quadratic drag
+
+
+def test_the_waiting_of_the_target_counts_the_error_of_the_place() -> None:
+    whole = document("region-cruise-20-noise")
+    cruise = read_cruise(whole["claim"])
+    claim, p = region._turning(cruise), triangle(whole["proof"]["P"], 4, "proof.P")
+    trim, form = steady(claim, region._slopes(cruise)), Form(p)
+    reach = 2 * (root_up(form.exact[0][0]) + max(map(abs, trim.moved)) / claim.k1 + claim.place_error)
+    _commanded(replace(claim, wait=reach), trim, form, Fraction(1))
+    with pytest.raises(Rejected, match="target waits"):
+        _commanded(replace(claim, wait=reach - Fraction(1, 10**6)), trim, form, Fraction(1))
 
 
 def test_the_triangles_contain_every_heading() -> None:
@@ -283,8 +293,10 @@ def test_the_corners_that_are_left_out_lie_between_the_others() -> None:
             corners = [(q * (gain + h), q * gain + t) for q in (part, 1) for h in (h0, h1) for t in (low, top)]
             assert np.all((np.array(corners) @ ahead).max(axis=0) <= (kept @ ahead).max(axis=0) + 1e-9)
     kept = np.array(inverse_masses(claim, coupling_of(claim)))[:, :2] * np.array([float(m) for m in claim.mass])
-    every = np.array([[float(1 / f) for f in pair] for pair in factors(claim.mass_factor, claim.mass_asymmetry, 2)])
-    assert len(kept) == 6 < len(every)
+    share, masses = claim.mass_asymmetry, np.linspace(float(claim.mass_factor[0]), float(claim.mass_factor[1]), 41)
+    first, second = (grid.ravel() for grid in np.meshgrid(masses, masses))
+    every = 1 / np.stack([first, second], 1)[np.abs(first - second) <= float(share) * (first + second) / 2]
+    assert len(kept) == 6 and len(every) > 41
     assert np.all((every @ ahead).max(axis=0) <= (kept @ ahead).max(axis=0) + 1e-12)
 
 
@@ -391,7 +403,7 @@ def test_offset_and_munk_moment_are_decided_to_the_last_digit(name: str) -> None
 
 def _moment(claim: Any) -> Fraction:
     """The yaw moment at 1 m/s, computed anew."""
-    pairs = factors(claim.mass_factor, claim.mass_asymmetry, 2)
+    pairs = axis_pairs(claim.mass_factor, claim.mass_asymmetry)
     apart = max(abs(f * claim.mass[0] - g * claim.mass[1]) for f, g in pairs)
     t, f = claim.terms, claim.mass_factor[1]
     carried = sum(abs(t[f"m{i}3"]) * claim.heave + abs(t[f"m{i}4"]) * claim.yaw_rate for i in (1, 2))

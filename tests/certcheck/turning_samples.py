@@ -7,8 +7,9 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from surctl.certcheck.region_claim import axis_pairs
 from surctl.certcheck.turning_cells import Trim
-from surctl.certcheck.turning_claim import TurningClaim, drag_factors, factors
+from surctl.certcheck.turning_claim import TurningClaim, drag_factors
 from surctl.certcheck.turning_law import commanded, true_rate
 
 Array = NDArray[np.float64]
@@ -23,7 +24,7 @@ def draw_vehicles(claim: TurningClaim, count: int, rng: np.random.Generator) -> 
     `term_mass` and `term` hold the factors (count,) of the terms beside equation (3): of inertia, and of all others.
     """
     values = []
-    for corners in (factors(claim.mass_factor, claim.mass_asymmetry, 2), drag_factors(claim)):
+    for corners in (axis_pairs(claim.mass_factor, claim.mass_asymmetry), drag_factors(claim)):
         vertices = np.array([[float(n) for n in one] for one in corners])
         weights = rng.dirichlet(np.ones(len(vertices)), size=count)
         weights = np.where(rng.uniform(size=(count, 1)) < 0.6, np.eye(len(vertices))[weights.argmax(axis=1)], weights)

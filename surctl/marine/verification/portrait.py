@@ -18,9 +18,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from surctl.certcheck.region_claim import axis_pairs
 from surctl.certcheck.region_claim import read_claim as read_region
-from surctl.certcheck.region_trim import axis_pairs, offset_speed
-from surctl.certcheck.turning_claim import factors, read_claim
+from surctl.certcheck.region_trim import offset_speed
+from surctl.certcheck.turning_claim import read_claim
 from surctl.certcheck.turning_law import Follower, true_rate
 from surctl.errors import InputError, nearest
 from surctl.lyapunov.slope_search import form_of
@@ -161,8 +162,7 @@ def _cruise(document: Mapping[str, Any]) -> _Loop:
         return lambda xi: cruise_rate(law, mass, drag, xi + start, np.full(len(xi), psi))[0]
 
     linear, quadratic = (
-        [(float(a), float(b)) for a, b in axis_pairs(*ends, claim.asymmetry)]
-        for ends in (claim.linear, claim.quadratic)
+        [(float(a), float(b)) for a, b in axis_pairs(ends, claim.asymmetry)] for ends in (claim.linear, claim.quadratic)
     )
     return _Loop(
         P=_matrix(proof["P"])[:4, :4],
@@ -192,7 +192,7 @@ def _turning(document: Mapping[str, Any]) -> _Loop:
 
         return rate
 
-    masses = [[float(f) for f in one] for one in factors(claim.mass_factor, claim.mass_asymmetry, 2)]
+    masses = [[float(f) for f in one] for one in axis_pairs(claim.mass_factor, claim.mass_asymmetry)]
     drags = [[[float(end)] * 2] * 2 for end in sorted(set(claim.drag_factor))]
     turns = {float(claim.yaw_rate), -float(claim.yaw_rate)}
     return _Loop(

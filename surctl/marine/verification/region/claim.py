@@ -103,7 +103,9 @@ class RegionClaim:
     def turning(self) -> TurningClaim | None:
         """Return the same claim about a turning cruise, for a proof by cells of headings; None if there is none."""
         drag = (self.linear, self.model[1]), (self.quadratic, self.model[2])
-        if not self.ideal or any(high and not model for (_, high), model in drag) or self.asymmetry >= 2:
+        if self.lag[1] or self.period or self.current or self.asymmetry >= 2:
+            return None
+        if any(high and not model for (_, high), model in drag):
             return None
         ends = [end / model for pair, model in drag for end in pair if model] or [1.0]
         mass, linear, quadratic = self.model
@@ -123,6 +125,9 @@ class RegionClaim:
             cruise=self.cruise,
             cap=self.cap,
             rate=self.rate,
+            force=self.force,
+            place_error=self.place_error,
+            velocity_error=self.velocity_error,
         )
 
     def document(self, *, offset: float, ultimate_bound: tuple[float, float]) -> dict[str, Any]:

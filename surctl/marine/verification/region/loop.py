@@ -15,7 +15,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.certcheck.region_claim import read_claim
+from surctl.certcheck.region_claim import axis_pairs, read_claim
 from surctl.certcheck.region_trim import steady_trim
 from surctl.marine.verification.region.claim import RegionClaim
 
@@ -65,12 +65,6 @@ class Steady:
         return np.maximum(self.linear * c + self.quadratic * (c + self.tilt * s) ** 2, self.backward) + self.across * s
 
 
-def _pairs(low: float, high: float, asymmetry: float) -> list[tuple[float, float]]:
-    ratio = np.inf if asymmetry >= 2 else (2 + asymmetry) / (2 - asymmetry)
-    return [(low, low), (high, high), (low, min(low * ratio, high) if low else high if ratio == np.inf else 0.0),
-            (max(high / ratio, low), high)]  # fmt: skip
-
-
 def offset_slopes(claim: RegionClaim) -> tuple[float, float]:
     """Return the slopes of ω [m/s] of `steady_cruise` in the mean factors of the linear and of the quadratic drag."""
     mass, linear, quadratic = claim.model
@@ -93,12 +87,7 @@ def steady_cruise(claim: RegionClaim) -> Steady:
     stiffness = velocity_gain + linear + 2 * _SHARE * quadratic * v
     c, s = np.cos(_HEADINGS), np.sin(_HEADINGS)
     omegas, total = [], 0.0
-    corners = product(
-        _pairs(*claim.linear, claim.asymmetry), _pairs(*claim.quadratic, claim.asymmetry), (1, -1), (1, -1)
-    )
-    for a, b, flip, flop in corners:
-        x1, x2 = a[::flip]
-        q1, q2 = b[::flop]
+    for (x1, x2), (q1, q2) in product(*(axis_pairs(ends, claim.asymmetry) for ends in (claim.linear, claim.quadratic))):
         omega = (((x1 + x2) / 2 - linear) * v + _SHARE * ((q1 + q2) / 2 - quadratic) * v * v) / stiffness
         w = v + omega
         command = [velocity_gain * omega * n + linear * w * n + quadratic * w * w * n * n for n in (c, s)]

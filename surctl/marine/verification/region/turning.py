@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from fractions import Fraction
 from functools import cached_property
 from typing import Any
 
@@ -56,6 +57,8 @@ class TurningClaim:
         current: largest speed of a constant current [m/s].
         lag: time constant of the thrust lag [s]; 0 for thrust without lag.
         period: control period [s], during which the command is constant; 0 for a loop in continuous time.
+        force, place_error, velocity_error: largest horizontal disturbance force [N], and largest errors of the measured
+            position [m] and velocity [m/s], varying arbitrarily; only for a loop without lag and in continuous time.
     """
 
     name: str
@@ -82,6 +85,9 @@ class TurningClaim:
     current: float = 0.0
     lag: float = 0.0
     period: float = 0.0
+    force: float = 0.0
+    place_error: float = 0.0
+    velocity_error: float = 0.0
 
     def __post_init__(self) -> None:
         """Raise InputError for a number out of bounds, NotApplicable for integral action or a cruise speed ≥ cap."""
@@ -146,7 +152,9 @@ class TurningClaim:
     @cached_property
     def stated(self) -> Stated:
         """Return the claim as the checker reads it, with a region that is not yet known."""
-        return read_claim(self.document(offset=1.0, rest_offset=None, ultimate_bound=(1.0, 1.0), munk_moment=0.0))
+        stated = read_claim(self.document(offset=1.0, rest_offset=None, ultimate_bound=(1.0, 1.0), munk_moment=0.0))
+        force, place, speed = (Fraction(repr(n)) for n in (self.force, self.place_error, self.velocity_error))
+        return replace(stated, force=force, place_error=place, velocity_error=speed)
 
     @cached_property
     def vertex_numbers(self) -> tuple[float, NDArray[np.float64], NDArray[np.float64]]:

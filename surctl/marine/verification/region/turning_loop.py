@@ -14,11 +14,12 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.certcheck.turning_terms import other_forces
+from surctl.certcheck.region_claim import axis_pairs
+from surctl.certcheck.turning_terms import other_forces, outer_force
 from surctl.marine.verification.region.turning import TurningClaim
 from surctl.marine.verification.region.turning_behind import Behind, behind_of
 
-__all__ = ["Cruise", "Vertices", "corner_factors", "steady_turning", "vertices"]
+__all__ = ["Cruise", "Vertices", "steady_turning", "vertices"]
 
 Array = NDArray[np.float64]
 
@@ -116,6 +117,7 @@ class Vertices:
         Q: bound on w wᵀ (headings, masses, terms, 2, 2).
         effect: Coriolis term of the steady cruise (headings, terms, 2) [m/s²].
         lack: trim error (headings, masses, 2) of the body axes [m/s²].
+        stray: largest acceleration by disturbance forces and errors of measurement [m/s²].
         turn: rotation matrices (headings, 2, 2) from the body to the path frame.
         behind: what thrust lag adds; None without lag.
     """
@@ -131,6 +133,7 @@ class Vertices:
     Q: Array
     effect: Array
     lack: Array
+    stray: float
     turn: Array
     behind: Behind | None
 
@@ -206,15 +209,18 @@ class Vertices:
         `side` (n, 2) is T P B.
         """
         most = np.linalg.norm(self.effect @ side.T, axis=-1).max(axis=1)[:, None, None]
+        strayed = self.stray * float(np.linalg.norm(side))
         sizes = self.lack.max(axis=1) * np.sqrt(np.einsum("hijk,ak,aj->hi", self.bodies, side, side))  # (h, i)
         late = np.zeros_like(sizes) if self.behind is None else self.behind.late
         weights = late * (np.sqrt(2 * P[4, 4]) if self.behind is not None else 0.0)
-        total = most + (sizes + weights).sum(axis=1)[:, None, None]
+        total = most + (sizes + weights).sum(axis=1)[:, None, None] + strayed
         share = np.divide(total, most, out=np.zeros_like(total), where=most > 0)[..., None, None]
         parts = np.divide(total[:, :, 0], sizes, out=np.zeros_like(sizes), where=sizes > 0)  # (h, i)
         own = np.einsum("hi,hmi,hijk->hmjk", parts, self.lack**2, self.bodies)
         most_late = np.divide(total[:, :, 0], weights, out=np.zeros_like(sizes), where=weights > 0)
         rear = np.einsum("hi,hijk->hjk", most_late * late**2, self.bodies)
+        if strayed:
+            own = own + (total[:, :, 0] / strayed * self.stray**2)[..., None, None] * np.eye(2)
         return share * np.einsum("hti,htj->htij", self.effect, self.effect)[:, None] + own[:, :, None], rear
 
 
@@ -228,14 +234,6 @@ def _straight(plans: Array) -> Array:
     return np.stack([plans[:, 0, 0], plans[:, 1, 1]], 1)
 
 
-def corner_factors(ends: tuple[float, float], asymmetry: float) -> Array:
-    """Return the vertices (k, 2) of the factors of the two masses, or of two drag coefficients."""
-    low, high = ends
-    ratio = (2 + asymmetry) / (2 - asymmetry)
-    pairs = ((low, min(low * ratio, high)), (max(high / ratio, low), high))
-    return np.array(sorted({one for pair in pairs for one in product(pair, repeat=2)}))
-
-
 def steady_turning(claim: TurningClaim, *, cells: int, slopes: tuple[float, float] | None = None) -> Cruise:
     """Return the steady cruise with these slopes of ω; by default ω leaves the least trim error at the worst heading.
 
@@ -243,7 +241,7 @@ def steady_turning(claim: TurningClaim, *, cells: int, slopes: tuple[float, floa
     """
     v, psi = claim.cruise, np.linspace(0, np.pi / 2, 2 * cells + 1)
     n = np.stack([np.cos(psi), np.sin(psi)], 1)  # (2 cells + 1, 2)
-    corners = corner_factors(claim.drag_factor, claim.drag_asymmetry)
+    corners: Array = np.array(axis_pairs(claim.drag_factor, claim.drag_asymmetry))
     f, g = np.repeat(corners, len(corners), axis=0), np.tile(corners, (len(corners), 1))  # linear, quadratic drag
     gain = np.array(claim.mass) * claim.gains["k_v"]
     own = (gain + claim.linear) * n + 2 * np.array(claim.quadratic) * v * n * n  # force per ω
@@ -283,7 +281,8 @@ def vertices(claim: TurningClaim, cruise: Cruise, covariance: Array, high: float
     if slow <= 0 or fast >= cap:
         return None
     most = cap * ahead / np.hypot(ahead, y + cruise.beside)
-    if most <= fast or k1 * x >= slow or x + max(map(abs, cruise.moved)) / k1 >= claim.gains["wait"] / 2:
+    ahead_of = x + max(map(abs, cruise.moved)) / k1 + claim.place_error
+    if most <= fast or k1 * x >= slow or ahead_of >= claim.gains["wait"] / 2:
         return None
     steer, catch = (slow - k1 * x, min(fast + k1 * x, cap)), (min(k1, (most - fast) / x), k1)
     shifts = sorted({cruise.beside, -cruise.beside})
@@ -309,19 +308,21 @@ def vertices(claim: TurningClaim, cruise: Cruise, covariance: Array, high: float
             return None
         behind = behind_of(claim, cruise.omega, forces, covariance, high, turn, _straight(plans), loops, masses, turns)
     lack = forces[:, None, :] * heavy + loose * v + np.abs(turns[:, :2]).max() * claim.current
+    stray = outer_force(claim.stated, y + cruise.beside) * heavy.max()
     return Vertices(
         bodies, crossed, masses, coriolis, turns[:, 2], loose, loops, plans,
-        _forces(bodies, effect, lack), effect, lack, turn, behind,
+        _forces(bodies, effect, lack, stray), effect, lack, stray, turn, behind,
     )  # fmt: skip
 
 
-def _forces(bodies: Array, effect: Array, lack: Array) -> Array:
-    """Return Q (headings, masses, terms, 2, 2) with w wᵀ ⪯ Q for the trim errors and the Coriolis force."""
+def _forces(bodies: Array, effect: Array, lack: Array, stray: float) -> Array:
+    """Return Q (headings, masses, terms, 2, 2) with w wᵀ ⪯ Q for the trim errors, `stray` and the Coriolis force."""
     size = np.linalg.norm(effect, axis=-1)[:, None]  # (h, 1, t)
-    total = size + lack.sum(axis=-1)[:, :, None]
+    total = size + lack.sum(axis=-1)[:, :, None] + stray
     share = np.divide(total, size, out=np.zeros_like(total), where=size > 0)
     Q = share[..., None, None] * np.einsum("hti,htj->htij", effect, effect)[:, None]
-    return np.asarray(Q + np.einsum("hmt,hmi,hijk->hmtjk", total, lack, bodies))
+    Q = Q + np.einsum("hmt,hmi,hijk->hmtjk", total, lack, bodies)
+    return np.asarray(Q + (total * stray)[..., None, None] * np.eye(2))
 
 
 def _loops(claim: TurningClaim, cruise: Cruise, sized: Array, turn: Array, plans: Array) -> Array | None:

@@ -15,10 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.certcheck import seal
+from surctl.certcheck.region_claim import axis_pairs
 from surctl.certcheck.turning_terms import other_moment
 from surctl.marine.verification.region.turning import TurningClaim
 from surctl.marine.verification.region.turning_behind import split_of
-from surctl.marine.verification.region.turning_loop import Cruise, Vertices, corner_factors, vertices
+from surctl.marine.verification.region.turning_loop import Cruise, Vertices, vertices
 
 __all__ = [
     "Region", "TurningCandidate", "certificate_of", "fitted", "raised", "region_of", "transformed", "violated",
@@ -230,7 +231,9 @@ def region_of(claim: TurningClaim, candidate: TurningCandidate) -> Region:
 def certificate_of(claim: TurningClaim, candidate: TurningCandidate) -> dict[str, Any]:
     """Return the certificate of a candidate."""
     region = region_of(claim, candidate)
-    apart = np.abs(corner_factors(claim.mass_factor, claim.mass_asymmetry) @ (claim.mass * np.array([1, -1]))).max()
+    apart = np.abs(
+        np.array(axis_pairs(claim.mass_factor, claim.mass_asymmetry)) @ (claim.mass * np.array([1, -1]))
+    ).max()
     moment = apart * region.fastest**2 / 2 + float(other_moment(claim.stated, Fraction(region.fastest)))
     stated = claim.document(
         offset=region.offset,
