@@ -60,6 +60,7 @@ _ARCTANGENT = (
 )
 _HALF_PI = "0x1.921p+0 0x1.f6ap-13 0x1.110b4611p-26 0x1.4c4c6628b80dcp-59"
 _TWO_BY_PI, _TAN_PI_8, _LARGEST = "0x1.45f306dc9c883p-1", "0x1.a827999fcef34p-2", 2.0**20
+_BY_ROUNDING = "an instruction list selects by rounding how it goes on: no expression is derived"
 _OVERFLOW = 2**1000  # numbers below it are numbers of the code
 
 
@@ -94,13 +95,18 @@ class Derivation(Numbers):
 
     def truth(self, values: Any) -> Any:
         """Return whether a value that is a number is not 0."""
-        self._require_places(values[0], lambda number: number != 0)
-        return np.array([self._number(values[0]) != 0])
+        number, error = self._number(values[0])
+        if error and abs(number) <= error:
+            raise Rejected(_BY_ROUNDING)
+        return np.array([number != 0])
 
     def places(self, values: Any, last: int) -> Places:
         """Return a value that is a number, rounded down to a place from 0 to `last`."""
-        self._require_places(values[0], math.floor)
-        return np.array([min(max(math.floor(self._number(values[0])), 0), last)])
+        number, error = self._number(values[0])
+        place, *others = (min(max(math.floor(x), 0), last) for x in (number, number - error, number + error))
+        if set(others) != {place}:
+            raise Rejected(_BY_ROUNDING)
+        return np.array([place])
 
     def procedure(self, run: Any, vectors: Any) -> Any:
         """Raise Rejected: of a procedure, no expression is derived."""
@@ -128,16 +134,16 @@ class Derivation(Numbers):
         op = self._op(at)
         return self.table.entries[at].args if op == "abs" else (at, self._put("neg", at)) if op == "num" else ()
 
-    def _number(self, at: Any) -> Fraction:
-        entry = self.table.entries[int(np.ravel(at)[0])]
+    def _number(self, at: Any) -> tuple[Fraction, Fraction]:
+        """Return a number, and the error with which the code computes it."""
+        place = int(np.ravel(at)[0])
+        entry = self.table.entries[place]
         if entry.op != "num":
             raise Rejected("an instruction list selects by the state how it goes on: no expression is derived")
-        return entry.value
+        return entry.value, self._error(place)
 
-    def _require_places(self, at: Any, of: Callable[[Fraction], Any]) -> None:
-        number, error = self._number(at), Fraction(self.constants.get(int(np.ravel(at)[0]), 0.0))
-        if not of(number - error) == of(number) == of(number + error):
-            raise Rejected("an instruction list selects by rounding how it goes on: no expression is derived")
+    def _error(self, at: int) -> Fraction:
+        return Fraction(self.constants.get(at, 0.0))
 
     def _await(self, function: str, *args: int) -> None:
         formula = getattr(self, f"_{function}")(*args)
@@ -174,7 +180,7 @@ class Derivation(Numbers):
 
     def _computed(self, op: str, args: Sequence[int], values: Sequence[Fraction]) -> int:
         """Return the number that an operation gives; a comparison that rounding may decide stays as it is."""
-        errors = [Fraction(self.constants.get(a, 0.0)) for a in args]
+        errors = [self._error(a) for a in args]
         if op in _TRUTHS:
             near = any(errors) and abs(values[0] - values[1]) <= sum(errors)
             return self.table.put(op, *args) if near else self._num(_COMPUTED[op](*values))
@@ -205,7 +211,7 @@ class Derivation(Numbers):
         """Return x if the condition holds, and y otherwise."""
         entry = self.table.entries[condition]
         match entry.op:
-            case "num":
+            case "num" if not (self._error(condition) and abs(entry.value) <= self._error(condition)):
                 return x if entry.value else y
             case "le":
                 return self.table.put("select", *entry.args, x, y)
