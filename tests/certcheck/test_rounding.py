@@ -30,7 +30,7 @@ def unlike(steps: str, text: str = "-2*x") -> tuple[list[str], list[str]]:
         Listed(PLANT, {"inputs": force}, {}),
         Listed(MEASURED, {"outputs": place}, {}),
     )
-    vectors = {"plant_state": ["x"], "gains": [-2.0]}
+    vectors: dict[str, list[float | str]] = {"plant_state": ["x"], "gains": [-2.0]}
     vectors |= {key: [] for key in ("controller_state", "parameters", "reference", "disturbance")}
     return compare_dynamics(["x"], [(-1.0, 1.0)], {"x": text}, vectors, lists, 0.01)
 
