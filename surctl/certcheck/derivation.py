@@ -29,6 +29,7 @@ from surctl.certcheck.enclosure import enclose
 from surctl.certcheck.expressions import BRANCHES, ExpressionTable
 from surctl.certcheck.identity import Exact
 from surctl.certcheck.instructions import Numbers
+from surctl.certcheck.rounding import STEP, TINY
 
 __all__ = ["Derivation"]
 
@@ -59,6 +60,8 @@ _ARCTANGENT = (
 )
 _HALF_PI = "0x1.921p+0 0x1.f6ap-13 0x1.110b4611p-26 0x1.4c4c6628b80dcp-59"
 _TWO_BY_PI, _TAN_PI_8, _LARGEST = "0x1.45f306dc9c883p-1", "0x1.a827999fcef34p-2", 2.0**20
+_BY_ROUNDING = "an instruction list selects by rounding how it goes on: no expression is derived"
+_OVERFLOW = 2**1000  # numbers below it are numbers of the code
 
 
 class Derivation(Numbers):
@@ -66,12 +69,14 @@ class Derivation(Numbers):
 
     Attributes:
         table: the table.
+        constants: bounds of the errors with which the code computes numbers from constants, by position.
     """
 
     dtype = np.intp
 
     def __init__(self, names: Sequence[str]) -> None:
         self.table = ExpressionTable(names)
+        self.constants: dict[int, float] = {}
         self._normal = Exact(self.table)
         self._functions: dict[int, int] = {}  # position of a complete formula → position of its function
         self._same: list[int] = []  # operands of branches, no two of them equal
@@ -90,11 +95,18 @@ class Derivation(Numbers):
 
     def truth(self, values: Any) -> Any:
         """Return whether a value that is a number is not 0."""
-        return np.array([self._number(values[0]) != 0])
+        number, error = self._number(values[0])
+        if error and abs(number) <= error:
+            raise Rejected(_BY_ROUNDING)
+        return np.array([number != 0])
 
     def places(self, values: Any, last: int) -> Places:
         """Return a value that is a number, rounded down to a place from 0 to `last`."""
-        return np.array([min(max(math.floor(self._number(values[0])), 0), last)])
+        number, error = self._number(values[0])
+        place, *others = (min(max(math.floor(x), 0), last) for x in (number, number - error, number + error))
+        if set(others) != {place}:
+            raise Rejected(_BY_ROUNDING)
+        return np.array([place])
 
     def procedure(self, run: Any, vectors: Any) -> Any:
         """Raise Rejected: of a procedure, no expression is derived."""
@@ -122,11 +134,16 @@ class Derivation(Numbers):
         op = self._op(at)
         return self.table.entries[at].args if op == "abs" else (at, self._put("neg", at)) if op == "num" else ()
 
-    def _number(self, at: Any) -> Fraction:
-        entry = self.table.entries[int(np.ravel(at)[0])]
+    def _number(self, at: Any) -> tuple[Fraction, Fraction]:
+        """Return a number, and the error with which the code computes it."""
+        place = int(np.ravel(at)[0])
+        entry = self.table.entries[place]
         if entry.op != "num":
             raise Rejected("an instruction list selects by the state how it goes on: no expression is derived")
-        return entry.value
+        return entry.value, self._error(place)
+
+    def _error(self, at: int) -> Fraction:
+        return Fraction(self.constants.get(at, 0.0))
 
     def _await(self, function: str, *args: int) -> None:
         formula = getattr(self, f"_{function}")(*args)
@@ -156,10 +173,33 @@ class Derivation(Numbers):
             args = tuple(self._chosen(a, self._num(1), self._num(0)) if self._op(a) in _TRUTHS else a for a in args)
         values = [self.table.entries[a].value for a in args if self._op(a) == "num"]
         if len(values) == len(args) and op in _COMPUTED and not (op == "div" and not values[1]):
-            return self._num(_COMPUTED[op](*values))
+            return self._computed(op, args, values)
         if op == "add" and (joined := self._joined(*args)) is not None:
             return joined
         return self.table.put(op, *(sorted(args) if op in _COMMUTE else args))
+
+    def _computed(self, op: str, args: Sequence[int], values: Sequence[Fraction]) -> int:
+        """Return the number that an operation gives; a comparison that rounding may decide stays as it is."""
+        errors = [self._error(a) for a in args]
+        if op in _TRUTHS:
+            near = any(errors) and abs(values[0] - values[1]) <= sum(errors)
+            return self.table.put(op, *args) if near else self._num(_COMPUTED[op](*values))
+        result = Fraction(_COMPUTED[op](*values))
+        error = sum(errors)
+        if op == "mul":
+            error = abs(values[0]) * errors[1] + abs(values[1]) * errors[0] + errors[0] * errors[1]
+        elif op == "div" and any(errors):
+            error = 2 * (errors[0] + abs(result) * errors[1]) / abs(values[1])
+            if 2 * errors[1] >= abs(values[1]):
+                raise Rejected("an instruction list divides by a number that may be rounded to 0")
+        if not abs(result) + error < _OVERFLOW:
+            raise Rejected("an instruction list computes a number that is too large for the code")
+        if op in ("add", "sub", "mul", "div") and (error or Fraction(float(result)) != result):
+            error += abs(result) * Fraction(STEP) + Fraction(TINY)
+        at = self._num(result)
+        if error:  # a number may be computed in several ways
+            self.constants[at] = max(self.constants.get(at, 0.0), math.nextafter(float(error), math.inf))
+        return at
 
     def _num(self, value: Fraction | int) -> int:
         return self.table.put("num", value=value)
@@ -171,7 +211,7 @@ class Derivation(Numbers):
         """Return x if the condition holds, and y otherwise."""
         entry = self.table.entries[condition]
         match entry.op:
-            case "num":
+            case "num" if not (self._error(condition) and abs(entry.value) <= self._error(condition)):
                 return x if entry.value else y
             case "le":
                 return self.table.put("select", *entry.args, x, y)

@@ -6,7 +6,8 @@ and for a controller state z the rate (z⁺ − z)/period. For a sampled loop, t
 variables of their own; z⁺ and the commands take the place of the rate of z.
 
 Each expression must be defined in the whole box and equal to the text; the rates of the states that the certificate
-holds constant must be 0 up to rounding. Points only show where two expressions differ.
+holds constant must be 0 up to rounding. What the code computes must be the expression up to a bounded rounding error
+(`surctl.certcheck.rounding`). Points only show where two expressions differ.
 """
 
 from __future__ import annotations
@@ -29,12 +30,14 @@ from surctl.certcheck.expressions import ExpressionTable
 from surctl.certcheck.inequality import Box
 from surctl.certcheck.instructions import read_list
 from surctl.certcheck.motion import require_defined
+from surctl.certcheck.rounding import SHARE, rounding_error
 
 __all__ = ["compare_dynamics"]
 
 Places: TypeAlias = NDArray[np.intp]
 
 _POINTS = 20
+_FEW = 5  # points at which the size of a rate is taken
 _SLACK = 1e-9  # largest difference of equal rates, relative to the largest one
 _RESTS = 1e-12  # largest rate of a state at rest
 
@@ -115,6 +118,10 @@ def compare_dynamics(
         if reason := _unequal(derived, claimed, root, whole, slack):
             apart = _apart(table, claimed, root, whole, slack)
             (differs if apart else unknown).append(f"{what}{apart or f': {reason}'}")
+            continue
+        error = rounding_error(table, root, whole, derived.constants)
+        if not error <= (SHARE * _largest(table, root, whole) or _RESTS):
+            unknown.append(f"{what}: the rounding of the code may change it by {error:.3g}")
     derived.require_angles(roots, [span(*ends) for ends in whole])
     return differs, unknown
 
@@ -154,6 +161,16 @@ def _apart(table: ExpressionTable, claimed: int, root: int, box: Box, slack: flo
             place = ", ".join(f"{name} = {x:.6g}" for name, x in zip(table.names, point, strict=True))
             return f" at {place}: {first:.6g} certified, {second:.6g} exported"
     return ""
+
+
+def _largest(table: ExpressionTable, root: int, box: Box) -> float:
+    """Return the largest absolute value of an expression at some points of the box."""
+    rng, largest = np.random.default_rng(22), 0.0
+    low, high = np.array(box).T
+    for point in low + (high - low) * rng.random((_FEW, len(box))):
+        value = enclose(table, [root], [rational(Fraction(x)) for x in point.tolist()])[0].value
+        largest = max(largest, abs(middle(value)))
+    return largest
 
 
 def _named(ports: Sequence[Port], values: Places) -> dict[str, Places]:
