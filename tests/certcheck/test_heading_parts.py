@@ -150,7 +150,7 @@ CLAIM: dict[str, Any] = STORED["claim"]
         (("system",), "cruise", "claim.system 'cruise' is not known"),
         (("excludes",), CLAIM["excludes"][1:], "claim.excludes differs"),
         *((("sha256_vehicle",), value, "is not a SHA-256") for value in (5, "0" * 63, "0" * 65, "G" * 64)),
-        *((("vehicle", name), value, f"claim.vehicle.{name} must be [least, largest]")
+        *((("vehicle", name), value, f"claim.vehicle.{name} must have two entries")
           for name in ("mass_kg", "yaw_quadratic") for value in ({"a": 1.0, "b": 2.0}, [1.0, 2.0, 3.0], [1.0])),
         *((("vehicle", name), [2.0, 1.0], f"claim.vehicle.{name}: the least") for name in ("mass_kg", "yaw_quadratic")),
         *((("motion", "extent"), value, "must be [x, y, psi]") for value in ({"a": 1, "b": 1, "c": 1}, [1.0], "abc")),
