@@ -19,7 +19,7 @@ import sys
 import tempfile
 from collections.abc import Mapping
 from functools import cache
-from itertools import product
+from itertools import product, takewhile
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -129,7 +129,9 @@ def judged(
     name: str, cruise: float, text: str, before: Mapping[str, dict[str, Any]], after: Mapping[str, dict[str, Any]]
 ) -> Row:
     """Return the row of a tuning from its text and the figures of its file."""
-    first, lines = text.splitlines()[0], text.splitlines()
+    lines = text.splitlines()
+    folded = [line.strip() for line in takewhile(lambda line: line.startswith("     "), lines[1:])]
+    first = " ".join([lines[0], *folded])
     worse = tuple(n for n in before if is_worse(before[n], after.get(n)))
     faults = [f"first line is silent about {n}" for n in worse if f" {n} " not in first]
     if not worse and "WORSE" in first:

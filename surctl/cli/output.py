@@ -389,7 +389,10 @@ def _summary(
     decisive = [*decisive[:1], *sorted(decisive[1:], key=lambda line: not line.startswith(_FAILS))]
     tail = _folded(", ".join(files), 1) if files else []
     commands = [_command_lines(command, first=not k) for k, command in enumerate(then)]
-    if commands and len(commands[0]) <= _MOST - 2 - len(tail):
+    left = "(more: --verbose)"
+    # what got worse is named whole, before any next step
+    first = len(_folded(f"{decisive[0]} {left}", _MOST)) if decisive and decisive[0].startswith("WORSE") else 2
+    if commands and len(commands[0]) <= _MOST - first - len(tail):
         tail += commands.pop(0)
     body: list[str] = []
     for k, line in enumerate(decisive):
@@ -397,7 +400,6 @@ def _summary(
         body += _folded(line, max(free - (k > 0) * (len(decisive) - k - 1), 1) if free else 0)
     while commands and len(body) + len(tail) + len(commands[0]) <= _MOST:
         tail += commands.pop(0)
-    left = "(more: --verbose)"
     if len(body) + len(tail) < _MOST:
         return [*body, left, *tail]
     return [*body[:-1], _shortened(body[-1], _WIDTH - len(left) - 1) + f" {left}", *tail]

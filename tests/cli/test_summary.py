@@ -126,6 +126,18 @@ def test_no_line_ends_between_a_number_and_its_unit(
         assert all(f"{value}" in "".join(shown) for value in ("0.050 m", "0.2 rad/s", "23 deg"))
 
 
+def test_what_got_worse_is_named_whole(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("SURCTL_VERBOSE")
+    for count in range(1, 11):
+        worse = [f"corner_slowest_pole_{k}_per_s -0.2{k} -> -0.1{k}" for k in range(count)]
+        lines = ["WORSE than before: " + ", ".join(worse), "  table", *(f"k_{k} = 1.5" for k in range(9))]
+        shown = printed(capsys, lines, files=["gains out/gains.toml"], then=["surctl verify " + "x" * 85])
+        assert len(shown) <= 5 and max(map(len, shown)) <= 100
+        text = " ".join(map(str.strip, shown))
+        assert all(one in text for one in worse[:7]), (count, shown)
+        assert "next" in text or count > 2
+
+
 def test_the_text_of_a_file_is_printed_whole(tmp_path: Path) -> None:
     done = surctl_here("verify", "v2-static", "--show", cwd=tmp_path, SURCTL_VERBOSE="")
     assert done.out.count("\n") > 5 and done.out == surctl_here("verify", "v2-static", "--show", cwd=tmp_path).out
