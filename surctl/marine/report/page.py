@@ -59,9 +59,10 @@ def _claim_row(data: ReportData, v: Verdict) -> _Row:
     count = f"; {number(100 * v.fraction, digits=3)} % of the samples in this set violate it"
     share = count if v.verdict == "refuted" else ""
     expected = "as expected" if v.as_expected else "NOT expected"
+    good = v.as_expected and v.verdict == "proved"  # a refuted claim does not have the colour of a proof
     return (
         Cell(v.claim.name, code=True, anchor=f"claims-{v.claim.name}"),
-        Cell(f"{v.verdict}, {expected}", "good" if v.as_expected else "bad"),
+        Cell(f"{v.verdict}, {expected}", "good" if good else "note" if v.as_expected else "bad"),
         f"{lead} {words.clause}{share}.",
         f"{_where(data, data.vehicle.name)}; {_domain(v.claim)}.",
         _beyond(v, words.beyond),
@@ -99,8 +100,10 @@ def _inapplicable_row(data: ReportData, one: Inapplicable) -> _Row:
 
 
 def _region_row(data: ReportData, one: Inapplicable) -> _Row:
+    names = one.claim.split(", ")
+    several = f"{len(names)} claims, from {names[0]} to {names[-1]}"
     return (
-        Cell(one.claim, code=True),
+        Cell(several if len(names) > 3 else one.claim, code=True),
         Cell("not provable", "note"),
         f"Not provable for {one.to}, because {one.because}.",
         f"{_where(data, data.vehicle.name)}.",
