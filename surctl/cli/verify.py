@@ -466,5 +466,5 @@ def verify_system(words: Sequence[str], *, seed: int, time_limit: float, out: Pa
     finish(
         data, lines, as_json=as_json, passed=passed, then=then if passed else (),
         brief=[f"{line.mark} {line.text}" for line in decisive],
-        files=[] if out is None else [f"certificate, plot {out}"],
+        files=[f"certificate, plot {out}"] if certificates else [],
     )  # fmt: skip

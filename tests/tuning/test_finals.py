@@ -95,11 +95,26 @@ def test_the_next_best_set_that_meets_the_goal_is_taken(tuning: Tuning) -> None:
 
 def test_a_goal_that_no_set_meets_is_named_with_the_best_value(tuning: Tuning) -> None:
     worst, found = check_finals(tuning, [WIDE], lambda gains: Claimed(gains, lambda g: 0.02 * g["k_v"]))
-    assert found.unmet == ("region",) and found.checked == CHECKED and worst is tuning
+    assert found.unmet == ("region",) and found.checked == CHECKED + 1 and worst is tuning
     (line,) = [line for line in found.lines() if "MISSED" in line]
     assert f"best of the checked sets: {found.best['region']:.4g}" in line
     assert found.best["region"] >= found.comparison.after.figures["region_m"].value
     assert found.to_dict()["goals"][0]["met"] is False
+    assert any("best gain sets of the search and the start gains" in line for line in found.lines())
+
+
+def test_the_start_gains_stay_where_every_other_set_misses_more_goals(tuning: Tuning) -> None:
+    start = tuning.request.base["k_v"]
+    goals = [WIDE, replace(WIDE, name="margin", metric="disk_margin", unit="1", limit=0.3)]
+
+    class Broken(Claimed):
+        def parts(self) -> Mapping[str, Callable[[], Part]]:
+            disk = Figure("disk_margin", float(self.gains["k_v"] == start), "1", "margin", "high", 0.3)
+            return {**super().parts(), "loop": lambda: Part((disk,), ())}
+
+    same, found = check_finals(tuning, goals, lambda gains: Broken(gains, lambda g: 0.1))
+    assert same.result.gains["k_v"] == start and found.unmet == ("region",)
+    assert found.comparison.worse == []
 
 
 def test_a_set_that_the_verifying_runs_refute_is_not_taken(tuning: Tuning, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -342,6 +342,7 @@ class Finals:
         checked: number of gain sets that were checked; 0 if there are no such goals.
         best: for each goal, by name, the best value of a set that was checked.
         undetermined: default goals that are not judged, because the assessment has no such figure.
+        started: whether the start gains are one of the sets, because all others miss a goal.
     """
 
     goals: tuple[Goal, ...]
@@ -349,6 +350,7 @@ class Finals:
     checked: int
     best: Mapping[str, float]
     undetermined: tuple[Goal, ...] = ()
+    started: bool = False
 
     @property
     def unmet(self) -> tuple[str, ...]:
@@ -359,8 +361,9 @@ class Finals:
         """Return one line for each goal, and one that says on how many gain sets the goals were checked."""
         if not self.goals:
             return []
-        sets = f"the {self.checked} best gain sets" if self.checked > 1 else "the best gain set"
-        lines = [f"checked at the end, on {sets} of the search:"]
+        count = self.checked - self.started
+        sets = f"the {count} best gain sets" if count > 1 else "the best gain set"
+        lines = [f"checked at the end, on {sets} of the search{' and the start gains' if self.started else ''}:"]
         for goal in self.goals:
             unit = "" if goal.unit == "1" else f" {goal.unit}"
             before, after = (_text(_value(goal, a)) for a in (self.comparison.before, self.comparison.after))
@@ -398,9 +401,9 @@ def check_finals(
 ) -> tuple[Tuning, Finals]:
     """Return the tuning with the best of its gain sets that meets the goals, and what the check shows.
 
-    The sets are the tuned gains and the next best sets of the chosen round that meet the hard goals of the search. The
-    first one that misses the fewest hard goals, then the fewest soft ones, becomes the tuned gains, if the fresh runs
-    that verified the tuning do not refute it.
+    The sets are the tuned gains, the next best sets of the chosen round that meet the hard goals of the search and, if
+    all of these miss a goal, the start gains. The first one that misses the fewest hard goals, then the fewest soft
+    ones, becomes the tuned gains, if the fresh runs that verified the tuning do not refute it.
 
     Args:
         tuning: a finished tuning.
@@ -421,6 +424,11 @@ def check_finals(
             goals = [goal for goal in goals if goal not in undetermined]
         if all(_met(goal, tables[-1]) for goal in goals):
             break
+    started = bool(tables) and not all(_met(goal, tables[-1]) for goal in goals)
+    if started:  # gains that are worse than these are no result
+        sets = [*sets[: len(tables)], {s.name: base[s.name] for s in tuning.request.space}]
+        tables.append(assess(subject(base), parts=parts))
+    before = tables[-1].parts if started else None
     order = sorted(range(len(tables)), key=lambda k: _missed(goals, tables[k]))
     checked = tables[0].parts if tables else None
     for k in order:
@@ -430,9 +438,9 @@ def check_finals(
             break
     progress("assessment of start and tuned gains ...")
     after = assess(subject(base.with_values(tuning.result.gains)), computed=checked)
-    comparison = Comparison(assess(subject(base)), after)
+    comparison = Comparison(assess(subject(base), computed=before), after)
     best = {goal.name: _best(goal, tables) for goal in goals}
-    return tuning, Finals(tuple(goals), comparison, len(tables), best, undetermined)
+    return tuning, Finals(tuple(goals), comparison, len(tables), best, undetermined, started)
 
 
 def _alternatives(tuning: Tuning) -> list[Mapping[str, float]]:
