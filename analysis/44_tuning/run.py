@@ -19,7 +19,7 @@ import sys
 import tempfile
 from collections.abc import Mapping
 from functools import cache
-from itertools import product, takewhile
+from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -37,7 +37,7 @@ VEHICLES = (
 QUICK, SHARE = "bluerov2-wu", 0.3  # no claim about a region concerns it
 SHARES = (1.0, 0.3, 0.5)
 TRIALS = 32
-WORDS = ("--rounds", "1", "--seeds", "1", "--monte-carlo", "2")
+WORDS = ("--rounds", "1", "--seeds", "1", "--monte-carlo", "2", "--verbose")
 STUDY = """kind = "study"
 name = "tuning"
 vehicle = "{vehicle}"
@@ -130,8 +130,7 @@ def judged(
 ) -> Row:
     """Return the row of a tuning from its text and the figures of its file."""
     lines = text.splitlines()
-    folded = [line.strip() for line in takewhile(lambda line: line.startswith("     "), lines[1:])]
-    first = " ".join([lines[0], *folded])
+    first = lines[0]
     worse = tuple(n for n in before if is_worse(before[n], after.get(n)))
     faults = [f"first line is silent about {n}" for n in worse if f" {n} " not in first]
     if not worse and "WORSE" in first:
