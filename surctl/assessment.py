@@ -311,13 +311,21 @@ def loop_line(figures: dict[str, Figure], *, stable: bool, place: str, unstable:
             text += unstable
         return Line(False, text, "margins")
     short = [f"at least {f.least:g}" + (f" {f.unit}" if f.unit != "1" else "") for f in (disk, delay) if not f.enough]
-    worst, first = ("not determined" if np.isnan(f.value) else f"{f.value:.2f}" for f in (disk, nominal))
+    worst, first = map(_short, (disk, nominal))
     text = f"margins {place}: disk margin {worst} at the worst corner, {first} nominal; least delay "
-    text += f"margin {delay.value:{'.2f' if delay.value >= 0.1 else '.2g'}} s ({delay.where})"
+    text += f"margin {delay.value:{'.2f' if delay.value >= 0.1 else '.2g'}} s ({delay.where}, {delay.meaning.rpartition(', ')[2]})"
     if short:
-        text += f"; required: {', '.join(short)} (worst corner: {disk.where})"
+        text += f"; required: {', '.join(short)}" + ("" if disk.enough else f" (worst corner: {disk.where})")
     undetermined = np.isnan(disk.value) and delay.enough
     return Line(None if undetermined else not short, text, "margins")
+
+
+def _short(figure: Figure) -> str:
+    """Return a margin with two decimals, or with four if two would hide that it is too small."""
+    if np.isnan(figure.value):
+        return "not determined"
+    text = f"{figure.value:.2f}"
+    return text if figure.enough or float(text) < (figure.least or 0.0) else f"{figure.value:.4f}"
 
 
 # Two assessments of one subject, before and after a change: every figure of both, and what got worse

@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from surctl.assessment import Assessment, Comparison, Figure, Line, Part, assess
+from surctl.assessment import Assessment, Comparison, Figure, Line, Part, assess, loop_line
 
 LINES = st.lists(st.tuples(st.sampled_from([True, False, None]), st.booleans()), max_size=6)
 
@@ -72,3 +72,19 @@ def test_what_got_worse_comes_first_and_names_its_sizes() -> None:
     assert same.headline == "no figure of the assessment is worse than before"
     gone = Comparison(assessed(disk, region), assessed(disk))
     assert [new.name for _, new in gone.worse] == ["region_m"]  # a figure that is lost is worse
+
+
+def test_the_line_of_margins_says_what_fails_and_of_which_system() -> None:
+    def line(disk: float, delay: float) -> str:
+        figures = (
+            Figure("disk_margin", disk, "1", "all loops", "high", 0.3, "mass -5%"),
+            Figure("nominal_disk_margin", 0.5, "1", "nominal", "high"),
+            Figure("delay_margin_s", delay, "s", "least delay margin, nominal system", "high", 0.2, "yaw"),
+        )
+        return loop_line({f.name: f for f in figures}, stable=True, place="at rest", unstable="").text
+
+    delay = "least delay margin 0.25 s (yaw, nominal system)"
+    assert line(0.3, 0.25) == f"margins at rest: disk margin 0.30 at the worst corner, 0.50 nominal; {delay}"
+    assert "disk margin 0.2988 at" in line(0.29882, 0.25) and line(0.29882, 0.25).endswith("(worst corner: mass -5%)")
+    assert line(0.29, 0.1).count("disk margin 0.29 at") == 1
+    assert line(0.4, 0.1).endswith("; required: at least 0.2 s")  # the corner is that of the disk margin
