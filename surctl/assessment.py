@@ -312,7 +312,8 @@ def loop_line(figures: dict[str, Figure], *, stable: bool, place: str, unstable:
         return Line(False, text, "margins")
     short = [f"at least {f.least:g}" + (f" {f.unit}" if f.unit != "1" else "") for f in (disk, delay) if not f.enough]
     worst, first = map(_short, (disk, nominal))
-    late = f"{delay.value:{'.2f' if delay.value >= 0.1 else '.2g'}} s ({delay.where}, {delay.meaning.rpartition(', ')[2]})"
+    of = delay.meaning.rpartition(", ")[2]
+    late = f"{delay.value:{'.2f' if delay.value >= 0.1 else '.2g'}} s ({delay.where}, {of})"
     text = f"margins {place}: disk margin {worst} at the worst corner, {first} nominal; least delay margin {late}"
     if short:
         text += f"; required: {', '.join(short)}" + ("" if disk.enough else f" (worst corner: {disk.where})")
