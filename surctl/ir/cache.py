@@ -235,6 +235,9 @@ def compile_program(
         raise SurctlError(f"{used} was stopped after {_TIMEOUT:.0f} s: {' '.join(files)}") from None
     except OSError as error:
         raise ToolMissing("cannot be run", key="CC", value=command[0], remedy=error.strerror) from None
+    if done.returncode != 0 and not done.stderr.strip():
+        remedy = "set CC to a C compiler, or unset it"
+        raise ToolMissing("fails without a message", key="CC", value=command[0], remedy=remedy)
     if done.returncode != 0:
         raise SurctlError(f"{used} failed: {_first_error(done.stderr)}")
     return output
@@ -242,7 +245,7 @@ def compile_program(
 
 def _first_error(text: str) -> str:
     lines = [line.strip() for line in text.splitlines() if line.strip()]
-    return next((line for line in lines if "error" in line), lines[0] if lines else "no message")
+    return next((line for line in lines if "error" in line), lines[0])
 
 
 def compiler_version(compiler: str | None = None) -> str:
