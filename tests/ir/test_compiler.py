@@ -154,7 +154,5 @@ def test_three_thousand_operations_compile(tmp_path: Path) -> None:
 def test_a_program_that_fails_without_a_message_is_no_compiler(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("CC", "false")
     (tmp_path / "a.c").write_text("int main(void) { return 0; }\n")
-    with pytest.raises(
-        ToolMissing, match="fails without a message; set CC to a C compiler, or unset it"
-    ):
+    with pytest.raises(ToolMissing, match="fails without a message; set CC to a C compiler, or unset it"):
         compile_program([tmp_path / "a.c"], tmp_path / "a")
