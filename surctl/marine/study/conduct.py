@@ -30,7 +30,6 @@ from surctl.marine.assessment import LoopAnalysis, Mission
 from surctl.marine.control import Gains, Law, build_law, law_source, write_gains
 from surctl.marine.export import build_bundle, origin_of
 from surctl.marine.simulation import Run, findings, law_numbers, simulate
-from surctl.marine.simulation.batch.engines import compile_ahead
 from surctl.marine.study.plan import Leg, Plan
 from surctl.marine.tuning import SweepTable, sweep
 from surctl.marine.tuning.derived import has_tuned
@@ -411,17 +410,12 @@ def conduct(
     sonar_laws = tuple(with_perception(plan, leg) for leg in legs)  # errors here come before the long work
     first = next(k for k, leg in enumerate(legs) if leg.misfit is None)
     with ExitStack() as stack:
-        beside = stack.enter_context(ThreadPoolExecutor(2))  # the compiler runs while this process computes
         with clock("sweep"):
-            compile_ahead(plan.sweep_cases, beside)
-            compiling = [beside.submit(law.compile) for law in dict.fromkeys(sonar_laws)]
             swept = _sweep(plan, out, workers, progress)
             gain_file = write_file(out / "gains.toml", write_gains(swept.gains))
         with clock("export"):
             shipment = stack.enter_context(_shipping(sonar_laws[first], swept.gains, legs[first], out / "export"))
         with clock("runs"):
-            for law in compiling:
-                law.result()
             leg_runs = _simulate_legs(plan, legs, (laws, sonar_laws), swept, progress)
         runs = tuple(run for _, run in leg_runs)
         deciding = tuple(leg.misfit is None and run.sensing == _sensing(plan) for leg, run in leg_runs)
