@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import nullcontext
 from dataclasses import replace
 from functools import cache
 from typing import Any
@@ -100,31 +98,6 @@ def test_without_a_compiler_the_machine_flies_and_says_how_slow(monkeypatch: pyt
         assert simulate_batch(case).engine == "vm"
     with pytest.raises(ToolMissing):
         simulate_batch(case, engine="c")
-
-
-def test_a_loop_compiled_ahead_is_compiled_once_and_its_error_is_raised_by_who_needs_it(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    texts = list[str]()
-
-    def compiled(text: str) -> object:
-        texts.append(text)
-        if len(texts) == 1:
-            raise ToolMissing("no C compiler found")
-        return object()
-
-    monkeypatch.setattr(engines, "stored_loop", lambda structure: engines.StoredLoop("", structure.law))
-    monkeypatch.setattr(engines, "compile_batch_source", compiled)
-    case = _case("pool-static", law="closed_form")
-    structure, build = engines.structure_of(case, {}), engines.compiled_loop.__wrapped__
-    for error in (pytest.raises(ToolMissing, match="no C compiler"), nullcontext()):
-        with ThreadPoolExecutor(1) as pool:
-            engines.compile_ahead([case, case], pool)
-        count = len(texts)
-        with error:
-            build(structure)
-        assert len(texts) == count
-    assert texts == [case.law, case.law]
 
 
 def test_a_run_depends_on_nothing_but_its_own_numbers() -> None:

@@ -217,10 +217,6 @@ class Law:
         assert self.perception is not None
         return runnable(self.perception.block, quick=True)
 
-    def compile(self) -> None:
-        """Compile the law, and its perception, if it has one; otherwise the first step does so."""
-        _ = self._run, self.perception and self._sense
-
     def telemetry_slice(self, name: str) -> slice:
         """Return the index range of an output in the telemetry vector, which does not contain tau."""
         where = self.outputs.slice(name)

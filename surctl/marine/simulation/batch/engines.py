@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Iterator, Mapping
-from concurrent.futures import Executor, Future
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from typing import Any, Literal, NamedTuple, get_args
@@ -42,7 +41,6 @@ __all__ = [
     "StoredLoop",
     "Trace",
     "broadcast",
-    "compile_ahead",
     "compiled_loop",
     "loop_sources",
     "metrics_table",
@@ -186,26 +184,16 @@ def simulate_batch(
     return BatchResult(metrics_table(loop, _through_machine(loop, packed)), "vm")
 
 
-_begun: dict[Structure, Future[Batch]] = {}
-
-
-def compile_ahead(cases: Iterable[Case], pool: Executor) -> None:
-    """Begin to compile the loops of these cases, whose parameters keep their values; `compiled_loop` waits for them."""
-    for structure in dict.fromkeys(structure_of(case, {}) for case in cases):
-        _begun[structure] = pool.submit(compile_batch_source, stored_loop(structure).source)
-
-
 @cache
 def compiled_loop(structure: Structure) -> Batch:
     """Return the compiled loop of a loop structure (the part of a setup that is fixed at compilation).
 
-    The loop is compiled now, or it comes from the cache of compiled loops or from `compile_ahead`.
+    The loop is compiled now, or it comes from the cache of compiled loops.
 
     Raises:
         ToolMissing: there is no C compiler.
     """
-    begun = _begun.pop(structure, None)
-    return compile_batch_source(stored_loop(structure).source) if begun is None else begun.result()
+    return compile_batch_source(stored_loop(structure).source)
 
 
 @cache
