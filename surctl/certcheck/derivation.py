@@ -29,7 +29,7 @@ from surctl.certcheck.enclosure import enclose
 from surctl.certcheck.expressions import BRANCHES, ExpressionTable
 from surctl.certcheck.identity import Exact
 from surctl.certcheck.instructions import Numbers
-from surctl.certcheck.rounding import STEP, TINY
+from surctl.certcheck.rounding import OVERFLOW, STEP, TINY, propagated
 
 __all__ = ["Derivation"]
 
@@ -61,7 +61,6 @@ _ARCTANGENT = (
 _HALF_PI = "0x1.921p+0 0x1.f6ap-13 0x1.110b4611p-26 0x1.4c4c6628b80dcp-59"
 _TWO_BY_PI, _TAN_PI_8, _LARGEST = "0x1.45f306dc9c883p-1", "0x1.a827999fcef34p-2", 2.0**20
 _BY_ROUNDING = "an instruction list selects by rounding how it goes on: no expression is derived"
-_OVERFLOW = 2**1000  # numbers below it are numbers of the code
 
 
 class Derivation(Numbers):
@@ -185,15 +184,11 @@ class Derivation(Numbers):
             near = any(errors) and abs(values[0] - values[1]) <= sum(errors)
             return self.table.put(op, *args) if near else self._num(_COMPUTED[op](*values))
         result = Fraction(_COMPUTED[op](*values))
-        error = sum(errors)
-        if op == "mul":
-            error = abs(values[0]) * errors[1] + abs(values[1]) * errors[0] + errors[0] * errors[1]
-        elif op == "div" and any(errors):
-            error = 2 * (errors[0] + abs(result) * errors[1]) / abs(values[1])
-            if 2 * errors[1] >= abs(values[1]):
-                raise Rejected("an instruction list divides by a number that may be rounded to 0")
-        if not abs(result) + error < _OVERFLOW:
-            raise Rejected("an instruction list computes a number that is too large for the code")
+        bound = propagated(op, errors, [(value, value) for value in values], abs(result))
+        if not abs(result) + bound < OVERFLOW:
+            problem = "that is too large for the code, or divides by one that may be rounded to 0"
+            raise Rejected(f"an instruction list computes a number {problem}")
+        error = Fraction(bound)
         if op in ("add", "sub", "mul", "div") and (error or Fraction(float(result)) != result):
             error += abs(result) * Fraction(STEP) + Fraction(TINY)
         at = self._num(result)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from math import hypot, inf, isfinite, sqrt
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 from mpmath import libmp
 
@@ -19,15 +19,16 @@ from surctl.certcheck.expressions import ExpressionTable
 from surctl.certcheck.inequality import Box
 from surctl.certcheck.patience import go_on
 
-__all__ = ["SHARE", "STEP", "TINY", "rounding_error"]
+__all__ = ["OVERFLOW", "SHARE", "STEP", "TINY", "propagated", "rounding_error"]
 
 STEP = 2.0**-52  # largest relative error of an operation
 TINY = 2.0**-1074  # largest error of an operation whose result underflows
 SHARE = 1e-6  # largest error of a result, relative to its largest value
 _MOST = 256  # most parts of a box
-_OVERFLOW = 2.0**1000  # a number of the code is smaller
+OVERFLOW = 2.0**1000  # a number of the code is smaller
 
-Ends: TypeAlias = tuple[float, float]
+Real: TypeAlias = Any  # float or Fraction
+Ends: TypeAlias = tuple[Real, Real]
 
 
 def rounding_error(table: ExpressionTable, root: int, box: Box, constants: Mapping[int, float]) -> float:
@@ -74,15 +75,22 @@ def _error(table: ExpressionTable, root: int, box: Box, constants: Mapping[int, 
         if not entry.args:
             errors[at] = constants.get(at, 0.0)
             continue
-        error = _propagated(entry.op, [errors[a] for a in entry.args], [ends[a] for a in entry.args], size)
+        error = float(propagated(entry.op, [errors[a] for a in entry.args], [ends[a] for a in entry.args], size))
         if entry.op not in ("abs", "max", "min", "neg", "select"):
             error += STEP * size + TINY
-        errors[at] = error if size < _OVERFLOW and error < _OVERFLOW else inf
+        errors[at] = error if size < OVERFLOW and error < OVERFLOW else inf
     return errors[root]
 
 
-def _propagated(op: str, errors: Sequence[float], ends: Sequence[Ends], size: float) -> float:
-    """Return what the errors of the operands change in the result of an exact operation."""
+def propagated(op: str, errors: Sequence[Real], ends: Sequence[Ends], size: Real) -> Real:
+    """Return a bound of what the errors of the operands change in the result of an exact operation.
+
+    Args:
+        op: the operation.
+        errors: largest error of each operand.
+        ends: bounds of each operand.
+        size: largest absolute value of the result.
+    """
     most = [max(abs(low), abs(high)) for low, high in ends]
     least = [0.0 if low <= 0.0 <= high else min(abs(low), abs(high)) for low, high in ends]
     if not any(errors):
@@ -113,5 +121,5 @@ def _propagated(op: str, errors: Sequence[float], ends: Sequence[Ends], size: fl
     return inf
 
 
-def _times(a: float, b: float) -> float:
-    return a * b if a and b else 0.0
+def _times(a: Real, b: Real) -> Real:
+    return a * b if a and b else 0
