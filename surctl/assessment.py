@@ -300,8 +300,11 @@ def loop_figures(
     return {figure.name: figure for figure in figures}
 
 
-def loop_line(figures: dict[str, Figure], *, stable: bool, place: str, unstable: str) -> Line:
-    """Return the verdict on a linear loop; `unstable` says what is wrong with a nominal loop that is not stable."""
+def loop_line(figures: dict[str, Figure], *, stable: bool, place: str, which: str, unstable: str) -> Line:
+    """Return the verdict on a linear loop.
+
+    `which` is that of `loop_figures`; `unstable` says what is wrong with a nominal loop that is not stable.
+    """
     disk, nominal, delay = (figures[n] for n in ("disk_margin", "nominal_disk_margin", "delay_margin_s"))
     if not stable:
         text = f"the linear loop {place} is UNSTABLE"
@@ -312,8 +315,7 @@ def loop_line(figures: dict[str, Figure], *, stable: bool, place: str, unstable:
         return Line(False, text, "margins")
     short = [f"at least {f.least:g}" + (f" {f.unit}" if f.unit != "1" else "") for f in (disk, delay) if not f.enough]
     worst, first = map(_short, (disk, nominal))
-    of = delay.meaning.rpartition(", ")[2]
-    late = f"{delay.value:{'.2f' if delay.value >= 0.1 else '.2g'}} s ({delay.where}, {of})"
+    late = f"{delay.value:{'.2f' if delay.value >= 0.1 else '.2g'}} s ({delay.where}, {which})"
     text = f"margins {place}: disk margin {worst} at the worst corner, {first} nominal; least delay margin {late}"
     if short:
         text += f"; required: {', '.join(short)}" + ("" if disk.enough else f" (worst corner: {disk.where})")
@@ -459,7 +461,7 @@ class ClosedLoop:
             return Part((), (line,), error)
         figures = _figures(corners, self.system.dt)
         unstable = f": the largest pole is |z| = {np.abs(corners.nominal.poles).max(initial=0.0):.6g}"
-        line = loop_line(figures, stable=corners.stable, place="at the equilibrium", unstable=unstable)
+        line = loop_line(figures, stable=corners.stable, place="at the equilibrium", which=_WHICH, unstable=unstable)
         if corners.lost:
             line = Line(False, f"the loop has no equilibrium at the corner {corners.corner}", "margins")
         return Part(tuple(figures.values()), (line,), corners)
@@ -505,6 +507,9 @@ class ClosedLoop:
         return Part((figure,), (line,), solution)
 
 
+_WHICH = "nominal system"  # the loops alone are its loops
+
+
 def _figures(corners: LoopCorners[SystemLoop], dt: float) -> dict[str, Figure]:
     nominal = corners.nominal
     return loop_figures(
@@ -512,6 +517,6 @@ def _figures(corners: LoopCorners[SystemLoop], dt: float) -> dict[str, Figure]:
         (nominal.slowest_per_s, corners.slowest_per_s),
         nominal.margins,
         corner=corners.corner,
-        which="nominal system",
+        which=_WHICH,
         least_delay=dt,  # the command of a step may be applied up to one period late
     )

@@ -323,7 +323,7 @@ class LoopAnalysis:
             place = f"about {self.law.nominal.place}"
         mode = self.mode
         why = "; lower the cruise speed" if mode is None else f" (loop {mode.loop}): {unstable_text(mode)}"
-        line = loop_line(figures, stable=self.stable is not False, place=place, unstable=why)
+        line = loop_line(figures, stable=self.stable is not False, place=place, which=self._which, unstable=why)
         if self.motion:
             line = replace(line, text=f"{line.text}; {self.motion}")
         return Part(tuple(figures.values()), (line,), self, self.assumptions)
@@ -336,8 +336,11 @@ class LoopAnalysis:
             first, last = self.sides
             nominal, worst, corner = first.disk, last.disk, last.corner or "the nominal vehicle"
             slowest = (first.slowest_per_s, last.slowest_per_s)
-        which = f"mass and drag off by ±{self.uncertainty:.0%}" if self.uncertainty else "nominal vehicle"
-        return loop_figures((nominal, worst), slowest, self.margins, corner=corner, which=which)
+        return loop_figures((nominal, worst), slowest, self.margins, corner=corner, which=self._which)
+
+    @property
+    def _which(self) -> str:
+        return f"mass and drag off by ±{self.uncertainty:.0%}" if self.uncertainty else "nominal vehicle"
 
 
 def unstable_text(mode: Mode) -> str:

@@ -81,7 +81,9 @@ def test_the_line_of_margins_says_what_fails_and_of_which_system() -> None:
             Figure("nominal_disk_margin", 0.5, "1", "nominal", "high"),
             Figure("delay_margin_s", delay, "s", "least delay margin, nominal system", "high", 0.2, "yaw"),
         )
-        return loop_line({f.name: f for f in figures}, stable=True, place="at rest", unstable="").text
+        return loop_line(
+            {f.name: f for f in figures}, stable=True, place="at rest", which="nominal system", unstable=""
+        ).text
 
     delay = "least delay margin 0.25 s (yaw, nominal system)"
     assert line(0.3, 0.25) == f"margins at rest: disk margin 0.30 at the worst corner, 0.50 nominal; {delay}"
