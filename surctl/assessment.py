@@ -10,13 +10,14 @@ from typing import Any, Literal, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from surctl.errors import InputError
+from surctl.errors import InputError, NotApplicable
 from surctl.system import ENDED, LOST, Record, System, run_system
 from surctl.system.linear import unresponsive
 from surctl.system.values import checked_ranges, run_numbers
 from surctl.verification.linear import LEAST_DISK_MARGIN
 from surctl.verification.loops import LEAST_DELAY_MARGIN, LoopMargins
 from surctl.verification.sampled_margins import LoopCorners, SystemLoop, system_corners
+from surctl.verification.verdict import Inapplicable
 
 __all__ = [
     "SATURATED",
@@ -179,6 +180,11 @@ class Assessment:
         """False if a line fails, None if one is not decided (or none counts), True if all that count hold."""
         ranks = [line.rank for line in self.lines if line.counts]
         return (False, None, True)[min(ranks, default=1)]
+
+    def accepted(self, *asked: str) -> bool:
+        """Whether no line fails, and each line of the parts asked for holds: a command then ends with status 0."""
+        lines = [line for name in asked if name in self.parts for line in self.parts[name].lines]
+        return self.passed is not False and all(line.passed for line in lines)
 
     @property
     def failures(self) -> list[str]:
@@ -427,7 +433,7 @@ class ClosedLoop:
         ranges: ranges of uncertain numbers; None: those that the system declares.
         record: the run; None: it is simulated, if there are `seconds`.
         seconds: duration of the run [s]; None: no run is judged.
-        region: function that decides the claimed region of attraction; None: none is claimed.
+        region: function that decides the claimed region, or raises `NotApplicable`; None: none is claimed.
     """
 
     system: System
@@ -493,7 +499,11 @@ class ClosedLoop:
 
     def _region(self) -> Part:
         assert self.region is not None  # `parts` asks for a region only then
-        solution = self.region()
+        try:
+            solution = self.region()
+        except NotApplicable as reason:
+            text = f"region of attraction of {reason.to}: not assessed, because {reason.because}"
+            return Part((), (Line(None, text, "region"),), Inapplicable.of("region of attraction", reason))
         proved = solution.verdict == "proved" and not solution.vacuous
         passed = True if proved else False if solution.verdict == "refuted" else None
         line = Line(passed, f"region of attraction: {' '.join(solution.lines()[0].split())}", "region")

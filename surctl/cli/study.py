@@ -25,7 +25,7 @@ from surctl.cli.subject import (
     load_system,
     seconds_option,
 )
-from surctl.errors import InputError
+from surctl.errors import InputError, NotApplicable
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -211,6 +211,8 @@ def study_system(
         (sil,) = compare_runs(build_controller(controller, bundle, Path(scratch, bundle.name)), [record])
 
     def solved() -> Solution:
+        if isinstance(problem, NotApplicable):
+            raise problem
         assert problem is not None  # the subject asks only then
         progress("region of attraction")
         return solve(problem, first=True, progress=progress)
@@ -245,7 +247,7 @@ def study_system(
     report: Path | None = None
     with saving("report"):
         report = write_file(out / "report.html", render_system_page(study))
-    passed = assessment.passed is not False and (solution is None or solution.verdict == "proved")
+    passed = assessment.accepted("region")
     lines = [f"study {own.system.title}: {'passed' if passed else 'NOT passed'}: {assessment.banner}"]
     lines += [f"{line.mark} {line.text}" for line in assessment.lines]
     lines += [*ran, *study.best]
