@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -59,12 +60,12 @@ def continuous_dynamics(
             whatever the other states are.
         values: numbers of one run as in `simulate_system`: gains, `plant.NAME`, `reference.NAME` and
             `disturbance.NAME`, by default as there. The equilibrium is that of `find_equilibrium` with these numbers:
-            `start.NAME` is where its search begins.
+            `start.NAME` is where its search begins. Without one, it is NaN; a bound needs none.
         ranges: lower and upper bound of single numbers, by the same names; each may vary in time between its bounds.
 
     Raises:
         InputError: a name is unknown, or a state with equal or without bounds moves.
-        NotApplicable: the loop has no equilibrium, depends on time, has sampled blocks, or a law that is not symbolic.
+        NotApplicable: the loop depends on time, has sampled blocks, or a law that is not symbolic.
 
     Example:
         >>> from surctl.ir import Layout, Port
@@ -102,7 +103,7 @@ def sampled_dynamics(
         ranges: as there; they take the place of those of the system.
 
     Raises:
-        InputError: as in `continuous_dynamics`.
+        InputError, NotApplicable: as in `continuous_dynamics`, or the loop has no equilibrium.
 
     Example:
         >>> from surctl.ir import Layout, Port
@@ -156,15 +157,17 @@ def _dynamics(
         free.append(ca.SX.sym(name))
         flat[group][place] = free[-1]
         parameters.append(Range(_identifier(name), float(low), float(high), unit_of(system, name)))
+    t = ca.SX.sym("t")
+    moves = [k for k, label in enumerate(labels) if label in within and within[label][0] != within[label][1]]
     try:
         at = find_equilibrium(system, values)
+        rest = [*at.x.tolist(), *at.z.tolist()]
     except InputError as error:
-        raise NotApplicable(error.problem, to="the loop", key=error.key) from None
-    whole, t = ca.vertcat(at.x.tolist(), at.z.tolist()), ca.SX.sym("t")
-    moves = [k for k, label in enumerate(labels) if label in within and within[label][0] != within[label][1]]
-    for k in set(range(len(labels))) - set(moves):
-        whole[k] = within.get(labels[k], [whole[k]])[0]
-    rest, symbols, whole = whole, ca.SX.sym("x", len(moves)), constants.column(whole.full().ravel().tolist())
+        if sampled or len(moves) < len(labels):  # a bound or a barrier needs no equilibrium
+            raise NotApplicable(error.problem, to="the loop", key=error.key) from None
+        rest = [math.nan] * len(labels)
+    symbols = ca.SX.sym("x", len(moves))
+    whole = constants.column([0.0 if k in moves else within.get(label, [rest[k]])[0] for k, label in enumerate(labels)])
     whole[moves] = symbols
     x, z = ca.vertsplit(whole, [0, plant.state.size, whole.numel()])
     reference = system.reference_at(t, flat["reference"])
@@ -180,9 +183,7 @@ def _dynamics(
     states = []
     for k in moves:
         low, high = within[labels[k]]
-        states.append(
-            State(_identifier(labels[k]), float(low), float(high), units[k], "", float(rest[k]), to_the_bit=True)
-        )
+        states.append(State(_identifier(labels[k]), float(low), float(high), units[k], "", rest[k], to_the_bit=True))
     names = [v.name for v in (*states, *parameters)]
     nodes = constants.expressions(ca.vertcat(symbols, *free), names, rates[moves])
     vectors = {"state": whole, **flat, "reference": reference, "disturbance": disturbance}
