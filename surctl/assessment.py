@@ -142,8 +142,8 @@ class Subject(Protocol):
     def name(self) -> str:
         """Name for messages."""
 
-    def parts(self) -> Mapping[str, Callable[[], Part]]:
-        """Return the parts that concern the subject, cheapest first."""
+    def parts(self) -> Mapping[str, Callable[[], Part | None]]:
+        """Return the parts that concern the subject, cheapest first; None is returned for what is not asked for."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -242,9 +242,9 @@ def assess(
     """
     known, ready = subject.parts(), computed or {}
     done = {
-        name: ready[name] if name in ready else compute()
+        name: part
         for name, compute in known.items()
-        if parts is None or name in parts
+        if (parts is None or name in parts) and (part := ready[name] if name in ready else compute()) is not None
     }
     figures = {figure.name: figure for part in done.values() for figure in part.figures}
     lines = [line for part in done.values() for line in part.lines]
@@ -448,14 +448,9 @@ class ClosedLoop:
         """Names of plant and controller."""
         return self.system.title
 
-    def parts(self) -> Mapping[str, Callable[[], Part]]:
-        """Return the parts of the assessment; run and region only if they are asked for."""
-        parts: dict[str, Callable[[], Part]] = {"loop": self._loop}
-        if self.record is not None or self.seconds is not None:
-            parts["run"] = self._run
-        if self.region is not None:
-            parts["region"] = self._region
-        return parts
+    def parts(self) -> Mapping[str, Callable[[], Part | None]]:
+        """Return the parts of the assessment."""
+        return {"loop": self._loop, "run": self._run, "region": self._region}
 
     def _loop(self) -> Part:
         run_numbers(self.system, self.values)  # a mistake is raised, unlike a loop without equilibrium
@@ -472,10 +467,11 @@ class ClosedLoop:
             line = Line(False, f"the loop has no equilibrium at the corner {corners.corner}", "margins")
         return Part(tuple(figures.values()), (line,), corners)
 
-    def _run(self) -> Part:
+    def _run(self) -> Part | None:
         record = self.record
         if record is None:
-            assert self.seconds is not None  # `parts` asks for a run only then
+            if self.seconds is None:
+                return None
             record = run_system(self.system, self.seconds, self.values)
         how = f"the run ends after {record.duration:.6g} s ({record.lost or record.stopped})"
         lines = [Line(record.stopped != LOST, how, "run", counts=record.stopped in (ENDED, LOST))]
@@ -497,8 +493,9 @@ class ClosedLoop:
                 lines.append(Line(None, f"{text}, so the linear margins do not describe this run", "run"))
         return Part(tuple(figures), tuple(lines), record)
 
-    def _region(self) -> Part:
-        assert self.region is not None  # `parts` asks for a region only then
+    def _region(self) -> Part | None:
+        if self.region is None:
+            return None
         try:
             solution = self.region()
         except NotApplicable as reason:

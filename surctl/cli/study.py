@@ -176,9 +176,11 @@ def study_system(
     """Write report.html and the C code of the controller; exit with status 1 if a check of the report fails."""
     from surctl import __version__
     from surctl.assessment import ClosedLoop, assess
+    from surctl.cli.export import system_bundle, system_evidence
     from surctl.cli.subject import loop_data, mode_text, region_words, resting
     from surctl.cli.sweep import best_line, best_points
-    from surctl.export.bundle import build_bundle, check_folder, write_bundle
+    from surctl.export.bundle import check_folder, write_bundle
+    from surctl.export.evidence import with_evidence
     from surctl.export.process import build_controller
     from surctl.export.sil import compare_runs
     from surctl.files import prepare_folder, write_file
@@ -203,7 +205,7 @@ def study_system(
     record = run_system(own.system, duration, values)
     controller = own.system.controller
     progress("comparing C with Python")
-    bundle = build_bundle(controller, controller.gains.unpack(record.controller[2]))
+    bundle = system_bundle(own, values, record)
     files: Sequence[object] = ()
     with saving("code"):
         files = write_bundle(bundle, out / "export")
@@ -224,6 +226,8 @@ def study_system(
     swept = None
     with stoppable(f"the code is in {out / 'export'}; not finished: margins, region, sweep", ran, as_json=as_json):
         assessment = assess(subject).with_lines([export_line(sil)])
+        with saving("code"):
+            write_bundle(with_evidence(bundle, system_evidence(own, record, assessment, sil)), out / "export")
         if design is not None:
             progress(f"sweep of {len(design[0].points)} points")
             with saving("sweep"):
