@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from surctl.errors import InputError, NotApplicable
-from surctl.system import ENDED, LOST, Record, System, run_system
+from surctl.system import ENDED, LOST, Cost, Record, System, run_system
 from surctl.system.linear import unresponsive
 from surctl.system.values import checked_ranges, run_numbers
 from surctl.verification.linear import LEAST_DISK_MARGIN
@@ -31,6 +31,7 @@ __all__ = [
     "Region",
     "Subject",
     "assess",
+    "cost_lines",
 ]
 
 # An assessment: every figure and verdict about one subject, in the form that every page, command and status reads
@@ -480,9 +481,7 @@ class ClosedLoop:
             value = record.figures[name]
             meaning = cost.meaning or f"{cost.how} over the run"
             figures.append(Figure(f"cost.{name}", value, cost.unit, meaning, "low", cost.at_most))
-            if cost.at_most is not None:
-                text = f"{name} = {value:.6g} {cost.unit}, at most {cost.at_most:g} {cost.unit}"
-                lines.append(Line(figures[-1].enough, text, "run"))
+            lines += cost_lines(name, cost, value, end=record.duration - 1.5 * self.system.dt)
         shares = unresponsive(record)
         if shares:
             worst = max(shares, key=lambda name: shares[name])
@@ -512,6 +511,25 @@ class ClosedLoop:
             "region_share", share, "1", "certified level over the least level with a counterexample", "high"
         )
         return Part((figure,), (line,), solution)
+
+
+def cost_lines(name: str, cost: Cost, value: float, *, end: float) -> list[Line]:
+    """Return the verdict on the bound of a cost, and whether a last time is only the end of the run.
+
+    Args:
+        name: name of the cost.
+        cost: the cost.
+        value: its value.
+        end: a last time [s] from here on is the end of the run, so that the true one is not known.
+    """
+    lasts = cost.how == "last_time" and value > max(end, 0.0)
+    if cost.at_most is None and not lasts:
+        return []
+    bound = "" if cost.at_most is None else f", at most {cost.at_most:g} {cost.unit}"
+    passed = None if cost.at_most is None else bool(value <= cost.at_most)
+    more = " until the end of the run, so the last time is not known" if lasts else ""
+    text = f"{name} = {value:.6g} {cost.unit}{more}{bound}"
+    return [Line(None if lasts and passed else passed, text, "run", counts=cost.at_most is not None)]
 
 
 _WHICH = "nominal system"  # the loops alone are its loops

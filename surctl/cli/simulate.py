@@ -270,7 +270,7 @@ def simulate_own_system(
         prepare_folder(out)
     record = run_system(own.system, duration, values)
     assessment = assess(ClosedLoop(own.system, values, record=record), parts=["run"])
-    judged = [f"{line.mark} {line.text}" for line in assessment.lines if line.counts]
+    judged = [f"{line.mark} {line.text}".strip() for line in assessment.lines if line.about]
     lines = [end_text(own, record), *cost_lines(own.system, record.figures), *judged]
     files = [] if out is None else _write(own, record, out, save)
     lines += [f"  {file}" for file in files]

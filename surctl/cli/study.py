@@ -189,6 +189,7 @@ def study_system(
     from surctl.report.system_page import SystemStudy, export_line, render_system_page
     from surctl.system import run_system
     from surctl.tuning import sweep_system
+    from surctl.tuning.system_sweep import chosen_points
 
     own = load_system(words)
     find_compiler()
@@ -234,12 +235,14 @@ def study_system(
                 swept = sweep_system(own.system, design[0], duration, draws=design[1], values=values, threads=workers)
     loop, solution = assessment.sources["loop"], assessment.sources.get("region")
     judged = not isinstance(loop, InputError)
-    best = {} if swept is None else best_points(swept)
+    choices = {} if swept is None else chosen_points(swept, values, subject.ranges)
+    best = {} if swept is None else best_points(swept, choices)
     about = [word for word in others if not word.startswith("start.")]
     study = SystemStudy(
         title=f"Study of {own.system.title}", record=record, assessment=assessment,
         resting=resting(own.system, loop.nominal.at) if judged else {}, mode=mode_text(loop.nominal) if judged else "",
-        swept=swept, best=[] if swept is None else [best_line(swept, name, row) for name, row in best.items()], sil=sil,
+        swept=swept, sil=sil,
+        best=[] if swept is None else [best_line(swept, name, row, choices[name]) for name, row in best.items()],
         commands={
             "study": command_line("study", own, *own.settings, "--seconds", f"{duration:g}", "--out", str(out)),
             "run": command_line("simulate", own, *others, "--seconds", f"{duration:g}", "--out", "run"),
@@ -270,8 +273,7 @@ def study_system(
         "report": None if report is None else str(report),
     }
     then = [study.commands["run"]]
-    if best:
-        at = next(iter(best.values()))["at"]
+    if at := next((row["at"] for row in best.values() if row["accepted"]), None):
         then = [command_line("verify", own, *about, *(f"{name}={value!r}" for name, value in at.items()))]
     finish(
         data, lines, as_json=as_json, passed=passed, then=then if passed else (),

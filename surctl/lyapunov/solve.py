@@ -193,6 +193,8 @@ class Solution:
     def lines(self) -> list[str]:
         """Return the lines that state the solution: verdict and claim, what the claim is about, reason."""
         name, decision = self.problem.dynamics.name, self.decision
+        if decision is not None and self.problem.dynamics.sampling is not None and not self.sampled:
+            name += ", law in continuous time"
         then = [f"  a region is proved with {self.instead}"] if self.instead else []
         if decision is None:
             lines = [f"{self.verdict:<8} {name}: {self.reason} ({self.seconds:.1f} s)"]
