@@ -25,7 +25,7 @@ from surctl.cli.subject import (
     load_system,
     seconds_option,
 )
-from surctl.errors import InputError
+from surctl.errors import InputError, NotApplicable
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -176,9 +176,11 @@ def study_system(
     """Write report.html and the C code of the controller; exit with status 1 if a check of the report fails."""
     from surctl import __version__
     from surctl.assessment import ClosedLoop, assess
+    from surctl.cli.export import system_bundle, system_evidence
     from surctl.cli.subject import loop_data, mode_text, region_words, resting
     from surctl.cli.sweep import best_line, best_points
-    from surctl.export.bundle import build_bundle, check_folder, write_bundle
+    from surctl.export.bundle import check_folder, write_bundle
+    from surctl.export.evidence import with_evidence
     from surctl.export.process import build_controller
     from surctl.export.sil import compare_runs
     from surctl.files import prepare_folder, write_file
@@ -187,6 +189,7 @@ def study_system(
     from surctl.report.system_page import SystemStudy, export_line, render_system_page
     from surctl.system import run_system
     from surctl.tuning import sweep_system
+    from surctl.tuning.system_sweep import chosen_points
 
     own = load_system(words)
     find_compiler()
@@ -203,7 +206,7 @@ def study_system(
     record = run_system(own.system, duration, values)
     controller = own.system.controller
     progress("comparing C with Python")
-    bundle = build_bundle(controller, controller.gains.unpack(record.controller[2]))
+    bundle = system_bundle(own, values, record)
     files: Sequence[object] = ()
     with saving("code"):
         files = write_bundle(bundle, out / "export")
@@ -211,6 +214,8 @@ def study_system(
         (sil,) = compare_runs(build_controller(controller, bundle, Path(scratch, bundle.name)), [record])
 
     def solved() -> Solution:
+        if isinstance(problem, NotApplicable):
+            raise problem
         assert problem is not None  # the subject asks only then
         progress("region of attraction")
         return solve(problem, first=True, progress=progress)
@@ -222,18 +227,22 @@ def study_system(
     swept = None
     with stoppable(f"the code is in {out / 'export'}; not finished: margins, region, sweep", ran, as_json=as_json):
         assessment = assess(subject).with_lines([export_line(sil)])
+        with saving("code"):
+            write_bundle(with_evidence(bundle, system_evidence(own, record, assessment, sil)), out / "export")
         if design is not None:
             progress(f"sweep of {len(design[0].points)} points")
             with saving("sweep"):
                 swept = sweep_system(own.system, design[0], duration, draws=design[1], values=values, threads=workers)
     loop, solution = assessment.sources["loop"], assessment.sources.get("region")
     judged = not isinstance(loop, InputError)
-    best = {} if swept is None else best_points(swept)
+    choices = {} if swept is None else chosen_points(swept, values, subject.ranges)
+    best = {} if swept is None else best_points(swept, choices)
     about = [word for word in others if not word.startswith("start.")]
     study = SystemStudy(
         title=f"Study of {own.system.title}", record=record, assessment=assessment,
         resting=resting(own.system, loop.nominal.at) if judged else {}, mode=mode_text(loop.nominal) if judged else "",
-        swept=swept, best=[] if swept is None else [best_line(swept, name, row) for name, row in best.items()], sil=sil,
+        swept=swept, sil=sil,
+        best=[] if swept is None else [best_line(swept, name, row, choices[name]) for name, row in best.items()],
         commands={
             "study": command_line("study", own, *own.settings, "--seconds", f"{duration:g}", "--out", str(out)),
             "run": command_line("simulate", own, *others, "--seconds", f"{duration:g}", "--out", "run"),
@@ -245,7 +254,7 @@ def study_system(
     report: Path | None = None
     with saving("report"):
         report = write_file(out / "report.html", render_system_page(study))
-    passed = assessment.passed is not False and (solution is None or solution.verdict == "proved")
+    passed = assessment.accepted("region")
     lines = [f"study {own.system.title}: {'passed' if passed else 'NOT passed'}: {assessment.banner}"]
     lines += [f"{line.mark} {line.text}" for line in assessment.lines]
     lines += [*ran, *study.best]
@@ -264,8 +273,7 @@ def study_system(
         "report": None if report is None else str(report),
     }
     then = [study.commands["run"]]
-    if best:
-        at = next(iter(best.values()))["at"]
+    if at := next((row["at"] for row in best.values() if row["accepted"]), None):
         then = [command_line("verify", own, *about, *(f"{name}={value!r}" for name, value in at.items()))]
     finish(
         data, lines, as_json=as_json, passed=passed, then=then if passed else (),

@@ -15,7 +15,7 @@ from surctl.lyapunov.barrier_search import decide_safety, find_barrier
 from surctl.lyapunov.claims import Safety, every_digit
 from surctl.lyapunov.decide import Decision, decide_motion
 from surctl.lyapunov.dynamics import Dynamics
-from surctl.lyapunov.equilibrium import at_equilibrium, equilibria, linearisation
+from surctl.lyapunov.equilibrium import at_equilibrium, equilibria, inexact, linearisation
 from surctl.lyapunov.problem import Problem
 from surctl.lyapunov.sampled import SampledStability
 from surctl.lyapunov.search import find_stability
@@ -193,6 +193,8 @@ class Solution:
     def lines(self) -> list[str]:
         """Return the lines that state the solution: verdict and claim, what the claim is about, reason."""
         name, decision = self.problem.dynamics.name, self.decision
+        if decision is not None and self.problem.dynamics.sampling is not None and not self.sampled:
+            name += ", law in continuous time"
         then = [f"  a region is proved with {self.instead}"] if self.instead else []
         if decision is None:
             lines = [f"{self.verdict:<8} {name}: {self.reason} ({self.seconds:.1f} s)"]
@@ -296,6 +298,8 @@ def solve(
     solution = _solved(problem, first, time_limit, seed, progress)
     if solution.verdict != "unknown" or problem.kind != "lyapunov":
         return solution
+    if why := inexact(solution.problem.dynamics):
+        return replace(solution, reason=why)
     began = time.perf_counter()
     step = _next_step(solution.problem, seconds=min(_HELP * time_limit, _HELP_MOST), seed=seed)
     reason = solution.reason
@@ -316,6 +320,8 @@ def _solved(
     if problem.kind == "lyapunov" and (moving := _moving(problem.dynamics)):
         rest = {s.name: float(s.equilibrium) for s in problem.dynamics.states}
         return Solution(problem, "refuted", moving, None, None, "", time.perf_counter() - began, rest)
+    if problem.kind == "lyapunov" and problem.function is None and (why := inexact(problem.dynamics)):
+        return Solution(problem, "unknown", why, None, None, "", time.perf_counter() - began)
     claim = problem.claim
     if claim is not None:
         if isinstance(claim, Safety):
