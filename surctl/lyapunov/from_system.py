@@ -21,10 +21,13 @@ from surctl.system.values import check_scalar, place_of, run_numbers, unit_of
 from surctl.verification.formula import IDENTIFIER, Node, Statement, from_casadi, number, rebuilt, substitute
 from surctl.verification.proving import prove_cases
 
-__all__ = ["NOT_COVERED", "continuous_dynamics", "sampled_dynamics"]
+__all__ = ["HELD_COMMANDS", "NOT_COVERED", "continuous_dynamics", "sampled_dynamics"]
 
 NOT_COVERED = "the control law in continuous time: sampling, hold and delay are not covered"
 """What a claim about the dynamics of `continuous_dynamics` does not cover."""
+
+HELD_COMMANDS = "the sampled loop, with held commands: a delay of the computation and rounding are not covered"
+"""What a claim about the sampled form of these dynamics (`Dynamics.sampling`) does not cover."""
 
 _AS_FLOW = "; the controller state z follows z' = (z+ - z) / period"
 

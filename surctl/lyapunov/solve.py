@@ -16,6 +16,7 @@ from surctl.lyapunov.claims import Safety, every_digit
 from surctl.lyapunov.decide import Decision, decide_motion
 from surctl.lyapunov.dynamics import Dynamics
 from surctl.lyapunov.equilibrium import at_equilibrium, equilibria, inexact, linearisation
+from surctl.lyapunov.from_system import HELD_COMMANDS
 from surctl.lyapunov.problem import Problem
 from surctl.lyapunov.sampled import SampledStability
 from surctl.lyapunov.search import find_stability
@@ -184,6 +185,11 @@ class Solution:
     def sampled(self) -> bool:
         """Whether the claim is about a sampled loop, with held commands, and not about the law in continuous time."""
         return self.decision is not None and isinstance(self.decision.claim, SampledStability)
+
+    @property
+    def about(self) -> str:
+        """What the claim is about, and what it does not cover."""
+        return HELD_COMMANDS if self.sampled else self.problem.dynamics.source
 
     @property
     def vacuous(self) -> str:

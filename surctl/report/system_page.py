@@ -224,7 +224,7 @@ def _region(study: SystemStudy) -> tuple[Block, ...]:
         figures = plot_motion(solution.dynamics, claim.function, level=claim.level, falsified=solution.falsified)
         text = "Level set of the Lyapunov function, with solutions of the dynamics."
         blocks.append(Pictures((picture(figures, alt=text, caption=text, command=study.commands["verify"]),)))
-    return (*blocks, Paragraph(f"Limits of the claim: {solution.problem.dynamics.source}."))
+    return (*blocks, Paragraph(f"The claim is about {solution.about}."))
 
 
 def _sweep(study: SystemStudy) -> tuple[Block, ...]:
