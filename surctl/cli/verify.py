@@ -225,7 +225,7 @@ def verify(
     held, held_data = (
         ([], {})
         if linear.stable is None or not cascaded
-        else speed_lines(robot, values, cruise=speeds[0], cap=speeds[1], **options)
+        else speed_lines(robot, values, cruise=speeds[0], cap=speeds[1], short=linear.short, **options)
     )
     lines += held
     result: dict[str, Any] = {
