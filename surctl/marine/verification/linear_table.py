@@ -220,7 +220,7 @@ LINEAR_METRICS: Mapping[str, MetricSpec] = {
     **{
         _LEAST[name]: MetricSpec(m.unit, f"{m.meaning}, least over all loops, nominal vehicle", m.better)
         for name, m in _MARGINS.items()
-        if name not in _WORST
+        if _LEAST[name] not in _WORST
     },
     **{
         f"{name}.{loop}": MetricSpec(m.unit, f"{m.meaning}, loop {loop}, nominal vehicle", m.better)
