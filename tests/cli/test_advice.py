@@ -67,9 +67,8 @@ def test_advice_is_accepted_as_it_is_printed(tmp_path, name, changed, cruise, ca
             seen.add(key)
             file = tmp_path / ("g.toml" if key in GAINS else "m.toml")
             text = file.read_text()
-            changed_text, count = re.subn(
-                rf"(?m)^{re.escape(key)} = .*$", lambda _, line=f"{key} = {value}": line, text
-            )
+            line = f"{key} = {value}"
+            changed_text, count = re.subn(rf"(?m)^{re.escape(key)} = .*$", lambda _, line=line: line, text)
             assert count == 1, (key, finding)
             file.write_text(changed_text)
             left = {(one["key"], one["text"][:40]) for one in linted(tmp_path)}

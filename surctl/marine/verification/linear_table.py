@@ -453,12 +453,9 @@ def _by_order(points: Points) -> Iterator[NDArray[np.intp]]:
 
 def _check_parameter(name: str, key: str, values: NDArray[np.float64]) -> None:
     spec = PARAMETERS.get(name) or TERMS[name]
-    good = np.isfinite(values) & (spec.signed | (values > 0) | (spec.zero_allowed & (values == 0)))
-    if not good.all():
-        least = "finite" if spec.signed else "at least 0" if spec.zero_allowed else "greater than 0"
-        raise InputError(
-            f"must be {least}", key=key, value=float(values[~good][0]), remedy=f"{spec.meaning}, in {spec.unit}"
-        )
+    for value in values.tolist():
+        if not spec.allows(value):
+            raise InputError(f"must be {spec.bound}", key=key, value=value, remedy=spec.remedy)
 
 
 def _figures(loops: CruiseLoop, *, columns: Collection[str]) -> dict[str, NDArray[np.float64]]:
