@@ -200,10 +200,10 @@ def test_a_study_decides_the_claims_that_verify_decides(monkeypatch, name):
     monkeypatch.setattr(sys.modules[conduct.__module__], "decide", lambda claim: claim)
     plan = load_plan(vehicle=name)
     fastest = plan.deciding[0].scenario
-    decided, unfit = claims_of(plan, plan.gains, fastest)
+    decided, _ = claims_of(plan, plan.gains, fastest)
     at_hand = {**plan.gains.values, "speed": fastest.cruise, "speed_max": fastest.cap}
-    chosen, refused = _chosen([], at_hand, plan.vehicle)
-    assert [c.name for c in decided] == [c.name for c in chosen] and [u.claim for u in unfit] == list(refused)
+    chosen, _ = _chosen([], at_hand, plan.vehicle)
+    assert [claim.name for claim in decided] == [claim.name for claim in chosen]
     assert ("braking-retreat" in {c.name for c in decided}) is (name == "sur540-flooded")
 
 
