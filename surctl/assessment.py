@@ -15,7 +15,7 @@ from surctl.system import ENDED, LOST, Cost, Record, System, run_system
 from surctl.system.linear import unresponsive
 from surctl.system.values import checked_ranges, run_numbers
 from surctl.verification.linear import LEAST_DISK_MARGIN
-from surctl.verification.loops import LEAST_DELAY_MARGIN, LoopMargins
+from surctl.verification.loops import LEAST_DELAY_MARGIN, LeastDelay, LoopMargins
 from surctl.verification.sampled_margins import LoopCorners, SystemLoop, system_corners
 from surctl.verification.verdict import Inapplicable
 
@@ -267,52 +267,51 @@ SATURATED = 0.5
 """Share of time at a limit above which the linear figures do not describe a run."""
 
 _DISK = "all loops at once, at commands or measurements, at the worst corner of the ranges"
+_DELAY = "least delay margin of one loop alone"
 
 
 def loop_figures(
     disks: tuple[float, float],
+    delays: tuple[LeastDelay, LeastDelay],
     slowest: tuple[float, float],
     margins: Sequence[LoopMargins],
     *,
     corner: str,
-    which: str,
     least_delay: float = LEAST_DELAY_MARGIN,
 ) -> dict[str, Figure]:
     """Return the figures of a linear loop by name.
 
     Args:
         disks: disk margin of all loops at once, nominal and at the worst corner.
+        delays: least delay margin of one loop alone, nominal and over the corners.
         slowest: largest real part [1/s] of a pole, nominal and over the corners.
-        margins: margins of each loop alone.
-        corner: the worst corner.
-        which: what the margins of each loop alone are of, such as the nominal vehicle.
+        margins: margins of each nominal loop alone.
+        corner: the worst corner of the disk margin.
         least_delay: least sufficient delay margin [s].
     """
-    delay = min(margins, key=lambda m: m.delay_margin_s)
+    first, late = delays
     single = min(margins, key=lambda m: m.disk_margin)
     figures = (
         Figure("disk_margin", disks[1], "1", _DISK, "high", LEAST_DISK_MARGIN, corner),
         Figure("nominal_disk_margin", disks[0], "1", "disk margin, nominal", "high"),
         Figure(
-            "single_loop_disk_margin", single.disk_margin, "1", f"least disk margin of one loop alone, {which}",
+            "single_loop_disk_margin", single.disk_margin, "1", "least disk margin of one loop alone, nominal",
             "high", where=single.name,
         ),
         Figure(
-            "delay_margin_s", delay.delay_margin_s, "s", f"least delay margin of one loop alone, {which}",
-            "high", least_delay, delay.name,
+            "delay_margin_s", late.delay_s, "s", f"{_DELAY}, at the worst corner of the ranges",
+            "high", least_delay, late.where,
         ),
+        Figure("nominal_delay_margin_s", first.delay_s, "s", f"{_DELAY}, nominal", "high", where=first.loop),
         Figure("slowest_pole_per_s", slowest[0], "1/s", "largest real part of a pole, nominal", "low"),
         Figure("corner_slowest_pole_per_s", slowest[1], "1/s", "largest real part of a pole, corners", "low"),
     )  # fmt: skip
     return {figure.name: figure for figure in figures}
 
 
-def loop_line(figures: dict[str, Figure], *, stable: bool, place: str, which: str, unstable: str) -> Line:
-    """Return the verdict on a linear loop.
-
-    `which` is that of `loop_figures`; `unstable` says what is wrong with a nominal loop that is not stable.
-    """
-    disk, nominal, delay = (figures[n] for n in ("disk_margin", "nominal_disk_margin", "delay_margin_s"))
+def loop_line(figures: dict[str, Figure], *, stable: bool, place: str, unstable: str) -> Line:
+    """Return the verdict on a linear loop; `unstable` says what is wrong with a nominal loop that is not stable."""
+    disk, nominal, delay, on_time = (figures[name] for name in _JUDGED)
     if not stable:
         text = f"the linear loop {place} is UNSTABLE"
         if nominal.value > 0:
@@ -320,22 +319,29 @@ def loop_line(figures: dict[str, Figure], *, stable: bool, place: str, which: st
         else:
             text += unstable
         return Line(False, text, "margins")
-    short = [f"at least {f.least:g}" + (f" {f.unit}" if f.unit != "1" else "") for f in (disk, delay) if not f.enough]
-    worst, first = map(_short, (disk, nominal))
-    late = f"{delay.value:{'.2f' if delay.value >= 0.1 else '.2g'}} s ({delay.where}, {which})"
-    text = f"margins {place}: disk margin {worst} at the worst corner, {first} nominal; least delay margin {late}"
+    short = [
+        f"at least {f.least:g}{f' {f.unit}' if f.unit != '1' else ''} (worst corner: {f.where})"
+        for f in (disk, delay)
+        if not f.enough
+    ]
+    worst, first, late, later = map(_short, (disk, nominal, delay, on_time))
+    text = f"margins {place}: disk margin {worst} at the worst corner, {first} nominal; "
+    text += f"least delay margin {late} s at the worst corner, {later} s nominal ({on_time.where})"
     if short:
-        text += f"; required: {', '.join(short)}" + ("" if disk.enough else f" (worst corner: {disk.where})")
+        text += f"; required: {', '.join(short)}"
     undetermined = np.isnan(disk.value) and delay.enough
     return Line(None if undetermined else not short, text, "margins")
 
 
+_JUDGED = ("disk_margin", "nominal_disk_margin", "delay_margin_s", "nominal_delay_margin_s")
+
+
 def _short(figure: Figure) -> str:
-    """Return a margin with two decimals, or with four if two would hide that it is too small."""
+    """Return a margin with two decimals or digits, or with four if two would hide that it is too small."""
     if np.isnan(figure.value):
         return "not determined"
-    text = f"{figure.value:.2f}"
-    return text if figure.enough or float(text) < (figure.least or 0.0) else f"{figure.value:.4f}"
+    text = f"{figure.value:{'.2f' if figure.value >= 0.1 else '.2g'}}"
+    return text if figure.enough or float(text) < (figure.least or 0.0) else f"{figure.value:.4g}"
 
 
 # Two assessments of one subject, before and after a change: every figure of both, and what got worse
@@ -463,7 +469,7 @@ class ClosedLoop:
             return Part((), (line,), error)
         figures = _figures(corners, self.system.dt)
         unstable = f": the largest pole is |z| = {np.abs(corners.nominal.poles).max(initial=0.0):.6g}"
-        line = loop_line(figures, stable=corners.stable, place="at the equilibrium", which=_WHICH, unstable=unstable)
+        line = loop_line(figures, stable=corners.stable, place="at the equilibrium", unstable=unstable)
         if corners.lost:
             line = Line(False, f"the loop has no equilibrium at the corner {corners.corner}", "margins")
         return Part(tuple(figures.values()), (line,), corners)
@@ -532,16 +538,13 @@ def cost_lines(name: str, cost: Cost, value: float, *, end: float) -> list[Line]
     return [Line(None if lasts and passed else passed, text, "run", counts=cost.at_most is not None)]
 
 
-_WHICH = "nominal system"  # the loops alone are its loops
-
-
 def _figures(corners: LoopCorners[SystemLoop], dt: float) -> dict[str, Figure]:
     nominal = corners.nominal
     return loop_figures(
         (nominal.disk, corners.disk),
+        (corners.nominal_delay, corners.delay),
         (nominal.slowest_per_s, corners.slowest_per_s),
         nominal.margins,
         corner=corners.corner,
-        which=_WHICH,
         least_delay=dt,  # the command of a step may be applied up to one period late
     )

@@ -88,7 +88,6 @@ def series_lines(runs: Sequence[Mapping[str, Any]]) -> list[str]:
 
     The lines name two runs that collide or do not arrive, and a low margin of the linear loop, which all runs share.
     """
-    from surctl.verification.linear import LEAST_DISK_MARGIN
 
     times = [run["time_s"] for run in runs if run["reached"]]
     worst = min(runs, key=lambda run: run["min_clearance_m"])
@@ -108,10 +107,8 @@ def series_lines(runs: Sequence[Mapping[str, Any]]) -> list[str]:
     linear = worst["linear"] or {}
     if not linear.get("stable", True):
         lines.append("  the linear loop at this speed is unstable")
-    elif (margin := linear.get("disk_margin", LEAST_DISK_MARGIN)) < LEAST_DISK_MARGIN:
-        lines.append(
-            f"  the linear loop has a disk margin of {margin:.2f} at its worst corner (below {LEAST_DISK_MARGIN:g})"
-        )
+    elif linear.get("short"):
+        lines.append(f"  the linear loop has {linear['short']}")
     return lines
 
 
@@ -148,30 +145,30 @@ def linear_warning(
     model: Vehicle | None = None,
     crab: str = "",
 ) -> tuple[dict[str, Any] | None, list[str]]:
-    """Return the stability and the disk margin of the linear loop of a run as data, and lines about a defect.
+    """Return the stability and the margins of the linear loop of a run as data, and lines about a defect.
 
-    There are lines if the loop is unstable, or if the disk margin is below the least one. The data is None if the law
-    has no linear loop, or if the thrust cannot hold the speed (which lint reports). `crab` is appended to the first
-    line.
+    There are lines if the loop is unstable, or if a margin at the worst corner is below the least one. The data is
+    None if the law has no linear loop, or if the thrust cannot hold the speed (which lint reports). `crab` is appended
+    to the first line.
     """
     from surctl.marine.verification.cruise_loop import has_cruise_loop
     from surctl.marine.verification.linear import corner_margin, slowest_mode
-    from surctl.verification.linear import LEAST_DISK_MARGIN
 
     if not has_cruise_loop(law, guidance):
         return None, []
     try:
-        margin, _, corner = corner_margin(vehicle, gains, cruise=cruise, dt=dt, model=model, law=law)
+        found = corner_margin(vehicle, gains, cruise=cruise, dt=dt, model=model, law=law)
     except InputError:
         return None, []
-    data: dict[str, Any] = {"cruise_m_per_s": cruise, "stable": True, "disk_margin": margin, "corner": corner}
-    if margin >= LEAST_DISK_MARGIN:
+    data: dict[str, Any] = {"cruise_m_per_s": cruise, "stable": True, "disk_margin": found.margin}
+    data |= {"corner": found.corner, "delay_margin_s": found.delay.delay_s, "short": found.short}
+    if found.enough:
         return data, []
     mode = slowest_mode(vehicle, gains, cruise=cruise, dt=dt, model=model, law=law)
     data |= {"stable": mode.stable, "mode": mode.to_dict()}
     if mode.stable:
-        word = f"has a disk margin of {margin:.2f}" if margin > 0 else "is unstable"
-        return data, [f"  the linear loop at this speed {word} at {corner} (at least {LEAST_DISK_MARGIN:g}){crab}"]
+        word = f"has {found.short}" if found.margin > 0 else f"is unstable at {found.corner}"
+        return data, [f"  the linear loop at this speed {word}{crab}"]
     head = f"  the linear loop at this speed is unstable{crab}:"
     return data, [head, *(f"    {line.strip()}" for line in mode.lines())]
 

@@ -110,7 +110,7 @@ def study(
     lines += [] if plan.derivation is None else [f"started from {line.strip()}" for line in plan.derivation.lines()]
     lines += [f"{line.mark} {line.text}" for line in result.notes]
     loops = result.loops
-    lines += ["", f"{'loop':<12} {'gain':>10} {'phase':>10} {'delay':>10} {'disk':>6}"] if loops.margins else []
+    lines += ["", f"{'nominal loop':<12} {'gain':>10} {'phase':>10} {'delay':>10} {'disk':>6}"] if loops.margins else []
     if loops.margins and not loops.margins[0].stable:
         lines.append("unstable      margins of an unstable loop are 0")
     for m in loops.margins if loops.margins and loops.margins[0].stable else ():

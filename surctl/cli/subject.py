@@ -249,12 +249,13 @@ def loop_lines(own: OwnSystem, loop: LoopCorners[SystemLoop]) -> list[str]:
     lines.append(f"sampled every {period:g} s: {stable}, {len(nominal.poles)} poles")
     lines.append(f"  slowest mode: {mode_text(nominal)}")
     if nominal.stable:
-        lines += ["each loop alone, opened at one signal, all others closed:"]
+        lines += ["nominal; each loop alone, opened at one signal, all others closed:"]
         lines += [f"  {margin.line()}" for margin in nominal.margins]
         lines += [margin.line(margin.place) for margin in nominal.disks]
     if loop.count:
         word = f"disk margin {loop.disk:.2f}" if loop.stable else "no equilibrium" if loop.lost else "UNSTABLE"
         lines.append(f"worst of the {loop.count} corners of the ranges: {word} at {loop.corner}")
+        lines.append(f"  least delay margin of one loop alone: {loop.delay.delay_s:.4g} s ({loop.delay.where})")
     return lines
 
 
@@ -270,7 +271,13 @@ def loop_data(own: OwnSystem, loop: LoopCorners[SystemLoop]) -> dict[str, Any]:
         "slowest_mode": _slowest(nominal),
         "margins": [margin.to_dict() for margin in nominal.margins],
         "disk_margins": [margin.to_dict() for margin in nominal.disks],
-        "worst": {"stable": loop.stable, "disk_margin": loop.disk, "corner": loop.corner, "corners": loop.count},
+        "worst": {
+            "stable": loop.stable,
+            "disk_margin": loop.disk,
+            "corner": loop.corner,
+            "delay_margin": loop.delay._asdict(),
+            "corners": loop.count,
+        },
     }
 
 

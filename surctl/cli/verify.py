@@ -225,7 +225,7 @@ def verify(
     held, held_data = (
         ([], {})
         if linear.stable is None or not cascaded
-        else speed_lines(robot, values, cruise=speeds[0], cap=speeds[1], **options)
+        else speed_lines(robot, values, cruise=speeds[0], cap=speeds[1], short=linear.short, **options)
     )
     lines += held
     result: dict[str, Any] = {
@@ -366,9 +366,8 @@ def _chosen(
     from surctl.verification import load_claim
 
     if not words:  # where the paper errs concerns its own robot
-        every, refused = ((), {}) if law else applicable_claims(gains, vehicle=vehicle)
-        errata = has_tuned(vehicle)
-        return [claim for claim in every if errata or claim.expected == "proved"], refused
+        every, refused = ((), {}) if law else applicable_claims(gains, vehicle=vehicle, errata=has_tuned(vehicle))
+        return list(every), refused
     own = {word: load_claim(Path(word)) for word in words if word.endswith(".toml")}
     rest, refused = applicable_claims(gains, [w for w in dict.fromkeys(words) if w not in own], vehicle=vehicle)
     if law is not None:

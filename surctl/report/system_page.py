@@ -203,7 +203,7 @@ def _margins(study: SystemStudy) -> tuple[Block, ...]:
         figures_table(study.assessment),
         Paragraph(text),
         Pictures((loops,)),
-        margins_table("Margins", loop.nominal.margins),
+        margins_table("Margins of each loop alone, nominal", loop.nominal.margins),
         disk_table([("nominal", disk) for disk in loop.nominal.disks]),
         Paragraph(f"Slowest mode: {study.mode}."),
         Table("Equilibrium", ("kind", "entry", "value", "unit"), rest),

@@ -254,7 +254,7 @@ def test_lint_names_the_command_for_the_gain_margin_that_no_contact_needs(tmp_pa
     (tmp_path / "study.toml").write_text(study)
     file = "mission.toml" if kind == "scenario" else "study.toml"
     done = surctl_here("lint", file, "--vehicle", "mine.toml", cwd=tmp_path)
-    needed = re.search(r"gains.margin: no contact in .* set margin = ([\d.]+) in", done.out)
+    needed = re.search(r"gains.margin: no contact in .* set margin = \"([\d.]+) m\" in", done.out)
     assert needed, done.out
     command = next(line.split() for line in done.out.splitlines() if line.startswith("  surctl gains derive"))
     assert command[command.index("--margin") + 1] == needed[1]

@@ -1,5 +1,6 @@
 import hashlib
 import re
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -7,13 +8,14 @@ import pytest
 import xarray
 
 from surctl.assessment import assess
+from surctl.cli.verify import _chosen
 from surctl.errors import InputError
 from surctl.marine.assessment import unstable_text
 from surctl.marine.control import build_law, load_gains
 from surctl.marine.simulation import LIBRARY as SCENARIOS
 from surctl.marine.simulation import simulate
 from surctl.marine.study import conduct, load_plan
-from surctl.marine.study.conduct import assessed, loops_of, summary, with_perception
+from surctl.marine.study.conduct import assessed, claims_of, loops_of, summary, with_perception
 from surctl.marine.vehicle import LIBRARY, load_vehicle
 from surctl.marine.verification.linear import slowest_mode
 from tests.cli.process import surctl
@@ -191,6 +193,18 @@ def test_a_vehicle_file_flies_the_built_in_study_with_that_vehicle(tmp_path):
     misfits = {leg.scenario.name: leg.misfit for leg in plan.legs if leg.misfit}
     assert set(misfits) == {"pool-static", "pool-behind"}
     assert "0.020 m inside a wall at the start" in misfits["pool-static"]
+
+
+@pytest.mark.parametrize("name", ["sur540-flooded", "girona500", "otter"])
+def test_a_study_decides_the_claims_that_verify_decides(monkeypatch, name):
+    monkeypatch.setattr(sys.modules[conduct.__module__], "decide", lambda claim: claim)
+    plan = load_plan(vehicle=name)
+    fastest = plan.deciding[0].scenario
+    decided, _ = claims_of(plan, plan.gains, fastest)
+    at_hand = {**plan.gains.values, "speed": fastest.cruise, "speed_max": fastest.cap}
+    chosen, _ = _chosen([], at_hand, plan.vehicle)
+    assert [claim.name for claim in decided] == [claim.name for claim in chosen]
+    assert ("braking-retreat" in {c.name for c in decided}) is (name == "sur540-flooded")
 
 
 def test_a_study_without_a_sweep_has_its_own_gains_as_the_only_point(tmp_path):

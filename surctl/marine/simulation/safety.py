@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from surctl.marine.control import Barrier, Gains, Movers
+from surctl.marine.control.gains import setting
 from surctl.marine.control.ports import YAW_SHARE
 from surctl.marine.control.stopping import BRAKE
 from surctl.marine.guidance.braking import (
@@ -345,8 +346,9 @@ class SafetyClaim:
         parts = []
         if self["margin needed"] > self["margin"]:
             slow = floor(self["covered speed"] * 1e3 + 1e-9) / 1e3
-            remedy = f"set margin = {self.least_margin:g} in the gain file" if isfinite(self.least_margin) else ""
-            slower = f"lower the speed cap to {slow:g} m/s or less" if slow > 0 else ""
+            margin = self.least_margin
+            remedy = f"set {setting('margin', margin)} in the gain file" if isfinite(margin) else ""
+            slower = f"lower the speed cap, and a faster cruise speed, to {slow:g} m/s or less" if slow > 0 else ""
             what = (
                 f"braking needs a margin of {self['margin needed']:.3g} m, and the gain margin is {self['margin']:g} m"
             )
