@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from surctl.cli.claims import claim_line
-from surctl.cli.output import as_json, finish, progress, refusal_line, same_command, saving, stoppable
+from surctl.cli.output import as_json, finish, progress, refusal_line, same_command, saving, stoppable, timed
 from surctl.cli.robot_options import at_hand, law_words, trust_option
 from surctl.cli.subject import (
     OwnSystem,
@@ -162,6 +162,7 @@ def _examined(law: str, about: list[str]) -> list[str]:
 
 
 _AXES, _POINTS = 2, 9  # of the sweep, if no axis is given
+_REGION = 60.0  # largest processor time of the region of a system [s]
 
 
 def study_system(
@@ -217,8 +218,8 @@ def study_system(
         if isinstance(problem, NotApplicable):
             raise problem
         assert problem is not None  # the subject asks only then
-        progress("region of attraction")
-        return solve(problem, first=True, progress=progress)
+        with timed(f"region of attraction, at most {_REGION:g} s of processor time"):
+            return solve(problem, first=True, time_limit=_REGION, progress=progress)
 
     subject = ClosedLoop(
         own.system, values, {**own.system.ranges, **uncertain}, record, region=None if problem is None else solved

@@ -139,7 +139,7 @@ def sweep(
 
     FILE.py:FUNCTION names a system of your own. Its costs are computed over gains (k), plant.NAME, reference.NAME,
     disturbance.NAME, start.NAME. With --seeds N, the worst of N runs counts, with plant.NAME=LOW..HIGH sampled at
-    random. A best point meets the margins and the bounds of the costs; if none does, the exit status is 1.
+    random.
 
     Examples: surctl sweep --scenario pool-static lookahead=0.6,0.9,1.2 k_v=0.5..3:6:log;
     surctl sweep k_v=1..3 plant.m11=30..60 --sensitivity deviation_m;

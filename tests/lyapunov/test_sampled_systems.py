@@ -10,6 +10,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from surctl.assessment import ClosedLoop, assess
 from surctl.errors import NotApplicable
 from surctl.ir import Layout, Port
 from surctl.lyapunov import Problem, continuous_dynamics, find_stability, sampled_dynamics, solve
@@ -160,3 +161,16 @@ def test_a_loop_without_one_rest_point_in_the_box_has_no_region(values: Any, ran
     system = System(system.plant, held)
     with pytest.raises(NotApplicable, match=because):
         require_common(sampled_dynamics(system, {"x": (-1.0, 1.0)}, values=values, ranges=ranges))
+
+
+def test_a_jump_is_the_cause_of_unknown_in_the_first_line() -> None:
+    system = cart(limited)
+    plant = Plant(
+        "cart", system.plant.state, system.plant.inputs, parameters=system.plant.parameters,
+        ode=lambda x, f, d, p: {"x": x["v"], "v": f["u"] + ca.if_else(x["x"] > 0.5, 0.1, 0)},
+    )  # fmt: skip
+    solution = solve(Problem(sampled_dynamics(System(plant, system.controller), WITHIN), "lyapunov"))
+    assert solution.verdict == "unknown" and solution.seconds < 1.0
+    assert "the dynamics may jump" in solution.lines()[0]
+    line = assess(ClosedLoop(system, region=lambda: solution), parts=["region"]).lines[0]
+    assert line.passed is None and "the dynamics may jump" in line.text
