@@ -72,7 +72,7 @@ def derive(
     short = margin_short(contact)
     lines = derivation.lines()
     if isinstance(contact, SafetyClaim) and not contact.holds:
-        at = f"at up to {contact['speed cap']:.3g} m/s in still water"
+        at = f"at up to {contact['speed cap']:.3g} m/s in still water, with true positions,"
         lines.append(f"  no contact with obstacles {at} does not hold: {contact.shortfall}")
     brief = [line.strip() for line in lines if not line.startswith("  ") or "no contact" in line]
     lines += [f"  {name:<10} {value:8.4g} {derivation.gains.specs[name].unit}" for name, value in derivation.shown()]
