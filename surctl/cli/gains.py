@@ -48,9 +48,9 @@ def gains() -> None:
 def derive(
     vehicle: str, cruise: float | None, margin: float | None, out: Path | None, force: bool, as_json: bool
 ) -> None:
-    """Derive gains from the mass, drag, thrust, lag and hull of a vehicle, and print the disk margin with these gains.
+    """Derive gains from the mass, drag, thrust, lag and hull of a vehicle, and print the margins with these gains.
 
-    VEHICLE is a name or a file. If no derived gains have the required disk margin at the cruise speed, the command
+    VEHICLE is a name or a file. If no derived gains have the required margins at the cruise speed, the command
     prints the largest speed at which they have it, and the exit status is 1.
 
     Examples: surctl gains derive bluerov2-wu; surctl gains derive rov.toml --cruise 0.3 --out gains.toml
