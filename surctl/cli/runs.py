@@ -12,7 +12,7 @@ import click
 
 from surctl.cli.output import finish, progress, same_command, saving, stoppable, together
 from surctl.cli.robot_options import RobotOptions, choose_gains, choose_vehicle
-from surctl.errors import InputError, NotApplicable
+from surctl.errors import InputError
 
 if TYPE_CHECKING:
     from surctl.cli.sensor_options import SensorOptions
@@ -428,20 +428,10 @@ def _linear(case: Case) -> tuple[dict[str, Any] | None, list[str]]:
 
 def _claim(case: Case) -> SafetyClaim | Inapplicable:
     # for the unchanged scenario and the vehicle's parameter ranges
-    from math import inf
+    from surctl.marine.assessment import judged_contact
 
-    from surctl.marine.simulation import safety_claim, turn_rate
-    from surctl.marine.simulation.echo_fit import detection_range
-    from surctl.verification import Inapplicable
-
-    sees = detection_range(case.scenario) if case.sensing == "sonar" else inf
-    believed = case.model or case.vehicle
-    turning = turn_rate(case.scenario, believed, case.gains, sonar=case.sensing == "sonar")
-    kind: dict[str, Any] = {"barrier": case.barrier, "movers": case.movers}
-    try:
-        return safety_claim(case.scenario, believed, case.gains, **kind, detection=sees, turning=turning)
-    except NotApplicable as reason:
-        return Inapplicable.of("no contact", reason)
+    kind: dict[str, Any] = {"sonar": case.sensing == "sonar", "barrier": case.barrier, "movers": case.movers}
+    return judged_contact(case.scenario, case.model or case.vehicle, case.gains, **kind)
 
 
 def _head(campaign: Campaign) -> str:

@@ -13,7 +13,7 @@ import click
 
 from surctl.cli.claims import claim_line
 from surctl.cli.output import as_json, finish, progress, refusal_line, same_command, saving, stoppable, timed
-from surctl.cli.robot_options import at_hand, law_words, trust_option
+from surctl.cli.robot_options import at_hand, derive_words, law_words, margin_of_all, trust_option
 from surctl.cli.subject import (
     OwnSystem,
     assigned,
@@ -120,14 +120,34 @@ def study(
     lines += [f"report {result.report}"] if result.report else []
     tuning = ["surctl", "tune", *([file] if file else []), *(["--trust"] if trust else [])]
     about = at_hand(result.plan.deciding[0].scenario, plan.vehicle, str(result.gain_file))
+    cruise = None if plan.derivation is None else plan.derivation.cruise
+    then = changes(result.assessment, about[3], cruise)
     # a search about missions that the study has made for the vehicle has no study file
-    then = [shlex.join(words) for words in ((tuning,) if not plan.unheard else ())]
+    then += [shlex.join(tuning)] if tunable(result.assessment) and not plan.unheard else []
     then.append(shlex.join(_examined(plan.law, about)))
     brief = [lines[0], *(f"{line.mark} {line.text}" for line in _weakest(result.assessment))]
     finish(
         result.to_dict(), lines,
         as_json=as_json, passed=result.passed, then=then, brief=brief, files=_files(result.report, out),
     )  # fmt: skip
+
+
+def changes(assessment: Assessment, vehicle: str, cruise: float | None) -> list[str]:
+    """Return the command that derives gains with the gain `margin` that is missing; nothing if none is.
+
+    `cruise` is the speed [m/s] for which the assessed gains were derived, or None.
+    """
+    margin = margin_of_all(assessment)
+    if cruise is None or not math.isfinite(margin):
+        return []
+    return [derive_words(vehicle, cruise, "gains.toml", margin=margin)]
+
+
+def tunable(assessment: Assessment) -> bool:
+    """Return whether a search of gains can change the result: a no-contact margin is stated, not searched."""
+    contact = assessment.parts.get("no contact")
+    left = [line for line in assessment.lines if line.counts and line.passed is not True]
+    return not left or any(contact is None or line not in contact.lines for line in left)
 
 
 def _weakest(assessment: Assessment) -> Sequence[Line]:

@@ -218,19 +218,21 @@ def _contact_part(
     if CASCADE not in law_source(law).parts:
         text = f"no contact: not judged, because the claim concerns law guarded and this is {label(law)}"
         return Part((), (Line(None, text, "runs", counts=bool(met)),))
+    sensed = "by sonar" if sonar else "with true positions"
     claims = [judged_contact(*each, gains, sonar=sonar, barrier=barrier, movers=movers, spread=spread) for each in met]
     lines = []
     for (scenario, _), claim in zip(met, claims, strict=True):
         if isinstance(claim, Inapplicable):
-            lines.append(Line(None, f"no contact in {scenario.name}: {claim.sentence}", "runs"))
+            lines.append(Line(None, f"no contact in {scenario.name} {sensed}: {claim.sentence}", "runs"))
             continue
         how = f"holds: margin {claim['margin']:g} m, needed {claim['margin needed']:.3g} m"
         end = how if claim.holds else f"does not hold: {claim.shortfall}"
-        lines.append(Line(claim.holds, f"no contact in {scenario.name} {end}", "runs"))
+        lines.append(Line(claim.holds, f"no contact in {scenario.name} {claim.sensed} {end}", "runs"))
     spare = [(c["margin"] - c["margin needed"], c.scenario) for c in claims if isinstance(c, SafetyClaim)]
     if not spare:
         return Part((), tuple(lines), tuple(claims))
     least, where = min(spare)
+    where = f"{where} {sensed}"
     figure = Figure("contact_margin_m", least, "m", "gain margin beyond the one that braking needs", "high", 0.0, where)
     return Part((figure,), tuple(lines), tuple(claims))
 

@@ -1,11 +1,16 @@
 """Advice that quotes a key and a value is accepted as it is printed, and ends the finding."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from surctl.assessment import Line, assess
+from surctl.cli.study import changes, tunable
+from surctl.marine.assessment import Mission
 from surctl.marine.control import GAINS, load_gains, write_gains
+from surctl.marine.simulation import load_scenario
 from surctl.marine.tuning import derived_gains
 from surctl.marine.vehicle import load_vehicle, write_vehicle
 from tests.cli.process import surctl_here
@@ -75,6 +80,20 @@ def test_advice_is_accepted_as_it_is_printed(tmp_path, name, changed, cruise, ca
             assert (finding["key"], finding["text"][:40]) not in left, (key, value, finding, left)
             file.write_text(text)
     assert expected <= seen, known
+
+
+def test_a_study_offers_what_changes_its_result() -> None:
+    vehicle = load_vehicle("bluerov2-heavy")
+    vehicle = vehicle.with_values({name: 2 * vehicle[name] for name in ("m11", "m22")})
+    scenario = replace(load_scenario("tank-static"), cruise=0.3, cap=0.4)
+    mission = Mission(vehicle, derived_gains(vehicle, cruise=0.3), 0.3, 0.4, scenarios=(scenario,))
+    short = assess(mission, parts=["no contact"])
+    [command] = changes(short, "v.toml", 0.3)
+    margin = float(command.split()[command.split().index("--margin") + 1])
+    wide = replace(mission, gains=mission.gains.with_values({"margin": margin}))
+    assert short.passed is False and assess(wide, parts=["no contact"]).passed
+    assert not tunable(short) and tunable(short.with_lines([Line(False, "margins")]))
+    assert changes(short, "v.toml", None) == changes(assess(wide, parts=["no contact"]), "v.toml", 0.3) == []
 
 
 def test_a_value_that_a_text_quotes_has_its_unit() -> None:

@@ -324,7 +324,7 @@ class SafetyClaim:
 
     def lines(self) -> list[str]:
         """Return the claim as lines of text."""
-        head = f"{self.scenario} by {self.vehicle}: {self.statement}"
+        head = f"{self.scenario} by {self.vehicle}, {self.sensed}: {self.statement}"
         rows = [
             f"  {what:<8} {f.name:<24} {f.value:8.4g} {f.unit}"
             for what, figures in (("assumes", self.assumptions), ("gives", self.derived))
@@ -333,6 +333,11 @@ class SafetyClaim:
         speeds = "" if self.contradicted else " at every speed up to the cap"
         end = "holds" if self.holds else f"DOES NOT HOLD{speeds}: {self.shortfall}"
         return [head, *rows, *([f"  assumes  {self.echoes}"] if self.echoes else []), f"  {end}"]
+
+    @property
+    def sensed(self) -> str:
+        """How the law detects obstacles, in words; with true positions the detection range is inf."""
+        return "by sonar" if isfinite(self["detection range"]) else "with true positions"
 
     @property
     def least_margin(self) -> float:

@@ -518,8 +518,8 @@ class CornerMargin(NamedTuple):
             else [f"a disk margin of {_number(self.margin)} at {self.corner} (at least {LEAST_DISK_MARGIN:g})"]
         )
         if delay < 1:
-            late = f"a delay margin of {self.delay.delay_s:.2g} s ({self.delay.where})"
-            texts.append(f"{late}, at least {LEAST_DELAY_MARGIN:g} s")
+            late = f"a delay margin of {self.delay.delay_s:.2g} s in {self.delay.where}"
+            texts.append(f"{late} (at least {LEAST_DELAY_MARGIN:g} s)")
         return " and ".join(texts)
 
     @property
