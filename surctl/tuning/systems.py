@@ -120,7 +120,8 @@ def tune_system(
     keep it. Hard goals are bounds.
 
     A gain set is feasible if no run ends early, every cost is at most its bound (`Cost.at_most`), the disk margin is at
-    least `least_disk_margin`, and the delay margin at least one control period. The margins are computed only for the
+    least `least_disk_margin`, and the delay margin at least one control period. The system's own gains are the first
+    set, if they are in the ranges. The margins are computed only for the
     sets with the least cost, because their computation takes longer than a run.
 
     Args:
@@ -171,7 +172,7 @@ def tune_system(
             system, every_combination({gain: bounds[0] for gain, bounds in ranges.items()}, cases or {})
         )
         aims = [str(goal.to_dict()) for goal in goals], [(p, sorted(v.items())) for p, v in points.items()], run_goals
-        about = f"{name} {size} {seed} {sorted(ranges.items())} {first.digest()} {aims}"
+        about = f"{name} {size} {seed} own {sorted(ranges.items())} {first.digest()} {aims}"
         request = request_digest(system, seconds, about)
     with journal.held():
         batches = journal.batches(request, width=len(ranges) + len(system.costs) + 3)
@@ -185,7 +186,9 @@ def tune_system(
             return values
 
         space = [SearchRange(gain, *map(float, ends)) for gain, ends in ranges.items()]
-        evolve(value, space, size=size, batches=trials // size, seed=seed)
+        own = [search.nominal(gain) for gain in ranges]
+        inside = all(one.low <= x <= one.high for one, x in zip(space, own, strict=True))
+        evolve(value, space, size=size, batches=trials // size, seed=seed, first=[own] if inside else ())
         chosen = search.chosen(least_disk_margin)
     journal.remove(request)
     return chosen
@@ -327,7 +330,7 @@ class _Search:
                 best, margins = k, others
         broken = [name for j, name in enumerate(self.system.costs) if self.excess(figures[best][None])[0, j] > 0]
         broken += [_MARGINS[one.name] for one in margins if not one.enough]
-        nominal = np.array([self._nominal(name) for name in self.names])
+        nominal = np.array([self.nominal(name) for name in self.names])
         own = self.costs(nominal[None])[0]
         after, before = (
             None if self.goals is None else self.goals.judged(self.names, gains) for gains in (sets[best], nominal)
@@ -368,7 +371,8 @@ class _Search:
         chosen = [figures[name] for name in _MARGINS if name in figures]
         return tuple(replace(one, least=least) if one.name == "disk_margin" else one for one in chosen)
 
-    def _nominal(self, name: str) -> float:
+    def nominal(self, name: str) -> float:
+        """Return the system's own value of a gain."""
         gains, (port, _, entry) = self.system.controller.gains, name.partition("[")
         return float(gains.pack()[gains.slice(port)][int(entry.rstrip("]") or 0)])
 
