@@ -23,7 +23,7 @@ from surctl.certcheck.braking_claim import STOPPING
 from surctl.certcheck.braking_claim import read_claim as read_braking
 from surctl.certcheck.bundle import Listed, Manifest, Port, stated_sha256
 from surctl.certcheck.comparison import ALIKE, LIMITS, ROUNDING, Comparison
-from surctl.certcheck.document import Rejected
+from surctl.certcheck.document import MALFORMED, Rejected
 from surctl.certcheck.elementary import Undefined
 from surctl.certcheck.law_points import Law, compare_braking, compare_following
 from surctl.certcheck.loop_dynamics import compare_dynamics
@@ -110,7 +110,7 @@ def compare(document: Mapping[str, Any], manifest: Manifest) -> Belonging:
             kinds[document["kind"]]()
     except (Rejected, Undefined) as reason:
         comparison.differs.append(f"law: {reason}")
-    except (KeyError, TypeError, ValueError, IndexError, AttributeError, ArithmeticError):  # each number may be forged
+    except MALFORMED:  # each number may be forged
         comparison.differs.append("bundle: its entries and those of the certificate do not fit together")
     if not comparison.differs:
         comparison.excludes.append(_CODE)
