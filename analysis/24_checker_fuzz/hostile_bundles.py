@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from surctl.certcheck import seal
-from surctl.certcheck.bundle import _gains_id, manifest_seal, numbers_sha256
+from surctl.certcheck.bundle import FORMAT_VERSION, _gains_id, manifest_seal, numbers_sha256, ports_sha256
 
 __all__ = ["KINDS", "bundle", "write"]
 
@@ -55,12 +55,12 @@ def bundle(
         "plant_measured.txt": {"sha256": digest(_MEASURES), "outputs": ["x[1] m"]},
     }  # fmt: skip
     nothing = numbers_sha256([])
-    parts = (digest(law), (0.1).hex(), "float64", nothing, nothing)
-    identity = digest("\n".join(parts))
+    parts = (digest(law), ports_sha256(listed["law.txt"]), (0.1).hex(), "float64", nothing)
+    identity = digest("\n".join((*parts, nothing)))
     files = {"law.txt": law, "plant.txt": plant, "plant_measured.txt": _MEASURES, "c.c": f'return "{identity}";'}
     files |= {f"list{k}.txt": law + "\n" * 9 for k in range(extra)}
     manifest = {
-        "format_version": 1, "name": "c", "id": identity, "dt_s": 0.1, "real": "float64", "lists": listed,
+        "format_version": FORMAT_VERSION, "name": "c", "id": identity, "dt_s": 0.1, "real": "float64", "lists": listed,
         "law": {"sha256": digest(law), "ground_truth_sha256": digest(law), "initial_state_sha256": nothing},
         "gains": {"values": [], "sha256": nothing, "id": _gains_id(parts, [], "float64")},
         "sha256": {name: digest(text) for name, text in files.items()},

@@ -28,11 +28,11 @@ from surctl.certcheck.document import LARGEST, canonical, parse, read_bytes
 from surctl.certcheck.instructions import digest
 from surctl.errors import InputError
 
-__all__ = ["Listed", "Manifest", "Port", "manifest_seal", "numbers_sha256", "read_bundle", "read_manifest",
-           "stated_sha256"]  # fmt: skip
+__all__ = ["Listed", "Manifest", "Port", "manifest_seal", "numbers_sha256", "ports_sha256", "read_bundle",
+           "read_manifest", "stated_sha256"]  # fmt: skip
 
 MANIFEST, LAW = "manifest.json", "law.txt"
-FORMAT_VERSION = 1  # of the manifest and of what it lists
+FORMAT_VERSION = 2  # of the manifest and of what it lists
 _LARGEST = 32_000_000  # [bytes] of one file
 _MOST = 2000  # files and folders
 _DEEPEST = 6  # folders inside one another
@@ -74,7 +74,7 @@ class Manifest:
     """The manifest of an exported controller, after its comparison with the exported files.
 
     Attributes:
-        id: hash of the law, its period, its precision, its gains and its initial state.
+        id: hash of the law, the ports of its vectors, its period, its precision, its gains and its initial state.
         real: floating-point precision of the exported code.
         period: control period [s].
         laws: two digests: of the law's instruction list, and of the instruction list of the same law with true obstacle
@@ -112,6 +112,11 @@ class Manifest:
 def numbers_sha256(numbers: Sequence[float]) -> str:
     """Return the SHA-256 of a sequence of numbers; it changes with every bit of a number and with their order."""
     return hashlib.sha256("\n".join(float(value).hex() for value in numbers).encode()).hexdigest()
+
+
+def ports_sha256(entry: Mapping[str, Any]) -> str:
+    """Return the SHA-256 of the names, sizes and units of the vectors of a list, from its entry in the manifest."""
+    return hashlib.sha256(canonical({k: v for k, v in entry.items() if k not in ("sha256", *_NUMBERS)})).hexdigest()
 
 
 def stated_sha256(claim: Mapping[str, Any]) -> str:
@@ -197,14 +202,15 @@ def read_manifest(document: Any, texts: Mapping[str, str], path: Path | None = N
         fins = {_text(name): _number(value) for name, value in vehicle.get("fins", {}).items()}
         numbers = [v for row in gains.values() for v in row]
         flat = numbers_sha256(numbers)
-        parts = (manifest.laws[0], manifest.period.hex(), manifest.real, flat, _text(law["initial_state_sha256"]))
+        ports = ports_sha256(document["lists"][LAW])
+        parts = (manifest.laws[0], ports, manifest.period.hex(), manifest.real, _text(law["initial_state_sha256"]))
         wrong = [] if document["gains"]["sha256"] == flat else ["the stated hash of the gains is wrong"]
         if manifest.vehicle and manifest.vehicle != _vehicle_sha256(values, _text(vehicle.get("thrusters", ""))):
             wrong.append("the stated hash of the vehicle is wrong")
         if manifest.gains_id != _gains_id(parts, numbers, manifest.real):
             wrong.append("the stated id of law and gains is wrong")
-        if manifest.id != hashlib.sha256("\n".join(parts).encode()).hexdigest():
-            wrong.append("the id does not match law, period, precision, gains and initial state")
+        if manifest.id != hashlib.sha256("\n".join((*parts, flat)).encode()).hexdigest():
+            wrong.append("the id does not match law, ports, period, precision, gains and initial state")
         lists: dict[str, Listed] = {}
         count = 0
         for name, entry in document["lists"].items():
@@ -322,7 +328,7 @@ def _vehicle_sha256(values: Mapping[str, float], thrusters: str) -> str:
 
 def _gains_id(parts: Sequence[str], numbers: Sequence[float], real: str) -> str:
     """Return the id that the C function `gains_id` computes: the CRC-32 of the gains as `gains_save` stores them."""
-    key = hashlib.sha256("\n".join((*parts[:3], parts[4])).encode()).digest()[:8]
+    key = hashlib.sha256("\n".join(parts).encode()).digest()[:8]
     letter, width = {"float64": ("d", 8), "float32": ("f", 4)}[real]
     stored = (
         b"SURG" + struct.pack("<HHI", 1, width, len(numbers)) + key + struct.pack(f"<{len(numbers)}{letter}", *numbers)
