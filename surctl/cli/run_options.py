@@ -25,16 +25,6 @@ if TYPE_CHECKING:
     from surctl.marine.simulation import Case, Run, Scenario, ThrusterFault
     from surctl.marine.vehicle import Vehicle
 
-__all__ = [
-    "ControllerOptions",
-    "NamedFile",
-    "PlantOptions",
-    "animate_option",
-    "check_animate",
-    "controller_options",
-    "plant_options",
-]
-
 
 class NamedFile(click.Path):
     """The name of a file to write, which is not empty (an empty name would be the present folder)."""

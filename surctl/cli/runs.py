@@ -22,20 +22,6 @@ if TYPE_CHECKING:
     from surctl.marine.vehicle import Vehicle
     from surctl.verification import Inapplicable
 
-__all__ = [
-    "CampaignOptions",
-    "activity_line",
-    "campaign_options",
-    "failure",
-    "further_output",
-    "linear_warning",
-    "loop_lines_of_run",
-    "run_line",
-    "series_lines",
-    "simulate_again",
-    "where",
-]
-
 _ROUNDING = 1e-9  # [N/s], [N m/s] variation of a thrust below which it is that of rounding
 _CRABBING = 15.0  # [deg] mean crab angle from which the line of a run says that the hull crabs
 

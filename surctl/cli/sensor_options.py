@@ -10,24 +10,12 @@ from typing import TYPE_CHECKING, Any, NoReturn
 import click
 
 from surctl.cli.output import together
-from surctl.errors import InputError, nearest
+from surctl.errors import InputError, check_known, nearest
 
 if TYPE_CHECKING:
     from surctl.marine.sensing import Fault, FaultChances, SonarArray
     from surctl.marine.simulation import Scenario, ThrusterFault
     from surctl.marine.simulation.sensors import Sensors
-
-__all__ = [
-    "THRUSTER_FORM",
-    "SensorOptions",
-    "parse_chances",
-    "parse_fault",
-    "parse_thruster_fault",
-    "sensor_data",
-    "sensor_options",
-    "simulated_echoes",
-    "split_faults",
-]
 
 FORM = "KIND:SENSOR[:START[:DURATION]]"
 OWN_STATES = ("measured", "truth")
@@ -47,11 +35,7 @@ sensor_options = together(
         help="Fault KIND:SENSOR or thruster:NAME[:START[:DURATION]]",
     ),
     click.option(
-        "--chance",
-        "chances",
-        multiple=True,
-        metavar="KIND=P",
-        help="Probability of a fault per ping; may be repeated.",
+        "--chance", "chances", multiple=True, metavar="KIND=P", help="Probability of a fault per ping; may be repeated."
     ),
     click.option("--beam", type=float, metavar="DEG", help="Sonar beam angle [deg] (default: the scenario's)."),
     click.option("--own-state", metavar="NAME", help="Own pose: measured or truth (default: the scenario's)."),
@@ -89,8 +73,7 @@ class SensorOptions:
         from surctl.marine.simulation import SENSING
         from surctl.own_code import label
 
-        if sensing not in SENSING:
-            raise InputError("is not known", key="--sensing", value=sensing, remedy=nearest(sensing, SENSING))
+        check_known(sensing, SENSING, key="--sensing")
         options = {
             "--fault": self.faults,
             "--chance": self.chances,
@@ -120,9 +103,7 @@ class SensorOptions:
         if self.echoes is not None:
             from surctl.marine.simulation import ECHOES
 
-            if self.echoes not in ECHOES:
-                remedy = nearest(self.echoes, ECHOES)
-                raise InputError("is not known", key="--echoes", value=self.echoes, remedy=remedy)
+            check_known(self.echoes, ECHOES, key="--echoes")
 
     def over(self, scenario: Scenario) -> Scenario:
         """Return the scenario with these sensor options.

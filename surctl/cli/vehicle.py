@@ -15,8 +15,6 @@ from surctl.errors import InputError
 if TYPE_CHECKING:
     from surctl.marine.vehicle import Identified, MotionLog, Prediction, Vehicle
 
-__all__ = ["thrusters", "vehicle"]
-
 _FASTEST, _LARGEST = 100.0, 1e9  # [m/s], [N, N m]
 
 

@@ -19,8 +19,6 @@ from surctl.ir.cache import shared_library
 from surctl.ir.native import loaded
 from surctl.ir.routine import Block
 
-__all__ = ["PRELUDE", "Batch", "batch_source", "compile_batch", "compile_batch_source"]
-
 PRELUDE = r"""#include <math.h>
 #include <string.h>
 

@@ -16,25 +16,6 @@ from surctl.errors import InputError
 from surctl.ir.folding import Numbering
 from surctl.ir.program import OPERATIONS, Instruction, Program, drop_dead
 
-__all__ = [
-    "Move",
-    "Real",
-    "broken",
-    "c_literal",
-    "copy_loop",
-    "emit_c99",
-    "entry",
-    "expression",
-    "handed_on",
-    "head",
-    "identifier",
-    "move_lines",
-    "only_moves",
-    "rearranged",
-    "remaining",
-    "signature",
-]
-
 _FAMILIES = re.compile(
     r"""
     (?:

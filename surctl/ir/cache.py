@@ -34,23 +34,6 @@ import numpy as np
 
 from surctl.errors import InputError, SurctlError, ToolMissing
 
-__all__ = [
-    "FLAGS",
-    "CacheUnused",
-    "cache_folder",
-    "cached_bytes",
-    "compile_program",
-    "compiler_version",
-    "find_compiler",
-    "further_flags",
-    "packaged_compiler",
-    "quick_flags",
-    "shared_library",
-    "source_digest",
-    "stored_numbers",
-    "tuned_flags",
-]
-
 # Search for the system's C compiler, and compilation without options that change numerical results
 
 
@@ -186,10 +169,7 @@ def _refuse(flags: Sequence[str], *, key: str = "flags") -> None:
     for flag in flags:
         if flag in _REFUSED:
             raise InputError(
-                "changes the results of floating-point arithmetic",
-                key=key,
-                value=flag,
-                remedy="leave it out",
+                "changes the results of floating-point arithmetic", key=key, value=flag, remedy="leave it out"
             )
 
 

@@ -22,8 +22,6 @@ from surctl.ir.folding import shortened
 from surctl.ir.replay import replay
 from surctl.ir.routine import Block
 
-__all__ = ["Native", "SlowerEngine", "Workspace", "compile_block", "runnable", "warn_slower"]
-
 Array: TypeAlias = NDArray[Any]  # of the block's dtype
 
 _SYMBOL = "surctl_block"

@@ -29,8 +29,6 @@ from surctl.ir.nesting import Traced, routine
 from surctl.ir.program import OPERATIONS, SUBSTITUTES, Instruction, Program, drop_dead
 from surctl.ir.routine import Block
 
-__all__ = ["Recording", "each", "fold", "lower", "lower_named", "only_if", "picked", "repeat", "tabulated"]
-
 _NAMES: Mapping[int, str] = MappingProxyType(
     {int(getattr(ca, n)): n[3:].lower() for n in dir(ca) if n.startswith("OP_")}
 )

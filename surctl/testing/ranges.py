@@ -13,16 +13,6 @@ from numpy.typing import NDArray
 
 from surctl.errors import InputError, SurctlError
 
-__all__ = [
-    "CheckFailed",
-    "Parameter",
-    "SampledExpressions",
-    "SymbolRanges",
-    "checked_count",
-    "checked_type",
-    "ranges_of",
-]
-
 
 class CheckFailed(SurctlError, AssertionError):
     """Raised when a check fails; the message states the object (task, limit, backend), the error and the point.

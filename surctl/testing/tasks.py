@@ -18,13 +18,6 @@ from surctl.tasks import Kind, Limit, LimitRow, SetTask, Task
 from surctl.tasks.task import as_expression, axis_names, is_pose
 from surctl.testing.ranges import CheckFailed, Parameter, SampledExpressions, SymbolRanges, checked_count, ranges_of
 
-__all__ = [
-    "LimitReport",
-    "TaskReport",
-    "check_limit",
-    "check_task",
-]
-
 # Check whether a limit is valid: its constraint rows are finite, named, and without crossing bounds
 
 

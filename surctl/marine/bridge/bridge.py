@@ -45,8 +45,6 @@ from surctl.marine.simulation import Scenario, law_numbers
 from surctl.marine.tuning import gains_for
 from surctl.marine.vehicle import Vehicle
 
-__all__ = ["Bridge", "Moment", "Plan", "plan_session"]
-
 Vector = NDArray[np.float64]
 
 _BEAT, _TIME, _RATES = 1.0, 0.1, 2.0  # [s] between heartbeats, TIMESYNC requests, requests of rates

@@ -16,7 +16,7 @@ from typing import Any, cast, get_args
 
 import casadi as ca
 
-from surctl.errors import InputError, SurctlError, nearest
+from surctl.errors import InputError, SurctlError, check_known
 from surctl.ir import (
     Block,
     Call,
@@ -72,18 +72,6 @@ from surctl.marine.vehicle import Actuators
 from surctl.own_code import is_own, label, own_file
 from surctl.priority import Fallback, LevelShape, Mode, check_fallback, nsb_symbolic, priority_step
 from surctl.tasks import LimitRow, VelocityBox
-
-__all__ = [
-    "LAW_SOURCES",
-    "MODES",
-    "build_law",
-    "build_law_of",
-    "in_real",
-    "law_bytes",
-    "law_from",
-    "limited",
-    "sensing",
-]
 
 
 def _limit_rows(decision: Decision, p: dict[str, ca.SX]) -> list[LimitRow]:
@@ -347,8 +335,7 @@ def build_law(
         ("movers", movers, MOVERS),
     )
     for key, value, known in names:
-        if value not in known:
-            raise InputError("is not known", key=key, value=value, remedy=nearest(str(value), known))
+        check_known(value, known, key=key)
         if key in ("barrier", "movers") and key not in source.options and value != known[0]:
             raise InputError(f"law {called} has no such option", key=key, value=value, remedy="use law guarded")
     check_guidance(guidance)
@@ -458,8 +445,7 @@ def _built(c: _Configuration) -> Law:
     inputs = sonar_inputs(c.equipment, contacts=c.contacts, depths=c.depths)
     noise = {"model_noise": source.model_noise, "acceleration_noise": source.acceleration_noise}
     return _with_perception(
-        _decide(source, c, decision_inputs),
-        build_perception(c.equipment, inputs, decision_inputs, dt=c.dt, **noise),
+        _decide(source, c, decision_inputs), build_perception(c.equipment, inputs, decision_inputs, dt=c.dt, **noise)
     )
 
 

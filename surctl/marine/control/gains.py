@@ -14,8 +14,6 @@ from surctl.errors import InputError, nearest
 from surctl.files import Quantity, Strict, load_model, pick, quoted
 from surctl.units import is_number
 
-__all__ = ["GAINS", "LIBRARY", "GainSpec", "Gains", "load_gains", "write_gains"]
-
 LIBRARY = Path(__file__).parent / "library"
 
 

@@ -29,21 +29,6 @@ from surctl.priority import Fallback, Level, Mode, PriorityProblem, PrioritySolu
 from surctl.priority.solver.elimination import FLOAT32, FLOAT64, Precision
 from surctl.system import NONFINITE
 
-__all__ = [
-    "DEGRADED",
-    "NONFINITE",
-    "PRECISIONS",
-    "SATURATED",
-    "SWITCHED",
-    "TELEMETRY",
-    "TRAPPED",
-    "WORKING",
-    "Law",
-    "LawStep",
-    "Stages",
-    "with_allocation",
-]
-
 Vector: TypeAlias = NDArray[np.float64]
 
 SATURATED, SWITCHED, DEGRADED, TRAPPED = 1, 2, 4, 8

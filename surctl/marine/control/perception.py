@@ -55,19 +55,6 @@ from surctl.marine.sensing.localisation.movers import MoverTracker
 from surctl.marine.sensing.mapping.local_map import READING, RING
 from surctl.marine.vehicle import planar_rotation
 
-__all__ = [
-    "CELLS_A_HULL",
-    "FACE_PORTS",
-    "LAST_THRUST",
-    "PERCEPTION",
-    "Face",
-    "Firing",
-    "PerceptionStage",
-    "build_perception",
-    "face_after",
-    "with_face",
-]
-
 _NEVER = 1e5  # [s] age of a face that was never measured
 _NEAR = 0.6  # [m] longest range of an echo from which a face is determined
 _APART = 0.25  # [m] least distance between two echoes

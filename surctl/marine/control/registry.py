@@ -19,8 +19,6 @@ from surctl.marine.control.stopping import BARRIERS
 from surctl.marine.vehicle import Vehicle
 from surctl.own_code import check_trusted, is_own, label, object_of, own_file, pinned
 
-__all__ = ["LAWS", "LAW_NAMES", "SONARLESS", "check_forces", "default_law", "law_ref", "law_source"]
-
 
 def _guarded(s: Situation, calm: float | None = None) -> Decision:
     p = s.p if calm is None else calm_parameters(s.p)

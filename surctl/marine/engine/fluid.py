@@ -23,21 +23,12 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.errors import InputError, nearest
+from surctl.errors import InputError, check_known, nearest
 from surctl.ir import Program, lower_named
 from surctl.marine.vehicle import GRAVITY, WATER, Actuators, PlantForm, Vehicle, plant_layout, plant_parameters
 
 if TYPE_CHECKING:
     from surctl.marine.simulation import Scenario
-
-__all__ = [
-    "Body",
-    "EngineOptions",
-    "body_of",
-    "environment",
-    "fluid_program",
-    "parse_plant",
-]
 
 # How MuJoCo simulates a vehicle: degrees of freedom, drag model, water surface, and rays of the sonars
 
@@ -93,10 +84,7 @@ class EngineOptions:
         if self.dof not in (0, 4, 6):
             raise InputError("is not possible", key="dof", value=self.dof, remedy="use 4 or 6")
         for key, known in _WORDS.items():
-            if getattr(self, key) not in known:
-                raise InputError(
-                    "is not known", key=key, value=getattr(self, key), remedy=nearest(getattr(self, key), known)
-                )
+            check_known(getattr(self, key), known, key=key)
         for key, low, high in (("surface", 0.0, 1.0), ("count", 8, 100_000), ("step", 1e-4, 0.025)):
             if not low <= getattr(self, key) <= high:
                 raise InputError(

@@ -28,14 +28,6 @@ if TYPE_CHECKING:
     from surctl.marine.simulation.physics import PhysicsMaker
     from surctl.marine.vehicle import Vehicle
 
-__all__ = [
-    "BatchCase",
-    "MujocoPhysics",
-    "mujoco_physics",
-    "simulate_seeds",
-    "simulate_with_steppers",
-]
-
 Array = NDArray[np.float64]
 
 

@@ -21,8 +21,6 @@ from surctl.marine.simulation.world import build_world
 from surctl.marine.vehicle import Vehicle, attainable, axis_ends, plant_parameters
 from surctl.marine.vehicle.dynamics import trim_tilt
 
-__all__ = ["Finding", "findings", "held_share", "thruster_findings", "tilt_findings"]
-
 _WIDE = 15.0  # [deg] tilt above which the sonars' beams leave the depth of the path, and sin² of it costs thrust
 
 

@@ -10,23 +10,6 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = [
-    "AT_LIMIT",
-    "GONE",
-    "LATE",
-    "LINK_LOST",
-    "METRICS",
-    "MOVING",
-    "SIGN",
-    "STANDSTILL",
-    "STOPPED_LIMIT",
-    "STOPS",
-    "MetricSpec",
-    "Metrics",
-    "avoidance_intervals",
-    "path_error",
-]
-
 TUBE = 0.10  # [m] an avoidance interval ends only when |y_e| is at most this (*chosen*)
 NEAR_TARGET = 1.0  # [m] distance from the target within which overshoot is measured (*chosen*)
 

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.errors import InputError, cannot_write, nearest
+from surctl.errors import InputError, cannot_write, check_known
 from surctl.files import file_name, write_file
 from surctl.marine.simulation.run import Run
 from surctl.marine.simulation.scenario import Scenario
@@ -25,17 +25,6 @@ from surctl.marine.vehicle import FRAME_TEXT, LOG_MOTION, LOG_THRUST, Frame, Veh
 from surctl.marine.world import Box, Disc
 from surctl.recorded import shown
 from surctl.recorded_write import RECORD_FORMATS, Column, McapFile, RecordFormat, stamp, write_mat, write_netcdf
-
-__all__ = [
-    "LAYOUT",
-    "RECORD_FORMATS",
-    "RUN_FORMATS",
-    "RecordFormat",
-    "SceneFile",
-    "record_columns",
-    "save_record",
-    "save_scene",
-]
 
 Vector = NDArray[np.float64]
 
@@ -412,8 +401,7 @@ def save_record(run: Run, folder: Path, *, kind: RecordFormat | str, frame: Fram
         >>> print(saved, saved.read_text().splitlines()[1][:23])
         pool-behind-0.csv t_s,x_m,y_m,z_m,psi_rad
     """
-    if kind not in RUN_FORMATS:
-        raise InputError("is not known", key="--save", value=kind, remedy=nearest(str(kind), RUN_FORMATS))
+    check_known(kind, RUN_FORMATS, key="--save")
     if kind == "mcap":
         if frame != "enu":
             raise InputError("is not a frame of Foxglove", key="--frame", value=frame, remedy="use enu for mcap")

@@ -25,8 +25,6 @@ from surctl.marine.control.closing import CLIMB
 from surctl.marine.guidance import BEND, MAX_WAYPOINTS, PASS, VISIT, Path
 from surctl.marine.simulation.obstacle import Point, Positive
 
-__all__ = ["MAX_POINTS", "Corner", "Leg", "Route", "Survey"]
-
 _ARC_ERROR = 0.001
 """Largest distance [m] between an arc and its chords, if the file does not state another (*chosen*)."""
 

@@ -24,21 +24,6 @@ from surctl.marine.simulation.route import PERIOD, Corner, Route
 from surctl.marine.simulation.sensors import OwnStateTable, Sensors, SonarTable, StationTable, sensors_from_tables
 from surctl.marine.world import Box, Disc, Wall, site_walls
 
-__all__ = [
-    "LIBRARY",
-    "Disturbance",
-    "Finding",
-    "PaperFigure",
-    "Scenario",
-    "Shape",
-    "Uncertainty",
-    "check_spacing",
-    "escaped",
-    "load_scenario",
-    "scenario_from_table",
-]
-
-
 Share = Annotated[float, Field(ge=0, lt=1)]
 
 
@@ -433,11 +418,7 @@ def _check_depths(scenario: Scenario) -> None:
 def _in_water(scenario: Scenario, key: str, depth: float | None) -> None:
     if depth is not None and not -scenario.site[2] < depth < 0:
         raise InputError(
-            "is not in the water",
-            file=scenario.source,
-            key=key,
-            value=depth,
-            remedy=_DEPTHS.format(-scenario.site[2]),
+            "is not in the water", file=scenario.source, key=key, value=depth, remedy=_DEPTHS.format(-scenario.site[2])
         )
 
 

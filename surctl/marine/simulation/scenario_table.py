@@ -13,8 +13,6 @@ from surctl.marine.sensing import BaseStation, Delivery, Equipment, OwnState, So
 from surctl.marine.simulation.scenario import Scenario
 from surctl.marine.simulation.sensors import Sensors
 
-__all__ = ["scenario_table"]
-
 _BESIDE = 4  # floating-point neighbours on each side that may convert to the same angle
 
 

@@ -10,7 +10,7 @@ from typing import Annotated, Literal, TypeVar
 
 from pydantic import Field
 
-from surctl.errors import InputError, nearest
+from surctl.errors import InputError, check_known
 from surctl.files import Strict
 from surctl.marine.sensing import (
     REFLECTORS,
@@ -26,17 +26,6 @@ from surctl.marine.sensing import (
 )
 from surctl.marine.sensing.equipment import SurfaceModel
 from surctl.marine.simulation.reflectors import ECHOES
-
-__all__ = [
-    "FIRING",
-    "FiringPlan",
-    "OwnStateTable",
-    "Sensors",
-    "SonarTable",
-    "StationTable",
-    "firing_plan",
-    "sensors_from_tables",
-]
 
 T = TypeVar("T")
 
@@ -157,8 +146,7 @@ class Sensors:
             >>> Sensors().hearing("webots").equipment.array.incidence_limit == 0.125 * 3.141592653589793
             True
         """
-        if echoes not in ECHOES:
-            raise InputError("is not known", key="echoes", value=echoes, remedy=nearest(echoes, ECHOES))
+        check_known(echoes, ECHOES, key="echoes")
         simple, limit = _simple(echoes)
         array = replace(self.equipment.array, incidence_limit=limit)
         return replace(self, equipment=replace(self.equipment, array=array), echoes="" if simple else echoes)

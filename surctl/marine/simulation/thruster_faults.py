@@ -17,8 +17,6 @@ from surctl.marine.control import Law
 from surctl.marine.simulation.run import Run
 from surctl.marine.vehicle import Actuators, Vehicle, axis_limits
 
-__all__ = ["ThrusterFault", "ThrusterUse", "Thrusters", "check_failed", "fin_excess", "thruster_use"]
-
 Array = NDArray[np.float64]
 
 _SLACK = 1e-6  # [s] tolerance of a fault's times, because times are rounded sums of control periods

@@ -25,8 +25,6 @@ from surctl.marine.simulation.scenario import Scenario, Shape
 from surctl.marine.vehicle import Vehicle
 from surctl.marine.world import WHOLE, Box, Disc, Heights, Prism
 
-__all__ = ["BAND", "FOOTPRINT", "LONGEST", "Body", "World", "WorldDraw", "beside", "build_world", "draw_world"]
-
 
 @dataclass(frozen=True)
 class Body:

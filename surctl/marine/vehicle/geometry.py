@@ -8,8 +8,6 @@ from surctl.errors import InputError
 from surctl.marine.vehicle.parameters import Parameter, Vehicle
 from surctl.marine.vehicle.specs import PARAMETERS
 
-__all__ = ["GRAVITY", "WATER", "floating_depth", "missing_buoyancy", "sphere"]
-
 _DRAG = (0.4, 1.0)  # range of drag coefficients of spheres with openings and fittings
 _THRUST = 0.15  # relative difference between the thrust in a bollard test and at speed
 _LINEAR = 0.03  # [m/s] speed at which linear and quadratic drag are equal

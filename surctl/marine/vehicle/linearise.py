@@ -22,24 +22,6 @@ from surctl.marine.vehicle.dynamics import (
 from surctl.marine.vehicle.parameters import Vehicle
 from surctl.marine.vehicle.specs import PlantForm
 
-__all__ = [
-    "STATE_NAMES",
-    "THRUST_NAMES",
-    "TILT_NAMES",
-    "WITHIN_LAW",
-    "ahead_limit",
-    "beyond_law",
-    "can_hold",
-    "check_cruise",
-    "command_range",
-    "dynamic_states",
-    "labelled",
-    "linearise",
-    "plant_jacobians",
-    "plant_system",
-    "state_names",
-]
-
 TILT_NAMES = ("phi", "theta", "p", "q")
 STATE_NAMES = ("x", "y", "z", "psi", "u", "v", "w", "r", "Fu", "Fv", "Fw", "Fr")
 THRUST_NAMES = ("Fu_cmd", "Fv_cmd", "Fw_cmd", "Fr_cmd")

@@ -15,22 +15,6 @@ from surctl.errors import InputError
 from surctl.recorded import NO_HEADER, Recorded, read_recorded
 from surctl.units import in_unit
 
-__all__ = [
-    "FRAMES",
-    "FRAME_TEXT",
-    "LOG_MOTION",
-    "LOG_THRUST",
-    "LOG_TILT",
-    "Frame",
-    "MotionLog",
-    "check_frame",
-    "heading_velocity",
-    "in_sequence",
-    "read_motion_log",
-    "swap_body",
-    "swap_pose",
-]
-
 # Conversion between the frame conventions ENU/FLU, used in all computations, and NED/FRD, used by other programs.
 #
 # ENU is the frame {E}: x east, y north, z up, ψ counter-clockwise from x. FLU is the frame {B}: x forward, y left, z

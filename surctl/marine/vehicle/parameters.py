@@ -27,8 +27,6 @@ from surctl.marine.vehicle.specs import (
 from surctl.marine.vehicle.thruster_file import axis_ends, axis_limits, common_lag, read_actuators, thruster_text
 from surctl.marine.vehicle.thrusters import Actuators
 
-__all__ = ["LIBRARY", "Parameter", "Vehicle", "load_vehicle", "write_vehicle"]
-
 _NAMES = ("Fu_max", "Fv_max", "Fw_max", "Fr_max")
 _ARM = 1e-6  # [m] a shorter arm gives no yaw moment
 

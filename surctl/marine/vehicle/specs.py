@@ -23,18 +23,6 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from itertools import combinations_with_replacement, product
 
-__all__ = [
-    "AXES",
-    "DEFAULTED",
-    "NEEDED_TO_TILT",
-    "PARAMETERS",
-    "TERMS",
-    "ParameterSpec",
-    "PlantForm",
-    "parameter_spec",
-    "undamped",
-]
-
 
 @dataclass(frozen=True)
 class ParameterSpec:

@@ -24,8 +24,6 @@ from surctl.marine.vehicle.thrusters import (
     attainable,
 )
 
-__all__ = ["axis_ends", "axis_limits", "common_lag", "read_actuators", "thruster_text"]
-
 _MOST = 16
 _UNIT = 0.01  # allowed error of the length of a unit vector, because files round its entries
 _FORM = 'write "44 N"'

@@ -26,18 +26,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from surctl.errors import InputError, nearest
-
-__all__ = [
-    "DEFAULT_ORDER",
-    "ORDERS",
-    "Actuators",
-    "Attainable",
-    "Fin",
-    "Swivel",
-    "Thruster",
-    "attainable",
-]
+from surctl.errors import InputError, check_known
 
 Array = NDArray[np.float64]
 
@@ -274,8 +263,7 @@ class Actuators:
 
     def index(self, name: str) -> int:
         """Return the index of a thruster; for an unknown name, raise InputError with a similar name."""
-        if name not in self.names:
-            raise InputError("no such thruster", key="thruster", value=name, remedy=nearest(name, self.names))
+        check_known(name, self.names, "no such thruster", key="thruster")
         return self.names.index(name)
 
     def moments(self, components: Array) -> tuple[float, float]:

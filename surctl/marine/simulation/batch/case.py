@@ -19,8 +19,6 @@ from surctl.marine.simulation.thruster_faults import check_failed
 from surctl.marine.vehicle import Vehicle, parameter_spec
 from surctl.priority import Mode
 
-__all__ = ["Case", "CaseParameter", "case_parameters", "check_speeds", "check_values"]
-
 Vector = NDArray[np.float64]
 
 

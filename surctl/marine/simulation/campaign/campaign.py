@@ -37,8 +37,6 @@ from surctl.marine.vehicle.parameters import vehicle_from_table
 from surctl.priority import Mode
 from surctl.store import RESUME, ChunkStore
 
-__all__ = ["CHUNK", "FASTEST", "Campaign", "CampaignFolder", "Replay", "load_replay", "run_campaign"]
-
 T = TypeVar("T")
 
 _FIRST, _ALWAYS = "crab_angle_deg", "wasted_share"  # first of the metrics added later, and one that is always finite
@@ -111,11 +109,7 @@ class Replay:
             "broken_assumptions": list(self.broken),
             "figures": dict(self.figures),
             "draw": dict(run.draw),
-            "gains": {
-                "name": case.gains.name,
-                "provenance": case.gains.provenance,
-                "values": dict(case.gains.values),
-            },
+            "gains": {"name": case.gains.name, "provenance": case.gains.provenance, "values": dict(case.gains.values)},
             "vehicle": _vehicle_table(case.vehicle),
             "scenario": scenario_table(case.scenario),
         }

@@ -23,17 +23,6 @@ from surctl.marine.simulation.scenario import Scenario, scenario_from_table
 from surctl.marine.simulation.world import build_world
 from surctl.marine.vehicle import Vehicle
 
-__all__ = [
-    "WORLDS_VEHICLE",
-    "MonteCarlo",
-    "Plan",
-    "RandomWorlds",
-    "SampledRun",
-    "draw_plant",
-    "random_world",
-    "world_template",
-]
-
 Columns = Mapping[str, NDArray[np.float64]]
 
 

@@ -40,8 +40,6 @@ from surctl.marine.vehicle.motion_log import LOG_MOTION, LOG_THRUST, LOG_TILT, M
 from surctl.marine.vehicle.parameters import Parameter, Vehicle
 from surctl.marine.vehicle.specs import TERMS, parameter_spec
 
-__all__ = ["HELD_OUT", "Identified", "held_out", "held_out_windows", "identify", "velocity_notes"]
-
 
 @dataclass(frozen=True, eq=False)
 class Identified:

@@ -20,26 +20,6 @@ from surctl.marine.vehicle.motion_log import LOG_MOTION, LOG_TILT, MotionLog
 from surctl.marine.vehicle.parameters import Parameter, Vehicle
 from surctl.marine.vehicle.specs import AXES, TERMS, PlantForm
 
-__all__ = [
-    "AXIS_OF",
-    "CENTRE",
-    "CONSTANT_FORCE",
-    "FITTED",
-    "LONGEST",
-    "MASS_OF",
-    "OFFSETS",
-    "LogSection",
-    "Model",
-    "Repeated",
-    "Slope",
-    "axes_of",
-    "drift_sections_of",
-    "names_of",
-    "sections_of",
-    "stepper",
-    "with_all_constants",
-]
-
 FITTED = (
     "m11", "m22", "m33", "m44", "Xu", "Yv", "Zw", "Nr", "Xuu", "Yvv", "Zww", "Nrr", "thrust_lag",
 )  # fmt: skip

@@ -15,8 +15,6 @@ from surctl.errors import InputError
 from surctl.marine.vehicle.identification.model import LogSection, Model
 from surctl.marine.vehicle.motion_log import MotionLog
 
-__all__ = ["beginning", "minimise", "outliers", "products", "simulable", "without_outliers"]
-
 _HALF = 3  # values before and after
 _FAR = 6.0  # standard deviations of the noise
 _STEEP = 6.0  # spreads of the middle three of seven values

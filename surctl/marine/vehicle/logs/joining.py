@@ -15,20 +15,6 @@ from surctl.marine.vehicle.logs.recording import LogRecording, Topic, step_back
 from surctl.marine.vehicle.motion_log import Frame, MotionLog, swap_body, swapped
 from surctl.units import in_unit
 
-__all__ = [
-    "LogAttitude",
-    "LogMap",
-    "LogPosition",
-    "LogThrust",
-    "Rates",
-    "Source",
-    "Velocity",
-    "heading_frame",
-    "joined",
-    "load_log_map",
-    "roll_pitch_heading",
-]
-
 Positive = Annotated[float, Field(gt=0)]
 
 
@@ -136,7 +122,7 @@ class LogThrust(Source):
         return np.asarray(force @ np.array(self.matrix).T)
 
 
-class Clock(Strict):
+class ClockTable(Strict):
     """Time, frame and common period of a log.
 
     Attributes:
@@ -160,7 +146,7 @@ class Clock(Strict):
     period_s: Positive | None = None
 
     @model_validator(mode="after")
-    def _named(self) -> Clock:
+    def _named(self) -> ClockTable:
         twice = sorted({name for name in self.columns or () if (self.columns or []).count(name) > 1})
         if twice:
             raise ValueError(f"columns names {twice[0]} twice; rename one of them")
@@ -173,7 +159,7 @@ class LogMap(Strict):
     """The content of a map file."""
 
     kind: Literal["log-map"]
-    log: Clock
+    log: ClockTable
     position: LogPosition | None = None
     attitude: LogAttitude | None = None
     velocity: Velocity | None = None

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from surctl.errors import InputError, nearest
+from surctl.errors import InputError, check_known
 from surctl.marine.vehicle.logs.joining import LogMap, joined, load_log_map
 from surctl.marine.vehicle.logs.recording import (
     LogRecording,
@@ -32,8 +32,6 @@ from surctl.marine.vehicle.logs.recording import (
 from surctl.marine.vehicle.motion_log import MotionLog
 from surctl.recorded import Recorded, read_recorded, read_unnamed, shown
 from surctl.units import in_unit
-
-__all__ = ["READERS", "read_mapped_log", "read_recording", "topic_lines"]
 
 _NO_MOTION = ("FMT", "FMTU", "UNIT", "MULT", "PARM")
 
@@ -194,14 +192,7 @@ def _read_table(
         InputError: the file cannot be read, the time is missing or not a number, or its unit is unknown.
     """
     table = read_recorded(path) if columns is None else read_unnamed(path, columns, skip=skip_lines)
-    if time not in table.columns:
-        raise InputError(
-            f"is not a column of {table.name}",
-            file=map_name or table.name,
-            key="log.time",
-            value=time,
-            remedy=nearest(time, table.columns),
-        )
+    check_known(time, table.columns, f"is not a column of {table.name}", key="log.time", file=map_name or table.name)
     seconds = table.numbers(time) * in_unit(1.0, unit, "s")
     fields = {name: column for name in table.columns if name != time and (column := _numbers(table, name)) is not None}
     known = np.isfinite(seconds)
