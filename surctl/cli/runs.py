@@ -263,11 +263,8 @@ class CampaignOptions:
                     remedy = "add --monte-carlo or --random-worlds N, or drop this option"
                     raise InputError("applies only to a campaign", key=key, value=value, remedy=remedy)
         elif explained:
-            raise InputError(
-                "applies only to single runs",
-                key="--explain",
-                remedy="simulate one run of DIR/worst: --from FILE --explain",
-            )
+            remedy = "simulate one run of DIR/worst: --from FILE --explain"
+            raise InputError("applies only to single runs", key="--explain", remedy=remedy)
         elif out is None and (self.fresh or self.worst is not None):
             key = "--fresh" if self.fresh else "--worst"
             raise InputError("needs an output folder", key=key, remedy="add --out DIR")

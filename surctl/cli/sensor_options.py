@@ -84,19 +84,11 @@ class SensorOptions:
         for key, value in options.items():
             if value is not None and value != () and sensing == "truth":
                 text = value if key in ("--beam", "--own-state", "--echoes") else " ".join(value)  # type: ignore[arg-type]
-                raise InputError(
-                    "has no effect with true positions",
-                    key=key,
-                    value=text,
-                    remedy="add --sensing sonar, or drop this option",
-                )
+                remedy = "add --sensing sonar, or drop this option"
+                raise InputError("has no effect with true positions", key=key, value=text, remedy=remedy)
         if self.beam is not None and not law_source(law).scans:
-            raise InputError(
-                f"does not apply to law {label(law)}, which has the four sonars of the paper",
-                key="--beam",
-                value=self.beam,
-                remedy="use law guarded",
-            )
+            problem = f"does not apply to law {label(law)}, which has the four sonars of the paper"
+            raise InputError(problem, key="--beam", value=self.beam, remedy="use law guarded")
         if self.own_state is not None and self.own_state not in OWN_STATES:
             remedy = nearest(self.own_state, OWN_STATES)
             raise InputError("is not known", key="--own-state", value=self.own_state, remedy=remedy)
@@ -189,12 +181,9 @@ def parse_chances(texts: Sequence[str]) -> FaultChances:
         chances[kind] = chance
     total = sum(chances.values())
     if total > 1.0 + 1e-12:
-        raise InputError(
-            f"the fault probabilities of one firing add up to {total:g}",
-            key="--chance",
-            value=" ".join(texts),
-            remedy="reduce them to a sum of at most 1, because at most one fault occurs",
-        )
+        problem = f"the fault probabilities of one firing add up to {total:g}"
+        remedy = "reduce them to a sum of at most 1, because at most one fault occurs"
+        raise InputError(problem, key="--chance", value=" ".join(texts), remedy=remedy)
     return FaultChances(**chances)
 
 

@@ -52,11 +52,8 @@ def thrusters(
     vehicle = load_vehicle(name).at_speed(speed)
     actuators = vehicle.actuators
     if actuators is None:
-        raise InputError(
-            "describes no thrusters",
-            file=vehicle.source,
-            remedy="add [[thruster]] tables, as in surctl list --show bluerov2-heavy",
-        )
+        remedy = "add [[thruster]] tables, as in surctl list --show bluerov2-heavy"
+        raise InputError("describes no thrusters", file=vehicle.source, remedy=remedy)
     working_flags(actuators, failed)
     intervals, share = axis_ends(actuators, speed, failed=failed), held_share(vehicle, failed)
     result = {

@@ -140,10 +140,8 @@ def find_compiler() -> str:
             return name
     packaged = packaged_compiler()
     if packaged is None:
-        raise ToolMissing(
-            "no C compiler found (cc, gcc, clang)",
-            remedy="install one (pip install 'surctl[compiler]', or on Debian: apt install gcc) or set CC",
-        )
+        remedy = "install one (pip install 'surctl[compiler]', or on Debian: apt install gcc) or set CC"
+        raise ToolMissing("no C compiler found (cc, gcc, clang)", remedy=remedy)
     return packaged
 
 

@@ -383,12 +383,8 @@ def _pose(place: int, pose: Sequence[float], m: int) -> Array:
     except (TypeError, ValueError):
         values = np.zeros(0)
     if values.shape != (m,) or not np.isfinite(values).all():
-        raise InputError(
-            "is not a pose",
-            key=f"near[{place}]",
-            value=pose,
-            remedy="give x, y, z and psi" if m == 4 else f"give {m} numbers",
-        )
+        remedy = "give x, y, z and psi" if m == 4 else f"give {m} numbers"
+        raise InputError("is not a pose", key=f"near[{place}]", value=pose, remedy=remedy)
     return values
 
 

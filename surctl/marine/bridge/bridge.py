@@ -84,12 +84,8 @@ class Plan:
                 remedy="give at most 8 points",
             )
         if self.mapping.mode.name == "alt_hold" and self.scenario.depths is not None:
-            raise InputError(
-                "needs a mode in which the law controls the depth",
-                file=self.scenario.source,
-                key="depths_m",
-                remedy="use --mode manual or guided",
-            )
+            problem = "needs a mode in which the law controls the depth"
+            raise InputError(problem, file=self.scenario.source, key="depths_m", remedy="use --mode manual or guided")
 
 
 @dataclass(frozen=True, eq=False)

@@ -273,11 +273,8 @@ def dialect() -> Any:
     try:
         return importlib.import_module("pymavlink.dialects.v20.ardupilotmega")
     except ImportError:
-        raise ToolMissing(
-            "needs the package pymavlink, which is not installed",
-            key="--mavlink",
-            remedy="install it: pip install 'surctl[field]'",
-        ) from None
+        problem = "needs the package pymavlink, which is not installed"
+        raise ToolMissing(problem, key="--mavlink", remedy="install it: pip install 'surctl[field]'") from None
 
 
 class Parser:

@@ -341,24 +341,16 @@ def build_law(
     check_guidance(guidance)
     check_fallback(fallback, mode=mode)
     if "avoidance" not in source.options and avoidance != "corrected":
-        raise InputError(
-            f"law {called} accepts only the corrected form",
-            key="avoidance",
-            value=avoidance,
-            remedy="use law paper to compare the forms",
-        )
+        problem = f"law {called} accepts only the corrected form"
+        raise InputError(problem, key="avoidance", value=avoidance, remedy="use law paper to compare the forms")
     if sonar and not source.scans and equipment.assumed.array != DEFAULT_ARRAY:
         raise InputError(f"law {called} always has the four sonars of the paper", key="array", remedy="use law guarded")
     kind = "sonar" if sonar else "truth"
     for key, value, supported in (("sensing", kind, source.sensing), ("priority-mode", mode, source.modes or MODES)):
         if value not in supported:
             why = f", because {SONARLESS}" if key == "sensing" and source.steering is not None else ""
-            raise InputError(
-                f"law {called} supports only {' and '.join(supported)}{why}",
-                key=key,
-                value=value,
-                remedy=f"set --{key} {supported[0]}",
-            )
+            problem = f"law {called} supports only {' and '.join(supported)}{why}"
+            raise InputError(problem, key=key, value=value, remedy=f"set --{key} {supported[0]}")
     contacts = contacts if source.slots is None else source.slots
     depths = depths and "depths" in source.options
     chosen = _Configuration(

@@ -282,11 +282,8 @@ class _Builder:
     def build(self) -> PerceptionStage:
         array = self.equipment.array
         if any(len(cones) > 1 for cones in array.cones):
-            raise InputError(
-                "the hull splits a beam in two, but the map takes one cone per sonar",
-                key="array.mounts",
-                remedy="move that sonar",
-            )
+            problem = "the hull splits a beam in two, but the map takes one cone per sonar"
+            raise InputError(problem, key="array.mounts", remedy="move that sonar")
         split, measure, report = self._split(), self._measure(), self._report()
         # a law that changes its depth clears the map, because echoes from the old depth no longer apply
         anew, corner = (("anew",), "corner") if "column" in self.outputs else ((), "map_corner")

@@ -105,12 +105,9 @@ class EngineOptions:
             InputError: the vehicle has no roll and pitch, but `dof` is 6; or the sides of the box are not in m.
         """
         if self.dof == 6 and not vehicle.form.tilts:
-            raise InputError(
-                f"needs weight, buoyancy and inertia of roll and pitch, which {vehicle.name} does not state",
-                key="dof",
-                value=6,
-                remedy="add [attitude], mpp and mqq to the file, use sur540-tilting or sur400-tilting, or dof=4",
-            )
+            problem = f"needs weight, buoyancy and inertia of roll and pitch, which {vehicle.name} does not state"
+            remedy = "add [attitude], mpp and mqq to the file, use sur540-tilting or sur400-tilting, or dof=4"
+            raise InputError(problem, key="dof", value=6, remedy=remedy)
         width = 2 * vehicle["radius"]
         if self.box is not None and not all(width / _UNLIKE <= side <= width * _UNLIKE for side in self.box):
             problem = f"is not plausible in m for {vehicle.name}, whose file has a diameter of {width:g} m"

@@ -252,12 +252,9 @@ class MujocoPhysics:
             self._command[:4] -= self._single @ self._command[4:]
         self._step()
         if any(warning.number for warning in self._diverged):
-            raise InputError(
-                f"becomes unstable at {time:.2f} s",
-                key="--plant mujoco:step",
-                value=self.model.opt.timestep,
-                remedy=f"give a smaller step, or check masses, inertia and drag of {self._vehicle}",
-            )
+            problem = f"becomes unstable at {time:.2f} s"
+            remedy = f"give a smaller step, or check masses, inertia and drag of {self._vehicle}"
+            raise InputError(problem, key="--plant mujoco:step", value=self.model.opt.timestep, remedy=remedy)
         self._touch(time + _PERIOD)
         self._refresh()
         self._state = self._read()

@@ -378,11 +378,8 @@ def reproduce(
         ("webots", webots, "a scenario with sonars, such as tank-static-sonar"),
     ):
         if chosen and names and not any(option in known[name].options for name in names):
-            raise InputError(
-                f"has no effect on {', '.join(names)}",
-                key=f"--{option}",
-                remedy=f"drop this option, or name the row of {rows_with}",
-            )
+            remedy = f"drop this option, or name the row of {rows_with}"
+            raise InputError(f"has no effect on {', '.join(names)}", key=f"--{option}", remedy=remedy)
     if independent:
         from surctl.marine.engine.mjcf import mujoco_library
 

@@ -103,12 +103,8 @@ def simulate(
     check_forces(law.ref, vehicle)
     thrusters = Thrusters.of(vehicle, law, thruster_faults)
     if sonar != ("samples" in law.inputs):
-        raise InputError(
-            "does not fit a law that uses " + ("no sonars" if sonar else "sonars"),
-            key="sensing",
-            value=sensing,
-            remedy="build the law with sonar=" + str(sonar),
-        )
+        problem = "does not fit a law that uses " + ("no sonars" if sonar else "sonars")
+        raise InputError(problem, key="sensing", value=sensing, remedy="build the law with sonar=" + str(sonar))
     if abs(law.dt - 2 * FIRING) > 1e-9:
         raise InputError("is not two firing periods of the sonars", key="dt", value=law.dt, remedy="use 0.05")
     world = build_world(scenario, vehicle, seed=seed)

@@ -155,12 +155,9 @@ class Sensors:
         """Raise InputError if the floor that the law assumes is not below z = `deepest` [m]."""
         floor = self.equipment.floor
         if floor is not None and floor <= -deepest:
-            raise InputError(
-                f"is not below the robot, which goes down to z = {deepest:g} m",
-                key="sonar.floor_m",
-                value=floor,
-                remedy=f"give the depth of the floor below the water surface, above {-deepest:g} m",
-            )
+            problem = f"is not below the robot, which goes down to z = {deepest:g} m"
+            remedy = f"give the depth of the floor below the water surface, above {-deepest:g} m"
+            raise InputError(problem, key="sonar.floor_m", value=floor, remedy=remedy)
 
     @property
     def echo_model(self) -> str:
@@ -323,9 +320,5 @@ def firing_plan(array: SonarArray) -> FiringPlan:
         period = array.size // gcd(array.size, several)
         rows = [[array.order[(k * several + j) % array.size] for j in range(several)] for k in range(period)]
         return FiringPlan(period, tuple(tuple(row) for row in rows))
-    raise InputError(
-        f"is neither a multiple nor an integer fraction of the loop's {FIRING:g} s",
-        key="firing_period",
-        value=array.firing_period,
-        remedy="use 0.025, 0.0125 or 0.05",
-    )
+    problem = f"is neither a multiple nor an integer fraction of the loop's {FIRING:g} s"
+    raise InputError(problem, key="firing_period", value=array.firing_period, remedy="use 0.025, 0.0125 or 0.05")

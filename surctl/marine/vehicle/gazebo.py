@@ -202,11 +202,8 @@ def _chosen(bodies: Mapping[str, _Body], link: str | None, path: Path) -> str:
         )
     if link is None:
         if len(bodies) > 1:
-            raise InputError(
-                "has several links with hydrodynamics",
-                file=shown(path),
-                remedy=f"choose --link: {', '.join(sorted(bodies))}",
-            )
+            remedy = f"choose --link: {', '.join(sorted(bodies))}"
+            raise InputError("has several links with hydrodynamics", file=shown(path), remedy=remedy)
         return next(iter(bodies))
     check_known(link, bodies, "is not a link with hydrodynamics", key="--link", file=shown(path))
     return link

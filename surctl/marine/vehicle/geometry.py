@@ -74,12 +74,9 @@ def sphere(
     radius = diameter / 2
     displaced = density * 4 / 3 * pi * radius**3
     if dry_mass > displaced:
-        raise InputError(
-            f"sinks: a sphere of {diameter:g} m displaces {displaced:.3g} kg",
-            key="dry mass",
-            value=dry_mass,
-            remedy="check the diameter (in m) and the mass (in kg)",
-        )
+        problem = f"sinks: a sphere of {diameter:g} m displaces {displaced:.3g} kg"
+        remedy = "check the diameter (in m) and the mass (in kg)"
+        raise InputError(problem, key="dry mass", value=dry_mass, remedy=remedy)
 
     def mass(f: float) -> float:
         return dry_mass + f * (1.5 * displaced - dry_mass)

@@ -110,12 +110,8 @@ def _check_trim(vehicle: Vehicle, nu: NDArray[np.float64]) -> None:
         limits = f"the limits are {most.tolist()}"
         if (least != -most).any():
             limits = f"the thrust lies between {least.tolist()} and {most.tolist()}"
-        raise InputError(
-            f"needs thrust {np.round(tau, 2).tolist()}, but {limits} (N, N m)",
-            key="operating point nu",
-            value=nu.tolist(),
-            remedy="linearise at a slower speed",
-        )
+        problem = f"needs thrust {np.round(tau, 2).tolist()}, but {limits} (N, N m)"
+        raise InputError(problem, key="operating point nu", value=nu.tolist(), remedy="linearise at a slower speed")
 
 
 def ahead_limit(vehicle: Vehicle) -> float:

@@ -184,12 +184,9 @@ class MotionLog:
         _check_increasing(self.time, "t_s", lambda row: self.source and f"{self.source}, row {row + 1}")
         if not np.isfinite(self.thrust).all():
             row, column = np.argwhere(~np.isfinite(self.thrust))[0]
-            raise InputError(
-                f"has no number at {self.time[row]:g} s",
-                file=self.source,
-                key=LOG_THRUST[column],
-                remedy="fill it in or shorten the log, because the thrust must be known at all times",
-            )
+            problem = f"has no number at {self.time[row]:g} s"
+            remedy = "fill it in or shorten the log, because the thrust must be known at all times"
+            raise InputError(problem, file=self.source, key=LOG_THRUST[column], remedy=remedy)
         if not np.isfinite(self.motion).any():
             remedy = f"add at least one of the columns {', '.join(LOG_MOTION)}"
             raise InputError("contains no motion", file=self.source, remedy=remedy)
@@ -300,13 +297,8 @@ def _check_increasing(time: NDArray[np.float64], key: str, at: Callable[[int], s
         remedy = "sort the rows by time, or split the log there and give both parts"
         raise InputError("is before the time of the previous row", file=at(row), key=key, value=value, remedy=remedy)
     more = f", as in {np.count_nonzero(same) - 1} more rows" if np.count_nonzero(same) > 1 else ""
-    raise InputError(
-        f"is the time of the previous row too{more}",
-        file=at(row),
-        key=key,
-        value=value,
-        remedy="write the time with more digits, or remove one of the two rows",
-    )
+    remedy = "write the time with more digits, or remove one of the two rows"
+    raise InputError(f"is the time of the previous row too{more}", file=at(row), key=key, value=value, remedy=remedy)
 
 
 def swapped(motion: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -340,11 +332,6 @@ def _frame(table: Recorded, frame: Frame | str | None) -> Frame:
         return requested or "enu"
     recorded = check_frame(said, file=table.name)
     if requested not in (None, recorded):
-        raise InputError(
-            f"is not the frame that the file states ({recorded})",
-            file=table.name,
-            key="frame",
-            value=frame,
-            remedy="omit --frame",
-        )
+        problem = f"is not the frame that the file states ({recorded})"
+        raise InputError(problem, file=table.name, key="frame", value=frame, remedy="omit --frame")
     return recorded

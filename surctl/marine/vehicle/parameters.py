@@ -62,13 +62,9 @@ def _check_surge(actuators: Actuators, astern: float, ahead: float, source: str)
         return
     pushing = [k for k, one in enumerate(actuators.thrusters) if one.fin is None and abs(one.direction[0]) > _ARM]
     if not pushing:
-        raise InputError(
-            "no thruster pushes ahead",
-            file=source,
-            key="thruster",
-            value=", ".join(actuators.names),
-            remedy="add a [[thruster]] with push = [1, 0, 0]",
-        )
+        problem = "no thruster pushes ahead"
+        remedy = "add a [[thruster]] with push = [1, 0, 0]"
+        raise InputError(problem, file=source, key="thruster", value=", ".join(actuators.names), remedy=remedy)
     weak = next((k for k in pushing if actuators.thrusters[k].reverse == 0), pushing[0])
     where = "astern" if astern <= 0 else "ahead"
     raise _lacks(
@@ -354,12 +350,8 @@ def vehicle_from_table(table: dict[str, Any], *, source: str) -> Vehicle:
         if name in parameters:
             continue
         if spec.default is None:
-            raise InputError(
-                "is missing",
-                file=source,
-                key=f"{spec.table}.{name}",
-                remedy=f'add {name} = {{ value = ..., unit = "{spec.unit}" }} ({spec.meaning})',
-            )
+            remedy = f'add {name} = {{ value = ..., unit = "{spec.unit}" }} ({spec.meaning})'
+            raise InputError("is missing", file=source, key=f"{spec.table}.{name}", remedy=remedy)
         parameters[name] = Parameter(spec.default, spec.unit, None, DEFAULTED)
     ordered = {name: parameters[name] for name in (*PARAMETERS, *TERMS) if name in parameters}
     return _possible(Vehicle(model.name, model.note, ordered, source, actuators))
@@ -374,24 +366,17 @@ def _possible(vehicle: Vehicle) -> Vehicle:
     for name in NEEDED_TO_TILT if form.tilts else ():
         if name not in form.terms:
             spec = TERMS[name]
-            raise InputError(
-                "is missing in a vehicle with other terms of roll and pitch",
-                file=file,
-                key=f"{spec.table}.{name}",
-                remedy=f'add {name} = {{ value = ..., unit = "{spec.unit}" }} ({spec.meaning})',
-            )
+            problem = "is missing in a vehicle with other terms of roll and pitch"
+            remedy = f'add {name} = {{ value = ..., unit = "{spec.unit}" }} ({spec.meaning})'
+            raise InputError(problem, file=file, key=f"{spec.table}.{name}", remedy=remedy)
     couplings = [entry for entry in form.inertia() if entry[0] != entry[1]]
     if couplings and np.linalg.eigvalsh(vehicle.inertia)[0] <= 0:
         own = np.diag(vehicle.inertia)
         i, j, name = max(couplings, key=lambda entry: vehicle[entry[2]] ** 2 / (own[entry[0]] * own[entry[1]]))
         most, ends = np.sqrt(own[i] * own[j]), " ".join(("m11", "m22", "m33", "m44", "mpp", "mqq")[k] for k in (i, j))
-        raise InputError(
-            "makes the inertia matrix indefinite",
-            file=file,
-            key=f"inertia.{name}",
-            value=vehicle[name],
-            remedy=f"alone, its size must be below sqrt({ends}) = {most:.4g} {TERMS[name].unit}",
-        )
+        problem = "makes the inertia matrix indefinite"
+        remedy = f"alone, its size must be below sqrt({ends}) = {most:.4g} {TERMS[name].unit}"
+        raise InputError(problem, file=file, key=f"inertia.{name}", value=vehicle[name], remedy=remedy)
     return vehicle
 
 
@@ -427,12 +412,8 @@ def _read_section(section: str, table: Mapping[str, Quantity | str], source: str
         entry = _in_own_unit(name, entry, file=source)
         provenance = entry.provenance or shared
         if not isinstance(provenance, str):
-            raise InputError(
-                "has no provenance",
-                file=source,
-                key=key,
-                remedy=f'add provenance = "..." to [{section}]: who measured or derived it',
-            )
+            remedy = f'add provenance = "..." to [{section}]: who measured or derived it'
+            raise InputError("has no provenance", file=source, key=key, remedy=remedy)
         parameters[name] = _checked(name, Parameter(entry.value, entry.unit, entry.range, provenance), file=source)
     return parameters
 
@@ -442,13 +423,9 @@ def _in_own_unit(name: str, entry: Quantity | str, *, file: str) -> Quantity:
     try:
         return (Quantity.model_validate(entry) if isinstance(entry, str) else entry).within(spec.unit)
     except ValidationError:
-        raise InputError(
-            "must be a value with its unit",
-            file=file,
-            key=f"{spec.table}.{name}",
-            value=entry,
-            remedy=f'write {{ value = ..., unit = "{spec.unit}" }}',
-        ) from None
+        problem = "must be a value with its unit"
+        remedy = f'write {{ value = ..., unit = "{spec.unit}" }}'
+        raise InputError(problem, file=file, key=f"{spec.table}.{name}", value=entry, remedy=remedy) from None
     except InputError as error:
         raise error.inside(file, f"{spec.table}.{name}.unit") from None
 
@@ -467,13 +444,8 @@ def _checked(name: str, parameter: Parameter, *, file: str) -> Parameter:
                 "is not a range", file=file, key=f"{key}.range", value=parameter.range, remedy="write [low, high]"
             )
         if not low <= value <= high:
-            raise InputError(
-                f"lies outside its own range [{low:g}, {high:g}]",
-                file=file,
-                key=key,
-                value=value,
-                remedy="widen the range or correct the value",
-            )
+            problem = f"lies outside its own range [{low:g}, {high:g}]"
+            raise InputError(problem, file=file, key=key, value=value, remedy="widen the range or correct the value")
     return parameter
 
 

@@ -476,11 +476,9 @@ def _normals(edges: Array, q: int) -> Array:
     rank = int((values > _PARALLEL).sum())
     edges = np.vstack([edges, rows[rank:]])
     if comb(len(edges), q - 1) > _MOST:
-        raise InputError(
-            f"push in {len(edges)} different directions, too many for the attainable set",
-            key="thruster",
-            remedy="describe fewer or equal thrusters, or fixed directions in place of swivels",
-        )
+        problem = f"push in {len(edges)} different directions, too many for the attainable set"
+        remedy = "describe fewer or equal thrusters, or fixed directions in place of swivels"
+        raise InputError(problem, key="thruster", remedy=remedy)
     groups = np.array(list(combinations(range(len(edges)), q - 1)))
     _, values, rows = np.linalg.svd(edges[groups])
     normals = rows[values[:, -1] > _FLAT**0.5 * 1e-2, -1, :]

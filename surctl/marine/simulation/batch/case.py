@@ -119,12 +119,9 @@ class CaseParameter:
             least = f"greater than {self.low:g}" if self.open_below else f"at least {self.low:g}"
             bounds = [least] if self.low > -inf else []
             bounds += [f"at most {self.high:.3g}"] if self.high < inf else []
-            raise InputError(
-                "must be " + " and ".join(bounds or ["finite"]),
-                key=self.name,
-                value=float(values[~good][0]),
-                remedy=f"{self.meaning}, in {self.unit}",
-            )
+            problem = "must be " + " and ".join(bounds or ["finite"])
+            remedy = f"{self.meaning}, in {self.unit}"
+            raise InputError(problem, key=self.name, value=float(values[~good][0]), remedy=remedy)
 
 
 def case_parameters(case: Case) -> Mapping[str, CaseParameter]:

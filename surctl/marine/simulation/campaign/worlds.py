@@ -305,12 +305,8 @@ class RandomWorlds(Plan):
     def __post_init__(self) -> None:
         """Check that the scenario has no waves."""
         if force := self.case.scenario.disturbance.wave_force_n:
-            raise InputError(
-                "must be 0, since random worlds have no waves",
-                key="disturbance.wave_force_n",
-                value=force,
-                remedy="write 0",
-            )
+            problem = "must be 0, since random worlds have no waves"
+            raise InputError(problem, key="disturbance.wave_force_n", value=force, remedy="write 0")
 
     @property
     def names(self) -> tuple[str, ...]:

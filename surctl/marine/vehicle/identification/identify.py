@@ -259,19 +259,13 @@ def identify(log: MotionLog, start: Vehicle, *, name: str) -> Identified:
         (60.0, True, False)
     """
     if not log.thrust.any() and not start.form.tilts:  # free swinging shows ratios
-        raise InputError(
-            "the log has no thrust, so no mass can be estimated from it",
-            file=log.source,
-            key=", ".join(LOG_THRUST),
-            remedy="give a log in which the vehicle is driven",
-        )
+        problem = "the log has no thrust, so no mass can be estimated from it"
+        remedy = "give a log in which the vehicle is driven"
+        raise InputError(problem, file=log.source, key=", ".join(LOG_THRUST), remedy=remedy)
     if not any(np.unique(column[np.isfinite(column)]).size > 1 for column in log.motion.T):
-        raise InputError(
-            "the log has no motion: no column changes, so no parameter can be estimated from it",
-            file=log.source,
-            key=", ".join(LOG_MOTION),
-            remedy="give a log in which the vehicle moves",
-        )
+        problem = "the log has no motion: no column changes, so no parameter can be estimated from it"
+        remedy = "give a log in which the vehicle moves"
+        raise InputError(problem, file=log.source, key=", ".join(LOG_MOTION), remedy=remedy)
     if start.form.tilts:
         _check_tilt(log, start)
     full = _full_fit(log, start)
@@ -327,12 +321,9 @@ def identify(log: MotionLog, start: Vehicle, *, name: str) -> Identified:
 def _check_tilt(log: MotionLog, start: Vehicle) -> None:
     tilt = log.motion[:, 8:10]
     if not np.isfinite(tilt).any():
-        raise InputError(
-            "rolls and pitches, and the log contains neither roll nor pitch",
-            file=start.source or start.name,
-            key="start",
-            remedy=f"add columns ({', '.join(LOG_TILT)}), or start from a vehicle without weight and buoyancy",
-        )
+        problem = "rolls and pitches, and the log contains neither roll nor pitch"
+        remedy = f"add columns ({', '.join(LOG_TILT)}), or start from a vehicle without weight and buoyancy"
+        raise InputError(problem, file=start.source or start.name, key="start", remedy=remedy)
     for row, column in np.argwhere(np.abs(tilt) >= _MOST_TILT):
         raise InputError(
             f"at {log.time[row]:g} s; the model needs less than {np.degrees(_MOST_TILT):.0f} degrees",

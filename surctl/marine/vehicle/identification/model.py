@@ -268,19 +268,12 @@ def sections_of(log: MotionLog, *, longest: float = LONGEST) -> tuple[LogSection
                 sections.append(_section(log, int(one), int(other)))
     period = float(np.median(step))
     if not sections and (_LEAST_ROWS - 1) * period > longest:
-        raise InputError(
-            f"has rows {period:.3g} s apart (median); a fit needs {_LEAST_ROWS} rows in {longest:g} s",
-            file=log.source,
-            key="t_s",
-            remedy="is the time in ms? name the column t_ms, or set log.time_unit in the map",
-        )
+        problem = f"has rows {period:.3g} s apart (median); a fit needs {_LEAST_ROWS} rows in {longest:g} s"
+        remedy = "is the time in ms? name the column t_ms, or set log.time_unit in the map"
+        raise InputError(problem, file=log.source, key="t_s", remedy=remedy)
     if not sections:
-        raise InputError(
-            f"has no part of {_LEAST_ROWS} rows without a gap",
-            file=log.source,
-            key="t_s",
-            remedy=f"give a log without a gap of more than {max(_GAP, _GAP_FACTOR * period):.3g} s",
-        )
+        remedy = f"give a log without a gap of more than {max(_GAP, _GAP_FACTOR * period):.3g} s"
+        raise InputError(f"has no part of {_LEAST_ROWS} rows without a gap", file=log.source, key="t_s", remedy=remedy)
     return tuple(sections)
 
 

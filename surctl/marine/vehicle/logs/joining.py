@@ -321,13 +321,9 @@ def _check_norm(quaternion: Array, sources: _Sources, part: Source) -> None:
     norms = np.linalg.norm(quaternion, axis=1)
     norms = norms[np.isfinite(norms) & (norms > 0)]
     if len(norms) and np.mean(np.abs(norms - 1) > _NORM) > _SHARE:
-        raise InputError(
-            f"is not a unit quaternion: norm {norms.min():.3g} to {norms.max():.3g} in {sources.recording.source}",
-            file=sources.map_name,
-            key="attitude.fields",
-            value=list(part.fields),
-            remedy="name the fields x, y, z, w of a quaternion",
-        )
+        problem = f"is not a unit quaternion: norm {norms.min():.3g} to {norms.max():.3g} in {sources.recording.source}"
+        remedy = "name the fields x, y, z, w of a quaternion"
+        raise InputError(problem, file=sources.map_name, key="attitude.fields", value=list(part.fields), remedy=remedy)
 
 
 class _Sources:
@@ -338,13 +334,8 @@ class _Sources:
         for key, names in (("stamp", log_map.log.stamp), ("shift_s", log_map.log.shift_s)):
             for topic in names:
                 if topic not in {part.topic for _, part in log_map.sources()}:
-                    raise InputError(
-                        "is not a topic of this map",
-                        file=map_name,
-                        key=f"log.{key}",
-                        value=topic,
-                        remedy="remove the entry",
-                    )
+                    problem = "is not a topic of this map"
+                    raise InputError(problem, file=map_name, key=f"log.{key}", value=topic, remedy="remove the entry")
 
     def topic(self, name: str, part: Source) -> Topic:
         try:

@@ -93,11 +93,8 @@ def _read_bag(path: Path, topics: Collection[str] | None) -> LogRecording:
     if path.suffix.lower() == ".db3":
         bag = path.parent
         if not (bag / "metadata.yaml").is_file():
-            raise InputError(
-                "has no metadata.yaml beside it",
-                file=shown(path),
-                remedy="give the folder of the bag: ros2 bag reindex",
-            )
+            remedy = "give the folder of the bag: ros2 bag reindex"
+            raise InputError("has no metadata.yaml beside it", file=shown(path), remedy=remedy)
     rows: dict[Stream, TopicRows] = {}
     store = typesys.get_typestore(typesys.Stores.LATEST)
     try:
@@ -154,12 +151,8 @@ def _decoder(path: Path, schema: Any, channel: Any) -> Callable[[bytes], Any]:
     if encoding == "json":
         return json.loads
     if encoding not in ("cdr", "ros1") or schema is None:
-        raise InputError(
-            f"has the encoding {encoding!r}",
-            file=shown(path),
-            key=channel.topic,
-            remedy="give messages in JSON, ROS 1 or ROS 2 (CDR)",
-        )
+        remedy = "give messages in JSON, ROS 1 or ROS 2 (CDR)"
+        raise InputError(f"has the encoding {encoding!r}", file=shown(path), key=channel.topic, remedy=remedy)
     typesys = optional_module("rosbags.typesys", path=path, extra="ros")
     store = typesys.get_typestore(typesys.Stores.EMPTY)
     store.register(typesys.get_types_from_msg(schema.data.decode(), schema.name))
@@ -199,13 +192,9 @@ def _read_table(
     if np.count_nonzero(known) == 1:
         raise InputError("has only one row with a time", file=table.name, key=time, remedy="give a longer log")
     if not known.any():
-        raise InputError(
-            f"has no timestamps in {table.name}",
-            file=map_name or table.name,
-            key="log.time",
-            value=time,
-            remedy="name the column of the time",
-        )
+        problem = f"has no timestamps in {table.name}"
+        remedy = "name the column of the time"
+        raise InputError(problem, file=map_name or table.name, key="log.time", value=time, remedy=remedy)
     return LogRecording(table.name, {"": topic_of(seconds[known], {k: v[known] for k, v in fields.items()})})
 
 

@@ -249,8 +249,5 @@ def optional_module(name: str, *, path: Path, extra: str) -> Any:
         return importlib.import_module(name)
     except ImportError:
         package = name.partition(".")[0]
-        raise InputError(
-            f"needs the package {package}, which is not installed",
-            file=shown(path),
-            remedy=f"install it: pip install 'surctl[{extra}]'",
-        ) from None
+        problem = f"needs the package {package}, which is not installed"
+        raise InputError(problem, file=shown(path), remedy=f"install it: pip install 'surctl[{extra}]'") from None
