@@ -52,7 +52,7 @@ from surctl.marine.control.beams import (
 from surctl.marine.control.ports import LAUNCHED, PARAMETERS, SECTORS, after_gap
 from surctl.marine.sensing import Equipment, LocalMap, OwnStateFilter, RangeTracker
 from surctl.marine.sensing.localisation.movers import MoverTracker
-from surctl.marine.sensing.mapping.local_map import READING, RING
+from surctl.marine.sensing.mapping.firing import READING, RING
 from surctl.marine.vehicle import planar_rotation
 
 _NEVER = 1e5  # [s] age of a face that was never measured

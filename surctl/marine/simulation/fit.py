@@ -12,7 +12,8 @@ from surctl.marine.allocation import working_flags
 from surctl.marine.control import Gains, load_gains
 from surctl.marine.control.ports import YAW_SHARE
 from surctl.marine.sensing import SonarArray
-from surctl.marine.sensing.mapping.local_map import MIDDLE, LocalMap
+from surctl.marine.sensing.mapping.firing import MIDDLE
+from surctl.marine.sensing.mapping.local_map import LocalMap
 from surctl.marine.simulation.clearance import clearance_findings
 from surctl.marine.simulation.echo_fit import detection_range, echo_findings
 from surctl.marine.simulation.motion import mission_findings, motion_findings, steering_findings
