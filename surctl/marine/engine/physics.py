@@ -18,6 +18,7 @@ from surctl.marine.engine.fluid import EngineOptions, body_of, environment
 from surctl.marine.engine.mjcf import HULL, OBSTACLE, WALLS, mjcf, mujoco_library, stepper
 from surctl.marine.simulation import Contact, OwnPhysics, simulate
 from surctl.marine.vehicle import PLANT_STATE, plant_state
+from surctl.marine.vehicle.motion_log import quaternion
 from surctl.marine.world import Wall
 
 if TYPE_CHECKING:
@@ -339,19 +340,6 @@ class MujocoPhysics:
 
 def _others(options: EngineOptions) -> str:
     return ", ".join(part for part in options.text().split(",") if not part.startswith("dof="))
-
-
-def quaternion(roll: float, pitch: float, yaw: float) -> Vector:
-    """Return the quaternion (4,), real part first, of R_z(yaw) R_y(pitch) R_x(roll)."""
-    (cr, sr), (cp, sp), (cy, sy) = ((np.cos(a / 2), np.sin(a / 2)) for a in (roll, pitch, yaw))
-    return np.array(
-        [
-            cr * cp * cy + sr * sp * sy,
-            sr * cp * cy - cr * sp * sy,
-            cr * sp * cy + sr * cp * sy,
-            cr * cp * sy - sr * sp * cy,
-        ]
-    )
 
 
 # Runs of one case with many seeds, in one process or in several

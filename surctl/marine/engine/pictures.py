@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from surctl.errors import ToolMissing, check_known
 from surctl.marine.engine.fluid import EngineOptions, body_of
 from surctl.marine.engine.mjcf import OBSTACLE, mjcf, mujoco_library, no_renderer
-from surctl.marine.engine.physics import AWAY, MujocoPhysics, quaternion
+from surctl.marine.engine.physics import AWAY, MujocoPhysics
+from surctl.marine.vehicle.motion_log import quaternion
 
 if TYPE_CHECKING:
     from surctl.marine.sensing import SonarArray

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from math import cos, degrees, isfinite, isinf, sin
+from math import degrees, isfinite, isinf
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +22,7 @@ from surctl.marine.simulation.run import Run
 from surctl.marine.simulation.scenario import Scenario
 from surctl.marine.simulation.world import Body
 from surctl.marine.vehicle import FRAME_TEXT, LOG_MOTION, LOG_THRUST, Frame, Vehicle, check_frame, swap_body, swap_pose
+from surctl.marine.vehicle.motion_log import quaternion
 from surctl.marine.world import Box, Disc
 from surctl.recorded import shown
 from surctl.recorded_write import RECORD_FORMATS, Column, McapFile, RecordFormat, stamp, write_mat, write_netcdf
@@ -308,15 +309,8 @@ def _point(x: float, y: float, z: float) -> dict[str, float]:
 
 
 def _turned(psi: float, roll: float, pitch: float) -> dict[str, float]:
-    # quaternion of R_z(psi) R_y(pitch) R_x(roll)
-    (ca, cb, cc), (sa, sb, sc) = ([f(0.5 * v) for v in (roll, pitch, psi)] for f in (cos, sin))
-    numbers = {
-        "x": sa * cb * cc - ca * sb * sc,
-        "y": ca * sb * cc + sa * cb * sc,
-        "z": ca * cb * sc - sa * sb * cc,
-        "w": ca * cb * cc + sa * sb * sc,
-    }
-    return {name: round(value, 6) for name, value in numbers.items()}
+    w, x, y, z = quaternion(roll, pitch, psi).round(6).tolist()
+    return {"x": x, "y": y, "z": z, "w": w}
 
 
 def _color(rgba: tuple[float, float, float, float]) -> dict[str, float]:

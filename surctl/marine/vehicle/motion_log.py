@@ -97,10 +97,30 @@ def heading_velocity(
         raise InputError(
             "must be within 90 degrees", key="pitch", value=float(np.max(np.abs(b))), remedy="give radians"
         )
-    across, up = np.cos(a) * v[..., 1] - np.sin(a) * v[..., 2], np.sin(a) * v[..., 1] + np.cos(a) * v[..., 2]
-    ahead, up = np.cos(b) * v[..., 0] + np.sin(b) * up, np.cos(b) * up - np.sin(b) * v[..., 0]
     turn = (np.sin(a) * w[..., 1] + np.cos(a) * w[..., 2]) / np.cos(b)
-    return np.stack(np.broadcast_arrays(ahead, across, up, turn), axis=-1)
+    return np.stack(np.broadcast_arrays(*np.moveaxis(heading_frame(v, roll=a, pitch=b), -1, 0), turn), axis=-1)
+
+
+def heading_frame(vector: ArrayLike, *, roll: ArrayLike, pitch: ArrayLike) -> NDArray[np.float64]:
+    """Return vectors (…, 3) in the heading frame from those in the frame of the hull, by roll and pitch (…) [rad].
+
+    Example:
+        >>> import numpy as np
+        >>> from surctl.marine.vehicle.motion_log import heading_frame
+        >>> heading_frame([1.0, 0.0, 0.0], roll=0.0, pitch=np.pi / 2).round(3).tolist()
+        [0.0, 0.0, -1.0]
+    """
+    u, v, w = np.moveaxis(np.asarray(vector, dtype=float), -1, 0)
+    across, up = v * np.cos(roll) - w * np.sin(roll), v * np.sin(roll) + w * np.cos(roll)
+    ahead, up = u * np.cos(pitch) + up * np.sin(pitch), up * np.cos(pitch) - u * np.sin(pitch)
+    return np.stack(np.broadcast_arrays(ahead, across, up), axis=-1)
+
+
+def quaternion(roll: float, pitch: float, yaw: float) -> NDArray[np.float64]:
+    """Return the quaternion (4,), real part first, of R_z(yaw) R_y(pitch) R_x(roll), for angles in rad."""
+    (cr, sr), (cp, sp), (cy, sy) = ((np.cos(a / 2), np.sin(a / 2)) for a in (roll, pitch, yaw))
+    real = cr * cp * cy + sr * sp * sy
+    return np.array([real, sr * cp * cy - cr * sp * sy, cr * sp * cy + sr * cp * sy, cr * cp * sy - sr * sp * cy])
 
 
 def check_frame(frame: object, *, key: str = "frame", file: object = None) -> Frame:

@@ -244,13 +244,8 @@ class Actuators:
         return most if most > _SAME else 1.0
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the thrusters and the order as plain data for JSON; `from_dict` restores them exactly."""
+        """Return the thrusters and the order as plain data for JSON."""
         return asdict(self)
-
-    @staticmethod
-    def from_dict(data: Mapping[str, Any]) -> Actuators:
-        """Return the thrusters from the data of `to_dict`."""
-        return Actuators(tuple(_thruster_from(one) for one in data["thrusters"]), tuple(data["order"]))
 
     def text(self) -> str:
         """Return all numbers and names as one text, without provenance; equal thrusters have equal texts."""
@@ -293,14 +288,6 @@ class Actuators:
     def lines(self) -> list[str]:
         """Return one line of text for each thruster."""
         return [_line(thruster) for thruster in self.thrusters]
-
-
-def _thruster_from(data: Mapping[str, Any]) -> Thruster:
-    joint = data["swivel"]
-    swivel = None if joint is None else Swivel(tuple(joint["axis"]), tuple(joint["range"]), joint["rate"])
-    fin = None if data.get("fin") is None else Fin(**data["fin"])
-    lists = {key: tuple(data[key]) for key in ("at", "direction")} | {"curve": tuple(map(tuple, data["curve"]))}
-    return Thruster(**{**data, **lists, "swivel": swivel, "fin": fin})
 
 
 def _line(thruster: Thruster) -> str:

@@ -273,5 +273,6 @@ class _Filler:
 
     def _draws(self) -> WorldDraw:
         unique, back = np.unique(self.seeds, return_inverse=True)
-        draws = [draw_world(len(self.case.scenario.obstacles), seed=int(seed)) for seed in unique]
-        return WorldDraw(*(np.array(part)[back] for part in zip(*draws, strict=True)))  # type: ignore[arg-type]
+        draws = [vars(draw_world(len(self.case.scenario.obstacles), seed=int(seed))) for seed in unique]
+        parts: dict[str, Any] = {name: np.array([draw[name] for draw in draws])[back] for name in draws[0]}
+        return WorldDraw(**parts)

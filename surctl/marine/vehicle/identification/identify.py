@@ -34,7 +34,7 @@ from surctl.marine.vehicle.identification.model import (
     drift_sections_of,
     sections_of,
 )
-from surctl.marine.vehicle.identification.prediction import WINDOW, Prediction, Trial, drift_trial, predict
+from surctl.marine.vehicle.identification.prediction import Prediction, Trial, drift_trial, predict
 from surctl.marine.vehicle.identification.solve import beginning, minimise, outliers, simulable, without_outliers
 from surctl.marine.vehicle.motion_log import LOG_MOTION, LOG_THRUST, LOG_TILT, MotionLog
 from surctl.marine.vehicle.parameters import Parameter, Vehicle
@@ -531,26 +531,6 @@ def _roughness(values: Array) -> float:
 
 HELD_OUT = 0.4
 """Share of a log, at its end, that is predicted by a fit to the rest."""
-
-
-def held_out(log: MotionLog, start: Vehicle, *, share: float = HELD_OUT, window: float = WINDOW) -> Prediction | None:
-    """Predict the last part of a log with a vehicle that is fitted to the part before; None if the log is too short.
-
-    Args:
-        log: the log.
-        start: vehicle with the initial values of the fit.
-        share: share of the time that is predicted.
-        window: length of the windows [s].
-
-    Example:
-        >>> import numpy as np
-        >>> from surctl.marine.vehicle import MotionLog, held_out, load_vehicle
-        >>> boat, t = load_vehicle("sur400"), 0.1 * np.arange(60)
-        >>> held_out(MotionLog(t, np.zeros((60, 8)), np.zeros((60, 4))), boat) is None
-        True
-    """
-    predictions = held_out_windows(log, start, [window], share=share)
-    return predictions[0] if predictions else None
 
 
 def held_out_windows(

@@ -12,7 +12,7 @@ from pydantic import Field, model_validator
 from surctl.errors import InputError
 from surctl.files import Strict, read_toml, validate
 from surctl.marine.vehicle.logs.recording import LogRecording, Topic, step_back
-from surctl.marine.vehicle.motion_log import Frame, MotionLog, swap_body, swapped
+from surctl.marine.vehicle.motion_log import Frame, MotionLog, heading_frame, swap_body, swapped
 from surctl.units import in_unit
 
 Positive = Annotated[float, Field(gt=0)]
@@ -225,20 +225,6 @@ def roll_pitch_heading(quaternion: Array) -> Array:
     return np.column_stack([roll, pitch, heading])
 
 
-def heading_frame(velocity: Array, roll: Array, pitch: Array) -> Array:
-    """Return velocities (n, 3) in the heading frame from those in the body frame, by roll and pitch [rad] (n,).
-
-    Example:
-        >>> import numpy as np
-        >>> from surctl.marine.vehicle.logs.joining import heading_frame
-        >>> heading_frame(np.array([[1.0, 0.0, 0.0]]), np.zeros(1), np.array([np.pi / 2])).round(3).tolist()
-        [[0.0, 0.0, -1.0]]
-    """
-    u, v, w = velocity.T
-    across, down = v * np.cos(roll) - w * np.sin(roll), v * np.sin(roll) + w * np.cos(roll)
-    return np.column_stack([u * np.cos(pitch) + down * np.sin(pitch), across, down * np.cos(pitch) - u * np.sin(pitch)])
-
-
 def joined(recording: LogRecording, log_map: LogMap, *, map_name: str) -> MotionLog:
     """Return the log of motion and thrust of a recording, in the frame enu.
 
@@ -267,7 +253,7 @@ def joined(recording: LogRecording, log_map: LogMap, *, map_name: str) -> Motion
         absent = np.array([not name for name in [*log_map.velocity.fields, ""][:3]])
         velocity = np.where(absent, 0.0, np.column_stack([velocity, np.zeros(len(time))])[:, :3])
         if log_map.velocity.frame == "body":
-            velocity = heading_frame(velocity, roll, pitch)
+            velocity = heading_frame(velocity, roll=roll, pitch=pitch)
         elif log_map.velocity.frame == "world":
             c, s = np.cos(motion[:, 3]), np.sin(motion[:, 3])
             x, y, z = velocity.T
