@@ -14,8 +14,6 @@ from surctl.errors import InputError, nearest
 from surctl.files import Quantity, Strict, load_model, pick, quoted
 from surctl.units import is_number
 
-__all__ = ["GAINS", "LIBRARY", "GainSpec", "Gains", "load_gains", "write_gains"]
-
 LIBRARY = Path(__file__).parent / "library"
 
 
@@ -215,22 +213,14 @@ def load_gains(name_or_path: str, *, own: Mapping[str, GainSpec] | None = None) 
             for bound in stated.range:
                 _check_value(name, bound, path, specs)
             if not stated.range[0] <= stated.value <= stated.range[1]:
-                raise InputError(
-                    "is outside its own range",
-                    file=path,
-                    key=f"gains.{name}",
-                    value=stated.value,
-                    remedy=f"the stated range is {stated.range[0]:g} to {stated.range[1]:g}",
-                )
+                problem = "is outside its own range"
+                remedy = f"the stated range is {stated.range[0]:g} to {stated.range[1]:g}"
+                raise InputError(problem, file=path, key=f"gains.{name}", value=stated.value, remedy=remedy)
             ranges[name] = stated.range
     for name, spec in specs.items():
         if name not in stated_values and spec.default is None:
-            raise InputError(
-                "is missing",
-                file=path,
-                key=f"gains.{name}",
-                remedy=f'add {name} = {{ value = ..., unit = "{spec.unit}" }} ({spec.meaning})',
-            )
+            remedy = f'add {name} = {{ value = ..., unit = "{spec.unit}" }} ({spec.meaning})'
+            raise InputError("is missing", file=path, key=f"gains.{name}", remedy=remedy)
     values = {n: stated_values.get(n, spec.default or 0.0) for n, spec in specs.items()}
     ranges = {n: spec.range for n, spec in specs.items() if spec.range is not None} | ranges
     return Gains(model.name, values, model.provenance, str(path), ranges, own or {})
