@@ -240,11 +240,10 @@ def loop_lines(own: OwnSystem, loop: LoopCorners[SystemLoop]) -> list[str]:
 
 def loop_data(own: OwnSystem, loop: LoopCorners[SystemLoop]) -> dict[str, Any]:
     """Return equilibrium, poles and margins as plain data for JSON."""
-    nominal = loop.nominal
+    nominal, rest = loop.nominal, resting(own.system, loop.nominal.at)
     return {
-        "equilibrium": {
-            kind: {label: value for label, value, _ in rows} for kind, rows in resting(own.system, nominal.at).items()
-        },
+        "equilibrium": {kind: {label: value for label, value, _ in rows} for kind, rows in rest.items()},
+        "units": {kind: {label: unit for label, _, unit in rows} for kind, rows in rest.items()},
         "stable": nominal.stable,
         "poles": [[float(pole.real), float(pole.imag)] for pole in nominal.poles],
         "slowest_mode": _slowest(nominal),

@@ -584,7 +584,8 @@ def best_line(swept: SystemSweep, name: str, row: dict[str, Any], choice: Choice
         text = f"least {name} in the worst of {swept.each} runs: {value}{at}{random}{mean}; "
         text += f"range of the worst over the points {spread}"
     if choice.passed_over:
-        text += f"; {choice.passed_over} points with a lower {name} do not meet the margins or the bounds of the costs"
+        count = f"{choice.passed_over} of {len(swept.design.points)} points"
+        text += f"; lower, but not with the margins and the bounds of the costs: {count}"
     if failures := choice.assessment.failures:
         text += f"; no point meets the margins and the bounds of the costs: here, {'; '.join(failures)}"
     return text

@@ -451,8 +451,10 @@ def verify_system(words: Sequence[str], *, seed: int, time_limit: float, out: Pa
     if solution is not None:
         data["region"] = solution.to_dict()
     if isinstance(solution, Solution):
-        about = "sampled loop, with held commands" if solution.sampled else "control law in continuous time"
-        lines += [f"region of attraction of the {about}:", *solution.lines()]
+        about = (
+            " of the sampled loop, with held commands" if solution.sampled else " of the control law in continuous time"
+        )
+        lines += [f"region of attraction{about * (solution.decision is not None)}:", *solution.lines()]
         if out is not None:
             written = [str(path) for path in write_solution(solution, out)]
             data["region"]["files"] = written
