@@ -29,6 +29,7 @@ from surctl.cli.subject import assigned, cost_data, cost_lines, end_text, is_sys
 from surctl.errors import InputError, nearest
 
 if TYPE_CHECKING:
+    from surctl.assessment import Assessment
     from surctl.export import CheckReport, ProofReport, Records, SilReport
     from surctl.export.bundle import Bundle
     from surctl.export.contract import Exportable
@@ -287,7 +288,8 @@ def export(
     evidence = evidence_of(
         run=replayed, sil=compared.sil, check=compared.report, proof=proof, statuses=record.status, period=built.dt
     )
-    evidence["assessment"] = _assessed(run, sensing)
+    assessment = _assessed(run, sensing)
+    evidence["assessment"] = finite(assessment.to_dict())
     # a bundle appears when it is complete and checked, at once
     files = write_bundle(with_evidence(bundle, evidence, binaries=compared.binaries), options.out)
     result: dict[str, Any] = {
@@ -300,6 +302,7 @@ def export(
         "sha256": {f.path.relative_to(options.out).as_posix(): f.sha256 for f in files},
         "run": run.to_dict() | ({"sensors": sensor_data(mission)} if sensing == "sonar" else {}),
         "real": options.real,
+        "assessment": assessment.to_dict(),
         **compared.data(proof),
     }
     started = _how_to_start(options.out, click.get_current_context())
@@ -313,9 +316,10 @@ def export(
         compared.sil.summary(),
     ]
     lines += [] if failed is None else [f"warning: the replayed run failed: {failed}; see: {_again(started[1])}"]
-    lines += compared.summaries(proof)
+    lines += [*compared.summaries(proof), *(f"{line.mark} {line.text}" for line in assessment.lines)]
     brief = [_sil_line(compared.sil), *([] if failed is None else [f"FAIL the replayed run: {failed}"])]
     brief += [line for line in compared.summaries(proof) if line] + [replay_text + f"{metrics.time_s:.2f} s"]
+    brief += [f"{line.mark} {line.text}" for line in assessment.lines if line.rank < 2]
     belong = [shlex.join(["surctl", "check", str(file), "--bundle", str(options.out)]) for file in certificates[:1]]
     finish(
         result,
@@ -347,8 +351,8 @@ def _again(command: str) -> str:
     return command.partition(" --controller ")[0]
 
 
-def _assessed(run: Run, sensing: str) -> dict[str, Any]:
-    """Return what is assessed of the exported law, without the region of attraction, as data for the manifest."""
+def _assessed(run: Run, sensing: str) -> Assessment:
+    """Return what is assessed of the exported law, without the region of attraction."""
     from surctl.assessment import assess
     from surctl.marine.assessment import Mission
 
@@ -356,8 +360,7 @@ def _assessed(run: Run, sensing: str) -> dict[str, Any]:
     speeds = (mission.cruise, mission.cap)
     kind: dict[str, Any] = {"sensing": sensing, "barrier": law.barrier, "movers": law.movers, "runs": (run,)}
     subject = Mission(run.vehicle, run.gains, *speeds, law.ref, law.guidance, (mission,), law.dt, **kind)
-    data: dict[str, Any] = finite(assess(subject, parts=["loop", "no contact", "runs"]).to_dict())
-    return data
+    return assess(subject, parts=["loop", "no contact", "runs"])
 
 
 def _how_to_start(out: Path, context: click.Context) -> tuple[str, str]:
