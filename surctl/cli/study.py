@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from surctl.cli.claims import claim_line
-from surctl.cli.output import as_json, finish, progress, refusal_line, same_command, saving, stoppable
+from surctl.cli.output import as_json, finish, progress, refusal_line, same_command, saving, stoppable, timed
 from surctl.cli.robot_options import at_hand, derive_words, law_words, margin_of_all, trust_option
 from surctl.cli.subject import (
     OwnSystem,
@@ -25,7 +25,7 @@ from surctl.cli.subject import (
     load_system,
     seconds_option,
 )
-from surctl.errors import InputError
+from surctl.errors import InputError, NotApplicable
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -182,6 +182,7 @@ def _examined(law: str, about: list[str]) -> list[str]:
 
 
 _AXES, _POINTS = 2, 9  # of the sweep, if no axis is given
+_REGION = 60.0  # largest processor time of the region of a system [s]
 
 
 def study_system(
@@ -196,9 +197,11 @@ def study_system(
     """Write report.html and the C code of the controller; exit with status 1 if a check of the report fails."""
     from surctl import __version__
     from surctl.assessment import ClosedLoop, assess
+    from surctl.cli.export import system_bundle, system_evidence
     from surctl.cli.subject import loop_data, mode_text, region_words, resting
     from surctl.cli.sweep import best_line, best_points
-    from surctl.export.bundle import build_bundle, check_folder, write_bundle
+    from surctl.export.bundle import check_folder, write_bundle
+    from surctl.export.evidence import with_evidence
     from surctl.export.process import build_controller
     from surctl.export.sil import compare_runs
     from surctl.files import prepare_folder, write_file
@@ -207,6 +210,7 @@ def study_system(
     from surctl.report.system_page import SystemStudy, export_line, render_system_page
     from surctl.system import run_system
     from surctl.tuning import sweep_system
+    from surctl.tuning.system_sweep import chosen_points
 
     own = load_system(words)
     find_compiler()
@@ -223,7 +227,7 @@ def study_system(
     record = run_system(own.system, duration, values)
     controller = own.system.controller
     progress("comparing C with Python")
-    bundle = build_bundle(controller, controller.gains.unpack(record.controller[2]))
+    bundle = system_bundle(own, values, record)
     files: Sequence[object] = ()
     with saving("code"):
         files = write_bundle(bundle, out / "export")
@@ -231,9 +235,11 @@ def study_system(
         (sil,) = compare_runs(build_controller(controller, bundle, Path(scratch, bundle.name)), [record])
 
     def solved() -> Solution:
+        if isinstance(problem, NotApplicable):
+            raise problem
         assert problem is not None  # the subject asks only then
-        progress("region of attraction")
-        return solve(problem, first=True, progress=progress)
+        with timed(f"region of attraction, at most {_REGION:g} s of processor time"):
+            return solve(problem, first=True, time_limit=_REGION, progress=progress)
 
     subject = ClosedLoop(
         own.system, values, {**own.system.ranges, **uncertain}, record, region=None if problem is None else solved
@@ -242,18 +248,22 @@ def study_system(
     swept = None
     with stoppable(f"the code is in {out / 'export'}; not finished: margins, region, sweep", ran, as_json=as_json):
         assessment = assess(subject).with_lines([export_line(sil)])
+        with saving("code"):
+            write_bundle(with_evidence(bundle, system_evidence(own, record, assessment, sil)), out / "export")
         if design is not None:
             progress(f"sweep of {len(design[0].points)} points")
             with saving("sweep"):
                 swept = sweep_system(own.system, design[0], duration, draws=design[1], values=values, threads=workers)
     loop, solution = assessment.sources["loop"], assessment.sources.get("region")
     judged = not isinstance(loop, InputError)
-    best = {} if swept is None else best_points(swept)
+    choices = {} if swept is None else chosen_points(swept, values, subject.ranges)
+    best = {} if swept is None else best_points(swept, choices)
     about = [word for word in others if not word.startswith("start.")]
     study = SystemStudy(
         title=f"Study of {own.system.title}", record=record, assessment=assessment,
         resting=resting(own.system, loop.nominal.at) if judged else {}, mode=mode_text(loop.nominal) if judged else "",
-        swept=swept, best=[] if swept is None else [best_line(swept, name, row) for name, row in best.items()], sil=sil,
+        swept=swept, sil=sil,
+        best=[] if swept is None else [best_line(swept, name, row, choices[name]) for name, row in best.items()],
         commands={
             "study": command_line("study", own, *own.settings, "--seconds", f"{duration:g}", "--out", str(out)),
             "run": command_line("simulate", own, *others, "--seconds", f"{duration:g}", "--out", "run"),
@@ -265,7 +275,7 @@ def study_system(
     report: Path | None = None
     with saving("report"):
         report = write_file(out / "report.html", render_system_page(study))
-    passed = assessment.passed is not False and (solution is None or solution.verdict == "proved")
+    passed = assessment.accepted("region")
     lines = [f"study {own.system.title}: {'passed' if passed else 'NOT passed'}: {assessment.banner}"]
     lines += [f"{line.mark} {line.text}" for line in assessment.lines]
     lines += [*ran, *study.best]
@@ -284,8 +294,7 @@ def study_system(
         "report": None if report is None else str(report),
     }
     then = [study.commands["run"]]
-    if best:
-        at = next(iter(best.values()))["at"]
+    if at := next((row["at"] for row in best.values() if row["accepted"]), None):
         then = [command_line("verify", own, *about, *(f"{name}={value!r}" for name, value in at.items()))]
     finish(
         data, lines, as_json=as_json, passed=passed, then=then if passed else (),

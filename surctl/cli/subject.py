@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import click
 from click.core import ParameterSource
 
-from surctl.errors import InputError, nearest
+from surctl.errors import InputError, NotApplicable, nearest
 
 if TYPE_CHECKING:
     import numpy as np
@@ -336,17 +336,21 @@ class RegionWords:
     ranges: Mapping[str, tuple[float, float]]
     claim: Mapping[str, str]
 
-    def problem(self, system: System, values: Mapping[str, ArrayLike]) -> Problem:
-        """Return the problem of finding and proving a region of attraction of the system.
+    def problem(self, system: System, values: Mapping[str, ArrayLike]) -> Problem | NotApplicable:
+        """Return the problem of finding and proving a region of attraction of the system, or why it has none.
 
         Raises:
             InputError: see `sampled_dynamics`; or the function, the level or the rate is not valid.
         """
         from surctl.lyapunov import Problem, sampled_dynamics
+        from surctl.lyapunov.equilibrium import require_common
         from surctl.verification.formula import parse, variable
 
-        dynamics = sampled_dynamics(system, self.within, values=values, ranges=self.ranges)
-        dynamics.require_equilibrium()
+        try:
+            dynamics = sampled_dynamics(system, self.within, values=values, ranges=self.ranges)
+            require_common(dynamics)
+        except NotApplicable as reason:
+            return reason
         numbers: dict[str, float | None] = {}
         for key in ("level", "rate"):
             text = self.claim.get(key)
