@@ -202,7 +202,8 @@ def export(
     Sensor options override the scenario's tables. --check also runs code built by gcc and clang at -O0 to -O3 and on
     QEMU's Cortex-M3, -M4F and -M7: every output byte must equal that of Python. --prove takes minutes with sonar
     sensing; the proof covers all gains within the ranges of the gain file. FILE.py:FUNCTION exports the controller of a
-    system of your own. Exit status: 1 if C and Python differ, or if the replayed run collides or does not arrive.
+    system of your own. Exit status: 1 if C and Python differ, or if the replayed run collides or does not arrive;
+    other lines of the assessment that fail are warnings.
 
     Examples: surctl export --gains surctl-out/gains.toml --out firmware; surctl export --law closed_form --sensing
     truth --constant-gains --check; surctl export my_system.py:build --seconds 5
@@ -329,10 +330,11 @@ def export(
         compared.sil.summary(),
     ]
     lines += [] if failed is None else [f"warning: the replayed run failed: {failed}; see: {_again(started[1])}"]
-    lines += [*compared.summaries(proof), *(f"{line.mark} {line.text}" for line in assessment.lines)]
+    warnings = [f"warning: {text}" for text in assessment.failures]  # of the loop and the mission, not of the code
+    lines += [*compared.summaries(proof), *warnings]
     brief = [_sil_line(compared.sil), *([] if failed is None else [f"FAIL the replayed run: {failed}"])]
     brief += [line for line in compared.summaries(proof) if line] + [replay_text + f"{metrics.time_s:.2f} s"]
-    brief += [f"{line.mark} {line.text}" for line in assessment.lines if line.rank < 2]
+    brief += warnings
     belong = [shlex.join(["surctl", "check", str(file), "--bundle", str(options.out)]) for file in certificates[:1]]
     finish(
         result,
