@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pydantic import Field, ValidationError
 
 from surctl.errors import InputError, nearest
-from surctl.files import Quantity, Strict, pick, quoted, read_toml, validate
+from surctl.files import Mistakes, Quantity, Strict, pick, quoted, read_toml, validate
 from surctl.marine.vehicle.specs import (
     DEFAULTED,
     NEEDED_TO_TILT,
@@ -342,18 +342,21 @@ def vehicle_from_table(table: dict[str, Any], *, source: str) -> Vehicle:
     if not model.name.isprintable():
         remedy = "leave out line breaks and other control characters"
         raise InputError("is not a name", file=source, key="name", value=model.name, remedy=remedy)
-    parameters: dict[str, Parameter] = {}
+    parameters, mistakes = dict[str, Parameter](), Mistakes()
     for section in ("hull", "inertia", "drag", "thrust", "force", "attitude"):
-        parameters |= _read_section(section, getattr(model, section), source)
+        parameters |= _read_section(section, getattr(model, section), source, mistakes)
+    mistakes.check()
     actuators = read_actuators(model.thruster, model.allocation, source=source)
     parameters |= _of_thrusters(actuators, model.thruster, parameters, source)
     for name, spec in PARAMETERS.items():
         if name in parameters:
             continue
-        if spec.default is None:
-            remedy = f'add {name} = {{ value = ..., unit = "{spec.unit}" }} ({spec.meaning})'
-            raise InputError("is missing", file=source, key=f"{spec.table}.{name}", remedy=remedy)
-        parameters[name] = Parameter(spec.default, spec.unit, None, DEFAULTED)
+        with mistakes.collected():
+            if spec.default is None:
+                remedy = f'add {name} = {{ value = ..., unit = "{spec.unit}" }} ({spec.meaning})'
+                raise InputError("is missing", file=source, key=f"{spec.table}.{name}", remedy=remedy)
+            parameters[name] = Parameter(spec.default, spec.unit, None, DEFAULTED)
+    mistakes.check()
     ordered = {name: parameters[name] for name in (*PARAMETERS, *TERMS) if name in parameters}
     return _possible(Vehicle(model.name, model.note, ordered, source, actuators))
 
@@ -424,7 +427,9 @@ def _of_thrusters(
     return {name: _checked(name, known, file=source) for name, known in derived.items() if name not in stated}
 
 
-def _read_section(section: str, table: Mapping[str, Quantity | str], source: str) -> dict[str, Parameter]:
+def _read_section(
+    section: str, table: Mapping[str, Quantity | str], source: str, mistakes: Mistakes
+) -> dict[str, Parameter]:
     known = [name for name, spec in (*PARAMETERS.items(), *TERMS.items()) if spec.table == section]
     shared = table.get("provenance")
     if shared is not None and (not isinstance(shared, str) or not shared.strip()):
@@ -435,16 +440,26 @@ def _read_section(section: str, table: Mapping[str, Quantity | str], source: str
     for name, entry in table.items():
         if name == "provenance":
             continue
-        key = f"{section}.{name}"
-        if name not in known:
-            raise InputError("unknown key", file=source, key=key, remedy=nearest(name, [*known, "provenance"]))
-        entry = _in_own_unit(name, entry, file=source)
-        provenance = entry.provenance or shared
-        if not isinstance(provenance, str):
-            remedy = f'add provenance = "..." to [{section}]: who measured or derived it'
-            raise InputError("has no provenance", file=source, key=key, remedy=remedy)
-        parameters[name] = _checked(name, Parameter(entry.value, entry.unit, entry.range, provenance), file=source)
+        with mistakes.collected():
+            parameters[name] = _read_entry(f"{section}.{name}", name, entry, shared, known, source)
     return parameters
+
+
+def _read_entry(
+    key: str, name: str, entry: Quantity | str, shared: str | None, known: list[str], source: str
+) -> Parameter:
+    if name not in known:
+        raise InputError("unknown key", file=source, key=key, remedy=nearest(name, [*known, "provenance"]))
+    entry = _in_own_unit(name, entry, file=source)
+    provenance = entry.provenance or shared
+    if not isinstance(provenance, str):
+        raise InputError(
+            "has no provenance",
+            file=source,
+            key=key,
+            remedy=f'add provenance = "..." to [{key.partition(".")[0]}]: who measured or derived it',
+        )
+    return _checked(name, Parameter(entry.value, entry.unit, entry.range, provenance), file=source)
 
 
 def _in_own_unit(name: str, entry: Quantity | str, *, file: str) -> Quantity:
