@@ -115,7 +115,7 @@ def simulate(
     as_json: bool,
 ) -> None:
     """Simulate scenarios, or a system of your own (surctl new system NAME).
-    Exit status: 1 if a run collides or does not arrive; campaigns resume in DIR.
+    Exit status: 1 if a run collides or does not arrive. Campaigns resume in DIR.
     Example: surctl simulate tank-static --runs 9 --monte-carlo
     """
     if is_system(scenarios, "seconds", "out", "save", "as_json"):
