@@ -31,9 +31,11 @@ _SYSTEM = click.IntRange(1, 255)
 @click.option(
     "--sensing", default="truth", metavar="NAME", help="Obstacles: truth (reported positions, default) or sonar."
 )
-@click.option("--mode", default="alt_hold", metavar="NAME", help="Mode: alt_hold (default), manual or guided.")
 @click.option(
-    "--send", default="rc", metavar="NAME", help="Messages: rc (channel overrides, default) or manual (MANUAL_CONTROL)."
+    "--mode", default="alt_hold", metavar="NAME", help="Autopilot mode: alt_hold (default), manual or guided."
+)
+@click.option(
+    "--send", default="rc", metavar="NAME", help="Thrust as rc (channel overrides, default) or manual (MANUAL_CONTROL)."
 )
 @click.option(
     "--origin",

@@ -63,7 +63,7 @@ _EXPLAINED = ("deviation_m", "path_error_m")  # columns whose meaning is printed
     help="Vehicle: name or file; may be repeated (default: each scenario's).",
 )
 @click.option("--sensing", default="truth", metavar="NAME", help="Obstacle positions from truth (default) or sonar.")
-@click.option("--gains", metavar="FILE", help="Other gains: name or file (default: the vehicle's).")
+@click.option("--gains", metavar="FILE", help="Gains not swept: name or file (default: the vehicle's).")
 @law_option
 @click.option(
     "--priority-mode", default="nsb", metavar="NAME", help="Mode: nsb (default), filter, projected, lexicographic."
