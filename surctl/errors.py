@@ -31,7 +31,7 @@ __all__ = [
 
 
 LOST = 3
-"""Exit status of a command some of whose output could not be written."""
+"""Exit status of a command some of whose output is lost: the disk is full or read-only, or stdout is closed."""
 
 LOSSES = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS)
 """Error numbers of a file system that takes no more output, whatever the name of the file is."""
@@ -118,7 +118,7 @@ def cannot_write(
     place: object, error: Exception, *, key: str | None = None, more: str = "",
     remedy: str = "free disk space, or choose a folder that you may write to",
 ) -> InputError:  # fmt: skip
-    """Return the InputError for a file or folder that cannot be written; its exit status is 3 for a full disk.
+    """Return the InputError for a file or folder that cannot be written; its exit status is 3 for the `LOSSES`.
 
     Args:
         place: the file or folder.

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import click
 
 from surctl.cli.output import as_json, finish, printable
-from surctl.cli.robot_options import derive_words, margin_short
+from surctl.cli.robot_options import derive_words, margin_of_all
 from surctl.errors import InputError
 
 if TYPE_CHECKING:
@@ -83,9 +83,7 @@ def _loop_findings(mission: Mission, derive_for: str | None) -> tuple[list[Findi
     lines = [line for line in result.lines if line.passed is False or line.about == "cap"]
     gains = f"with the gains {mission.gains.name!r}"
     warnings = [Finding("warning", keys[line.about], f"{line.text}, {gains}") for line in lines]
-    short = [margin_short(claim) for claim in result.sources.get("no contact") or ()]
-    margin = max(filter(math.isfinite, short), default=math.nan)
-    then = []
+    margin, then = margin_of_all(result), []
     if derive_for is not None and math.isfinite(margin):
         then.append(derive_words(derive_for, mission.cruise, "gains.toml", margin=margin))
     return [*warnings, *(Finding("info", one.name, one.text) for one in result.assumptions)], then

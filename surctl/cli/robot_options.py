@@ -15,6 +15,7 @@ from surctl.cli.output import together
 from surctl.errors import InputError, nearest
 
 if TYPE_CHECKING:
+    from surctl.assessment import Assessment
     from surctl.marine.control import Gains, GainSpec, Law
     from surctl.marine.simulation import SafetyClaim, Scenario
     from surctl.marine.vehicle import Vehicle
@@ -162,6 +163,12 @@ def margin_short(contact: SafetyClaim | Inapplicable | None) -> float:
     if contact is None or isinstance(contact, Inapplicable) or contact["margin needed"] <= contact["margin"]:
         return math.nan
     return contact.least_margin
+
+
+def margin_of_all(assessment: Assessment) -> float:
+    """Return the gain `margin` [m] that all no-contact claims of an assessment need; NaN if none has too little."""
+    short = [margin_short(claim) for claim in assessment.sources.get("no contact") or ()]
+    return max(filter(math.isfinite, short), default=math.nan)
 
 
 law_option = click.option(

@@ -12,7 +12,7 @@ import click
 
 from surctl.cli.output import finish, progress, same_command, saving, stoppable, together
 from surctl.cli.robot_options import RobotOptions, choose_gains, choose_vehicle
-from surctl.errors import InputError, NotApplicable
+from surctl.errors import InputError
 
 if TYPE_CHECKING:
     from surctl.cli.sensor_options import SensorOptions
@@ -88,7 +88,6 @@ def series_lines(runs: Sequence[Mapping[str, Any]]) -> list[str]:
 
     The lines name two runs that collide or do not arrive, and a low margin of the linear loop, which all runs share.
     """
-    from surctl.verification.linear import LEAST_DISK_MARGIN
 
     times = [run["time_s"] for run in runs if run["reached"]]
     worst = min(runs, key=lambda run: run["min_clearance_m"])
@@ -108,10 +107,8 @@ def series_lines(runs: Sequence[Mapping[str, Any]]) -> list[str]:
     linear = worst["linear"] or {}
     if not linear.get("stable", True):
         lines.append("  the linear loop at this speed is unstable")
-    elif (margin := linear.get("disk_margin", LEAST_DISK_MARGIN)) < LEAST_DISK_MARGIN:
-        lines.append(
-            f"  the linear loop has a disk margin of {margin:.2f} at its worst corner (below {LEAST_DISK_MARGIN:g})"
-        )
+    elif linear.get("short"):
+        lines.append(f"  the linear loop has {linear['short']}")
     return lines
 
 
@@ -148,30 +145,30 @@ def linear_warning(
     model: Vehicle | None = None,
     crab: str = "",
 ) -> tuple[dict[str, Any] | None, list[str]]:
-    """Return the stability and the disk margin of the linear loop of a run as data, and lines about a defect.
+    """Return the stability and the margins of the linear loop of a run as data, and lines about a defect.
 
-    There are lines if the loop is unstable, or if the disk margin is below the least one. The data is None if the law
-    has no linear loop, or if the thrust cannot hold the speed (which lint reports). `crab` is appended to the first
-    line.
+    There are lines if the loop is unstable, or if a margin at the worst corner is below the least one. The data is
+    None if the law has no linear loop, or if the thrust cannot hold the speed (which lint reports). `crab` is appended
+    to the first line.
     """
     from surctl.marine.verification.cruise_loop import has_cruise_loop
     from surctl.marine.verification.linear import corner_margin, slowest_mode
-    from surctl.verification.linear import LEAST_DISK_MARGIN
 
     if not has_cruise_loop(law, guidance):
         return None, []
     try:
-        margin, _, corner = corner_margin(vehicle, gains, cruise=cruise, dt=dt, model=model, law=law)
+        found = corner_margin(vehicle, gains, cruise=cruise, dt=dt, model=model, law=law)
     except InputError:
         return None, []
-    data: dict[str, Any] = {"cruise_m_per_s": cruise, "stable": True, "disk_margin": margin, "corner": corner}
-    if margin >= LEAST_DISK_MARGIN:
+    data: dict[str, Any] = {"cruise_m_per_s": cruise, "stable": True, "disk_margin": found.margin}
+    data |= {"corner": found.corner, "delay_margin_s": found.delay.delay_s, "short": found.short}
+    if found.enough:
         return data, []
     mode = slowest_mode(vehicle, gains, cruise=cruise, dt=dt, model=model, law=law)
     data |= {"stable": mode.stable, "mode": mode.to_dict()}
     if mode.stable:
-        word = f"has a disk margin of {margin:.2f}" if margin > 0 else "is unstable"
-        return data, [f"  the linear loop at this speed {word} at {corner} (at least {LEAST_DISK_MARGIN:g}){crab}"]
+        word = f"has {found.short}" if found.margin > 0 else f"is unstable at {found.corner}"
+        return data, [f"  the linear loop at this speed {word}{crab}"]
     head = f"  the linear loop at this speed is unstable{crab}:"
     return data, [head, *(f"    {line.strip()}" for line in mode.lines())]
 
@@ -433,20 +430,10 @@ def _linear(case: Case) -> tuple[dict[str, Any] | None, list[str]]:
 
 def _claim(case: Case) -> SafetyClaim | Inapplicable:
     # for the unchanged scenario and the vehicle's parameter ranges
-    from math import inf
+    from surctl.marine.assessment import judged_contact
 
-    from surctl.marine.simulation import safety_claim, turn_rate
-    from surctl.marine.simulation.echo_fit import detection_range
-    from surctl.verification import Inapplicable
-
-    sees = detection_range(case.scenario) if case.sensing == "sonar" else inf
-    believed = case.model or case.vehicle
-    turning = turn_rate(case.scenario, believed, case.gains, sonar=case.sensing == "sonar")
-    kind: dict[str, Any] = {"barrier": case.barrier, "movers": case.movers}
-    try:
-        return safety_claim(case.scenario, believed, case.gains, **kind, detection=sees, turning=turning)
-    except NotApplicable as reason:
-        return Inapplicable.of("no contact", reason)
+    kind: dict[str, Any] = {"sonar": case.sensing == "sonar", "barrier": case.barrier, "movers": case.movers}
+    return judged_contact(case.scenario, case.model or case.vehicle, case.gains, **kind)
 
 
 def _head(campaign: Campaign) -> str:

@@ -260,6 +260,7 @@ def simulate_own_system(
     words: Sequence[str], *, seconds: float | None, out: Path | None, save: str, as_json: bool
 ) -> None:
     """Simulate one run, print how it ended and its costs, and write signals (as csv, mat or nc) and plot to `out`."""
+    from surctl.assessment import ClosedLoop, assess
     from surctl.files import prepare_folder
     from surctl.system import LOST, run_system
 
@@ -268,7 +269,9 @@ def simulate_own_system(
     if out is not None:
         prepare_folder(out)
     record = run_system(own.system, duration, values)
-    lines = [end_text(own, record), *cost_lines(own.system, record.figures)]
+    assessment = assess(ClosedLoop(own.system, values, record=record), parts=["run"])
+    judged = [f"{line.mark} {line.text}".strip() for line in assessment.lines if line.about]
+    lines = [end_text(own, record), *cost_lines(own.system, record.figures), *judged]
     files = [] if out is None else _write(own, record, out, save)
     lines += [f"  {file}" for file in files]
     data = {
@@ -278,13 +281,14 @@ def simulate_own_system(
         "not_finite": record.lost or None,
         "duration_s": record.duration,
         "costs": cost_data(own.system, record.figures),
+        "assessment": assessment.to_dict(),
         "files": [str(file) for file in files],
     }
     fine = record.stopped != LOST
     then = [command_line("verify", own, *own.settings), _sweep(own, duration)] if fine else []
-    brief = [lines[0], *(" ".join(line.split()) for line in cost_lines(own.system, record.figures))]
+    brief = [lines[0], *judged, *(" ".join(line.split()) for line in cost_lines(own.system, record.figures))]
     steps = [command for command in then if command]
-    finish(data, lines, as_json=as_json, passed=fine, then=steps, brief=brief, files=where(out))
+    finish(data, lines, as_json=as_json, passed=assessment.accepted(), then=steps, brief=brief, files=where(out))
 
 
 def _write(own: OwnSystem, record: Record, out: Path, kind: str) -> list[Path]:

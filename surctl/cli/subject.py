@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import click
 from click.core import ParameterSource
 
-from surctl.errors import InputError, nearest
+from surctl.errors import InputError, NotApplicable, nearest
 
 if TYPE_CHECKING:
     import numpy as np
@@ -249,12 +249,13 @@ def loop_lines(own: OwnSystem, loop: LoopCorners[SystemLoop]) -> list[str]:
     lines.append(f"sampled every {period:g} s: {stable}, {len(nominal.poles)} poles")
     lines.append(f"  slowest mode: {mode_text(nominal)}")
     if nominal.stable:
-        lines += ["each loop alone, opened at one signal, all others closed:"]
+        lines += ["nominal; each loop alone, opened at one signal, all others closed:"]
         lines += [f"  {margin.line()}" for margin in nominal.margins]
         lines += [margin.line(margin.place) for margin in nominal.disks]
     if loop.count:
         word = f"disk margin {loop.disk:.2f}" if loop.stable else "no equilibrium" if loop.lost else "UNSTABLE"
         lines.append(f"worst of the {loop.count} corners of the ranges: {word} at {loop.corner}")
+        lines.append(f"  least delay margin of one loop alone: {loop.delay.delay_s:.4g} s ({loop.delay.where})")
     return lines
 
 
@@ -270,7 +271,13 @@ def loop_data(own: OwnSystem, loop: LoopCorners[SystemLoop]) -> dict[str, Any]:
         "slowest_mode": _slowest(nominal),
         "margins": [margin.to_dict() for margin in nominal.margins],
         "disk_margins": [margin.to_dict() for margin in nominal.disks],
-        "worst": {"stable": loop.stable, "disk_margin": loop.disk, "corner": loop.corner, "corners": loop.count},
+        "worst": {
+            "stable": loop.stable,
+            "disk_margin": loop.disk,
+            "corner": loop.corner,
+            "delay_margin": loop.delay._asdict(),
+            "corners": loop.count,
+        },
     }
 
 
@@ -329,17 +336,21 @@ class RegionWords:
     ranges: Mapping[str, tuple[float, float]]
     claim: Mapping[str, str]
 
-    def problem(self, system: System, values: Mapping[str, ArrayLike]) -> Problem:
-        """Return the problem of finding and proving a region of attraction of the system.
+    def problem(self, system: System, values: Mapping[str, ArrayLike]) -> Problem | NotApplicable:
+        """Return the problem of finding and proving a region of attraction of the system, or why it has none.
 
         Raises:
             InputError: see `sampled_dynamics`; or the function, the level or the rate is not valid.
         """
         from surctl.lyapunov import Problem, sampled_dynamics
+        from surctl.lyapunov.equilibrium import require_common
         from surctl.verification.formula import parse, variable
 
-        dynamics = sampled_dynamics(system, self.within, values=values, ranges=self.ranges)
-        dynamics.require_equilibrium()
+        try:
+            dynamics = sampled_dynamics(system, self.within, values=values, ranges=self.ranges)
+            require_common(dynamics)
+        except NotApplicable as reason:
+            return reason
         numbers: dict[str, float | None] = {}
         for key in ("level", "rate"):
             text = self.claim.get(key)

@@ -373,7 +373,7 @@ def tune_own_system(
     goals: str | None,
     as_json: bool,
 ) -> None:
-    """Search gains, write them, print each figure before and after; the exit status is 1 if a bound is violated."""
+    """Search gains, write them, print each figure before and after; the exit status is 1 if a bound or a line fails."""
     from surctl.assessment import ClosedLoop, Comparison, assess
     from surctl.files import prepare_folder
     from surctl.ir import find_compiler
@@ -459,7 +459,8 @@ def tune_own_system(
     fine = all(map(math.isfinite, result.costs.values()))
     brief = [headline, *doubtful, *map(str.strip, result.lines(own.system))]
     finish(
-        data, lines, as_json=as_json, passed=fine and not result.unmet, then=then if fine else (),
+        data, lines, as_json=as_json, passed=fine and not result.unmet and comparison.after.accepted(),
+        then=then if fine else (),
         brief=brief, files=[f"gains {table}"] if table else [],
     )  # fmt: skip
 

@@ -226,7 +226,7 @@ def verify(
     held, held_data = (
         ([], {})
         if linear.stable is None or not cascaded
-        else speed_lines(robot, values, cruise=speeds[0], cap=speeds[1], **options)
+        else speed_lines(robot, values, cruise=speeds[0], cap=speeds[1], short=linear.short, **options)
     )
     lines += held
     result: dict[str, Any] = {
@@ -367,9 +367,8 @@ def _chosen(
     from surctl.verification import load_claim
 
     if not words:  # where the paper errs concerns its own robot
-        every, refused = ((), {}) if law else applicable_claims(gains, vehicle=vehicle)
-        errata = has_tuned(vehicle)
-        return [claim for claim in every if errata or claim.expected == "proved"], refused
+        every, refused = ((), {}) if law else applicable_claims(gains, vehicle=vehicle, errata=has_tuned(vehicle))
+        return list(every), refused
     own = {word: load_claim(Path(word)) for word in words if word.endswith(".toml")}
     rest, refused = applicable_claims(gains, [w for w in dict.fromkeys(words) if w not in own], vehicle=vehicle)
     if law is not None:
@@ -414,7 +413,7 @@ def verify_system(words: Sequence[str], *, seed: int, time_limit: float, out: Pa
     from surctl.cli.claims import write_solution
     from surctl.cli.subject import region_words
     from surctl.files import prepare_folder
-    from surctl.lyapunov import solve
+    from surctl.lyapunov import Solution, solve
 
     own = load_system(words)
     others, region, uncertain = region_words(own.settings, own.system)
@@ -432,6 +431,8 @@ def verify_system(words: Sequence[str], *, seed: int, time_limit: float, out: Pa
     problem = None if region is None else region.problem(own.system, values)
 
     def solved() -> Solution:
+        if isinstance(problem, NotApplicable):
+            raise problem
         assert problem is not None  # the subject asks only then
         with timed("region of attraction", time_limit):
             return solve(problem, time_limit=time_limit, seed=seed, progress=progress)
@@ -449,9 +450,10 @@ def verify_system(words: Sequence[str], *, seed: int, time_limit: float, out: Pa
     certificates = list[str]()
     solution = assessment.sources.get("region")
     if solution is not None:
+        data["region"] = solution.to_dict()
+    if isinstance(solution, Solution):
         about = "sampled loop, with held commands" if solution.sampled else "control law in continuous time"
         lines += [f"region of attraction of the {about}:", *solution.lines()]
-        data["region"] = solution.to_dict()
         if out is not None:
             written = [str(path) for path in write_solution(solution, out)]
             data["region"]["files"] = written
@@ -459,7 +461,7 @@ def verify_system(words: Sequence[str], *, seed: int, time_limit: float, out: Pa
             certificates = written[:1]
     lines += [f"{line.mark} {line.text}" for line in assessment.lines]
     decisive = sorted(assessment.lines, key=lambda line: (line.rank, line.about != "region"))
-    passed = assessment.passed is True
+    passed = assessment.accepted("loop", "region")
     data = {**own.names, **data, "assessment": assessment.to_dict()}
     settings = [word for word in others if not word.startswith("start.")]
     then = [command_line("export", own, *settings, "--seconds", f"{100 * own.system.dt:g}", "--out", "firmware")]

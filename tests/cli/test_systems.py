@@ -501,6 +501,8 @@ def test_a_region_of_a_system_is_proved_and_its_words_are_checked(
         (["k=2..1"], "ranges.k = (2.0, 1.0): is not a range"),
         (["within.x=-1..1", "lyapunov.level=2"], "lyapunov.level: is given without a function"),
         (["within.x=-1..1", "lyapunov.function=z^2"], "'z' at column 1 is not known"),
-        (["within.x=1..2"], "has its equilibrium outside its bounds"),
     ):
         assert says in complaint("verify", "loop.py:build", *words)
+    beside = data("verify", "loop.py:build", "within.x=1..2", status=1)
+    assert beside["region"]["verdict"] == "not applicable" and beside["stable"] is True
+    assert any("not assessed, because it rests at x = 0 m" in line["text"] for line in beside["assessment"]["lines"])

@@ -145,6 +145,17 @@ class Gains:
         return replace(self, name=name, values=merged, provenance=provenance or self.provenance)
 
 
+def setting(name: str, value: float) -> str:
+    """Return the line of a gain file that sets a gain, to quote in a text.
+
+    Example:
+        >>> from surctl.marine.control.gains import setting
+        >>> setting("margin", 0.929)
+        'margin = "0.929 m"'
+    """
+    return f'{name} = "{value:g} {GAINS[name].unit}"'
+
+
 def _chosen(own: Mapping[str, GainSpec]) -> Mapping[str, GainSpec]:
     return {name: spec for name, spec in own.items() if not spec.from_vehicle}
 

@@ -103,8 +103,9 @@ def gazebo_vehicle(
     parameters = {}
     for key, value in [*((k, values[k]) for k in PARAMETERS), *((k, cross[k]) for k in TERMS if k in cross)]:
         spec = parameter_spec(key)
-        if spec is None or not np.isfinite(value) or (value <= 0 and not spec.zero_allowed):
-            raise InputError("must be greater than 0", file=shown(path), key=key, value=value, remedy="correct it")
+        assert spec is not None  # the keys are those of the specifications
+        if not spec.allows(value):
+            raise InputError(f"must be {spec.bound}", file=shown(path), key=key, value=value, remedy=spec.remedy)
         parameters[key] = Parameter(float(value), spec.unit, None, "given" if key in from_user else said)
     free = undamped({key: parameter.value for key, parameter in parameters.items()})
     note = f"; no drag found in {', '.join(free)}" if free else ""

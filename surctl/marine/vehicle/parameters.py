@@ -6,8 +6,9 @@ import hashlib
 import json
 from collections.abc import Container, Mapping
 from dataclasses import dataclass, replace
+from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -370,7 +371,8 @@ def vehicle_from_table(table: dict[str, Any], *, source: str) -> Vehicle:
 def _possible(vehicle: Vehicle) -> Vehicle:
     """Return the vehicle if its terms describe a body; else raise InputError.
 
-    Kinetic energy requires a positive definite inertia matrix, and roll and pitch need inertia, weight and buoyancy.
+    Kinetic energy requires a positive definite inertia matrix everywhere in the ranges, and roll and pitch need
+    inertia, weight and buoyancy.
     """
     form, file = vehicle.form, vehicle.source or vehicle.name
     for name in NEEDED_TO_TILT if form.tilts else ():
@@ -382,19 +384,42 @@ def _possible(vehicle: Vehicle) -> Vehicle:
                 key=f"{spec.table}.{name}",
                 remedy=f'add {name} = {{ value = ..., unit = "{spec.unit}" }} ({spec.meaning})',
             )
-    couplings = [entry for entry in form.inertia() if entry[0] != entry[1]]
-    if couplings and np.linalg.eigvalsh(vehicle.inertia)[0] <= 0:
-        own = np.diag(vehicle.inertia)
-        i, j, name = max(couplings, key=lambda entry: vehicle[entry[2]] ** 2 / (own[entry[0]] * own[entry[1]]))
-        most, ends = np.sqrt(own[i] * own[j]), " ".join(("m11", "m22", "m33", "m44", "mpp", "mqq")[k] for k in (i, j))
-        raise InputError(
-            "makes the inertia matrix indefinite",
-            file=file,
-            key=f"inertia.{name}",
-            value=vehicle[name],
-            remedy=f"alone, its size must be below sqrt({ends}) = {most:.4g} {TERMS[name].unit}",
-        )
+    for which in ("value", "range"):
+        _check_inertia(vehicle, which, file=file)
     return vehicle
+
+
+def _check_inertia(vehicle: Vehicle, which: Literal["value", "range"], *, file: str) -> None:
+    """Raise InputError if an inertia matrix is not positive definite: that of the values, or one within the ranges.
+
+    The positive definite matrices are a convex set, and more inertia on the diagonal never leaves it. So the matrices
+    with the least diagonal and each combination of ends of the couplings decide.
+    """
+    names = ("m11", "m22", "m33", "m44", *(("mpp", "mqq") if vehicle.form.tilts else ()))
+    couplings = [entry for entry in vehicle.form.inertia() if entry[0] != entry[1]]
+
+    def ends(name: str) -> tuple[float, ...]:
+        parameter = vehicle.parameters[name]
+        return (parameter.value,) if which == "value" or parameter.range is None else parameter.range
+
+    own = [min(ends(name)) for name in names]
+    for values in product(*(dict.fromkeys(ends(name)) for *_, name in couplings)) if couplings else ():
+        inertia = np.diag(own)
+        for (i, j, _), value in zip(couplings, values, strict=True):
+            inertia[i, j] = inertia[j, i] = value
+        if np.linalg.eigvalsh(inertia)[0] <= 0:
+            shares = [value**2 / (own[i] * own[j]) for (i, j, _), value in zip(couplings, values, strict=True)]
+            at = int(np.argmax(shares))
+            (i, j, name), value = couplings[at], values[at]
+            least = " at the lower ends of their ranges" if which == "range" else ""
+            most = f"sqrt({names[i]} {names[j]}) = {np.sqrt(own[i] * own[j]):.4g} {TERMS[name].unit}{least}"
+            raise InputError(
+                "makes the inertia matrix indefinite",
+                file=file,
+                key=f"inertia.{name}" + (".range" if which == "range" else ""),
+                value=value,
+                remedy=f"alone, its size must be below {most}",
+            )
 
 
 def _of_thrusters(
@@ -458,13 +483,12 @@ def _in_own_unit(name: str, entry: Quantity | str, *, file: str) -> Quantity:
 def _checked(name: str, parameter: Parameter, *, file: str) -> Parameter:
     spec = _spec(name)
     key, value = f"{spec.table}.{name}", parameter.value
-    if not np.isfinite(value) or (value < 0 and not spec.signed) or (value == 0 and not spec.zero_allowed):
-        bound = "must be at least 0" if spec.zero_allowed else "must be greater than 0"
-        bound = "must be finite" if spec.signed else bound
-        raise InputError(bound, file=file, key=key, value=value, remedy=f"{spec.meaning}, in {spec.unit}")
+    for what, number in ((key, value), *((f"{key}.range", end) for end in parameter.range or ())):
+        if not spec.allows(number):
+            raise InputError(f"must be {spec.bound}", file=file, key=what, value=number, remedy=spec.remedy)
     if parameter.range is not None:
         low, high = parameter.range
-        if not ((spec.signed or low >= 0) and low <= high and np.isfinite([low, high]).all()):
+        if low > high:
             raise InputError(
                 "is not a range", file=file, key=f"{key}.range", value=parameter.range, remedy="write [low, high]"
             )
