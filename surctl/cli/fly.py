@@ -29,9 +29,11 @@ _SYSTEM = click.IntRange(1, 255)
 @click.option(
     "--sensing", default="truth", metavar="NAME", help="Obstacles: truth (reported positions, default) or sonar."
 )
-@click.option("--mode", default="alt_hold", metavar="NAME", help="Mode: alt_hold (default), manual or guided.")
 @click.option(
-    "--send", default="rc", metavar="NAME", help="Messages: rc (channel overrides, default) or manual (MANUAL_CONTROL)."
+    "--mode", default="alt_hold", metavar="NAME", help="Autopilot mode: alt_hold (default), manual or guided."
+)
+@click.option(
+    "--send", default="rc", metavar="NAME", help="Thrust as rc (channel overrides, default) or manual (MANUAL_CONTROL)."
 )
 @click.option(
     "--origin",
@@ -58,7 +60,9 @@ _SYSTEM = click.IntRange(1, 255)
     help="Rehearsal: event at S [s]: arm, disarm, a mode, reboot (of the autopilot), cut (the link), blind (no pose), "
     "join (ends cut and blind) or quit (the bridge is killed).",
 )
-@click.option("--seed", type=click.IntRange(min=0), default=0, metavar="N", help="Rehearsal: seed (default 0).")
+@click.option(
+    "--seed", type=click.IntRange(min=0), default=0, metavar="N", help="Rehearsal: seed of lost frames (default 0)."
+)
 @click.option(
     "--out",
     type=click.Path(path_type=Path),
@@ -91,8 +95,8 @@ def fly(
 
     The bridge steers only after the operator arms the vehicle in the mode of --mode; the bridge never arms the vehicle.
     If the link or the position is lost, the thrust is neutral; after a long loss, a restart or a change of mode, the
-    operator must disarm and arm again. Read notebooks/guides/field.md first. Exit status: 1 if the vehicle does not
-    arrive, or collides in a rehearsal.
+    operator must disarm and arm again. Before the first use, read notebooks/guides/field.md. Exit status: 1 if the
+    vehicle does not arrive, or collides in a rehearsal.
 
     Examples: surctl fly tank-speed-015 --dry-run; surctl fly tank-speed-015 --mavlink udp:0.0.0.0:14550
     """

@@ -194,7 +194,7 @@ priority_options = together(
         "--priority-mode", default="nsb", metavar="NAME", help="Mode: nsb (default), filter, projected, lexicographic."
     ),
     click.option(
-        "--fallback", default="exact", metavar="NAME", help="If limits conflict: exact (default) or bounded cost."
+        "--fallback", default="exact", metavar="NAME", help="Solution if limits conflict: exact (default), bounded."
     ),
 )
 """A decorator that adds these options to a command; the command receives them as `priority_mode` and `fallback`."""
@@ -204,7 +204,9 @@ barrier_options = together(
     click.option(
         "--barrier", default="simple", metavar="NAME", help="Bound on approach speed: simple (default) or inertia."
     ),
-    click.option("--movers", default="predict", metavar="NAME", help="Moving obstacles: predict (default) or barrier."),
+    click.option(
+        "--movers", default="predict", metavar="NAME", help="Avoid moving obstacles by: predict (default), barrier."
+    ),
 )
 """A decorator that adds these options to a command; the command receives them as `barrier` and `movers`."""
 

@@ -64,7 +64,9 @@ def check_animate(path: Path | None, *, runs: int, campaign: bool, film: Path | 
 
 
 plant_options = together(
-    click.option("--plant", default="own", metavar="NAME", help="Plant: own (default) or mujoco[:KEY=VALUE,..]."),
+    click.option(
+        "--plant", default="own", metavar="NAME", help="Simulated plant: own (default), mujoco[:KEY=VALUE,..]."
+    ),
     click.option(
         "--film", type=NamedFile(path_type=Path), metavar="FILE", help="Film of --plant mujoco: FILE.gif or FILE.mp4."
     ),

@@ -217,7 +217,9 @@ campaign_options = together(
     click.option(
         "--random-worlds", "worlds", type=click.IntRange(1, 1_000_000), metavar="N", help="Simulate N random worlds."
     ),
-    click.option("--worst", type=click.IntRange(0, 1000), metavar="N", help="Worst runs to save (default 5)."),
+    click.option(
+        "--worst", type=click.IntRange(0, 1000), metavar="N", help="Number of worst runs to save (default 5)."
+    ),
     click.option("--threads", type=click.IntRange(1, 1024), metavar="N", help="Parallel runs (default 2; MuJoCo 1)."),
     click.option("--fresh", is_flag=True, help="Start the campaign again instead of resuming it."),
     click.option(
