@@ -64,7 +64,7 @@ _EXPLAINED = ("deviation_m", "path_error_m")  # columns whose meaning is printed
     help="Vehicle: name or file; may be repeated (default: each scenario's).",
 )
 @click.option("--sensing", default="truth", metavar="NAME", help="Obstacle positions from truth (default) or sonar.")
-@click.option("--gains", metavar="FILE", help="Other gains: name or file (default: the vehicle's).")
+@click.option("--gains", metavar="FILE", help="Gains not swept: name or file (default: the vehicle's).")
 @law_option
 @click.option(
     "--priority-mode", default="nsb", metavar="NAME", help="Mode: nsb (default), filter, projected, lexicographic."
@@ -137,9 +137,8 @@ def sweep(
     A parameter is a gain (k_v), a vehicle parameter (vehicle.m11; plant.m11 changes the plant but not the controller's
     model), a number of the scenario (scenario.cruise) or seed. Exit status: 1 if no point is feasible.
 
-    FILE.py:FUNCTION names a system of your own. Its costs are computed over gains (k), plant.NAME, reference.NAME,
-    disturbance.NAME, start.NAME. With --seeds N, the worst of N runs counts, with plant.NAME=LOW..HIGH sampled at
-    random.
+    For a system of your own, FILE.py:FUNCTION, costs are computed over gains (k), plant.NAME, reference.NAME,
+    disturbance.NAME, start.NAME; with --seeds N, for the worst of N runs, with plant.NAME=LOW..HIGH sampled at random.
 
     Examples: surctl sweep --scenario pool-static lookahead=0.6,0.9,1.2 k_v=0.5..3:6:log;
     surctl sweep k_v=1..3 plant.m11=30..60 --sensitivity deviation_m;
@@ -381,8 +380,8 @@ def sweep_own_system(
     lines = [f"{own.system.title}: {len(runs.time)} runs of {duration:g} s, control period {own.system.dt:g} s"]
     lines += _rows(swept) if indices is None else indices.lines()
     for name, row in best.items():
-        told = [line for line in choices[name].assessment.lines if line.about]
-        lines += [best_line(swept, name, row, choices[name]), *(f"  {line.mark} {line.text}" for line in told)]
+        marked = [line for line in choices[name].assessment.lines if line.about]
+        lines += [best_line(swept, name, row, choices[name]), *(f"  {line.mark} {line.text}" for line in marked)]
     if lost:
         named = "; ".join(_numbers(_at(swept, k)) for k in lost[:_NAMED])
         lines.append(f"{len(lost)} of {len(runs.time)} runs are not finite: {named}{'; …' * (len(lost) > _NAMED)}")

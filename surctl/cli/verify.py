@@ -113,12 +113,13 @@ def verify(
     no-contact claim and prints its assumptions.
 
     The linear analysis about straight cruise (of --law: about steady motion) gives margins, poles, the slowest mode,
-    stable speeds and sampling limits: for the nominal vehicle, and for the worst within --uncertainty or its own
-    ranges. Region and braking claims are checked only if you name them (see surctl list). A file states an inequality
-    of your own (kind claim; --show prints examples), a region claim with other numbers (kind region), or a region of
-    attraction or a barrier of any dynamics (kind lyapunov or barrier). --stack prints which tasks of a law are
-    orthogonal, independent or dependent, and which converge. Exit status: 1 if a verdict is not as expected, a named
-    claim is not applicable, the loop is unstable at a corner, a margin is too small, or the no-contact claim fails.
+    stable speeds and sampling limits: for the nominal vehicle, and for the worst one within --uncertainty or the ranges
+    of the vehicle file. Region and braking claims are checked only if you name them (see surctl list). A claim file
+    states an inequality of your own (kind claim; --show prints examples), a region claim with other numbers (kind
+    region), or a region of attraction or a barrier of any dynamics (kind lyapunov or barrier). --stack prints which
+    tasks of a law are orthogonal, independent or dependent, and which converge. Exit status: 1 if a verdict is not as
+    expected, a named claim is not applicable, the loop is unstable at a corner, a margin is too small, or the
+    no-contact claim fails.
 
     For FILE.py:FUNCTION, a system of your own, the command prints equilibrium, poles and margins of the sampled loop;
     with within.STATE=LOW..HIGH for every state, it also proves a region of attraction.
@@ -147,6 +148,7 @@ def verify(
     from surctl.marine.assessment import Mission
     from surctl.marine.control import CASCADE, PATH_FOLLOWING, build_law, law_source
     from surctl.marine.simulation import load_scenario
+    from surctl.marine.tuning import derive_gains
     from surctl.marine.vehicle import load_vehicle
     from surctl.marine.verification import check_held
     from surctl.marine.verification.region import write_region
@@ -273,7 +275,7 @@ def verify(
     then = [f"{same_command()} --out proofs"] if proved and out is None else []
     if not then:
         then = [shlex.join(["surctl", "check", str(file)]) for file in certificates[:1]]
-        if linear.stable:
+        if linear.stable and not linear.short:
             word = gains or (_GAIN_FILE if tuned.derived else "default")
             then += [derive_words(vehicle, speeds[0], word)] if tuned.derived else []
             then += (
@@ -281,7 +283,11 @@ def verify(
                 if cascaded
                 else export_command(scenario, vehicle, tuned.gains, file=word, law=chosen_law, sensing="truth")
             )
-    if tuned.derived and math.isfinite(short := margin_short(safety)):
+    if linear.short and cascaded:  # gains that have the margins at this speed, or else at a lower one
+        derived = derive_gains(robot, cruise=speeds[0])
+        reached = speeds[0] if derived.reached else derived.bearable
+        then[:0] = [derive_words(vehicle, reached, _GAIN_FILE)] if reached > 0 else []
+    elif tuned.derived and math.isfinite(short := margin_short(safety)):
         then.insert(0, derive_words(vehicle, speeds[0], _GAIN_FILE, margin=short))
     if regions.instead:
         words = ["surctl", "verify", regions.instead, *("--vehicle", vehicle), *(("--gains", gains) if gains else ())]
