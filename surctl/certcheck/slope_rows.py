@@ -496,7 +496,7 @@ class Rows:
     def resting(self, k: int, moved: Fraction) -> Number:
         """Return f_k(x*, w) − moved without disturbances; it is the number 0 only if it is exactly 0."""
         table, small = self.table, ExpressionTable(self.names)
-        exactly, new = Exact(small), dict[int, int]()
+        new: dict[int, int] = {}
         for at in table.needed([self.roots[k]]):
             entry = table.entries[at]
             if entry.op == "var" and entry.value.numerator in self.linear:
@@ -505,10 +505,8 @@ class Rows:
             elif self.rest[at] == _ZERO:  # decides a branch
                 new[at] = small.put("num")
             else:
-                args = tuple(new[a] for a in entry.args)
-                branch = _branch(exactly, small, args) if entry.op in ("min", "max") else None
-                chosen = None if branch is None else args[(branch > 0) is (entry.op == "min")]
-                new[at] = small.put(entry.op, *args, value=entry.value) if chosen is None else chosen
+                new[at] = small.put(entry.op, *(new[a] for a in entry.args), value=entry.value)
+        exactly = Exact(small)
         apart = small.put("sub", new[self.roots[k]], small.put("num", value=moved))
         if not exactly.of(apart)[0] and not exactly.assumed:
             return Number({})
@@ -520,12 +518,6 @@ class Rows:
         for slope, own, at_middle in zip(jet.slope or (), box, middle, strict=True):
             total = plus(total, mul(slope, plus(own, minus(at_middle))))
         return self._slope(_common(plus(self.rest[self.roots[k]], rational(-moved)), total))
-
-
-def _branch(exactly: Exact, table: ExpressionTable, args: tuple[int, ...]) -> Fraction | None:
-    """Return a − b of two expressions if it is a number, which decides a limit; else None."""
-    over, under = exactly.of(table.put("sub", *args))
-    return over.get((), Fraction(0)) / under[()] if set(over) <= {()} and set(under) == {()} else None
 
 
 def _fraction(x: Any) -> Fraction:
