@@ -531,6 +531,13 @@ def cost_lines(name: str, cost: Cost, value: float, *, end: float) -> list[Line]
         cost: the cost.
         value: its value.
         end: a last time [s] from here on is the end of the run, so that the true one is not known.
+
+    Example:
+        >>> from surctl.assessment import cost_lines
+        >>> from surctl.system import Cost
+        >>> late = Cost(lambda s: s.x["error"] - 0.1, "last_time", "s", at_most=2.0)
+        >>> [(line.mark, line.text) for line in cost_lines("late", late, 2.5, end=9.8)]
+        [('FAIL', 'late = 2.5 s, at most 2 s')]
     """
     lasts = cost.how == "last_time" and value > max(end, 0.0)
     if cost.at_most is None and not lasts:
