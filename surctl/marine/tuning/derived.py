@@ -22,8 +22,8 @@ from surctl.marine.control import GAINS, Gains, GainSpec, build_law, default_law
 from surctl.marine.vehicle import LIBRARY, Vehicle, load_vehicle, steady_speed
 from surctl.marine.vehicle.linearise import check_cruise
 from surctl.marine.verification import law_corners
-from surctl.marine.verification.cruise_loop import CruiseLoop, cruise_loops
-from surctl.marine.verification.linear import DISK_PLACES, corner_margin, loop_delays, open_loop
+from surctl.marine.verification.cruise_loop import CruiseLoop, cruise_loops, loop_delays
+from surctl.marine.verification.linear import DISK_PLACES, corner_margin, open_loop
 from surctl.verification.linear import LEAST_DISK_MARGIN, screened_peaks
 from surctl.verification.loops import LEAST_DELAY_MARGIN
 
@@ -230,8 +230,8 @@ def _climbed(value: Callable[[Array, float], Array], start: Array, best: Array, 
 
 
 def _corner_share(vehicle: Vehicle, inner: Array, cruise: float, dt: float) -> tuple[float, Vehicle]:
-    found = corner_margin(vehicle, rule(vehicle, inner, cruise=cruise, dt=dt), cruise=cruise, dt=dt)
-    return min(found.shares), found.weakest
+    worst = corner_margin(vehicle, rule(vehicle, inner, cruise=cruise, dt=dt), cruise=cruise, dt=dt)
+    return min(worst.shares), worst.weakest
 
 
 def _margins(vehicle: Vehicle, inner: Array, cruise: float, dt: float, *, above: float) -> Array:
@@ -488,9 +488,9 @@ def _derivation(hashed: HashedVehicle, cruise: float, dt: float) -> Derivation:
     inner, _ = searched_inner(vehicle, cruise, dt)
     searched = bool(np.any(inner != inner_start(vehicle, cruise=cruise, dt=dt)))
     values = rule(vehicle, inner, cruise=cruise, dt=dt)
-    found = corner_margin(vehicle, values, cruise=cruise, dt=dt, proved=True)
-    margins = float(np.nan_to_num(found.margin)), found.delay.delay_s
-    bearable = cruise if found.enough else _bearable(vehicle, cruise, dt, inner)
+    worst = corner_margin(vehicle, values, cruise=cruise, dt=dt, proved=True)
+    margins = float(np.nan_to_num(worst.margin)), worst.delay.delay_s
+    bearable = cruise if worst.enough else _bearable(vehicle, cruise, dt, inner)
     gains = _named(vehicle, inner, cruise, dt, margins)
     return Derivation(gains, vehicle.name, cruise, dt, *margins, bearable, searched, munk_rate(vehicle, cruise))
 
