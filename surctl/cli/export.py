@@ -149,7 +149,7 @@ class Compared(NamedTuple):
 )
 @law_option
 @click.option(
-    "--avoidance", default="corrected", metavar="NAME", help="Eq. (20): corrected (default), consistent or printed."
+    "--avoidance", default="corrected", metavar="NAME", help="Eq. (20) as corrected (default), consistent or printed."
 )
 @click.option("--guidance", default="los", metavar="NAME", help="Path guidance: los (default), ilos or alos.")
 @priority_options

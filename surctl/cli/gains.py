@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from surctl.marine.vehicle import Vehicle
     from surctl.verification import Inapplicable
 
-__all__ = ["gains"]
-
 _SPEED = FiniteRange(min=0, max=100, min_open=True)
 
 
@@ -50,8 +48,8 @@ def derive(
 ) -> None:
     """Derive gains from the mass, drag, thrust, lag and hull of a vehicle, and print the margins with these gains.
 
-    VEHICLE is a name or a file. If no derived gains have the required margins at the cruise speed, the command
-    prints the largest speed at which they have it, and the exit status is 1.
+    VEHICLE is the name of a built-in vehicle, or a vehicle file. If no derived gains have the required margins at the
+    cruise speed, the output gives the largest speed at which they have these margins, and the exit status is 1.
 
     Examples: surctl gains derive bluerov2-wu; surctl gains derive rov.toml --cruise 0.3 --out gains.toml
     """

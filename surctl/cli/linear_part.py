@@ -13,8 +13,6 @@ if TYPE_CHECKING:
     from surctl.marine.assessment import LoopAnalysis, Mission
     from surctl.marine.vehicle import Vehicle
 
-__all__ = ["LinearPart", "linear_part", "over_speeds", "speed_lines"]
-
 
 class LinearPart(NamedTuple):
     """Linear analysis at one cruise speed: lines to print, data for JSON, and metrics to compare over speeds.

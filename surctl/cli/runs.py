@@ -22,20 +22,6 @@ if TYPE_CHECKING:
     from surctl.marine.vehicle import Vehicle
     from surctl.verification import Inapplicable
 
-__all__ = [
-    "CampaignOptions",
-    "activity_line",
-    "campaign_options",
-    "failure",
-    "further_output",
-    "linear_warning",
-    "loop_lines_of_run",
-    "run_line",
-    "series_lines",
-    "simulate_again",
-    "where",
-]
-
 _ROUNDING = 1e-9  # [N/s], [N m/s] variation of a thrust below which it is that of rounding
 _CRABBING = 15.0  # [deg] mean crab angle from which the line of a run says that the hull crabs
 
@@ -231,7 +217,9 @@ campaign_options = together(
     click.option(
         "--random-worlds", "worlds", type=click.IntRange(1, 1_000_000), metavar="N", help="Simulate N random worlds."
     ),
-    click.option("--worst", type=click.IntRange(0, 1000), metavar="N", help="Worst runs to save (default 5)."),
+    click.option(
+        "--worst", type=click.IntRange(0, 1000), metavar="N", help="Number of worst runs to save (default 5)."
+    ),
     click.option("--threads", type=click.IntRange(1, 1024), metavar="N", help="Parallel runs (default 2; MuJoCo 1)."),
     click.option("--fresh", is_flag=True, help="Start the campaign again instead of resuming it."),
     click.option(
@@ -274,11 +262,8 @@ class CampaignOptions:
                     remedy = "add --monte-carlo or --random-worlds N, or drop this option"
                     raise InputError("applies only to a campaign", key=key, value=value, remedy=remedy)
         elif explained:
-            raise InputError(
-                "applies only to single runs",
-                key="--explain",
-                remedy="simulate one run of DIR/worst: --from FILE --explain",
-            )
+            remedy = "simulate one run of DIR/worst: --from FILE --explain"
+            raise InputError("applies only to single runs", key="--explain", remedy=remedy)
         elif out is None and (self.fresh or self.worst is not None):
             key = "--fresh" if self.fresh else "--worst"
             raise InputError("needs an output folder", key=key, remedy="add --out DIR")

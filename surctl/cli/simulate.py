@@ -54,13 +54,11 @@ from surctl.cli.subject import (
     load_system,
     seconds_option,
 )
-from surctl.errors import InputError, nearest
+from surctl.errors import InputError, check_known
 
 if TYPE_CHECKING:
     from surctl.marine.simulation import Sensing
     from surctl.system import Record
-
-__all__ = ["simulate", "simulate_own_system"]
 
 
 @click.command
@@ -70,7 +68,7 @@ __all__ = ["simulate", "simulate_own_system"]
 @click.option("--gains", metavar="FILE", help=GAINS_HELP)
 @law_option
 @click.option(
-    "--avoidance", default="corrected", metavar="NAME", help="Eq. (20): corrected (default), consistent or printed."
+    "--avoidance", default="corrected", metavar="NAME", help="Eq. (20) as corrected (default), consistent or printed."
 )
 @click.option("--guidance", default="los", metavar="NAME", help="Path guidance: los (default), ilos or alos.")
 @priority_options
@@ -114,8 +112,8 @@ def simulate(
     out: Path | None,
     as_json: bool,
 ) -> None:
-    """Simulate scenarios, or a system of your own (surctl new system NAME).
-    Exit status: 1 if a run collides or does not arrive; campaigns resume in DIR.
+    """Simulate scenarios, or a system of your own (surctl new system). Interrupted campaigns resume in DIR.
+    Exit status: 1 if a run collides or does not arrive.
     Example: surctl simulate tank-static --runs 9 --monte-carlo
     """
     if is_system(scenarios, "seconds", "out", "save", "as_json"):
@@ -246,8 +244,7 @@ def _check_save(save: str | None, frame: str | None, *, out: Path | None, campai
     if save is None:
         raise InputError("needs --save", key="--frame", value=frame, remedy="add --save csv, mat, nc or mcap")
 
-    if save not in RUN_FORMATS:
-        raise InputError("is not known", key="--save", value=save, remedy=nearest(save, RUN_FORMATS))
+    check_known(save, RUN_FORMATS, key="--save")
     if save == "mcap" and frame == "ned":
         raise InputError("is not a frame of Foxglove", key="--frame", value=frame, remedy="use enu for mcap")
     if campaign:

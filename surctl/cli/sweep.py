@@ -64,7 +64,7 @@ _EXPLAINED = ("deviation_m", "path_error_m")  # columns whose meaning is printed
     help="Vehicle: name or file; may be repeated (default: each scenario's).",
 )
 @click.option("--sensing", default="truth", metavar="NAME", help="Obstacle positions from truth (default) or sonar.")
-@click.option("--gains", metavar="FILE", help="Other gains: name or file (default: the vehicle's).")
+@click.option("--gains", metavar="FILE", help="Gains not swept: name or file (default: the vehicle's).")
 @law_option
 @click.option(
     "--priority-mode", default="nsb", metavar="NAME", help="Mode: nsb (default), filter, projected, lexicographic."
@@ -137,9 +137,8 @@ def sweep(
     A parameter is a gain (k_v), a vehicle parameter (vehicle.m11; plant.m11 changes the plant but not the controller's
     model), a number of the scenario (scenario.cruise) or seed. Exit status: 1 if no point is feasible.
 
-    FILE.py:FUNCTION names a system of your own. Its costs are computed over gains (k), plant.NAME, reference.NAME,
-    disturbance.NAME, start.NAME. With --seeds N, the worst of N runs counts, with plant.NAME=LOW..HIGH sampled at
-    random.
+    For a system of your own, FILE.py:FUNCTION, costs are computed over gains (k), plant.NAME, reference.NAME,
+    disturbance.NAME, start.NAME; with --seeds N, for the worst of N runs, with plant.NAME=LOW..HIGH sampled at random.
 
     Examples: surctl sweep --scenario pool-static lookahead=0.6,0.9,1.2 k_v=0.5..3:6:log;
     surctl sweep k_v=1..3 plant.m11=30..60 --sensitivity deviation_m;
@@ -584,7 +583,8 @@ def best_line(swept: SystemSweep, name: str, row: dict[str, Any], choice: Choice
         text = f"least {name} in the worst of {swept.each} runs: {value}{at}{random}{mean}; "
         text += f"range of the worst over the points {spread}"
     if choice.passed_over:
-        text += f"; {choice.passed_over} points with a lower {name} do not meet the margins or the bounds of the costs"
+        count = f"{choice.passed_over} of {len(swept.design.points)} points"
+        text += f"; lower, but not with the margins and the bounds of the costs: {count}"
     if failures := choice.assessment.failures:
         text += f"; no point meets the margins and the bounds of the costs: here, {'; '.join(failures)}"
     return text

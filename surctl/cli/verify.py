@@ -113,12 +113,13 @@ def verify(
     no-contact claim and prints its assumptions.
 
     The linear analysis about straight cruise (of --law: about steady motion) gives margins, poles, the slowest mode,
-    stable speeds and sampling limits: for the nominal vehicle, and for the worst within --uncertainty or its own
-    ranges. Region and braking claims are checked only if you name them (see surctl list). A file states an inequality
-    of your own (kind claim; --show prints examples), a region claim with other numbers (kind region), or a region of
-    attraction or a barrier of any dynamics (kind lyapunov or barrier). --stack prints which tasks of a law are
-    orthogonal, independent or dependent, and which converge. Exit status: 1 if a verdict is not as expected, a named
-    claim is not applicable, the loop is unstable at a corner, a margin is too small, or the no-contact claim fails.
+    stable speeds and sampling limits: for the nominal vehicle, and for the worst one within --uncertainty or the ranges
+    of the vehicle file. Region and braking claims are checked only if you name them (see surctl list). A claim file
+    states an inequality of your own (kind claim; --show prints examples), a region claim with other numbers (kind
+    region), or a region of attraction or a barrier of any dynamics (kind lyapunov or barrier). --stack prints which
+    tasks of a law are orthogonal, independent or dependent, and which converge. Exit status: 1 if a verdict is not as
+    expected, a named claim is not applicable, the loop is unstable at a corner, a margin is too small, or the
+    no-contact claim fails.
 
     For FILE.py:FUNCTION, a system of your own, the command prints equilibrium, poles and margins of the sampled loop;
     with within.STATE=LOW..HIGH for every state, it also proves a region of attraction.
@@ -456,8 +457,10 @@ def verify_system(words: Sequence[str], *, seed: int, time_limit: float, out: Pa
     if solution is not None:
         data["region"] = solution.to_dict()
     if isinstance(solution, Solution):
-        about = "sampled loop, with held commands" if solution.sampled else "control law in continuous time"
-        lines += [f"region of attraction of the {about}:", *solution.lines()]
+        about = (
+            " of the sampled loop, with held commands" if solution.sampled else " of the control law in continuous time"
+        )
+        lines += [f"region of attraction{about * (solution.decision is not None)}:", *solution.lines()]
         if out is not None:
             written = [str(path) for path in write_solution(solution, out)]
             data["region"]["files"] = written

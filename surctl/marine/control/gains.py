@@ -14,8 +14,6 @@ from surctl.errors import InputError, nearest
 from surctl.files import Mistakes, Quantity, Strict, load_model, pick, quoted
 from surctl.units import is_number
 
-__all__ = ["GAINS", "LIBRARY", "GainSpec", "Gains", "load_gains", "write_gains"]
-
 LIBRARY = Path(__file__).parent / "library"
 
 
@@ -214,12 +212,8 @@ def load_gains(name_or_path: str, *, own: Mapping[str, GainSpec] | None = None) 
     for name, spec in specs.items():
         with mistakes.collected():
             if name not in stated_values and spec.default is None:
-                raise InputError(
-                    "is missing",
-                    file=path,
-                    key=f"gains.{name}",
-                    remedy=f'add {name} = {{ value = ..., unit = "{spec.unit}" }} ({spec.meaning})',
-                )
+                remedy = f'add {name} = {{ value = ..., unit = "{spec.unit}" }} ({spec.meaning})'
+                raise InputError("is missing", file=path, key=f"gains.{name}", remedy=remedy)
     mistakes.check()
     values = {n: stated_values.get(n, spec.default or 0.0) for n, spec in specs.items()}
     ranges = {n: spec.range for n, spec in specs.items() if spec.range is not None} | ranges
