@@ -187,9 +187,9 @@ class Assessment:
         ranks = [line.rank for line in self.lines if line.counts]
         return (False, None, True)[min(ranks, default=1)]
 
-    def accepted(self, *asked: str) -> bool:
-        """Whether no line fails, and each line of the parts asked for holds: a command then ends with status 0."""
-        lines = [line for name in asked if name in self.parts for line in self.parts[name].lines]
+    def accepted(self, *parts: str) -> bool:
+        """Whether no line fails, and each line of these parts holds: a command then ends with status 0."""
+        lines = [line for name in parts if name in self.parts for line in self.parts[name].lines]
         return self.passed is not False and all(line.passed for line in lines)
 
     @property

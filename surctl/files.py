@@ -258,7 +258,7 @@ class Mistakes:
     """
 
     def __init__(self) -> None:
-        self._errors: list[InputError] = []
+        self._mistakes: list[InputError] = []
 
     @contextmanager
     def collected(self) -> Iterator[None]:
@@ -266,7 +266,7 @@ class Mistakes:
         try:
             yield
         except InputError as error:
-            self._errors.append(error)
+            self._mistakes.append(error)
 
     def check(self) -> None:
         """Raise the first InputError that was collected; its text names the keys of the others.
@@ -274,8 +274,8 @@ class Mistakes:
         Raises:
             InputError: one was collected.
         """
-        if self._errors:
-            first, *others = self._errors
+        if self._mistakes:
+            first, *others = self._mistakes
             problem = first.problem + _also_wrong([str(each.key) for each in others])
             raise InputError(problem, file=first.file, key=first.key, value=first.value, remedy=first.remedy)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import shlex
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -124,7 +125,7 @@ def _lint_system(word: str) -> _Linted:
     if system.duration is not None:
         check(lambda: own.seconds(None))
     for name, ends in system.ranges.items():
-        check(lambda one={name: ends}: checked_ranges(system, one))
+        check(partial(checked_ranges, system, {name: ends}))
     labels = entry_labels(system.plant.state) + entry_labels(system.controller.state, "controller.")
     strange = [name for name in system.within if name not in labels]
     problems += [
@@ -138,8 +139,8 @@ def _lint_system(word: str) -> _Linted:
     absent["within"] = not system.within
     problems += [Finding("info", key, f"is not given, so {_ABSENT[key]}") for key, none in absent.items() if none]
     if all(one.level != "error" for one in problems):
-        lines = assess(ClosedLoop(system), parts=["loop"]).lines
-        problems += [Finding("warning", "gains", line.text) for line in lines if line.passed is False]
+        judged = assess(ClosedLoop(system), parts=["loop"]).lines
+        problems += [Finding("warning", "gains", line.text) for line in judged if line.passed is False]
     lines = [f"{one.level}: {one.key}: {one.text}" for one in problems] or [f"{word}: nothing found"]
     works = all(one.level != "error" for one in problems)
     data = {"file": word, "kind": "system", "findings": [one.to_dict() for one in problems]}

@@ -143,17 +143,17 @@ def linear_warning(
     if not has_cruise_loop(law, guidance):
         return None, []
     try:
-        worst = corner_margin(vehicle, gains, cruise=cruise, dt=dt, model=model, law=law)
+        least = corner_margin(vehicle, gains, cruise=cruise, dt=dt, model=model, law=law)
     except InputError:
         return None, []
-    data: dict[str, Any] = {"cruise_m_per_s": cruise, "stable": True, "disk_margin": worst.margin}
-    data |= {"corner": worst.corner, "delay_margin_s": worst.delay.delay_s, "short": worst.short}
-    if worst.enough:
+    data: dict[str, Any] = {"cruise_m_per_s": cruise, "stable": True, "disk_margin": least.margin}
+    data |= {"corner": least.corner, "delay_margin_s": least.delay.delay_s, "short": least.short}
+    if least.enough:
         return data, []
     mode = slowest_mode(vehicle, gains, cruise=cruise, dt=dt, model=model, law=law)
     data |= {"stable": mode.stable, "mode": mode.to_dict()}
     if mode.stable:
-        word = f"has {worst.short}" if worst.margin > 0 else f"is unstable at {worst.corner}"
+        word = f"has {least.short}" if least.margin > 0 else f"is unstable at {least.corner}"
         return data, [f"  the linear loop at this speed {word}{crab}"]
     head = f"  the linear loop at this speed is unstable{crab}:"
     return data, [head, *(f"    {line.strip()}" for line in mode.lines())]

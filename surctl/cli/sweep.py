@@ -380,8 +380,8 @@ def sweep_own_system(
     lines = [f"{own.system.title}: {len(runs.time)} runs of {duration:g} s, control period {own.system.dt:g} s"]
     lines += _rows(swept) if indices is None else indices.lines()
     for name, row in best.items():
-        told = [line for line in choices[name].assessment.lines if line.about]
-        lines += [best_line(swept, name, row, choices[name]), *(f"  {line.mark} {line.text}" for line in told)]
+        marked = [line for line in choices[name].assessment.lines if line.about]
+        lines += [best_line(swept, name, row, choices[name]), *(f"  {line.mark} {line.text}" for line in marked)]
     if lost:
         named = "; ".join(_numbers(_at(swept, k)) for k in lost[:_NAMED])
         lines.append(f"{len(lost)} of {len(runs.time)} runs are not finite: {named}{'; …' * (len(lost) > _NAMED)}")
