@@ -65,6 +65,11 @@ class Figure:
             return True
         return bool(self.value >= self.least if self.better == "high" else self.value <= self.least)
 
+    @property
+    def required(self) -> str:
+        """The least sufficient value as text; empty if there is none."""
+        return "" if self.least is None else f"{'≥' if self.better == 'high' else '≤'} {self.least:g}"
+
     def worse(self, before: Figure) -> bool:
         """Return whether the value is worse than that of `before` by more than rounding; NaN is the worst."""
         if self.better is None or np.isnan(before.value):
@@ -182,9 +187,9 @@ class Assessment:
         ranks = [line.rank for line in self.lines if line.counts]
         return (False, None, True)[min(ranks, default=1)]
 
-    def accepted(self, *asked: str) -> bool:
-        """Whether no line fails, and each line of the parts asked for holds: a command then ends with status 0."""
-        lines = [line for name in asked if name in self.parts for line in self.parts[name].lines]
+    def accepted(self, *parts: str) -> bool:
+        """Whether no line fails, and each line of these parts holds: a command then ends with status 0."""
+        lines = [line for name in parts if name in self.parts for line in self.parts[name].lines]
         return self.passed is not False and all(line.passed for line in lines)
 
     @property
@@ -378,9 +383,8 @@ class Comparison:
         """Return the headline, the table of all figures, and what fails or is not decided after the change."""
         table = [f"{'figure':<28}{'unit':<6}{'required':>10}{'before':>12}{'after':>12}"]
         for old, new in self.rows:
-            sign = "" if new.least is None else f"{'≥' if new.better == 'high' else '≤'} {new.least:g}"
             mark = "  worse" if new.worse(old) else ""
-            table.append(f"{new.name:<28}{new.unit:<6}{sign:>10}{_text(old):>12}{_text(new):>12}{mark}")
+            table.append(f"{new.name:<28}{new.unit:<6}{new.required:>10}{_text(old):>12}{_text(new):>12}{mark}")
         open_ends = [f"{line.mark} {line.text}" for line in self.after.lines if line.rank < 2]
         return [self.headline, *table, *open_ends]
 

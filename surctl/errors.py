@@ -26,6 +26,7 @@ __all__ = [
     "ToolMissing",
     "UnsupportedOperation",
     "cannot_write",
+    "check_known",
     "nearest",
 ]
 
@@ -156,3 +157,20 @@ def nearest(name: str, known: Iterable[str]) -> str:
         return "no name is known here"
     close = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
     return f"did you mean {close[0]!r}?" if close else "known: " + ", ".join(names)
+
+
+def check_known(
+    name: object, known: Iterable[str], problem: str = "is not known", *, key: str, file: object = None
+) -> None:
+    """Raise InputError with the problem, and with the remedy of `nearest`, unless the name is one of the known names.
+
+    Example:
+        >>> from surctl.errors import check_known
+        >>> check_known("sonr", ["sonar", "truth"], key="sensing")
+        Traceback (most recent call last):
+            ...
+        surctl.errors.InputError: sensing = 'sonr': is not known; did you mean 'sonar'?
+    """
+    known = list(known)
+    if name not in known:
+        raise InputError(problem, file=file, key=key, value=name, remedy=nearest(str(name), known))

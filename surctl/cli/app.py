@@ -43,8 +43,6 @@ from surctl.cli.vehicle import vehicle
 from surctl.cli.verify import verify
 from surctl.errors import LOST, SurctlError
 
-__all__ = ["app", "main"]
-
 
 class _Ordered(click.Group):
     """A group whose help lists the commands in the order of their registration."""

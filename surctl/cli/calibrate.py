@@ -12,8 +12,6 @@ from surctl.cli.output import as_json, finish, out_folder, saving
 if TYPE_CHECKING:
     from surctl.marine.sensing import Estimate, SensorCalibration
 
-__all__ = ["calibrate"]
-
 
 @click.command
 @click.argument("file")

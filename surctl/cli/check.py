@@ -11,8 +11,6 @@ import click
 
 from surctl.cli.output import FiniteRange, as_json, finish, printable
 
-__all__ = ["check"]
-
 
 @click.command
 @click.argument("certificate", type=click.Path(path_type=Path))

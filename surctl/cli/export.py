@@ -202,7 +202,8 @@ def export(
     Sensor options override the scenario's tables. --check also runs code built by gcc and clang at -O0 to -O3 and on
     QEMU's Cortex-M3, -M4F and -M7: every output byte must equal that of Python. --prove takes minutes with sonar
     sensing; the proof covers all gains within the ranges of the gain file. FILE.py:FUNCTION exports the controller of a
-    system of your own. Exit status: 1 if C and Python differ, or if the replayed run collides or does not arrive.
+    system of your own. Exit status: 1 if C and Python differ, or if the replayed run collides or does not arrive;
+    other lines of the assessment that fail are warnings.
 
     Examples: surctl export --gains surctl-out/gains.toml --out firmware; surctl export --law closed_form --sensing
     truth --constant-gains --check; surctl export my_system.py:build --seconds 5
@@ -301,7 +302,8 @@ def export(
     evidence = evidence_of(
         run=replayed, sil=compared.sil, check=compared.report, proof=proof, statuses=record.status, period=built.dt
     )
-    evidence["assessment"] = _assessed(run, sensing)
+    assessment = _assessed(run, sensing)
+    evidence["assessment"] = finite(assessment.to_dict())
     # a bundle appears when it is complete and checked, at once
     files = write_bundle(with_evidence(bundle, evidence, binaries=compared.binaries), options.out)
     result: dict[str, Any] = {
@@ -314,6 +316,7 @@ def export(
         "sha256": {f.path.relative_to(options.out).as_posix(): f.sha256 for f in files},
         "run": run.to_dict() | ({"sensors": sensor_data(mission)} if sensing == "sonar" else {}),
         "real": options.real,
+        "assessment": assessment.to_dict(),
         **compared.data(proof),
     }
     started = _how_to_start(options.out, click.get_current_context())
@@ -327,9 +330,11 @@ def export(
         compared.sil.summary(),
     ]
     lines += [] if failed is None else [f"warning: the replayed run failed: {failed}; see: {_again(started[1])}"]
-    lines += compared.summaries(proof)
+    warnings = [f"warning: {text}" for text in assessment.failures]  # of the loop and the mission, not of the code
+    lines += [*compared.summaries(proof), *warnings]
     brief = [_sil_line(compared.sil), *([] if failed is None else [f"FAIL the replayed run: {failed}"])]
     brief += [line for line in compared.summaries(proof) if line] + [replay_text + f"{metrics.time_s:.2f} s"]
+    brief += warnings
     belong = [shlex.join(["surctl", "check", str(file), "--bundle", str(options.out)]) for file in certificates[:1]]
     finish(
         result,
@@ -361,8 +366,8 @@ def _again(command: str) -> str:
     return command.partition(" --controller ")[0]
 
 
-def _assessed(run: Run, sensing: str) -> dict[str, Any]:
-    """Return what is assessed of the exported law, without the region of attraction, as data for the manifest."""
+def _assessed(run: Run, sensing: str) -> Assessment:
+    """Return what is assessed of the exported law, without the region of attraction."""
     from surctl.assessment import assess
     from surctl.marine.assessment import Mission
 
@@ -370,8 +375,7 @@ def _assessed(run: Run, sensing: str) -> dict[str, Any]:
     speeds = (mission.cruise, mission.cap)
     kind: dict[str, Any] = {"sensing": sensing, "barrier": law.barrier, "movers": law.movers, "runs": (run,)}
     subject = Mission(run.vehicle, run.gains, *speeds, law.ref, law.guidance, (mission,), law.dt, **kind)
-    data: dict[str, Any] = finite(assess(subject, parts=["loop", "no contact", "runs"]).to_dict())
-    return data
+    return assess(subject, parts=["loop", "no contact", "runs"])
 
 
 def _how_to_start(out: Path, context: click.Context) -> tuple[str, str]:

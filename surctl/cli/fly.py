@@ -10,13 +10,11 @@ import click
 
 from surctl.cli.output import FiniteRange, Stopped, as_json, finish, progress, waiting
 from surctl.cli.robot_options import GAINS_HELP, choose_gains, choose_law, law_option
-from surctl.errors import InputError, SurctlError, nearest
+from surctl.errors import InputError, SurctlError, check_known
 
 if TYPE_CHECKING:
     from surctl.marine.bridge import Act, Address, Bridge, LinkQuality, RehearsalResult
     from surctl.marine.simulation import Scenario
-
-__all__ = ["fly"]
 
 _SYSTEM = click.IntRange(1, 255)
 
@@ -120,8 +118,7 @@ def fly(
         raise InputError(
             "is the system id of the bridge", key="--target", value=target, remedy="give two different ids"
         )
-    if sensing not in SENSING:
-        raise InputError("is not known", key="--sensing", value=sensing, remedy=nearest(sensing, SENSING))
+    check_known(sensing, SENSING, key="--sensing")
     address = None if mavlink is None else parse_address(mavlink)
     mode_of(mode)
     site, wire, script = (
@@ -224,8 +221,7 @@ def _act(text: str) -> Act:
         time = -1.0
     if not 0.0 <= time <= 1e5:
         raise InputError("does not begin with a time", key="--act", value=text, remedy="write 20:reboot")
-    if action not in ACTIONS:
-        raise InputError("is not known", key="--act", value=action, remedy=nearest(action, ACTIONS))
+    check_known(action, ACTIONS, key="--act")
     return Act(time, ACTIONS[ACTIONS.index(action)])
 
 

@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from surctl.marine.vehicle import Vehicle
     from surctl.verification import Inapplicable
 
-__all__ = ["gains"]
-
 _SPEED = FiniteRange(min=0, max=100, min_open=True)
 
 

@@ -13,8 +13,6 @@ if TYPE_CHECKING:
     from surctl.marine.assessment import LoopAnalysis, Mission
     from surctl.marine.vehicle import Vehicle
 
-__all__ = ["LinearPart", "linear_part", "over_speeds", "speed_lines"]
-
 
 class LinearPart(NamedTuple):
     """Linear analysis at one cruise speed: lines to print, data for JSON, and metrics to compare over speeds.
@@ -203,7 +201,7 @@ def over_speeds(parts: Sequence[LinearPart]) -> LinearPart:
     *_, last = parts
     if len(parts) == 1:
         return last
-    lines = [f"margins at {len(parts)} cruise speeds (details for {last.cruise:g} m/s below):"]
+    lines = [f"margins at {len(parts)} cruise speeds, worst corner (details for {last.cruise:g} m/s below):"]
     for part in parts:
         delay, disk = part.figure("delay_margin_s"), part.figure("disk_margin")
         word = f"stable, least delay margin {delay:.2f} s, disk margin {disk:.2f}"

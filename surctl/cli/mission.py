@@ -10,8 +10,6 @@ import click
 
 from surctl.cli.output import FiniteRange, as_json, finish
 
-__all__ = ["scenario"]
-
 _SPEED = 0.15  # m/s, if neither the command nor the file gives a speed
 
 

@@ -12,8 +12,6 @@ import click
 from surctl.cli.output import as_json, finish
 from surctl.errors import InputError
 
-__all__ = ["new", "path_of", "write_new"]
-
 _TEMPLATES = Path(__file__).parent / "templates"
 _NEXT = {
     "vehicle": ("surctl lint {}", "surctl tune --vehicle {} --out tuned"),

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import click
 
 from surctl.cli.output import together
-from surctl.errors import InputError, nearest
+from surctl.errors import InputError, check_known
 
 if TYPE_CHECKING:
     from surctl.assessment import Assessment
@@ -20,32 +20,6 @@ if TYPE_CHECKING:
     from surctl.marine.simulation import SafetyClaim, Scenario
     from surctl.marine.vehicle import Vehicle
     from surctl.verification import Inapplicable
-
-__all__ = [
-    "DEFAULT_VEHICLE",
-    "GAINS_HELP",
-    "MISSION",
-    "SPEEDS",
-    "GainsChoice",
-    "RobotOptions",
-    "Speeds",
-    "VehicleChoice",
-    "at_hand",
-    "barrier_options",
-    "check_barrier",
-    "choose_gains",
-    "choose_law",
-    "choose_shared",
-    "choose_vehicle",
-    "derive_words",
-    "export_command",
-    "fitting_scenario",
-    "law_option",
-    "law_words",
-    "margin_short",
-    "priority_options",
-    "trust_option",
-]
 
 DEFAULT_VEHICLE = "sur540-flooded"
 """The vehicle of a command without `--vehicle` and without a scenario."""
@@ -242,8 +216,7 @@ def check_barrier(barrier: str, movers: str) -> None:
     from surctl.marine.control import BARRIER_NAMES, MOVERS
 
     for key, value, known in (("barrier", barrier, BARRIER_NAMES), ("movers", movers, MOVERS)):
-        if value not in known:
-            raise InputError("is not known", key=key, value=value, remedy=nearest(value, known))
+        check_known(value, known, key=key)
 
 
 @dataclass(frozen=True)

@@ -22,20 +22,6 @@ if TYPE_CHECKING:
     from surctl.marine.vehicle import Vehicle
     from surctl.verification import Inapplicable
 
-__all__ = [
-    "CampaignOptions",
-    "activity_line",
-    "campaign_options",
-    "failure",
-    "further_output",
-    "linear_warning",
-    "loop_lines_of_run",
-    "run_line",
-    "series_lines",
-    "simulate_again",
-    "where",
-]
-
 _ROUNDING = 1e-9  # [N/s], [N m/s] variation of a thrust below which it is that of rounding
 _CRABBING = 15.0  # [deg] mean crab angle from which the line of a run says that the hull crabs
 
@@ -157,17 +143,17 @@ def linear_warning(
     if not has_cruise_loop(law, guidance):
         return None, []
     try:
-        found = corner_margin(vehicle, gains, cruise=cruise, dt=dt, model=model, law=law)
+        least = corner_margin(vehicle, gains, cruise=cruise, dt=dt, model=model, law=law)
     except InputError:
         return None, []
-    data: dict[str, Any] = {"cruise_m_per_s": cruise, "stable": True, "disk_margin": found.margin}
-    data |= {"corner": found.corner, "delay_margin_s": found.delay.delay_s, "short": found.short}
-    if found.enough:
+    data: dict[str, Any] = {"cruise_m_per_s": cruise, "stable": True, "disk_margin": least.margin}
+    data |= {"corner": least.corner, "delay_margin_s": least.delay.delay_s, "short": least.short}
+    if least.enough:
         return data, []
     mode = slowest_mode(vehicle, gains, cruise=cruise, dt=dt, model=model, law=law)
     data |= {"stable": mode.stable, "mode": mode.to_dict()}
     if mode.stable:
-        word = f"has {found.short}" if found.margin > 0 else f"is unstable at {found.corner}"
+        word = f"has {least.short}" if least.margin > 0 else f"is unstable at {least.corner}"
         return data, [f"  the linear loop at this speed {word}{crab}"]
     head = f"  the linear loop at this speed is unstable{crab}:"
     return data, [head, *(f"    {line.strip()}" for line in mode.lines())]
@@ -276,11 +262,8 @@ class CampaignOptions:
                     remedy = "add --monte-carlo or --random-worlds N, or drop this option"
                     raise InputError("applies only to a campaign", key=key, value=value, remedy=remedy)
         elif explained:
-            raise InputError(
-                "applies only to single runs",
-                key="--explain",
-                remedy="simulate one run of DIR/worst: --from FILE --explain",
-            )
+            remedy = "simulate one run of DIR/worst: --from FILE --explain"
+            raise InputError("applies only to single runs", key="--explain", remedy=remedy)
         elif out is None and (self.fresh or self.worst is not None):
             key = "--fresh" if self.fresh else "--worst"
             raise InputError("needs an output folder", key=key, remedy="add --out DIR")

@@ -54,13 +54,11 @@ from surctl.cli.subject import (
     load_system,
     seconds_option,
 )
-from surctl.errors import InputError, nearest
+from surctl.errors import InputError, check_known
 
 if TYPE_CHECKING:
     from surctl.marine.simulation import Sensing
     from surctl.system import Record
-
-__all__ = ["simulate", "simulate_own_system"]
 
 
 @click.command
@@ -246,8 +244,7 @@ def _check_save(save: str | None, frame: str | None, *, out: Path | None, campai
     if save is None:
         raise InputError("needs --save", key="--frame", value=frame, remedy="add --save csv, mat, nc or mcap")
 
-    if save not in RUN_FORMATS:
-        raise InputError("is not known", key="--save", value=save, remedy=nearest(save, RUN_FORMATS))
+    check_known(save, RUN_FORMATS, key="--save")
     if save == "mcap" and frame == "ned":
         raise InputError("is not a frame of Foxglove", key="--frame", value=frame, remedy="use enu for mcap")
     if campaign:

@@ -10,8 +10,6 @@ import click
 from surctl.cli.output import FiniteRange, as_json, finish, saving
 from surctl.errors import InputError
 
-__all__ = ["sonar_replay"]
-
 _METRES = FiniteRange(min=0.0, min_open=True)
 
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import click
 from click.core import ParameterSource
 
-from surctl.errors import InputError, NotApplicable, nearest
+from surctl.errors import InputError, NotApplicable, check_known, nearest
 
 if TYPE_CHECKING:
     import numpy as np
@@ -24,27 +24,6 @@ if TYPE_CHECKING:
     from surctl.lyapunov import Problem
     from surctl.system import Operating, Record, System
     from surctl.verification.sampled_margins import LoopCorners, SystemLoop
-
-__all__ = [
-    "OwnSystem",
-    "RegionWords",
-    "assigned",
-    "command_line",
-    "cost_data",
-    "cost_lines",
-    "end_text",
-    "gain_ranges_of",
-    "is_system",
-    "listed_values",
-    "load_system",
-    "loop_data",
-    "loop_lines",
-    "mode_text",
-    "nominal_gains",
-    "region_words",
-    "resting",
-    "seconds_option",
-]
 
 seconds_option = click.option(
     "--seconds", type=float, metavar="S", help="Duration of a system's run [s] (default: the file's)."
@@ -261,11 +240,10 @@ def loop_lines(own: OwnSystem, loop: LoopCorners[SystemLoop]) -> list[str]:
 
 def loop_data(own: OwnSystem, loop: LoopCorners[SystemLoop]) -> dict[str, Any]:
     """Return equilibrium, poles and margins as plain data for JSON."""
-    nominal = loop.nominal
+    nominal, rest = loop.nominal, resting(own.system, loop.nominal.at)
     return {
-        "equilibrium": {
-            kind: {label: value for label, value, _ in rows} for kind, rows in resting(own.system, nominal.at).items()
-        },
+        "equilibrium": {kind: {label: value for label, value, _ in rows} for kind, rows in rest.items()},
+        "units": {kind: {label: unit for label, _, unit in rows} for kind, rows in rest.items()},
         "stable": nominal.stable,
         "poles": [[float(pole.real), float(pole.imag)] for pole in nominal.poles],
         "slowest_mode": _slowest(nominal),
@@ -435,8 +413,7 @@ def gain_ranges_of(own: OwnSystem, ranges: Mapping[str, tuple[float, float] | No
 
     nominal, result = nominal_gains(own), {}
     for name, ends in (ranges or dict.fromkeys(nominal)).items():
-        if name not in nominal:
-            raise InputError("is not a gain of the system", key="--gain", value=name, remedy=nearest(name, nominal))
+        check_known(name, nominal, "is not a gain of the system", key="--gain")
         if ends is None and nominal[name] == 0:
             raise InputError("is 0 and so has no default range", key=f"--gain {name}", remedy=f"write {name}=LOW..HIGH")
         result[name] = default_range(nominal[name]) if ends is None else ends

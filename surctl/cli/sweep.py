@@ -380,8 +380,8 @@ def sweep_own_system(
     lines = [f"{own.system.title}: {len(runs.time)} runs of {duration:g} s, control period {own.system.dt:g} s"]
     lines += _rows(swept) if indices is None else indices.lines()
     for name, row in best.items():
-        told = [line for line in choices[name].assessment.lines if line.about]
-        lines += [best_line(swept, name, row, choices[name]), *(f"  {line.mark} {line.text}" for line in told)]
+        marked = [line for line in choices[name].assessment.lines if line.about]
+        lines += [best_line(swept, name, row, choices[name]), *(f"  {line.mark} {line.text}" for line in marked)]
     if lost:
         named = "; ".join(_numbers(_at(swept, k)) for k in lost[:_NAMED])
         lines.append(f"{len(lost)} of {len(runs.time)} runs are not finite: {named}{'; …' * (len(lost) > _NAMED)}")
@@ -583,7 +583,8 @@ def best_line(swept: SystemSweep, name: str, row: dict[str, Any], choice: Choice
         text = f"least {name} in the worst of {swept.each} runs: {value}{at}{random}{mean}; "
         text += f"range of the worst over the points {spread}"
     if choice.passed_over:
-        text += f"; {choice.passed_over} points with a lower {name} do not meet the margins or the bounds of the costs"
+        count = f"{choice.passed_over} of {len(swept.design.points)} points"
+        text += f"; lower, but not with the margins and the bounds of the costs: {count}"
     if failures := choice.assessment.failures:
         text += f"; no point meets the margins and the bounds of the costs: here, {'; '.join(failures)}"
     return text

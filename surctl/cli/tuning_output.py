@@ -23,17 +23,6 @@ if TYPE_CHECKING:
     from surctl.marine.vehicle import Vehicle
     from surctl.report.design_bench import DesignBench
 
-__all__ = [
-    "caps",
-    "check_goal_cases",
-    "floor_lines",
-    "look",
-    "region_words",
-    "serve_page",
-    "serve_system_page",
-    "unrepresentative",
-]
-
 
 def check_goal_cases(goals: Sequence[Goal], plan: Plan, file: str) -> None:
     """Raise InputError if a goal names a scenario in which the vehicle does not fit."""

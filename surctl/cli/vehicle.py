@@ -15,8 +15,6 @@ from surctl.errors import InputError
 if TYPE_CHECKING:
     from surctl.marine.vehicle import Identified, MotionLog, Prediction, Vehicle
 
-__all__ = ["thrusters", "vehicle"]
-
 _FASTEST, _LARGEST = 100.0, 1e9  # [m/s], [N, N m]
 
 
@@ -54,11 +52,8 @@ def thrusters(
     vehicle = load_vehicle(name).at_speed(speed)
     actuators = vehicle.actuators
     if actuators is None:
-        raise InputError(
-            "describes no thrusters",
-            file=vehicle.source,
-            remedy="add [[thruster]] tables, as in surctl list --show bluerov2-heavy",
-        )
+        remedy = "add [[thruster]] tables, as in surctl list --show bluerov2-heavy"
+        raise InputError("describes no thrusters", file=vehicle.source, remedy=remedy)
     working_flags(actuators, failed)
     intervals, share = axis_ends(actuators, speed, failed=failed), held_share(vehicle, failed)
     result = {
@@ -167,20 +162,7 @@ vehicle.add_command(thrusters)
 @_out
 @_over
 @as_json
-def from_geometry(
-    name: str,
-    diameter: float,
-    mass: float,
-    flooded: float,
-    cd: float,
-    thrust: float,
-    yaw_thrust: float,
-    thrust_lag: float,
-    density: float,
-    out: Path | None,
-    force: bool,
-    as_json: bool,
-) -> None:
+def from_geometry(mass: float, cd: float, out: Path | None, force: bool, as_json: bool, **numbers: Any) -> None:
     """Derive the parameters of a spherical vehicle, each with a range and its source.
 
     For a hull that is not a sphere, fit the parameters to a log (surctl vehicle from-log), or write known parameters
@@ -191,19 +173,8 @@ def from_geometry(
     """
     from surctl.marine.vehicle import sphere
 
-    robot = sphere(
-        name,
-        diameter=diameter,
-        dry_mass=mass,
-        thrust=thrust,
-        yaw_thrust=yaw_thrust,
-        flooded=flooded,
-        drag_coefficient=cd,
-        thrust_lag=thrust_lag,
-        density=density,
-    )
-    lines = _parameter_lines(robot)
-    _write(robot, out, force, lines, {"vehicle": robot.name, "parameters": _numbers(robot)}, as_json=as_json)
+    robot = sphere(dry_mass=mass, drag_coefficient=cd, **numbers)
+    _write(robot, out, force, _parameter_lines(robot), _summary(robot), as_json=as_json)
 
 
 @vehicle.command("from-gazebo")
@@ -220,18 +191,7 @@ def from_geometry(
 @_over
 @as_json
 def from_gazebo(
-    model: Path,
-    name: str,
-    link: str | None,
-    diameter: float,
-    thrust: float,
-    sway_thrust: float | None,
-    heave_thrust: float | None,
-    yaw_thrust: float,
-    thrust_lag: float,
-    out: Path | None,
-    force: bool,
-    as_json: bool,
+    model: Path, name: str, diameter: float, out: Path | None, force: bool, as_json: bool, **numbers: Any
 ) -> None:
     """Take mass, added mass and drag from a Gazebo model: SDF, or URDF and xacro of uuv_simulator.
 
@@ -243,19 +203,8 @@ def from_gazebo(
     """
     from surctl.marine.vehicle import gazebo_vehicle
 
-    robot = gazebo_vehicle(
-        model,
-        name,
-        radius=diameter / 2,
-        thrust=thrust,
-        yaw_thrust=yaw_thrust,
-        sway_thrust=sway_thrust,
-        heave_thrust=heave_thrust,
-        thrust_lag=thrust_lag,
-        link=link,
-    )
-    lines = _parameter_lines(robot)
-    _write(robot, out, force, lines, {"vehicle": robot.name, "parameters": _numbers(robot)}, as_json=as_json)
+    robot = gazebo_vehicle(model, name, radius=diameter / 2, **numbers)
+    _write(robot, out, force, _parameter_lines(robot), _summary(robot), as_json=as_json)
 
 
 @vehicle.command("from-log")
@@ -469,6 +418,10 @@ def _parameter_lines(robot: Vehicle) -> list[str]:
         bounds = "" if p.range is None else f"  {p.range[0]:.4g} to {p.range[1]:.4g}"
         lines.append(f"  {key:<10} {p.value:>9.4g} {p.unit:<10}{bounds}")
     return lines
+
+
+def _summary(robot: Vehicle) -> dict[str, Any]:
+    return {"vehicle": robot.name, "parameters": _numbers(robot)}
 
 
 def _numbers(robot: Vehicle) -> dict[str, Any]:

@@ -148,6 +148,7 @@ def verify(
     from surctl.marine.assessment import Mission
     from surctl.marine.control import CASCADE, PATH_FOLLOWING, build_law, law_source
     from surctl.marine.simulation import load_scenario
+    from surctl.marine.tuning import derive_gains
     from surctl.marine.vehicle import load_vehicle
     from surctl.marine.verification import check_held
     from surctl.marine.verification.region import write_region
@@ -274,7 +275,7 @@ def verify(
     then = [f"{same_command()} --out proofs"] if proved and out is None else []
     if not then:
         then = [shlex.join(["surctl", "check", str(file)]) for file in certificates[:1]]
-        if linear.stable:
+        if linear.stable and not linear.short:
             word = gains or (_GAIN_FILE if tuned.derived else "default")
             then += [derive_words(vehicle, speeds[0], word)] if tuned.derived else []
             then += (
@@ -282,7 +283,11 @@ def verify(
                 if cascaded
                 else export_command(scenario, vehicle, tuned.gains, file=word, law=chosen_law, sensing="truth")
             )
-    if tuned.derived and math.isfinite(short := margin_short(safety)):
+    if linear.short and cascaded:  # gains that have the margins at this speed, or else at a lower one
+        derived = derive_gains(robot, cruise=speeds[0])
+        reached = speeds[0] if derived.reached else derived.bearable
+        then[:0] = [derive_words(vehicle, reached, _GAIN_FILE)] if reached > 0 else []
+    elif tuned.derived and math.isfinite(short := margin_short(safety)):
         then.insert(0, derive_words(vehicle, speeds[0], _GAIN_FILE, margin=short))
     if regions.instead:
         words = ["surctl", "verify", regions.instead, *("--vehicle", vehicle), *(("--gains", gains) if gains else ())]
@@ -452,8 +457,10 @@ def verify_system(words: Sequence[str], *, seed: int, time_limit: float, out: Pa
     if solution is not None:
         data["region"] = solution.to_dict()
     if isinstance(solution, Solution):
-        about = "sampled loop, with held commands" if solution.sampled else "control law in continuous time"
-        lines += [f"region of attraction of the {about}:", *solution.lines()]
+        about = (
+            " of the sampled loop, with held commands" if solution.sampled else " of the control law in continuous time"
+        )
+        lines += [f"region of attraction{about * (solution.decision is not None)}:", *solution.lines()]
         if out is not None:
             written = [str(path) for path in write_solution(solution, out)]
             data["region"]["files"] = written

@@ -94,10 +94,17 @@ def sil_blocks(reports: Sequence[SilReport]) -> list[Block]:
 def figures_table(assessment: Assessment) -> Table:
     """Return the table of the figures of an assessment."""
     rows = tuple(
-        (Cell(f.name, code=True), Cell(number(f.value), number=True), f.unit, f.meaning, f.where)
+        (
+            Cell(f.name, code=True),
+            Cell(number(f.value), number=True),
+            Cell(f.required, number=True),
+            f.unit,
+            f.meaning,
+            f.where,
+        )
         for f in assessment.figures.values()
     )
-    return Table("Figures of the assessment", ("figure", "value", "unit", "meaning", "worst at"), rows)
+    return Table("Figures of the assessment", ("figure", "value", "required", "unit", "meaning", "worst at"), rows)
 
 
 def margins_table(caption: str, margins: Sequence[LoopMargins]) -> Table:

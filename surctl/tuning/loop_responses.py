@@ -110,7 +110,7 @@ def sensitivities_at(loop: LinearLoop, openings: Sequence[str], omega: Array) ->
     """Return the largest singular values (2, k) of S = (I + L)⁻¹ and T = I - S, opened at several, `balanced`."""
     L = response(loop.opened(*openings), omega, loop.dt)
     eye = np.eye(L.shape[-1])
-    S = np.linalg.solve(eye + L, np.broadcast_to(eye, L.shape).astype(complex))
+    S = np.asarray(np.linalg.solve(eye + L, np.broadcast_to(eye, L.shape)), dtype=np.complex128)
     return np.stack([np.linalg.norm(balanced(one), 2, axis=(1, 2)) for one in (S, eye - S)])
 
 

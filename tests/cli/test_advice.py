@@ -82,6 +82,18 @@ def test_advice_is_accepted_as_it_is_printed(tmp_path, name, changed, cruise, ca
     assert expected <= seen, known
 
 
+@pytest.mark.parametrize("cruise", ["0.24", "0.4"])  # the second one is faster than any gains bear
+def test_the_next_step_after_margins_that_are_too_small_gives_gains_that_have_them(tmp_path, cruise) -> None:
+    words = ("verify", "m-norm-corrected", "--vehicle", "bluerov2-wu", "--json")
+    failed = surctl_here(*words, "--gains", "default", "--cruise", cruise, cwd=tmp_path)
+    first, *_ = failed.json["next"]
+    assert failed.status == 1 and first.startswith("surctl gains derive bluerov2-wu --cruise ")
+    assert surctl_here(*first.split()[1:], cwd=tmp_path).status == 0
+    speed = first.split()[first.split().index("--cruise") + 1]
+    passed = surctl_here(*words, "--gains", "gains.toml", "--cruise", speed, cwd=tmp_path)
+    assert passed.status == 0 and (speed == cruise) is (cruise == "0.24")
+
+
 def test_a_study_offers_what_changes_its_result() -> None:
     vehicle = load_vehicle("bluerov2-heavy")
     vehicle = vehicle.with_values({name: 2 * vehicle[name] for name in ("m11", "m22")})

@@ -7,6 +7,7 @@ import json
 import re
 import shlex
 from pathlib import Path
+from textwrap import dedent
 from types import ModuleType
 from zipfile import ZipFile
 
@@ -442,6 +443,23 @@ def test_a_new_file_for_a_keyword_is_python(tmp_path: Path, monkeypatch: pytest.
     monkeypatch.chdir(tmp_path)
     assert run("new", "law", "class").exit_code == 0
     assert "def class_()" in Path("class.py").read_text()
+
+
+def test_lint_of_a_system_lists_all_that_cannot_work(file: str) -> None:
+    more = """
+    from dataclasses import replace
+
+    def wrong():
+        return replace(bare(), duration=-1.0, ranges={"plant.blo": (0, 1), "k": (2, 1)}, within={"y": (0, 1)})
+    """
+    Path("mine.py").write_text(FILE + dedent(more))
+    done = data("lint", "mine.py:wrong", status=1)
+    assert [(one["level"], one["key"]) for one in done["findings"]] == [
+        ("error", "duration"), ("error", "plant.blo"), ("error", "ranges.k"), ("error", "within.y"), ("info", "costs"),
+    ]  # fmt: skip
+    good = data("lint", file)
+    assert {one["key"] for one in good["findings"]} == {"duration", "ranges", "within"}
+    assert "write mine.py:build" in complaint("lint", "mine.py")
 
 
 def test_a_region_of_a_system_is_proved_and_its_words_are_checked(

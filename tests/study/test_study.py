@@ -10,13 +10,14 @@ import xarray
 from surctl.assessment import assess
 from surctl.cli.verify import _chosen
 from surctl.errors import InputError
-from surctl.marine.assessment import unstable_text
+from surctl.marine.assessment import LoopAnalysis, unstable_text
 from surctl.marine.control import build_law, load_gains
 from surctl.marine.simulation import LIBRARY as SCENARIOS
 from surctl.marine.simulation import simulate
 from surctl.marine.study import conduct, load_plan
-from surctl.marine.study.conduct import assessed, claims_of, loops_of, summary, with_perception
+from surctl.marine.study.conduct import Loops, _speed_notes, assessed, claims_of, loops_of, summary, with_perception
 from surctl.marine.vehicle import LIBRARY, load_vehicle
+from surctl.marine.verification import OverSpeeds
 from surctl.marine.verification.linear import slowest_mode
 from tests.cli.process import surctl
 from tests.report.data import swept
@@ -133,7 +134,9 @@ def test_the_report_stands_alone(study, folder):
 
 def test_the_cruise_speeds_of_the_study_are_those_of_its_sweep_its_summary_and_its_json(study, folder):
     data = study.json
-    (speeds,) = [n for n in data["summary"] if n["text"].startswith("margins at 0.05 and 0.15 m/s: least delay")]
+    (speeds,) = [
+        n for n in data["summary"] if n["text"].startswith("margins at 0.05 and 0.15 m/s, worst corner: least delay")
+    ]
     told = data["linear"]["speeds"]
     assert speeds["passed"] is True and [row["cruise_m_per_s"] for row in told["at"]] == [0.05, 0.15]
     with xarray.open_dataset(folder / "surctl-out" / "sweep.nc") as table:
@@ -297,6 +300,14 @@ def test_an_unstable_loop_is_named_with_its_remedy():
     mode = slowest_mode(load_vehicle("bluerov2-wu"), load_gains("default").values, cruise=0.25, dt=0.05)
     text = unstable_text(mode)
     assert mode.loop == "yaw" and "dominant states psi" in text and "0.202 m/s or less" in text
+
+
+@pytest.mark.parametrize(("delay", "disk", "short"), [(0.25, 0.4, ""), (0.19, 0.4, "0.2 s"), (0.25, 0.29, "0.3")])
+def test_each_speed_of_a_study_needs_the_margins_that_the_largest_needs(delay, disk, short):
+    figures = {"delay_margin_s": [0.3, delay], "disk_margin": [disk, 0.5], "slowest_pole_per_s": [-0.1, -0.2]}
+    over = OverSpeeds((0.05, 0.1), {name: np.array(values) for name, values in figures.items()})
+    [line] = _speed_notes(Loops(LoopAnalysis(0.1), over))
+    assert line.passed is not bool(short) and line.text.endswith(f"; required: at least {short}") is bool(short)
 
 
 def test_a_study_of_an_own_law_judges_nothing_of_another() -> None:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from surctl.errors import InputError
+from surctl.marine.control import load_gains, write_gains
 from surctl.marine.vehicle import LIBRARY, PARAMETERS, Vehicle, load_vehicle, parameter_spec, write_vehicle
 from surctl.marine.vehicle.parameters import vehicle_from_table
 
@@ -170,6 +171,18 @@ def test_a_mistake_in_a_file_is_one_line_with_file_key_and_remedy(tmp_path: Path
     assert fragment in shown
     assert error.remedy
     assert "\n" not in shown
+
+
+def test_one_message_names_all_wrong_entries_of_a_file(tmp_path: Path) -> None:
+    wrong = write_vehicle(load_vehicle("sur400"))
+    for key in ("m11", "Xu", "Fu_max"):
+        wrong = re.sub(rf"(?m)^{key} = {{ value = ", f"{key} = {{ value = -", wrong)
+    with pytest.raises(InputError, match=r"inertia\.m11 = -.* \(also wrong: drag\.Xu, thrust\.Fu_max\)"):
+        _load(tmp_path, wrong)
+    gains = write_gains(load_gains("default"))
+    (tmp_path / "g.toml").write_text(re.sub(r"(?m)^(k1|k_v) = .*", r'\1 = "-1 1/s"', gains))
+    with pytest.raises(InputError, match=r"gains\.k1 = -1\.0: .* \(also wrong: gains\.k_v\)"):
+        load_gains(str(tmp_path / "g.toml"))
 
 
 @pytest.mark.parametrize("name", PARAMETERS)

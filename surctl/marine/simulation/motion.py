@@ -18,8 +18,6 @@ from surctl.marine.simulation.scenario import Finding, Scenario
 from surctl.marine.vehicle import Vehicle
 from surctl.marine.vehicle.linearise import WITHIN_LAW, ahead_limit, command_range
 
-__all__ = ["closest", "mission_findings", "motion_findings", "planned_radius", "steering_findings"]
-
 _REVERSAL = 2.4  # [rad] largest change of direction (137°) that counts as a corner; beyond it the path turns back
 _PASSES = 0.03  # of the turning radius: how near a craft with fins passes its target (study 31)
 

@@ -36,19 +36,6 @@ from surctl.marine.simulation.toml_text import toml_text
 from surctl.marine.simulation.world import BAND, FOOTPRINT
 from surctl.marine.vehicle import Vehicle, check_equation_3
 
-__all__ = [
-    "Bound",
-    "Figure",
-    "SafetyClaim",
-    "margin_needed",
-    "mass_difference",
-    "munk",
-    "safety_claim",
-    "turn_rate",
-    "turned",
-]
-
-
 _STEP = 0.002  # [m/s] between two examined speeds
 _NEAR = 0.95  # share of the fastest obstacle speed: beyond it the required range grows without bound
 _FINEST = 1e-4  # [m/s] resolution of the largest obstacle speed

@@ -38,6 +38,8 @@ from surctl.marine.verification.region import refused_regions
 from surctl.system import LinearLoop
 from surctl.tuning import LocalExecutor, grid
 from surctl.verification import Inapplicable, LoopMargins, Verdict, decide
+from surctl.verification.linear import LEAST_DISK_MARGIN
+from surctl.verification.loops import LEAST_DELAY_MARGIN
 
 if TYPE_CHECKING:
     from surctl.marine.report import ExportSummary
@@ -170,18 +172,23 @@ def _limits(plan: Plan, runs: Sequence[Run]) -> list[Line]:
 def _speed_notes(loops: Loops) -> list[Line]:
     over, mode, notes = loops.over, loops.analysis.mode, list[Line]()
     if over is not None:
-        names = {"delay_margin_s": "delay margin {:.2f} s", "disk_margin": "disk margin {:.2f}"}
-        margin_text = ", ".join(
-            f"least {word.format(value)} (at {at:g} m/s)"
-            for word, (value, at) in ((word, over.worst(name)) for name, word in names.items())
+        rows = (
+            ("delay margin", " s", LEAST_DELAY_MARGIN, over.worst("delay_margin_s")),
+            ("disk margin", "", LEAST_DISK_MARGIN, over.worst("disk_margin")),
         )
+        margin_text = ", ".join(
+            f"least {word} {value:.2f}{unit} (at {at:g} m/s)" for word, unit, _, (value, at) in rows
+        )
+        short = [f"at least {least:g}{unit}" for _, unit, least, (value, _) in rows if value < least]
+        margin_text += f"; required: {', '.join(short)}" if short else ""
         poles = over.figures["slowest_pole_per_s"]
         held = bool((poles < 0).all())
         if not held:
             lost = [u for u, pole in zip(over.cruise, poles.tolist(), strict=True) if not pole < 0]
             bearable = "" if mode is None else f" (bearable speed {mode.bearable:.3g} m/s)"
             margin_text = f"the linear loop is unstable at {speeds_text(lost)}{bearable}; {margin_text}"
-        notes.append(Line(held, f"margins at {speeds_text(over.cruise)}: {margin_text}", "margins"))
+        text = f"margins at {speeds_text(over.cruise)}, worst corner: {margin_text}"
+        notes.append(Line(held and not short, text, "margins"))
     return notes
 
 

@@ -230,8 +230,8 @@ def _climbed(value: Callable[[Array, float], Array], start: Array, best: Array, 
 
 
 def _corner_share(vehicle: Vehicle, inner: Array, cruise: float, dt: float) -> tuple[float, Vehicle]:
-    found = corner_margin(vehicle, rule(vehicle, inner, cruise=cruise, dt=dt), cruise=cruise, dt=dt)
-    return min(found.shares), found.weakest
+    least = corner_margin(vehicle, rule(vehicle, inner, cruise=cruise, dt=dt), cruise=cruise, dt=dt)
+    return min(least.shares), least.weakest
 
 
 def _margins(vehicle: Vehicle, inner: Array, cruise: float, dt: float, *, above: float) -> Array:
@@ -488,9 +488,9 @@ def _derivation(hashed: HashedVehicle, cruise: float, dt: float) -> Derivation:
     inner, _ = searched_inner(vehicle, cruise, dt)
     searched = bool(np.any(inner != inner_start(vehicle, cruise=cruise, dt=dt)))
     values = rule(vehicle, inner, cruise=cruise, dt=dt)
-    found = corner_margin(vehicle, values, cruise=cruise, dt=dt, proved=True)
-    margins = float(np.nan_to_num(found.margin)), found.delay.delay_s
-    bearable = cruise if found.enough else _bearable(vehicle, cruise, dt, inner)
+    least = corner_margin(vehicle, values, cruise=cruise, dt=dt, proved=True)
+    margins = float(np.nan_to_num(least.margin)), least.delay.delay_s
+    bearable = cruise if least.enough else _bearable(vehicle, cruise, dt, inner)
     gains = _named(vehicle, inner, cruise, dt, margins)
     return Derivation(gains, vehicle.name, cruise, dt, *margins, bearable, searched, munk_rate(vehicle, cruise))
 

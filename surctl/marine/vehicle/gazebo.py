@@ -19,12 +19,10 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.errors import InputError, nearest
+from surctl.errors import InputError, check_known
 from surctl.marine.vehicle.parameters import Parameter, Vehicle
 from surctl.marine.vehicle.specs import PARAMETERS, TERMS, parameter_spec, undamped
 from surctl.recorded import shown, xml_root
-
-__all__ = ["gazebo_vehicle"]
 
 _AXES = (0, 1, 2, 5)  # surge, sway, heave and yaw among the six degrees of freedom
 _FORCES, _RATES = "xyzkmn", "uvwpqr"
@@ -205,16 +203,10 @@ def _chosen(bodies: Mapping[str, _Body], link: str | None, path: Path) -> str:
         )
     if link is None:
         if len(bodies) > 1:
-            raise InputError(
-                "has several links with hydrodynamics",
-                file=shown(path),
-                remedy=f"choose --link: {', '.join(sorted(bodies))}",
-            )
+            remedy = f"choose --link: {', '.join(sorted(bodies))}"
+            raise InputError("has several links with hydrodynamics", file=shown(path), remedy=remedy)
         return next(iter(bodies))
-    if link not in bodies:
-        raise InputError(
-            "is not a link with hydrodynamics", file=shown(path), key="--link", value=link, remedy=nearest(link, bodies)
-        )
+    check_known(link, bodies, "is not a link with hydrodynamics", key="--link", file=shown(path))
     return link
 
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pydantic import Field, ValidationError
 
 from surctl.errors import InputError, nearest
-from surctl.files import Quantity, Strict, pick, quoted, read_toml, validate
+from surctl.files import Mistakes, Quantity, Strict, pick, quoted, read_toml, validate
 from surctl.marine.vehicle.specs import (
     DEFAULTED,
     NEEDED_TO_TILT,
@@ -27,8 +27,6 @@ from surctl.marine.vehicle.specs import (
 )
 from surctl.marine.vehicle.thruster_file import axis_ends, axis_limits, common_lag, read_actuators, thruster_text
 from surctl.marine.vehicle.thrusters import Actuators
-
-__all__ = ["LIBRARY", "Parameter", "Vehicle", "load_vehicle", "write_vehicle"]
 
 _NAMES = ("Fu_max", "Fv_max", "Fw_max", "Fr_max")
 _ARM = 1e-6  # [m] a shorter arm gives no yaw moment
@@ -65,13 +63,9 @@ def _check_surge(actuators: Actuators, astern: float, ahead: float, source: str)
         return
     pushing = [k for k, one in enumerate(actuators.thrusters) if one.fin is None and abs(one.direction[0]) > _ARM]
     if not pushing:
-        raise InputError(
-            "no thruster pushes ahead",
-            file=source,
-            key="thruster",
-            value=", ".join(actuators.names),
-            remedy="add a [[thruster]] with push = [1, 0, 0]",
-        )
+        problem = "no thruster pushes ahead"
+        remedy = "add a [[thruster]] with push = [1, 0, 0]"
+        raise InputError(problem, file=source, key="thruster", value=", ".join(actuators.names), remedy=remedy)
     weak = next((k for k in pushing if actuators.thrusters[k].reverse == 0), pushing[0])
     where = "astern" if astern <= 0 else "ahead"
     raise _lacks(
@@ -348,22 +342,21 @@ def vehicle_from_table(table: dict[str, Any], *, source: str) -> Vehicle:
     if not model.name.isprintable():
         remedy = "leave out line breaks and other control characters"
         raise InputError("is not a name", file=source, key="name", value=model.name, remedy=remedy)
-    parameters: dict[str, Parameter] = {}
+    parameters, mistakes = dict[str, Parameter](), Mistakes()
     for section in ("hull", "inertia", "drag", "thrust", "force", "attitude"):
-        parameters |= _read_section(section, getattr(model, section), source)
+        parameters |= _read_section(section, getattr(model, section), source, mistakes)
+    mistakes.check()
     actuators = read_actuators(model.thruster, model.allocation, source=source)
     parameters |= _of_thrusters(actuators, model.thruster, parameters, source)
     for name, spec in PARAMETERS.items():
         if name in parameters:
             continue
-        if spec.default is None:
-            raise InputError(
-                "is missing",
-                file=source,
-                key=f"{spec.table}.{name}",
-                remedy=f'add {name} = {{ value = ..., unit = "{spec.unit}" }} ({spec.meaning})',
-            )
-        parameters[name] = Parameter(spec.default, spec.unit, None, DEFAULTED)
+        with mistakes.collected():
+            if spec.default is None:
+                remedy = f'add {name} = {{ value = ..., unit = "{spec.unit}" }} ({spec.meaning})'
+                raise InputError("is missing", file=source, key=f"{spec.table}.{name}", remedy=remedy)
+            parameters[name] = Parameter(spec.default, spec.unit, None, DEFAULTED)
+    mistakes.check()
     ordered = {name: parameters[name] for name in (*PARAMETERS, *TERMS) if name in parameters}
     return _possible(Vehicle(model.name, model.note, ordered, source, actuators))
 
@@ -378,12 +371,9 @@ def _possible(vehicle: Vehicle) -> Vehicle:
     for name in NEEDED_TO_TILT if form.tilts else ():
         if name not in form.terms:
             spec = TERMS[name]
-            raise InputError(
-                "is missing in a vehicle with other terms of roll and pitch",
-                file=file,
-                key=f"{spec.table}.{name}",
-                remedy=f'add {name} = {{ value = ..., unit = "{spec.unit}" }} ({spec.meaning})',
-            )
+            problem = "is missing in a vehicle with other terms of roll and pitch"
+            remedy = f'add {name} = {{ value = ..., unit = "{spec.unit}" }} ({spec.meaning})'
+            raise InputError(problem, file=file, key=f"{spec.table}.{name}", remedy=remedy)
     for which in ("value", "range"):
         _check_inertia(vehicle, which, file=file)
     return vehicle
@@ -437,7 +427,9 @@ def _of_thrusters(
     return {name: _checked(name, known, file=source) for name, known in derived.items() if name not in stated}
 
 
-def _read_section(section: str, table: Mapping[str, Quantity | str], source: str) -> dict[str, Parameter]:
+def _read_section(
+    section: str, table: Mapping[str, Quantity | str], source: str, mistakes: Mistakes
+) -> dict[str, Parameter]:
     known = [name for name, spec in (*PARAMETERS.items(), *TERMS.items()) if spec.table == section]
     shared = table.get("provenance")
     if shared is not None and (not isinstance(shared, str) or not shared.strip()):
@@ -448,20 +440,26 @@ def _read_section(section: str, table: Mapping[str, Quantity | str], source: str
     for name, entry in table.items():
         if name == "provenance":
             continue
-        key = f"{section}.{name}"
-        if name not in known:
-            raise InputError("unknown key", file=source, key=key, remedy=nearest(name, [*known, "provenance"]))
-        entry = _in_own_unit(name, entry, file=source)
-        provenance = entry.provenance or shared
-        if not isinstance(provenance, str):
-            raise InputError(
-                "has no provenance",
-                file=source,
-                key=key,
-                remedy=f'add provenance = "..." to [{section}]: who measured or derived it',
-            )
-        parameters[name] = _checked(name, Parameter(entry.value, entry.unit, entry.range, provenance), file=source)
+        with mistakes.collected():
+            parameters[name] = _read_entry(f"{section}.{name}", name, entry, shared, known, source)
     return parameters
+
+
+def _read_entry(
+    key: str, name: str, entry: Quantity | str, shared: str | None, known: list[str], source: str
+) -> Parameter:
+    if name not in known:
+        raise InputError("unknown key", file=source, key=key, remedy=nearest(name, [*known, "provenance"]))
+    entry = _in_own_unit(name, entry, file=source)
+    provenance = entry.provenance or shared
+    if not isinstance(provenance, str):
+        raise InputError(
+            "has no provenance",
+            file=source,
+            key=key,
+            remedy=f'add provenance = "..." to [{key.partition(".")[0]}]: who measured or derived it',
+        )
+    return _checked(name, Parameter(entry.value, entry.unit, entry.range, provenance), file=source)
 
 
 def _in_own_unit(name: str, entry: Quantity | str, *, file: str) -> Quantity:
@@ -469,13 +467,9 @@ def _in_own_unit(name: str, entry: Quantity | str, *, file: str) -> Quantity:
     try:
         return (Quantity.model_validate(entry) if isinstance(entry, str) else entry).within(spec.unit)
     except ValidationError:
-        raise InputError(
-            "must be a value with its unit",
-            file=file,
-            key=f"{spec.table}.{name}",
-            value=entry,
-            remedy=f'write {{ value = ..., unit = "{spec.unit}" }}',
-        ) from None
+        problem = "must be a value with its unit"
+        remedy = f'write {{ value = ..., unit = "{spec.unit}" }}'
+        raise InputError(problem, file=file, key=f"{spec.table}.{name}", value=entry, remedy=remedy) from None
     except InputError as error:
         raise error.inside(file, f"{spec.table}.{name}.unit") from None
 
@@ -493,13 +487,8 @@ def _checked(name: str, parameter: Parameter, *, file: str) -> Parameter:
                 "is not a range", file=file, key=f"{key}.range", value=parameter.range, remedy="write [low, high]"
             )
         if not low <= value <= high:
-            raise InputError(
-                f"lies outside its own range [{low:g}, {high:g}]",
-                file=file,
-                key=key,
-                value=value,
-                remedy="widen the range or correct the value",
-            )
+            problem = f"lies outside its own range [{low:g}, {high:g}]"
+            raise InputError(problem, file=file, key=key, value=value, remedy="widen the range or correct the value")
     return parameter
 
 

@@ -24,18 +24,6 @@ from dataclasses import dataclass
 from itertools import combinations_with_replacement, product
 from math import isfinite
 
-__all__ = [
-    "AXES",
-    "DEFAULTED",
-    "NEEDED_TO_TILT",
-    "PARAMETERS",
-    "TERMS",
-    "ParameterSpec",
-    "PlantForm",
-    "parameter_spec",
-    "undamped",
-]
-
 
 @dataclass(frozen=True)
 class ParameterSpec:
