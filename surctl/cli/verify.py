@@ -105,7 +105,7 @@ def verify(
     out: Path | None,
     as_json: bool,
 ) -> None:
-    """Prove or refute the paper's claims, or your own, and print stability margins.
+    """Prove or refute the paper's claims or claims of your own, and print stability margins.
 
     A claim is proved (with a certificate that `surctl check` accepts), refuted (with a counterexample), unknown
     (neither proved nor refuted), or not applicable (this vehicle, law or gains violate an assumption). The paper's
