@@ -105,7 +105,7 @@ def verify(
     out: Path | None,
     as_json: bool,
 ) -> None:
-    """Prove or refute claims of the paper or of your own, and print stability margins.
+    """Prove or refute claims of the paper, or your own, and print loop margins.
 
     A claim is proved (with a certificate that `surctl check` accepts), refuted (with a counterexample), unknown
     (neither proved nor refuted), or not applicable (this vehicle, law or gains violate an assumption). The paper's
