@@ -18,6 +18,8 @@ from surctl.robot.urdf import Capsule, closest_points, read_xml
 from surctl.tasks import LimitRow
 from surctl.units import is_number
 
+_INSIDE = 5.0  # factor of the rate at which links part that are nearer than the margin
+
 __all__ = ["JointLimits", "SelfCollision", "joint_limits", "self_collision", "stopping_speed"]
 
 
@@ -115,6 +117,8 @@ def joint_limits(
 class SelfCollision:
     """Barriers that keep pairs of links apart: the distance d of two capsules obeys ḋ ≥ −gain · (d − margin).
 
+    Within the margin, the links part at five times that rate, because the distance curves during a control period.
+
     Attributes:
         robot: the robot. pairs: names of two links and a capsule of each.
         margin: least distance of the surfaces [m]. gain: γ of the barrier [1/s].
@@ -153,7 +157,8 @@ class SelfCollision:
                 name = f"{base}.{len(names)}"
             names.add(name)
             distance, J = self.distance(pair)
-            rows.append(LimitRow(name, "barrier", -J, ca.SX(-math.inf), self.gain * (distance - self.margin)))
+            room = distance - self.margin
+            rows.append(LimitRow(name, "barrier", -J, ca.SX(-math.inf), self.gain * ca.fmin(room, _INSIDE * room)))
         return tuple(rows)
 
 
