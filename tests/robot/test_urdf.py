@@ -104,6 +104,16 @@ def test_a_mistake_in_the_arguments_gives_one_line(tmp_path: Path) -> None:
         assert problem in str(caught.value) and "\n" not in str(caught.value)
 
 
+def test_a_shape_inside_another_is_left_out(tmp_path: Path) -> None:
+    ends = "".join(
+        f'<collision><origin xyz="0 0 {z}"/><geometry><sphere radius="{r}"/></geometry></collision>'
+        for z, r in ((0.2, 0.1), (-0.2, 0.1), (0.2, 0.11))
+    )
+    tube = BALL.format('cylinder radius="0.1" length="0.4"')
+    urdf = read_urdf(written(tmp_path, link("a", ends + tube + tube)))
+    assert [(shape.radius, shape.length) for shape in urdf.links["a"].shapes] == [(0.11, 0.0), (0.1, 0.4)]
+
+
 def test_the_limits_of_mimicking_joints_bound_the_joint_that_they_follow(tmp_path: Path) -> None:
     mimic = '<mimic joint="j" multiplier="-2" offset="1"/>'
     follower = joint("f", "a", "c", limit='lower="-1" upper="3" velocity="1"', more=mimic)
