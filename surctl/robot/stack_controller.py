@@ -26,7 +26,7 @@ from surctl.export import (
 )
 from surctl.export.bundle import build_bundle
 from surctl.ir import Block, Call, Layout, Port, Routine, lower, lower_named, without_libm
-from surctl.priority import Assembly, Mode, PrioritySolution, assemble, priority_step
+from surctl.priority import Assembly, Mode, PriorityProblem, PrioritySolution, assemble, priority_step
 from surctl.priority.compiled.step import Stage
 from surctl.priority.shapes import LevelShape, StackShape
 from surctl.priority.solver.fallback import CLAMPED, RELAXED, UNCONFIRMED
@@ -176,11 +176,15 @@ class StackController:
 
     def solution(self) -> PrioritySolution:
         """Return the velocities of the last step with their explanation: residuals, limits that bind, multipliers."""
-        before, _, v = self._before()
+        return explained(self.problem(), self._before()[2], self.stage, mode=self._mode)
+
+    def problem(self) -> PriorityProblem:
+        """Return the priority problem of the last step, without damping."""
+        before = self._before()[0]
         x, u, p = np.split(before, np.cumsum([self.controller.state.size, self.controller.inputs.size]))
         values: dict[str, Any] = {**self.controller.inputs.unpack(u), **self.controller.gains.unpack(p)}
         values |= {"v": x if x.size else np.zeros(self.robot.nv), "dt": self.dt}
-        return explained(self._assembly.problem(values), v, self.stage, mode=self._mode)
+        return self._assembly.problem(values)
 
     def system(
         self,

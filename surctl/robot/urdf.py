@@ -253,6 +253,8 @@ def read_xml(path: Path, tag: str) -> Element:
             entities without end.
     """
     try:
+        if path.exists() and not path.is_file():  # such as a device that never ends
+            raise InputError("is not a file", file=path, remedy="give a URDF or SRDF file")
         if path.stat().st_size > _LARGEST:
             raise InputError(f"is larger than {_LARGEST // 1_000_000} MB", file=path, remedy="give a URDF or SRDF file")
         data = path.read_bytes()

@@ -68,6 +68,9 @@ def test_a_mistake_in_the_file_gives_one_line(problem: str, tmp_path: Path) -> N
 def test_a_file_that_is_absent_huge_or_not_text_gives_one_line(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="cannot be read"):
         read_urdf(tmp_path / "absent.urdf")
+    for path in (tmp_path, Path("/dev/zero")):
+        with pytest.raises(InputError, match="is not a file"):
+            read_urdf(path)
     huge = tmp_path / "huge.urdf"
     with huge.open("wb") as file:
         file.truncate(30_000_000)
