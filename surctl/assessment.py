@@ -10,13 +10,14 @@ from typing import Any, Literal, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from surctl.errors import InputError
-from surctl.system import ENDED, LOST, Record, System, run_system
+from surctl.errors import InputError, NotApplicable
+from surctl.system import ENDED, LOST, Cost, Record, System, run_system
 from surctl.system.linear import unresponsive
 from surctl.system.values import checked_ranges, run_numbers
 from surctl.verification.linear import LEAST_DISK_MARGIN
-from surctl.verification.loops import LEAST_DELAY_MARGIN, LoopMargins
+from surctl.verification.loops import LEAST_DELAY_MARGIN, LeastDelay, LoopMargins
 from surctl.verification.sampled_margins import LoopCorners, SystemLoop, system_corners
+from surctl.verification.verdict import Inapplicable
 
 __all__ = [
     "SATURATED",
@@ -30,6 +31,7 @@ __all__ = [
     "Region",
     "Subject",
     "assess",
+    "cost_lines",
 ]
 
 # An assessment: every figure and verdict about one subject, in the form that every page, command and status reads
@@ -62,6 +64,11 @@ class Figure:
         if self.least is None:
             return True
         return bool(self.value >= self.least if self.better == "high" else self.value <= self.least)
+
+    @property
+    def required(self) -> str:
+        """The least sufficient value as text; empty if there is none."""
+        return "" if self.least is None else f"{'≥' if self.better == 'high' else '≤'} {self.least:g}"
 
     def worse(self, before: Figure) -> bool:
         """Return whether the value is worse than that of `before` by more than rounding; NaN is the worst."""
@@ -141,8 +148,8 @@ class Subject(Protocol):
     def name(self) -> str:
         """Name for messages."""
 
-    def parts(self) -> Mapping[str, Callable[[], Part]]:
-        """Return the parts that concern the subject, cheapest first."""
+    def parts(self) -> Mapping[str, Callable[[], Part | None]]:
+        """Return the parts that concern the subject, cheapest first; None is returned for what is not asked for."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,6 +186,11 @@ class Assessment:
         """False if a line fails, None if one is not decided (or none counts), True if all that count hold."""
         ranks = [line.rank for line in self.lines if line.counts]
         return (False, None, True)[min(ranks, default=1)]
+
+    def accepted(self, *parts: str) -> bool:
+        """Whether no line fails, and each line of these parts holds: a command then ends with status 0."""
+        lines = [line for name in parts if name in self.parts for line in self.parts[name].lines]
+        return self.passed is not False and all(line.passed for line in lines)
 
     @property
     def failures(self) -> list[str]:
@@ -236,9 +248,9 @@ def assess(
     """
     known, ready = subject.parts(), computed or {}
     done = {
-        name: ready[name] if name in ready else compute()
+        name: part
         for name, compute in known.items()
-        if parts is None or name in parts
+        if (parts is None or name in parts) and (part := ready[name] if name in ready else compute()) is not None
     }
     figures = {figure.name: figure for part in done.values() for figure in part.figures}
     lines = [line for part in done.values() for line in part.lines]
@@ -260,52 +272,51 @@ SATURATED = 0.5
 """Share of time at a limit above which the linear figures do not describe a run."""
 
 _DISK = "all loops at once, at commands or measurements, at the worst corner of the ranges"
+_DELAY = "least delay margin of one loop alone"
 
 
 def loop_figures(
     disks: tuple[float, float],
+    delays: tuple[LeastDelay, LeastDelay],
     slowest: tuple[float, float],
     margins: Sequence[LoopMargins],
     *,
     corner: str,
-    which: str,
     least_delay: float = LEAST_DELAY_MARGIN,
 ) -> dict[str, Figure]:
     """Return the figures of a linear loop by name.
 
     Args:
         disks: disk margin of all loops at once, nominal and at the worst corner.
+        delays: least delay margin of one loop alone, nominal and over the corners.
         slowest: largest real part [1/s] of a pole, nominal and over the corners.
-        margins: margins of each loop alone.
-        corner: the worst corner.
-        which: what the margins of each loop alone are of, such as the nominal vehicle.
+        margins: margins of each nominal loop alone.
+        corner: the worst corner of the disk margin.
         least_delay: least sufficient delay margin [s].
     """
-    delay = min(margins, key=lambda m: m.delay_margin_s)
+    first, late = delays
     single = min(margins, key=lambda m: m.disk_margin)
     figures = (
         Figure("disk_margin", disks[1], "1", _DISK, "high", LEAST_DISK_MARGIN, corner),
         Figure("nominal_disk_margin", disks[0], "1", "disk margin, nominal", "high"),
         Figure(
-            "single_loop_disk_margin", single.disk_margin, "1", f"least disk margin of one loop alone, {which}",
+            "single_loop_disk_margin", single.disk_margin, "1", "least disk margin of one loop alone, nominal",
             "high", where=single.name,
         ),
         Figure(
-            "delay_margin_s", delay.delay_margin_s, "s", f"least delay margin of one loop alone, {which}",
-            "high", least_delay, delay.name,
+            "delay_margin_s", late.delay_s, "s", f"{_DELAY}, at the worst corner of the ranges",
+            "high", least_delay, late.where,
         ),
+        Figure("nominal_delay_margin_s", first.delay_s, "s", f"{_DELAY}, nominal", "high", where=first.loop),
         Figure("slowest_pole_per_s", slowest[0], "1/s", "largest real part of a pole, nominal", "low"),
         Figure("corner_slowest_pole_per_s", slowest[1], "1/s", "largest real part of a pole, corners", "low"),
     )  # fmt: skip
     return {figure.name: figure for figure in figures}
 
 
-def loop_line(figures: dict[str, Figure], *, stable: bool, place: str, which: str, unstable: str) -> Line:
-    """Return the verdict on a linear loop.
-
-    `which` is that of `loop_figures`; `unstable` says what is wrong with a nominal loop that is not stable.
-    """
-    disk, nominal, delay = (figures[n] for n in ("disk_margin", "nominal_disk_margin", "delay_margin_s"))
+def loop_line(figures: dict[str, Figure], *, stable: bool, place: str, unstable: str) -> Line:
+    """Return the verdict on a linear loop; `unstable` says what is wrong with a nominal loop that is not stable."""
+    disk, nominal, delay, on_time = (figures[name] for name in _JUDGED)
     if not stable:
         text = f"the linear loop {place} is UNSTABLE"
         if nominal.value > 0:
@@ -313,22 +324,29 @@ def loop_line(figures: dict[str, Figure], *, stable: bool, place: str, which: st
         else:
             text += unstable
         return Line(False, text, "margins")
-    short = [f"at least {f.least:g}" + (f" {f.unit}" if f.unit != "1" else "") for f in (disk, delay) if not f.enough]
-    worst, first = map(_short, (disk, nominal))
-    late = f"{delay.value:{'.2f' if delay.value >= 0.1 else '.2g'}} s ({delay.where}, {which})"
-    text = f"margins {place}: disk margin {worst} at the worst corner, {first} nominal; least delay margin {late}"
+    short = [
+        f"at least {f.least:g}{f' {f.unit}' if f.unit != '1' else ''} (worst corner: {f.where})"
+        for f in (disk, delay)
+        if not f.enough
+    ]
+    worst, first, late, later = map(_short, (disk, nominal, delay, on_time))
+    text = f"margins {place}: disk margin {worst} at the worst corner, {first} nominal; "
+    text += f"least delay margin {late} s at the worst corner, {later} s nominal ({on_time.where})"
     if short:
-        text += f"; required: {', '.join(short)}" + ("" if disk.enough else f" (worst corner: {disk.where})")
+        text += f"; required: {', '.join(short)}"
     undetermined = np.isnan(disk.value) and delay.enough
     return Line(None if undetermined else not short, text, "margins")
 
 
+_JUDGED = ("disk_margin", "nominal_disk_margin", "delay_margin_s", "nominal_delay_margin_s")
+
+
 def _short(figure: Figure) -> str:
-    """Return a margin with two decimals, or with four if two would hide that it is too small."""
+    """Return a margin with two decimals or digits, or with four if two would hide that it is too small."""
     if np.isnan(figure.value):
         return "not determined"
-    text = f"{figure.value:.2f}"
-    return text if figure.enough or float(text) < (figure.least or 0.0) else f"{figure.value:.4f}"
+    text = f"{figure.value:{'.2f' if figure.value >= 0.1 else '.2g'}}"
+    return text if figure.enough or float(text) < (figure.least or 0.0) else f"{figure.value:.4g}"
 
 
 # Two assessments of one subject, before and after a change: every figure of both, and what got worse
@@ -365,9 +383,8 @@ class Comparison:
         """Return the headline, the table of all figures, and what fails or is not decided after the change."""
         table = [f"{'figure':<28}{'unit':<6}{'required':>10}{'before':>12}{'after':>12}"]
         for old, new in self.rows:
-            sign = "" if new.least is None else f"{'≥' if new.better == 'high' else '≤'} {new.least:g}"
             mark = "  worse" if new.worse(old) else ""
-            table.append(f"{new.name:<28}{new.unit:<6}{sign:>10}{_text(old):>12}{_text(new):>12}{mark}")
+            table.append(f"{new.name:<28}{new.unit:<6}{new.required:>10}{_text(old):>12}{_text(new):>12}{mark}")
         open_ends = [f"{line.mark} {line.text}" for line in self.after.lines if line.rank < 2]
         return [self.headline, *table, *open_ends]
 
@@ -427,7 +444,7 @@ class ClosedLoop:
         ranges: ranges of uncertain numbers; None: those that the system declares.
         record: the run; None: it is simulated, if there are `seconds`.
         seconds: duration of the run [s]; None: no run is judged.
-        region: function that decides the claimed region of attraction; None: none is claimed.
+        region: function that decides the claimed region, or raises `NotApplicable`; None: none is claimed.
     """
 
     system: System
@@ -442,14 +459,9 @@ class ClosedLoop:
         """Names of plant and controller."""
         return self.system.title
 
-    def parts(self) -> Mapping[str, Callable[[], Part]]:
-        """Return the parts of the assessment; run and region only if they are asked for."""
-        parts: dict[str, Callable[[], Part]] = {"loop": self._loop}
-        if self.record is not None or self.seconds is not None:
-            parts["run"] = self._run
-        if self.region is not None:
-            parts["region"] = self._region
-        return parts
+    def parts(self) -> Mapping[str, Callable[[], Part | None]]:
+        """Return the parts of the assessment."""
+        return {"loop": self._loop, "run": self._run, "region": self._region}
 
     def _loop(self) -> Part:
         run_numbers(self.system, self.values)  # a mistake is raised, unlike a loop without equilibrium
@@ -461,15 +473,16 @@ class ClosedLoop:
             return Part((), (line,), error)
         figures = _figures(corners, self.system.dt)
         unstable = f": the largest pole is |z| = {np.abs(corners.nominal.poles).max(initial=0.0):.6g}"
-        line = loop_line(figures, stable=corners.stable, place="at the equilibrium", which=_WHICH, unstable=unstable)
+        line = loop_line(figures, stable=corners.stable, place="at the equilibrium", unstable=unstable)
         if corners.lost:
             line = Line(False, f"the loop has no equilibrium at the corner {corners.corner}", "margins")
         return Part(tuple(figures.values()), (line,), corners)
 
-    def _run(self) -> Part:
+    def _run(self) -> Part | None:
         record = self.record
         if record is None:
-            assert self.seconds is not None  # `parts` asks for a run only then
+            if self.seconds is None:
+                return None
             record = run_system(self.system, self.seconds, self.values)
         how = f"the run ends after {record.duration:.6g} s ({record.lost or record.stopped})"
         lines = [Line(record.stopped != LOST, how, "run", counts=record.stopped in (ENDED, LOST))]
@@ -478,9 +491,7 @@ class ClosedLoop:
             value = record.figures[name]
             meaning = cost.meaning or f"{cost.how} over the run"
             figures.append(Figure(f"cost.{name}", value, cost.unit, meaning, "low", cost.at_most))
-            if cost.at_most is not None:
-                text = f"{name} = {value:.6g} {cost.unit}, at most {cost.at_most:g} {cost.unit}"
-                lines.append(Line(figures[-1].enough, text, "run"))
+            lines += cost_lines(name, cost, value, end=record.duration - 1.5 * self.system.dt)
         shares = unresponsive(record)
         if shares:
             worst = max(shares, key=lambda name: shares[name])
@@ -491,9 +502,14 @@ class ClosedLoop:
                 lines.append(Line(None, f"{text}, so the linear margins do not describe this run", "run"))
         return Part(tuple(figures), tuple(lines), record)
 
-    def _region(self) -> Part:
-        assert self.region is not None  # `parts` asks for a region only then
-        solution = self.region()
+    def _region(self) -> Part | None:
+        if self.region is None:
+            return None
+        try:
+            solution = self.region()
+        except NotApplicable as reason:
+            text = f"region of attraction of {reason.to}: not assessed, because {reason.because}"
+            return Part((), (Line(None, text, "region"),), Inapplicable.of("region of attraction", reason))
         proved = solution.verdict == "proved" and not solution.vacuous
         passed = True if proved else False if solution.verdict == "refuted" else None
         line = Line(passed, f"region of attraction: {' '.join(solution.lines()[0].split())}", "region")
@@ -507,16 +523,32 @@ class ClosedLoop:
         return Part((figure,), (line,), solution)
 
 
-_WHICH = "nominal system"  # the loops alone are its loops
+def cost_lines(name: str, cost: Cost, value: float, *, end: float) -> list[Line]:
+    """Return the verdict on the bound of a cost, and whether a last time is only the end of the run.
+
+    Args:
+        name: name of the cost.
+        cost: the cost.
+        value: its value.
+        end: a last time [s] from here on is the end of the run, so that the true one is not known.
+    """
+    lasts = cost.how == "last_time" and value > max(end, 0.0)
+    if cost.at_most is None and not lasts:
+        return []
+    bound = "" if cost.at_most is None else f", at most {cost.at_most:g} {cost.unit}"
+    passed = None if cost.at_most is None else bool(value <= cost.at_most)
+    more = " until the end of the run, so the last time is not known" if lasts else ""
+    text = f"{name} = {value:.6g} {cost.unit}{more}{bound}"
+    return [Line(None if lasts and passed else passed, text, "run", counts=cost.at_most is not None)]
 
 
 def _figures(corners: LoopCorners[SystemLoop], dt: float) -> dict[str, Figure]:
     nominal = corners.nominal
     return loop_figures(
         (nominal.disk, corners.disk),
+        (corners.nominal_delay, corners.delay),
         (nominal.slowest_per_s, corners.slowest_per_s),
         nominal.margins,
         corner=corners.corner,
-        which=_WHICH,
         least_delay=dt,  # the command of a step may be applied up to one period late
     )

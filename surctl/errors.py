@@ -26,12 +26,13 @@ __all__ = [
     "ToolMissing",
     "UnsupportedOperation",
     "cannot_write",
+    "check_known",
     "nearest",
 ]
 
 
 LOST = 3
-"""Exit status of a command some of whose output could not be written."""
+"""Exit status of a command some of whose output is lost: the disk is full or read-only, or stdout is closed."""
 
 LOSSES = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS)
 """Error numbers of a file system that takes no more output, whatever the name of the file is."""
@@ -118,7 +119,7 @@ def cannot_write(
     place: object, error: Exception, *, key: str | None = None, more: str = "",
     remedy: str = "free disk space, or choose a folder that you may write to",
 ) -> InputError:  # fmt: skip
-    """Return the InputError for a file or folder that cannot be written; its exit status is 3 for a full disk.
+    """Return the InputError for a file or folder that cannot be written; its exit status is 3 for the `LOSSES`.
 
     Args:
         place: the file or folder.
@@ -156,3 +157,20 @@ def nearest(name: str, known: Iterable[str]) -> str:
         return "no name is known here"
     close = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
     return f"did you mean {close[0]!r}?" if close else "known: " + ", ".join(names)
+
+
+def check_known(
+    name: object, known: Iterable[str], problem: str = "is not known", *, key: str, file: object = None
+) -> None:
+    """Raise InputError with the problem, and with the remedy of `nearest`, unless the name is one of the known names.
+
+    Example:
+        >>> from surctl.errors import check_known
+        >>> check_known("sonr", ["sonar", "truth"], key="sensing")
+        Traceback (most recent call last):
+            ...
+        surctl.errors.InputError: sensing = 'sonr': is not known; did you mean 'sonar'?
+    """
+    known = list(known)
+    if name not in known:
+        raise InputError(problem, file=file, key=key, value=name, remedy=nearest(str(name), known))

@@ -9,7 +9,7 @@ import pickle
 import re
 import tomllib
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from decimal import Decimal
 from functools import cache, lru_cache
 from pathlib import Path
@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from pydantic_core import ErrorDetails, InitErrorDetails
 
 __all__ = [
+    "Mistakes",
     "Quantity",
     "Strict",
     "file_name",
@@ -239,6 +240,51 @@ def _key_of(place: tuple[int | str, ...]) -> str | None:
     return ".".join(str(part) for part in place if part not in _MEMBERS) or None
 
 
+class Mistakes:
+    """Collects the mistakes in the entries of a file, so that one message names all of them.
+
+    Example:
+        >>> from surctl.errors import InputError
+        >>> from surctl.files import Mistakes
+        >>> mistakes = Mistakes()
+        >>> for key, value in (("length_m", -1), ("width_m", 2), ("depth_m", 0)):
+        ...     with mistakes.collected():
+        ...         if value <= 0:
+        ...             raise InputError("must be greater than 0", key=key, value=value)
+        >>> mistakes.check()
+        Traceback (most recent call last):
+            ...
+        surctl.errors.InputError: length_m = -1: must be greater than 0 (also wrong: depth_m)
+    """
+
+    def __init__(self) -> None:
+        self._mistakes: list[InputError] = []
+
+    @contextmanager
+    def collected(self) -> Iterator[None]:
+        """Keep an InputError of the block for `check`."""
+        try:
+            yield
+        except InputError as error:
+            self._mistakes.append(error)
+
+    def check(self) -> None:
+        """Raise the first InputError that was collected; its text names the keys of the others.
+
+        Raises:
+            InputError: one was collected.
+        """
+        if self._mistakes:
+            first, *others = self._mistakes
+            problem = first.problem + _also_wrong([str(each.key) for each in others])
+            raise InputError(problem, file=first.file, key=first.key, value=first.value, remedy=first.remedy)
+
+
+def _also_wrong(keys: Sequence[str]) -> str:
+    listed = ", ".join(keys[:_LISTED]) + (f" and {len(keys) - _LISTED} others" if len(keys) > _LISTED else "")
+    return f" (also wrong: {listed})" if keys else ""
+
+
 def validate(table: dict[str, Any], model: type[M], *, file: object) -> M:
     """Validate a table against `model`; the InputError describes the first mistake and counts the others.
 
@@ -268,8 +314,7 @@ def validate(table: dict[str, Any], model: type[M], *, file: object) -> M:
         key = _key_of(first["loc"])
         # the parts of a union report the same key more than once
         others = list(dict.fromkeys(k for p in problems if (k := _key_of(p["loc"])) is not None and k != key))
-        listed = ", ".join(others[:_LISTED]) + (f" and {len(others) - _LISTED} others" if len(others) > _LISTED else "")
-        more = f" (also wrong: {listed})" if others else ""
+        more = _also_wrong(others)
         # the message omits the value if the mistake concerns the whole file
         value = None if first["type"] == "missing" or key is None else first["input"]
         if first["type"] == "extra_forbidden":

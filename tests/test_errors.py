@@ -56,6 +56,7 @@ def test_public_names() -> None:
         "ToolMissing",
         "UnsupportedOperation",
         "cannot_write",
+        "check_known",
         "nearest",
     ]
 

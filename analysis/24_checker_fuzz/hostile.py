@@ -408,9 +408,10 @@ class Use:
     status: str
 
 
-def measured(path: Path) -> Use:
-    """Return what the check of a certificate file takes, in a new process of the command line."""
-    done = subprocess.run([sys.executable, "-c", _MEASURE, str(path)], capture_output=True, text=True, check=True)
+def measured(path: Path, bundle: Path | None = None) -> Use:
+    """Return what the check of a certificate file, with a bundle, takes in a new process of the command line."""
+    words = [str(path), *(("--bundle", str(bundle)) if bundle else ())]
+    done = subprocess.run([sys.executable, "-c", _MEASURE, *words], capture_output=True, text=True, check=True)
     memory, seconds, status = done.stdout.rstrip("\n").rsplit("\n", 1)[-1].split(" ", 2)
     return Use(int(memory) * 1024, float(seconds), status)
 
@@ -419,7 +420,7 @@ def measured(path: Path) -> Use:
 _MEASURE = """
 import re, resource, sys
 from surctl.cli import main
-sys.argv = ["surctl", "check", sys.argv[1]]
+sys.argv = ["surctl", "check", *sys.argv[1:]]
 try:
     main()
 except SystemExit as end:

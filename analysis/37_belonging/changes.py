@@ -23,6 +23,7 @@ from surctl.certcheck.bundle import (  # a forger writes hashes as the export do
     _gains_id,
     manifest_seal,
     numbers_sha256,
+    ports_sha256,
 )
 from surctl.ir import Block, Program, read_block, replay
 from surctl.ir.routine import nested, rebuilt
@@ -237,16 +238,11 @@ def sealed_again(table: Table, folder: Path) -> None:
     """Compute every hash of a manifest again, also those in the C source, as somebody who forges a bundle can."""
     values = [float(v) for row in table["gains"]["values"] for v in row["values"]]
     law, old = table["law"], table["id"]
-    parts = (
-        law["sha256"],
-        float(table["dt_s"]).hex(),
-        table["real"],
-        numbers_sha256(values),
-        law["initial_state_sha256"],
-    )
-    table["gains"]["sha256"] = parts[3]
+    ports = ports_sha256(table["lists"]["law.txt"])
+    parts = (law["sha256"], ports, float(table["dt_s"]).hex(), table["real"], law["initial_state_sha256"])
+    table["gains"]["sha256"] = numbers_sha256(values)
     table["gains"]["id"] = _gains_id(parts, values, table["real"])
-    table["id"] = hashlib.sha256("\n".join(parts).encode()).hexdigest()
+    table["id"] = hashlib.sha256("\n".join((*parts, numbers_sha256(values))).encode()).hexdigest()
     if "vehicle" in table:
         text = json.dumps(table["vehicle"]["values"], sort_keys=True) + table["vehicle"].get("thrusters", "")
         table["vehicle"]["sha256"] = hashlib.sha256(text.encode()).hexdigest()

@@ -12,7 +12,7 @@ import pytest
 from surctl.export import Records, software_in_the_loop
 from surctl.marine.control import build_law, load_gains
 from surctl.marine.simulation import Case, load_scenario, simulate, simulate_batch
-from surctl.marine.vehicle import held_out, identify
+from surctl.marine.vehicle import held_out_windows, identify
 from tests.cli.process import surctl
 from tests.tools import need_compiler
 from tests.vehicle import test_identify, test_identify_tilt, test_plant, test_terms
@@ -99,8 +99,9 @@ def test_several_logs_and_windows_by_the_command_line(tmp_path: Path) -> None:
 
 
 def test_roll_is_predicted_in_a_part_that_was_held_out() -> None:
-    later = held_out(test_identify_tilt.made_log(test_identify_tilt.TRUE, seed=2), test_identify_tilt.START)
-    assert later is not None and later.model["roll_rad"] < 0.3 * later.hold["roll_rad"]
+    log = test_identify_tilt.made_log(test_identify_tilt.TRUE, seed=2)
+    [later] = held_out_windows(log, test_identify_tilt.START, [5.0])
+    assert later.model["roll_rad"] < 0.3 * later.hold["roll_rad"]
 
 
 def test_the_compiled_loop_flies_a_coupled_vehicle_like_the_reference_loop() -> None:

@@ -156,13 +156,16 @@ def one_vehicle(seed: int, found: Disagreements, *, runs: bool, study: bool) -> 
     found.same("verify", f"{about} status", status, int(result.passed is False))
     for side, name in (("worst", "disk_margin"), ("nominal", "nominal_disk_margin")):
         found.same("verify", f"{about} linear {name}", told["linear"][side]["disk_margin"], finite(figures[name].value))
+    late = told["linear"]["worst"]["delay_margin"]
+    found.same("verify", f"{about} linear delay", late["delay_s"], finite(figures["delay_margin_s"].value))
 
     table = linear_table(craft, {}, base=gains.values, cruise=cruise, dt=DT, columns=COLUMNS)
     for name in COLUMNS:
         found.same("sweep", f"{about} {name}", float(table[name][0]), figures[name].value, within=QUICK)
     data, _ = linear_warning(craft, gains.values, cruise=cruise, dt=DT, law="guarded", guidance="los")
     assert data is not None  # guarded has a linear model
-    found.same("simulate", f"{about} disk margin", data["disk_margin"], figures["disk_margin"].value, within=QUICK)
+    for name in ("disk_margin", "delay_margin_s"):
+        found.same("simulate", f"{about} {name}", data[name], figures[name].value, within=QUICK)
 
     plan = load_plan("s.toml")
     planned = assess(assessed(plan, plan.gains), parts=["loop"])
@@ -207,7 +210,11 @@ def _runs(craft: Vehicle, gains: Gains, cruise: float, about: str, found: Disagr
     found.assessment("export", about, manifest, assess(full, parts=["loop", "no contact", "runs"]))
     derived = derive_gains(craft, cruise=cruise)
     of_derived = assess(Mission(craft, derived.gains, cruise, CAP), parts=["loop"])
-    found.same("gains derive", f"{about} disk margin", derived.disk_margin, of_derived.figures["disk_margin"].value)
+    for name in ("disk_margin", "delay_margin_s"):
+        found.same(
+            "gains derive", f"{about} {name}", getattr(derived, name), of_derived.figures[name].value, within=1e-9
+        )
+    found.same("gains derive", f"{about} reached", derived.reached, of_derived.passed is True)
 
 
 def _page(file: Path, banner: str, about: str, found: Disagreements) -> None:

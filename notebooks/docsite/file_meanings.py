@@ -308,7 +308,11 @@ MEANINGS: Mapping[str, Mapping[str, str]] = {
         "claims": "claims to verify; default: those that apply to the vehicle",
         "goals": "goals, as in a goals file",
     },
-    "_Run": {"scenario": "scenario: name or file", "vehicle": "vehicle of this run; default: that of the study"},
+    "_Run": {
+        "scenario": "scenario: name or file",
+        "vehicle": "vehicle of this run; default: that of the study",
+        "cruise_m_per_s": "cruise speed of this run; default: that of the scenario",
+    },
     "_Axis": {"gain": "gain or parameter", "values": "its values"},
     "_Sweep": {"axes": "parameters of the grid", "seeds": "seeds of the runs of each point"},
     "LogMap": {

@@ -24,7 +24,7 @@ from typing import Any
 
 import numpy as np
 
-from surctl.certcheck.document import Rejected, canonical, read, seal, verify_frame
+from surctl.certcheck.document import MALFORMED, Rejected, canonical, read, seal, verify_frame
 from surctl.certcheck.elementary import Undefined
 from surctl.certcheck.emptiness import is_empty
 from surctl.certcheck.interval import variables_of
@@ -35,10 +35,6 @@ __all__ = ["KINDS", "MEMORY", "PATIENCE", "Checked", "Rejected", "canonical", "c
 KINDS = ("barrier", "braking", "heading", "interval", "lyapunov", "region", "turning")
 """The kinds of certificate; each kind is a module of this package."""
 
-_MALFORMED = (
-    KeyError, TypeError, ValueError, IndexError, ArithmeticError, AttributeError, RecursionError, MemoryError,
-    Undefined,
-)  # fmt: skip
 _LONGEST = 400  # largest number of characters of `reason`
 
 
@@ -139,7 +135,7 @@ def check_document(document: Mapping[str, Any], *, began: float | None = None, t
             vacuous = _vacuous(kind, claim)
     except Rejected as rejected:
         reason = str(rejected) or "rejected without a reason"
-    except _MALFORMED as error:
+    except (*MALFORMED, Undefined) as error:
         reason = f"the certificate is malformed: {type(error).__name__}: {error}"
     else:
         slack, proves = float(claim.get("slack", 0.0)), _proves(kind, claim)

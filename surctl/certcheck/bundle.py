@@ -24,18 +24,19 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from surctl.certcheck.document import LARGEST, canonical, read_bytes
+from surctl.certcheck.document import LARGEST, canonical, parse, read_bytes
 from surctl.certcheck.instructions import digest
 from surctl.errors import InputError
 
-__all__ = ["Listed", "Manifest", "Port", "manifest_seal", "numbers_sha256", "read_bundle", "read_manifest",
-           "stated_sha256"]  # fmt: skip
+__all__ = ["Listed", "Manifest", "Port", "manifest_seal", "numbers_sha256", "ports_sha256", "read_bundle",
+           "read_manifest", "stated_sha256"]  # fmt: skip
 
 MANIFEST, LAW = "manifest.json", "law.txt"
-FORMAT_VERSION = 1  # of the manifest and of what it lists
+FORMAT_VERSION = 2  # of the manifest and of what it lists
 _LARGEST = 32_000_000  # [bytes] of one file
 _MOST = 2000  # files and folders
 _DEEPEST = 6  # folders inside one another
+_LONGEST = 200_000  # numbers of all vectors of the instruction lists
 _OBJECTS = (".o", ".obj", ".a", ".lib", ".so", ".dylib", ".dll", ".exe", ".elf", ".pyc")
 _PROGRAMS = (b"\x7fELF", b"MZ", b"\xcf\xfa\xed\xfe", b"\xca\xfe\xba\xbe")  # first bytes of an executable
 _NUMBERS = {"initial_state": "state", "values": "parameters"}
@@ -73,7 +74,7 @@ class Manifest:
     """The manifest of an exported controller, after its comparison with the exported files.
 
     Attributes:
-        id: hash of the law, its period, its precision, its gains and its initial state.
+        id: hash of the law, the ports of its vectors, its period, its precision, its gains and its initial state.
         real: floating-point precision of the exported code.
         period: control period [s].
         laws: two digests: of the law's instruction list, and of the instruction list of the same law with true obstacle
@@ -113,6 +114,11 @@ def numbers_sha256(numbers: Sequence[float]) -> str:
     return hashlib.sha256("\n".join(float(value).hex() for value in numbers).encode()).hexdigest()
 
 
+def ports_sha256(entry: Mapping[str, Any]) -> str:
+    """Return the SHA-256 of the names, sizes and units of the vectors of a list, from its entry in the manifest."""
+    return hashlib.sha256(canonical({k: v for k, v in entry.items() if k not in ("sha256", *_NUMBERS)})).hexdigest()
+
+
 def stated_sha256(claim: Mapping[str, Any]) -> str:
     """Return the SHA-256 of an inequality's statement, which covers every entry of the claim but the slack."""
     return hashlib.sha256(canonical({"claim": {k: v for k, v in claim.items() if k != "slack"}})).hexdigest()
@@ -130,12 +136,10 @@ def read_bundle(folder: Path) -> Manifest:
         InputError: the folder has no manifest, the file is not a manifest, or an older version wrote it.
     """
     path = folder / MANIFEST
-    wrong, names = _walked(folder)
+    problems, names = _walked(folder)
+    wrong = [f"{name} is {what}" for name, what in problems.items()]
     raw = read_bytes(path, LARGEST, remedy=_REMEDY)
-    try:
-        document = json.loads(raw.decode(), parse_constant=_refused, parse_float=_decimal, object_pairs_hook=_unique)
-    except (UnicodeDecodeError, ValueError, RecursionError) as error:
-        raise InputError(f"is not JSON: {error}", file=path, remedy=_REMEDY) from None
+    document = parse(raw, path, remedy=_REMEDY)
     if isinstance(document, dict) and "gains" in document and document.get("format_version") != FORMAT_VERSION:
         stated = str(document.get("format_version", "none"))[:20]
         problem = f"this version of surctl reads format version {FORMAT_VERSION} of a bundle only"
@@ -151,13 +155,15 @@ def read_bundle(folder: Path) -> Manifest:
             if not all(re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9_.-]*", part) for part in name.split("/")):
                 raise ValueError(name)
             if name not in names:
-                wrong += [] if any(text.startswith(f"{name} is") for text in wrong) else [f"{name} is missing"]
+                wrong += [] if name in problems else [f"{name} is missing"]
                 continue
             body = read_bytes(folder / name, _LARGEST, remedy=_REMEDY)
             if hashlib.sha256(body).hexdigest() != stated:
                 wrong.append(f"{name} was altered")
             elif name in document["lists"]:
                 texts[name] = body.decode()
+                if sum(map(len, texts.values())) > LARGEST:
+                    raise InputError(f"has instruction lists of more than {LARGEST} bytes", file=folder, remedy=_REMEDY)
             elif name == source and returned not in body:
                 wrong.append(f"{name} returns an id that is not the manifest's")
         for name in sorted(names - files.keys() - {MANIFEST}):
@@ -165,18 +171,19 @@ def read_bundle(folder: Path) -> Manifest:
                 extra.append(name)
             else:
                 wrong.append(f"{name} is not part of the export: remove it, or build in another folder")
-        manifest = read_manifest(document, texts)
+        manifest = read_manifest(document, texts, path)
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError, RecursionError):
         raise _no_manifest(path) from None
     return replace(manifest, wrong=(*wrong, *manifest.wrong), extra=tuple(extra))
 
 
-def read_manifest(document: Any, texts: Mapping[str, str]) -> Manifest:
+def read_manifest(document: Any, texts: Mapping[str, str], path: Path | None = None) -> Manifest:
     """Read a manifest from plain data.
 
     Args:
         document: the manifest.
         texts: text of each instruction list by file name; one that is missing was already reported.
+        path: the file, for error messages.
 
     Raises:
         InputError: the data are not a manifest.
@@ -195,17 +202,23 @@ def read_manifest(document: Any, texts: Mapping[str, str]) -> Manifest:
         fins = {_text(name): _number(value) for name, value in vehicle.get("fins", {}).items()}
         numbers = [v for row in gains.values() for v in row]
         flat = numbers_sha256(numbers)
-        parts = (manifest.laws[0], manifest.period.hex(), manifest.real, flat, _text(law["initial_state_sha256"]))
+        ports = ports_sha256(document["lists"][LAW])
+        parts = (manifest.laws[0], ports, manifest.period.hex(), manifest.real, _text(law["initial_state_sha256"]))
         wrong = [] if document["gains"]["sha256"] == flat else ["the stated hash of the gains is wrong"]
         if manifest.vehicle and manifest.vehicle != _vehicle_sha256(values, _text(vehicle.get("thrusters", ""))):
             wrong.append("the stated hash of the vehicle is wrong")
         if manifest.gains_id != _gains_id(parts, numbers, manifest.real):
             wrong.append("the stated id of law and gains is wrong")
-        if manifest.id != hashlib.sha256("\n".join(parts).encode()).hexdigest():
-            wrong.append("the id does not match law, period, precision, gains and initial state")
+        if manifest.id != hashlib.sha256("\n".join((*parts, flat)).encode()).hexdigest():
+            wrong.append("the id does not match law, ports, period, precision, gains and initial state")
         lists: dict[str, Listed] = {}
+        count = 0
         for name, entry in document["lists"].items():
-            listed = Listed(texts.get(name, ""), *_vectors(entry))
+            vectors = {key: tuple(map(_port, rows)) for key, rows in entry.items() if key not in ("sha256", *_NUMBERS)}
+            count += sum(port.size for ports in vectors.values() for port in ports)
+            if count > _LONGEST:  # one number may stand for all entries of a port
+                raise ValueError(name)
+            listed = Listed(texts.get(name, ""), vectors, _values(entry, vectors))
             if name in texts and digest(listed.text) != entry["sha256"]:
                 wrong.append(f"the stated digest of {name} is wrong")
             lists[_text(entry["sha256"])] = listed
@@ -217,7 +230,7 @@ def read_manifest(document: Any, texts: Mapping[str, str]) -> Manifest:
         if numbers_sha256(exported.numbers["initial_state"]) != parts[4]:
             wrong.append("the stated hash of the initial state is wrong")
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError, RecursionError):
-        raise _no_manifest(None) from None
+        raise _no_manifest(path) from None
     return replace(manifest, wrong=tuple(wrong), lists=lists, fins=fins)
 
 
@@ -226,22 +239,22 @@ def _no_manifest(path: Path | None) -> InputError:
     return InputError("is not the manifest of an export, or an older version wrote it", file=path, remedy=remedy)
 
 
-def _walked(folder: Path) -> tuple[list[str], set[str]]:
-    """Return one message for each entry of the folder that is not a regular file, and the names of the files."""
-    wrong, names = [], set()
+def _walked(folder: Path) -> tuple[dict[str, str], set[str]]:
+    """Return what each entry of the folder is that is not a regular file, and the names of the files."""
+    problems, names = dict[str, str](), set[str]()
     try:
         for count, (name, entry) in enumerate(_entries(folder, "", 0)):
             if count >= _MOST:
                 raise InputError(f"has more than {_MOST} files", file=folder, remedy=_REMEDY)
             if entry.is_symlink():
-                wrong.append(f"{name} is a link")
+                problems[name] = "a link"
             elif entry.is_file(follow_symlinks=False):
                 names.add(name)
             elif not entry.is_dir(follow_symlinks=False):
-                wrong.append(f"{name} is not a regular file")
+                problems[name] = "not a regular file"
     except OSError as error:
         raise InputError(f"cannot be read ({error.strerror})", file=folder, remedy=_REMEDY) from None
-    return wrong, names
+    return problems, names
 
 
 def _entries(folder: Path, before: str, depth: int) -> Iterator[tuple[str, os.DirEntry[str]]]:
@@ -259,24 +272,6 @@ def _compiled(path: Path) -> bool:
         return path.suffix in _OBJECTS
     with path.open("rb") as file:
         return file.read(4).startswith(_PROGRAMS)
-
-
-def _refused(name: str) -> float:
-    raise ValueError(f"{name} is not a JSON number")
-
-
-def _decimal(text: str) -> float:
-    value = float(text)
-    if not math.isfinite(value):
-        raise ValueError(f"{text} is too large for a double")
-    return value
-
-
-def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    table = dict(pairs)
-    if len(table) < len(pairs):
-        raise ValueError("a key occurs twice")
-    return table
 
 
 def _number(value: Any) -> float:
@@ -297,15 +292,11 @@ def _text(value: Any) -> str:
     return value
 
 
-def _vectors(entry: Mapping[str, Any]) -> tuple[dict[str, tuple[Port, ...]], dict[str, tuple[float, ...]]]:
-    vectors, numbers = dict[str, tuple[Port, ...]](), dict[str, tuple[float, ...]]()
-    for name, rows in entry.items():
-        if name not in ("sha256", *_NUMBERS):
-            vectors[name] = tuple(map(_port, rows))
-    for name in _NUMBERS.keys() & entry.keys():
-        numbers[name] = tuple(n for row, port in zip(entry[name], vectors[_NUMBERS[name]], strict=True)
-                              for n in _row(row, port.size))  # fmt: skip
-    return vectors, numbers
+def _values(entry: Mapping[str, Any], vectors: Mapping[str, Sequence[Port]]) -> dict[str, tuple[float, ...]]:
+    return {
+        name: tuple(n for row, port in zip(entry[name], vectors[of], strict=True) for n in _row(row, port.size))
+        for name, of in _NUMBERS.items() if name in entry
+    }  # fmt: skip
 
 
 def _row(row: Any, size: int) -> tuple[float, ...]:
@@ -337,7 +328,7 @@ def _vehicle_sha256(values: Mapping[str, float], thrusters: str) -> str:
 
 def _gains_id(parts: Sequence[str], numbers: Sequence[float], real: str) -> str:
     """Return the id that the C function `gains_id` computes: the CRC-32 of the gains as `gains_save` stores them."""
-    key = hashlib.sha256("\n".join((*parts[:3], parts[4])).encode()).digest()[:8]
+    key = hashlib.sha256("\n".join(parts).encode()).digest()[:8]
     letter, width = {"float64": ("d", 8), "float32": ("f", 4)}[real]
     stored = (
         b"SURG" + struct.pack("<HHI", 1, width, len(numbers)) + key + struct.pack(f"<{len(numbers)}{letter}", *numbers)

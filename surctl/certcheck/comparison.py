@@ -15,7 +15,12 @@ from surctl.certcheck.leaves import Leaves
 
 __all__ = ["ALIKE", "LIMITS", "ROUNDING", "Comparison", "Part"]
 
-ROUNDING = "rounding: the proof holds for exact real numbers; the bundle computes in {}"
+ROUNDING = {
+    "float64": "rounding: the proof holds for exact real numbers; the bundle computes in float64",
+    "float32": "rounding: the proof holds for exact real numbers; the bundle rounds constants, gains and results to "
+    "float32, and no bound of these errors is derived",
+}
+"""What a certificate does not cover, for each precision of the exported code."""
 ALIKE = (
     ("mass", "mass_kg", ("m11", "m22")),
     ("linear drag", "linear_drag", ("Xu", "Yv")),
@@ -169,7 +174,7 @@ class Comparison:
     def hashes(self, *, lawless: bool = False, terms: Mapping[str, float] = _NO_TERMS) -> None:
         """Compare digests of law and vehicle, and the vehicle's terms; add the exclusions of the claim."""
         texts = "assumes" if "assumes" in self.claim else "excludes"
-        self.excludes += [*self.take(texts), ROUNDING.format(self.manifest.real)]  # the reader compared the texts
+        self.excludes += [*self.take(texts), ROUNDING[self.manifest.real]]  # the reader compared the texts
         for key in ("system", "sha256_vehicle", *(() if lawless else ("sha256_law",))):
             self.take(key)
         self.digests(self.claim["sha256_vehicle"], "" if lawless else self.claim["sha256_law"])

@@ -29,6 +29,7 @@ from surctl.certcheck.enclosure import enclose
 from surctl.certcheck.expressions import BRANCHES, ExpressionTable
 from surctl.certcheck.identity import Exact
 from surctl.certcheck.instructions import Numbers
+from surctl.certcheck.patience import go_on
 from surctl.certcheck.rounding import OVERFLOW, STEP, TINY, propagated
 
 __all__ = ["Derivation"]
@@ -60,6 +61,7 @@ _ARCTANGENT = (
 )
 _HALF_PI = "0x1.921p+0 0x1.f6ap-13 0x1.110b4611p-26 0x1.4c4c6628b80dcp-59"
 _TWO_BY_PI, _TAN_PI_8, _LARGEST = "0x1.45f306dc9c883p-1", "0x1.a827999fcef34p-2", 2.0**20
+_BITS = 65_536  # most bits of an exact number
 _BY_ROUNDING = "an instruction list selects by rounding how it goes on: no expression is derived"
 
 
@@ -179,6 +181,7 @@ class Derivation(Numbers):
 
     def _computed(self, op: str, args: Sequence[int], values: Sequence[Fraction]) -> int:
         """Return the number that an operation gives; a comparison that rounding may decide stays as it is."""
+        go_on()
         errors = [self._error(a) for a in args]
         if op in _TRUTHS:
             near = any(errors) and abs(values[0] - values[1]) <= sum(errors)
@@ -188,6 +191,8 @@ class Derivation(Numbers):
         if not abs(result) + bound < OVERFLOW:
             problem = "that is too large for the code, or divides by one that may be rounded to 0"
             raise Rejected(f"an instruction list computes a number {problem}")
+        if result.numerator.bit_length() + result.denominator.bit_length() > _BITS:
+            raise Rejected("an instruction list computes a number with too many digits")
         error = Fraction(bound)
         if op in ("add", "sub", "mul", "div") and (error or Fraction(float(result)) != result):
             error += abs(result) * Fraction(STEP) + Fraction(TINY)
@@ -204,6 +209,7 @@ class Derivation(Numbers):
 
     def _chosen(self, condition: int, x: int, y: int) -> int:
         """Return x if the condition holds, and y otherwise."""
+        go_on()  # branches of branches are as many as the file wants
         entry = self.table.entries[condition]
         match entry.op:
             case "num" if not (self._error(condition) and abs(entry.value) <= self._error(condition)):

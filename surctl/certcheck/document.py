@@ -18,6 +18,7 @@ from surctl.errors import InputError
 __all__ = [
     "FORMAT",
     "LARGEST",
+    "MALFORMED",
     "VERSION",
     "Rejected",
     "canonical",
@@ -39,6 +40,12 @@ _MEMORY = 160_000_000  # largest memory of the data of a file [bytes]
 _LIST, _ENTRY = 96, 32  # memory of a list or object, and of an entry in it [bytes]
 _DIGITS = 4000  # most characters of an integer
 _SHOWN = 60  # most characters of a text in an error message
+
+
+MALFORMED = (
+    KeyError, TypeError, ValueError, IndexError, ArithmeticError, AttributeError, RecursionError, MemoryError,
+)  # fmt: skip
+"""Errors that data of a wrong form cause."""
 
 
 class Rejected(Exception):

@@ -29,7 +29,9 @@ __all__ = ["Block", "Numbers", "digest", "evaluate", "read_list"]
 Array: TypeAlias = NDArray[Any]
 
 _DEEPEST = 50  # most blocks inside one another
-_LARGEST = 60_000  # most numbers of all arrays and values: each takes 3 kB at 400 points
+_LARGEST = 60_000  # most numbers of a block and of the blocks that it runs
+_TEXT, _PROCEDURE = 2_000_000, 100_000  # longest list, and procedure in it [bytes]
+_TABLE = 1_000_000  # most numbers of all points that are evaluated together
 _LONGEST = 10**9  # most operations of one evaluation; its time is limited too
 
 _OPERATIONS: Mapping[str, tuple[int, Callable[..., Any]]] = {
@@ -100,7 +102,7 @@ class Block:
         inputs, outputs: number of entries of each vector that it reads and computes.
         operations: largest number of operations of one evaluation.
         depth: number of blocks inside one another.
-        size: how many numbers it holds itself, without the blocks that it runs.
+        size: largest number of numbers that it holds at a time, with the blocks that it runs.
         texts: text of each block that it runs, in the order of the list; its own is last.
         run: computes the outputs from the inputs, each an array (entries, n) for n points, in an algebra.
     """
@@ -128,21 +130,22 @@ def digest(text: str) -> str:
 def read_list(text: str) -> Block:
     """Return the last block of a list; raise Rejected unless the text is a list that the checker can evaluate."""
     blocks: dict[str, Block] = {}
-    size = 0
     try:
+        if len(text) > _TEXT:
+            raise ValueError(f"it has more than {_TEXT} characters")
         for part in text.removesuffix("\n").split("\n\n"):
             go_on()
             lines = part.split("\n")
             kind = lines[0].partition(" ")[0]
             block = _routine(lines, blocks) if kind == "routine" else _KINDS.get(kind, _program)(lines)
             blocks[block.key] = block
-            size += block.size
-            if size > _LARGEST:
+            if block.size > _LARGEST:
                 raise ValueError(f"it holds more than {_LARGEST} numbers")
         if _joined(block.texts) != text:
             raise ValueError("a block is not run, or is in the wrong place")
-    except (ValueError, IndexError, KeyError, OverflowError, SyntaxError, RecursionError) as error:
-        raise Rejected(f"not an instruction list: {error}") from None
+    except (ValueError, IndexError, KeyError, OverflowError, SyntaxError, RecursionError, MemoryError) as error:
+        problem = str(error) or "it is nested too deeply"  # which may take the memory of Python's parser
+        raise Rejected(f"not an instruction list: {problem}") from None
     return block
 
 
@@ -150,8 +153,10 @@ def evaluate(block: Block, *vectors: Array) -> list[Array]:
     """Return the outputs (entries, n) of a block from its inputs (entries, n); raise Rejected for wrong sizes."""
     if tuple(len(vector) for vector in vectors) != block.inputs:
         raise Rejected(f"{block.name} takes vectors of {block.inputs} entries")
+    points, part = max(vector.shape[1] for vector in vectors), max(1, _TABLE // max(1, block.size))
     with np.errstate(all="ignore"):
-        return block.run(vectors, _NUMBERS)
+        pieces = [block.run([v[:, k : k + part] for v in vectors], _NUMBERS) for k in range(0, points, part)]
+    return [np.hstack(piece) for piece in zip(*pieces, strict=True)]
 
 
 _NUMBERS = Numbers()
@@ -212,6 +217,8 @@ def _program(lines: Sequence[str]) -> Block:
 
 def _procedure(lines: Sequence[str]) -> Block:
     name = _head(lines[0], "procedure")
+    if sum(map(len, lines)) > _PROCEDURE:
+        raise ValueError(f"{name} has more than {_PROCEDURE} characters")
     tables: dict[str, list[tuple[str, int]]] = {"in": [], "out": [], "size": []}
     memory: list[tuple[str, str, int]] = []
     at = 1
@@ -300,7 +307,7 @@ def _routine(lines: Sequence[str], blocks: Mapping[str, Block]) -> Block:
         raise ValueError(lines[-1])
     steps: list[_Step] = []
     texts: dict[str, None] = {}
-    operations, depth = 0, 1
+    operations, depth, inner = 0, 1, 0
     for line in lines[at:-1]:
         words = line.split(" ")
         equals = words.index("=")
@@ -310,7 +317,7 @@ def _routine(lines: Sequence[str], blocks: Mapping[str, Block]) -> Block:
         else:
             block = blocks[rest[0]]
             texts |= dict.fromkeys(block.texts)
-            depth = max(depth, 1 + block.depth)
+            depth, inner = max(depth, 1 + block.depth), max(inner, block.size)
             step, shapes, turns = (_call if kind == "call" else _loop)(block, rest, sizes, targets)
             operations += turns * block.operations
         if set(targets) & sizes.keys():
@@ -328,7 +335,7 @@ def _routine(lines: Sequence[str], blocks: Mapping[str, Block]) -> Block:
 
     text = "\n".join([*lines, ""])
     outputs = tuple(sizes[result] for result in results)
-    size = sum(sizes.values())
+    size = sum(sizes.values()) + inner
     return Block(name, inputs, outputs, operations, depth, size, (*(t for t in texts if t != text), text), run)
 
 

@@ -43,9 +43,7 @@ _POINTS = 400
 _STEPS = 2  # steps from fresh memory
 _FAR = 1e4  # [m] distance of walls that are not near
 _RADIUS = 5.0  # [m] of an obstacle
-_CLOSE = 1e-9
-_SLACK = {"float64": 1e-9, "float32": 2e-4}
-"""Largest difference of two equal values, relative to the largest, for each precision: the law has its own sine."""
+_SLACK = 1e-9  # largest difference of two equal values, relative to the largest: the law has its own sine
 
 _UNITS = {
     "eta": "m, rad", "nu": "m/s, rad/s", "contacts": "m, m/s, 1", "tau": "N, N m", "nu_reference": "m/s, rad/s",
@@ -83,7 +81,7 @@ class Law:
         self._block = read_list(listed.text)
         self._vectors = {name: _places(ports) for name, ports in listed.vectors.items()}
         self._start = np.array(listed.numbers["initial_state"])
-        self.period, self.same = manifest.period, Same(_SLACK.get(manifest.real, _CLOSE))
+        self.period, self.same = manifest.period, Same(_SLACK)
         self.gains = {name: np.array(values) for name, values in manifest.gains.items()}
         sizes = [sum(port.size for port in listed.vectors[name]) for name in ("state", "inputs", "gains")]
         results = [sum(port.size for port in listed.vectors[name]) for name in ("commands", "telemetry")]

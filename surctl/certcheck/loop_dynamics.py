@@ -105,6 +105,8 @@ def compare_dynamics(
     own = [a if sampled and m else c for a, c, m in zip(after[:, 0], change, moves[len(x) :], strict=False)]
     roots = [int(root) for root in (*flow[:, 0], *own, *applied[: len(commands), 0])]
     table, whole = derived.table, list(box)
+    if any(table.entries[at].op == "inf" for at in table.needed(roots)):
+        raise Rejected("an instruction list computes with infinity: no expression is derived")
     stated = {name: table.read(text) for name, text in texts.items()}
     spans = [span(*ends) for ends in box]
     whole += [_outward(jet.value) for jet in enclose(table, [stated[name] for name in commands], spans)]

@@ -43,8 +43,6 @@ from surctl.cli.vehicle import vehicle
 from surctl.cli.verify import verify
 from surctl.errors import LOST, SurctlError
 
-__all__ = ["app", "main"]
-
 
 class _Ordered(click.Group):
     """A group whose help lists the commands in the order of their registration."""
@@ -62,8 +60,9 @@ def app() -> None:
 
     Examples: surctl new system pendulum; surctl study pendulum.py:build; surctl simulate tank-static --out plots
 
-    Exit status: 0 finished with the expected result, 1 finished with another result, 2 wrong input, 3 some output
-    could not be written.
+    Exit status: 0 finished with the expected result, 1 finished with another result (a line says FAIL, or a claim that
+    you ask for is not proved), 2 wrong input or no permission to write, 3 some output is lost (disk full or read-only,
+    stdout closed), 130 stopped.
     """
 
 
@@ -111,8 +110,8 @@ def main() -> None:
     """Run the command line on `sys.argv` and exit with its status.
 
     Raises:
-        SystemExit: always. Status 0: success, 1: a claim, goal or run failed, 2: wrong input, 3: some output could not
-            be written, 130: stopped by the user.
+        SystemExit: always. Status 0: success, 1: a claim, goal or run failed, 2: wrong input or no permission to write,
+            3: some output is lost (disk full or read-only, stdout closed), 130: stopped by the user.
 
     Examples:
         >>> import sys

@@ -12,8 +12,6 @@ from surctl.cli.output import as_json, finish, out_folder, saving
 if TYPE_CHECKING:
     from surctl.marine.sensing import Estimate, SensorCalibration
 
-__all__ = ["calibrate"]
-
 
 @click.command
 @click.argument("file")
@@ -22,9 +20,9 @@ __all__ = ["calibrate"]
 def calibrate(file: str, out: Path | None, as_json: bool) -> None:
     """Calibrate range sensors from a CSV file of true and measured distances, with 95 % confidence intervals.
 
-    The file has the columns true_m and measured_m (or both in _cm or _mm), and the columns sensor and medium if it has
-    several of them. Each sensor and medium needs at least 6 rows at 3 or more distances. --out writes a residual plot
-    and a [sonar] table to paste into a scenario. The paper's range test is built in: table-ii.
+    The CSV file has the columns true_m and measured_m (or both in _cm or _mm), and for several sensors or media the
+    columns sensor and medium. Each sensor and medium needs at least 6 rows at 3 or more distances. --out writes a
+    residual plot and a [sonar] table to paste into a scenario. The name table-ii stands for the paper's range test.
 
     Examples: surctl calibrate table-ii; surctl calibrate range-test.csv --out lab
     """

@@ -11,8 +11,6 @@ import click
 
 from surctl.cli.output import FiniteRange, as_json, finish, printable
 
-__all__ = ["check"]
-
 
 @click.command
 @click.argument("certificate", type=click.Path(path_type=Path))
@@ -38,10 +36,10 @@ def check(
     """Check a certificate without trusting the prover that wrote it.
 
     --bundle also checks whether the certificate applies to an exported controller: the checker compares every number of
-    the certificate with the manifest of the bundle, and computes every hash again. It derives the dynamics of a system
-    of your own from the instruction lists of the bundle; it compares statements about the law of a robot with the law's
-    list at hundreds of points. The output names the parts of the controller that the certificate does not cover. An
-    inequality with slack holds only to within this slack and does not prove asymptotic stability. Exit status: 0 if the
+    the certificate with the manifest of the bundle, and computes every hash again. For a system of your own, it derives
+    the dynamics from the instruction lists of the bundle; for a law of the robot, it evaluates the law's list at
+    hundreds of points. The output names the parts of the controller that the certificate does not cover. An inequality
+    with slack holds only to within this slack and does not prove asymptotic stability. Exit status: 0 if the
     certificate is accepted (and applies to the controller), 1 if it is rejected, belongs to another controller, or
     states a number that the bundle does not contain, 2 if a file is not a certificate or bundle.
 

@@ -22,22 +22,6 @@ if TYPE_CHECKING:
     from surctl.verification import Inapplicable, Verdict
     from surctl.verification.formula import Statement
 
-__all__ = [
-    "Proofs",
-    "are_problems",
-    "check_regions",
-    "claim_line",
-    "is_braking",
-    "is_region",
-    "prove_all",
-    "prove_regions",
-    "region_of",
-    "require_own_speeds",
-    "statement_lines",
-    "verify_motion",
-    "write_solution",
-]
-
 
 def statement_lines(exact: Statement, certificate: Mapping[str, Any] | None) -> list[str]:
     """Return the statement as the checker reads it: from the certificate, if there is one."""

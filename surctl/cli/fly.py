@@ -10,13 +10,11 @@ import click
 
 from surctl.cli.output import FiniteRange, Stopped, as_json, finish, progress, waiting
 from surctl.cli.robot_options import GAINS_HELP, choose_gains, choose_law, law_option
-from surctl.errors import InputError, SurctlError, nearest
+from surctl.errors import InputError, SurctlError, check_known
 
 if TYPE_CHECKING:
     from surctl.marine.bridge import Act, Address, Bridge, LinkQuality, RehearsalResult
     from surctl.marine.simulation import Scenario
-
-__all__ = ["fly"]
 
 _SYSTEM = click.IntRange(1, 255)
 
@@ -31,9 +29,11 @@ _SYSTEM = click.IntRange(1, 255)
 @click.option(
     "--sensing", default="truth", metavar="NAME", help="Obstacles: truth (reported positions, default) or sonar."
 )
-@click.option("--mode", default="alt_hold", metavar="NAME", help="Mode: alt_hold (default), manual or guided.")
 @click.option(
-    "--send", default="rc", metavar="NAME", help="Messages: rc (channel overrides, default) or manual (MANUAL_CONTROL)."
+    "--mode", default="alt_hold", metavar="NAME", help="Autopilot mode: alt_hold (default), manual or guided."
+)
+@click.option(
+    "--send", default="rc", metavar="NAME", help="Thrust as rc (channel overrides, default) or manual (MANUAL_CONTROL)."
 )
 @click.option(
     "--origin",
@@ -60,7 +60,9 @@ _SYSTEM = click.IntRange(1, 255)
     help="Rehearsal: event at S [s]: arm, disarm, a mode, reboot (of the autopilot), cut (the link), blind (no pose), "
     "join (ends cut and blind) or quit (the bridge is killed).",
 )
-@click.option("--seed", type=click.IntRange(min=0), default=0, metavar="N", help="Rehearsal: seed (default 0).")
+@click.option(
+    "--seed", type=click.IntRange(min=0), default=0, metavar="N", help="Rehearsal: seed of lost frames (default 0)."
+)
 @click.option(
     "--out",
     type=click.Path(path_type=Path),
@@ -93,8 +95,8 @@ def fly(
 
     The bridge steers only after the operator arms the vehicle in the mode of --mode; the bridge never arms the vehicle.
     If the link or the position is lost, the thrust is neutral; after a long loss, a restart or a change of mode, the
-    operator must disarm and arm again. Read notebooks/guides/field.md first. Exit status: 1 if the vehicle does not
-    arrive, or collides in a rehearsal.
+    operator must disarm and arm again. Before the first use, read notebooks/guides/field.md. Exit status: 1 if the
+    vehicle does not arrive, or collides in a rehearsal.
 
     Examples: surctl fly tank-speed-015 --dry-run; surctl fly tank-speed-015 --mavlink udp:0.0.0.0:14550
     """
@@ -116,8 +118,7 @@ def fly(
         raise InputError(
             "is the system id of the bridge", key="--target", value=target, remedy="give two different ids"
         )
-    if sensing not in SENSING:
-        raise InputError("is not known", key="--sensing", value=sensing, remedy=nearest(sensing, SENSING))
+    check_known(sensing, SENSING, key="--sensing")
     address = None if mavlink is None else parse_address(mavlink)
     mode_of(mode)
     site, wire, script = (
@@ -220,8 +221,7 @@ def _act(text: str) -> Act:
         time = -1.0
     if not 0.0 <= time <= 1e5:
         raise InputError("does not begin with a time", key="--act", value=text, remedy="write 20:reboot")
-    if action not in ACTIONS:
-        raise InputError("is not known", key="--act", value=action, remedy=nearest(action, ACTIONS))
+    check_known(action, ACTIONS, key="--act")
     return Act(time, ACTIONS[ACTIONS.index(action)])
 
 

@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from surctl.marine.vehicle import Vehicle
     from surctl.verification import Inapplicable
 
-__all__ = ["gains"]
-
 _SPEED = FiniteRange(min=0, max=100, min_open=True)
 
 
@@ -48,10 +46,10 @@ def gains() -> None:
 def derive(
     vehicle: str, cruise: float | None, margin: float | None, out: Path | None, force: bool, as_json: bool
 ) -> None:
-    """Derive gains from the mass, drag, thrust, lag and hull of a vehicle, and print the disk margin with these gains.
+    """Derive gains from the mass, drag, thrust, lag and hull of a vehicle, and print the margins with these gains.
 
-    VEHICLE is a name or a file. If no derived gains have the required disk margin at the cruise speed, the command
-    prints the largest speed at which they have it, and the exit status is 1.
+    VEHICLE is the name of a built-in vehicle, or a vehicle file. If no derived gains have the required margins at the
+    cruise speed, the output gives the largest speed at which they have these margins, and the exit status is 1.
 
     Examples: surctl gains derive bluerov2-wu; surctl gains derive rov.toml --cruise 0.3 --out gains.toml
     """
@@ -72,7 +70,7 @@ def derive(
     short = margin_short(contact)
     lines = derivation.lines()
     if isinstance(contact, SafetyClaim) and not contact.holds:
-        at = f"at up to {contact['speed cap']:.3g} m/s in still water"
+        at = f"at up to {contact['speed cap']:.3g} m/s in still water, with true positions,"
         lines.append(f"  no contact with obstacles {at} does not hold: {contact.shortfall}")
     brief = [line.strip() for line in lines if not line.startswith("  ") or "no contact" in line]
     lines += [f"  {name:<10} {value:8.4g} {derivation.gains.specs[name].unit}" for name, value in derivation.shown()]

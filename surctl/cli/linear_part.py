@@ -13,8 +13,6 @@ if TYPE_CHECKING:
     from surctl.marine.assessment import LoopAnalysis, Mission
     from surctl.marine.vehicle import Vehicle
 
-__all__ = ["LinearPart", "linear_part", "over_speeds", "speed_lines"]
-
 
 class LinearPart(NamedTuple):
     """Linear analysis at one cruise speed: lines to print, data for JSON, and metrics to compare over speeds.
@@ -29,6 +27,12 @@ class LinearPart(NamedTuple):
     cruise: float
     assessment: Assessment | None = None
     peak: float = math.inf
+
+    @property
+    def short(self) -> bool:
+        """Whether a figure of the loop is below the least sufficient value."""
+        parts = {} if self.assessment is None else self.assessment.parts
+        return "loop" in parts and not all(figure.enough for figure in parts["loop"].figures)
 
     def figure(self, name: str) -> float:
         """Return a figure of the assessment; NaN if it has none of this name."""
@@ -117,11 +121,20 @@ def _by_sonar(mission: Mission) -> tuple[list[str], list[dict[str, Any]]]:
 
 
 def speed_lines(
-    vehicle: Vehicle, gains: Mapping[str, float], *, law: str, cruise: float, cap: float, dt: float, uncertainty: float
+    vehicle: Vehicle,
+    gains: Mapping[str, float],
+    *,
+    law: str,
+    cruise: float,
+    cap: float,
+    dt: float,
+    uncertainty: float,
+    short: bool,
 ) -> tuple[list[str], dict[str, float]]:
     """Return the highest speeds at which all corners are stable, and have a disk margin: lines to print, numbers.
 
-    If the cruise speed [m/s] is above the second speed, a line says what to change: the speed, or the gains.
+    If the cruise speed [m/s] is above the second speed or a margin is too small (`short`), a line says what to change:
+    the speed, or the gains.
 
     Speeds are in m/s. A warning is printed if the speed limit `cap` [m/s] exceeds one of these speeds.
     """
@@ -154,25 +167,28 @@ def speed_lines(
             lower = "lower it" if limit >= cruise else "lower it and the cruise speed"
             lines.append(f"  warning: the cap, {cap:g} m/s, exceeds {limit:.3g} m/s, {what}; {lower}")
             break
-    if robust < cruise:
+    if robust < cruise or short:
         lines.append(_change(vehicle, cruise=cruise, dt=dt, robust=robust))
     return lines, numbers
 
 
 def _change(vehicle: Vehicle, *, cruise: float, dt: float, robust: float) -> str:
-    # what reaches the required disk margin, or a larger one
+    # what reaches the required margins, or larger ones
     from surctl.marine.tuning import derive_gains
-    from surctl.verification.linear import LEAST_DISK_MARGIN
+    from surctl.marine.tuning.derived import REQUIRED
 
     derived = derive_gains(vehicle, cruise=cruise, dt=dt)
     if derived.reached:
-        better = f"gains derived for {cruise:g} m/s have {derived.disk_margin:.2f} (surctl gains derive)"
+        better = (
+            f"gains derived for {cruise:g} m/s have a disk margin of {derived.disk_margin:.2f} and a delay margin of "
+        )
+        better += f"{derived.delay_margin_s:.2f} s (surctl gains derive)"
     elif derived.bearable > 0:
-        better = f"up to {derived.bearable:.3g} m/s, gains derived for the speed have {LEAST_DISK_MARGIN:g}"
+        better = f"up to {derived.bearable:.3g} m/s, gains derived for the speed have {REQUIRED}"
         better += " (surctl gains derive)"
     else:
         better = "gains derived for a lower speed have no more"
-    slower = f"cruise at {robust:.3g} m/s at most; " if robust > 0 else ""
+    slower = f"cruise at {robust:.3g} m/s at most; " if 0 < robust < cruise else ""
     return f"  to change: {slower}{better}" + ("" if derived.reached else f"; to go faster, {derived.remedy}")
 
 
@@ -185,7 +201,7 @@ def over_speeds(parts: Sequence[LinearPart]) -> LinearPart:
     *_, last = parts
     if len(parts) == 1:
         return last
-    lines = [f"margins at {len(parts)} cruise speeds (details for {last.cruise:g} m/s below):"]
+    lines = [f"margins at {len(parts)} cruise speeds, worst corner (details for {last.cruise:g} m/s below):"]
     for part in parts:
         delay, disk = part.figure("delay_margin_s"), part.figure("disk_margin")
         word = f"stable, least delay margin {delay:.2f} s, disk margin {disk:.2f}"

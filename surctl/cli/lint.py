@@ -5,14 +5,15 @@ from __future__ import annotations
 import math
 import shlex
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
 from surctl.cli.output import as_json, finish, printable
-from surctl.cli.robot_options import derive_words, margin_short
-from surctl.errors import InputError
+from surctl.cli.robot_options import derive_words, margin_of_all
+from surctl.errors import InputError, nearest
 
 if TYPE_CHECKING:
     from surctl.marine.assessment import Mission
@@ -83,9 +84,7 @@ def _loop_findings(mission: Mission, derive_for: str | None) -> tuple[list[Findi
     lines = [line for line in result.lines if line.passed is False or line.about == "cap"]
     gains = f"with the gains {mission.gains.name!r}"
     warnings = [Finding("warning", keys[line.about], f"{line.text}, {gains}") for line in lines]
-    short = [margin_short(claim) for claim in result.sources.get("no contact") or ()]
-    margin = max(filter(math.isfinite, short), default=math.nan)
-    then = []
+    margin, then = margin_of_all(result), []
     if derive_for is not None and math.isfinite(margin):
         then.append(derive_words(derive_for, mission.cruise, "gains.toml", margin=margin))
     return [*warnings, *(Finding("info", one.name, one.text) for one in result.assumptions)], then
@@ -103,6 +102,58 @@ def _goal_findings(plan: Plan) -> list[Finding]:
     why = f"is not judged, because surctl has no linear model of law {label(plan.law)}"
     why += ': write type = "margins" in place of metric'
     return [Finding("error" if goal.kind == "hard" else "warning", f"goals.{goal.name}", why) for goal in left]
+
+
+def _lint_system(word: str) -> _Linted:
+    """Return the findings of a system of the user's own: entries that cannot work, and margins that do not suffice."""
+    from surctl.assessment import ClosedLoop, assess
+    from surctl.cli.subject import RegionWords, command_line, load_system
+    from surctl.marine.simulation import Finding
+    from surctl.system import entry_labels
+    from surctl.system.values import checked_ranges
+
+    own = load_system([word])
+    system, problems = own.system, list[Finding]()
+
+    def check(work: Callable[[], object]) -> None:
+        try:
+            work()
+        except InputError as error:
+            key = error.key or "system"
+            problems.append(Finding("error", key, error.problem + (f"; {error.remedy}" if error.remedy else "")))
+
+    if system.duration is not None:
+        check(lambda: own.seconds(None))
+    for name, ends in system.ranges.items():
+        check(partial(checked_ranges, system, {name: ends}))
+    labels = entry_labels(system.plant.state) + entry_labels(system.controller.state, "controller.")
+    strange = [name for name in system.within if name not in labels]
+    problems += [
+        Finding("error", f"within.{n}", f"is not a state of the system; {nearest(n, labels)}") for n in strange
+    ]
+    if not problems:
+        check(lambda: checked_ranges(system, system.ranges))
+    if not problems and system.within:
+        check(lambda: RegionWords(system.within, {}, {}).problem(system, {}))
+    absent = {"duration": system.duration is None, "costs": not system.costs, "ranges": not system.ranges}
+    absent["within"] = not system.within
+    problems += [Finding("info", key, f"is not given, so {_ABSENT[key]}") for key, none in absent.items() if none]
+    if all(one.level != "error" for one in problems):
+        judged = assess(ClosedLoop(system), parts=["loop"]).lines
+        problems += [Finding("warning", "gains", line.text) for line in judged if line.passed is False]
+    lines = [f"{one.level}: {one.key}: {one.text}" for one in problems] or [f"{word}: nothing found"]
+    works = all(one.level != "error" for one in problems)
+    data = {"file": word, "kind": "system", "findings": [one.to_dict() for one in problems]}
+    then = [command_line("study", own), command_line("verify", own)] if works else []
+    return _Linted(data, printable(lines), works, then)
+
+
+_ABSENT = {
+    "duration": "simulate, study, sweep and tune need --seconds",
+    "costs": "sweep and tune have nothing to compare",
+    "ranges": "the margins are those of the nominal system only",
+    "within": "no region of attraction is proved",
+}
 
 
 class _Linted(NamedTuple):
@@ -125,7 +176,10 @@ class _Linted(NamedTuple):
 def lint(files: tuple[str, ...], vehicle: str | None, as_json: bool) -> None:
     """Check files and print which entries cannot work, and why. Exit status: 1 if an entry cannot work.
 
-    Examples: surctl lint my-vehicle.toml my-mission.toml; surctl lint pool-static --vehicle sur540-flooded
+    FILE.py:FUNCTION names a system of your own.
+
+    Examples: surctl lint my-vehicle.toml my-mission.toml; surctl lint pool-static --vehicle sur540-flooded; surctl lint
+    my_system.py:build
     """
     done = [_linted(file, vehicle) for file in files]
     if len(done) == 1:
@@ -147,6 +201,10 @@ def _linted(file: str, vehicle: str | None) -> _Linted:
     Raises:
         InputError: the file cannot be read, or is of no known kind.
     """
+    from surctl.cli.subject import is_system
+
+    if is_system([file], "files", "as_json"):
+        return _lint_system(file)
     from surctl.cli.robot_options import choose_vehicle
     from surctl.files import pick, read_toml
     from surctl.lyapunov import load_problem

@@ -10,8 +10,6 @@ import click
 from surctl.cli.output import as_json, finish
 from surctl.errors import InputError, nearest
 
-__all__ = ["listing"]
-
 
 @click.command("list")
 @click.option("--show", metavar="NAME", help="Print the built-in file NAME instead of the list.")

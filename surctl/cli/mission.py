@@ -10,8 +10,6 @@ import click
 
 from surctl.cli.output import FiniteRange, as_json, finish
 
-__all__ = ["scenario"]
-
 _SPEED = 0.15  # m/s, if neither the command nor the file gives a speed
 
 
@@ -54,9 +52,9 @@ def from_plan(
     """Take the path of a QGroundControl plan (.plan) or of a GPX file.
 
     Latitude and longitude become x east and y north in metres, in a site around the path. The home position of a plan
-    is at the surface; circles that the geofence of the plan excludes become cylinders. The command lists entries of the
-    plan that it does not use although they change the motion, such as hold times. The speed is --cruise, else the speed
-    of the plan, else 0.15 m/s.
+    is at the surface; circles that the geofence of the plan excludes become cylinders. The output lists entries of the
+    plan that surctl does not use although they change the motion, such as hold times. The cruise speed is --cruise,
+    else the speed of the plan, else 0.15 m/s.
 
     Example: surctl scenario from-plan survey.plan --depth -2 --out survey.toml
     """

@@ -12,8 +12,6 @@ import click
 from surctl.cli.output import as_json, finish
 from surctl.errors import InputError
 
-__all__ = ["new", "path_of", "write_new"]
-
 _TEMPLATES = Path(__file__).parent / "templates"
 _NEXT = {
     "vehicle": ("surctl lint {}", "surctl tune --vehicle {} --out tuned"),
@@ -45,7 +43,7 @@ def new(kind: str, name: str, out: Path | None, force: bool, as_json: bool) -> N
     """Write a commented file to start from: a vehicle, a scenario, a study, or in Python a task, a control law or a
     closed loop (system).
 
-    The file works without changes.
+    The written file works without changes.
 
     Examples: surctl new system pendulum; surctl new vehicle my-robot; surctl new scenario harbour --out
     sites/harbour.toml; surctl new law my-law

@@ -33,37 +33,6 @@ if TYPE_CHECKING:
 
     from surctl.verification.verdict import Inapplicable
 
-__all__ = [
-    "FiniteRange",
-    "OutputLost",
-    "Stopped",
-    "as_json",
-    "collected",
-    "discard_stdout",
-    "doing",
-    "failed_write",
-    "finish",
-    "finite",
-    "guarded_stdout",
-    "interrupted",
-    "is_utf8",
-    "noting_interrupts",
-    "open_closed_streams",
-    "out_folder",
-    "print_message",
-    "printable",
-    "progress",
-    "raise_lost_interrupt",
-    "refusal_line",
-    "same_command",
-    "saving",
-    "signs_of_life",
-    "stoppable",
-    "timed",
-    "together",
-    "waiting",
-]
-
 _ESCAPE = "surctl-escape"
 
 

@@ -12,8 +12,6 @@ from surctl.cli.output import as_json, finish, out_folder, progress, saving, sto
 if TYPE_CHECKING:
     from surctl.marine.reproduction import Row
 
-__all__ = ["reproduce", "row_lines"]
-
 
 @click.command
 @click.argument("rows", nargs=-1)

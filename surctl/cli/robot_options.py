@@ -12,39 +12,14 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import click
 
 from surctl.cli.output import together
-from surctl.errors import InputError, nearest
+from surctl.errors import InputError, check_known
 
 if TYPE_CHECKING:
+    from surctl.assessment import Assessment
     from surctl.marine.control import Gains, GainSpec, Law
     from surctl.marine.simulation import SafetyClaim, Scenario
     from surctl.marine.vehicle import Vehicle
     from surctl.verification import Inapplicable
-
-__all__ = [
-    "DEFAULT_VEHICLE",
-    "GAINS_HELP",
-    "MISSION",
-    "SPEEDS",
-    "GainsChoice",
-    "RobotOptions",
-    "Speeds",
-    "VehicleChoice",
-    "at_hand",
-    "barrier_options",
-    "check_barrier",
-    "choose_gains",
-    "choose_law",
-    "choose_shared",
-    "choose_vehicle",
-    "derive_words",
-    "export_command",
-    "fitting_scenario",
-    "law_option",
-    "law_words",
-    "margin_short",
-    "priority_options",
-    "trust_option",
-]
 
 DEFAULT_VEHICLE = "sur540-flooded"
 """The vehicle of a command without `--vehicle` and without a scenario."""
@@ -164,6 +139,12 @@ def margin_short(contact: SafetyClaim | Inapplicable | None) -> float:
     return contact.least_margin
 
 
+def margin_of_all(assessment: Assessment) -> float:
+    """Return the gain `margin` [m] that all no-contact claims of an assessment need; NaN if none has too little."""
+    short = [margin_short(claim) for claim in assessment.sources.get("no contact") or ()]
+    return max(filter(math.isfinite, short), default=math.nan)
+
+
 law_option = click.option(
     "--law",
     metavar="NAME",
@@ -213,7 +194,7 @@ priority_options = together(
         "--priority-mode", default="nsb", metavar="NAME", help="Mode: nsb (default), filter, projected, lexicographic."
     ),
     click.option(
-        "--fallback", default="exact", metavar="NAME", help="If limits conflict: exact (default) or bounded cost."
+        "--fallback", default="exact", metavar="NAME", help="Solution if limits conflict: exact (default), bounded."
     ),
 )
 """A decorator that adds these options to a command; the command receives them as `priority_mode` and `fallback`."""
@@ -223,7 +204,9 @@ barrier_options = together(
     click.option(
         "--barrier", default="simple", metavar="NAME", help="Bound on approach speed: simple (default) or inertia."
     ),
-    click.option("--movers", default="predict", metavar="NAME", help="Moving obstacles: predict (default) or barrier."),
+    click.option(
+        "--movers", default="predict", metavar="NAME", help="Avoid moving obstacles by: predict (default), barrier."
+    ),
 )
 """A decorator that adds these options to a command; the command receives them as `barrier` and `movers`."""
 
@@ -233,8 +216,7 @@ def check_barrier(barrier: str, movers: str) -> None:
     from surctl.marine.control import BARRIER_NAMES, MOVERS
 
     for key, value, known in (("barrier", barrier, BARRIER_NAMES), ("movers", movers, MOVERS)):
-        if value not in known:
-            raise InputError("is not known", key=key, value=value, remedy=nearest(value, known))
+        check_known(value, known, key=key)
 
 
 @dataclass(frozen=True)

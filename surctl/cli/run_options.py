@@ -25,16 +25,6 @@ if TYPE_CHECKING:
     from surctl.marine.simulation import Case, Run, Scenario, ThrusterFault
     from surctl.marine.vehicle import Vehicle
 
-__all__ = [
-    "ControllerOptions",
-    "NamedFile",
-    "PlantOptions",
-    "animate_option",
-    "check_animate",
-    "controller_options",
-    "plant_options",
-]
-
 
 class NamedFile(click.Path):
     """The name of a file to write, which is not empty (an empty name would be the present folder)."""
@@ -74,7 +64,9 @@ def check_animate(path: Path | None, *, runs: int, campaign: bool, film: Path | 
 
 
 plant_options = together(
-    click.option("--plant", default="own", metavar="NAME", help="Plant: own (default) or mujoco[:KEY=VALUE,..]."),
+    click.option(
+        "--plant", default="own", metavar="NAME", help="Simulated plant: own (default), mujoco[:KEY=VALUE,..]."
+    ),
     click.option(
         "--film", type=NamedFile(path_type=Path), metavar="FILE", help="Film of --plant mujoco: FILE.gif or FILE.mp4."
     ),
@@ -123,12 +115,9 @@ class PlantOptions:
         if chosen is None:
             return None
         if campaign:
-            raise InputError(
-                "does not simulate a campaign, whose compiled loop has surctl's own plant",
-                key="--plant",
-                value=self.plant,
-                remedy="drop --monte-carlo and --random-worlds, and give --runs N with --threads N",
-            )
+            problem = "does not simulate a campaign, whose compiled loop has surctl's own plant"
+            remedy = "drop --monte-carlo and --random-worlds, and give --runs N with --threads N"
+            raise InputError(problem, key="--plant", value=self.plant, remedy=remedy)
         if controller is not None and controller != "c" and self.threads not in (None, 1):
             remedy = "drop --threads, or give --controller c"
             raise InputError("has one connection", key="--controller", value=controller, remedy=remedy)
@@ -274,22 +263,16 @@ class ControllerOptions:
             if self.controller is None or not campaign:
                 return
         if campaign:
-            raise InputError(
-                "applies only to single runs",
-                key="--controller",
-                remedy="drop --monte-carlo, --random-worlds and --from",
-            )
+            remedy = "drop --monte-carlo, --random-worlds and --from"
+            raise InputError("applies only to single runs", key="--controller", remedy=remedy)
         if self.link_timeout is not None and not 0.0 < self.link_timeout <= 3600.0:
             raise InputError(
                 "is not a valid time", key="link-timeout", value=self.link_timeout, remedy="give seconds, above 0"
             )
         if self.controller is None or not self.controller.startswith(("tcp://", "qemu:")):
-            raise InputError(
-                "is not the address of a controller",
-                key="controller",
-                value=self.controller,
-                remedy="use c, tcp://HOST:PORT or qemu:cortex-m4f",
-            )
+            problem = "is not the address of a controller"
+            remedy = "use c, tcp://HOST:PORT or qemu:cortex-m4f"
+            raise InputError(problem, key="controller", value=self.controller, remedy=remedy)
         self._faults(seed=0)
 
     @contextmanager
@@ -309,12 +292,9 @@ class ControllerOptions:
 
         assert self.controller is not None
         if mission.path.fed and not self.controller.startswith("tcp://"):
-            raise InputError(
-                "cannot receive a path of more than 8 points, or speeds or depths for its legs",
-                key="--controller",
-                value=self.controller,
-                remedy="give at most 8 points, or use tcp://HOST:PORT, whose controller has the mission in its bundle",
-            )
+            problem = "cannot receive a path of more than 8 points, or speeds or depths for its legs"
+            remedy = "give at most 8 points, or use tcp://HOST:PORT, whose controller has the mission in its bundle"
+            raise InputError(problem, key="--controller", value=self.controller, remedy=remedy)
         if self.controller.startswith("tcp://"):
             with connect(
                 self.controller, **({} if self.link_timeout is None else {"patience": self.link_timeout})

@@ -12,7 +12,7 @@ import click
 
 from surctl.cli.output import finish, progress, same_command, saving, stoppable, together
 from surctl.cli.robot_options import RobotOptions, choose_gains, choose_vehicle
-from surctl.errors import InputError, NotApplicable
+from surctl.errors import InputError
 
 if TYPE_CHECKING:
     from surctl.cli.sensor_options import SensorOptions
@@ -21,20 +21,6 @@ if TYPE_CHECKING:
     from surctl.marine.simulation.campaign.worlds import Plan
     from surctl.marine.vehicle import Vehicle
     from surctl.verification import Inapplicable
-
-__all__ = [
-    "CampaignOptions",
-    "activity_line",
-    "campaign_options",
-    "failure",
-    "further_output",
-    "linear_warning",
-    "loop_lines_of_run",
-    "run_line",
-    "series_lines",
-    "simulate_again",
-    "where",
-]
 
 _ROUNDING = 1e-9  # [N/s], [N m/s] variation of a thrust below which it is that of rounding
 _CRABBING = 15.0  # [deg] mean crab angle from which the line of a run says that the hull crabs
@@ -88,7 +74,6 @@ def series_lines(runs: Sequence[Mapping[str, Any]]) -> list[str]:
 
     The lines name two runs that collide or do not arrive, and a low margin of the linear loop, which all runs share.
     """
-    from surctl.verification.linear import LEAST_DISK_MARGIN
 
     times = [run["time_s"] for run in runs if run["reached"]]
     worst = min(runs, key=lambda run: run["min_clearance_m"])
@@ -108,10 +93,8 @@ def series_lines(runs: Sequence[Mapping[str, Any]]) -> list[str]:
     linear = worst["linear"] or {}
     if not linear.get("stable", True):
         lines.append("  the linear loop at this speed is unstable")
-    elif (margin := linear.get("disk_margin", LEAST_DISK_MARGIN)) < LEAST_DISK_MARGIN:
-        lines.append(
-            f"  the linear loop has a disk margin of {margin:.2f} at its worst corner (below {LEAST_DISK_MARGIN:g})"
-        )
+    elif linear.get("short"):
+        lines.append(f"  the linear loop has {linear['short']}")
     return lines
 
 
@@ -148,30 +131,30 @@ def linear_warning(
     model: Vehicle | None = None,
     crab: str = "",
 ) -> tuple[dict[str, Any] | None, list[str]]:
-    """Return the stability and the disk margin of the linear loop of a run as data, and lines about a defect.
+    """Return the stability and the margins of the linear loop of a run as data, and lines about a defect.
 
-    There are lines if the loop is unstable, or if the disk margin is below the least one. The data is None if the law
-    has no linear loop, or if the thrust cannot hold the speed (which lint reports). `crab` is appended to the first
-    line.
+    There are lines if the loop is unstable, or if a margin at the worst corner is below the least one. The data is
+    None if the law has no linear loop, or if the thrust cannot hold the speed (which lint reports). `crab` is appended
+    to the first line.
     """
     from surctl.marine.verification.cruise_loop import has_cruise_loop
     from surctl.marine.verification.linear import corner_margin, slowest_mode
-    from surctl.verification.linear import LEAST_DISK_MARGIN
 
     if not has_cruise_loop(law, guidance):
         return None, []
     try:
-        margin, _, corner = corner_margin(vehicle, gains, cruise=cruise, dt=dt, model=model, law=law)
+        least = corner_margin(vehicle, gains, cruise=cruise, dt=dt, model=model, law=law)
     except InputError:
         return None, []
-    data: dict[str, Any] = {"cruise_m_per_s": cruise, "stable": True, "disk_margin": margin, "corner": corner}
-    if margin >= LEAST_DISK_MARGIN:
+    data: dict[str, Any] = {"cruise_m_per_s": cruise, "stable": True, "disk_margin": least.margin}
+    data |= {"corner": least.corner, "delay_margin_s": least.delay.delay_s, "short": least.short}
+    if least.enough:
         return data, []
     mode = slowest_mode(vehicle, gains, cruise=cruise, dt=dt, model=model, law=law)
     data |= {"stable": mode.stable, "mode": mode.to_dict()}
     if mode.stable:
-        word = f"has a disk margin of {margin:.2f}" if margin > 0 else "is unstable"
-        return data, [f"  the linear loop at this speed {word} at {corner} (at least {LEAST_DISK_MARGIN:g}){crab}"]
+        word = f"has {least.short}" if least.margin > 0 else f"is unstable at {least.corner}"
+        return data, [f"  the linear loop at this speed {word}{crab}"]
     head = f"  the linear loop at this speed is unstable{crab}:"
     return data, [head, *(f"    {line.strip()}" for line in mode.lines())]
 
@@ -234,7 +217,9 @@ campaign_options = together(
     click.option(
         "--random-worlds", "worlds", type=click.IntRange(1, 1_000_000), metavar="N", help="Simulate N random worlds."
     ),
-    click.option("--worst", type=click.IntRange(0, 1000), metavar="N", help="Worst runs to save (default 5)."),
+    click.option(
+        "--worst", type=click.IntRange(0, 1000), metavar="N", help="Number of worst runs to save (default 5)."
+    ),
     click.option("--threads", type=click.IntRange(1, 1024), metavar="N", help="Parallel runs (default 2; MuJoCo 1)."),
     click.option("--fresh", is_flag=True, help="Start the campaign again instead of resuming it."),
     click.option(
@@ -277,11 +262,8 @@ class CampaignOptions:
                     remedy = "add --monte-carlo or --random-worlds N, or drop this option"
                     raise InputError("applies only to a campaign", key=key, value=value, remedy=remedy)
         elif explained:
-            raise InputError(
-                "applies only to single runs",
-                key="--explain",
-                remedy="simulate one run of DIR/worst: --from FILE --explain",
-            )
+            remedy = "simulate one run of DIR/worst: --from FILE --explain"
+            raise InputError("applies only to single runs", key="--explain", remedy=remedy)
         elif out is None and (self.fresh or self.worst is not None):
             key = "--fresh" if self.fresh else "--worst"
             raise InputError("needs an output folder", key=key, remedy="add --out DIR")
@@ -431,20 +413,10 @@ def _linear(case: Case) -> tuple[dict[str, Any] | None, list[str]]:
 
 def _claim(case: Case) -> SafetyClaim | Inapplicable:
     # for the unchanged scenario and the vehicle's parameter ranges
-    from math import inf
+    from surctl.marine.assessment import judged_contact
 
-    from surctl.marine.simulation import safety_claim, turn_rate
-    from surctl.marine.simulation.echo_fit import detection_range
-    from surctl.verification import Inapplicable
-
-    sees = detection_range(case.scenario) if case.sensing == "sonar" else inf
-    believed = case.model or case.vehicle
-    turning = turn_rate(case.scenario, believed, case.gains, sonar=case.sensing == "sonar")
-    kind: dict[str, Any] = {"barrier": case.barrier, "movers": case.movers}
-    try:
-        return safety_claim(case.scenario, believed, case.gains, **kind, detection=sees, turning=turning)
-    except NotApplicable as reason:
-        return Inapplicable.of("no contact", reason)
+    kind: dict[str, Any] = {"sonar": case.sensing == "sonar", "barrier": case.barrier, "movers": case.movers}
+    return judged_contact(case.scenario, case.model or case.vehicle, case.gains, **kind)
 
 
 def _head(campaign: Campaign) -> str:

@@ -10,24 +10,12 @@ from typing import TYPE_CHECKING, Any, NoReturn
 import click
 
 from surctl.cli.output import together
-from surctl.errors import InputError, nearest
+from surctl.errors import InputError, check_known, nearest
 
 if TYPE_CHECKING:
     from surctl.marine.sensing import Fault, FaultChances, SonarArray
     from surctl.marine.simulation import Scenario, ThrusterFault
     from surctl.marine.simulation.sensors import Sensors
-
-__all__ = [
-    "THRUSTER_FORM",
-    "SensorOptions",
-    "parse_chances",
-    "parse_fault",
-    "parse_thruster_fault",
-    "sensor_data",
-    "sensor_options",
-    "simulated_echoes",
-    "split_faults",
-]
 
 FORM = "KIND:SENSOR[:START[:DURATION]]"
 OWN_STATES = ("measured", "truth")
@@ -47,11 +35,7 @@ sensor_options = together(
         help="Fault KIND:SENSOR or thruster:NAME[:START[:DURATION]]",
     ),
     click.option(
-        "--chance",
-        "chances",
-        multiple=True,
-        metavar="KIND=P",
-        help="Probability of a fault per ping; may be repeated.",
+        "--chance", "chances", multiple=True, metavar="KIND=P", help="Probability of a fault per ping; may be repeated."
     ),
     click.option("--beam", type=float, metavar="DEG", help="Sonar beam angle [deg] (default: the scenario's)."),
     click.option("--own-state", metavar="NAME", help="Own pose: measured or truth (default: the scenario's)."),
@@ -89,8 +73,7 @@ class SensorOptions:
         from surctl.marine.simulation import SENSING
         from surctl.own_code import label
 
-        if sensing not in SENSING:
-            raise InputError("is not known", key="--sensing", value=sensing, remedy=nearest(sensing, SENSING))
+        check_known(sensing, SENSING, key="--sensing")
         options = {
             "--fault": self.faults,
             "--chance": self.chances,
@@ -101,28 +84,18 @@ class SensorOptions:
         for key, value in options.items():
             if value is not None and value != () and sensing == "truth":
                 text = value if key in ("--beam", "--own-state", "--echoes") else " ".join(value)  # type: ignore[arg-type]
-                raise InputError(
-                    "has no effect with true positions",
-                    key=key,
-                    value=text,
-                    remedy="add --sensing sonar, or drop this option",
-                )
+                remedy = "add --sensing sonar, or drop this option"
+                raise InputError("has no effect with true positions", key=key, value=text, remedy=remedy)
         if self.beam is not None and not law_source(law).scans:
-            raise InputError(
-                f"does not apply to law {label(law)}, which has the four sonars of the paper",
-                key="--beam",
-                value=self.beam,
-                remedy="use law guarded",
-            )
+            problem = f"does not apply to law {label(law)}, which has the four sonars of the paper"
+            raise InputError(problem, key="--beam", value=self.beam, remedy="use law guarded")
         if self.own_state is not None and self.own_state not in OWN_STATES:
             remedy = nearest(self.own_state, OWN_STATES)
             raise InputError("is not known", key="--own-state", value=self.own_state, remedy=remedy)
         if self.echoes is not None:
             from surctl.marine.simulation import ECHOES
 
-            if self.echoes not in ECHOES:
-                remedy = nearest(self.echoes, ECHOES)
-                raise InputError("is not known", key="--echoes", value=self.echoes, remedy=remedy)
+            check_known(self.echoes, ECHOES, key="--echoes")
 
     def over(self, scenario: Scenario) -> Scenario:
         """Return the scenario with these sensor options.
@@ -208,12 +181,9 @@ def parse_chances(texts: Sequence[str]) -> FaultChances:
         chances[kind] = chance
     total = sum(chances.values())
     if total > 1.0 + 1e-12:
-        raise InputError(
-            f"the fault probabilities of one firing add up to {total:g}",
-            key="--chance",
-            value=" ".join(texts),
-            remedy="reduce them to a sum of at most 1, because at most one fault occurs",
-        )
+        problem = f"the fault probabilities of one firing add up to {total:g}"
+        remedy = "reduce them to a sum of at most 1, because at most one fault occurs"
+        raise InputError(problem, key="--chance", value=" ".join(texts), remedy=remedy)
     return FaultChances(**chances)
 
 

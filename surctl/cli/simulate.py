@@ -54,13 +54,11 @@ from surctl.cli.subject import (
     load_system,
     seconds_option,
 )
-from surctl.errors import InputError, nearest
+from surctl.errors import InputError, check_known
 
 if TYPE_CHECKING:
     from surctl.marine.simulation import Sensing
     from surctl.system import Record
-
-__all__ = ["simulate", "simulate_own_system"]
 
 
 @click.command
@@ -70,7 +68,7 @@ __all__ = ["simulate", "simulate_own_system"]
 @click.option("--gains", metavar="FILE", help=GAINS_HELP)
 @law_option
 @click.option(
-    "--avoidance", default="corrected", metavar="NAME", help="Eq. (20): corrected (default), consistent or printed."
+    "--avoidance", default="corrected", metavar="NAME", help="Eq. (20) as corrected (default), consistent or printed."
 )
 @click.option("--guidance", default="los", metavar="NAME", help="Path guidance: los (default), ilos or alos.")
 @priority_options
@@ -114,8 +112,8 @@ def simulate(
     out: Path | None,
     as_json: bool,
 ) -> None:
-    """Simulate scenarios, or a system of your own (surctl new system NAME).
-    Exit status: 1 if a run collides or does not arrive; campaigns resume in DIR.
+    """Simulate scenarios, or a system of your own (surctl new system). Interrupted campaigns resume in DIR.
+    Exit status: 1 if a run collides or does not arrive.
     Example: surctl simulate tank-static --runs 9 --monte-carlo
     """
     if is_system(scenarios, "seconds", "out", "save", "as_json"):
@@ -246,8 +244,7 @@ def _check_save(save: str | None, frame: str | None, *, out: Path | None, campai
     if save is None:
         raise InputError("needs --save", key="--frame", value=frame, remedy="add --save csv, mat, nc or mcap")
 
-    if save not in RUN_FORMATS:
-        raise InputError("is not known", key="--save", value=save, remedy=nearest(save, RUN_FORMATS))
+    check_known(save, RUN_FORMATS, key="--save")
     if save == "mcap" and frame == "ned":
         raise InputError("is not a frame of Foxglove", key="--frame", value=frame, remedy="use enu for mcap")
     if campaign:
@@ -260,6 +257,7 @@ def simulate_own_system(
     words: Sequence[str], *, seconds: float | None, out: Path | None, save: str, as_json: bool
 ) -> None:
     """Simulate one run, print how it ended and its costs, and write signals (as csv, mat or nc) and plot to `out`."""
+    from surctl.assessment import ClosedLoop, assess
     from surctl.files import prepare_folder
     from surctl.system import LOST, run_system
 
@@ -268,7 +266,9 @@ def simulate_own_system(
     if out is not None:
         prepare_folder(out)
     record = run_system(own.system, duration, values)
-    lines = [end_text(own, record), *cost_lines(own.system, record.figures)]
+    assessment = assess(ClosedLoop(own.system, values, record=record), parts=["run"])
+    judged = [f"{line.mark} {line.text}".strip() for line in assessment.lines if line.about]
+    lines = [end_text(own, record), *cost_lines(own.system, record.figures), *judged]
     files = [] if out is None else _write(own, record, out, save)
     lines += [f"  {file}" for file in files]
     data = {
@@ -278,13 +278,14 @@ def simulate_own_system(
         "not_finite": record.lost or None,
         "duration_s": record.duration,
         "costs": cost_data(own.system, record.figures),
+        "assessment": assessment.to_dict(),
         "files": [str(file) for file in files],
     }
     fine = record.stopped != LOST
     then = [command_line("verify", own, *own.settings), _sweep(own, duration)] if fine else []
-    brief = [lines[0], *(" ".join(line.split()) for line in cost_lines(own.system, record.figures))]
+    brief = [lines[0], *judged, *(" ".join(line.split()) for line in cost_lines(own.system, record.figures))]
     steps = [command for command in then if command]
-    finish(data, lines, as_json=as_json, passed=fine, then=steps, brief=brief, files=where(out))
+    finish(data, lines, as_json=as_json, passed=assessment.accepted(), then=steps, brief=brief, files=where(out))
 
 
 def _write(own: OwnSystem, record: Record, out: Path, kind: str) -> list[Path]:

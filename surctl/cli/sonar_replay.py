@@ -10,8 +10,6 @@ import click
 from surctl.cli.output import FiniteRange, as_json, finish, saving
 from surctl.errors import InputError
 
-__all__ = ["sonar_replay"]
-
 _METRES = FiniteRange(min=0.0, min_open=True)
 
 
@@ -36,17 +34,17 @@ _METRES = FiniteRange(min=0.0, min_open=True)
     help="Resolution of the A/D converter in bits (default 8).",
 )
 @click.option(
-    "--bias", type=float, default=0.0, metavar="M", help="Bias of a sample [m], from surctl calibrate (default 0)."
+    "--bias", type=float, default=0.0, metavar="M", help="Bias of a reading [m], from surctl calibrate (default 0)."
 )
 @click.option(
-    "--scale", type=_METRES, default=1.0, metavar="X", help="Scale of a sample, from surctl calibrate (default 1)."
+    "--scale", type=_METRES, default=1.0, metavar="X", help="Scale of a reading, from surctl calibrate (default 1)."
 )
 @click.option(
     "--noise-sd",
     type=FiniteRange(min=0.0),
     default=0.015,
     metavar="M",
-    help="Standard deviation of a sample [m], from surctl calibrate (default 0.015).",
+    help="Standard deviation of a reading [m], from surctl calibrate (default 0.015).",
 )
 @click.option(
     "--out",

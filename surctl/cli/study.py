@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from surctl.cli.claims import claim_line
-from surctl.cli.output import as_json, finish, progress, refusal_line, same_command, saving, stoppable
-from surctl.cli.robot_options import at_hand, law_words, trust_option
+from surctl.cli.output import as_json, finish, progress, refusal_line, same_command, saving, stoppable, timed
+from surctl.cli.robot_options import at_hand, derive_words, law_words, margin_of_all, trust_option
 from surctl.cli.subject import (
     OwnSystem,
     assigned,
@@ -25,7 +25,7 @@ from surctl.cli.subject import (
     load_system,
     seconds_option,
 )
-from surctl.errors import InputError
+from surctl.errors import InputError, NotApplicable
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -110,7 +110,7 @@ def study(
     lines += [] if plan.derivation is None else [f"started from {line.strip()}" for line in plan.derivation.lines()]
     lines += [f"{line.mark} {line.text}" for line in result.notes]
     loops = result.loops
-    lines += ["", f"{'loop':<12} {'gain':>10} {'phase':>10} {'delay':>10} {'disk':>6}"] if loops.margins else []
+    lines += ["", f"{'nominal loop':<12} {'gain':>10} {'phase':>10} {'delay':>10} {'disk':>6}"] if loops.margins else []
     if loops.margins and not loops.margins[0].stable:
         lines.append("unstable      margins of an unstable loop are 0")
     for m in loops.margins if loops.margins and loops.margins[0].stable else ():
@@ -120,14 +120,34 @@ def study(
     lines += [f"report {result.report}"] if result.report else []
     tuning = ["surctl", "tune", *([file] if file else []), *(["--trust"] if trust else [])]
     about = at_hand(result.plan.deciding[0].scenario, plan.vehicle, str(result.gain_file))
+    cruise = None if plan.derivation is None else plan.derivation.cruise
+    then = changes(result.assessment, about[3], cruise)
     # a search about missions that the study has made for the vehicle has no study file
-    then = [shlex.join(words) for words in ((tuning,) if not plan.unheard else ())]
+    then += [shlex.join(tuning)] if tunable(result.assessment) and not plan.unheard else []
     then.append(shlex.join(_examined(plan.law, about)))
     brief = [lines[0], *(f"{line.mark} {line.text}" for line in _weakest(result.assessment))]
     finish(
         result.to_dict(), lines,
         as_json=as_json, passed=result.passed, then=then, brief=brief, files=_files(result.report, out),
     )  # fmt: skip
+
+
+def changes(assessment: Assessment, vehicle: str, cruise: float | None) -> list[str]:
+    """Return the command that derives gains with the gain `margin` that is missing; nothing if none is.
+
+    `cruise` is the speed [m/s] for which the assessed gains were derived, or None.
+    """
+    margin = margin_of_all(assessment)
+    if cruise is None or not math.isfinite(margin):
+        return []
+    return [derive_words(vehicle, cruise, "gains.toml", margin=margin)]
+
+
+def tunable(assessment: Assessment) -> bool:
+    """Return whether a search of gains can change the result: a no-contact margin is stated, not searched."""
+    contact = assessment.parts.get("no contact")
+    left = [line for line in assessment.lines if line.counts and line.passed is not True]
+    return not left or any(contact is None or line not in contact.lines for line in left)
 
 
 def _weakest(assessment: Assessment) -> Sequence[Line]:
@@ -162,6 +182,7 @@ def _examined(law: str, about: list[str]) -> list[str]:
 
 
 _AXES, _POINTS = 2, 9  # of the sweep, if no axis is given
+_REGION = 60.0  # largest processor time of the region of a system [s]
 
 
 def study_system(
@@ -176,9 +197,11 @@ def study_system(
     """Write report.html and the C code of the controller; exit with status 1 if a check of the report fails."""
     from surctl import __version__
     from surctl.assessment import ClosedLoop, assess
+    from surctl.cli.export import system_bundle, system_evidence
     from surctl.cli.subject import loop_data, mode_text, region_words, resting
     from surctl.cli.sweep import best_line, best_points
-    from surctl.export.bundle import build_bundle, check_folder, write_bundle
+    from surctl.export.bundle import check_folder, write_bundle
+    from surctl.export.evidence import with_evidence
     from surctl.export.process import build_controller
     from surctl.export.sil import compare_runs
     from surctl.files import prepare_folder, write_file
@@ -187,6 +210,7 @@ def study_system(
     from surctl.report.system_page import SystemStudy, export_line, render_system_page
     from surctl.system import run_system
     from surctl.tuning import sweep_system
+    from surctl.tuning.system_sweep import chosen_points
 
     own = load_system(words)
     find_compiler()
@@ -203,7 +227,7 @@ def study_system(
     record = run_system(own.system, duration, values)
     controller = own.system.controller
     progress("comparing C with Python")
-    bundle = build_bundle(controller, controller.gains.unpack(record.controller[2]))
+    bundle = system_bundle(own, values, record)
     files: Sequence[object] = ()
     with saving("code"):
         files = write_bundle(bundle, out / "export")
@@ -211,9 +235,11 @@ def study_system(
         (sil,) = compare_runs(build_controller(controller, bundle, Path(scratch, bundle.name)), [record])
 
     def solved() -> Solution:
+        if isinstance(problem, NotApplicable):
+            raise problem
         assert problem is not None  # the subject asks only then
-        progress("region of attraction")
-        return solve(problem, first=True, progress=progress)
+        with timed(f"region of attraction, at most {_REGION:g} s of processor time"):
+            return solve(problem, first=True, time_limit=_REGION, progress=progress)
 
     subject = ClosedLoop(
         own.system, values, {**own.system.ranges, **uncertain}, record, region=None if problem is None else solved
@@ -222,18 +248,22 @@ def study_system(
     swept = None
     with stoppable(f"the code is in {out / 'export'}; not finished: margins, region, sweep", ran, as_json=as_json):
         assessment = assess(subject).with_lines([export_line(sil)])
+        with saving("code"):
+            write_bundle(with_evidence(bundle, system_evidence(own, record, assessment, sil)), out / "export")
         if design is not None:
             progress(f"sweep of {len(design[0].points)} points")
             with saving("sweep"):
                 swept = sweep_system(own.system, design[0], duration, draws=design[1], values=values, threads=workers)
     loop, solution = assessment.sources["loop"], assessment.sources.get("region")
     judged = not isinstance(loop, InputError)
-    best = {} if swept is None else best_points(swept)
+    choices = {} if swept is None else chosen_points(swept, values, subject.ranges)
+    best = {} if swept is None else best_points(swept, choices)
     about = [word for word in others if not word.startswith("start.")]
     study = SystemStudy(
         title=f"Study of {own.system.title}", record=record, assessment=assessment,
         resting=resting(own.system, loop.nominal.at) if judged else {}, mode=mode_text(loop.nominal) if judged else "",
-        swept=swept, best=[] if swept is None else [best_line(swept, name, row) for name, row in best.items()], sil=sil,
+        swept=swept, sil=sil,
+        best=[] if swept is None else [best_line(swept, name, row, choices[name]) for name, row in best.items()],
         commands={
             "study": command_line("study", own, *own.settings, "--seconds", f"{duration:g}", "--out", str(out)),
             "run": command_line("simulate", own, *others, "--seconds", f"{duration:g}", "--out", "run"),
@@ -245,7 +275,7 @@ def study_system(
     report: Path | None = None
     with saving("report"):
         report = write_file(out / "report.html", render_system_page(study))
-    passed = assessment.passed is not False and (solution is None or solution.verdict == "proved")
+    passed = assessment.accepted("region")
     lines = [f"study {own.system.title}: {'passed' if passed else 'NOT passed'}: {assessment.banner}"]
     lines += [f"{line.mark} {line.text}" for line in assessment.lines]
     lines += [*ran, *study.best]
@@ -264,8 +294,7 @@ def study_system(
         "report": None if report is None else str(report),
     }
     then = [study.commands["run"]]
-    if best:
-        at = next(iter(best.values()))["at"]
+    if at := next((row["at"] for row in best.values() if row["accepted"]), None):
         then = [command_line("verify", own, *about, *(f"{name}={value!r}" for name, value in at.items()))]
     finish(
         data, lines, as_json=as_json, passed=passed, then=then if passed else (),

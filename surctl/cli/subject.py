@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import click
 from click.core import ParameterSource
 
-from surctl.errors import InputError, nearest
+from surctl.errors import InputError, NotApplicable, check_known, nearest
 
 if TYPE_CHECKING:
     import numpy as np
@@ -24,27 +24,6 @@ if TYPE_CHECKING:
     from surctl.lyapunov import Problem
     from surctl.system import Operating, Record, System
     from surctl.verification.sampled_margins import LoopCorners, SystemLoop
-
-__all__ = [
-    "OwnSystem",
-    "RegionWords",
-    "assigned",
-    "command_line",
-    "cost_data",
-    "cost_lines",
-    "end_text",
-    "gain_ranges_of",
-    "is_system",
-    "listed_values",
-    "load_system",
-    "loop_data",
-    "loop_lines",
-    "mode_text",
-    "nominal_gains",
-    "region_words",
-    "resting",
-    "seconds_option",
-]
 
 seconds_option = click.option(
     "--seconds", type=float, metavar="S", help="Duration of a system's run [s] (default: the file's)."
@@ -249,28 +228,34 @@ def loop_lines(own: OwnSystem, loop: LoopCorners[SystemLoop]) -> list[str]:
     lines.append(f"sampled every {period:g} s: {stable}, {len(nominal.poles)} poles")
     lines.append(f"  slowest mode: {mode_text(nominal)}")
     if nominal.stable:
-        lines += ["each loop alone, opened at one signal, all others closed:"]
+        lines += ["nominal; each loop alone, opened at one signal, all others closed:"]
         lines += [f"  {margin.line()}" for margin in nominal.margins]
         lines += [margin.line(margin.place) for margin in nominal.disks]
     if loop.count:
         word = f"disk margin {loop.disk:.2f}" if loop.stable else "no equilibrium" if loop.lost else "UNSTABLE"
         lines.append(f"worst of the {loop.count} corners of the ranges: {word} at {loop.corner}")
+        lines.append(f"  least delay margin of one loop alone: {loop.delay.delay_s:.4g} s ({loop.delay.where})")
     return lines
 
 
 def loop_data(own: OwnSystem, loop: LoopCorners[SystemLoop]) -> dict[str, Any]:
     """Return equilibrium, poles and margins as plain data for JSON."""
-    nominal = loop.nominal
+    nominal, rest = loop.nominal, resting(own.system, loop.nominal.at)
     return {
-        "equilibrium": {
-            kind: {label: value for label, value, _ in rows} for kind, rows in resting(own.system, nominal.at).items()
-        },
+        "equilibrium": {kind: {label: value for label, value, _ in rows} for kind, rows in rest.items()},
+        "units": {kind: {label: unit for label, _, unit in rows} for kind, rows in rest.items()},
         "stable": nominal.stable,
         "poles": [[float(pole.real), float(pole.imag)] for pole in nominal.poles],
         "slowest_mode": _slowest(nominal),
         "margins": [margin.to_dict() for margin in nominal.margins],
         "disk_margins": [margin.to_dict() for margin in nominal.disks],
-        "worst": {"stable": loop.stable, "disk_margin": loop.disk, "corner": loop.corner, "corners": loop.count},
+        "worst": {
+            "stable": loop.stable,
+            "disk_margin": loop.disk,
+            "corner": loop.corner,
+            "delay_margin": loop.delay._asdict(),
+            "corners": loop.count,
+        },
     }
 
 
@@ -329,17 +314,21 @@ class RegionWords:
     ranges: Mapping[str, tuple[float, float]]
     claim: Mapping[str, str]
 
-    def problem(self, system: System, values: Mapping[str, ArrayLike]) -> Problem:
-        """Return the problem of finding and proving a region of attraction of the system.
+    def problem(self, system: System, values: Mapping[str, ArrayLike]) -> Problem | NotApplicable:
+        """Return the problem of finding and proving a region of attraction of the system, or why it has none.
 
         Raises:
             InputError: see `sampled_dynamics`; or the function, the level or the rate is not valid.
         """
         from surctl.lyapunov import Problem, sampled_dynamics
+        from surctl.lyapunov.equilibrium import require_common
         from surctl.verification.formula import parse, variable
 
-        dynamics = sampled_dynamics(system, self.within, values=values, ranges=self.ranges)
-        dynamics.require_equilibrium()
+        try:
+            dynamics = sampled_dynamics(system, self.within, values=values, ranges=self.ranges)
+            require_common(dynamics)
+        except NotApplicable as reason:
+            return reason
         numbers: dict[str, float | None] = {}
         for key in ("level", "rate"):
             text = self.claim.get(key)
@@ -424,8 +413,7 @@ def gain_ranges_of(own: OwnSystem, ranges: Mapping[str, tuple[float, float] | No
 
     nominal, result = nominal_gains(own), {}
     for name, ends in (ranges or dict.fromkeys(nominal)).items():
-        if name not in nominal:
-            raise InputError("is not a gain of the system", key="--gain", value=name, remedy=nearest(name, nominal))
+        check_known(name, nominal, "is not a gain of the system", key="--gain")
         if ends is None and nominal[name] == 0:
             raise InputError("is 0 and so has no default range", key=f"--gain {name}", remedy=f"write {name}=LOW..HIGH")
         result[name] = default_range(nominal[name]) if ends is None else ends

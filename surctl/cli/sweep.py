@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from surctl.marine.tuning import SweepTable
     from surctl.marine.verification import Locus
     from surctl.tuning import Axis, Design, Executor, SobolIndices, Span, SystemSweep
+    from surctl.tuning.system_sweep import Choice
 
 __all__ = ["best_line", "best_points", "choices_and_draws", "sweep", "sweep_own_system"]
 
@@ -63,7 +64,7 @@ _EXPLAINED = ("deviation_m", "path_error_m")  # columns whose meaning is printed
     help="Vehicle: name or file; may be repeated (default: each scenario's).",
 )
 @click.option("--sensing", default="truth", metavar="NAME", help="Obstacle positions from truth (default) or sonar.")
-@click.option("--gains", metavar="FILE", help="Other gains: name or file (default: the vehicle's).")
+@click.option("--gains", metavar="FILE", help="Gains not swept: name or file (default: the vehicle's).")
 @law_option
 @click.option(
     "--priority-mode", default="nsb", metavar="NAME", help="Mode: nsb (default), filter, projected, lexicographic."
@@ -136,9 +137,8 @@ def sweep(
     A parameter is a gain (k_v), a vehicle parameter (vehicle.m11; plant.m11 changes the plant but not the controller's
     model), a number of the scenario (scenario.cruise) or seed. Exit status: 1 if no point is feasible.
 
-    FILE.py:FUNCTION names a system of your own. Its costs are computed over gains (k), plant.NAME, reference.NAME,
-    disturbance.NAME, start.NAME. With --seeds N, the worst of N runs counts, with plant.NAME=LOW..HIGH sampled at
-    random.
+    For a system of your own, FILE.py:FUNCTION, costs are computed over gains (k), plant.NAME, reference.NAME,
+    disturbance.NAME, start.NAME; with --seeds N, for the worst of N runs, with plant.NAME=LOW..HIGH sampled at random.
 
     Examples: surctl sweep --scenario pool-static lookahead=0.6,0.9,1.2 k_v=0.5..3:6:log;
     surctl sweep k_v=1..3 plant.m11=30..60 --sensitivity deviation_m;
@@ -339,12 +339,13 @@ def sweep_own_system(
     as_json: bool,
 ) -> None:
     """Simulate the runs of all points in compiled code; print each cost's range and best point."""
-    from surctl.assessment import ClosedLoop, assess
     from surctl.files import prepare_folder
     from surctl.ir import find_compiler
     from surctl.recorded_write import write_csv
     from surctl.system import LOST
+    from surctl.system.values import unit_of
     from surctl.tuning import parse_axis, sobol_indices, sweep_system
+    from surctl.tuning.system_sweep import chosen_points
 
     own = load_system(words)
     duration = own.seconds(seconds)
@@ -372,15 +373,15 @@ def sweep_own_system(
     table = None
     with saving("table"):
         table = write_csv(out / "sweep.csv", swept.table())
-    best = best_points(swept)
-    loops = {name: assess(ClosedLoop(own.system, row["at"] | row["random"])) for name, row in best.items()}
-    best = {name: row | {"assessment": loops[name].to_dict()} for name, row in best.items()}
+    choices = chosen_points(swept)
+    best = best_points(swept, choices)
     indices = None if sensitivity is None else sobol_indices(chosen, swept.mean(sensitivity), sensitivity)
     lost = [k for k, stopped in enumerate(runs.stopped) if stopped == LOST]
     lines = [f"{own.system.title}: {len(runs.time)} runs of {duration:g} s, control period {own.system.dt:g} s"]
     lines += _rows(swept) if indices is None else indices.lines()
     for name, row in best.items():
-        lines += [best_line(swept, name, row), *(f"  {line.mark} {line.text}" for line in loops[name].lines)]
+        marked = [line for line in choices[name].assessment.lines if line.about]
+        lines += [best_line(swept, name, row, choices[name]), *(f"  {line.mark} {line.text}" for line in marked)]
     if lost:
         named = "; ".join(_numbers(_at(swept, k)) for k in lost[:_NAMED])
         lines.append(f"{len(lost)} of {len(runs.time)} runs are not finite: {named}{'; …' * (len(lost) > _NAMED)}")
@@ -393,7 +394,8 @@ def sweep_own_system(
         "seconds": duration,
         "axes": {name: sorted(set(chosen.points[:, k].tolist())) for k, name in enumerate(chosen.names)},
         "random": list(draws),
-        "units": {name: cost.unit for name, cost in own.system.costs.items()},
+        "units": {name: unit_of(own.system, name) for name in swept.swept}
+        | {name: cost.unit for name, cost in own.system.costs.items()},
         "runs_per_point": swept.each,
         "results": [_result(swept, k) for k in range(len(runs.time))] if as_json else [],
         "best": best,
@@ -408,12 +410,13 @@ def sweep_own_system(
         row = next(iter(best.values()))
         numbers = [f"{n}={v!r}" for n, v in (row["at"] | row["random"]).items()]
         then = [command_line("simulate", own, *numbers, "--seconds", f"{duration:g}")]
-    brief = [lines[0], *(best_line(swept, name, row) for name, row in best.items())]
-    brief += [f"{line.mark} {line.text}" for one in loops.values() for line in one.lines if line.rank == 0]
+    brief = [lines[0], *(best_line(swept, name, row, choices[name]) for name, row in best.items())]
+    brief += [f"FAIL {text}" for one in choices.values() for text in one.assessment.failures]
     brief += [line for line in lines if " are not finite: " in line] if lost else []
     brief += [] if indices is None else indices.lines()
     where = [f"table {table or swept.path}"]
-    finish(data, lines, as_json=as_json, passed=bool(best), then=then, brief=brief, files=where)
+    passed = bool(best) and all(choice.assessment.accepted() for choice in choices.values())
+    finish(data, lines, as_json=as_json, passed=passed, then=then, brief=brief, files=where)
 
 
 def choices_and_draws(
@@ -545,41 +548,43 @@ def _ends(swept: SystemSweep, point: int) -> str:
     return f"  ({reasons}; at most {100 * Share(early, swept.each).at_most():.3g} % at 95 % confidence)"
 
 
-def best_points(swept: SystemSweep) -> dict[str, Any]:
-    """Return, for each cost, the point whose worst run has the least value, and the range of finite values.
+def best_points(swept: SystemSweep, choices: Mapping[str, Choice]) -> dict[str, Any]:
+    """Return, for each cost, the chosen point, its assessment, and the range of finite values.
 
     `costs`, `stopped` and `duration_s` are of the worst run, whose random numbers are `random`.
     """
     import numpy as np
 
     best: dict[str, Any] = {}
-    for name in swept.system.costs:
-        point = swept.best(name)
-        if point is None:
-            continue
-        worst, k = swept.worst(name), swept.worst_run(name, point)
+    for name, choice in choices.items():
+        worst = swept.worst(name)
         finite = worst[np.isfinite(worst)]
-        means = {other: float(swept.mean(other)[point]) for other in swept.system.costs}
-        best[name] = _result(swept, k) | {
-            "at": swept.at(point), "random": swept.random_of(k), "mean": means,
-            "least": float(finite.min()), "largest": float(finite.max()),
+        means = {other: float(swept.mean(other)[choice.point]) for other in swept.system.costs}
+        best[name] = _result(swept, choice.run) | {
+            "at": swept.at(choice.point), "random": swept.random_of(choice.run), "mean": means,
+            "least": float(finite.min()), "largest": float(finite.max()), "passed_over": choice.passed_over,
+            "accepted": choice.assessment.accepted(), "assessment": choice.assessment.to_dict(),
         }  # fmt: skip
     return best
 
 
-def best_line(swept: SystemSweep, name: str, row: dict[str, Any]) -> str:
-    """Return one line with the least value of a cost, where it is, and the range of the cost."""
+def best_line(swept: SystemSweep, name: str, row: dict[str, Any], choice: Choice) -> str:
+    """Return one line with the chosen point of a cost, its value, the range of the cost, and what fails."""
     unit, end = swept.system.costs[name].unit, _ended(row["stopped"], row["duration_s"])
     at = f" at {_numbers(row['at'])}" if row["at"] else ""
+    spread = f"{row['least']:.6g} … {row['largest']:.6g} {unit}"
+    value, random = f"{row['costs'][name]:.6g} {unit}", f" ({_numbers(row['random'])}{end})"
+    mean = f", mean {row['mean'][name]:.6g} {unit}"
     if swept.each == 1:
-        return (
-            f"least {name}: {row['least']:.6g} {unit}{at}{end}, range {row['least']:.6g} … {row['largest']:.6g} {unit}"
-        )
-    if len(swept.design.points) == 1:
-        mean = f"mean {row['mean'][name]:.6g} {unit}"
-        return f"worst {name} of {swept.each} runs: {row['least']:.6g} {unit} ({_numbers(row['random'])}{end}), {mean}"
-    return (
-        f"least {name} in the worst of {swept.each} runs: {row['least']:.6g} {unit}{at} "
-        f"({_numbers(row['random'])}{end}), mean {row['mean'][name]:.6g} {unit}; "
-        f"range of the worst over the points {row['least']:.6g} … {row['largest']:.6g} {unit}"
-    )
+        text = f"least {name}: {value}{at}{end}, range {spread}"
+    elif len(swept.design.points) == 1:
+        text = f"worst {name} of {swept.each} runs: {value}{random}{mean}"
+    else:
+        text = f"least {name} in the worst of {swept.each} runs: {value}{at}{random}{mean}; "
+        text += f"range of the worst over the points {spread}"
+    if choice.passed_over:
+        count = f"{choice.passed_over} of {len(swept.design.points)} points"
+        text += f"; lower, but not with the margins and the bounds of the costs: {count}"
+    if failures := choice.assessment.failures:
+        text += f"; no point meets the margins and the bounds of the costs: here, {'; '.join(failures)}"
+    return text

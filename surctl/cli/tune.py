@@ -99,9 +99,9 @@ __all__ = ["tune", "tune_own_system"]
     type=click.Path(path_type=Path),
     default=Path("surctl-out"),
     metavar="DIR",
-    help="Output folder (default surctl-out); resumes there.",
+    help="Output folder (default surctl-out); an interrupted search resumes there.",
 )
-@click.option("--page", is_flag=True, help="Open a page with sliders instead.")
+@click.option("--page", is_flag=True, help="Open a page with sliders instead of a search.")
 @click.option("--law", metavar="NAME", help="Law: NAME or FILE.py:FUNCTION (default: the study's).")
 @click.option("--scenario", metavar="FILE", help="Scenario of --page (default: the study's first).")
 @click.option(
@@ -139,11 +139,11 @@ def tune(
     """Search for gains that meet goals; repeat with the test runs that fail.
 
     The gains must meet the hard goals for every scenario, seed and corner of the vehicle's ranges; the soft goals are
-    minimised. New random runs and the claims then test the result. Exit status: 1 if a hard goal is not met, or fails
+    minimised. New random runs and the claims test the tuned gains. Exit status: 1 if a hard goal is not met, or fails
     in the test.
 
     FILE.py:FUNCTION names a system of your own: its first cost is minimised within the bounds of the other costs and a
-    disk margin of at least 0.3. NAME=V1,V2 gives cases. With --goals, the worst soft goal is minimised.
+    disk margin of at least 0.3, in each case of NAME=V1,V2. With --goals, its worst soft goal is minimised.
 
     Examples: surctl tune my-study.toml --gain k_v=0.5..3 --goals my-goals.toml; surctl tune my-system.py:build --page
     """
@@ -373,7 +373,7 @@ def tune_own_system(
     goals: str | None,
     as_json: bool,
 ) -> None:
-    """Search gains, write them, print each figure before and after; the exit status is 1 if a bound is violated."""
+    """Search gains, write them, print each figure before and after; the exit status is 1 if a bound or a line fails."""
     from surctl.assessment import ClosedLoop, Comparison, assess
     from surctl.files import prepare_folder
     from surctl.ir import find_compiler
@@ -459,7 +459,8 @@ def tune_own_system(
     fine = all(map(math.isfinite, result.costs.values()))
     brief = [headline, *doubtful, *map(str.strip, result.lines(own.system))]
     finish(
-        data, lines, as_json=as_json, passed=fine and not result.unmet, then=then if fine else (),
+        data, lines, as_json=as_json, passed=fine and not result.unmet and comparison.after.accepted(),
+        then=then if fine else (),
         brief=brief, files=[f"gains {table}"] if table else [],
     )  # fmt: skip
 

@@ -15,24 +15,13 @@ from surctl.cli.robot_options import at_hand
 from surctl.errors import InputError, NotApplicable
 
 if TYPE_CHECKING:
-    from surctl.assessment import Assessment
+    from surctl.assessment import Assessment, Figure
     from surctl.marine.control import Gains
     from surctl.marine.simulation import Case, Scenario
     from surctl.marine.study import Plan
     from surctl.marine.tuning import Finals, Goal, Miss, Tuning
     from surctl.marine.vehicle import Vehicle
     from surctl.report.design_bench import DesignBench
-
-__all__ = [
-    "caps",
-    "check_goal_cases",
-    "floor_lines",
-    "look",
-    "region_words",
-    "serve_page",
-    "serve_system_page",
-    "unrepresentative",
-]
 
 
 def check_goal_cases(goals: Sequence[Goal], plan: Plan, file: str) -> None:
@@ -60,12 +49,16 @@ def caps(cases: Sequence[Case], gains: Mapping[str, float]) -> list[str]:
 
 
 def floor_lines(tuning: Tuning, finals: Finals, plan: Plan, *, trials: int) -> list[str]:
-    """Return why the tuned gains miss the least disk margin at the worst corner; nothing if they have it."""
+    """Return why the tuned gains miss a least margin at the worst corner; nothing if they have both."""
     after = finals.comparison.after
-    disk = after.figures.get("disk_margin")
-    if disk is None or disk.least is None or disk.enough:
-        return []
-    names = [goal.name for goal in (*tuning.request.goals, *finals.goals) if goal.metric == disk.name]
+    known = [after.figures[name] for name in ("disk_margin", "delay_margin_s") if name in after.figures]
+    missed = [figure for figure in known if not figure.enough]
+    heads = [_missed(figure, tuning, finals, trials=trials) for figure in missed]
+    return [*heads, *(f"  {_why(plan, after, figure)}" for figure in missed[:1])]
+
+
+def _missed(figure: Figure, tuning: Tuning, finals: Finals, *, trials: int) -> str:
+    names = [goal.name for goal in (*tuning.request.goals, *finals.goals) if goal.metric == figure.name]
     clash = tuning.conflict
     if any(goal.name in names for goal in finals.goals):
         outcome = f"none of the {finals.checked} checked gain sets has it"
@@ -75,16 +68,17 @@ def floor_lines(tuning: Tuning, finals: Finals, plan: Plan, *, trials: int) -> l
     else:
         limits = ", ".join(f"{g.limit:g}" for g in tuning.request.goals if g.name in names)
         outcome = f"the goals ask for {limits or 'none'}"
-    head = f"disk margin {disk.value:.3g} at the worst corner ({disk.where}), required {disk.least:g}: {outcome}"
-    return [head, f"  {_why(plan, after)}"]
+    word, unit = ("disk margin", "") if figure.unit == "1" else ("delay margin", f" {figure.unit}")
+    at = f"{figure.value:.3g}{unit} at the worst corner ({figure.where})"
+    return f"{word} {at}, required {figure.least:g}{unit}: {outcome}"
 
 
-def _why(plan: Plan, after: Assessment) -> str:
+def _why(plan: Plan, after: Assessment, missed: Figure) -> str:
     """Return what limits the margin: of gains that follow from the vehicle, or of the corners."""
     from surctl.marine.control import default_law
     from surctl.marine.tuning import derive_gains
 
-    nominal, least = after.figures["nominal_disk_margin"].value, after.figures["disk_margin"].least
+    nominal, least = after.figures[f"nominal_{missed.name}"].value, missed.least
     if plan.law != default_law(plan.vehicle):
         if least is not None and nominal >= least:
             return f"the nominal vehicle has {nominal:.3g}: narrower ranges in the vehicle file raise it"
@@ -96,7 +90,8 @@ def _why(plan: Plan, after: Assessment) -> str:
         return f"gains cannot be derived: {error.problem}"
     if derivation.reached:
         about = shlex.join(["--vehicle", plan.vehicle.source or plan.vehicle.name, "--cruise", f"{cruise:g}"])
-        return f"gains derived from the vehicle have {derivation.disk_margin:.3g}: surctl gains derive {about}"
+        both = f"{derivation.disk_margin:.3g} and {derivation.delay_margin_s:.3g} s"
+        return f"gains derived from the vehicle have {both}: surctl gains derive {about}"
     return derivation.warning.removeprefix("warning: ")
 
 

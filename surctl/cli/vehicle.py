@@ -15,8 +15,6 @@ from surctl.errors import InputError
 if TYPE_CHECKING:
     from surctl.marine.vehicle import Identified, MotionLog, Prediction, Vehicle
 
-__all__ = ["thrusters", "vehicle"]
-
 _FASTEST, _LARGEST = 100.0, 1e9  # [m/s], [N, N m]
 
 
@@ -54,11 +52,8 @@ def thrusters(
     vehicle = load_vehicle(name).at_speed(speed)
     actuators = vehicle.actuators
     if actuators is None:
-        raise InputError(
-            "describes no thrusters",
-            file=vehicle.source,
-            remedy="add [[thruster]] tables, as in surctl list --show bluerov2-heavy",
-        )
+        remedy = "add [[thruster]] tables, as in surctl list --show bluerov2-heavy"
+        raise InputError("describes no thrusters", file=vehicle.source, remedy=remedy)
     working_flags(actuators, failed)
     intervals, share = axis_ends(actuators, speed, failed=failed), held_share(vehicle, failed)
     result = {
@@ -133,7 +128,7 @@ _name = click.option("--name", default="my-vehicle", metavar="TEXT", help="Name 
 
 @click.group()
 def vehicle() -> None:
-    """Write a vehicle file from dimensions, a recording or a Gazebo model. Show what the thrusters can do.
+    """Write a vehicle file from dimensions, a log or a Gazebo model, or print the forces of a vehicle's thrusters.
 
     Examples: surctl vehicle from-geometry --help; surctl vehicle from-log --help; surctl vehicle thrusters --help
     """
@@ -167,43 +162,19 @@ vehicle.add_command(thrusters)
 @_out
 @_over
 @as_json
-def from_geometry(
-    name: str,
-    diameter: float,
-    mass: float,
-    flooded: float,
-    cd: float,
-    thrust: float,
-    yaw_thrust: float,
-    thrust_lag: float,
-    density: float,
-    out: Path | None,
-    force: bool,
-    as_json: bool,
-) -> None:
+def from_geometry(mass: float, cd: float, out: Path | None, force: bool, as_json: bool, **numbers: Any) -> None:
     """Derive the parameters of a spherical vehicle, each with a range and its source.
 
-    This command covers spheres only. For another hull, fit the parameters to a log (surctl vehicle from-log), or write
-    known parameters into a file (surctl new vehicle).
+    For a hull that is not a sphere, fit the parameters to a log (surctl vehicle from-log), or write known parameters
+    into a file (surctl new vehicle).
 
     Example: surctl vehicle from-geometry --name mine --diameter "40 cm" --mass "6 kg" --thrust 0.5kgf
     --yaw-thrust "0.4 N m"
     """
     from surctl.marine.vehicle import sphere
 
-    robot = sphere(
-        name,
-        diameter=diameter,
-        dry_mass=mass,
-        thrust=thrust,
-        yaw_thrust=yaw_thrust,
-        flooded=flooded,
-        drag_coefficient=cd,
-        thrust_lag=thrust_lag,
-        density=density,
-    )
-    lines = _parameter_lines(robot)
-    _write(robot, out, force, lines, {"vehicle": robot.name, "parameters": _numbers(robot)}, as_json=as_json)
+    robot = sphere(dry_mass=mass, drag_coefficient=cd, **numbers)
+    _write(robot, out, force, _parameter_lines(robot), _summary(robot), as_json=as_json)
 
 
 @vehicle.command("from-gazebo")
@@ -220,42 +191,20 @@ def from_geometry(
 @_over
 @as_json
 def from_gazebo(
-    model: Path,
-    name: str,
-    link: str | None,
-    diameter: float,
-    thrust: float,
-    sway_thrust: float | None,
-    heave_thrust: float | None,
-    yaw_thrust: float,
-    thrust_lag: float,
-    out: Path | None,
-    force: bool,
-    as_json: bool,
+    model: Path, name: str, diameter: float, out: Path | None, force: bool, as_json: bool, **numbers: Any
 ) -> None:
     """Take mass, added mass and drag from a Gazebo model: SDF, or URDF and xacro of uuv_simulator.
 
     The command reads the plugin gz::sim::systems::Hydrodynamics, fluid_added_mass, and hydrodynamic_model of type
-    fossen. Surge, sway, heave and yaw are taken; roll and pitch are omitted. Expand macros first:
-    xacro FILE > robot.urdf.
+    fossen. The vehicle file gets surge, sway, heave and yaw of the model, without roll and pitch. Expand xacro macros
+    before: xacro FILE > robot.urdf.
 
     Example: surctl vehicle from-gazebo model.sdf --name auv --diameter 0.5 --thrust 40 --yaw-thrust 6
     """
     from surctl.marine.vehicle import gazebo_vehicle
 
-    robot = gazebo_vehicle(
-        model,
-        name,
-        radius=diameter / 2,
-        thrust=thrust,
-        yaw_thrust=yaw_thrust,
-        sway_thrust=sway_thrust,
-        heave_thrust=heave_thrust,
-        thrust_lag=thrust_lag,
-        link=link,
-    )
-    lines = _parameter_lines(robot)
-    _write(robot, out, force, lines, {"vehicle": robot.name, "parameters": _numbers(robot)}, as_json=as_json)
+    robot = gazebo_vehicle(model, name, radius=diameter / 2, **numbers)
+    _write(robot, out, force, _parameter_lines(robot), _summary(robot), as_json=as_json)
 
 
 @vehicle.command("from-log")
@@ -321,18 +270,18 @@ def from_log(
 
     Several logs of one vehicle are fitted together; each log starts from its own initial state.
 
-    A table (CSV, .mat, .nc) without --map has the columns t_s and Fu_N, Fv_N, Fw_N, Fr_N_m (commands, constant until
-    the next row). It has those of the columns x_m, y_m, z_m, psi_rad, u_m_per_s, v_m_per_s, w_m_per_s, r_rad_per_s that
-    were measured: x forward, y left, z up; or with --frame ned: x north, y east, z down, v to the right, w down. The
-    velocity is in the heading frame, which turns by the heading alone. If the vehicle of --start rolls and pitches, the
+    A log that is a table (CSV, .mat, .nc) has the columns t_s and Fu_N, Fv_N, Fw_N, Fr_N_m (commands, constant until
+    the next row), and of x_m, y_m, z_m, psi_rad, u_m_per_s, v_m_per_s, w_m_per_s, r_rad_per_s those that were measured:
+    x forward, y left, z up; or with --frame ned: x north, y east, z down, v to the right, w down. The velocities in the
+    log are in the heading frame, which turns by the heading alone. If the vehicle of --start rolls and pitches, the
     table also needs some of roll_rad, pitch_rad, p_rad_per_s, q_rad_per_s. surctl simulate --save csv (mat, nc) writes
-    such logs.
+    tables with these columns.
 
-    Other logs need --map: ArduPilot (.BIN, .tlog), ROS (.bag, .db3 or folder, .mcap), PX4 (.ulg), tables with other
-    column names or none. --topics prints the topics and fields of such a log.
+    Logs of ArduPilot (.BIN, .tlog), ROS (.bag, .db3 or folder, .mcap), PX4 (.ulg), and tables with other column names
+    or none need --map. --topics prints the topics and fields of a log.
 
-    If the log does not determine a parameter, the parameter keeps its value from --start, and the file says so. If a
-    fitted mass or drag is below 0, the command writes no file, and the exit status is 1. As a test, a fit to the first
+    If the log does not determine a parameter, the parameter keeps its value from --start, and the vehicle file says so.
+    If a fitted mass or drag is below 0, no file is written, and the exit status is 1. As a test, a fit to the first
     part of the log predicts the last part; the output compares this prediction with a constant velocity.
 
     Example: surctl vehicle from-log trial.csv --start my-vehicle.toml --name fitted
@@ -469,6 +418,10 @@ def _parameter_lines(robot: Vehicle) -> list[str]:
         bounds = "" if p.range is None else f"  {p.range[0]:.4g} to {p.range[1]:.4g}"
         lines.append(f"  {key:<10} {p.value:>9.4g} {p.unit:<10}{bounds}")
     return lines
+
+
+def _summary(robot: Vehicle) -> dict[str, Any]:
+    return {"vehicle": robot.name, "parameters": _numbers(robot)}
 
 
 def _numbers(robot: Vehicle) -> dict[str, Any]:

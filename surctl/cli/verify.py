@@ -113,12 +113,13 @@ def verify(
     no-contact claim and prints its assumptions.
 
     The linear analysis about straight cruise (of --law: about steady motion) gives margins, poles, the slowest mode,
-    stable speeds and sampling limits: for the nominal vehicle, and for the worst within --uncertainty or its own
-    ranges. Region and braking claims are checked only if you name them (see surctl list). A file states an inequality
-    of your own (kind claim; --show prints examples), a region claim with other numbers (kind region), or a region of
-    attraction or a barrier of any dynamics (kind lyapunov or barrier). --stack prints which tasks of a law are
-    orthogonal, independent or dependent, and which converge. Exit status: 1 if a verdict is not as expected, a named
-    claim is not applicable, the loop is unstable at a corner, a margin is too small, or the no-contact claim fails.
+    stable speeds and sampling limits: for the nominal vehicle, and for the worst one within --uncertainty or the ranges
+    of the vehicle file. Region and braking claims are checked only if you name them (see surctl list). A claim file
+    states an inequality of your own (kind claim; --show prints examples), a region claim with other numbers (kind
+    region), or a region of attraction or a barrier of any dynamics (kind lyapunov or barrier). --stack prints which
+    tasks of a law are orthogonal, independent or dependent, and which converge. Exit status: 1 if a verdict is not as
+    expected, a named claim is not applicable, the loop is unstable at a corner, a margin is too small, or the
+    no-contact claim fails.
 
     For FILE.py:FUNCTION, a system of your own, the command prints equilibrium, poles and margins of the sampled loop;
     with within.STATE=LOW..HIGH for every state, it also proves a region of attraction.
@@ -147,6 +148,7 @@ def verify(
     from surctl.marine.assessment import Mission
     from surctl.marine.control import CASCADE, PATH_FOLLOWING, build_law, law_source
     from surctl.marine.simulation import load_scenario
+    from surctl.marine.tuning import derive_gains
     from surctl.marine.vehicle import load_vehicle
     from surctl.marine.verification import check_held
     from surctl.marine.verification.region import write_region
@@ -225,7 +227,7 @@ def verify(
     held, held_data = (
         ([], {})
         if linear.stable is None or not cascaded
-        else speed_lines(robot, values, cruise=speeds[0], cap=speeds[1], **options)
+        else speed_lines(robot, values, cruise=speeds[0], cap=speeds[1], short=linear.short, **options)
     )
     lines += held
     result: dict[str, Any] = {
@@ -273,7 +275,7 @@ def verify(
     then = [f"{same_command()} --out proofs"] if proved and out is None else []
     if not then:
         then = [shlex.join(["surctl", "check", str(file)]) for file in certificates[:1]]
-        if linear.stable:
+        if linear.stable and not linear.short:
             word = gains or (_GAIN_FILE if tuned.derived else "default")
             then += [derive_words(vehicle, speeds[0], word)] if tuned.derived else []
             then += (
@@ -281,7 +283,11 @@ def verify(
                 if cascaded
                 else export_command(scenario, vehicle, tuned.gains, file=word, law=chosen_law, sensing="truth")
             )
-    if tuned.derived and math.isfinite(short := margin_short(safety)):
+    if linear.short and cascaded:  # gains that have the margins at this speed, or else at a lower one
+        derived = derive_gains(robot, cruise=speeds[0])
+        reached = speeds[0] if derived.reached else derived.bearable
+        then[:0] = [derive_words(vehicle, reached, _GAIN_FILE)] if reached > 0 else []
+    elif tuned.derived and math.isfinite(short := margin_short(safety)):
         then.insert(0, derive_words(vehicle, speeds[0], _GAIN_FILE, margin=short))
     if regions.instead:
         words = ["surctl", "verify", regions.instead, *("--vehicle", vehicle), *(("--gains", gains) if gains else ())]
@@ -366,9 +372,8 @@ def _chosen(
     from surctl.verification import load_claim
 
     if not words:  # where the paper errs concerns its own robot
-        every, refused = ((), {}) if law else applicable_claims(gains, vehicle=vehicle)
-        errata = has_tuned(vehicle)
-        return [claim for claim in every if errata or claim.expected == "proved"], refused
+        every, refused = ((), {}) if law else applicable_claims(gains, vehicle=vehicle, errata=has_tuned(vehicle))
+        return list(every), refused
     own = {word: load_claim(Path(word)) for word in words if word.endswith(".toml")}
     rest, refused = applicable_claims(gains, [w for w in dict.fromkeys(words) if w not in own], vehicle=vehicle)
     if law is not None:
@@ -413,7 +418,7 @@ def verify_system(words: Sequence[str], *, seed: int, time_limit: float, out: Pa
     from surctl.cli.claims import write_solution
     from surctl.cli.subject import region_words
     from surctl.files import prepare_folder
-    from surctl.lyapunov import solve
+    from surctl.lyapunov import Solution, solve
 
     own = load_system(words)
     others, region, uncertain = region_words(own.settings, own.system)
@@ -431,6 +436,8 @@ def verify_system(words: Sequence[str], *, seed: int, time_limit: float, out: Pa
     problem = None if region is None else region.problem(own.system, values)
 
     def solved() -> Solution:
+        if isinstance(problem, NotApplicable):
+            raise problem
         assert problem is not None  # the subject asks only then
         with timed("region of attraction", time_limit):
             return solve(problem, time_limit=time_limit, seed=seed, progress=progress)
@@ -448,9 +455,12 @@ def verify_system(words: Sequence[str], *, seed: int, time_limit: float, out: Pa
     certificates = list[str]()
     solution = assessment.sources.get("region")
     if solution is not None:
-        about = "sampled loop, with held commands" if solution.sampled else "control law in continuous time"
-        lines += [f"region of attraction of the {about}:", *solution.lines()]
         data["region"] = solution.to_dict()
+    if isinstance(solution, Solution):
+        about = (
+            " of the sampled loop, with held commands" if solution.sampled else " of the control law in continuous time"
+        )
+        lines += [f"region of attraction{about * (solution.decision is not None)}:", *solution.lines()]
         if out is not None:
             written = [str(path) for path in write_solution(solution, out)]
             data["region"]["files"] = written
@@ -458,7 +468,7 @@ def verify_system(words: Sequence[str], *, seed: int, time_limit: float, out: Pa
             certificates = written[:1]
     lines += [f"{line.mark} {line.text}" for line in assessment.lines]
     decisive = sorted(assessment.lines, key=lambda line: (line.rank, line.about != "region"))
-    passed = assessment.passed is True
+    passed = assessment.accepted("loop", "region")
     data = {**own.names, **data, "assessment": assessment.to_dict()}
     settings = [word for word in others if not word.startswith("start.")]
     then = [command_line("export", own, *settings, "--seconds", f"{100 * own.system.dt:g}", "--out", "firmware")]

@@ -23,7 +23,7 @@ from surctl.export.envelope import Envelope, anywhere, self_test_vectors
 from surctl.export.guard_text import range_text
 from surctl.export.precision import in_precision, rounded
 from surctl.export.rendering import render_files
-from surctl.export.supplement import LAW, Supplement, gains_id, law_list
+from surctl.export.supplement import LAW, Supplement, gains_id, law_lines, law_list
 from surctl.ir import Layout, Real
 
 __all__ = ["Bundle", "ExportedFile", "build_bundle", "check_folder", "law_id", "manifest_with", "write_bundle"]
@@ -160,13 +160,12 @@ def _gain_vector(layout: Layout, gains: Mapping[str, NDArray[np.float64]]) -> Ve
 
 
 def law_id(law: Exportable, gains: Vector, *, real: Real = "float64") -> str:
-    """Return one SHA-256 of the law's instruction list, period, precision, exact gains and exact initial state.
+    """Return one SHA-256 of the law's instruction list, ports, period, precision, exact initial state and exact gains.
 
-    The instruction list, the gains and the initial state are first hashed separately. If two controllers differ, these
-    three hashes show in which part.
+    The instruction list, the names, sizes and units of its ports, the initial state and the gains are first hashed
+    separately. If two controllers differ, these hashes show in which part.
     """
-    parts = (numbers_sha256(numbers.tolist()) for numbers in (gains, law.initial_state()))
-    lines = [law.block.digest(), float(law.dt).hex(), real, *parts]
+    lines = [*law_lines(law, real), numbers_sha256(gains.tolist())]
     return hashlib.sha256("\n".join(lines).encode()).hexdigest()
 
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.certcheck.bundle import numbers_sha256
+from surctl.certcheck.bundle import numbers_sha256, ports_sha256
 from surctl.export.contract import Exportable, commands, is_robot_law, telemetry_ports
 from surctl.ir import Block, Layout, Real
 from surctl.system import Plant
@@ -33,6 +33,7 @@ __all__ = [
     "forgotten_runs",
     "gains_id",
     "gains_values",
+    "law_lines",
     "law_list",
     "longest_gap",
     "step_line",
@@ -177,12 +178,14 @@ _KEY = 8  # bytes
 
 
 def _law_key(law: Exportable, real: Real) -> str:
-    """Return 16 hexadecimal digits that depend on instruction list, period, precision and initial state, not on gains.
+    """Return the first 16 digits of the SHA-256 of the lines of the law's id, without that of the gains."""
+    return hashlib.sha256("\n".join(law_lines(law, real)).encode()).hexdigest()[: 2 * _KEY]
 
-    They are the first digits of the SHA-256 of the same lines as those of the law's id, without the gains.
-    """
-    lines = [law.block.digest(), float(law.dt).hex(), real, numbers_sha256(law.initial_state().tolist())]
-    return hashlib.sha256("\n".join(lines).encode()).hexdigest()[: 2 * _KEY]
+
+def law_lines(law: Exportable, real: Real) -> list[str]:
+    """Return what the id of a law is a hash of: digests of its list, ports and initial state, period, precision."""
+    digests = law.block.digest(), ports_sha256(law_list(law).entry())
+    return [*digests, float(law.dt).hex(), real, numbers_sha256(law.initial_state().tolist())]
 
 
 def stored_gains(law: Exportable, gains: NDArray[np.float64], real: Real) -> bytes:

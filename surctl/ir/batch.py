@@ -19,8 +19,6 @@ from surctl.ir.cache import shared_library
 from surctl.ir.native import loaded
 from surctl.ir.routine import Block
 
-__all__ = ["PRELUDE", "Batch", "batch_source", "compile_batch", "compile_batch_source"]
-
 PRELUDE = r"""#include <math.h>
 #include <string.h>
 
@@ -421,11 +419,8 @@ def batch_source(step: Block) -> str:
     sizes = [size for _, size in step.inputs]
     output_sizes = [size for _, size in step.outputs]
     if len(sizes) != 2 or output_sizes != sizes[:1] or sizes[0] < 1:
-        raise InputError(
-            f"has inputs of the sizes {sizes} and outputs of the sizes {output_sizes}",
-            key=step.name,
-            remedy="(state, parameters) in, state out",
-        )
+        problem = f"has inputs of the sizes {sizes} and outputs of the sizes {output_sizes}"
+        raise InputError(problem, key=step.name, remedy="(state, parameters) in, state out")
     wide = emit_wide(step, symbol="surctl_step")
     n, m = sizes
     return f"{PRELUDE}\n{wide.text}\n#define STATE {n}\n#define PARAMETERS {m}\n#define WORK {wide.work}\n{_DRIVER}"

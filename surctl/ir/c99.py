@@ -16,25 +16,6 @@ from surctl.errors import InputError
 from surctl.ir.folding import Numbering
 from surctl.ir.program import OPERATIONS, Instruction, Program, drop_dead
 
-__all__ = [
-    "Move",
-    "Real",
-    "broken",
-    "c_literal",
-    "copy_loop",
-    "emit_c99",
-    "entry",
-    "expression",
-    "handed_on",
-    "head",
-    "identifier",
-    "move_lines",
-    "only_moves",
-    "rearranged",
-    "remaining",
-    "signature",
-]
-
 _FAMILIES = re.compile(
     r"""
     (?:
@@ -289,12 +270,8 @@ def identifier(name: str) -> str:
         surctl.errors.InputError: name = 'double': is a reserved word in C or C++; choose another name
     """
     if not isinstance(name, str) or not _IDENTIFIER.fullmatch(name) or "__" in name:
-        raise InputError(
-            "is not a C identifier",
-            key="name",
-            value=name,
-            remedy="use letters, digits and single underscores, a letter first, at most 63",
-        )
+        remedy = "use letters, digits and single underscores, a letter first, at most 63"
+        raise InputError("is not a C identifier", key="name", value=name, remedy=remedy)
     if name in _WORDS:
         raise InputError("is a reserved word in C or C++", key="name", value=name, remedy="choose another name")
     if _is_macro(name):

@@ -34,19 +34,6 @@ from surctl.ir.c99 import (
 )
 from surctl.ir.program import LEAVES, Instruction, Program
 
-__all__ = [
-    "PRAGMA",
-    "Feed",
-    "chooses",
-    "emit_folded",
-    "emit_lanes",
-    "emit_straight",
-    "folded_lines",
-    "inline_helpers",
-    "own_helpers",
-    "preamble",
-]
-
 _COMPARE = {"lt": "<", "le": "<=", "eq": "==", "ne": "!="}
 _LOGIC = {"and": "&&", "or": "||"}
 _BINARY = {"add": ("+", 6), "sub": ("-", 6), "mul": ("*", 7), "div": ("/", 7)}
@@ -327,13 +314,7 @@ class Feed:
 
 
 def emit_lanes(
-    program: Program,
-    *,
-    symbol: str,
-    lanes: int,
-    feeds: tuple[Feed, ...],
-    real: Real = "float64",
-    folded: bool = False,
+    program: Program, *, symbol: str, lanes: int, feeds: tuple[Feed, ...], real: Real = "float64", folded: bool = False
 ) -> str:
     """Return a C function like that of `emit_c99`, but for `lanes` runs in parallel.
 

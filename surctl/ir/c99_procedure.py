@@ -8,8 +8,6 @@ from collections.abc import Mapping, Sequence
 from surctl.ir.c99 import C_TYPE, Real, broken, c_literal, signature
 from surctl.ir.procedure import Procedure, Typed
 
-__all__ = ["emit_procedure"]
-
 _SIGNS: Mapping[type[ast.AST], str] = {
     **{ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.And: "&&", ast.Or: "||"},
     **{ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=", ast.Eq: "==", ast.NotEq: "!="},
@@ -64,14 +62,7 @@ class _Function:
     """Translates one function to C."""
 
     def __init__(
-        self,
-        procedure: Procedure,
-        function: Typed,
-        symbol: str,
-        real: Real,
-        words: Mapping[str, str],
-        *,
-        vectors: bool,
+        self, procedure: Procedure, function: Typed, symbol: str, real: Real, words: Mapping[str, str], *, vectors: bool
     ) -> None:
         self.vectors = vectors
         self.four = ""  # variable of the loop of which four iterations are computed at once

@@ -25,12 +25,6 @@ from surctl.ir.procedure import Procedure
 from surctl.ir.program import LEAVES, Program
 from surctl.ir.routine import Block, Call, Gather, Loop, Routine, Step, nested
 
-__all__ = [
-    "Parts",
-    "emit_block",
-    "emit_parts",
-]
-
 _FEW = 8  # largest number of values that a compiler keeps in registers
 _LARGE = 32  # from this many values on, a routine's own arrays should not stay on the stack of its caller
 _APART = """#if defined(__GNUC__)
@@ -129,7 +123,7 @@ class _Part:
 
 
 class Writer:
-    """Collects the C functions of a program or routine by file, and the name of each function by its key (`key_of`).
+    """Collects the C functions of a program or routine by file, and the name of each function by its key (`_key_of`).
 
     Args:
         symbol: name of the last function, and prefix of all others.
@@ -202,17 +196,12 @@ class Writer:
         return emit_c99(program, symbol=name, real=self.real, moves=handed_on(program, strided=True) if apart else ())
 
     def _lanes(self, loop: Loop) -> None:
-        key = key_of(loop)
+        key = _key_of(loop)
         if key in self.named or not isinstance(loop.block, Program):
             return
         self.named[key] = self._name(key, f"{loop.block.name}_{loop.lanes}")
         text = emit_lanes(
-            loop.block,
-            symbol=self.named[key],
-            lanes=loop.lanes,
-            feeds=_feeds(loop),
-            real=self.real,
-            folded=self.folded,
+            loop.block, symbol=self.named[key], lanes=loop.lanes, feeds=_feeds(loop), real=self.real, folded=self.folded
         )
         self._add(key, text, loop.block)
 
@@ -223,7 +212,7 @@ def _feeds(loop: Loop) -> tuple[Feed, ...]:
     return (side,) * (loop.index + own) + (spread,) * len(loop.spread) + (shared,) * len(loop.fixed)
 
 
-def key_of(step: Call | Loop) -> str:
+def _key_of(step: Call | Loop) -> str:
     """Return the key of the C function that a step calls: the block's digest and, for SIMD lanes, the input layouts."""
     if isinstance(step, Call) or step.lanes == 1:
         return step.block.digest()
@@ -371,7 +360,7 @@ def _loop(
 ) -> list[str]:
     # results in `stays` are later read through a pointer, which replaces their entry in `local`
     state = len(loop.carried)
-    function = writer.named[key_of(loop)]
+    function = writer.named[_key_of(loop)]
     results = [local[name] for name in loop.results]
     begun = [
         local[name] if result in stays else at
@@ -476,7 +465,7 @@ class _Node:
 
 
 def _nodes(block: Block) -> dict[str, _Node]:
-    # keys as in `key_of`
+    # keys as in `_key_of`
     nodes: dict[str, _Node] = {}
     todo = [(block.digest(), block)]
     while todo:
@@ -492,7 +481,7 @@ def _nodes(block: Block) -> dict[str, _Node]:
 def _called(block: Block) -> dict[str, Block]:
     if not isinstance(block, Routine):
         return {}
-    return {key_of(s): s.block for s in block.steps if not isinstance(s, Gather) and not inlined(s)}
+    return {_key_of(s): s.block for s in block.steps if not isinstance(s, Gather) and not inlined(s)}
 
 
 def _size(block: Block) -> int:

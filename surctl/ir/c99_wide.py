@@ -17,8 +17,6 @@ from surctl.ir.procedure import Procedure
 from surctl.ir.program import Instruction, Program
 from surctl.ir.routine import Block, Call, Gather, Loop, Routine, Step, nested
 
-__all__ = ["Wide", "emit_wide"]
-
 _INLINE = 300  # largest number of operations of a function that may be inlined
 
 # kinds of the operands and of the result: v is a number, m a truth value

@@ -34,23 +34,6 @@ import numpy as np
 
 from surctl.errors import InputError, SurctlError, ToolMissing
 
-__all__ = [
-    "FLAGS",
-    "CacheUnused",
-    "cache_folder",
-    "cached_bytes",
-    "compile_program",
-    "compiler_version",
-    "find_compiler",
-    "further_flags",
-    "packaged_compiler",
-    "quick_flags",
-    "shared_library",
-    "source_digest",
-    "stored_numbers",
-    "tuned_flags",
-]
-
 # Search for the system's C compiler, and compilation without options that change numerical results
 
 
@@ -157,10 +140,8 @@ def find_compiler() -> str:
             return name
     packaged = packaged_compiler()
     if packaged is None:
-        raise ToolMissing(
-            "no C compiler found (cc, gcc, clang)",
-            remedy="install one (pip install 'surctl[compiler]', or on Debian: apt install gcc) or set CC",
-        )
+        remedy = "install one (pip install 'surctl[compiler]', or on Debian: apt install gcc) or set CC"
+        raise ToolMissing("no C compiler found (cc, gcc, clang)", remedy=remedy)
     return packaged
 
 
@@ -186,10 +167,7 @@ def _refuse(flags: Sequence[str], *, key: str = "flags") -> None:
     for flag in flags:
         if flag in _REFUSED:
             raise InputError(
-                "changes the results of floating-point arithmetic",
-                key=key,
-                value=flag,
-                remedy="leave it out",
+                "changes the results of floating-point arithmetic", key=key, value=flag, remedy="leave it out"
             )
 
 

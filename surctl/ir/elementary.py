@@ -26,12 +26,7 @@ from typing import NamedTuple
 from surctl.ir.c99 import Real
 from surctl.ir.folding import Numbering
 from surctl.ir.program import Program
-from surctl.ir.routine import Block, rebuilt
-
-__all__ = [
-    "nearby_angles",
-    "without_libm",
-]
+from surctl.ir.routine import Block, changed_programs
 
 # Sine and cosine of angles that stay near a reference angle, by a short series around that angle
 
@@ -171,7 +166,7 @@ def without_libm(block: Block, real: Real = "float64") -> Block:
     """
     if not block.libm:
         return block
-    return rebuilt(block, partial(_program, series=_SERIES[real]))
+    return changed_programs(block, partial(_program, series=_SERIES[real]))
 
 
 def _program(program: Program, *, series: _Series) -> Program:

@@ -10,9 +10,7 @@ import numpy as np
 
 from surctl.errors import InputError
 from surctl.ir.program import LEAVES, OPERATIONS, Instruction, Program, drop_dead
-from surctl.ir.routine import Block, Call, Loop, Routine, Step, nested, rebuilt
-
-__all__ = ["Numbering", "fused", "shared_divisors", "shortened", "split", "with_constants"]
+from surctl.ir.routine import Block, Call, Loop, Routine, Step, changed_programs, nested
 
 
 class Numbering:
@@ -76,7 +74,7 @@ def fused(block: Block) -> Block:
         >>> [[i.op for i in block.instructions if i.op != "input"] for block in (program, fused(program))]
         [['mul', 'add'], ['fma']]
     """
-    return rebuilt(block, _program)
+    return changed_programs(block, _program)
 
 
 def _program(program: Program) -> Program:

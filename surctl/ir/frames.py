@@ -7,13 +7,11 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
-from surctl.errors import InputError, SurctlError, ToolMissing, nearest
+from surctl.errors import SurctlError, ToolMissing, check_known
 from surctl.ir.c99 import C_TYPE, Real
 from surctl.ir.c99_routine import emit_block
 from surctl.ir.cache import compile_program, compiler_version
 from surctl.ir.routine import Block
-
-__all__ = ["stack_bytes", "stack_from_report", "stack_of"]
 
 _FUNCTION = re.compile(r"^\w[\w *]*\b(\w+)\([^;{}]*\)\s*\{([^\n]*\}$|\n.*?^\}$)", re.MULTILINE | re.DOTALL)
 _CALL = re.compile(r"\b(\w+)\(")
@@ -108,10 +106,7 @@ def stack_from_report(report: str, text: str, entry: str) -> int:
         function = where.rsplit(":", 1)[-1].split(".")[0]
         frames[function] = frames.get(function, 0) + int(size)
     callees = _callees(text)
-    if entry not in callees:
-        raise InputError(
-            "is not a function of the compiled C", key="entry", value=entry, remedy=nearest(entry, callees)
-        )
+    check_known(entry, callees, "is not a function of the compiled C", key="entry")
     return _deepest(entry, callees, frames, {})
 
 

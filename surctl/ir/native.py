@@ -22,8 +22,6 @@ from surctl.ir.folding import shortened
 from surctl.ir.replay import replay
 from surctl.ir.routine import Block
 
-__all__ = ["Native", "SlowerEngine", "Workspace", "compile_block", "runnable", "warn_slower"]
-
 Array: TypeAlias = NDArray[Any]  # of the block's dtype
 
 _SYMBOL = "surctl_block"
@@ -130,12 +128,9 @@ def loaded(library: bytes) -> ctypes.CDLL:
             path.write_bytes(library)
             return ctypes.CDLL(str(path))
     except OSError as error:  # the folder may be full, or mounted noexec
-        raise ToolMissing(
-            f"compiled code cannot be loaded from there ({error})",
-            key="TMPDIR",
-            value=tempfile.gettempdir(),
-            remedy="set it to a folder from which programs may run",
-        ) from None
+        problem = f"compiled code cannot be loaded from there ({error})"
+        remedy = "set it to a folder from which programs may run"
+        raise ToolMissing(problem, key="TMPDIR", value=tempfile.gettempdir(), remedy=remedy) from None
 
 
 def compile_block(

@@ -18,8 +18,6 @@ from surctl.ir.folding import Numbering
 from surctl.ir.program import Program, drop_dead
 from surctl.ir.routine import Block, Call, Gather, Loop, Routine, Step
 
-__all__ = ["Key", "Traced", "routine"]
-
 Key = tuple[int, ...]
 """The values in an array, each as a position in the instruction list."""
 
@@ -330,11 +328,7 @@ class _Body:
     """Builds one region (a loop body, or the code outside all loops) as a program, or as a routine with loops."""
 
     def __init__(
-        self,
-        whole: _Emitter,
-        name: str,
-        inputs: Sequence[tuple[str, Key]],
-        outputs: Mapping[str, Key],
+        self, whole: _Emitter, name: str, inputs: Sequence[tuple[str, Key]], outputs: Mapping[str, Key]
     ) -> None:
         self.whole, self.regions, self.name = whole, whole.regions, name
         self.inputs, self.outputs = inputs, outputs

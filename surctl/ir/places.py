@@ -21,8 +21,6 @@ from surctl.ir.procedure import Procedure
 from surctl.ir.program import Program
 from surctl.ir.routine import Block, Call, Gather, Loop, Routine, Step, nested
 
-__all__ = ["Places", "carried_in_place", "inlined", "memory", "overlapping", "reads"]
-
 Overlaps = Mapping[str, frozenset[tuple[int, int]]]
 """For each block by its digest, the pairs (output, input) for which a caller passes the same array."""
 

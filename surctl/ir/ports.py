@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 from surctl.errors import InputError, nearest
 from surctl.units import is_number
 
-__all__ = ["Gap", "Layout", "Port"]
-
 Gap: TypeAlias = Literal["keep", "age", "anew"]
 
 

@@ -35,16 +35,6 @@ from numpy.typing import NDArray
 
 from surctl.errors import InputError
 
-__all__ = [
-    "Dual",
-    "Procedure",
-    "back",
-    "fabs",
-    "source_of",
-    "sqrt",
-    "within",
-]
-
 # Numbers with derivatives, with which a procedure is executed to differentiate it (forward mode)
 
 
@@ -324,14 +314,14 @@ class Typed:
         return self.node.name
 
 
-def constant(node: ast.expr, sizes: Mapping[str, int]) -> int:
+def _constant(node: ast.expr, sizes: Mapping[str, int]) -> int:
     """Return the value of a constant whole number: a literal, a size, or a sum, difference or product of such."""
     if isinstance(node, ast.Constant) and type(node.value) is int:
         return node.value
     if isinstance(node, ast.Attribute) and node.attr in sizes:
         return sizes[node.attr]
     if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Add | ast.Sub | ast.Mult):
-        left, right = constant(node.left, sizes), constant(node.right, sizes)
+        left, right = _constant(node.left, sizes), _constant(node.right, sizes)
         return (
             left + right
             if isinstance(node.op, ast.Add)
@@ -433,7 +423,7 @@ class _Check:
         kind = call.func.id if isinstance(call.func, ast.Name) else ""
         if _RANGES.get(kind) != len(call.args) or call.keywords or name in (*self.local, *self.turns) or name[0] == "_":
             self.wrong(call)
-        if constant(call.args[-1], self.sizes) < 0 or any(self._type(arg) != "whole" for arg in call.args):
+        if _constant(call.args[-1], self.sizes) < 0 or any(self._type(arg) != "whole" for arg in call.args):
             self.wrong(call)
         self.turns[name] = 1
         self._block(body)
@@ -522,7 +512,7 @@ def _cost(body: Sequence[ast.AST], sizes: Mapping[str, int], counts: Mapping[str
     for node in body:
         if isinstance(node, ast.For):
             assert isinstance(node.iter, ast.Call)
-            total += constant(node.iter.args[-1], sizes) * _cost(node.body, sizes, counts)
+            total += _constant(node.iter.args[-1], sizes) * _cost(node.body, sizes, counts)
         elif isinstance(node, ast.If):
             branches = [_cost(part, sizes, counts) for part in (node.body, node.orelse)]
             total += _cost([node.test], sizes, counts) + max(branches)

@@ -21,8 +21,6 @@ from numpy.typing import NDArray
 
 from surctl.errors import InputError
 
-__all__ = ["LEAVES", "LIBM", "OPERATIONS", "SUBSTITUTES", "Instruction", "Operation", "Program"]
-
 _Value = NDArray[np.floating[Any]]  # () or (batch,), of the replay's dtype
 
 LEAVES = frozenset({"const", "input"})
@@ -113,18 +111,10 @@ _TABLE = (
     Operation("eq", 2, lambda a, b: a == b, "({0} == {1}) ? 1.0 : 0.0", commutative=True),
     Operation("ne", 2, lambda a, b: a != b, "({0} != {1}) ? 1.0 : 0.0", commutative=True),
     Operation(
-        "and",
-        2,
-        lambda a, b: (a != 0) & (b != 0),
-        "(({0} != 0.0) && ({1} != 0.0)) ? 1.0 : 0.0",
-        commutative=True,
+        "and", 2, lambda a, b: (a != 0) & (b != 0), "(({0} != 0.0) && ({1} != 0.0)) ? 1.0 : 0.0", commutative=True
     ),
     Operation(
-        "or",
-        2,
-        lambda a, b: (a != 0) | (b != 0),
-        "(({0} != 0.0) || ({1} != 0.0)) ? 1.0 : 0.0",
-        commutative=True,
+        "or", 2, lambda a, b: (a != 0) | (b != 0), "(({0} != 0.0) || ({1} != 0.0)) ? 1.0 : 0.0", commutative=True
     ),
     Operation("not", 1, lambda a: a == 0, "({0} == 0.0) ? 1.0 : 0.0"),
     Operation("if_else_zero", 2, _if_else_zero, "({0} != 0.0) ? {1} : 0.0"),

@@ -13,8 +13,6 @@ from surctl.ir.procedure import Procedure
 from surctl.ir.program import OPERATIONS, Program
 from surctl.ir.routine import Block, Gather, Loop, Routine
 
-__all__ = ["replay"]
-
 Real = type[np.float64] | type[np.float32]
 Value = NDArray[np.floating[Any]]
 

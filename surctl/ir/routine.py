@@ -17,8 +17,6 @@ from surctl.errors import InputError
 from surctl.ir.procedure import Procedure
 from surctl.ir.program import Program
 
-__all__ = ["Block", "Call", "Gather", "Loop", "Routine", "Step"]
-
 
 @dataclass(frozen=True, slots=True)
 class Call:
@@ -166,7 +164,7 @@ def nested(block: Block) -> dict[int, Block]:
     return blocks
 
 
-def rebuilt(block: Block, change: Callable[[Program], Program]) -> Block:
+def changed_programs(block: Block, change: Callable[[Program], Program]) -> Block:
     """Return the program or routine after `change` has been applied once to each program in it."""
     built: dict[int, Block] = {}
     for key, inner in nested(block).items():

@@ -16,8 +16,6 @@ from surctl.ir.procedure import Procedure
 from surctl.ir.program import OPERATIONS, Instruction, Program
 from surctl.ir.routine import Block, Call, Gather, Loop, Routine, Step, own_text
 
-__all__ = ["read_block", "write_block"]
-
 _ARITY = {name: operation.arity for name, operation in OPERATIONS.items()}
 _DEEPEST = 50  # largest nesting depth of routines; recursion over deeper ones would exhaust Python's stack
 _LARGEST = 10**7  # numbers in an array of a procedure

@@ -18,8 +18,6 @@ from surctl.ir.procedure import Dual, Procedure
 from surctl.ir.program import Program
 from surctl.ir.routine import Block, Call, Gather, Loop, Routine, nested
 
-__all__ = ["on_columns", "on_vectors", "to_casadi"]
-
 # `binary` itself: for `a + b` CasADi first tries every other kind of argument, for ten times as long
 _SYMBOLIC: Mapping[str, Callable[..., Any]] = MappingProxyType(
     {

@@ -29,8 +29,6 @@ from surctl.ir.nesting import Traced, routine
 from surctl.ir.program import OPERATIONS, SUBSTITUTES, Instruction, Program, drop_dead
 from surctl.ir.routine import Block
 
-__all__ = ["Recording", "each", "fold", "lower", "lower_named", "only_if", "picked", "repeat", "tabulated"]
-
 _NAMES: Mapping[int, str] = MappingProxyType(
     {int(getattr(ca, n)): n[3:].lower() for n in dir(ca) if n.startswith("OP_")}
 )
@@ -129,11 +127,9 @@ def _expanded(function: ca.Function) -> ca.Function:
 def _dense_size(function: ca.Function, k: int) -> int:
     sparsity = function.sparsity_in(k)
     if sparsity.numel() and not (sparsity.is_dense() and sparsity.is_column()):
-        raise InputError(
-            f"is {sparsity.dim()}, not a dense column vector",
-            key=f"{function.name()}.{function.name_in(k)}",
-            remedy="pass a flat vector and reshape it inside",
-        )
+        problem = f"is {sparsity.dim()}, not a dense column vector"
+        remedy = "pass a flat vector and reshape it inside"
+        raise InputError(problem, key=f"{function.name()}.{function.name_in(k)}", remedy=remedy)
     return int(sparsity.numel())
 
 

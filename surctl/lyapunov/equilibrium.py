@@ -4,20 +4,29 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from fractions import Fraction
 
 import numpy as np
+from mpmath import libmp
 from numpy.typing import NDArray
 
-from surctl.errors import InputError
+from surctl.certcheck.enclosure import Undefined, enclose, rational
+from surctl.certcheck.expressions import ExpressionTable
+from surctl.errors import InputError, NotApplicable
 from surctl.lyapunov.dynamics import Dynamics
+from surctl.verification.formula import text_of
 
-__all__ = ["Linear", "at_equilibrium", "common_quadratic", "equilibria", "linearisation"]
+__all__ = [
+    "Linear", "at_equilibrium", "common_quadratic", "equilibria", "inexact", "linearisation",
+    "refined", "require_common",
+]  # fmt: skip
 
 Array = NDArray[np.float64]
 
 _REST = 1e-9  # largest residual of an equilibrium, relative to the largest rate of the same state in the box
 _MARGIN = 1e-7  # real parts within this share of the largest modulus of an eigenvalue count as 0
 _STARTS = 64
+_STEPS = 20  # of Newton's method, from an equilibrium that is known to some digits
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,14 +104,81 @@ def at_equilibrium(dynamics: Dynamics, *, seed: int = 0) -> Dynamics:
         raise InputError(
             many, key=f"{d.name}.equilibrium", remedy="give the equilibrium, or other bounds of the states"
         )
-    states = tuple(replace(s, equilibrium=float(v)) for s, v in zip(d.states, outcome[0], strict=True))
-    moved = replace(d, states=states)
+    moved = _about(d, outcome[0])
     if not moved.rests():
         raise InputError(
             f"moves with the parameters (at their middle: {texts})", key=f"{d.name}.equilibrium",
             remedy="fix the parameters, or claim a bound instead of stability",
         )  # fmt: skip
     return moved
+
+
+def _about(d: Dynamics, x: Array) -> Dynamics:
+    return replace(d, states=tuple(replace(s, equilibrium=float(v)) for s, v in zip(d.states, x, strict=True)))
+
+
+def refined(dynamics: Dynamics) -> Dynamics:
+    """Return the dynamics with their equilibrium, known to some digits, to the last digit and as short as possible.
+
+    Parameters have the middle of their ranges. An equilibrium that no step of Newton's method improves is kept.
+    """
+    d = dynamics
+    size = d.size()
+    size[size == 0] = 1.0
+
+    def rest(x: Array) -> Array:
+        return (d.evaluate(x[:, None])[:, 0] - (x if d.discrete else 0.0)) / size
+
+    x, near = d.equilibrium, rest(d.equilibrium)
+    for _ in range(_STEPS if near.any() else 0):
+        slope = _about(d, x).linear() - (np.eye(len(x)) if d.discrete else 0.0)
+        if not (np.isfinite(near).all() and np.isfinite(slope).all()):
+            break
+        trial = x - np.linalg.lstsq(slope / size[:, None], near, rcond=None)[0]
+        error = rest(trial)
+        if not np.abs(error).max() < np.abs(near).max():
+            break
+        x, near = trial, error
+    return _about(d, _short(d, x, size)) if np.isfinite(near).all() else d
+
+
+def require_common(dynamics: Dynamics) -> None:
+    """Raise NotApplicable unless the equilibrium lies inside the box and is one for all parameters."""
+    d = dynamics
+    for s in d.states:
+        if not s.lower < s.equilibrium < s.upper:
+            because = f"it rests at {s.name} = {s.equilibrium:.6g} {s.unit}, not in [{s.lower:g}, {s.upper:g}] {s.unit}"
+            raise NotApplicable(because, to="the loop", key=f"within.{s.name}")
+    if not d.rests():
+        middle = [replace(p, lower=m, upper=m) for p, m in zip(d.parameters, d.ranges.mean(axis=0), strict=True)]
+        alone = [(*middle[:k], p, *middle[k + 1 :]) for k, p in enumerate(d.parameters)]
+        names = [p.name for p, one in zip(d.parameters, alone, strict=True) if not replace(d, parameters=one).rests()]
+        moving = ", ".join(names or [p.name for p in d.parameters])
+        because = f"its equilibrium moves with {moving}, and a region about one point needs one value (LOW..LOW)"
+        raise NotApplicable(because, to="the loop", key=f"{d.name}.equilibrium")
+
+
+def inexact(dynamics: Dynamics) -> str:
+    """Return why no proof can be about the equilibrium, because it is one only up to rounding; empty if none is known.
+
+    Interval arithmetic shows that a state moves there.
+    """
+    d = dynamics
+    table = ExpressionTable([v.name for v in d.variables])
+    roots = [table.read(text_of(rate)) for rate in d.rates]
+    rests = [s.rest for s in d.states]
+    try:
+        for corner in d.corners().T:
+            point = [rational(x) for x in (*rests, *(Fraction(repr(float(w))) for w in corner))]
+            for s, jet in zip(d.states, enclose(table, roots, point), strict=True):
+                low, high = jet.value
+                still = rational(s.rest if d.discrete else Fraction(0))
+                if libmp.mpf_gt(low, still[1]) or libmp.mpf_lt(high, still[0]):
+                    at = ", ".join(f"{one.name} = {one.equilibrium:.9g}" for one in d.states)
+                    return f"{at} is an equilibrium only up to rounding: no double is its value, which a proof needs"
+    except Undefined:
+        pass
+    return ""
 
 
 def linearisation(dynamics: Dynamics) -> Linear:

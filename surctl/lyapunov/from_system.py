@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from fractions import Fraction
 from typing import Any
 
@@ -11,17 +13,21 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from surctl.errors import InputError, nearest
+from surctl.errors import InputError, NotApplicable, nearest
 from surctl.lyapunov.dynamics import Command, Dynamics, Range, Sampling, State, exact
-from surctl.system import System, entry_labels, entry_units
+from surctl.lyapunov.equilibrium import refined
+from surctl.system import System, entry_labels, entry_units, find_equilibrium
 from surctl.system.values import check_scalar, place_of, run_numbers, unit_of
 from surctl.verification.formula import IDENTIFIER, Node, Statement, from_casadi, number, rebuilt, substitute
 from surctl.verification.proving import prove_cases
 
-__all__ = ["NOT_COVERED", "continuous_dynamics", "sampled_dynamics"]
+__all__ = ["HELD_COMMANDS", "NOT_COVERED", "continuous_dynamics", "sampled_dynamics"]
 
 NOT_COVERED = "the control law in continuous time: sampling, hold and delay are not covered"
 """What a claim about the dynamics of `continuous_dynamics` does not cover."""
+
+HELD_COMMANDS = "the sampled loop, with held commands: a delay of the computation and rounding are not covered"
+"""What a claim about the sampled form of these dynamics (`Dynamics.sampling`) does not cover."""
 
 _AS_FLOW = "; the controller state z follows z' = (z+ - z) / period"
 
@@ -56,12 +62,13 @@ def continuous_dynamics(
             value, and a state without bounds at its equilibrium; the rate of such a state must be 0, up to rounding,
             whatever the other states are.
         values: numbers of one run as in `simulate_system`: gains, `plant.NAME`, `reference.NAME` and
-            `disturbance.NAME`, by default as there; `start.NAME` is the equilibrium, by default 0. That of a
-            controller state is its initial value.
+            `disturbance.NAME`, by default as there. The equilibrium is that of `find_equilibrium` with these numbers:
+            `start.NAME` is where its search begins. Without one, it is NaN; a bound needs none.
         ranges: lower and upper bound of single numbers, by the same names; each may vary in time between its bounds.
 
     Raises:
-        InputError: an expression depends on time, a name is unknown, or a state with equal or without bounds moves.
+        InputError: a name is unknown, or a state with equal or without bounds moves.
+        NotApplicable: the loop depends on time, has sampled blocks, or a law that is not symbolic.
 
     Example:
         >>> from surctl.ir import Layout, Port
@@ -99,7 +106,7 @@ def sampled_dynamics(
         ranges: as there; they take the place of those of the system.
 
     Raises:
-        InputError: as in `continuous_dynamics`.
+        InputError, NotApplicable: as in `continuous_dynamics`, or the loop has no equilibrium.
 
     Example:
         >>> from surctl.ir import Layout, Port
@@ -129,20 +136,16 @@ def _dynamics(
 ) -> Dynamics:
     plant, controller = system.plant, system.controller
     if blocks := system.blocks.all:
-        remedy = "prove the loop without it, or write the sampled loop as one map x+ = f(x) in discrete time"
-        raise InputError("is a sampled block, which regions do not cover", key=blocks[0].name, remedy=remedy)
+        raise NotApplicable("it has sampled blocks, which regions do not cover", to="the loop", key=blocks[0].name)
     action = getattr(controller, "action", None)
     if action is None:
-        remedy = "write plant and controller as one map x+ = f(x) in discrete time"
-        raise InputError("is compiled, without a symbolic law", key=controller.name, remedy=remedy)
+        raise NotApplicable("its controller is compiled, without a symbolic law", to="the loop", key=controller.name)
     labels = entry_labels(plant.state) + entry_labels(controller.state, "controller.")
     units = entry_units(plant.state) + entry_units(controller.state)
     for label in within:
         if label not in labels:
             raise InputError("is not a state of the system", key=f"within.{label}", remedy=nearest(label, labels))
-    # start at 0, not at the defaults of the plant's state: the start is the equilibrium
-    zero = {f"start.{port.name}": 0.0 for port in plant.state}
-    numbers = run_numbers(system, {**zero, **(values or {})})
+    numbers = run_numbers(system, values or {})
     if numbers.count != 1:
         raise InputError("has several runs", key="values", remedy="give one number for each name")
     groups = ("plant", "gains", "reference", "disturbance")
@@ -157,11 +160,17 @@ def _dynamics(
         free.append(ca.SX.sym(name))
         flat[group][place] = free[-1]
         parameters.append(Range(_identifier(name), float(low), float(high), unit_of(system, name)))
-    whole, t = ca.vertcat(numbers.start[0].tolist(), controller.initial_state().tolist()), ca.SX.sym("t")
+    t = ca.SX.sym("t")
     moves = [k for k, label in enumerate(labels) if label in within and within[label][0] != within[label][1]]
-    for k in set(range(len(labels))) - set(moves):
-        whole[k] = within.get(labels[k], [whole[k]])[0]
-    rest, symbols, whole = whole, ca.SX.sym("x", len(moves)), constants.column(whole.full().ravel().tolist())
+    try:
+        at = find_equilibrium(system, values)
+        rest = [*at.x.tolist(), *at.z.tolist()]
+    except InputError as error:
+        if sampled or len(moves) < len(labels):  # a bound or a barrier needs no equilibrium
+            raise NotApplicable(error.problem, to="the loop", key=error.key) from None
+        rest = [math.nan] * len(labels)
+    symbols = ca.SX.sym("x", len(moves))
+    whole = constants.column([0.0 if k in moves else within.get(label, [rest[k]])[0] for k, label in enumerate(labels)])
     whole[moves] = symbols
     x, z = ca.vertsplit(whole, [0, plant.state.size, whole.numel()])
     reference = system.reference_at(t, flat["reference"])
@@ -173,14 +182,11 @@ def _dynamics(
     flow = plant.derivative(x, f, disturbance, flat["plant"])
     rates = ca.densify(ca.vertcat(flow, (after - z) / constants.column([system.dt])))
     if ca.depends_on(rates, t):
-        remedy = "use a constant reference and disturbance"
-        raise InputError("depends on time", key=f"{plant.name}.reference", remedy=remedy)
+        raise NotApplicable("its reference or disturbance depends on time", to="the loop", key=plant.name)
     states = []
     for k in moves:
         low, high = within[labels[k]]
-        states.append(
-            State(_identifier(labels[k]), float(low), float(high), units[k], "", float(rest[k]), to_the_bit=True)
-        )
+        states.append(State(_identifier(labels[k]), float(low), float(high), units[k], "", rest[k], to_the_bit=True))
     names = [v.name for v in (*states, *parameters)]
     nodes = constants.expressions(ca.vertcat(symbols, *free), names, rates[moves])
     vectors = {"state": whole, **flat, "reference": reference, "disturbance": disturbance}
@@ -189,11 +195,13 @@ def _dynamics(
     resting = {label: constants.put(rates[k]) for k, label in enumerate(labels) if k not in moves}
     limits += _check_rest(resting, ca.vertcat(symbols, *free), [*states, *parameters], within)
     flat["reference"], flat["disturbance"] = reference, disturbance
-    sampling = None
-    if sampled:
-        variables = [*states, *parameters]
-        sampling = _sampling(system, moves, whole, flat, f, after, ca.vertcat(symbols, *free), variables, constants)
-    return Dynamics(plant.name, "continuous", tuple(states), tuple(nodes), tuple(parameters), limits, about, sampling)
+    dynamics = Dynamics(plant.name, "continuous", tuple(states), tuple(nodes), tuple(parameters), limits, about)
+    dynamics = refined(dynamics)
+    if not sampled:
+        return dynamics
+    inputs = ca.vertcat(symbols, *free)
+    sampling = _sampling(system, moves, whole, flat, f, after, inputs, dynamics.variables, constants)
+    return replace(dynamics, sampling=sampling)
 
 
 def _sampling(

@@ -13,16 +13,16 @@ from surctl.lyapunov.candidates import Candidate, candidates, strict_variants
 from surctl.lyapunov.claims import Stability
 from surctl.lyapunov.decide import Decision, decide_motion, has_branches, prove_by_slopes, prove_motion
 from surctl.lyapunov.dynamics import Dynamics
-from surctl.lyapunov.equilibrium import Linear, linearisation
+from surctl.lyapunov.equilibrium import Linear, inexact, linearisation
 from surctl.lyapunov.falsified import Falsified, least_level
 from surctl.lyapunov.near import Failure, fails_nearby, short, stationary_state, too_fast
 from surctl.lyapunov.rays import hugged
 from surctl.lyapunov.sampled import sampled_region
 from surctl.lyapunov.slope_search import LABEL as SLOPES
 from surctl.lyapunov.slope_search import slope_candidate
-from surctl.verification.formula import Node, text_of
+from surctl.verification.formula import Node, ordered, text_of
 
-__all__ = ["StabilityResult", "find_stability"]
+__all__ = ["StabilityResult", "find_stability", "unprovable"]
 
 _SHARES = (0.005, 0.02, 0.1, 0.3, 0.5, 0.7, 0.8, 0.9, 0.95, 0.97, 0.99)  # of the least level with a counterexample
 _FIRST, _PART = 7, 0.4  # index of the share that is tried first; share of the remaining time for one level
@@ -162,6 +162,8 @@ def find_stability(
             return replace(result, label="given", counterexample=failure.values, instead=instead)
     elif reason := too_fast(d, linear, demanded):
         return _none("refuted", reason, began)
+    elif reason := unprovable(d):
+        return _none("unknown", reason, began)
     slopes: StabilityResult | None = None
     stated = function is not None or level is not None or rate == "largest"
     if d.sampling is not None and not stated and linear.verdict == "stable":
@@ -169,6 +171,8 @@ def find_stability(
         if held is not None:
             seconds = time.perf_counter() - began
             return StabilityResult("proved", "", held.decision, None, SLOPES, held.volume, seconds)
+        if _jumps(d.rates):
+            return _none("unknown", f"no region of the sampled loop is proved, and the law {_JUMPS}", began)
     few = len(d.states) <= _FEW
     searched = function is None and level is None and linear.verdict == "stable"
     hard = has_branches(d) or len(d.variables) > _MANY
@@ -229,6 +233,23 @@ def find_stability(
     if rate == "largest" and best.verdict == "proved":
         best = _with_rate(best, max(until - time.process_time(), _LARGEST * time_limit), seed, progress)
     return replace(best, seconds=time.perf_counter() - began)
+
+
+_JUMPS = "may jump (if_else, select), for which no rule has a proof: write limits with fmin and fmax"
+
+
+def unprovable(dynamics: Dynamics) -> str:
+    """Return why no proof of a region can be found, whatever its function; empty if nothing is known.
+
+    The dynamics jump between sampling instants, or no double is their equilibrium.
+    """
+    d = dynamics
+    flow = d.rates if d.sampling is None else tuple(d.sampling.flow.values())
+    return f"the dynamics {_JUMPS}" if not d.discrete and _jumps(flow) else inexact(d)
+
+
+def _jumps(expressions: tuple[Node, ...]) -> bool:
+    return any(node.op == "select" for node in ordered(*expressions))
 
 
 def _by_slopes(

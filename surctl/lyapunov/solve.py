@@ -16,9 +16,10 @@ from surctl.lyapunov.claims import Safety, every_digit
 from surctl.lyapunov.decide import Decision, decide_motion
 from surctl.lyapunov.dynamics import Dynamics
 from surctl.lyapunov.equilibrium import at_equilibrium, equilibria, linearisation
+from surctl.lyapunov.from_system import HELD_COMMANDS
 from surctl.lyapunov.problem import Problem
 from surctl.lyapunov.sampled import SampledStability
-from surctl.lyapunov.search import find_stability
+from surctl.lyapunov.search import find_stability, unprovable
 from surctl.verification.falsifier import sobol
 from surctl.verification.formula import Node, ordered, parse, text_of, values_of
 from surctl.verification.formula.parser import clipped, decimal_text
@@ -138,7 +139,7 @@ def limits_sentence(dynamics: Dynamics, function: Node, level: float, whole: Dyn
     return text + (f"one acts at V = {beyond.min():.3g}" if beyond.size else "none acts in the box either")
 
 
-_HELP, _HELP_MOST = 0.25, 15.0  # share of the time limit for weaker claims, and the most [s]
+_HELP, _HELP_MOST = 0.2, 10.0  # share of the time limit for weaker claims, and the most [s]
 _MULTIPLIERS = ("0", "-1", "-0.1", "1", "-10")
 
 
@@ -186,6 +187,11 @@ class Solution:
         return self.decision is not None and isinstance(self.decision.claim, SampledStability)
 
     @property
+    def about(self) -> str:
+        """What the claim is about, and what it does not cover."""
+        return HELD_COMMANDS if self.sampled else self.problem.dynamics.source
+
+    @property
     def vacuous(self) -> str:
         """Why a proved claim says nothing, as the checker finds; empty if it says something."""
         return self.decision.vacuous if self.decision is not None and self.verdict == "proved" else ""
@@ -193,6 +199,8 @@ class Solution:
     def lines(self) -> list[str]:
         """Return the lines that state the solution: verdict and claim, what the claim is about, reason."""
         name, decision = self.problem.dynamics.name, self.decision
+        if decision is not None and self.problem.dynamics.sampling is not None and not self.sampled:
+            name += ", law in continuous time"
         then = [f"  a region is proved with {self.instead}"] if self.instead else []
         if decision is None:
             lines = [f"{self.verdict:<8} {name}: {self.reason} ({self.seconds:.1f} s)"]
@@ -203,7 +211,7 @@ class Solution:
         letter = "B" if claim.kind == "barrier" else "V"
         if self.verdict != "proved":
             fate = "is refuted" if self.verdict == "refuted" else "is neither proved nor refuted"
-            first = f"the claim that {first} {fate}"
+            first = f"the claim that {first} {fate}{f': {self.reason}' * bool(self.reason)}"
         elif self.vacuous:
             first = f"vacuous, because {self.vacuous}: {first}"
         lines = [
@@ -218,7 +226,7 @@ class Solution:
             lines.append(f"  proved by {decision.rule}")
         if self.limits:
             lines.append(f"  {self.limits}")
-        return [*lines, *([f"  {self.reason}"] if self.reason else []), *then]
+        return [*lines, *then]
 
     @cached_property
     def limits(self) -> str:
@@ -271,8 +279,8 @@ def solve(
         problem: the problem. Without `function`, a function is searched; without `level`, the largest level that can be
             proved; without `multiplier` of a stated barrier, several numbers are tried.
         first: whether the first region that is proved is enough.
-        time_limit: limit of the processor time [s]. If a claim about a region is not decided, weaker ones are tried for
-            a quarter of it, at most 15 s, to name one that is proved.
+        time_limit: limit of the processor time [s]. The last fifth of it, at most 10 s, is for weaker claims, if one
+            about a region is not decided, to name one that is proved.
         seed: seed of the random numbers.
         progress: function that receives a line of progress from time to time.
 
@@ -293,11 +301,14 @@ def solve(
         >>> solution.verdict, round(solution.falsified, 3), solution.decision.claim.level >= 0.9
         ('proved', 1.0, True)
     """
-    solution = _solved(problem, first, time_limit, seed, progress)
+    helped = min(_HELP * time_limit, _HELP_MOST) if problem.kind == "lyapunov" else 0.0
+    solution = _solved(problem, first, time_limit - helped, seed, progress)
     if solution.verdict != "unknown" or problem.kind != "lyapunov":
         return solution
+    if why := unprovable(solution.problem.dynamics):
+        return replace(solution, reason=why)
     began = time.perf_counter()
-    step = _next_step(solution.problem, seconds=min(_HELP * time_limit, _HELP_MOST), seed=seed)
+    step = _next_step(solution.problem, seconds=helped, seed=seed)
     reason = solution.reason
     if step.tried:
         reason += f"; not proved either: {'; '.join(step.tried)}"

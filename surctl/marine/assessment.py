@@ -30,7 +30,7 @@ from surctl.marine.simulation.echo_fit import detection_range
 from surctl.marine.vehicle import Vehicle
 from surctl.marine.vehicle.linearise import check_cruise
 from surctl.marine.vehicle.specs import DEFAULTED
-from surctl.marine.verification import LawCorners, law_corners, steady_motion, worst_margins
+from surctl.marine.verification import LawCorners, law_corners, loop_margins, steady_motion
 from surctl.marine.verification.corners import DRAG_SPREAD, MASS_SPREAD
 from surctl.marine.verification.cruise_loop import TRACKING_LAW, has_cruise_loop
 from surctl.marine.verification.linear import (
@@ -218,19 +218,21 @@ def _contact_part(
     if CASCADE not in law_source(law).parts:
         text = f"no contact: not judged, because the claim concerns law guarded and this is {label(law)}"
         return Part((), (Line(None, text, "runs", counts=bool(met)),))
+    sensed = "by sonar" if sonar else "with true positions"
     claims = [judged_contact(*each, gains, sonar=sonar, barrier=barrier, movers=movers, spread=spread) for each in met]
     lines = []
     for (scenario, _), claim in zip(met, claims, strict=True):
         if isinstance(claim, Inapplicable):
-            lines.append(Line(None, f"no contact in {scenario.name}: {claim.sentence}", "runs"))
+            lines.append(Line(None, f"no contact in {scenario.name} {sensed}: {claim.sentence}", "runs"))
             continue
         how = f"holds: margin {claim['margin']:g} m, needed {claim['margin needed']:.3g} m"
         end = how if claim.holds else f"does not hold: {claim.shortfall}"
-        lines.append(Line(claim.holds, f"no contact in {scenario.name} {end}", "runs"))
+        lines.append(Line(claim.holds, f"no contact in {scenario.name} {claim.sensed} {end}", "runs"))
     spare = [(c["margin"] - c["margin needed"], c.scenario) for c in claims if isinstance(c, SafetyClaim)]
     if not spare:
         return Part((), tuple(lines), tuple(claims))
     least, where = min(spare)
+    where = f"{where} {sensed}"
     figure = Figure("contact_margin_m", least, "m", "gain margin beyond the one that braking needs", "high", 0.0, where)
     return Part((figure,), tuple(lines), tuple(claims))
 
@@ -284,7 +286,7 @@ class LoopAnalysis:
 
     Attributes:
         cruise: cruise speed [m/s].
-        margins: margins of each loop alone, of the nominal vehicle, or the least over a stated uncertainty.
+        margins: margins of each loop alone, of the nominal vehicle.
         sides: all loops together, nominal and worst corner; empty for a law that is linearised numerically.
         mode: the slowest or most unstable mode; None for such a law.
         law: the sampled loop of such a law, or None.
@@ -301,7 +303,6 @@ class LoopAnalysis:
     law: LawCorners | None = None
     unjudged: str = ""
     failed: bool = False
-    uncertainty: float | None = None
     assumptions: tuple[Assumption, ...] = ()
     motion: str = ""
 
@@ -323,7 +324,7 @@ class LoopAnalysis:
             place = f"about {self.law.nominal.place}"
         mode = self.mode
         why = "; lower the cruise speed" if mode is None else f" (loop {mode.loop}): {unstable_text(mode)}"
-        line = loop_line(figures, stable=self.stable is not False, place=place, which=self._which, unstable=why)
+        line = loop_line(figures, stable=self.stable is not False, place=place, unstable=why)
         if self.motion:
             line = replace(line, text=f"{line.text}; {self.motion}")
         return Part(tuple(figures.values()), (line,), self, self.assumptions)
@@ -331,16 +332,14 @@ class LoopAnalysis:
     def _figures(self) -> dict[str, Figure]:
         if self.law is not None:
             nominal, worst, corner = self.law.nominal.disk, self.law.disk, self.law.corner
+            delays = (self.law.nominal_delay, self.law.delay)
             slowest = (self.law.nominal.slowest_per_s, self.law.slowest_per_s)
         else:
             first, last = self.sides
             nominal, worst, corner = first.disk, last.disk, last.corner or "the nominal vehicle"
+            delays = (first.delay, last.delay)
             slowest = (first.slowest_per_s, last.slowest_per_s)
-        return loop_figures((nominal, worst), slowest, self.margins, corner=corner, which=self._which)
-
-    @property
-    def _which(self) -> str:
-        return f"mass and drag off by ±{self.uncertainty:.0%}" if self.uncertainty else "nominal vehicle"
+        return loop_figures((nominal, worst), delays, slowest, self.margins, corner=corner)
 
 
 def unstable_text(mode: Mode) -> str:
@@ -395,13 +394,12 @@ def _analyse_loop(
         values = gains.values
         analysis = LoopAnalysis(
             cruise,
-            worst_margins(vehicle, values, uncertainty=uncertainty or 0.0, **speeds),
+            loop_margins(vehicle, values, **speeds),
             (
                 linear_side(vehicle, values, **speeds),
                 worst_linear_side(corners(vehicle, uncertainty), values, **speeds),
             ),
             slowest_mode(vehicle, values, **speeds),
-            uncertainty=uncertainty,
             assumptions=assumptions(vehicle, values, uncertainty=uncertainty, **speeds),
         )
         return _with_motion(analysis, analysis.sides[-1].at, vehicle, gains, built)

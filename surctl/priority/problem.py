@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from surctl.errors import InputError, nearest
 from surctl.priority.settings import ZERO_ROW
-from surctl.tasks.limits import Kind
+from surctl.tasks.task import Kind
 
 __all__ = ["CROSSING", "Level", "PriorityProblem", "Row", "build_problem"]
 

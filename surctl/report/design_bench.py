@@ -21,7 +21,7 @@ from surctl.files import quoted, read_toml, write_file
 from surctl.ir import Layout
 from surctl.lyapunov import solve
 from surctl.report.motion_plots import plot_motion
-from surctl.report.panel import Curve, Panel
+from surctl.report.panel import Curve, Panel, Shade
 from surctl.system import LinearLoop, Record, System, entry_labels, entry_units, linearise, run_system
 from surctl.tuning.loop_goals import LoopGoal
 
@@ -176,8 +176,9 @@ class SystemBench:
             for name, value in record.figures.items():
                 cost = self.system.costs[name]
                 bad = cost.at_most is not None and not value <= cost.at_most
-                text = _quantity(value, cost.unit) + ("" if cost.at_most is None else f" for {cost.at_most:g}")
-                rows.append((f"{cost.meaning or name}, {point}", text, f"cost {name} {point}", "bad" if bad else ""))
+                text = _quantity(value, cost.unit) + ("" if cost.at_most is None else f", at most {cost.at_most:g}")
+                mark = "" if cost.at_most is None else "bad" if bad else "good"
+                rows.append((f"{cost.meaning or name}, {point}", text, f"cost {name} {point}", mark))
             for label, values_, unit in _entries(record, "command"):
                 rows.append(
                     (f"{label}, {point}", activity(values_, record.system.dt, unit), f"act {label} {point}", "")
@@ -307,10 +308,17 @@ def _entries(record: Record, *kinds: str) -> list[tuple[str, Array, str]]:
 def _signal_panels(runs: Mapping[str, Record]) -> list[Panel]:
     """Return a panel for each state and command with the run of every operating point."""
     panels: dict[str, tuple[str, list[Curve]]] = {}
+    shades: dict[str, list[Shade]] = {}
     for k, (point, record) in enumerate(runs.items()):
         for kind in ("state", "command", "reference"):
             for label, values, unit in _entries(record, kind):
                 step = max(1, len(values) // _MOST_TIMES)
                 curve = Curve(record.time[::step], values[::step], point, k, "steps" if kind == "command" else "line")
                 panels.setdefault(label, (unit, []))[1].append(curve)
-    return [Panel(f"Run: {label}", "time [s]", f"{label} [{unit}]", curves) for label, (unit, curves) in panels.items()]
+                if limits := record.system.limits.get(label):
+                    (low, high), ends = limits, record.time[[0, -1]]
+                    shades[label] = [Shade(ends, np.full(2, low), "below"), Shade(ends, np.full(2, high), "above")]
+    return [
+        Panel(f"Run: {label}", "time [s]", f"{label} [{unit}]", curves, shades.get(label, ()))
+        for label, (unit, curves) in panels.items()
+    ]

@@ -223,7 +223,7 @@ def render_sections(
     script = "".join((_TEMPLATES / name).read_text(encoding="utf-8") for name in scripts)
     # a line that the first line quotes whole, and that leads nowhere, is not said twice
     shown = [line for line in _linked(lines, sections) if line.about or not banner.endswith(f": {line.text}")]
-    hidden = [line for line in shown if folds and line.rank >= 2]
+    hidden = [line for at, line in enumerate(shown) if folds and (line.rank > 2 or (line.rank == 2 and at >= _FACTS))]
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii")
     page = environment.get_template("page.html")
     return page.render(
@@ -242,6 +242,9 @@ def render_sections(
         rank=Line(passed, banner).rank,
         banner=banner,
     )
+
+
+_FACTS = 3  # lines under the banner, also where all of them hold
 
 
 def _linked(lines: Sequence[Line], sections: Sequence[Section]) -> list[Line]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import lru_cache
 from html import escape
 from pathlib import Path
@@ -22,6 +22,7 @@ from surctl.system import LinearLoop
 from surctl.tuning.loop_goals import LoopView
 from surctl.tuning.loop_responses import frequencies, rates, response, stable, step_series
 from surctl.tuning.loop_scores import LoopScores, Score, judge_loops
+from surctl.verification.linear import LEAST_DISK_MARGIN
 from surctl.verification.sampled_margins import quick_margins
 
 __all__ = ["page", "plot_loop", "plot_loop_goals", "plot_loops", "plot_tightest", "respond"]
@@ -30,6 +31,12 @@ Array = NDArray[np.float64]
 Loops = Mapping[str, LinearLoop]
 
 _CIRCLE = np.linspace(0, 2 * np.pi, 97)
+_NEAR = (2 - LEAST_DISK_MARGIN) / (2 + LEAST_DISK_MARGIN)  # where the disk meets the real axis: -1/_NEAR and -_NEAR
+_FORBIDDEN = (
+    -(1 / _NEAR + _NEAR) / 2 + (1 / _NEAR - _NEAR) / 2 * np.cos(_CIRCLE),
+    (1 / _NEAR - _NEAR) / 2 * np.sin(_CIRCLE),
+)
+"""The disk that the Nyquist curve must avoid for the least disk margin (skew 0)."""
 _FACTORS = np.geomspace(0.05, 20, 61)  # on the loop gain, of the root locus
 _HERE = 30  # index of the factor 1
 _REST = 0.01  # of the range of a response: smaller changes are not shown
@@ -74,7 +81,8 @@ def _loop_panels(
         Panel("Sensitivity |S|", w, "|S| [dB]", S, log_x=True, limits=(None, (-40.0, 12.0)), note=_unstable(loops)),
         Panel("Complementary sensitivity |T|", w, "|T| [dB]", T, log_x=True, limits=(None, (-40.0, 12.0))),
         Panel("Nyquist curve", "real part of L", "imaginary part of L", [*nyquist, _unit()],
-              marks=[(-1.0, 0.0, "-1")], limits=((-3.0, 1.5), (-2.0, 2.0)), equal=True),
+              marks=[(-1.0, 0.0, "-1")], limits=((-3.0, 1.5), (-2.0, 2.0)), equal=True, regions=[_FORBIDDEN],
+              note=f"in the shaded disk, the disk margin of this loop is below {LEAST_DISK_MARGIN:g}"),
     ]  # fmt: skip
     if source and end:
         span = _until_rest(steps)
@@ -399,8 +407,19 @@ def _goals(bench: DesignBench, request: Request) -> dict[str, Any]:
     scores, others = (None if one is None else judge_loops(bench.goals, one) for one in (loops, compared))
     assert scores is not None
     worst = max((score.judgement.normalised for score in scores.scores), default=0.0)
-    panels = "".join(map(panel_svg, _goal_panels(scores, compared=others)))
-    return {"html": panels, "worst": _number(worst)}
+    panels = _goal_panels(scores, compared=others)
+    strip = _strip((panel.title.rpartition(" (")[0], panel.note, panel.mark) for panel in panels)
+    return {"html": "".join(map(panel_svg, panels)), "worst": _number(worst), "strip": strip}
+
+
+def _strip(goals: Iterable[tuple[str, str, str]]) -> str:
+    """Return name, text and mark ("good", "bad") of what should hold as entries of the list that stays in view."""
+    return "".join(
+        f'<li class="{mark}">{"✓" if mark == "good" else "✗"} {escape(name)}: '
+        f"{escape(text.removeprefix('met: ').removeprefix('missed: '))}</li>"
+        for name, text, mark in goals
+        if mark
+    )
 
 
 def _details(bench: DesignBench, request: Request) -> dict[str, Any]:
@@ -444,7 +463,8 @@ def _run(bench: DesignBench, request: Request) -> dict[str, Any]:
         "</table></div>"
     )
     html = "".join(map(panel_svg, view.panels)) + _picture(view.picture) + _command(bench, request, "run")
-    return {"table": table, "html": html, "moved": getattr(bench, "version", 0) != before}
+    strip = _strip((name.removeprefix("goal ").removeprefix("cost "), text, mark) for _, text, name, mark in view.rows)
+    return {"table": table, "html": html, "strip": strip, "moved": getattr(bench, "version", 0) != before}
 
 
 def _slow(bench: DesignBench, request: Request) -> dict[str, Any]:

@@ -32,7 +32,7 @@ from surctl.report.system_plots import plot_dependence, plot_record
 from surctl.report.theme import number
 from surctl.system import Record, Runs, entry_labels, entry_units
 from surctl.tuning import SystemSweep
-from surctl.verification import LoopMargins
+from surctl.verification import Inapplicable, LoopMargins
 from surctl.verification.linear import DiskMargin
 
 __all__ = [
@@ -94,10 +94,17 @@ def sil_blocks(reports: Sequence[SilReport]) -> list[Block]:
 def figures_table(assessment: Assessment) -> Table:
     """Return the table of the figures of an assessment."""
     rows = tuple(
-        (Cell(f.name, code=True), Cell(number(f.value), number=True), f.unit, f.meaning, f.where)
+        (
+            Cell(f.name, code=True),
+            Cell(number(f.value), number=True),
+            Cell(f.required, number=True),
+            f.unit,
+            f.meaning,
+            f.where,
+        )
         for f in assessment.figures.values()
     )
-    return Table("Figures of the assessment", ("figure", "value", "unit", "meaning", "worst at"), rows)
+    return Table("Figures of the assessment", ("figure", "value", "required", "unit", "meaning", "worst at"), rows)
 
 
 def margins_table(caption: str, margins: Sequence[LoopMargins]) -> Table:
@@ -203,7 +210,7 @@ def _margins(study: SystemStudy) -> tuple[Block, ...]:
         figures_table(study.assessment),
         Paragraph(text),
         Pictures((loops,)),
-        margins_table("Margins", loop.nominal.margins),
+        margins_table("Margins of each loop alone, nominal", loop.nominal.margins),
         disk_table([("nominal", disk) for disk in loop.nominal.disks]),
         Paragraph(f"Slowest mode: {study.mode}."),
         Table("Equilibrium", ("kind", "entry", "value", "unit"), rest),
@@ -214,6 +221,8 @@ def _region(study: SystemStudy) -> tuple[Block, ...]:
     solution = study.assessment.sources.get("region")
     if solution is None:
         return ()
+    if isinstance(solution, Inapplicable):
+        return (Paragraph(f"Not assessed: {solution.sentence}.", "note"),)
     first, *others = (" ".join(line.split()) for line in solution.lines())
     marks: dict[str, Literal["good", "bad"]] = {"proved": "good", "refuted": "bad"}
     blocks: list[Block] = [Paragraph(first, marks.get(solution.verdict, "")), *map(Paragraph, others)]
@@ -222,7 +231,7 @@ def _region(study: SystemStudy) -> tuple[Block, ...]:
         figures = plot_motion(solution.dynamics, claim.function, level=claim.level, falsified=solution.falsified)
         text = "Level set of the Lyapunov function, with solutions of the dynamics."
         blocks.append(Pictures((picture(figures, alt=text, caption=text, command=study.commands["verify"]),)))
-    return (*blocks, Paragraph(f"Limits of the claim: {solution.problem.dynamics.source}."))
+    return (*blocks, Paragraph(f"The claim is about {solution.about}."))
 
 
 def _sweep(study: SystemStudy) -> tuple[Block, ...]:

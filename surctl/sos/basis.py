@@ -12,14 +12,6 @@ from numpy.typing import NDArray
 
 from surctl.sos.polynomial import Monomial, Polynomial
 
-__all__ = [
-    "Gram",
-    "monomials",
-    "parity_classes",
-    "pruned",
-    "restricted",
-]
-
 
 def monomials(variables: Iterable[int], highest: int, *, lowest: int = 0) -> list[Monomial]:
     """Return all monomials in the variables with a total degree from `lowest` to `highest`, ordered by degree.

@@ -22,16 +22,6 @@ from surctl.sos.basis import Gram, monomials, parity_classes, pruned, restricted
 from surctl.sos.polynomial import Monomial, Number, Polynomial, joined
 from surctl.sos.program import Affine, Program, Solution, Squares
 
-__all__ = [
-    "Certificate",
-    "GramBlock",
-    "LinearUnknown",
-    "certify",
-    "completed",
-    "corrected",
-    "is_semidefinite",
-]
-
 # Exact test whether a symmetric matrix of integers is positive semidefinite
 
 
@@ -155,8 +145,7 @@ def corrected(rest: Mapping[Monomial, Fraction], columns: Sequence[LinearUnknown
         if own is not None:
             later[m] = own
     solved = _eliminated(
-        {m: dict(e) for m, e in equations.items() if m not in later},
-        {m: s for m, s in sides.items() if m not in later},
+        {m: dict(e) for m, e in equations.items() if m not in later}, {m: s for m, s in sides.items() if m not in later}
     )
     if solved is None:
         return None

@@ -6,15 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 
-__all__ = [
-    "ONE",
-    "Monomial",
-    "Number",
-    "Polynomial",
-    "joined",
-    "quotient",
-]
-
 Monomial = tuple[tuple[int, int], ...]
 """A monomial: pairs (variable, exponent ≥ 1) in the order of the variables; () is the monomial 1."""
 Number = Fraction | float

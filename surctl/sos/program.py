@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 
 from surctl.sos.polynomial import Monomial, Number, Polynomial, joined
 
-__all__ = ["Affine", "Program", "Solution", "Squares"]
-
 Array = NDArray[np.float64]
 
 _FIXED = -1  # the key of the known part of a coefficient

@@ -17,15 +17,12 @@ from surctl.tasks.limits import (
     Barrier,
     BrakingBarrier,
     HalfPlane,
-    Kind,
-    Limit,
-    LimitRow,
     ThrustLimit,
     VelocityBox,
     allowed_closing_speed,
 )
 from surctl.tasks.stack import RateLimit, SetTask, Stack
-from surctl.tasks.task import Task, wrap
+from surctl.tasks.task import Kind, Limit, LimitRow, Task, wrap
 
 __all__ = [
     "AccelerationLimit",

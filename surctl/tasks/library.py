@@ -7,16 +7,6 @@ import casadi as ca
 from surctl.errors import InputError
 from surctl.tasks.task import Expression, Task, is_symbol, sized_column
 
-__all__ = [
-    "clearance_task",
-    "depth_task",
-    "distance_task",
-    "heading_task",
-    "line_of_sight_task",
-    "position_task",
-    "velocity_task",
-]
-
 _NEAR = 1e-6
 """Distance [m] below which a direction is undefined; its derivative is then 0 and not NaN."""
 

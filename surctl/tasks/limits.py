@@ -16,7 +16,6 @@ from surctl.tasks.task import (
     Expression,
     Kind,
     Kinematics,
-    Limit,
     LimitRow,
     as_expression,
     axis_names,
@@ -29,21 +28,6 @@ from surctl.tasks.task import (
     kinematics_of,
     width,
 )
-
-__all__ = [
-    "AccelerationLimit",
-    "ActuatorLimits",
-    "Alpha",
-    "Barrier",
-    "BrakingBarrier",
-    "HalfPlane",
-    "Kind",
-    "Limit",
-    "LimitRow",
-    "ThrustLimit",
-    "VelocityBox",
-    "allowed_closing_speed",
-]
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,12 +176,9 @@ def _closing_row(name: str, eta: ca.SX, h: ca.SX, kinematics: Kinematics = None)
         )
     row = ca.simplify(-(ca.jacobian(h, eta) @ kinematics_of(f"limit {name}", eta, kinematics)))
     if ca.sparsify(row).nnz() == 0:
-        raise InputError(
-            "does not depend on eta, so no velocity changes it",
-            key=f"limit {name}: h",
-            value=h,
-            remedy="express it by this barrier's own eta symbol; for a bound on velocity use a HalfPlane",
-        )
+        problem = "does not depend on eta, so no velocity changes it"
+        remedy = "express it by this barrier's own eta symbol; for a bound on velocity use a HalfPlane"
+        raise InputError(problem, key=f"limit {name}: h", value=h, remedy=remedy)
     return ca.densify(row)
 
 
@@ -210,17 +191,12 @@ def _check_class_k(name: str, alpha: Callable[[ca.SX], ca.SX]) -> None:
     values = np.array(ca.Function("alpha", [s], [image]).map(_SAMPLES.size)(_SAMPLES)).reshape(-1)
     for value, at in zip(values, _SAMPLES, strict=True):
         if not math.isfinite(value) or (abs(value) > 1e-12 if at == 0.0 else value * at <= 0.0):
-            raise InputError(
-                f"is not of class K: alpha({at:.3g}) = {value:.3g}",
-                key=f"limit {name}: alpha",
-                remedy="it must be 0 at 0 and have the sign of its argument elsewhere",
-            )
+            problem = f"is not of class K: alpha({at:.3g}) = {value:.3g}"
+            remedy = "it must be 0 at 0 and have the sign of its argument elsewhere"
+            raise InputError(problem, key=f"limit {name}: alpha", remedy=remedy)
     for k in np.flatnonzero(np.diff(values) < 0.0):
-        raise InputError(
-            f"decreases between {_SAMPLES[k]:.3g} and {_SAMPLES[k + 1]:.3g}",
-            key=f"limit {name}: alpha",
-            remedy="give a function that never decreases",
-        )
+        problem = f"decreases between {_SAMPLES[k]:.3g} and {_SAMPLES[k + 1]:.3g}"
+        raise InputError(problem, key=f"limit {name}: alpha", remedy="give a function that never decreases")
 
 
 @dataclass(frozen=True, eq=False)
@@ -497,11 +473,8 @@ class ActuatorLimits:
             return
         for field in ("nu", "dt"):
             if not ca.is_equal(getattr(self.acceleration, field), getattr(self.thrust, field), 2):
-                raise InputError(
-                    f"has another {field} than limit {self.thrust.name}",
-                    key=f"limit {self.acceleration.name}",
-                    remedy=f"build both from one {field}",
-                )
+                problem = f"has another {field} than limit {self.thrust.name}"
+                raise InputError(problem, key=f"limit {self.acceleration.name}", remedy=f"build both from one {field}")
 
     def reachable(self) -> ca.SX:
         """Return the velocity (n,) that the widened boxes contain: the point p of the class docstring."""

@@ -21,12 +21,6 @@ from surctl.tasks.task import (
     sized_column,
 )
 
-__all__ = [
-    "RateLimit",
-    "SetTask",
-    "Stack",
-]
-
 # Set-based task: a quantity σ of the robot's pose that may have any value between two bounds
 
 
@@ -244,26 +238,17 @@ class Stack:
         places: dict[str, int] = {}
         for place, task in enumerate(self.tasks, start=1):
             if task.name in places:
-                raise InputError(
-                    f"names both task {places[task.name]} and task {place}",
-                    key="stack",
-                    value=task.name,
-                    remedy="rename one of them",
-                )
+                problem = f"names both task {places[task.name]} and task {place}"
+                raise InputError(problem, key="stack", value=task.name, remedy="rename one of them")
             places[task.name] = place
             if not ca.is_equal(task.eta, self.tasks[0].eta):
-                raise InputError(
-                    f"uses another eta symbol than task {self.tasks[0].name}",
-                    key=f"task {task.name}",
-                    remedy="build all tasks of a stack from one eta",
-                )
+                problem = f"uses another eta symbol than task {self.tasks[0].name}"
+                raise InputError(problem, key=f"task {task.name}", remedy="build all tasks of a stack from one eta")
             first = self.tasks[0].mapping
             if task.mapping.shape != first.shape or not ca.is_equal(ca.densify(task.mapping), ca.densify(first), 9):
-                raise InputError(
-                    f"has different kinematics from task {self.tasks[0].name}",
-                    key=f"task {task.name}",
-                    remedy="give all tasks of a stack the same kinematics",
-                )
+                problem = f"has different kinematics from task {self.tasks[0].name}"
+                remedy = "give all tasks of a stack the same kinematics"
+                raise InputError(problem, key=f"task {task.name}", remedy=remedy)
 
     @property
     def eta(self) -> ca.SX:

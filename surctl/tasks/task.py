@@ -10,34 +10,7 @@ from typing import Any, Literal, Protocol, TypeAlias, get_args
 
 import casadi as ca
 
-from surctl.errors import InputError, nearest
-
-__all__ = [
-    "AXES",
-    "Expression",
-    "Kind",
-    "Kinematics",
-    "Limit",
-    "LimitRow",
-    "Task",
-    "as_column",
-    "as_expression",
-    "axis_names",
-    "checked_column",
-    "checked_kind",
-    "checked_name",
-    "checked_order",
-    "checked_positive",
-    "is_pose",
-    "is_symbol",
-    "jacobian",
-    "kinematics_of",
-    "planar_rotation",
-    "sigma_column",
-    "sized_column",
-    "width",
-    "wrap",
-]
+from surctl.errors import InputError, check_known
 
 
 def wrap(angle: ca.SX) -> ca.SX:
@@ -256,12 +229,8 @@ def sized_column(value: Expression, sizes: tuple[int, ...], *, key: str) -> ca.S
 
 def _check_name(name: object) -> None:
     if not isinstance(name, str) or not name.isidentifier() or not name.isascii():
-        raise InputError(
-            "is not a task name",
-            key="task.name",
-            value=name,
-            remedy="use letters, digits and _, starting with a letter",
-        )
+        remedy = "use letters, digits and _, starting with a letter"
+        raise InputError("is not a task name", key="task.name", value=name, remedy=remedy)
 
 
 def _wrong(task: Task, field: str, problem: str, remedy: str, value: object = None) -> InputError:
@@ -349,9 +318,7 @@ def checked_name(name: object) -> str:
 
 def checked_kind(name: str, kind: str) -> None:
     """Raise InputError if the kind of a limit is unknown; the message suggests a known kind with a similar name."""
-    if kind not in get_args(Kind):
-        remedy = nearest(str(kind), get_args(Kind))
-        raise InputError("unknown kind of limit", key=f"limit {name}", value=kind, remedy=remedy)
+    check_known(kind, get_args(Kind), "unknown kind of limit", key=f"limit {name}")
 
 
 def checked_column(name: str, field: str, value: Expression, size: int, *, finite: bool = False) -> ca.SX:
@@ -403,9 +370,5 @@ def checked_order(name: str, lower: ca.SX, upper: ca.SX) -> None:
         return
     low, high = float(lower), float(upper)
     if low > high or low == math.inf or high == -math.inf:
-        raise InputError(
-            "allows no velocity",
-            key=f"limit {name}",
-            value=[low, high],
-            remedy="give lower <= upper, or inf for none",
-        )
+        remedy = "give lower <= upper, or inf for none"
+        raise InputError("allows no velocity", key=f"limit {name}", value=[low, high], remedy=remedy)

@@ -11,12 +11,10 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.errors import InputError, nearest
+from surctl.errors import InputError, check_known, nearest
 from surctl.priority import BACKENDS, solve_least_distance
 from surctl.priority.backends import Kernel, KernelSolution
 from surctl.testing.ranges import CheckFailed, checked_count
-
-__all__ = ["BACKEND_FAMILIES", "BackendReport", "Known", "check_backend", "draw_known", "measure_backend"]
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -266,8 +264,7 @@ def measure_backend(
     if isinstance(families, str) or not families:
         raise InputError("is not a list of names", key="families", value=families, remedy=nearest("", BACKEND_FAMILIES))
     for family in families:
-        if family not in BACKEND_FAMILIES:
-            raise InputError("no such family", key="families", value=family, remedy=nearest(family, BACKEND_FAMILIES))
+        check_known(family, BACKEND_FAMILIES, "no such family", key="families")
     name, kernel = _named_kernel(backend)
     rng = np.random.default_rng(seed)
     by_family = {

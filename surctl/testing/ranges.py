@@ -13,16 +13,6 @@ from numpy.typing import NDArray
 
 from surctl.errors import InputError, SurctlError
 
-__all__ = [
-    "CheckFailed",
-    "Parameter",
-    "SampledExpressions",
-    "SymbolRanges",
-    "checked_count",
-    "checked_type",
-    "ranges_of",
-]
-
 
 class CheckFailed(SurctlError, AssertionError):
     """Raised when a check fails; the message states the object (task, limit, backend), the error and the point.
@@ -93,11 +83,8 @@ class SampledExpressions:
         known = ca.vertcat(ca.SX(0, 1), *ranges.symbols)
         for symbol in ca.symvar(ca.veccat(*expressions)):
             if not (known.numel() and ca.depends_on(known, symbol)):
-                raise InputError(
-                    f"contains the symbol {symbol.name()}, which has no range",
-                    key=what,
-                    remedy="give (symbol, lowest, highest) in parameters",
-                )
+                remedy = "give (symbol, lowest, highest) in parameters"
+                raise InputError(f"contains the symbol {symbol.name()}, which has no range", key=what, remedy=remedy)
         self._function = ca.Function("sampled", [known], [ca.densify(e) for e in expressions])
 
     def __call__(self, values: Array) -> list[Array]:

@@ -17,8 +17,6 @@ from surctl.system.controller import step_results
 from surctl.system.parts import not_finite
 from surctl.testing.ranges import CheckFailed, checked_count, checked_type
 
-__all__ = ["SystemReport", "cart_system", "check_controller", "check_plant"]
-
 Array: TypeAlias = NDArray[np.float64]
 
 _LIBM_ERROR = 1e-9  # the instruction list has polynomials in place of libm functions
@@ -154,12 +152,7 @@ def check_controller(
 
 
 def _points(
-    layouts: Mapping[str, Layout],
-    ranges: Mapping[str, tuple[float, float]],
-    *,
-    fixed: set[str],
-    count: int,
-    seed: int,
+    layouts: Mapping[str, Layout], ranges: Mapping[str, tuple[float, float]], *, fixed: set[str], count: int, seed: int
 ) -> dict[str, Array]:
     ports = [port.name for layout in layouts.values() for port in layout]
     for name, ends in ranges.items():

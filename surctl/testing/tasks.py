@@ -18,13 +18,6 @@ from surctl.tasks import Kind, Limit, LimitRow, SetTask, Task
 from surctl.tasks.task import as_expression, axis_names, is_pose
 from surctl.testing.ranges import CheckFailed, Parameter, SampledExpressions, SymbolRanges, checked_count, ranges_of
 
-__all__ = [
-    "LimitReport",
-    "TaskReport",
-    "check_limit",
-    "check_task",
-]
-
 # Check whether a limit is valid: its constraint rows are finite, named, and without crossing bounds
 
 
@@ -390,12 +383,8 @@ def _pose(place: int, pose: Sequence[float], m: int) -> Array:
     except (TypeError, ValueError):
         values = np.zeros(0)
     if values.shape != (m,) or not np.isfinite(values).all():
-        raise InputError(
-            "is not a pose",
-            key=f"near[{place}]",
-            value=pose,
-            remedy="give x, y, z and psi" if m == 4 else f"give {m} numbers",
-        )
+        remedy = "give x, y, z and psi" if m == 4 else f"give {m} numbers"
+        raise InputError("is not a pose", key=f"near[{place}]", value=pose, remedy=remedy)
     return values
 
 

@@ -99,9 +99,9 @@ class Span:
         if count > MOST_POINTS:
             remedy = f"write at most {MOST_POINTS}"
             raise InputError("too many points", key=f"axis {self.name}", value=count, remedy=remedy)
-        # geomspace and linspace return the two bounds exactly
-        values = np.geomspace(self.low, self.high, count) if self.log else np.linspace(self.low, self.high, count)
-        return Axis(self.name, tuple(values.tolist()))
+        spaced = np.geomspace if self.log else np.linspace
+        inner = (float(f"{value:.15g}") for value in spaced(self.low, self.high, count)[1:-1])  # 1.15, not 1.15 + 2e-16
+        return Axis(self.name, (self.low, *inner, self.high))
 
     def at(self, share: np.ndarray) -> np.ndarray:
         """Convert shares of the range (0 ≤ share < 1, any shape) to values.

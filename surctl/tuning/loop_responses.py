@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.system import LinearLoop
+from surctl.verification.linear import balanced
 
 __all__ = [
     "REMAINDER",
@@ -100,17 +101,17 @@ def response(matrices: Matrices, omega: Array, dt: float) -> Complex:
 
 
 def loop_gains(loop: LinearLoop, openings: Sequence[str], omega: Array) -> Array:
-    """Return the least and the largest singular value (2, k) of L(e^{jωdt}), opened at several signals at once."""
-    values = np.linalg.svd(response(loop.opened(*openings), omega, loop.dt), compute_uv=False)
+    """Return the least and the largest singular value (2, k) of L(e^{jωdt}), opened at several signals, `balanced`."""
+    values = np.linalg.svd(balanced(response(loop.opened(*openings), omega, loop.dt)), compute_uv=False)
     return np.stack([values[:, -1], values[:, 0]])
 
 
 def sensitivities_at(loop: LinearLoop, openings: Sequence[str], omega: Array) -> Array:
-    """Return the largest singular values (2, k) of S = (I + L)⁻¹ and T = I - S, opened at several signals."""
+    """Return the largest singular values (2, k) of S = (I + L)⁻¹ and T = I - S, opened at several, `balanced`."""
     L = response(loop.opened(*openings), omega, loop.dt)
     eye = np.eye(L.shape[-1])
-    S = np.linalg.solve(eye + L, np.broadcast_to(eye, L.shape).astype(complex))
-    return np.stack([np.linalg.norm(one, 2, axis=(1, 2)) for one in (S, eye - S)])
+    S = np.asarray(np.linalg.solve(eye + L, np.broadcast_to(eye, L.shape)), dtype=np.complex128)
+    return np.stack([np.linalg.norm(balanced(one), 2, axis=(1, 2)) for one in (S, eye - S)])
 
 
 def step_series(loop: LinearLoop, source: str, end: str, *, least_s: float = 0.0) -> tuple[Array, Array, float]:

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surctl import __version__
+from surctl.assessment import Assessment, ClosedLoop, assess, cost_lines
 from surctl.errors import InputError, SurctlError
 from surctl.recorded_write import Column
 from surctl.system import (
@@ -43,7 +44,7 @@ from surctl.tuning.chunked import (
 )
 from surctl.tuning.design import MOST_POINTS, SEED, Design
 
-__all__ = ["SystemSweep", "sweep_system"]
+__all__ = ["Choice", "SystemSweep", "chosen_points", "sweep_system"]
 
 Array = NDArray[np.float64]
 
@@ -89,7 +90,10 @@ class SystemSweep:
         return np.asarray(self.over_runs(name).mean(axis=1))
 
     def best(self, name: str) -> int | None:
-        """Return the index of the point whose worst run has the least cost; None if no point has a value."""
+        """Return the index of the point whose worst run has the least cost; None if no point has a value.
+
+        The margins there are not judged: see `chosen_points`.
+        """
         worst = self.worst(name)
         return int(np.nanargmin(worst)) if np.isfinite(worst).any() else None
 
@@ -116,6 +120,65 @@ class SystemSweep:
         for name, cost in self.system.costs.items():
             columns[f"{name} [{cost.unit}]"] = self.runs[name].tolist()
         return columns | {"stopped": self.runs.stopped.tolist(), "duration [s]": self.runs.time.tolist()}
+
+
+_JUDGED = 16  # points of a cost whose linear loop is judged, the least cost first
+
+
+@dataclass(frozen=True, eq=False)
+class Choice:
+    """The point of a sweep with the least worst cost among those that are accepted.
+
+    Attributes:
+        point: index of the point; that of the least cost if no judged point is accepted.
+        run: index of its worst run.
+        assessment: its margins with the random numbers of this run, and the bounds of its costs.
+        passed_over: number of points with a lower cost, each with a bound or a margin that is not met.
+    """
+
+    point: int
+    run: int
+    assessment: Assessment
+    passed_over: int
+
+
+def chosen_points(
+    swept: SystemSweep,
+    values: Mapping[str, ArrayLike] = _NONE,
+    ranges: Mapping[str, tuple[float, float]] | None = None,
+) -> dict[str, Choice]:
+    """Return for each cost the point with its least value at which the bounds of all costs and the margins hold.
+
+    The margins of at most 16 points per cost are judged, the least cost first.
+
+    Args:
+        swept: the sweep.
+        values, ranges: as in `ClosedLoop`; the numbers of a point take the place of `values`.
+    """
+    system, judged = swept.system, dict[tuple[int, int], Assessment]()
+    bounded = np.all([swept.worst(n) <= c.at_most for n, c in system.costs.items() if c.at_most is not None], axis=0)
+    bounded = np.broadcast_to(bounded, len(swept.design.points))
+
+    def assessed(point: int, run: int) -> Assessment:
+        if (point, run) not in judged:
+            numbers = {**values, **swept.at(point), **swept.random_of(run)}
+            loop = assess(ClosedLoop(system, numbers, ranges), parts=["loop"])
+            end = float(swept.runs.time[run]) - 1.5 * system.dt
+            worst = [(name, cost, float(swept.worst(name)[point])) for name, cost in system.costs.items()]
+            judged[point, run] = loop.with_lines([line for one in worst for line in cost_lines(*one, end=end)])
+        return judged[point, run]
+
+    choices = {}
+    for name in system.costs:
+        worst = swept.worst(name)
+        order = [k for k in np.argsort(worst, kind="stable").tolist() if np.isfinite(worst[k])]
+        if not order:
+            continue
+        runs = {k: swept.worst_run(name, k) for k in order}
+        tried = [k for k in order if bounded[k]][:_JUDGED]
+        point = next((k for k in tried if assessed(k, runs[k]).accepted()), order[0])
+        choices[name] = Choice(point, runs[point], assessed(point, runs[point]), order.index(point))
+    return choices
 
 
 def sweep_system(

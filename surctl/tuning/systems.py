@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from surctl.assessment import ClosedLoop, Figure, assess
 from surctl.errors import InputError, nearest
 from surctl.system import ENDED, System, every_combination, simulate_system
 from surctl.system.values import check_scalar, run_numbers
@@ -20,7 +21,6 @@ from surctl.tuning.loop_scores import LoopScores
 from surctl.tuning.search import Batches, Journal, SearchRange, evolve
 from surctl.tuning.system_sweep import request_digest
 from surctl.verification.linear import LEAST_DISK_MARGIN
-from surctl.verification.sampled_margins import system_corners
 
 __all__ = ["SystemTuning", "tune_system"]
 
@@ -28,6 +28,7 @@ Array: TypeAlias = NDArray[np.float64]
 
 _POPULATION = 15  # gain sets of a generation per gain
 _EXAMINED = 50  # most gain sets whose disk margin is computed, cheapest first
+_MARGINS = {"disk_margin": "disk margin", "delay_margin_s": "delay margin"}
 _TINY = 1e-12  # a bound of 0 is compared with this number
 _MOST = 1e6  # larger excesses over bounds count alike
 _WORSE = 1e9  # cost from which a gain set counts as one that breaks a bound
@@ -42,8 +43,8 @@ class SystemTuning:
         gains: the chosen gains by name; if no gain set satisfies all bounds, the gains that are nearest to the bounds.
         costs: costs of the chosen gains as means over the cases; infinite if a run ends early.
         before: costs of the system's own gains.
-        disk_margin: disk margin of all loops at once, at commands or measurements, at the worst corner of the ranges
-            that the system declares, at the first case; None if the loop has no equilibrium there.
+        margins: disk margin of all loops at once and least delay margin, at the worst corners of the ranges that the
+            system declares, at the first case, with what is required; none if the loop has no equilibrium there.
         least_disk_margin: bound of the disk margin.
         trials: number of gain sets simulated.
         unmet: names of the bounds that the chosen gains break; empty if the tuning succeeded.
@@ -57,7 +58,7 @@ class SystemTuning:
     gains: Mapping[str, float]
     costs: Mapping[str, float]
     before: Mapping[str, float]
-    disk_margin: float | None
+    margins: tuple[Figure, ...]
     least_disk_margin: float
     trials: int
     unmet: tuple[str, ...]
@@ -75,15 +76,22 @@ class SystemTuning:
             known = math.isfinite(self.costs[name])
             value = f"{self.costs[name]:.6g} {cost.unit}" if known else "none, because a run is not finite"
             lines.append(f"{self._mark(name)}{name}: {value} (before {self.before[name]:.6g}), {what}{bound}")
-        margin = "not judged, there is no equilibrium" if self.disk_margin is None else f"{self.disk_margin:.3f}"
         lines += [] if self.goals is None else self.goals.lines()
         for goal in self.run_goals:
             reached, before = self.costs[goal.metric], self.before[goal.metric]
             share = float(goal.normalised(np.array(reached)))
             text = f"{reached:.4g} {goal.unit} for {goal.limit:.4g} (before {before:.4g}), run"
             lines.append(f"{'met    ' if share <= 1 else 'NOT MET'} {goal.name} ({goal.kind}): {share:.3f}, {text}")
-        mark = self._mark("disk margin")
-        return [*lines, f"{mark}disk margin at the worst corner: {margin}, at least {self.least_disk_margin:g}"]
+        for one in self.margins:
+            name, unit = _MARGINS[one.name], "" if one.unit == "1" else f" {one.unit}"
+            what = f"{name} at the worst corner: {one.value:.3f}{unit}, at least {one.least:g}{unit}"
+            lines.append(f"{self._mark(name)}{what}")
+        return lines if self.margins else [*lines, "margins: not judged, there is no equilibrium"]
+
+    @property
+    def disk_margin(self) -> float | None:
+        """The disk margin; None if the loop has no equilibrium."""
+        return next((one.value for one in self.margins if one.name == "disk_margin"), None)
 
     def _mark(self, name: str) -> str:
         return "NOT MET  " if name in self.unmet else ""
@@ -111,9 +119,10 @@ def tune_system(
     With soft `goals`, the largest normalised value of them is minimised instead, as `systune` does; costs with a bound
     keep it. Hard goals are bounds.
 
-    A gain set is feasible if no run ends early, every cost is at most its bound (`Cost.at_most`), and the disk margin
-    is at least `least_disk_margin`. The disk margin is computed only for the sets with the least cost, because its
-    computation takes longer than a run.
+    A gain set is feasible if no run ends early, every cost is at most its bound (`Cost.at_most`), the disk margin is at
+    least `least_disk_margin`, and the delay margin at least one control period. The system's own gains are the first
+    set, if they are in the ranges. The margins are computed only for the
+    sets with the least cost, because their computation takes longer than a run.
 
     Args:
         system: the closed loop.
@@ -163,7 +172,7 @@ def tune_system(
             system, every_combination({gain: bounds[0] for gain, bounds in ranges.items()}, cases or {})
         )
         aims = [str(goal.to_dict()) for goal in goals], [(p, sorted(v.items())) for p, v in points.items()], run_goals
-        about = f"{name} {size} {seed} {sorted(ranges.items())} {first.digest()} {aims}"
+        about = f"{name} {size} {seed} own {sorted(ranges.items())} {first.digest()} {aims}"
         request = request_digest(system, seconds, about)
     with journal.held():
         batches = journal.batches(request, width=len(ranges) + len(system.costs) + 3)
@@ -177,7 +186,9 @@ def tune_system(
             return values
 
         space = [SearchRange(gain, *map(float, ends)) for gain, ends in ranges.items()]
-        evolve(value, space, size=size, batches=trials // size, seed=seed)
+        own = [search.nominal(gain) for gain in ranges]
+        inside = all(one.low <= x <= one.high for one, x in zip(space, own, strict=True))
+        evolve(value, space, size=size, batches=trials // size, seed=seed, first=[own] if inside else ())
         chosen = search.chosen(least_disk_margin)
     journal.remove(request)
     return chosen
@@ -310,16 +321,16 @@ class _Search:
         excess = self.excess(figures).sum(axis=1) + scores[:, 1]
         order = np.lexsort((np.where(np.isfinite(value), value, np.inf), excess))
         feasible = [int(k) for k in order[:_EXAMINED] if excess[k] == 0]
-        best, margin = int(order[0]), self.margin(sets[order[0]])
-        for k in feasible[1:] if margin is not None and margin < least else ():
-            other = self.margin(sets[k])
-            if other is not None and other > (margin or 0):
-                best, margin = k, other
-            if margin is not None and margin >= least:
+        best, margins = int(order[0]), self.margins(sets[order[0]], least)
+        for k in feasible[1:]:
+            if min(_shares(margins), default=1.0) >= 1:
                 break
+            others = self.margins(sets[k], least)
+            if others and min(_shares(others)) > min(_shares(margins)):
+                best, margins = k, others
         broken = [name for j, name in enumerate(self.system.costs) if self.excess(figures[best][None])[0, j] > 0]
-        broken += ["disk margin"] if margin is not None and margin < least else []
-        nominal = np.array([self._nominal(name) for name in self.names])
+        broken += [_MARGINS[one.name] for one in margins if not one.enough]
+        nominal = np.array([self.nominal(name) for name in self.names])
         own = self.costs(nominal[None])[0]
         after, before = (
             None if self.goals is None else self.goals.judged(self.names, gains) for gains in (sets[best], nominal)
@@ -334,7 +345,7 @@ class _Search:
             dict(zip(self.names, sets[best].tolist(), strict=True)),
             dict(zip(self.system.costs, figures[best].tolist(), strict=True)),
             dict(zip(self.system.costs, own.tolist(), strict=True)),
-            margin,
+            margins,
             least,
             len(sets),
             tuple(broken),
@@ -352,14 +363,20 @@ class _Search:
         """Return the normalised value (sets,) of a goal about runs from costs (sets, costs)."""
         return goal.normalised(figures[:, list(self.system.costs).index(goal.metric)])
 
-    def margin(self, gains: Array) -> float | None:
-        """Return the disk margin at the first case, at the worst corner of the ranges; None without an equilibrium."""
+    def margins(self, gains: Array, least: float) -> tuple[Figure, ...]:
+        """Return disk and delay margin of the assessment, with this least disk margin; none without an equilibrium."""
         first = {name: a if a.ndim == 0 else a[:1] for name, a in self.cases.items()}
-        try:
-            return system_corners(self.system, {**first, **dict(zip(self.names, gains.tolist(), strict=True))}).disk
-        except InputError:
-            return None
+        numbers = {**first, **dict(zip(self.names, gains.tolist(), strict=True))}
+        figures = assess(ClosedLoop(self.system, numbers), parts=["loop"]).figures
+        chosen = [figures[name] for name in _MARGINS if name in figures]
+        return tuple(replace(one, least=least) if one.name == "disk_margin" else one for one in chosen)
 
-    def _nominal(self, name: str) -> float:
+    def nominal(self, name: str) -> float:
+        """Return the system's own value of a gain."""
         gains, (port, _, entry) = self.system.controller.gains, name.partition("[")
         return float(gains.pack()[gains.slice(port)][int(entry.rstrip("]") or 0)])
+
+
+def _shares(margins: Sequence[Figure]) -> list[float]:
+    # margins over the required values; NaN counts as 0
+    return [0.0 if np.isnan(one.value) else one.value / one.least if one.least else np.inf for one in margins]

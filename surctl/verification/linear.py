@@ -34,6 +34,7 @@ __all__ = [
     "DiskMargin",
     "OpenLoop",
     "Sensitivity",
+    "balanced",
     "blockwise",
     "disk_margin",
     "disk_profile",
@@ -159,6 +160,8 @@ _SLOWEST, _FREQUENCIES = 1e-3, 200
 class Sensitivity:
     """The largest singular values of the sensitivity S and the complementary sensitivity T over frequency.
 
+    The signals are scaled as in `balanced`, so that the values do not depend on their units.
+
     Attributes:
         place: where the loops are opened.
         omega: frequencies (k,) [rad/s].
@@ -204,7 +207,7 @@ def sensitivity_of(loop: OpenLoop, place: str = "", *, highest: float) -> Sensit
     omega = np.geomspace(_SLOWEST, highest, _FREQUENCIES)
     T = closed.response(closed.warped(omega))
     S = np.eye(T.shape[-1]) - T
-    return Sensitivity(place, omega, *(np.linalg.norm(m, 2, axis=(1, 2)) for m in (S, T)))
+    return Sensitivity(place, omega, *(np.linalg.norm(balanced(m), 2, axis=(1, 2)) for m in (S, T)))
 
 
 LEAST_DISK_MARGIN = 0.3
@@ -428,6 +431,23 @@ def _balanced(M: Complex) -> tuple[Array, Array]:
     d = np.sqrt(square)
     scaled = d[:, :, None] * M / d[:, None]
     return d, np.linalg.norm(scaled, 2, axis=(1, 2))
+
+
+def balanced(M: Complex) -> Complex:
+    """Return D M D⁻¹ (k, q, q) for responses M (k, q, q) between q signals and themselves, with a diagonal D for each.
+
+    D balances rows and columns (Osborne), which nearly minimises the largest singular value: it bounds the structured
+    singular value, and does not depend on the units of the signals.
+
+    Example:
+        >>> import numpy as np
+        >>> from surctl.verification.linear import balanced
+        >>> in_m_and_rad, in_mm_and_rad = np.array([[[1.0, 0.2], [0.3, 2.0]], [[1.0, 200.0], [3e-4, 2.0]]])
+        >>> bool(np.allclose(balanced(in_m_and_rad[None]), balanced(in_mm_and_rad[None])))
+        True
+    """
+    d, _ = _balanced(M)
+    return np.asarray(d[:, :, None] * M / d[:, None])
 
 
 def _scaling(M: Complex) -> Array:

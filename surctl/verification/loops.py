@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,14 +19,18 @@ __all__ = [
     "LEAST_DELAY_MARGIN",
     "BrokenLoop",
     "Crossings",
+    "LeastDelay",
     "LoopMargins",
     "SensitivityShape",
     "crossings_of",
+    "delays_of",
     "golden_section",
     "margins_from",
     "shape_of",
     "state_blocks",
 ]
+
+Array = NDArray[np.float64]
 
 _LOWEST = 1e-4  # [rad/s]
 _POINTS = 800
@@ -123,14 +127,11 @@ def crossings_of(loop: BrokenLoop, *, highest: float = np.inf, grid: NDArray[np.
     count = len(loop.closed)
     grid = np.geomspace(_LOWEST, highest, _POINTS) if grid is None else grid
     response = loop.response(grid[None], slice(None))
-    gain_margin, lag, delay = (np.full(count, np.inf) for _ in range(3))
+    gain_margin, lag = (np.full(count, np.inf) for _ in range(2))
     crossover, least_gain = np.zeros(count), np.zeros(count)
 
     def at_phase(value: NDArray[np.complex128]) -> NDArray[np.float64]:
         return np.asarray(np.angle(-value), dtype=float)
-
-    def at_gain(value: NDArray[np.complex128]) -> NDArray[np.float64]:
-        return np.asarray(np.abs(value) - 1, dtype=float)
 
     left = response[:, :-1].real <= 0  # where the real part is positive, the real axis is crossed at 0°, not −180°
     points, omega = _zeros(loop, grid, response, at_phase, left)
@@ -142,13 +143,36 @@ def crossings_of(loop: BrokenLoop, *, highest: float = np.inf, grid: NDArray[np.
     np.minimum.at(gain_margin, points[more], gain[more])
     np.maximum.at(least_gain, points[less], gain[less])
 
-    points, omega = _zeros(loop, grid, response, at_gain, np.ones_like(left))
-    # a phase lead φ counts as a lag of 360° − φ
-    phase = np.remainder(np.rad2deg(np.angle(-loop.response(omega, points))), 360.0)
+    points, omega, phase = _gain_crossings(loop, grid, response)
     np.minimum.at(lag, points, phase)
-    np.minimum.at(delay, points, np.deg2rad(phase) / omega)
     np.maximum.at(crossover, points, omega)
+    delay = _least_delays(count, points, omega, phase)
     return Crossings(gain_margin, lag, delay, _disk(loop, grid, response), crossover, least_gain)
+
+
+def delays_of(loop: BrokenLoop, *, highest: float = np.inf, grid: NDArray[np.float64] | None = None) -> Array:
+    """Return the delay margins (n,) [s] of `crossings_of` alone."""
+    grid = np.geomspace(_LOWEST, highest, _POINTS) if grid is None else grid
+    return _least_delays(len(loop.closed), *_gain_crossings(loop, grid, loop.response(grid[None], slice(None))))
+
+
+def _gain_crossings(
+    loop: BrokenLoop, grid: Array, response: NDArray[np.complex128]
+) -> tuple[NDArray[np.intp], Array, Array]:
+    # points, frequencies [rad/s] and phase margins [deg] of all crossings of the gain 1
+
+    def at_gain(value: NDArray[np.complex128]) -> Array:
+        return np.asarray(np.abs(value) - 1, dtype=float)
+
+    points, omega = _zeros(loop, grid, response, at_gain, np.ones((len(response), len(grid) - 1), dtype=bool))
+    # a phase lead φ counts as a lag of 360° − φ
+    return points, omega, np.remainder(np.rad2deg(np.angle(-loop.response(omega, points))), 360.0)
+
+
+def _least_delays(count: int, points: NDArray[np.intp], omega: Array, phase: Array) -> Array:
+    delay = np.full(count, np.inf)
+    np.minimum.at(delay, points, np.deg2rad(phase) / omega)
+    return delay
 
 
 def shape_of(loop: BrokenLoop, *, highest: float) -> SensitivityShape:
@@ -275,6 +299,19 @@ def golden_section(
 
 LEAST_DELAY_MARGIN = 0.2
 """Least delay margin [s] of each loop alone, in every check, goal and search: four control periods (*chosen*)."""
+
+
+class LeastDelay(NamedTuple):
+    """The least delay margin [s] of one loop alone, the name of that loop, and the corner as text."""
+
+    delay_s: float
+    loop: str
+    corner: str
+
+    @property
+    def where(self) -> str:
+        """Loop and corner as text."""
+        return f"{self.loop} at {self.corner}"
 
 
 @dataclass(frozen=True)

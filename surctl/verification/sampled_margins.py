@@ -17,7 +17,7 @@ from surctl.system import LinearLoop, Operating, System, find_equilibrium, linea
 from surctl.system.linear import Linearisation
 from surctl.system.values import checked_ranges
 from surctl.verification.linear import DiskMargin, OpenLoop, disk_margin
-from surctl.verification.loops import BrokenLoop, LoopMargins, crossings_of, margins_from
+from surctl.verification.loops import BrokenLoop, LeastDelay, LoopMargins, crossings_of, delays_of, margins_from
 
 __all__ = [
     "LoopCorners",
@@ -108,11 +108,16 @@ def quick_margins(linear: LinearLoop, *openings: str) -> tuple[LoopMargins, ...]
 
 def _margins(linear: LinearLoop, opening: str, *, quick: bool = False) -> LoopMargins:
     """Compute the margins of one loop from the crossings of its frequency response; without a crossing, inf."""
-    A, dt, closed = linear.opened(opening)[0], linear.dt, linear.poles()
-    opened = np.linalg.eigvals(A).astype(complex)
-    grid = _angles(np.concatenate([opened, closed]), points=_FEW if quick else _POINTS) / dt
-    margins = margins_from(opening, crossings_of(BrokenLoop(closed[None], opened[None], dt), grid=grid))
+    loop, grid = _broken(linear, opening, points=_FEW if quick else _POINTS)
+    margins = margins_from(opening, crossings_of(loop, grid=grid))
     return replace(margins, disk_margin=min(margins.disk_margin, 2.0) if quick else _proved_disk(linear, opening))
+
+
+def _broken(linear: LinearLoop, opening: str, *, points: int) -> tuple[BrokenLoop, Array]:
+    # one loop that is opened, and frequencies [rad/s]
+    closed, opened = linear.poles(), np.linalg.eigvals(linear.opened(opening)[0]).astype(complex)
+    grid = _angles(np.concatenate([opened, closed]), points=points) / linear.dt
+    return BrokenLoop(closed[None], opened[None], linear.dt), grid
 
 
 def _proved_disk(linear: LinearLoop, opening: str) -> float:
@@ -157,7 +162,20 @@ class SampledLoop(ABC):
     @cached_property
     def margins(self) -> tuple[LoopMargins, ...]:
         """Margins of each loop alone, opened at one signal of the places."""
-        return system_margins(self.linear, *dict.fromkeys(name for place in self.places.values() for name in place))
+        return system_margins(self.linear, *self._signals)
+
+    @property
+    def _signals(self) -> list[str]:
+        return list(dict.fromkeys(name for place in self.places.values() for name in place))
+
+    def least_delay(self, corner: str) -> LeastDelay:
+        """Return the least delay margin of one loop alone, 0 if the loop is unstable; `corner` is its name."""
+        if not self.stable:
+            return LeastDelay(0.0, self._signals[0], corner)
+        loops = {name: _broken(self.linear, name, points=_POINTS) for name in self._signals}
+        delays = {name: float(delays_of(loop, grid=grid)[0]) for name, (loop, grid) in loops.items()}
+        loop = min(delays, key=lambda name: delays[name])
+        return LeastDelay(delays[loop], loop, corner)
 
     @cached_property
     def disks(self) -> tuple[DiskMargin, ...]:
@@ -200,6 +218,8 @@ class LoopCorners(Generic[L]):
         worst: the loop with the least disk margin, or an unstable one.
         corner: the numbers of the worst corner, as text; of the first corner that is lost, if there is one.
         slowest_per_s: largest real part [1/s] of a pole over all corners.
+        delay: least delay margin of one loop alone over all corners.
+        nominal_delay: the same of the nominal loop.
         lost: corners at which there is no loop, as text.
         count: number of corners.
     """
@@ -208,6 +228,8 @@ class LoopCorners(Generic[L]):
     worst: L
     corner: str
     slowest_per_s: float
+    delay: LeastDelay
+    nominal_delay: LeastDelay
     lost: tuple[str, ...] = ()
     count: int = 0
 
@@ -231,6 +253,7 @@ def corners_of(nominal: L, name: str, corners: Iterable[tuple[str, Callable[[], 
         corners: text of each corner, and a function that returns its loop, or raises InputError if it has none.
     """
     worst, corner, slowest, lost, count = nominal, name, nominal.slowest_per_s, list[str](), 0
+    delays = [nominal.least_delay(name)]
     for label, linearised in corners:
         count += 1
         try:
@@ -239,9 +262,10 @@ def corners_of(nominal: L, name: str, corners: Iterable[tuple[str, Callable[[], 
             lost.append(label)
             continue
         slowest = max(slowest, loop.slowest_per_s)
+        delays.append(loop.least_delay(label))
         if loop.severity > worst.severity:
             worst, corner = loop, label
-    return LoopCorners(nominal, worst, corner, slowest, tuple(lost), count)
+    return LoopCorners(nominal, worst, corner, slowest, min(delays), delays[0], tuple(lost), count)
 
 
 # The sampled loop of a system at its equilibrium, for nominal numbers and at the corners of the declared ranges
@@ -310,4 +334,6 @@ def system_corners(
 
     labels = (", ".join(f"{name} = {end:g}" for name, end in corner.items()) for corner in corners)
     result = corners_of(nominal, "the nominal system", zip(labels, (partial(at, c) for c in corners), strict=True))
-    return replace(result, corner=result.lost[0]) if result.lost else result
+    if not result.lost:
+        return result
+    return replace(result, corner=result.lost[0], delay=result.delay._replace(delay_s=0.0, corner=result.lost[0]))

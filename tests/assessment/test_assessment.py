@@ -79,14 +79,14 @@ def test_the_line_of_margins_says_what_fails_and_of_which_system() -> None:
         figures = (
             Figure("disk_margin", disk, "1", "all loops", "high", 0.3, "mass -5%"),
             Figure("nominal_disk_margin", 0.5, "1", "nominal", "high"),
-            Figure("delay_margin_s", delay, "s", "least delay margin, nominal system", "high", 0.2, "yaw"),
+            Figure("delay_margin_s", delay, "s", "least delay margin", "high", 0.2, "yaw at drag +20%"),
+            Figure("nominal_delay_margin_s", 0.28, "s", "nominal", "high", where="yaw"),
         )
-        return loop_line(
-            {f.name: f for f in figures}, stable=True, place="at rest", which="nominal system", unstable=""
-        ).text
+        return loop_line({f.name: f for f in figures}, stable=True, place="at rest", unstable="").text
 
-    delay = "least delay margin 0.25 s (yaw, nominal system)"
+    delay = "least delay margin 0.25 s at the worst corner, 0.28 s nominal (yaw)"
     assert line(0.3, 0.25) == f"margins at rest: disk margin 0.30 at the worst corner, 0.50 nominal; {delay}"
     assert "disk margin 0.2988 at" in line(0.29882, 0.25) and line(0.29882, 0.25).endswith("(worst corner: mass -5%)")
     assert line(0.29, 0.1).count("disk margin 0.29 at") == 1
-    assert line(0.4, 0.1).endswith("; required: at least 0.2 s")  # the corner is that of the disk margin
+    assert line(0.4, 0.19984).endswith("; required: at least 0.2 s (worst corner: yaw at drag +20%)")
+    assert "least delay margin 0.1998 s at" in line(0.4, 0.19984)

@@ -21,17 +21,21 @@ RANGES = {"plant.gravity": (6.0, 12.0), "plant.drag": (0.0, 0.5)}
 
 def test_the_disk_margin_is_the_least_of_commands_measurements_and_corners() -> None:
     result = assess(ClosedLoop(replace(pendulum(), ranges=RANGES)))
-    margins = {}
+    margins, delays = {}, {}
     for ends in [None, *product(*RANGES.values())]:
         linear = linearise(pendulum(), {} if ends is None else dict(zip(RANGES, ends, strict=True)))
         places = (("torque",), ("angle", "rate"))
         margins[ends] = min(system_disk_margin(linear, *place).guaranteed for place in places)
+        delays[ends] = min(m.delay_margin_s for m in system_margins(linear, "torque", "angle", "rate"))
     worst = min(margins, key=lambda ends: margins[ends])
     disk, figures = result.figures["disk_margin"], result.figures
     assert disk.value == margins[worst] < margins[None] == figures["nominal_disk_margin"].value
     assert worst is not None and disk.where == f"plant.gravity = {worst[0]:g}, plant.drag = {worst[1]:g}"
     each = system_margins(linearise(pendulum()), "torque", "angle", "rate")
-    assert figures["delay_margin_s"].value == min(m.delay_margin_s for m in each)
+    assert figures["delay_margin_s"].value == min(delays.values()) < delays[None]
+    assert figures["nominal_delay_margin_s"].value == delays[None]
+    late = min(delays, key=lambda ends: delays[ends])
+    assert figures["delay_margin_s"].where.endswith(f" at plant.gravity = {late[0]:g}, plant.drag = {late[1]:g}")
     assert figures["single_loop_disk_margin"].value == min(m.disk_margin for m in each)
     assert figures["delay_margin_s"].least == pendulum().dt
     # ranges that the caller states take the place of those that the system declares
@@ -78,7 +82,8 @@ def test_an_unstable_corner_and_one_without_equilibrium_fail() -> None:
     assert lines[0].passed is False and "no equilibrium at the corner plant.push = 5" in lines[0].text
     unstable = assess(ClosedLoop(cart(k=0.5), ranges={"plant.push": (0.0, 1.0)}))
     assert unstable.passed is False and "UNSTABLE at the corner plant.push = 1" in unstable.banner
-    assert unstable.figures["disk_margin"].value == 0 < unstable.figures["nominal_disk_margin"].value
+    for name in ("disk_margin", "delay_margin_s"):
+        assert unstable.figures[name].value == 0 < unstable.figures[f"nominal_{name}"].value
     assert unstable.figures["corner_slowest_pole_per_s"].value > 0 > unstable.figures["slowest_pole_per_s"].value
     nowhere = assess(ClosedLoop(cart(), {"plant.push": 2.0}))  # no finite rate anywhere
     assert nowhere.figures == {} and nowhere.passed is None and "not judged" in nowhere.lines[0].text

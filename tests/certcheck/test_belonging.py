@@ -56,6 +56,11 @@ def test_what_a_certificate_does_not_cover_is_named(kind: str, text: str) -> Non
     assert says(found.excludes, text), found.excludes
 
 
+def test_the_rounding_of_single_precision_is_not_covered() -> None:
+    found = compare(turning_document(another_law), replace(own_manifest(), real="float32"))
+    assert says(found.excludes, "rounding: the proof holds for exact real numbers; the bundle rounds constants, gains")
+
+
 def test_the_law_of_a_turning_certificate_has_the_stated_units() -> None:
     other = otherwise(own_manifest(), "inputs", lambda p: replace(p, unit="km, rad") if p.name == "eta" else p)
     assert compare(turning_document(), other).differs == ("law: eta of the law is in km, rad, not in m, rad",)

@@ -3,28 +3,37 @@
 import json
 import runpy
 import time
+import tracemalloc
 from collections.abc import Callable
 from fractions import Fraction
 from math import lcm
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from surctl.certcheck import check_document, patience
+from surctl.certcheck import check_document, instructions, patience
+from surctl.certcheck.belonging import compare
+from surctl.certcheck.bundle import read_bundle
 from surctl.certcheck.document import Rejected
 from surctl.certcheck.enclosure import enclose, span
 from surctl.certcheck.expressions import ExpressionTable
 from surctl.certcheck.identity import Exact, Sum, _product
+from surctl.certcheck.instructions import digest, evaluate, read_list
 from surctl.certcheck.patience import MEMORY, Account, afford, go_on, patient
 from surctl.certcheck.region_exact import Matrix, inverse, is_positive_definite
 from surctl.certcheck.series import same_sign
 from surctl.certcheck.squares import _Block, _whole
 from surctl.certcheck.squares import _product as packed_product
+from surctl.errors import InputError
 
 HERE = Path(__file__).parent
-HOSTILE = runpy.run_path(str(HERE.parents[1] / "analysis" / "24_checker_fuzz" / "hostile.py"))
+HOSTILE, BUNDLES = (
+    runpy.run_path(str(HERE.parents[1] / "analysis" / "24_checker_fuzz" / name))
+    for name in ("hostile.py", "hostile_bundles.py")
+)
 SMALL = ("many atoms", "dense blocks", "derivatives")
 COUNTED = (
     "many products", "many atoms", "long names", "fractions", "operations", "dense blocks", "block products", "facts",
@@ -39,6 +48,55 @@ def test_a_small_file_takes_little_memory(kind: str, tmp_path: Path) -> None:
     assert path.stat().st_size < 100_000
     used = HOSTILE["measured"](path)
     assert used.status == "1" and used.memory < 100e6
+
+
+@pytest.mark.parametrize(
+    ("kind", "says"),
+    [
+        ("many names", ""),
+        ("long ports", "is not the manifest of an export"),
+        ("deep procedure", "it is nested too deeply"),
+        ("long procedure", "law takes vectors"),
+        ("squares", "a number with too many digits"),
+        ("branches", "more than 50000 operations"),
+        ("manifest of depth", "nested too deeply"),
+    ],
+)
+def test_a_small_bundle_takes_little_memory_and_time(kind: str, says: str, tmp_path: Path) -> None:
+    document, began = json.loads(BUNDLES["write"](kind, 20_000, tmp_path).read_text()), time.thread_time()
+    tracemalloc.start()
+    try:
+        found = compare(document, read_bundle(tmp_path / "bundle"))
+        assert says in " ".join(found.differs) and not found.belongs
+    except InputError as error:
+        assert says in str(error)
+    finally:
+        peak = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+    assert peak < 40e6 and time.thread_time() - began < 3.0
+
+
+def test_a_list_is_longer_or_larger_than_the_checker_reads() -> None:
+    text = BUNDLES["bundle"]()[1]["law.txt"]
+    with pytest.raises(Rejected, match="has more than 2000000 characters"):
+        read_list(text + "\n" * 2_000_000)
+    with pytest.raises(Rejected, match="law has more than 100000 characters"):
+        read_list("procedure law\n" + "def f(s):\n pass\n" * 9_000)
+    with pytest.raises(Rejected, match="more than 60000 numbers"):
+        read_list("routine r\nin a 40000\nin b 40000\nout a\n")
+
+
+def test_many_numbers_are_evaluated_at_a_few_points_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(instructions, "_TABLE", 10_000)
+    row = "program row\nin0 k 1\nin1 x 1\nv0 = in0[0]\nv1 = in1[0]\nv2 = mul v0 v1\nout0 y v2\n"
+    loop = f"y = loop row:{digest(row)[:16]} count 500 index 1 until None carried  sliced  fixed x spread  lanes 1"
+    block, x = read_list(f"{row}\nroutine rows\nin x 1\n{loop}\nout y\n"), np.arange(400.0)[None]
+    tracemalloc.start()
+    (y,) = evaluate(block, x)
+    peak = tracemalloc.get_traced_memory()[1] - y.nbytes
+    tracemalloc.stop()
+    assert block.size == 501 + 3 and np.array_equal(y, np.arange(500.0)[:, None] * x)
+    assert peak < 2.5 * y.nbytes  # all at once, it would be four times as much
 
 
 def test_the_largest_proof_of_a_craft_takes_little_memory() -> None:

@@ -16,7 +16,7 @@ def test_verify_prints_the_safety_claim_and_fails_where_it_does_not_hold(tmp_pat
     wide = surctl(*common, cwd=tmp_path)
     assert wide.status == 1 and "DOES NOT HOLD" in wide.out
     reason = wide.out.splitlines()[-3 if "\nnext" in wide.out else -1]
-    assert "no contact in tank-static does not hold: braking needs a margin of" in reason
+    assert "no contact in tank-static by sonar does not hold: braking needs a margin of" in reason
 
 
 def test_mistakes_are_named(tmp_path: Path) -> None:

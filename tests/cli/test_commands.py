@@ -254,7 +254,7 @@ def test_lint_names_the_command_for_the_gain_margin_that_no_contact_needs(tmp_pa
     (tmp_path / "study.toml").write_text(study)
     file = "mission.toml" if kind == "scenario" else "study.toml"
     done = surctl_here("lint", file, "--vehicle", "mine.toml", cwd=tmp_path)
-    needed = re.search(r"gains.margin: no contact in .* set margin = ([\d.]+) in", done.out)
+    needed = re.search(r"gains.margin: no contact in .* set margin = \"([\d.]+) m\" in", done.out)
     assert needed, done.out
     command = next(line.split() for line in done.out.splitlines() if line.startswith("  surctl gains derive"))
     assert command[command.index("--margin") + 1] == needed[1]
@@ -262,7 +262,7 @@ def test_lint_names_the_command_for_the_gain_margin_that_no_contact_needs(tmp_pa
     assert load_gains(str(tmp_path / "gains.toml"))["margin"] == float(needed[1])
     words = ("--vehicle", "mine.toml", "--scenario", "mission.toml", "--gains", "gains.toml")
     verified = surctl_here("verify", "m-norm-corrected", *words, cwd=tmp_path)
-    assert f"ok   no contact in tank-static holds: margin {needed[1]} m" in verified.out
+    assert f"ok   no contact in tank-static by sonar holds: margin {needed[1]} m" in verified.out
 
 
 def test_gains_follow_from_the_vehicle_where_none_are_named(tmp_path):
@@ -288,7 +288,8 @@ def test_simulate_says_that_the_hull_crabs_in_an_unstable_loop(tmp_path):
     assert "linear loop at this speed is unstable" in bad.out
     good = surctl(*words, cwd=tmp_path)
     assert "gains derived from the vehicle bluerov2-wu at 0.47 m/s" in good.out and "but crabbing" not in good.out
-    assert "has a disk margin of 0.2" in good.out and "wasted" in good.out
+    assert re.search(r"has a disk margin of 0\.\d+ at .* and a delay margin of 0\.\d+ s in sway at", good.out)
+    assert "wasted" in good.out
 
 
 @pytest.mark.parametrize(("vehicle", "status"), [("sur400", 0), ("sur540-flooded", 1)])

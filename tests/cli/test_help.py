@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import re
 import shlex
 import subprocess
 import sys
 from collections.abc import Iterator
+from pathlib import Path
 
 import click
 import pytest
 
 from surctl.cli.app import app
+from surctl.errors import LOST, cannot_write
 from tests.cli.process import surctl
 
 
@@ -55,6 +58,26 @@ def test_each_help_has_examples(words: tuple[str, ...]) -> None:
     assert examples
     start = shlex.join(["surctl", *words])
     assert all(example.startswith(start) for example in examples), examples
+
+
+@pytest.mark.parametrize(
+    ("file", "pattern"),
+    [
+        ("surctl/cli/app.py", r"Exit status: (0 .*?)\.\n"),
+        ("README.md", r"exit statuses are (0: .*?)\.\n"),
+        ("notebooks/guides/reference/index.md", r"\*\*Exit status\*\* of a command: (0 .*?)\.\n"),
+    ],
+)
+def test_the_exit_statuses_of_each_page_are_those_that_are_returned(file: str, pattern: str) -> None:
+    text = re.search(pattern, Path(file).read_text(), re.DOTALL)
+    assert text is not None
+    stated = dict(re.findall(r"(?:^|[;,] )(\d+):? (.*?)(?=$|[;,] \d)", " ".join(text[1].split())))
+    assert list(stated) == ["0", "1", "2", "3", "130"]
+    errors = {"no permission": errno.EACCES, "disk full": errno.ENOSPC, "read-only": errno.EROFS}
+    for word, number in errors.items():
+        status = cannot_write("out", OSError(number, os.strerror(number))).exit_status
+        assert word in stated[str(status)], (word, status, stated)
+    assert "stdout closed" in stated[str(LOST)]
 
 
 @pytest.mark.parametrize("words", COMMANDS, ids=" ".join)

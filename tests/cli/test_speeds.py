@@ -5,7 +5,7 @@ from surctl.cli.linear_part import linear_part, over_speeds
 from surctl.marine.assessment import Mission
 from surctl.marine.control import load_gains
 from surctl.marine.vehicle import load_vehicle
-from surctl.marine.verification import worst_margins
+from surctl.marine.verification import loop_margins
 from tests.cli.process import surctl
 
 GAINS = load_gains("default").values
@@ -22,7 +22,7 @@ def test_every_speed_is_judged_and_the_worst_named():
     assert over.stable and over.data["worst_cruise_m_per_s"]["sensitivity_peak"] == 0.22
     assert [one["cruise_m_per_s"] for one in over.data["speeds"]] == [0.05, 0.22]
     for one in over.data["speeds"]:
-        margins = worst_margins(load_vehicle("sur400"), GAINS, uncertainty=0.0, cruise=one["cruise_m_per_s"], dt=0.05)
+        margins = loop_margins(load_vehicle("sur400"), GAINS, cruise=one["cruise_m_per_s"], dt=0.05)
         assert one["margins"] == [m.to_dict() for m in margins]
     assert over.data["margins"] == found[-1].data["margins"] and over.lines[-len(found[-1].lines) :] == found[-1].lines
     assert [line.split(":")[0].strip() for line in over.lines[1:4]] == [

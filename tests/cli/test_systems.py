@@ -7,6 +7,7 @@ import json
 import re
 import shlex
 from pathlib import Path
+from textwrap import dedent
 from types import ModuleType
 from zipfile import ZipFile
 
@@ -444,6 +445,23 @@ def test_a_new_file_for_a_keyword_is_python(tmp_path: Path, monkeypatch: pytest.
     assert "def class_()" in Path("class.py").read_text()
 
 
+def test_lint_of_a_system_lists_all_that_cannot_work(file: str) -> None:
+    more = """
+    from dataclasses import replace
+
+    def wrong():
+        return replace(bare(), duration=-1.0, ranges={"plant.blo": (0, 1), "k": (2, 1)}, within={"y": (0, 1)})
+    """
+    Path("mine.py").write_text(FILE + dedent(more))
+    done = data("lint", "mine.py:wrong", status=1)
+    assert [(one["level"], one["key"]) for one in done["findings"]] == [
+        ("error", "duration"), ("error", "plant.blo"), ("error", "ranges.k"), ("error", "within.y"), ("info", "costs"),
+    ]  # fmt: skip
+    good = data("lint", file)
+    assert {one["key"] for one in good["findings"]} == {"duration", "ranges", "within"}
+    assert "write mine.py:build" in complaint("lint", "mine.py")
+
+
 def test_a_region_of_a_system_is_proved_and_its_words_are_checked(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -501,6 +519,8 @@ def test_a_region_of_a_system_is_proved_and_its_words_are_checked(
         (["k=2..1"], "ranges.k = (2.0, 1.0): is not a range"),
         (["within.x=-1..1", "lyapunov.level=2"], "lyapunov.level: is given without a function"),
         (["within.x=-1..1", "lyapunov.function=z^2"], "'z' at column 1 is not known"),
-        (["within.x=1..2"], "has its equilibrium outside its bounds"),
     ):
         assert says in complaint("verify", "loop.py:build", *words)
+    beside = data("verify", "loop.py:build", "within.x=1..2", status=1)
+    assert beside["region"]["verdict"] == "not applicable" and beside["stable"] is True
+    assert any("not assessed, because it rests at x = 0 m" in line["text"] for line in beside["assessment"]["lines"])

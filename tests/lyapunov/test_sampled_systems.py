@@ -7,12 +7,16 @@ from pathlib import Path
 from typing import Any
 
 import casadi as ca
+import numpy as np
 import pytest
 
+from surctl.assessment import ClosedLoop, assess
+from surctl.errors import NotApplicable
 from surctl.ir import Layout, Port
 from surctl.lyapunov import Problem, continuous_dynamics, find_stability, sampled_dynamics, solve
+from surctl.lyapunov.equilibrium import require_common
 from surctl.lyapunov.sampled import SampledStability
-from surctl.system import Controller, Plant, System
+from surctl.system import Action, Controller, Plant, System, find_equilibrium
 
 GALLERY = Path(__file__).parents[2] / "notebooks" / "gallery"
 
@@ -93,3 +97,80 @@ def test_a_state_that_a_held_command_may_move_leaves_sampling_out() -> None:
     system = System(plant, law("hold", 0.2, plant.state, plant.inputs, lambda x, u, p: -u["x"]))
     assert sampled_dynamics(system, {"x": (-1.0, 1.0)}).sampling is None
     assert sampled_dynamics(system, {"x": (-1.0, 1.0), "y": (-1.0, 1.0)}).sampling is not None
+
+
+def shifted(bend: float, integral: bool) -> System:
+    """A cart on a bent track, with a load and a goal; several rest points if it has no integrator."""
+    place, force, load = (Port(name, (1,), unit, "") for name, unit in (("x", "m"), ("u", "m/s"), ("load", "m/s")))
+    plant = Plant(
+        "track", Layout((place,)), Layout((force,)), disturbances=Layout((load,)),
+        ode=lambda x, f, d, p: {"x": bend * x["x"] ** 3 + f["u"] + d["load"]},
+    )  # fmt: skip
+
+    def law(z: Any, u: Any, p: Any) -> Any:
+        error = u["goal"] - u["x"]
+        return Action({"u": 2 * error + sum(z.values())}, {"sum": z["sum"] + error / 8} if integral else ())
+
+    memory = Layout((Port("sum", (1,), "m/s", ""),) if integral else ())
+    inputs = Layout((place, Port("goal", (1,), "m", "")))
+    return System(plant, Controller("hold", 0.125, inputs, plant.inputs, law, state=memory))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_region_is_about_the_rest_point_of_the_margins(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    integral = bool(seed % 2)
+    values = {"reference.goal": rng.uniform(-0.3, 0.3), "disturbance.load": rng.uniform(-0.3, 0.3)}
+    system, within = shifted(1.0, integral), {"x": (-2.0, 2.0)} | ({"controller.sum": (-2.0, 2.0)} if integral else {})
+    at, dynamics = find_equilibrium(system, values), sampled_dynamics(system, within, values=values)
+    require_common(dynamics)
+    assert dynamics.equilibrium == pytest.approx([*at.x, *at.z], abs=1e-8)
+    assert dynamics.sampling is not None
+    assert float(dynamics.sampling.commands[0].rest) == pytest.approx(at.f[0], abs=1e-8)
+    assert np.abs(dynamics.evaluate(dynamics.equilibrium[:, None])).max() < 1e-12
+    solution = solve(Problem(dynamics, "lyapunov"), first=True, time_limit=5.0)
+    # no double is the root of a cubic equation
+    assert solution.verdict == "unknown" and "only up to rounding" in solution.reason and solution.seconds < 1.0
+
+
+def test_a_shifted_loop_whose_rest_point_is_a_double_has_a_region() -> None:
+    values = {"reference.goal": 0.3, "disturbance.load": -0.75}
+    dynamics = sampled_dynamics(shifted(0.0, True), {"x": (-1.0, 1.0), "controller.sum": (-2.0, 2.0)}, values=values)
+    assert dynamics.equilibrium.tolist() == [0.3, 0.75]
+    solution = solve(Problem(dynamics, "lyapunov"), first=True)
+    assert solution.verdict == "proved" and solution.sampled
+
+
+@pytest.mark.parametrize(
+    ("values", "ranges", "because"),
+    [
+        ({"disturbance.load": 3.0}, {}, "no equilibrium was found"),  # more than the limit of the command
+        ({"reference.goal": 0.3}, {"disturbance.load": (-0.1, 0.1)}, "its equilibrium moves with disturbance_load"),
+        ({"reference.goal": 0.3, "disturbance.load": 0.1}, {"k": (1.9, 2.1)}, "its equilibrium moves with k"),
+        ({"reference.goal": 1.5}, {}, r"not in \[-1, 1\] m"),
+    ],
+)
+def test_a_loop_without_one_rest_point_in_the_box_has_no_region(values: Any, ranges: Any, because: str) -> None:
+    system = shifted(0.0, False)
+    gain = Layout((Port("k", (1,), "1/s", "", 2.0),))
+    law = system.controller
+    held = Controller(
+        "hold", 0.125, law.inputs, law.command, gains=gain,
+        law=lambda x, u, p: ca.fmax(-2, ca.fmin(2, p["k"] * (u["goal"] - u["x"]))),
+    )  # fmt: skip
+    system = System(system.plant, held)
+    with pytest.raises(NotApplicable, match=because):
+        require_common(sampled_dynamics(system, {"x": (-1.0, 1.0)}, values=values, ranges=ranges))
+
+
+def test_a_jump_is_the_cause_of_unknown_in_the_first_line() -> None:
+    system = cart(limited)
+    plant = Plant(
+        "cart", system.plant.state, system.plant.inputs, parameters=system.plant.parameters,
+        ode=lambda x, f, d, p: {"x": x["v"], "v": f["u"] + ca.if_else(x["x"] > 0.5, 0.1, 0)},
+    )  # fmt: skip
+    solution = solve(Problem(sampled_dynamics(System(plant, system.controller), WITHIN), "lyapunov"))
+    assert solution.verdict == "unknown" and solution.seconds < 1.0
+    assert "the dynamics may jump" in solution.lines()[0]
+    line = assess(ClosedLoop(system, region=lambda: solution), parts=["region"]).lines[0]
+    assert line.passed is None and "the dynamics may jump" in line.text

@@ -271,8 +271,8 @@ def test_a_controller_state_is_a_state_and_a_state_that_rests_is_none() -> None:
     d = continuous_dynamics(System(plant, law), {"pair[0]": (-1.0, 1.0), "pair[1]": (0.0, 0.0)})
     assert d.names == ("pair_0",) and d.evaluate([[0.5]])[0, 0] == -0.5
     assert continuous_dynamics(System(plant, law), {"pair[0]": (-1.0, 1.0)}).names == ("pair_0",)
-    with pytest.raises(InputError, match=r"within\.pair\[1\]: is missing, but the state moves"):
-        continuous_dynamics(System(plant, law), {"pair[0]": (-1.0, 1.0)}, values={"start.pair[1]": 0.5})
+    beside = continuous_dynamics(System(plant, law), {"pair[0]": (-1.0, 1.0)}, values={"start.pair[1]": 0.5})
+    assert beside.about["plant_state"] == ["pair_0", 0.0]  # the search for the rest point begins beside it
     with pytest.raises(InputError, match=r"within\.pair\[1\]: has equal bounds, but moves"):
         continuous_dynamics(System(plant, law), {"pair[0]": (-1.0, 1.0), "pair[1]": (0.5, 0.5)})
 

@@ -46,7 +46,8 @@ RANGES = {"k_p": (1.0, 16.0), "k_d": (0.75, 12.0), "k_i": (0.25, 4.0)}
 OWN = SystemBench(SYSTEM, "mine.py:build", 6.0, RANGES, PLACES, GOALS)
 ROBOT = Bench(load_vehicle("sur400"), load_scenario("pool-behind"), load_gains("default"), load_goals(), (0.05, 0.22))
 MISSED = """() => [...document.querySelectorAll('figure, table, input, select, button, label')].filter(
-    e => e.getClientRects().length && !e.closest('.scroll') && e.getBoundingClientRect().right > innerWidth + 1)
+    e => e.getClientRects().length && !e.closest('.scroll, .panels'))
+    .filter(e => e.getBoundingClientRect().right > innerWidth + 1)
     .map(e => e.outerHTML.slice(0, 80))"""
 
 
@@ -146,6 +147,9 @@ def test_the_keyboard_moves_compares_undoes_saves_and_loads(served):
         for width in (1280, 400):
             assert opened.overflow(width) <= 0
             assert page.evaluate(MISSED) == []
+        tops = "ids => ids.map(id => document.getElementById(id).getBoundingClientRect().top + scrollY)"
+        strip, loops, sliders, margins = page.evaluate(tops, ["strip", "loops", "controls", "margins"])
+        assert strip < loops < sliders < margins  # on a telephone, the loops are above the sliders
         assert opened.errors == [] and opened.outside == []
 
 
@@ -218,8 +222,11 @@ def test_the_margins_and_goals_on_the_page_are_those_of_python():
     html = respond(OWN, "goals", request(OWN))["html"]
     worst = max(GOALS[0].judge(OWN.loop({}, point)).value for point in PLACES)
     assert f"{worst:.3g} s for 8" in html
+    strip = respond(OWN, "goals", request(OWN))["strip"]
+    assert len(re.findall('<li class="(?:good|bad)">', strip)) == len(GOALS) and "soon: " in strip
     run = respond(OWN, "run", request(OWN))
     assert "force, light" in run["table"] and "sign changes per s" in run["table"]
+    assert run["strip"].count("<li") == run["table"].count('class="good"') + run["table"].count('class="bad"')
     assert (
         respond(OWN, "linear", request(OWN, values={"k_p": -9.0, "k_d": 1.0, "k_i": 1.0}))["html"].count("figure") > 10
     )

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from surctl.errors import InputError
 from surctl.ir import Call, Layout, Routine, compile_batch, compile_block, lower, replay
 from surctl.marine.sensing import LocalMap
-from surctl.marine.sensing.mapping.local_map import BLIND, READING, RING
+from surctl.marine.sensing.mapping.firing import BLIND, READING, RING
 from surctl.marine.world import Disc
 from tests.oracles.local_map import map_step
 from tests.raycasting import heard_along

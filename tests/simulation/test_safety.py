@@ -41,7 +41,7 @@ def test_the_shipped_margin_is_enough_for_twenty_per_cent_but_not_for_the_whole_
     assert near.holds and near["covered speed"] == SCENARIO.cap and near["margin needed"] < 0.04
     assert not wide.holds and 0.04 < wide["covered speed"] < 0.08
     assert "DOES NOT HOLD" in wide.lines()[-1] and "holds" in near.lines()[-1]
-    assert f"set margin = {wide.least_margin:g} in the gain file" in wide.shortfall and near.shortfall == ""
+    assert f'set margin = "{wide.least_margin:g} m" in the gain file' in wide.shortfall and near.shortfall == ""
     assert safety_claim(SCENARIO, VEHICLE, GAINS.with_values({"margin": wide.least_margin})).holds
     assert not safety_claim(SCENARIO, VEHICLE, GAINS.with_values({"margin": wide.least_margin - 1e-3})).holds
     more = GAINS.with_values({"margin": wide["margin needed"] + 1e-6})
@@ -51,7 +51,7 @@ def test_the_shipped_margin_is_enough_for_twenty_per_cent_but_not_for_the_whole_
 
 
 def test_the_cap_that_is_proposed_is_one_that_holds() -> None:
-    [proposed] = re.findall(r"lower the speed cap to (\S+) m/s or less", claim().shortfall)
+    [proposed] = re.findall(r"lower the speed cap, and a faster cruise speed, to (\S+) m/s or less", claim().shortfall)
     assert safety_claim(replace(SCENARIO, cap=float(proposed), cruise=0.01), VEHICLE, GAINS).holds
 
 

@@ -22,7 +22,8 @@ from surctl.marine.simulation import (
     stop_reason,
     time_limit_reason,
 )
-from surctl.marine.simulation.batch.loop import Structure, build_loop
+from surctl.marine.simulation.batch.loop import build_loop
+from surctl.marine.simulation.batch.structure import Structure
 from surctl.marine.simulation.metrics import STOPPED_LIMIT
 from surctl.marine.simulation.sensors import Sensors
 from surctl.marine.vehicle import load_vehicle

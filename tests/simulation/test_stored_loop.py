@@ -9,7 +9,8 @@ import pytest
 
 from surctl.errors import SurctlError
 from surctl.marine.simulation.batch import engines
-from surctl.marine.simulation.batch.loop import Loop, Structure, build_loop
+from surctl.marine.simulation.batch.loop import Loop, build_loop
+from surctl.marine.simulation.batch.structure import Structure
 
 PLAIN = Structure("closed_form", "corrected", "nsb", "truth", ("disc",))
 

@@ -1,5 +1,6 @@
 import hashlib
 import re
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -7,14 +8,16 @@ import pytest
 import xarray
 
 from surctl.assessment import assess
+from surctl.cli.verify import _chosen
 from surctl.errors import InputError
-from surctl.marine.assessment import unstable_text
+from surctl.marine.assessment import LoopAnalysis, unstable_text
 from surctl.marine.control import build_law, load_gains
 from surctl.marine.simulation import LIBRARY as SCENARIOS
 from surctl.marine.simulation import simulate
 from surctl.marine.study import conduct, load_plan
-from surctl.marine.study.conduct import assessed, loops_of, summary, with_perception
+from surctl.marine.study.conduct import Loops, _speed_notes, assessed, claims_of, loops_of, summary, with_perception
 from surctl.marine.vehicle import LIBRARY, load_vehicle
+from surctl.marine.verification import OverSpeeds
 from surctl.marine.verification.linear import slowest_mode
 from tests.cli.process import surctl
 from tests.report.data import swept
@@ -121,7 +124,7 @@ def test_the_report_stands_alone(study, folder):
     assert all('src="data:image/' in image and "alt=" in image for image in images)
     assert not re.findall(r'(?:src|href)="(?!data:|#)', page)
     assert "Replayed runs: 1: pool-behind by sur400." in page
-    links = re.findall(r'href="#([^"]*)"', re.findall(r'<ul class="checks">(.*?)</ul>', page, re.DOTALL)[0])
+    links = re.findall(r'href="#([^"]*)"', "".join(re.findall(r'<ul class="checks">(.*?)</ul>', page, re.DOTALL)))
     assert {"sweep", "margins", "claims", "runs-1", "export"} <= set(links)
     assert all(f'id="{link}"' in page for link in links)
     assert page.count(" data-player>") == 1
@@ -131,7 +134,9 @@ def test_the_report_stands_alone(study, folder):
 
 def test_the_cruise_speeds_of_the_study_are_those_of_its_sweep_its_summary_and_its_json(study, folder):
     data = study.json
-    (speeds,) = [n for n in data["summary"] if n["text"].startswith("margins at 0.05 and 0.15 m/s: least delay")]
+    (speeds,) = [
+        n for n in data["summary"] if n["text"].startswith("margins at 0.05 and 0.15 m/s, worst corner: least delay")
+    ]
     told = data["linear"]["speeds"]
     assert speeds["passed"] is True and [row["cruise_m_per_s"] for row in told["at"]] == [0.05, 0.15]
     with xarray.open_dataset(folder / "surctl-out" / "sweep.nc") as table:
@@ -155,14 +160,14 @@ def test_sonars_that_the_law_cannot_hear_are_told_before_the_sweep(tmp_path):
 def test_the_built_in_plan():
     plan = load_plan()
     assert [leg.scenario.name for leg in plan.deciding] == [
-        "tank-static",
-        "tank-speed-015",
+        "tank-static-0.1",
+        "tank-moving-0.1",
         "pool-static",
         "pool-behind",
     ]
     assert [case.name for case in plan.sweep_cases] == [
-        "tank-static/sur540-flooded/truth",
-        "tank-speed-015/sur540-flooded/truth",
+        "tank-static-0.1/sur540-flooded/truth",
+        "tank-moving-0.1/sur540-flooded/truth",
         "pool-static/sur400/truth",
         "pool-behind/sur400/truth",
     ]
@@ -187,10 +192,22 @@ def own_vehicle(tmp_path, source="sur540-light"):
 def test_a_vehicle_file_flies_the_built_in_study_with_that_vehicle(tmp_path):
     plan = load_plan(str(own_vehicle(tmp_path)))
     assert {leg.vehicle.name for leg in plan.legs} == {'my "boat"'}
-    assert [leg.scenario.name for leg in plan.deciding] == ["tank-static", "tank-speed-015"]
+    assert [leg.scenario.name for leg in plan.deciding] == ["tank-static", "tank-moving"]
     misfits = {leg.scenario.name: leg.misfit for leg in plan.legs if leg.misfit}
     assert set(misfits) == {"pool-static", "pool-behind"}
     assert "0.020 m inside a wall at the start" in misfits["pool-static"]
+
+
+@pytest.mark.parametrize("name", ["sur540-flooded", "girona500", "otter"])
+def test_a_study_decides_the_claims_that_verify_decides(monkeypatch, name):
+    monkeypatch.setattr(sys.modules[conduct.__module__], "decide", lambda claim: claim)
+    plan = load_plan(vehicle=name)
+    fastest = plan.deciding[0].scenario
+    decided, _ = claims_of(plan, plan.gains, fastest)
+    at_hand = {**plan.gains.values, "speed": fastest.cruise, "speed_max": fastest.cap}
+    chosen, _ = _chosen([], at_hand, plan.vehicle)
+    assert [claim.name for claim in decided] == [claim.name for claim in chosen]
+    assert ("braking-retreat" in {c.name for c in decided}) is (name == "sur540-flooded")
 
 
 def test_a_study_without_a_sweep_has_its_own_gains_as_the_only_point(tmp_path):
@@ -207,7 +224,7 @@ def test_a_study_without_a_sweep_has_its_own_gains_as_the_only_point(tmp_path):
 def test_other_vehicles_take_every_scenario_of_a_plan_that_they_fit():
     plan = load_plan().by([load_vehicle(name) for name in ("sur400", "sur540-flooded")])
     kept = [(leg.scenario.name, leg.vehicle.name) for leg in plan.deciding]
-    assert [v for s, v in kept if s == "pool-static"] == ["sur400"] and ("tank-static", "sur540-flooded") in kept
+    assert [v for s, v in kept if s == "pool-static"] == ["sur400"] and ("tank-static-0.1", "sur540-flooded") in kept
     assert all("wall" in (leg.left_out or "") for leg in plan.left_out)
 
 
@@ -259,6 +276,19 @@ def test_cruise_speeds_of_a_study_are_checked_when_it_is_read(tmp_path, speeds, 
     assert load_plan(str(tmp_path / "s.toml")).cruise == (0.1, 0.15)
 
 
+@pytest.mark.parametrize("speed", ["0.9", "0.0", "nan", "inf"])
+def test_a_run_has_a_cruise_speed_of_its_own(tmp_path, speed):
+    text = 'kind = "study"\nname = "s"\nvehicle = "sur400"\n[[runs]]\nscenario = "pool-behind"\ncruise_m_per_s = '
+    (tmp_path / "s.toml").write_text(f"{text}{speed}\n")
+    with pytest.raises(InputError, match=r"s.toml: runs.*cruise_m_per_s = "):
+        load_plan(str(tmp_path / "s.toml"))
+    (tmp_path / "s.toml").write_text(f"{text}0.1\n")
+    mission = load_plan(str(tmp_path / "s.toml")).legs[0].scenario
+    assert (mission.name, mission.cruise, mission.source, mission.paper.result) == ("pool-behind-0.1", 0.1, "", "")
+    (tmp_path / "s.toml").write_text(f"{text}0.15\n")
+    assert load_plan(str(tmp_path / "s.toml")).legs[0].scenario.name == "pool-behind"
+
+
 def test_names_in_a_study_file_may_lie_beside_it(tmp_path):
     own_vehicle(tmp_path, "sur400")
     (tmp_path / "s.toml").write_text(MAIN.replace("sur400", "my.toml"))
@@ -270,6 +300,14 @@ def test_an_unstable_loop_is_named_with_its_remedy():
     mode = slowest_mode(load_vehicle("bluerov2-wu"), load_gains("default").values, cruise=0.25, dt=0.05)
     text = unstable_text(mode)
     assert mode.loop == "yaw" and "dominant states psi" in text and "0.202 m/s or less" in text
+
+
+@pytest.mark.parametrize(("delay", "disk", "short"), [(0.25, 0.4, ""), (0.19, 0.4, "0.2 s"), (0.25, 0.29, "0.3")])
+def test_each_speed_of_a_study_needs_the_margins_that_the_largest_needs(delay, disk, short):
+    figures = {"delay_margin_s": [0.3, delay], "disk_margin": [disk, 0.5], "slowest_pole_per_s": [-0.1, -0.2]}
+    over = OverSpeeds((0.05, 0.1), {name: np.array(values) for name, values in figures.items()})
+    [line] = _speed_notes(Loops(LoopAnalysis(0.1), over))
+    assert line.passed is not bool(short) and line.text.endswith(f"; required: at least {short}") is bool(short)
 
 
 def test_a_study_of_an_own_law_judges_nothing_of_another() -> None:
@@ -290,7 +328,7 @@ def test_a_study_of_an_own_law_judges_nothing_of_another() -> None:
 def test_a_study_that_names_no_gains_starts_from_those_of_its_vehicle() -> None:
     assert load_plan().gains == load_gains("default") and load_plan().derivation is None
     plan = load_plan(str(LIBRARY / "bluerov2-vonbenzon.toml"))
-    assert plan.gains.provenance.startswith("derived from the vehicle bluerov2-vonbenzon at 0.22 m/s")
+    assert plan.gains.provenance.startswith("derived from the vehicle bluerov2-vonbenzon at 0.2 m/s")
     assert plan.derivation is not None and plan.derivation.reached
     scale = {name: plan.gains[name] / load_gains("default")[name] for name in ("lookahead", "k_v")}
     axes = {axis.name: axis.values for axis in plan.axes}

@@ -13,6 +13,7 @@ import pytest
 from surctl.errors import InputError
 from surctl.ir import Layout, Port
 from surctl.system import Controller, Cost, Plant, System, linearise, simulate_system
+from surctl.testing import cart_system
 from surctl.tuning import SensitivityBound, tune_system
 from surctl.verification import system_disk_margin
 from tests.tools import need_compiler
@@ -79,6 +80,17 @@ def test_bounds_and_the_margin_are_kept_or_named() -> None:
     wide = tune_system(cart(), 8.0, RANGES, trials=300, least_disk_margin=0.65)
     assert wide.unmet == () and wide.disk_margin is not None and wide.disk_margin >= 0.65
     assert tune_system(cart(), 8.0, RANGES, trials=60, least_disk_margin=1.99).unmet == ("disk margin",)
+
+
+def test_the_delay_margin_is_kept_and_the_own_gains_are_a_candidate() -> None:
+    need_compiler()
+    hard = cart_system(costs={"pull": Cost(lambda s: s.f["force"], "min", "m/s^2")})  # least with the largest gain
+    tuned = tune_system(hard, 0.5, {"k": (1.0, 18.0)}, trials=20)
+    assert tuned.unmet == () and all(one.enough for one in tuned.margins) and len(tuned.margins) == 2
+    assert tune_system(hard, 0.5, {"k": (12.0, 13.0)}, trials=5).unmet == ("delay margin",)
+    off = Cost(lambda s: (s.f["force"] + 4 * s.x["speed"]) ** 2, "integral", "m^2/s^3")
+    own = tune_system(cart_system(4.0, costs={"off": off}), 1.0, {"k": (1.0, 18.0)}, trials=5)
+    assert own.gains == {"k": 4.0} and own.costs == own.before
 
 
 def test_an_interrupted_search_resumes_to_the_same_gains(tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ from surctl.errors import InputError
 from surctl.marine.vehicle import (
     MotionLog,
     Vehicle,
-    held_out,
+    held_out_windows,
     identify,
     load_vehicle,
     predict,
@@ -148,13 +148,13 @@ def test_intervals_of_coloured_noise_are_those_of_the_estimates() -> None:
 
 def test_a_held_out_part_is_predicted_beside_the_last_velocity() -> None:
     log = made_log(TRUE, seed=6, rows=400)
-    found = held_out(log, START)
-    assert found is not None and found.windows >= 2 and found.time[0] > 24.0
+    [found] = held_out_windows(log, START, [5.0])
+    assert found.windows >= 2 and found.time[0] > 24.0
     assert all(found.model[c] < 0.5 * found.hold[c] for c in ("u_m_per_s", "v_m_per_s", "r_rad_per_s"))
     poses = log.motion.copy()
     poses[:, 4:] = np.nan
-    alone = held_out(MotionLog(log.time, poses, log.thrust), START)
-    assert alone is not None and set(alone.model) == {"x_m", "y_m", "z_m", "psi_rad"}
+    [alone] = held_out_windows(MotionLog(log.time, poses, log.thrust), START, [5.0])
+    assert set(alone.model) == {"x_m", "y_m", "z_m", "psi_rad"}
     assert alone.model["x_m"] < alone.hold["x_m"]
 
 

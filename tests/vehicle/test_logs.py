@@ -20,8 +20,9 @@ from surctl.marine.vehicle import (
     swap_pose,
     topic_lines,
 )
-from surctl.marine.vehicle.logs.joining import heading_frame, roll_pitch_heading
+from surctl.marine.vehicle.logs.joining import roll_pitch_heading
 from surctl.marine.vehicle.logs.recording import TopicRows, step_back
+from surctl.marine.vehicle.motion_log import heading_frame
 from tests.vehicle import logs_written as written
 
 DIVE = written.dive()
@@ -218,7 +219,7 @@ def test_angles_are_those_of_scipy() -> None:
     np.testing.assert_allclose(angles, turned.as_euler("ZYX")[:, ::-1], atol=1e-9)
     body = rng.normal(size=(200, 3))
     level = Rotation.from_euler("z", -angles[:, 2:]) * turned
-    np.testing.assert_allclose(heading_frame(body, angles[:, 0], angles[:, 1]), level.apply(body), atol=1e-9)
+    np.testing.assert_allclose(heading_frame(body, roll=angles[:, 0], pitch=angles[:, 1]), level.apply(body), atol=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import re
+import tomllib
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from surctl.errors import InputError
-from surctl.marine.vehicle import LIBRARY, PARAMETERS, Vehicle, load_vehicle, parameter_spec
+from surctl.marine.control import load_gains, write_gains
+from surctl.marine.vehicle import LIBRARY, PARAMETERS, Vehicle, load_vehicle, parameter_spec, write_vehicle
+from surctl.marine.vehicle.parameters import vehicle_from_table
 
 COLUMNS = (
     *("radius", "m11", "m22", "m33", "m44", "Xu", "Yv", "Zw", "Nr", "Xuu", "Yvv", "Zww", "Nrr"),
@@ -136,6 +139,11 @@ MISTAKES = {
         "inertia.m11.range",
         "is not a range",
     ),
+    "range of inertia": (
+        _edited(M11, f'{M11}\nm12 = {{ value = 0.0, unit = "kg", range = [-60, 40] }}'),
+        "inertia.m12.range = -60.0",
+        "below sqrt(m11 m22)",
+    ),
     "range without end": (_edited(M11, 'm11 = { value = 95.0, unit = "kg", range = [50, inf] }'), "inertia.m11", "inf"),
     "unknown key": (_edited("m44 =", "m45 ="), "inertia.m45", "did you mean 'm44'?"),
     "number for a table": ("hull = 3\n" + re.sub(r"\[hull\](.|\n)*?\[", "[", TEXT, count=1), "hull", "must be a table"),
@@ -163,6 +171,31 @@ def test_a_mistake_in_a_file_is_one_line_with_file_key_and_remedy(tmp_path: Path
     assert fragment in shown
     assert error.remedy
     assert "\n" not in shown
+
+
+def test_one_message_names_all_wrong_entries_of_a_file(tmp_path: Path) -> None:
+    wrong = write_vehicle(load_vehicle("sur400"))
+    for key in ("m11", "Xu", "Fu_max"):
+        wrong = re.sub(rf"(?m)^{key} = {{ value = ", f"{key} = {{ value = -", wrong)
+    with pytest.raises(InputError, match=r"inertia\.m11 = -.* \(also wrong: drag\.Xu, thrust\.Fu_max\)"):
+        _load(tmp_path, wrong)
+    gains = write_gains(load_gains("default"))
+    (tmp_path / "g.toml").write_text(re.sub(r"(?m)^(k1|k_v) = .*", r'\1 = "-1 1/s"', gains))
+    with pytest.raises(InputError, match=r"gains\.k1 = -1\.0: .* \(also wrong: gains\.k_v\)"):
+        load_gains(str(tmp_path / "g.toml"))
+
+
+@pytest.mark.parametrize("name", PARAMETERS)
+def test_both_ends_of_a_range_are_values_that_the_parameter_may_have(name: str) -> None:
+    spec, base = PARAMETERS[name], load_vehicle("sur540-flooded")
+    for low in (-1.0, 0.0):
+        table = tomllib.loads(write_vehicle(base))
+        table[spec.table][name] |= {"value": 1.0, "range": [low, 2.0]}
+        if low == 0 and spec.zero_allowed:
+            assert vehicle_from_table(table, source="v.toml").parameters[name].range == (low, 2.0)
+            continue
+        with pytest.raises(InputError, match=rf"v.toml: {spec.table}\.{name}\.range = {low}: must be {spec.bound}"):
+            vehicle_from_table(table, source="v.toml")
 
 
 @pytest.mark.parametrize("content", [b"", b"\x7fELF\x00\xff"], ids=["empty", "binary"])

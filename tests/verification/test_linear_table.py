@@ -170,7 +170,9 @@ def test_bad_values_are_named(values: dict[str, list[float]], key: str) -> None:
         linear_table(VEHICLE, values, base=GAINS, **ABOUT)
 
 
-@pytest.mark.parametrize("columns", [["disk_margin"], ["least_damping"], ["overshoot.heading", "delay_margin_s.yaw"]])
+@pytest.mark.parametrize(
+    "columns", [["disk_margin"], ["delay_margin_s"], ["least_damping"], ["overshoot.heading", "delay_margin_s.yaw"]]
+)
 def test_columns_alone_are_those_of_the_whole_table(columns: list[str]) -> None:
     alone = linear_table(VEHICLE, VALUES, base=GAINS, columns=columns, **ABOUT)
     assert list(alone) == columns

@@ -11,7 +11,8 @@ from surctl.marine.control.closing import velocity_control
 from surctl.marine.control.paper import DAMPING
 from surctl.marine.guidance.tracking import along_command, tracking_velocity
 from surctl.marine.vehicle import load_vehicle, planar_rotation
-from surctl.marine.verification import closed_loop_poles, cruise_loop, law_loop, loop_margins, worst_margins
+from surctl.marine.verification import closed_loop_poles, cruise_loop, law_loop, loop_margins
+from surctl.marine.verification.linear import corner_margin, corners
 from surctl.verification.loops import BrokenLoop, LoopMargins, crossings_of, margins_from
 
 GAINS = {"k1": 0.3, "k2": 0.3, "k_psi": 0.6, "k_r": 1.5, "k_v": 1.5, "lookahead": 1.2}
@@ -229,18 +230,20 @@ def test_a_wrong_model_scales_the_loop_gain():
     assert wrong["surge"] == right["surge"]
 
 
-def test_worst_margins_are_the_least_of_the_corners():
-    vehicle, gains = load_vehicle("sur540-flooded"), GAINS
-    about = {"cruise": 0.2, "dt": 0.05}
-    nominal = loop_margins(vehicle, gains, **about)
-    assert worst_margins(vehicle, gains, uncertainty=0.0, **about) == nominal
-    small, large = (worst_margins(vehicle, gains, uncertainty=u, **about) for u in (0.2, 0.4))
-    for some, less, least in zip(nominal, small, large, strict=True):
-        assert some.disk_margin >= less.disk_margin >= least.disk_margin > 0
-        assert some.delay_margin_s >= less.delay_margin_s >= least.delay_margin_s
-    assert min(m.disk_margin for m in large) < min(m.disk_margin for m in nominal)
+def test_the_least_delay_margin_is_that_of_all_corners_and_loops():
+    vehicle, about = load_vehicle("sur540-flooded"), {"cruise": 0.2, "dt": 0.05}
+    tried = corners(vehicle, 0.3)
+    each = {
+        f"{m.name} at {label}": m.delay_margin_s
+        for plant, label in zip(tried.vehicles, tried.labels, strict=True)
+        for m in loop_margins(plant, GAINS, model=vehicle, **about)
+    }
+    found = corner_margin(vehicle, GAINS, uncertainty=0.3, **about)
+    worst = min(each, key=lambda where: each[where])
+    assert (found.delay.where, found.delay.delay_s) == (worst, pytest.approx(each[worst], rel=1e-9))
+    assert found.delay.corner == "mass -30%, drag -30%" and found.latest["m11"] == 0.7 * vehicle["m11"]
     with pytest.raises(InputError, match="uncertainty = 1"):
-        worst_margins(vehicle, gains, uncertainty=1.0, **about)
+        corners(vehicle, 1.0)
 
 
 @pytest.mark.parametrize("name", LOOPS[1::3])  # all of them: study 40

@@ -14,8 +14,6 @@ from surctl.ir import runnable
 from surctl.marine.allocation.program import allocation_block
 from surctl.marine.vehicle import Actuators
 
-__all__ = ["Allocation", "allocate", "working_flags"]
-
 Array = NDArray[np.float64]
 
 _MISSED = 1e-8  # smallest share of the largest thruster force (or of its yaw moment) that a level reports as given up

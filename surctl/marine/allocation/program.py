@@ -26,8 +26,6 @@ from surctl.priority.solver.dual_step import Space
 from surctl.priority.solver.elimination import FLOAT32, FLOAT64, Precision
 from surctl.priority.solver.kernel import lanes_of, search
 
-__all__ = ["Design", "ForceRows", "LevelRows", "allocation_block"]
-
 Array = NDArray[np.float64]
 
 _ZERO = 1e-9  # part of a unit normal below which a half-space does not restrict a level

@@ -20,8 +20,6 @@ from surctl.marine.simulation.sensors import FIRING, firing_plan
 from surctl.marine.vehicle import Vehicle
 from surctl.marine.world import Disc
 
-__all__ = ["SimulatedSub"]
-
 Vector = NDArray[np.float64]
 
 _ARDUPILOT, _SUBMARINE, _ARMED, _OWN_MODES = 3, 12, 128, 1

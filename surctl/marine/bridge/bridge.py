@@ -45,8 +45,6 @@ from surctl.marine.simulation import Scenario, law_numbers
 from surctl.marine.tuning import gains_for
 from surctl.marine.vehicle import Vehicle
 
-__all__ = ["Bridge", "Moment", "Plan", "plan_session"]
-
 Vector = NDArray[np.float64]
 
 _BEAT, _TIME, _RATES = 1.0, 0.1, 2.0  # [s] between heartbeats, TIMESYNC requests, requests of rates
@@ -86,12 +84,8 @@ class Plan:
                 remedy="give at most 8 points",
             )
         if self.mapping.mode.name == "alt_hold" and self.scenario.depths is not None:
-            raise InputError(
-                "needs a mode in which the law controls the depth",
-                file=self.scenario.source,
-                key="depths_m",
-                remedy="use --mode manual or guided",
-            )
+            problem = "needs a mode in which the law controls the depth"
+            raise InputError(problem, file=self.scenario.source, key="depths_m", remedy="use --mode manual or guided")
 
 
 @dataclass(frozen=True, eq=False)

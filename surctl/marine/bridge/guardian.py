@@ -16,8 +16,6 @@ import time
 from contextlib import suppress
 from pathlib import Path
 
-__all__ = ["Guardian"]
-
 _TIMES, _PERIOD = 20, 0.05  # how often and every how many seconds the neutral frames are sent
 _FAREWELL = b"farewell\n"
 

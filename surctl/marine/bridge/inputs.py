@@ -20,13 +20,6 @@ from surctl.marine.simulation import Scenario, build_world
 from surctl.marine.vehicle import Vehicle, heading_velocity
 from surctl.marine.world import Disc
 
-__all__ = [
-    "Estimate",
-    "Inputs",
-    "Site",
-    "parse_site",
-]
-
 # The scenario's frame {E} and the autopilot's local frame NED
 
 

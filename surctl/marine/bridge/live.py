@@ -16,8 +16,6 @@ from surctl.errors import InputError, nearest
 from surctl.marine.bridge.bridge import Bridge
 from surctl.marine.bridge.guardian import Guardian
 
-__all__ = ["Address", "Ended", "SessionLog", "parse_address", "run_session"]
-
 _FORMS = ("udp", "udpin", "udpout")
 _NEUTRAL = 5  # periods with neutral commands at the end of a session
 _GRACE = 0.01  # [s] after the begin of a period, for frames that have already arrived

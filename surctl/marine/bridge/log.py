@@ -18,8 +18,6 @@ from surctl.marine.simulation.record_file import SceneFile, write_layout
 from surctl.marine.world import Disc
 from surctl.recorded_write import McapFile
 
-__all__ = ["FrameLog", "SessionRecord"]
-
 _STAMP = struct.Struct(">Q")
 _FLUSH = 1.0  # [s] of messages for Foxglove that a killed process may lose; the telemetry log loses nothing
 _POINT = 0.03  # [m] radius with which a point is shown

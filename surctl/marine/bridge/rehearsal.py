@@ -16,17 +16,6 @@ from surctl.marine.bridge.bridge import Bridge
 from surctl.marine.bridge.live import SessionLog
 from surctl.marine.simulation.sensors import FIRING
 
-__all__ = [
-    "ACTIONS",
-    "Act",
-    "Action",
-    "Channel",
-    "LinkQuality",
-    "Rehearsal",
-    "RehearsalResult",
-    "rehearse",
-]
-
 # A simulated link: frames that are lost, late, out of order, repeated or damaged
 
 

@@ -24,20 +24,6 @@ from typing import Literal
 
 from surctl.errors import InputError
 
-__all__ = [
-    "Clock",
-    "Limits",
-    "Phase",
-    "Sending",
-    "Session",
-    "after_arrival",
-    "after_beat",
-    "after_estimate",
-    "after_law",
-    "after_time",
-    "sending",
-]
-
 _BACK = 1.0  # [s] a time since boot that is older than the newest by more than this is that of a restarted autopilot
 _AHEAD = 5.0  # [s] and one that is ahead of its time by more than this belongs to another autopilot
 _MEMORY = 10.0  # [s] for which the best measurement of the offset is kept; clocks drift by far less than 1 ms in it
@@ -228,14 +214,7 @@ def after_arrival(session: Session, now: float) -> Session:
 
 
 def after_time(
-    session: Session,
-    now: float,
-    *,
-    clock: Clock,
-    steering_mode: int,
-    obstacle: str,
-    limits: Limits,
-    dt: float = 0.0,
+    session: Session, now: float, *, clock: Clock, steering_mode: int, obstacle: str, limits: Limits, dt: float = 0.0
 ) -> Session:
     """Return the session at the begin of a control period.
 

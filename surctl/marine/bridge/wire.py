@@ -22,30 +22,8 @@ from typing import Any, Literal, NamedTuple, TypeAlias, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.errors import InputError, ToolMissing, nearest
+from surctl.errors import InputError, ToolMissing, check_known
 from surctl.marine.vehicle import Thruster, Vehicle
-
-__all__ = [
-    "MODES",
-    "SENDS",
-    "Attitude",
-    "Axes",
-    "Beat",
-    "Event",
-    "Gone",
-    "Mapping",
-    "Mode",
-    "Odometry",
-    "Parser",
-    "Position",
-    "Ranges",
-    "Reply",
-    "Send",
-    "Text",
-    "Wire",
-    "dialect",
-    "mode_of",
-]
 
 
 class Beat(NamedTuple):
@@ -157,8 +135,7 @@ def mode_of(name: str, *, key: str = "--mode") -> Mode:
         >>> mode_of("alt_hold").number
         2
     """
-    if name not in MODES:
-        raise InputError("is not known", key=key, value=name, remedy=nearest(name, MODES))
+    check_known(name, MODES, key=key)
     return MODES[name]
 
 
@@ -296,11 +273,8 @@ def dialect() -> Any:
     try:
         return importlib.import_module("pymavlink.dialects.v20.ardupilotmega")
     except ImportError:
-        raise ToolMissing(
-            "needs the package pymavlink, which is not installed",
-            key="--mavlink",
-            remedy="install it: pip install 'surctl[field]'",
-        ) from None
+        problem = "needs the package pymavlink, which is not installed"
+        raise ToolMissing(problem, key="--mavlink", remedy="install it: pip install 'surctl[field]'") from None
 
 
 class Parser:
@@ -347,8 +321,7 @@ class Wire:
     """
 
     def __init__(self, *, target: int = 1, system: int = 255, send: Send | str = "rc") -> None:
-        if send not in SENDS:
-            raise InputError("is not known", key="--send", value=send, remedy=nearest(str(send), SENDS))
+        check_known(send, SENDS, key="--send")
         self.target, self.system, self.send, self.bad = target, system, send, 0
         self.mav = dialect()
         self._out = self.mav.MAVLink(None, srcSystem=system, srcComponent=_BRIDGE)

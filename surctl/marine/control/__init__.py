@@ -6,7 +6,6 @@ from surctl.marine.control.decision import Decision, TaskLevel
 from surctl.marine.control.gains import GAINS, LIBRARY, Gains, GainSpec, load_gains, write_gains
 from surctl.marine.control.law import (
     DEGRADED,
-    NONFINITE,
     SATURATED,
     SWITCHED,
     TRAPPED,
@@ -21,6 +20,7 @@ from surctl.marine.control.registry import LAW_NAMES, LAWS, SONARLESS, check_for
 from surctl.marine.control.source import AVOIDANCE, BARRIER, CASCADE, PATH_FOLLOWING, LawSource
 from surctl.marine.control.steering import turning_radius
 from surctl.marine.control.stopping import BARRIER_NAMES, MOVERS, Barrier, Movers
+from surctl.system import NONFINITE
 
 __all__ = [
     "ARC_LENGTHS",

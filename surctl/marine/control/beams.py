@@ -13,23 +13,10 @@ import casadi as ca
 from surctl.ir import each, tabulated
 from surctl.marine.sensing import Equipment, SonarArray
 from surctl.marine.sensing.mapping.contacts import expected_range
-from surctl.marine.sensing.mapping.local_map import READING
+from surctl.marine.sensing.mapping.firing import READING
 from surctl.marine.sensing.ranging.tracker import Ranging
 from surctl.marine.sensing.sonar.solids import turned
 from surctl.marine.vehicle import planar_rotation
-
-__all__ = [
-    "SILENT",
-    "Expected",
-    "StepState",
-    "beams",
-    "corrected",
-    "expected",
-    "floor_range",
-    "honest",
-    "least_of",
-    "slotted",
-]
 
 SILENT = 0.1
 """A reading less than this distance [m] below the maximum range counts as no echo."""

@@ -16,7 +16,7 @@ from typing import Any, cast, get_args
 
 import casadi as ca
 
-from surctl.errors import InputError, SurctlError, nearest
+from surctl.errors import InputError, SurctlError, check_known
 from surctl.ir import (
     Block,
     Call,
@@ -72,18 +72,6 @@ from surctl.marine.vehicle import Actuators
 from surctl.own_code import is_own, label, own_file
 from surctl.priority import Fallback, LevelShape, Mode, check_fallback, nsb_symbolic, priority_step
 from surctl.tasks import LimitRow, VelocityBox
-
-__all__ = [
-    "LAW_SOURCES",
-    "MODES",
-    "build_law",
-    "build_law_of",
-    "in_real",
-    "law_bytes",
-    "law_from",
-    "limited",
-    "sensing",
-]
 
 
 def _limit_rows(decision: Decision, p: dict[str, ca.SX]) -> list[LimitRow]:
@@ -347,31 +335,22 @@ def build_law(
         ("movers", movers, MOVERS),
     )
     for key, value, known in names:
-        if value not in known:
-            raise InputError("is not known", key=key, value=value, remedy=nearest(str(value), known))
+        check_known(value, known, key=key)
         if key in ("barrier", "movers") and key not in source.options and value != known[0]:
             raise InputError(f"law {called} has no such option", key=key, value=value, remedy="use law guarded")
     check_guidance(guidance)
     check_fallback(fallback, mode=mode)
     if "avoidance" not in source.options and avoidance != "corrected":
-        raise InputError(
-            f"law {called} accepts only the corrected form",
-            key="avoidance",
-            value=avoidance,
-            remedy="use law paper to compare the forms",
-        )
+        problem = f"law {called} accepts only the corrected form"
+        raise InputError(problem, key="avoidance", value=avoidance, remedy="use law paper to compare the forms")
     if sonar and not source.scans and equipment.assumed.array != DEFAULT_ARRAY:
         raise InputError(f"law {called} always has the four sonars of the paper", key="array", remedy="use law guarded")
     kind = "sonar" if sonar else "truth"
     for key, value, supported in (("sensing", kind, source.sensing), ("priority-mode", mode, source.modes or MODES)):
         if value not in supported:
             why = f", because {SONARLESS}" if key == "sensing" and source.steering is not None else ""
-            raise InputError(
-                f"law {called} supports only {' and '.join(supported)}{why}",
-                key=key,
-                value=value,
-                remedy=f"set --{key} {supported[0]}",
-            )
+            problem = f"law {called} supports only {' and '.join(supported)}{why}"
+            raise InputError(problem, key=key, value=value, remedy=f"set --{key} {supported[0]}")
     contacts = contacts if source.slots is None else source.slots
     depths = depths and "depths" in source.options
     chosen = _Configuration(
@@ -458,8 +437,7 @@ def _built(c: _Configuration) -> Law:
     inputs = sonar_inputs(c.equipment, contacts=c.contacts, depths=c.depths)
     noise = {"model_noise": source.model_noise, "acceleration_noise": source.acceleration_noise}
     return _with_perception(
-        _decide(source, c, decision_inputs),
-        build_perception(c.equipment, inputs, decision_inputs, dt=c.dt, **noise),
+        _decide(source, c, decision_inputs), build_perception(c.equipment, inputs, decision_inputs, dt=c.dt, **noise)
     )
 
 

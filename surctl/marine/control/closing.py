@@ -35,31 +35,6 @@ from surctl.marine.control.stopping import Bounds
 from surctl.marine.vehicle import planar_rotation
 from surctl.priority.solver.fallback import RELAXED
 
-__all__ = [
-    "ACCELERATION_NOISE",
-    "BRAKE",
-    "BRAKE_AT_START",
-    "CALM_GAINS",
-    "CALM_PORTS",
-    "CLIMB",
-    "EVADE",
-    "HARD",
-    "MODEL_NOISE",
-    "AxisVector",
-    "Closing",
-    "Memory",
-    "Thrust",
-    "beside_margin",
-    "calm_parameters",
-    "calmed",
-    "eased",
-    "pushed",
-    "soft_gain",
-    "thrust_bounds",
-    "velocity_control",
-    "yaw_limit",
-]
-
 
 def velocity_control(
     nu_reference: ca.SX,
@@ -415,9 +390,7 @@ class Closing:
         horizontal = nu_reference[:2] * ca.fmin(1, p["cap"] / ca.fmax(speed, 1e-6))
         turn = yaw_limit(p)
         clamped = ca.vertcat(
-            horizontal,
-            ca.fmin(ca.fmax(nu_reference[2], -CLIMB), CLIMB),
-            ca.fmin(ca.fmax(nu_reference[3], -turn), turn),
+            horizontal, ca.fmin(ca.fmax(nu_reference[2], -CLIMB), CLIMB), ca.fmin(ca.fmax(nu_reference[3], -turn), turn)
         )
         if self.thrust is not None:
             reference, nu, state = (AxisVector(vector) for vector in (clamped, self.u["nu"], integral))

@@ -37,8 +37,6 @@ from surctl.marine.guidance import Contact
 from surctl.marine.vehicle import planar_rotation
 from surctl.tasks import allowed_closing_speed
 
-__all__ = ["DEAD_END_PORTS", "LAYER_PORTS", "SEARCH_PORT", "aimed_depth", "dead_end_next", "forgetting", "standing"]
-
 AT = 0.03  # [m] distance from a layer's depth below which the robot has reached it
 SLACK = 0.015  # [m] tolerance for missing free water: the precision of depth and sounders
 FAST = 0.05  # [m/s] horizontal speed above which the robot stops before it changes its depth

@@ -15,18 +15,6 @@ from surctl.marine.sensing import SensorFilter, SonarArray
 from surctl.marine.sensing.mapping.contacts import ContactMemory, expected_range, sonar_contacts
 from surctl.tasks import HalfPlane, Task, depth_task, heading_task
 
-__all__ = [
-    "DECISION_PORTS",
-    "Decision",
-    "Perception",
-    "Scan",
-    "TaskLevel",
-    "lower_levels",
-    "perceive",
-    "perception_ports",
-    "weakest_acceleration",
-]
-
 # Perception of a law without a map; obstacle points are known obstacles, unexplained sonar echoes, and walls
 
 
@@ -185,11 +173,7 @@ class Scan(NamedTuple):
 
 
 def lower_levels(
-    eta: ca.SX,
-    desired: DesiredMotion,
-    p: Mapping[str, ca.SX],
-    scan: Scan | None = None,
-    side: ca.SX | None = None,
+    eta: ca.SX, desired: DesiredMotion, p: Mapping[str, ca.SX], scan: Scan | None = None, side: ca.SX | None = None
 ) -> tuple[TaskLevel, TaskLevel]:
     """Return the tasks with lower priority than the velocity task: depth, then heading.
 

@@ -11,10 +11,8 @@ import numpy as np
 from pydantic import Field
 
 from surctl.errors import InputError, nearest
-from surctl.files import Quantity, Strict, load_model, pick, quoted
+from surctl.files import Mistakes, Quantity, Strict, load_model, pick, quoted
 from surctl.units import is_number
-
-__all__ = ["GAINS", "LIBRARY", "GainSpec", "Gains", "load_gains", "write_gains"]
 
 LIBRARY = Path(__file__).parent / "library"
 
@@ -145,6 +143,17 @@ class Gains:
         return replace(self, name=name, values=merged, provenance=provenance or self.provenance)
 
 
+def setting(name: str, value: float) -> str:
+    """Return the line of a gain file that sets a gain, to quote in a text.
+
+    Example:
+        >>> from surctl.marine.control.gains import setting
+        >>> setting("margin", 0.929)
+        'margin = "0.929 m"'
+    """
+    return f'{name} = "{value:g} {GAINS[name].unit}"'
+
+
 def _chosen(own: Mapping[str, GainSpec]) -> Mapping[str, GainSpec]:
     return {name: spec for name, spec in own.items() if not spec.from_vehicle}
 
@@ -192,37 +201,42 @@ def load_gains(name_or_path: str, *, own: Mapping[str, GainSpec] | None = None) 
     stated_values: dict[str, float] = {}
     ranges: dict[str, tuple[float, float]] = {}
     specs = {**GAINS, **_chosen(own or {})}
+    mistakes = Mistakes()
     for name, quantity in model.gains.items():
-        _check_name(name, path, specs)
-        try:
-            stated = quantity.within(specs[name].unit)
-        except InputError as error:
-            raise error.inside(path, f"gains.{name}.unit") from None
-        _check_value(name, stated.value, path, specs)
-        stated_values[name] = stated.value
-        if stated.range is not None:
-            for bound in stated.range:
-                _check_value(name, bound, path, specs)
-            if not stated.range[0] <= stated.value <= stated.range[1]:
-                raise InputError(
-                    "is outside its own range",
-                    file=path,
-                    key=f"gains.{name}",
-                    value=stated.value,
-                    remedy=f"the stated range is {stated.range[0]:g} to {stated.range[1]:g}",
-                )
-            ranges[name] = stated.range
+        with mistakes.collected():
+            stated = _read_gain(name, quantity, path, specs)
+            stated_values[name] = stated.value
+            if stated.range is not None:
+                ranges[name] = stated.range
+    mistakes.check()
     for name, spec in specs.items():
-        if name not in stated_values and spec.default is None:
-            raise InputError(
-                "is missing",
-                file=path,
-                key=f"gains.{name}",
-                remedy=f'add {name} = {{ value = ..., unit = "{spec.unit}" }} ({spec.meaning})',
-            )
+        with mistakes.collected():
+            if name not in stated_values and spec.default is None:
+                remedy = f'add {name} = {{ value = ..., unit = "{spec.unit}" }} ({spec.meaning})'
+                raise InputError("is missing", file=path, key=f"gains.{name}", remedy=remedy)
+    mistakes.check()
     values = {n: stated_values.get(n, spec.default or 0.0) for n, spec in specs.items()}
     ranges = {n: spec.range for n, spec in specs.items() if spec.range is not None} | ranges
     return Gains(model.name, values, model.provenance, str(path), ranges, own or {})
+
+
+def _read_gain(name: str, quantity: Quantity, path: Path, specs: Mapping[str, GainSpec]) -> Quantity:
+    _check_name(name, path, specs)
+    try:
+        stated = quantity.within(specs[name].unit)
+    except InputError as error:
+        raise error.inside(path, f"gains.{name}.unit") from None
+    for value in (stated.value, *(stated.range or ())):
+        _check_value(name, value, path, specs)
+    if stated.range is not None and not stated.range[0] <= stated.value <= stated.range[1]:
+        raise InputError(
+            "is outside its own range",
+            file=path,
+            key=f"gains.{name}",
+            value=stated.value,
+            remedy=f"the stated range is {stated.range[0]:g} to {stated.range[1]:g}",
+        )
+    return stated
 
 
 def write_gains(gains: Gains, *, warning: str = "") -> str:

@@ -35,8 +35,6 @@ from surctl.marine.guidance import (
 from surctl.marine.vehicle import planar_rotation
 from surctl.tasks import HalfPlane, velocity_task
 
-__all__ = ["guarded_law"]
-
 _Margin: TypeAlias = Callable[[ca.SX], ca.SX]
 
 _CRAWL = 0.01  # [m/s] commanded speed below which the robot counts as stopped

@@ -29,21 +29,6 @@ from surctl.priority import Fallback, Level, Mode, PriorityProblem, PrioritySolu
 from surctl.priority.solver.elimination import FLOAT32, FLOAT64, Precision
 from surctl.system import NONFINITE
 
-__all__ = [
-    "DEGRADED",
-    "NONFINITE",
-    "PRECISIONS",
-    "SATURATED",
-    "SWITCHED",
-    "TELEMETRY",
-    "TRAPPED",
-    "WORKING",
-    "Law",
-    "LawStep",
-    "Stages",
-    "with_allocation",
-]
-
 Vector: TypeAlias = NDArray[np.float64]
 
 SATURATED, SWITCHED, DEGRADED, TRAPPED = 1, 2, 4, 8
@@ -281,11 +266,9 @@ class Law:
         for vector, layout, name in zip(vectors, (self.state, self.inputs, self.gains), "xup", strict=True):
             array = np.asarray(vector)
             if array.size != layout.size or array.dtype.kind not in "fiu":
-                raise InputError(
-                    f"is an array of shape {array.shape} and type {array.dtype}",
-                    key=f"{self.name}.{name}",
-                    remedy=f"give {layout.size} real numbers in the order of its layout",
-                )
+                problem = f"is an array of shape {array.shape} and type {array.dtype}"
+                remedy = f"give {layout.size} real numbers in the order of its layout"
+                raise InputError(problem, key=f"{self.name}.{name}", remedy=remedy)
             flat.append(array.astype(float, copy=False).reshape(-1))
         return flat
 
@@ -334,12 +317,8 @@ def with_allocation(law: Law, actuators: Actuators, *, real: Real = "float64") -
     """
     precision = PRECISIONS[real]
     if actuators.fins and "nu" not in law.inputs:
-        raise InputError(
-            "measures no velocity, on which the force of a rudder depends",
-            key="law",
-            value=law.name,
-            remedy="use true positions (--sensing truth)",
-        )
+        problem = "measures no velocity, on which the force of a rudder depends"
+        raise InputError(problem, key="law", value=law.name, remedy="use true positions (--sensing truth)")
     names = ", ".join(actuators.names)
     flags = Port(WORKING, (len(actuators.thrusters),), "1", f"1 for each thruster that works, else 0: {names}", 1.0)
     inputs = Layout((*law.inputs.ports, flags))

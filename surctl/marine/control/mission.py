@@ -8,8 +8,6 @@ from numpy.typing import NDArray
 from surctl.ir import Layout
 from surctl.marine.guidance import Window
 
-__all__ = ["ARC_LENGTHS", "FED", "Feeder"]
-
 Vector = NDArray[np.float64]
 
 ARC_LENGTHS = ("progress", "furthest", "beyond")

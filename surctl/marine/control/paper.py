@@ -26,14 +26,6 @@ from surctl.marine.guidance import FAR, AvoidanceForm, Contact, avoidance_course
 from surctl.marine.vehicle import planar_rotation
 from surctl.tasks import velocity_task
 
-__all__ = [
-    "CLOSED_FORM_PORTS",
-    "DAMPING",
-    "closed_form_law",
-    "known_obstacle",
-    "paper_law",
-]
-
 # The law `closed_form`, the simplest law that avoids an obstacle: the paper's tasks for one known obstacle.
 #
 # The law combines the guidance (8)–(12) of the paper, one sensor sub-task, the corrected avoidance course (20), the

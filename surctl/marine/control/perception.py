@@ -52,21 +52,8 @@ from surctl.marine.control.beams import (
 from surctl.marine.control.ports import LAUNCHED, PARAMETERS, SECTORS, after_gap
 from surctl.marine.sensing import Equipment, LocalMap, OwnStateFilter, RangeTracker
 from surctl.marine.sensing.localisation.movers import MoverTracker
-from surctl.marine.sensing.mapping.local_map import READING, RING
+from surctl.marine.sensing.mapping.firing import READING, RING
 from surctl.marine.vehicle import planar_rotation
-
-__all__ = [
-    "CELLS_A_HULL",
-    "FACE_PORTS",
-    "LAST_THRUST",
-    "PERCEPTION",
-    "Face",
-    "Firing",
-    "PerceptionStage",
-    "build_perception",
-    "face_after",
-    "with_face",
-]
 
 _NEVER = 1e5  # [s] age of a face that was never measured
 _NEAR = 0.6  # [m] longest range of an echo from which a face is determined
@@ -295,11 +282,8 @@ class _Builder:
     def build(self) -> PerceptionStage:
         array = self.equipment.array
         if any(len(cones) > 1 for cones in array.cones):
-            raise InputError(
-                "the hull splits a beam in two, but the map takes one cone per sonar",
-                key="array.mounts",
-                remedy="move that sonar",
-            )
+            problem = "the hull splits a beam in two, but the map takes one cone per sonar"
+            raise InputError(problem, key="array.mounts", remedy="move that sonar")
         split, measure, report = self._split(), self._measure(), self._report()
         # a law that changes its depth clears the map, because echoes from the old depth no longer apply
         anew, corner = (("anew",), "corner") if "column" in self.outputs else ((), "map_corner")

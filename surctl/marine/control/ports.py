@@ -18,20 +18,6 @@ from surctl.marine.sensing import Equipment, SonarArray
 from surctl.marine.vehicle import Vehicle
 from surctl.marine.vehicle.linearise import ahead_limit
 
-__all__ = [
-    "CONTACT_SLOTS",
-    "INPUTS",
-    "LAUNCHED",
-    "PARAMETERS",
-    "SECTORS",
-    "YAW_SHARE",
-    "after_gap",
-    "law_inputs",
-    "law_parameters",
-    "parameter_ports",
-    "scan_inputs",
-]
-
 CONTACT_SLOTS = 8
 DEFAULT_ARRAY = SonarArray()
 YAW_SHARE = 0.85

@@ -28,8 +28,6 @@ from surctl.tasks import allowed_closing_speed
 _RETURNS = 0.5  # share of LOS cross-track speed above which the robot counts as returning
 _SEPARATION = 3.0  # ratio of the bandwidths of the velocity loop and the position loop
 
-__all__ = ["DesiredMotion", "learnt", "path_following"]
-
 
 @dataclass(frozen=True)
 class DesiredMotion:

@@ -19,8 +19,6 @@ from surctl.marine.control.stopping import BARRIERS
 from surctl.marine.vehicle import Vehicle
 from surctl.own_code import check_trusted, is_own, label, object_of, own_file, pinned
 
-__all__ = ["LAWS", "LAW_NAMES", "SONARLESS", "check_forces", "default_law", "law_ref", "law_source"]
-
 
 def _guarded(s: Situation, calm: float | None = None) -> Decision:
     p = s.p if calm is None else calm_parameters(s.p)
@@ -152,22 +150,13 @@ def law_source(reference: str) -> LawSource:
     whole = reference if "#" in reference else pinned(reference, key=_KEY)
     source: LawSource = object_of(whole, LawSource, key=_KEY)
     if source.name in {law.name for law in LAWS.values()} or source.name in LAWS:
-        raise InputError(
-            "is the name of a built-in law",
-            file=own_file(reference),
-            key="name",
-            value=source.name,
-            remedy="choose another name",
-        )
+        problem = "is the name of a built-in law"
+        raise InputError(problem, file=own_file(reference), key="name", value=source.name, remedy="choose another name")
     path, _, function = own_file(whole).rpartition(":")
     if (other := _FUNCTIONS.setdefault((path, whole.rpartition("#")[2], source.name), function)) != function:
-        raise InputError(
-            f"is the name of two laws, those of {other} and {function}",
-            file=own_file(reference),
-            key="name",
-            value=source.name,
-            remedy="choose another name for one",
-        )
+        problem = f"is the name of two laws, those of {other} and {function}"
+        remedy = "choose another name for one"
+        raise InputError(problem, file=own_file(reference), key="name", value=source.name, remedy=remedy)
     return source
 
 
@@ -198,12 +187,8 @@ def check_forces(reference: str, vehicle: Vehicle, *, key: str = _KEY) -> None:
         >>> check_forces("guarded", load_vehicle("sur400"))
     """
     for name in _lacking(law_source(reference), vehicle):
-        raise InputError(
-            f"needs a {_FORCES[name]}, but {vehicle.name} has none ({name} = 0)",
-            key=key,
-            value=label(reference),
-            remedy=f"use law {default_law(vehicle)}",
-        )
+        problem = f"needs a {_FORCES[name]}, but {vehicle.name} has none ({name} = 0)"
+        raise InputError(problem, key=key, value=label(reference), remedy=f"use law {default_law(vehicle)}")
 
 
 def _lacking(source: LawSource, vehicle: Vehicle) -> list[str]:

@@ -8,7 +8,7 @@ from typing import Any, cast, get_args
 
 import casadi as ca
 
-from surctl.errors import InputError, nearest
+from surctl.errors import InputError, check_known, nearest
 from surctl.ir import Layout, Port, identifier
 from surctl.marine.control.baselines import Situation
 from surctl.marine.control.closing import Thrust
@@ -23,18 +23,6 @@ from surctl.own_code import called, is_own, own_file
 from surctl.priority import Mode
 from surctl.system.parts import expression, symbolic
 from surctl.tasks import Task
-
-__all__ = [
-    "AVOIDANCE",
-    "BARRIER",
-    "CASCADE",
-    "PATH_FOLLOWING",
-    "LawSource",
-    "decision_of",
-    "perceived_by",
-    "state_layout",
-    "thrust_of",
-]
 
 PATH_FOLLOWING, CASCADE, AVOIDANCE, BARRIER = "path following", "cascade", "avoidance (20)", "barrier"
 """Parts of a law for which the library has claims and linear models: path following by equations (8)–(12) of the paper;
@@ -159,8 +147,7 @@ def _check_words(key: str, words: object, known: Collection[str], name: str) -> 
         remedy = f'write ("{next(iter(sorted(known)))}",)'
         raise InputError("is not a tuple of texts", key=f"{name}.{key}", value=words, remedy=remedy)
     for word in words:
-        if word not in known:
-            raise InputError("is not known", key=f"{name}.{key}", value=word, remedy=nearest(str(word), known))
+        check_known(word, known, key=f"{name}.{key}")
 
 
 def _check_port(name: str, unit: str, *, where: str, reserved: frozenset[str]) -> None:

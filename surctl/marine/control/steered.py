@@ -48,8 +48,6 @@ from surctl.marine.control.steering import (
 from surctl.marine.guidance import FAR, MAX_WAYPOINTS
 from surctl.tasks import depth_task
 
-__all__ = ["BUDGET", "COURSES", "SPEEDS", "STEERED_GAINS", "STEERED_PORTS", "STEPS", "steered_law", "steered_thrust"]
-
 COURSES = tuple(
     np.radians([0, *(s * a for a in (10, 20, 30, 45, 60, 80, 100, 125, 150) for s in (1, -1)), 180]).tolist()
 )

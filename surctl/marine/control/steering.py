@@ -27,20 +27,6 @@ import casadi as ca
 from surctl.marine.control.closing import yaw_limit
 from surctl.marine.vehicle import Vehicle
 
-__all__ = [
-    "FIN_STEERAGE",
-    "SLOWEST",
-    "Moving",
-    "Steering",
-    "drifted",
-    "moved",
-    "planned_yaw_rate",
-    "steerage",
-    "steering_of",
-    "turning_radius",
-    "yaw_moment",
-]
-
 _MUNK_SHARE = 0.5
 """Share of the largest yaw moment that the Munk moment of a planned turn may reach (*chosen*)."""
 
@@ -172,14 +158,7 @@ def drifted(v: ca.SX, u: ca.SX, r: ca.SX, p: Mapping[str, ca.SX], step: ca.SX | 
 
 
 def moved(
-    now: Moving,
-    course: ca.SX,
-    speed: ca.SX,
-    p: Mapping[str, ca.SX],
-    *,
-    step: ca.SX,
-    gain: ca.SX,
-    stream: ca.SX,
+    now: Moving, course: ca.SX, speed: ca.SX, p: Mapping[str, ca.SX], *, step: ca.SX, gain: ca.SX, stream: ca.SX
 ) -> Moving:
     """Return the motion after one step of prediction, while the craft turns to a course and takes up a speed.
 

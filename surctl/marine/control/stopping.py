@@ -12,8 +12,6 @@ from surctl.ir import fold, tabulated
 from surctl.marine.guidance.braking import BrakeSymbols, closing_bound
 from surctl.tasks import allowed_closing_speed
 
-__all__ = ["BARRIERS", "BARRIER_NAMES", "BRAKE", "HARD", "MOVERS", "Barrier", "Bounds", "Movers", "Stop", "braked"]
-
 Barrier = Literal["simple", "inertia"]
 BARRIER_NAMES: tuple[Barrier, ...] = get_args(Barrier)
 

@@ -23,21 +23,12 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.errors import InputError, nearest
+from surctl.errors import InputError, check_known, nearest
 from surctl.ir import Program, lower_named
 from surctl.marine.vehicle import GRAVITY, WATER, Actuators, PlantForm, Vehicle, plant_layout, plant_parameters
 
 if TYPE_CHECKING:
     from surctl.marine.simulation import Scenario
-
-__all__ = [
-    "Body",
-    "EngineOptions",
-    "body_of",
-    "environment",
-    "fluid_program",
-    "parse_plant",
-]
 
 # How MuJoCo simulates a vehicle: degrees of freedom, drag model, water surface, and rays of the sonars
 
@@ -93,10 +84,7 @@ class EngineOptions:
         if self.dof not in (0, 4, 6):
             raise InputError("is not possible", key="dof", value=self.dof, remedy="use 4 or 6")
         for key, known in _WORDS.items():
-            if getattr(self, key) not in known:
-                raise InputError(
-                    "is not known", key=key, value=getattr(self, key), remedy=nearest(getattr(self, key), known)
-                )
+            check_known(getattr(self, key), known, key=key)
         for key, low, high in (("surface", 0.0, 1.0), ("count", 8, 100_000), ("step", 1e-4, 0.025)):
             if not low <= getattr(self, key) <= high:
                 raise InputError(
@@ -117,12 +105,9 @@ class EngineOptions:
             InputError: the vehicle has no roll and pitch, but `dof` is 6; or the sides of the box are not in m.
         """
         if self.dof == 6 and not vehicle.form.tilts:
-            raise InputError(
-                f"needs weight, buoyancy and inertia of roll and pitch, which {vehicle.name} does not state",
-                key="dof",
-                value=6,
-                remedy="add [attitude], mpp and mqq to the file, use sur540-tilting or sur400-tilting, or dof=4",
-            )
+            problem = f"needs weight, buoyancy and inertia of roll and pitch, which {vehicle.name} does not state"
+            remedy = "add [attitude], mpp and mqq to the file, use sur540-tilting or sur400-tilting, or dof=4"
+            raise InputError(problem, key="dof", value=6, remedy=remedy)
         width = 2 * vehicle["radius"]
         if self.box is not None and not all(width / _UNLIKE <= side <= width * _UNLIKE for side in self.box):
             problem = f"is not plausible in m for {vehicle.name}, whose file has a diameter of {width:g} m"

@@ -29,18 +29,6 @@ if TYPE_CHECKING:
     from surctl.marine.simulation import Obstacle, Scenario
     from surctl.marine.vehicle import Vehicle
 
-__all__ = [
-    "HULL",
-    "OBSTACLE",
-    "THRUSTER",
-    "WALLS",
-    "mjcf",
-    "mujoco_library",
-    "no_renderer",
-    "stepper",
-    "write_mjcf",
-]
-
 # Load MuJoCo, which is optional, and the compiled force of the water
 
 

@@ -18,6 +18,7 @@ from surctl.marine.engine.fluid import EngineOptions, body_of, environment
 from surctl.marine.engine.mjcf import HULL, OBSTACLE, WALLS, mjcf, mujoco_library, stepper
 from surctl.marine.simulation import Contact, OwnPhysics, simulate
 from surctl.marine.vehicle import PLANT_STATE, plant_state
+from surctl.marine.vehicle.motion_log import quaternion
 from surctl.marine.world import Wall
 
 if TYPE_CHECKING:
@@ -27,14 +28,6 @@ if TYPE_CHECKING:
     from surctl.marine.simulation import Case, Run, ThrusterFault, World
     from surctl.marine.simulation.physics import PhysicsMaker
     from surctl.marine.vehicle import Vehicle
-
-__all__ = [
-    "BatchCase",
-    "MujocoPhysics",
-    "mujoco_physics",
-    "simulate_seeds",
-    "simulate_with_steppers",
-]
 
 Array = NDArray[np.float64]
 
@@ -260,12 +253,9 @@ class MujocoPhysics:
             self._command[:4] -= self._single @ self._command[4:]
         self._step()
         if any(warning.number for warning in self._diverged):
-            raise InputError(
-                f"becomes unstable at {time:.2f} s",
-                key="--plant mujoco:step",
-                value=self.model.opt.timestep,
-                remedy=f"give a smaller step, or check masses, inertia and drag of {self._vehicle}",
-            )
+            problem = f"becomes unstable at {time:.2f} s"
+            remedy = f"give a smaller step, or check masses, inertia and drag of {self._vehicle}"
+            raise InputError(problem, key="--plant mujoco:step", value=self.model.opt.timestep, remedy=remedy)
         self._touch(time + _PERIOD)
         self._refresh()
         self._state = self._read()
@@ -350,19 +340,6 @@ class MujocoPhysics:
 
 def _others(options: EngineOptions) -> str:
     return ", ".join(part for part in options.text().split(",") if not part.startswith("dof="))
-
-
-def quaternion(roll: float, pitch: float, yaw: float) -> Vector:
-    """Return the quaternion (4,), real part first, of R_z(yaw) R_y(pitch) R_x(roll)."""
-    (cr, sr), (cp, sp), (cy, sy) = ((np.cos(a / 2), np.sin(a / 2)) for a in (roll, pitch, yaw))
-    return np.array(
-        [
-            cr * cp * cy + sr * sp * sy,
-            sr * cp * cy - cr * sp * sy,
-            cr * sp * cy + sr * cp * sy,
-            cr * cp * sy - sr * sp * cy,
-        ]
-    )
 
 
 # Runs of one case with many seeds, in one process or in several

@@ -15,18 +15,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.errors import InputError, ToolMissing, nearest
+from surctl.errors import ToolMissing, check_known
 from surctl.marine.engine.fluid import EngineOptions, body_of
 from surctl.marine.engine.mjcf import OBSTACLE, mjcf, mujoco_library, no_renderer
-from surctl.marine.engine.physics import AWAY, MujocoPhysics, quaternion
+from surctl.marine.engine.physics import AWAY, MujocoPhysics
+from surctl.marine.vehicle.motion_log import quaternion
 
 if TYPE_CHECKING:
     from surctl.marine.sensing import SonarArray
     from surctl.marine.simulation import Body, Scenario, World
     from surctl.marine.simulation.physics import PhysicsMaker
     from surctl.marine.vehicle import Vehicle
-
-__all__ = ["CAMERAS", "Moment", "Scene", "check_screen", "watched"]
 
 Picture = NDArray[np.uint8]
 
@@ -126,8 +125,7 @@ class Scene:
 
     def picture(self, camera: str, moment: Moment) -> Picture:
         """Return a picture (height, width, 3) of a moment, by the camera `above`, `side` or `nose`."""
-        if camera not in CAMERAS:
-            raise InputError("is not known", key="camera", value=camera, remedy=nearest(camera, CAMERAS))
+        check_known(camera, CAMERAS, key="camera")
         self._pose(moment)
         self._renderer.update_scene(self.data, camera=camera, scene_option=self._look)
         draw(self._mujoco, self._renderer.scene, self._scenario, moment, lines=camera != "nose")

@@ -13,15 +13,6 @@ import numpy as np
 
 from surctl.errors import InputError, nearest
 
-__all__ = [
-    "FORMS",
-    "AvoidanceForm",
-    "avoidance_course",
-    "clearance_rate",
-    "encounter_side",
-    "printed_side",
-]
-
 AvoidanceForm = Literal["printed", "consistent", "corrected"]
 FORMS: tuple[AvoidanceForm, ...] = get_args(AvoidanceForm)
 

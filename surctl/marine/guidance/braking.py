@@ -79,23 +79,6 @@ from numpy.typing import NDArray
 from surctl.errors import InputError
 from surctl.marine.vehicle import Vehicle
 
-__all__ = [
-    "LEAST_THRUST",
-    "BrakeSymbols",
-    "Brakes",
-    "Watch",
-    "admissible",
-    "beside",
-    "brakes_of",
-    "closing_bound",
-    "fastest_obstacle",
-    "range_needed",
-    "sideways_force",
-    "stopping_distance",
-    "stopping_distance_with_drag",
-    "tabled_stopping_distance",
-]
-
 LEAST_THRUST = 0.85
 """Share of the vehicle's stated thrust that counts as guaranteed for braking."""
 

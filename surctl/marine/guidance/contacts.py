@@ -19,24 +19,6 @@ import casadi as ca
 
 from surctl.ir import each
 
-__all__ = [
-    "FAR",
-    "MISSED",
-    "MISSED_RATE",
-    "Cone",
-    "Contact",
-    "collision_cone",
-    "disc_contact",
-    "disc_contacts",
-    "inside",
-    "nearest_in_quadrants",
-    "passes_left",
-    "point_contact",
-    "side_costs",
-    "swap_costs",
-    "wall_contacts",
-]
-
 FAR = 100.0  # clearance [m] of an empty contact slot
 
 

@@ -42,22 +42,6 @@ from numpy.typing import ArrayLike, NDArray
 from surctl.ir import Port
 from surctl.marine.guidance.path import AT_CORNER, BEND, MAX_WAYPOINTS, VISIT, Path
 
-__all__ = [
-    "AHEAD",
-    "FOLLOWING",
-    "PASSED",
-    "ROW",
-    "SHORTEST",
-    "SKIPS",
-    "Follower",
-    "Window",
-    "follow",
-    "follow_on",
-    "last_first",
-    "window_next",
-    "window_values",
-]
-
 ROW = 5
 """Numbers of a waypoint in a mission's table: x, y, rise, speed, kind."""
 
@@ -136,11 +120,7 @@ class Window:
         share = min(max((progress - at) / max(length, SHORTEST), 0.0), 1.0)
         before, end = here
         rise = before[2] + (end[2] - before[2]) * share
-        return (
-            self._depth + rise,
-            end[3] if end[3] > 0.0 else self._cruise,
-            self._visit if end[4] > 0.0 else 0.0,
-        )
+        return (self._depth + rise, end[3] if end[3] > 0.0 else self._cruise, self._visit if end[4] > 0.0 else 0.0)
 
 
 def _distance(a: Sequence[float], b: Sequence[float]) -> float:
@@ -390,14 +370,7 @@ def _apart(a: tuple[float, float], b: tuple[float, float], x: float, y: float) -
     return hypot(px - t * dx, py - t * dy)
 
 
-def follow(
-    old: Mapping[str, ca.SX],
-    waypoints: ca.SX,
-    legs: ca.SX,
-    place: ca.SX,
-    *,
-    visit: ca.SX,
-) -> dict[str, ca.SX]:
+def follow(old: Mapping[str, ca.SX], waypoints: ca.SX, legs: ca.SX, place: ca.SX, *, visit: ca.SX) -> dict[str, ca.SX]:
     """Return the state of `Follower` after one move of the robot, as CasADi expressions.
 
     Args:

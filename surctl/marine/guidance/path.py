@@ -13,19 +13,6 @@ from numpy.typing import NDArray
 
 from surctl.errors import InputError
 
-__all__ = [
-    "AT_CORNER",
-    "BEND",
-    "MAX_WAYPOINTS",
-    "PASS",
-    "VISIT",
-    "Path",
-    "leg_end",
-    "next_leg",
-    "path_target",
-    "wheel_over",
-]
-
 MAX_WAYPOINTS = 8
 """Number of waypoints that a law sees at a time."""
 
@@ -57,24 +44,17 @@ class Path:
     def __post_init__(self) -> None:
         points = np.array(self.waypoints, dtype=float)
         if points.ndim != 2 or points.shape[1] != 2 or len(points) < 2:
-            raise InputError(
-                "a path has at least 2 points with two coordinates each",
-                key="path",
-                value=points.tolist(),
-                remedy="give the start, the end and the corners between them",
-            )
+            problem = "a path has at least 2 points with two coordinates each"
+            remedy = "give the start, the end and the corners between them"
+            raise InputError(problem, key="path", value=points.tolist(), remedy=remedy)
         if not np.all(np.isfinite(points)):
             raise InputError(
                 "contains a number that is not finite", key="path", value=points.tolist(), remedy="correct it"
             )
         if np.any(np.linalg.norm(np.diff(points, axis=0), axis=1) < 1e-6):
             at = int(np.argmax(np.linalg.norm(np.diff(points, axis=0), axis=1) < 1e-6))
-            raise InputError(
-                f"has two equal points in a row, number {at} and {at + 1} counted from 0",
-                key="path",
-                value=points[at].tolist(),
-                remedy="remove one of them",
-            )
+            problem = f"has two equal points in a row, number {at} and {at + 1} counted from 0"
+            raise InputError(problem, key="path", value=points[at].tolist(), remedy="remove one of them")
         points.flags.writeable = False
         object.__setattr__(self, "waypoints", points)
         for name in ("rises", "speeds", "kinds"):

@@ -28,8 +28,6 @@ from surctl.marine.guidance.contacts import (
     swap_costs,
 )
 
-__all__ = ["Choice", "Sector", "choose_velocity", "round_unknown", "slowed"]
-
 _TOLERANCE = 1e-3
 """Violation of a bound [m/s] up to which a course still counts as free."""
 
@@ -401,11 +399,7 @@ def slowed(velocity: ca.SX, bounds: Sequence[tuple[ca.SX, ca.SX]]) -> ca.SX:
 
 
 def round_unknown(
-    velocity: ca.SX,
-    bounds: Sequence[tuple[ca.SX, ca.SX]],
-    sectors: Sequence[Sector],
-    *,
-    cones: Sequence[Cone] = (),
+    velocity: ca.SX, bounds: Sequence[tuple[ca.SX, ca.SX]], sectors: Sequence[Sector], *, cones: Sequence[Cone] = ()
 ) -> ca.SX:
     """Return the given velocity, or a velocity around unknown water with which the robot advances faster.
 

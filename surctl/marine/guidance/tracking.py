@@ -26,20 +26,7 @@ from typing import Literal, get_args
 
 import casadi as ca
 
-from surctl.errors import InputError, nearest
-
-__all__ = [
-    "GUIDANCE",
-    "Guidance",
-    "along_command",
-    "check_guidance",
-    "crosstrack_next",
-    "crosstrack_shift",
-    "path_error",
-    "progress_rate",
-    "tracking_rate",
-    "tracking_velocity",
-]
+from surctl.errors import check_known
 
 Guidance = Literal["los", "ilos", "alos"]
 GUIDANCE: tuple[Guidance, ...] = get_args(Guidance)
@@ -59,8 +46,7 @@ def check_guidance(name: str) -> None:
             ...
         surctl.errors.InputError: guidance = 'elos': is not known; did you mean 'los'?
     """
-    if name not in GUIDANCE:
-        raise InputError("is not known", key="guidance", value=name, remedy=nearest(str(name), GUIDANCE))
+    check_known(name, GUIDANCE, key="guidance")
 
 
 def crosstrack_shift(method: Guidance, memory: ca.SX, *, lookahead: ca.SX, sigma: ca.SX) -> ca.SX:

@@ -21,6 +21,7 @@ from surctl.marine.report.files import plot_region
 from surctl.marine.report.plan_view import plot_run
 from surctl.marine.simulation import METRICS, Case, Run, Scenario, simulate
 from surctl.marine.tuning import Evaluation, GainRange, Goal, case_loop, conditions, evaluate, gain_ranges
+from surctl.marine.tuning.derived import has_tuned
 from surctl.marine.tuning.evaluation import corners, judged_goals
 from surctl.marine.tuning.pool import default_tuned
 from surctl.marine.vehicle import Vehicle
@@ -233,7 +234,7 @@ class Bench:
     def verdicts(self, values: Mapping[str, float]) -> tuple[Verdict | Inapplicable, ...]:
         """Return the verdict on each claim of the library, for these gains, this vehicle and the scenario's speeds."""
         at_hand = {**self.gains(values).values, "speed": self.scenario.cruise, "speed_max": self.scenario.cap}
-        claims, refused = applicable_claims(at_hand, vehicle=self.vehicle)
+        claims, refused = applicable_claims(at_hand, vehicle=self.vehicle, errata=has_tuned(self.vehicle))
         decided = [decide(c, time_limit=_PATIENCE) for c in claims]
         return (*decided, *(Inapplicable.of(name, reason) for name, reason in refused.items()))
 

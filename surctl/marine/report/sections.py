@@ -241,7 +241,7 @@ def loops_section(data: ReportData) -> Section:
         )
     blocks: list[Block] = [
         Paragraph(text),
-        margins_table("Margins about cruise", data.margins),
+        margins_table("Margins of each loop alone about cruise, nominal vehicle", data.margins),
         *_linear_blocks(data.linear),
     ]
     pictures = tuple(

@@ -28,7 +28,7 @@ def plot_prediction(prediction: Prediction, *, title: str = "Prediction") -> Fig
     """Plot each measured velocity, its prediction in every window, and the velocity held; poses if none is measured.
 
     Args:
-        prediction: the result of `surctl.marine.vehicle.predict` or `held_out`.
+        prediction: the result of `surctl.marine.vehicle.predict` or one of `held_out_windows`.
         title: title of the figure.
 
     Example:

@@ -26,8 +26,6 @@ from surctl.tasks.task import planar_rotation
 from surctl.verification import evaluate
 from surctl.verification.setting import Setting
 
-__all__ = ["Vector", "e2", "e18", "errata_items", "value"]
-
 Vector = NDArray[np.float64]
 
 
@@ -545,10 +543,7 @@ def e18() -> Result:
     if abs(printed - second) < 1e-6 or abs(mended - second) > 1e-12 or abs(rate - second) > 1e-12:
         return agrees(ours)
     return wrong_in_print(
-        ours,
-        f"the two lines differ by {abs(printed - second):.5f} m²/s at e = {_AT} m",
-        line_1=printed,
-        line_2=second,
+        ours, f"the two lines differ by {abs(printed - second):.5f} m²/s at e = {_AT} m", line_1=printed, line_2=second
     )
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from surctl import __version__
 from surctl.assessment import Line
-from surctl.errors import InputError, nearest
+from surctl.errors import InputError, check_known
 from surctl.files import write_file
 from surctl.marine.report import plot_run
 from surctl.marine.report.paper_plots import plot_coordinates, plot_position_errors, plot_series
@@ -36,21 +36,6 @@ from surctl.marine.world import Box, Disc
 from surctl.report.document import Block, Cell, Pictures, Section, Table, outcome_cell, picture, render_sections
 from surctl.verification import Claim, decide
 from surctl.verification.setting import Setting
-
-__all__ = [
-    "FULL",
-    "QUICK_SEEDS",
-    "SEEDS",
-    "Reproduction",
-    "avoidances",
-    "claim_items",
-    "instant_items",
-    "items",
-    "reproduce",
-    "required",
-    "table_items",
-    "write_reproduction",
-]
 
 FULL = 4096
 """Number of samples that the falsifier of `surctl verify` uses."""
@@ -387,18 +372,14 @@ def reproduce(
     simulations = Simulations(count, independent=independent, webots=webots)
     known = {item.id: item for item in items(simulations, samples=_QUICK_SAMPLES if quick else FULL)}
     for name in names:
-        if name not in known:
-            raise InputError("no such row", key="row", value=name, remedy=nearest(name, known))
+        check_known(name, known, "no such row", key="row")
     for option, chosen, rows_with in (
         ("independent", independent, "a scenario, such as tank-static"),
         ("webots", webots, "a scenario with sonars, such as tank-static-sonar"),
     ):
         if chosen and names and not any(option in known[name].options for name in names):
-            raise InputError(
-                f"has no effect on {', '.join(names)}",
-                key=f"--{option}",
-                remedy=f"drop this option, or name the row of {rows_with}",
-            )
+            remedy = f"drop this option, or name the row of {rows_with}"
+            raise InputError(f"has no effect on {', '.join(names)}", key=f"--{option}", remedy=remedy)
     if independent:
         from surctl.marine.engine.mjcf import mujoco_library
 

@@ -9,8 +9,6 @@ from typing import Any, Literal, get_args
 
 from surctl.errors import InputError, SurctlError
 
-__all__ = ["WORDS", "Item", "Result", "Row", "Word", "agrees", "differs", "unreadable", "wrong_in_print"]
-
 Word = Literal["agrees", "differs", "wrong in print", "unreadable in our copy"]
 WORDS: tuple[Word, ...] = get_args(Word)
 

@@ -20,18 +20,6 @@ from surctl.marine.simulation import BatchResult, Case, Run, Scenario, Sensing, 
 from surctl.marine.simulation.scenario import LIBRARY
 from surctl.marine.vehicle import load_vehicle
 
-__all__ = [
-    "ABOUT",
-    "Factors",
-    "Simulations",
-    "hull_items",
-    "limit_items",
-    "position_items",
-    "scenario_items",
-    "scenario_names",
-    "time_verdict",
-]
-
 Factors = tuple[tuple[str, float], ...]
 """Names of vehicle parameters, and the factor for each."""
 

@@ -12,8 +12,6 @@ from surctl.errors import InputError
 from surctl.marine.sensing.localisation.base_station import BaseStation, OwnState
 from surctl.marine.sensing.sonar.array import SonarArray
 
-__all__ = ["INCIDENCE_LIMITS", "SURFACE_MODELS", "Equipment", "SurfaceModel"]
-
 SurfaceModel = Literal["diffuse", "smooth-walls", "smooth", "specular"]
 """What a law assumes of surfaces.
 

@@ -23,19 +23,6 @@ from surctl.marine.sensing.ranging.tracker import RangeTracker
 from surctl.marine.sensing.sonar.array import SonarArray
 from surctl.recorded import Recorded, read_recorded
 
-__all__ = [
-    "Readings",
-    "Recording",
-    "Replay",
-    "SensorSummary",
-    "Tracked",
-    "filtered_rows",
-    "read_readings",
-    "replay_readings",
-    "sonar_array",
-    "track",
-]
-
 Array = NDArray[np.float64]
 _SILENCE = 5.0  # s, at least; after a longer gap of all sensors a new segment begins
 _SLOWEST, _FASTEST = 10.0, 1e-3  # s, from one reading of a sensor to its next
@@ -263,13 +250,7 @@ def replay_readings(readings: Readings) -> Replay:
     parts = np.split(np.arange(len(readings.time)), readings.first[1:])
     tracker = _tracker_of(readings)
     tracks = [
-        track(
-            tracker,
-            readings.samples[p],
-            fresh=readings.fresh[p],
-            closing=readings.closing[p],
-            turn=readings.turn[p],
-        )
+        track(tracker, readings.samples[p], fresh=readings.fresh[p], closing=readings.closing[p], turn=readings.turn[p])
         for p in parts
     ]
     names = ("reading", "range", "bound", "healthy", "age", "accepted")

@@ -8,7 +8,7 @@ if TYPE_CHECKING:
     from surctl.marine.simulation.batch.case import Case, case_parameters
     from surctl.marine.simulation.batch.engines import BatchResult, simulate_batch
     from surctl.marine.simulation.explanation import explain, priority_timeline, stop_reason, time_limit_reason
-    from surctl.marine.simulation.fit import Finding, findings, held_share, thruster_findings
+    from surctl.marine.simulation.fit import findings, held_share, thruster_findings
     from surctl.marine.simulation.loop import simulate
     from surctl.marine.simulation.metrics import METRICS, STOPS, Metrics
     from surctl.marine.simulation.mission_system import mission_system
@@ -27,7 +27,14 @@ if TYPE_CHECKING:
         straight_mission,
         two_leg_mission,
     )
-    from surctl.marine.simulation.scenario import LIBRARY, Disturbance, PaperFigure, Scenario, load_scenario
+    from surctl.marine.simulation.scenario import (
+        LIBRARY,
+        Disturbance,
+        Finding,
+        PaperFigure,
+        Scenario,
+        load_scenario,
+    )
     from surctl.marine.simulation.sensors import Sensors
     from surctl.marine.simulation.thruster_faults import ThrusterFault, thruster_use
     from surctl.marine.simulation.world import Body, World, build_world

@@ -23,8 +23,6 @@ from surctl.marine.simulation.scenario import Finding, Scenario
 from surctl.marine.simulation.world import BAND
 from surctl.marine.vehicle import Vehicle, floating_depth, missing_buoyancy
 
-__all__ = ["Gap", "clearance_findings", "end_findings", "layers", "tightest_gap"]
-
 _CELLS = 250  # grid cells along the site's diagonal; a cell is 45 mm in the tank and 14 mm in the pool
 
 _Field = NDArray[np.float64]

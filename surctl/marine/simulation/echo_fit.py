@@ -25,8 +25,6 @@ from surctl.marine.simulation.scenario import Finding, Scenario, escaped
 from surctl.marine.simulation.world import BAND
 from surctl.marine.vehicle import Vehicle
 
-__all__ = ["detection_range", "echo_findings", "unanswered"]
-
 _NAMED = 4  # obstacles that a text names; others are counted
 _ANGLE = 1e-9  # [rad] rounding of an angle in degrees
 
@@ -305,6 +303,7 @@ def echo_findings(scenario: Scenario, vehicle: Vehicle, array: SonarArray) -> li
 
 
 def unheard_faces(scenario: Scenario, array: SonarArray) -> Iterator[tuple[_Surface, str]]:
+    """Yield each box with a side from which no sonar receives an echo, and the name of that side."""
     for surface in _met(scenario, array):
         box, limit = surface.obstacle, surface.limit
         if box is None or not surface.box or limit is None:

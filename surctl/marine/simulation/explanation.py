@@ -13,8 +13,6 @@ from surctl.marine.simulation.run import Run, depth_changes
 from surctl.priority import PriorityTimeline
 from surctl.system.controller import lost_entry
 
-__all__ = ["Explanation", "explain", "priority_timeline", "stop_reason", "time_limit_reason"]
-
 
 def priority_timeline(run: Run) -> PriorityTimeline:
     """Return the priority timeline of a run.

@@ -12,7 +12,8 @@ from surctl.marine.allocation import working_flags
 from surctl.marine.control import Gains, load_gains
 from surctl.marine.control.ports import YAW_SHARE
 from surctl.marine.sensing import SonarArray
-from surctl.marine.sensing.mapping.local_map import MIDDLE, LocalMap
+from surctl.marine.sensing.mapping.firing import MIDDLE
+from surctl.marine.sensing.mapping.local_map import LocalMap
 from surctl.marine.simulation.clearance import clearance_findings
 from surctl.marine.simulation.echo_fit import detection_range, echo_findings
 from surctl.marine.simulation.motion import mission_findings, motion_findings, steering_findings
@@ -20,8 +21,6 @@ from surctl.marine.simulation.scenario import Finding, Scenario
 from surctl.marine.simulation.world import build_world
 from surctl.marine.vehicle import Vehicle, attainable, axis_ends, plant_parameters
 from surctl.marine.vehicle.dynamics import trim_tilt
-
-__all__ = ["Finding", "findings", "held_share", "thruster_findings", "tilt_findings"]
 
 _WIDE = 15.0  # [deg] tilt above which the sonars' beams leave the depth of the path, and sin² of it costs thrust
 

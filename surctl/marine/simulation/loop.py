@@ -19,16 +19,7 @@ from numpy.typing import NDArray
 
 from surctl.errors import InputError, SurctlError, nearest
 from surctl.ir import cached_bytes, on_vectors, to_casadi
-from surctl.marine.control import (
-    NONFINITE,
-    WORKING,
-    Gains,
-    Law,
-    LawStep,
-    build_law,
-    check_forces,
-    default_law,
-)
+from surctl.marine.control import NONFINITE, WORKING, Gains, Law, LawStep, build_law, check_forces, default_law
 from surctl.marine.guidance import ROW
 from surctl.marine.simulation.batch.case import Case
 from surctl.marine.simulation.batch.engines import loop_sources, metrics_table
@@ -43,8 +34,6 @@ from surctl.marine.simulation.sensors import FIRING, firing_plan
 from surctl.marine.simulation.thruster_faults import ThrusterFault, Thrusters
 from surctl.marine.simulation.world import World, build_world
 from surctl.marine.vehicle import Vehicle
-
-__all__ = ["SingleRun", "Stepper", "case_of", "simulate"]
 
 Vector: TypeAlias = NDArray[np.float64]
 Values: TypeAlias = dict[str, Vector]
@@ -114,12 +103,8 @@ def simulate(
     check_forces(law.ref, vehicle)
     thrusters = Thrusters.of(vehicle, law, thruster_faults)
     if sonar != ("samples" in law.inputs):
-        raise InputError(
-            "does not fit a law that uses " + ("no sonars" if sonar else "sonars"),
-            key="sensing",
-            value=sensing,
-            remedy="build the law with sonar=" + str(sonar),
-        )
+        problem = "does not fit a law that uses " + ("no sonars" if sonar else "sonars")
+        raise InputError(problem, key="sensing", value=sensing, remedy="build the law with sonar=" + str(sonar))
     if abs(law.dt - 2 * FIRING) > 1e-9:
         raise InputError("is not two firing periods of the sonars", key="dt", value=law.dt, remedy="use 0.05")
     world = build_world(scenario, vehicle, seed=seed)

@@ -10,23 +10,6 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = [
-    "AT_LIMIT",
-    "GONE",
-    "LATE",
-    "LINK_LOST",
-    "METRICS",
-    "MOVING",
-    "SIGN",
-    "STANDSTILL",
-    "STOPPED_LIMIT",
-    "STOPS",
-    "MetricSpec",
-    "Metrics",
-    "avoidance_intervals",
-    "path_error",
-]
-
 TUBE = 0.10  # [m] an avoidance interval ends only when |y_e| is at most this (*chosen*)
 NEAR_TARGET = 1.0  # [m] distance from the target within which overshoot is measured (*chosen*)
 
@@ -62,52 +45,48 @@ class MetricSpec:
 
     unit: str
     meaning: str
-    better: Literal["low", "high"] | None
+    better: Literal["low", "high"] | None = "low"
 
 
 METRICS: Mapping[str, MetricSpec] = MappingProxyType(
     {
         "reached": MetricSpec("1", "1 if the robot reached the target", "high"),
-        "collided": MetricSpec("1", "1 if the hull touched an obstacle or a wall", "low"),
-        "time_s": MetricSpec("s", "time at which the run ended", "low"),
+        "collided": MetricSpec("1", "1 if the hull touched an obstacle or a wall"),
+        "time_s": MetricSpec("s", "time at which the run ended"),
         "min_clearance_m": MetricSpec("m", "smallest distance between the hull and an obstacle or a wall", "high"),
         "path_error_m": MetricSpec(
-            "m", "rms distance to the path in three axes outside avoidance; NaN without such samples", "low"
+            "m", "rms distance to the path in three axes outside avoidance; NaN without such samples"
         ),
-        "deviation_m": MetricSpec("m", "rms horizontal distance to the path over the whole run", "low"),
-        "max_deviation_m": MetricSpec("m", "largest horizontal distance to the path", "low"),
-        "missed_corner_m": MetricSpec("m", "largest distance at which the robot passed a path corner", "low"),
-        "overshoot_m": MetricSpec(
-            "m", "largest overshoot past the target along the last leg, while on this leg", "low"
-        ),
-        "length_m": MetricSpec("m", "length of the path that the robot travelled", "low"),
-        "effort_n": MetricSpec("N", "mean magnitude of the horizontal thrust command", "low"),
-        "peak_thrust_share": MetricSpec("1", "largest ratio of a thrust command to its limit, over all axes", "low"),
-        "saturated_share": MetricSpec("1", "share of control steps with a thrust command at its limit", "low"),
-        "thrust_rate_n_per_s": MetricSpec("N/s", "rms rate of change of the horizontal thrust command", "low"),
+        "deviation_m": MetricSpec("m", "rms horizontal distance to the path over the whole run"),
+        "max_deviation_m": MetricSpec("m", "largest horizontal distance to the path"),
+        "missed_corner_m": MetricSpec("m", "largest distance at which the robot passed a path corner"),
+        "overshoot_m": MetricSpec("m", "largest overshoot past the target along the last leg, while on this leg"),
+        "length_m": MetricSpec("m", "length of the path that the robot travelled"),
+        "effort_n": MetricSpec("N", "mean magnitude of the horizontal thrust command"),
+        "peak_thrust_share": MetricSpec("1", "largest ratio of a thrust command to its limit, over all axes"),
+        "saturated_share": MetricSpec("1", "share of control steps with a thrust command at its limit"),
+        "thrust_rate_n_per_s": MetricSpec("N/s", "rms rate of change of the horizontal thrust command"),
         "crab_angle_deg": MetricSpec(
-            "deg", "mean angle between hull and velocity, moving and outside avoidance; NaN if the hull scans", "low"
+            "deg", "mean angle between hull and velocity, moving and outside avoidance; NaN if the hull scans"
         ),
         "max_crab_angle_deg": MetricSpec(
-            "deg", "largest angle between hull and velocity, moving and outside avoidance", "low"
+            "deg", "largest angle between hull and velocity, moving and outside avoidance"
         ),
-        "heading_error_deg": MetricSpec("deg", "rms angle between hull and path segment while moving", "low"),
-        "variation_surge_n_per_s": MetricSpec("N/s", "total variation of the surge command per second", "low"),
-        "variation_sway_n_per_s": MetricSpec("N/s", "total variation of the sway command per second", "low"),
-        "variation_heave_n_per_s": MetricSpec("N/s", "total variation of the heave command per second", "low"),
-        "variation_yaw_n_m_per_s": MetricSpec("N m/s", "total variation of the yaw command per second", "low"),
-        "sign_changes_per_s": MetricSpec("1/s", "sign changes of thrust commands above 1 % of their limit", "low"),
-        "axis_sign_changes_per_s": MetricSpec(
-            "1/s", "the same for the axis whose command changes sign most often", "low"
-        ),
+        "heading_error_deg": MetricSpec("deg", "rms angle between hull and path segment while moving"),
+        "variation_surge_n_per_s": MetricSpec("N/s", "total variation of the surge command per second"),
+        "variation_sway_n_per_s": MetricSpec("N/s", "total variation of the sway command per second"),
+        "variation_heave_n_per_s": MetricSpec("N/s", "total variation of the heave command per second"),
+        "variation_yaw_n_m_per_s": MetricSpec("N m/s", "total variation of the yaw command per second"),
+        "sign_changes_per_s": MetricSpec("1/s", "sign changes of thrust commands above 1 % of their limit"),
+        "axis_sign_changes_per_s": MetricSpec("1/s", "the same for the axis whose command changes sign most often"),
         "axis_saturated_share": MetricSpec(
-            "1", "share of control steps at the limit, for the axis that is at its limit most often", "low"
+            "1", "share of control steps at the limit, for the axis that is at its limit most often"
         ),
         "energy_n15_s": MetricSpec(
-            "N^1.5 s", "sum of |force|^1.5 over axes and time; the ideal power of a jet is proportional to it", "low"
+            "N^1.5 s", "sum of |force|^1.5 over axes and time; the ideal power of a jet is proportional to it"
         ),
-        "wasted_impulse_n_s": MetricSpec("N s", "horizontal thrust beyond drag along the path, over time", "low"),
-        "wasted_share": MetricSpec("1", "wasted impulse as a share of the impulse of the horizontal thrust", "low"),
+        "wasted_impulse_n_s": MetricSpec("N s", "horizontal thrust beyond drag along the path, over time"),
+        "wasted_share": MetricSpec("1", "wasted impulse as a share of the impulse of the horizontal thrust"),
         "stopped": MetricSpec("1", "why the run ended: " + ", ".join(f"{k} {w}" for k, w in enumerate(STOPS)), None),
     }
 )

@@ -25,8 +25,6 @@ from surctl.marine.vehicle import PLANT_DISTURBANCE, Vehicle, build_plant, plant
 from surctl.system import Cost, Parts, Plant, Sampled, System
 from surctl.system.sampled import CLOCK
 
-__all__ = ["mission_system"]
-
 _STEPS = 6  # of integration in a control period
 _COMMAND = Layout((Port("tau", (4,), "N, N m", "thrust command in {B}"),))
 _POSE = Layout((Port("eta", (4,), "m, rad", "x, y, z and heading in {E}"),))
@@ -96,10 +94,7 @@ def mission_system(
             "max_deviation_m": Cost(lambda s: s.y["off_path"], "max", "m", "largest horizontal distance to the path"),
             "effort_n": Cost(lambda s: ca.norm_2(s.f["tau"][:2]), "mean", "N", "mean horizontal thrust command"),
         },
-        stops={
-            "collision": lambda s: s.y["clear_water"] <= 0,
-            "reached": lambda s: s.y["arrived"] > 0.5,
-        },
+        stops={"collision": lambda s: s.y["clear_water"] <= 0, "reached": lambda s: s.y["arrived"] > 0.5},
         duration=scenario.time_limit,
     )
 

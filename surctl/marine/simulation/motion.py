@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from itertools import combinations, pairwise
-from math import acos, degrees, inf, sqrt, tan
+from math import acos, ceil, degrees, floor, inf, log10, sqrt, tan
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,8 +17,6 @@ from surctl.marine.simulation.obstacle import Obstacle
 from surctl.marine.simulation.scenario import Finding, Scenario
 from surctl.marine.vehicle import Vehicle
 from surctl.marine.vehicle.linearise import WITHIN_LAW, ahead_limit, command_range
-
-__all__ = ["closest", "mission_findings", "motion_findings", "planned_radius", "steering_findings"]
 
 _REVERSAL = 2.4  # [rad] largest change of direction (137°) that counts as a corner; beyond it the path turns back
 _PASSES = 0.03  # of the turning radius: how near a craft with fins passes its target (study 31)
@@ -117,15 +115,21 @@ def _turning_circle(scenario: Scenario, vehicle: Vehicle, radius: float) -> list
 
 
 def _arrival_findings(scenario: Scenario, vehicle: Vehicle, radius: float) -> list[Finding]:
-    needed = _PASSES * radius
-    if vehicle.fin_share(scenario.cruise) < 0.5 or scenario.arrival_radius >= needed:
+    if vehicle.fin_share(scenario.cruise) < 0.5 or not scenario.arrival_radius < _PASSES * radius < inf:
         return []
+    needed = _rounded_up(_PASSES * radius)
     text = (
-        f"{vehicle.name} steers by rudders or fins and passes its target at speed, to within about {needed:.1g} m, "
+        f"{vehicle.name} steers by rudders or fins and passes its target at speed, to within about {needed:g} m, "
         f"{100 * _PASSES:g} % of its planned turning radius: in {scenario.arrival_radius:g} m it may turn round "
-        f"several times; set arrival_m = {needed:.1g}"
+        f"several times; set arrival_m = {needed:g}"
     )
     return [Finding("warning", "arrival_m", text)]
+
+
+def _rounded_up(value: float) -> float:
+    # to two digits
+    step = 10.0 ** (floor(log10(value)) - 1)
+    return float(f"{ceil(value / step) * step:.2g}")
 
 
 def _station(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:

@@ -9,8 +9,6 @@ from surctl.marine.control import Gains, law_parameters
 from surctl.marine.simulation.scenario import Scenario
 from surctl.marine.vehicle import Vehicle
 
-__all__ = ["VISITED", "fed_ranges", "law_numbers"]
-
 VISITED = 0.5
 """Share of the visit distance within which the law counts a corner as visited by its measured position (*chosen*).
 

@@ -10,8 +10,6 @@ from pydantic import Field, model_validator
 from surctl.files import Strict
 from surctl.marine.world import Heights
 
-__all__ = ["NotNegative", "Obstacle", "Point", "Positive"]
-
 Point = tuple[float, float]
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]

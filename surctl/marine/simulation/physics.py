@@ -22,8 +22,6 @@ from surctl.marine.vehicle import PLANT_DISTURBANCE, PlantForm, Vehicle, build_p
 from surctl.marine.vehicle.dynamics import PAPER
 from surctl.marine.world import Box, Disc
 
-__all__ = ["Contact", "OwnPhysics", "Physics", "PhysicsMaker", "advance", "advanced"]
-
 _RK4_STEPS = (0.010, 0.010, 0.005)
 
 

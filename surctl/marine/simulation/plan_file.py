@@ -19,8 +19,6 @@ from surctl.marine.simulation.route import MAX_POINTS
 from surctl.marine.simulation.scenario import scenario_from_table
 from surctl.recorded import shown, xml_root
 
-__all__ = ["Mission", "mission_scenario", "read_mission"]
-
 _AXIS, _FLATTENING = 6378137.0, 1 / 298.257223563  # WGS 84
 _ABOVE_SEA, _ABOVE_HOME, _ABOVE_TERRAIN = (0, 5), (3, 6), (10, 11)  # frames of MAVLink
 _NED, _ENU = 1, 4  # local frames, in metres from the home position

@@ -9,33 +9,23 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from math import cos, degrees, isfinite, isinf, sin
+from math import degrees, isfinite, isinf
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.errors import InputError, cannot_write, nearest
+from surctl.errors import InputError, cannot_write, check_known
 from surctl.files import file_name, write_file
 from surctl.marine.simulation.run import Run
 from surctl.marine.simulation.scenario import Scenario
 from surctl.marine.simulation.world import Body
 from surctl.marine.vehicle import FRAME_TEXT, LOG_MOTION, LOG_THRUST, Frame, Vehicle, check_frame, swap_body, swap_pose
+from surctl.marine.vehicle.motion_log import quaternion
 from surctl.marine.world import Box, Disc
 from surctl.recorded import shown
 from surctl.recorded_write import RECORD_FORMATS, Column, McapFile, RecordFormat, stamp, write_mat, write_netcdf
-
-__all__ = [
-    "LAYOUT",
-    "RECORD_FORMATS",
-    "RUN_FORMATS",
-    "RecordFormat",
-    "SceneFile",
-    "record_columns",
-    "save_record",
-    "save_scene",
-]
 
 Vector = NDArray[np.float64]
 
@@ -319,15 +309,8 @@ def _point(x: float, y: float, z: float) -> dict[str, float]:
 
 
 def _turned(psi: float, roll: float, pitch: float) -> dict[str, float]:
-    # quaternion of R_z(psi) R_y(pitch) R_x(roll)
-    (ca, cb, cc), (sa, sb, sc) = ([f(0.5 * v) for v in (roll, pitch, psi)] for f in (cos, sin))
-    numbers = {
-        "x": sa * cb * cc - ca * sb * sc,
-        "y": ca * sb * cc + sa * cb * sc,
-        "z": ca * cb * sc - sa * sb * cc,
-        "w": ca * cb * cc + sa * sb * sc,
-    }
-    return {name: round(value, 6) for name, value in numbers.items()}
+    w, x, y, z = quaternion(roll, pitch, psi).round(6).tolist()
+    return {"x": x, "y": y, "z": z, "w": w}
 
 
 def _color(rgba: tuple[float, float, float, float]) -> dict[str, float]:
@@ -412,8 +395,7 @@ def save_record(run: Run, folder: Path, *, kind: RecordFormat | str, frame: Fram
         >>> print(saved, saved.read_text().splitlines()[1][:23])
         pool-behind-0.csv t_s,x_m,y_m,z_m,psi_rad
     """
-    if kind not in RUN_FORMATS:
-        raise InputError("is not known", key="--save", value=kind, remedy=nearest(str(kind), RUN_FORMATS))
+    check_known(kind, RUN_FORMATS, key="--save")
     if kind == "mcap":
         if frame != "enu":
             raise InputError("is not a frame of Foxglove", key="--frame", value=frame, remedy="use enu for mcap")

@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from surctl.marine.sensing import SonarArray
     from surctl.marine.simulation.obstacle import Obstacle
 
-__all__ = ["ECHOES", "EchoModel", "ReflectorTable", "Reflectors", "WallTable"]
-
 NotNegative = Annotated[float, Field(ge=0)]
 Incidence = Annotated[float, Field(ge=0, lt=90)]
 

@@ -25,8 +25,6 @@ from surctl.marine.control.closing import CLIMB
 from surctl.marine.guidance import BEND, MAX_WAYPOINTS, PASS, VISIT, Path
 from surctl.marine.simulation.obstacle import Point, Positive
 
-__all__ = ["MAX_POINTS", "Corner", "Leg", "Route", "Survey"]
-
 _ARC_ERROR = 0.001
 """Largest distance [m] between an arc and its chords, if the file does not state another (*chosen*)."""
 
@@ -156,12 +154,9 @@ class Route(Strict):
 def _check(listed: Sequence[tuple[str, Leg]], cap: float) -> None:
     for key, leg in listed:
         if leg.speed_m_per_s is not None and leg.speed_m_per_s > cap:
-            raise InputError(
-                f"is above cap_m_per_s = {cap:g}",
-                key=f"{key}.speed_m_per_s",
-                value=leg.speed_m_per_s,
-                remedy="lower it or raise the cap",
-            )
+            problem = f"is above cap_m_per_s = {cap:g}"
+            remedy = "lower it or raise the cap"
+            raise InputError(problem, key=f"{key}.speed_m_per_s", value=leg.speed_m_per_s, remedy=remedy)
 
 
 @dataclass
@@ -194,21 +189,14 @@ class _Drawing:
         start, end = self.rows[-1].place, (float(leg.to_m[0]), float(leg.to_m[1]))
         chord = hypot(end[0] - start[0], end[1] - start[1])
         if chord < 1e-6:
-            raise InputError(
-                "is the point where the leg begins, so the leg has no length",
-                key=f"{key}.to_m",
-                value=list(leg.to_m),
-                remedy="remove the leg; write a whole circle as two arcs",
-            )
+            problem = "is the point where the leg begins, so the leg has no length"
+            remedy = "remove the leg; write a whole circle as two arcs"
+            raise InputError(problem, key=f"{key}.to_m", value=list(leg.to_m), remedy=remedy)
         places = [start, end]
         if leg.radius_m is not None:
             if leg.radius_m < chord / 2 * (1 - 1e-9):
-                raise InputError(
-                    f"is too small: the ends of the leg are {chord:.4g} m apart",
-                    key=f"{key}.radius_m",
-                    value=leg.radius_m,
-                    remedy=f"at least {chord / 2:.4g}",
-                )
+                problem = f"is too small: the ends of the leg are {chord:.4g} m apart"
+                raise InputError(problem, key=f"{key}.radius_m", value=leg.radius_m, remedy=f"at least {chord / 2:.4g}")
             places = _arc(start, end, chord, leg, self.route.arc_error_m, MAX_POINTS - len(self.rows))
         rise = self.rows[-1].rise if leg.depth_m is None else leg.depth_m - self.depth
         places, rises = self._climbed(key, places, leg, rise)
@@ -260,12 +248,8 @@ def _arc(start: Point, end: Point, chord: float, leg: Leg, error: float, most: i
     # arccos(1 - e) = 2 arcsin √(e/2), which does not lose a small e
     needed = turned / (4 * asin(sqrt(min(error / radius, 1.0) / 2)))
     if not needed <= most:
-        raise InputError(
-            f"gives an arc of {radius:.4g} m radius {needed:.3g} points; a path has at most {MAX_POINTS:,} in all",
-            key="arc_error_m",
-            value=error,
-            remedy="raise it",
-        )
+        problem = f"gives an arc of {radius:.4g} m radius {needed:.3g} points; a path has at most {MAX_POINTS:,} in all"
+        raise InputError(problem, key="arc_error_m", value=error, remedy="raise it")
     count = max(ceil(needed - 1e-9), 2)
     x, y = start[0] - centre[0], start[1] - centre[1]
     places: list[Point] = [start]

@@ -19,18 +19,6 @@ from surctl.marine.simulation.world import Body
 from surctl.marine.vehicle import Vehicle
 from surctl.own_code import label
 
-__all__ = [
-    "SENSING",
-    "Attitude",
-    "DepthChange",
-    "Record",
-    "Run",
-    "Sensing",
-    "attitude_of",
-    "depth_changes",
-    "path_depths",
-]
-
 Array = NDArray[np.float64]
 
 _TRANSIENT = 0.4  # share of the run that is skipped before the search for an oscillation

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from surctl.marine.control import Barrier, Gains, Movers
+from surctl.marine.control.gains import setting
 from surctl.marine.control.ports import YAW_SHARE
 from surctl.marine.control.stopping import BRAKE
 from surctl.marine.guidance.braking import (
@@ -34,19 +35,6 @@ from surctl.marine.simulation.scenario import Scenario
 from surctl.marine.simulation.toml_text import toml_text
 from surctl.marine.simulation.world import BAND, FOOTPRINT
 from surctl.marine.vehicle import Vehicle, check_equation_3
-
-__all__ = [
-    "Bound",
-    "Figure",
-    "SafetyClaim",
-    "margin_needed",
-    "mass_difference",
-    "munk",
-    "safety_claim",
-    "turn_rate",
-    "turned",
-]
-
 
 _STEP = 0.002  # [m/s] between two examined speeds
 _NEAR = 0.95  # share of the fastest obstacle speed: beyond it the required range grows without bound
@@ -323,7 +311,7 @@ class SafetyClaim:
 
     def lines(self) -> list[str]:
         """Return the claim as lines of text."""
-        head = f"{self.scenario} by {self.vehicle}: {self.statement}"
+        head = f"{self.scenario} by {self.vehicle}, {self.sensed}: {self.statement}"
         rows = [
             f"  {what:<8} {f.name:<24} {f.value:8.4g} {f.unit}"
             for what, figures in (("assumes", self.assumptions), ("gives", self.derived))
@@ -332,6 +320,11 @@ class SafetyClaim:
         speeds = "" if self.contradicted else " at every speed up to the cap"
         end = "holds" if self.holds else f"DOES NOT HOLD{speeds}: {self.shortfall}"
         return [head, *rows, *([f"  assumes  {self.echoes}"] if self.echoes else []), f"  {end}"]
+
+    @property
+    def sensed(self) -> str:
+        """How the law detects obstacles, in words; with true positions the detection range is inf."""
+        return "by sonar" if isfinite(self["detection range"]) else "with true positions"
 
     @property
     def least_margin(self) -> float:
@@ -345,8 +338,9 @@ class SafetyClaim:
         parts = []
         if self["margin needed"] > self["margin"]:
             slow = floor(self["covered speed"] * 1e3 + 1e-9) / 1e3
-            remedy = f"set margin = {self.least_margin:g} in the gain file" if isfinite(self.least_margin) else ""
-            slower = f"lower the speed cap to {slow:g} m/s or less" if slow > 0 else ""
+            margin = self.least_margin
+            remedy = f"set {setting('margin', margin)} in the gain file" if isfinite(margin) else ""
+            slower = f"lower the speed cap, and a faster cruise speed, to {slow:g} m/s or less" if slow > 0 else ""
             what = (
                 f"braking needs a margin of {self['margin needed']:.3g} m, and the gain margin is {self['margin']:g} m"
             )

@@ -13,8 +13,6 @@ from surctl.marine.simulation.obstacle import Obstacle
 from surctl.marine.simulation.scenario import Disturbance, PaperFigure, Scenario
 from surctl.marine.vehicle import Vehicle, load_vehicle
 
-__all__ = ["disturbed", "mission_size", "scaled_scenario", "straight_mission", "two_leg_mission"]
-
 _LONGER = 1.5  # factor on the scaled time limit: a vehicle that is slow to turn for its size loses time at obstacles
 _CAP = 1.1  # speed cap as a share of the cruise speed
 _TURN = 0.44 / 0.27  # turning radius over hull radius of the vehicle of tank-static

@@ -24,21 +24,6 @@ from surctl.marine.simulation.route import PERIOD, Corner, Route
 from surctl.marine.simulation.sensors import OwnStateTable, Sensors, SonarTable, StationTable, sensors_from_tables
 from surctl.marine.world import Box, Disc, Wall, site_walls
 
-__all__ = [
-    "LIBRARY",
-    "Disturbance",
-    "Finding",
-    "PaperFigure",
-    "Scenario",
-    "Shape",
-    "Uncertainty",
-    "check_spacing",
-    "escaped",
-    "load_scenario",
-    "scenario_from_table",
-]
-
-
 Share = Annotated[float, Field(ge=0, lt=1)]
 
 
@@ -372,31 +357,18 @@ def _time_limit(path: Path, model: _ScenarioFile) -> float:
 def _check(scenario: Scenario) -> None:
     source = scenario.source
     if not -scenario.site[2] < scenario.depth < 0:
-        raise InputError(
-            "is not in the water",
-            file=source,
-            key="depth_m",
-            value=scenario.depth,
-            remedy=_DEPTHS.format(-scenario.site[2]),
-        )
+        remedy = _DEPTHS.format(-scenario.site[2])
+        raise InputError("is not in the water", file=source, key="depth_m", value=scenario.depth, remedy=remedy)
     if scenario.depths is not None and not (
         -scenario.site[2] <= scenario.depths[0] < scenario.depth < scenario.depths[1] <= 0
     ):
-        raise InputError(
-            f"must be a depth below and a depth above the path's depth of {scenario.depth:g}, both in the water",
-            file=source,
-            key="depths_m",
-            value=list(scenario.depths),
-            remedy=f"z points up: write [lowest, highest] between {-scenario.site[2]:g} and 0",
-        )
+        problem = f"must be a depth below and a depth above the path's depth of {scenario.depth:g}, both in the water"
+        remedy = f"z points up: write [lowest, highest] between {-scenario.site[2]:g} and 0"
+        raise InputError(problem, file=source, key="depths_m", value=list(scenario.depths), remedy=remedy)
     if scenario.cruise > scenario.cap:
-        raise InputError(
-            f"is above cap_m_per_s = {scenario.cap:g}",
-            file=source,
-            key="cruise_m_per_s",
-            value=scenario.cruise,
-            remedy="lower it or raise the cap",
-        )
+        problem = f"is above cap_m_per_s = {scenario.cap:g}"
+        remedy = "lower it or raise the cap"
+        raise InputError(problem, file=source, key="cruise_m_per_s", value=scenario.cruise, remedy=remedy)
     try:
         _ = scenario.surfaces
         scenario.sensors.check_floor(scenario.deepest)
@@ -417,13 +389,9 @@ def _check(scenario: Scenario) -> None:
 
 def _check_depths(scenario: Scenario) -> None:
     if scenario.depths is not None and scenario.path.rises is not None and np.any(scenario.path.rises):
-        raise InputError(
-            "cannot be combined with a path that changes its depth",
-            file=scenario.source,
-            key="depths_m",
-            value=list(scenario.depths),
-            remedy="remove it, or remove depth_m from the legs",
-        )
+        problem = "cannot be combined with a path that changes its depth"
+        remedy = "remove it, or remove depth_m from the legs"
+        raise InputError(problem, file=scenario.source, key="depths_m", value=list(scenario.depths), remedy=remedy)
     for k, leg in enumerate(scenario.route.leg if scenario.route else ()):
         _in_water(scenario, f"leg.{k}.depth_m", leg.depth_m)
     if scenario.route and scenario.route.survey:
@@ -433,11 +401,7 @@ def _check_depths(scenario: Scenario) -> None:
 def _in_water(scenario: Scenario, key: str, depth: float | None) -> None:
     if depth is not None and not -scenario.site[2] < depth < 0:
         raise InputError(
-            "is not in the water",
-            file=scenario.source,
-            key=key,
-            value=depth,
-            remedy=_DEPTHS.format(-scenario.site[2]),
+            "is not in the water", file=scenario.source, key=key, value=depth, remedy=_DEPTHS.format(-scenario.site[2])
         )
 
 
@@ -474,13 +438,9 @@ def _apart(still: Sequence[Obstacle], scenario: Scenario) -> None:
     for k, obstacle in enumerate(still):
         here = obstacle.heights.crosses(scenario.depth, 0.0)
         if here and obstacle.distance((target[0], target[1])) <= 0:
-            raise InputError(
-                f"the target lies inside obstacle {obstacle.name!r}",
-                file=scenario.source,
-                key="path_m",
-                value=target,
-                remedy="move the target or the obstacle",
-            )
+            problem = f"the target lies inside obstacle {obstacle.name!r}"
+            remedy = "move the target or the obstacle"
+            raise InputError(problem, file=scenario.source, key="path_m", value=target, remedy=remedy)
         for other in still[k + 1 :]:
             if obstacle.heights.shares(other.heights) and (gap := obstacle.apart(other)) < 0:
                 raise InputError(

@@ -13,8 +13,6 @@ from surctl.marine.sensing import BaseStation, Delivery, Equipment, OwnState, So
 from surctl.marine.simulation.scenario import Scenario
 from surctl.marine.simulation.sensors import Sensors
 
-__all__ = ["scenario_table"]
-
 _BESIDE = 4  # floating-point neighbours on each side that may convert to the same angle
 
 
@@ -64,11 +62,8 @@ def _route(scenario: Scenario) -> dict[str, Any]:
         if same is not None and _equal(same, path):
             return route.model_dump(exclude_none=True, exclude_defaults=True, mode="json")
     if any(column is not None for column in (path.rises, path.speeds, path.kinds)):
-        raise InputError(
-            "has speeds, depths or kinds of corners that the scenario's route does not give",
-            key="path_m",
-            remedy="describe them by legs in a scenario file",
-        )
+        problem = "has speeds, depths or kinds of corners that the scenario's route does not give"
+        raise InputError(problem, key="path_m", remedy="describe them by legs in a scenario file")
     return {"path_m": path.waypoints.tolist()}
 
 

@@ -10,7 +10,7 @@ from typing import Annotated, Literal, TypeVar
 
 from pydantic import Field
 
-from surctl.errors import InputError, nearest
+from surctl.errors import InputError, check_known
 from surctl.files import Strict
 from surctl.marine.sensing import (
     REFLECTORS,
@@ -26,17 +26,6 @@ from surctl.marine.sensing import (
 )
 from surctl.marine.sensing.equipment import SurfaceModel
 from surctl.marine.simulation.reflectors import ECHOES
-
-__all__ = [
-    "FIRING",
-    "FiringPlan",
-    "OwnStateTable",
-    "Sensors",
-    "SonarTable",
-    "StationTable",
-    "firing_plan",
-    "sensors_from_tables",
-]
 
 T = TypeVar("T")
 
@@ -157,8 +146,7 @@ class Sensors:
             >>> Sensors().hearing("webots").equipment.array.incidence_limit == 0.125 * 3.141592653589793
             True
         """
-        if echoes not in ECHOES:
-            raise InputError("is not known", key="echoes", value=echoes, remedy=nearest(echoes, ECHOES))
+        check_known(echoes, ECHOES, key="echoes")
         simple, limit = _simple(echoes)
         array = replace(self.equipment.array, incidence_limit=limit)
         return replace(self, equipment=replace(self.equipment, array=array), echoes="" if simple else echoes)
@@ -167,12 +155,9 @@ class Sensors:
         """Raise InputError if the floor that the law assumes is not below z = `deepest` [m]."""
         floor = self.equipment.floor
         if floor is not None and floor <= -deepest:
-            raise InputError(
-                f"is not below the robot, which goes down to z = {deepest:g} m",
-                key="sonar.floor_m",
-                value=floor,
-                remedy=f"give the depth of the floor below the water surface, above {-deepest:g} m",
-            )
+            problem = f"is not below the robot, which goes down to z = {deepest:g} m"
+            remedy = f"give the depth of the floor below the water surface, above {-deepest:g} m"
+            raise InputError(problem, key="sonar.floor_m", value=floor, remedy=remedy)
 
     @property
     def echo_model(self) -> str:
@@ -335,9 +320,5 @@ def firing_plan(array: SonarArray) -> FiringPlan:
         period = array.size // gcd(array.size, several)
         rows = [[array.order[(k * several + j) % array.size] for j in range(several)] for k in range(period)]
         return FiringPlan(period, tuple(tuple(row) for row in rows))
-    raise InputError(
-        f"is neither a multiple nor an integer fraction of the loop's {FIRING:g} s",
-        key="firing_period",
-        value=array.firing_period,
-        remedy="use 0.025, 0.0125 or 0.05",
-    )
+    problem = f"is neither a multiple nor an integer fraction of the loop's {FIRING:g} s"
+    raise InputError(problem, key="firing_period", value=array.firing_period, remedy="use 0.025, 0.0125 or 0.05")

@@ -17,8 +17,6 @@ from surctl.marine.control import Law
 from surctl.marine.simulation.run import Run
 from surctl.marine.vehicle import Actuators, Vehicle, axis_limits
 
-__all__ = ["ThrusterFault", "ThrusterUse", "Thrusters", "check_failed", "fin_excess", "thruster_use"]
-
 Array = NDArray[np.float64]
 
 _SLACK = 1e-6  # [s] tolerance of a fault's times, because times are rounded sums of control periods
@@ -79,12 +77,8 @@ class Thrusters:
         actuators = vehicle.actuators
         check_failed(vehicle, [fault.thruster for fault in faults])
         if law.actuators is not None and law.actuators != actuators:
-            raise InputError(
-                "has other thrusters than the law",
-                key="vehicle",
-                value=vehicle.name,
-                remedy="build the law with actuators=vehicle.actuators",
-            )
+            remedy = "build the law with actuators=vehicle.actuators"
+            raise InputError("has other thrusters than the law", key="vehicle", value=vehicle.name, remedy=remedy)
         alone = actuators is not None and law.actuators is None
         allocate = runnable(allocation_block(actuators)) if alone and actuators is not None else None
         reported = None
@@ -149,12 +143,9 @@ def check_failed(vehicle: Vehicle, names: Sequence[str]) -> None:
     """Raise InputError for a failed thruster that the vehicle does not have."""
     for name in names:
         if vehicle.actuators is None:
-            raise InputError(
-                f"cannot fail: the file of {vehicle.name} describes no thrusters",
-                key="thruster",
-                value=name,
-                remedy="use a vehicle with [[thruster]] tables, such as bluerov2-heavy",
-            )
+            problem = f"cannot fail: the file of {vehicle.name} describes no thrusters"
+            remedy = "use a vehicle with [[thruster]] tables, such as bluerov2-heavy"
+            raise InputError(problem, key="thruster", value=name, remedy=remedy)
         vehicle.actuators.index(name)
 
 

@@ -7,8 +7,6 @@ from typing import Any
 
 from surctl.files import quoted
 
-__all__ = ["key_text", "toml_text"]
-
 
 def key_text(name: str) -> str:
     """Return a name as a key of a TOML file, quoted if it is no bare key."""

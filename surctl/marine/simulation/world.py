@@ -14,7 +14,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from math import cos, sin
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,8 +23,6 @@ from surctl.marine.simulation.obstacle import Obstacle
 from surctl.marine.simulation.scenario import Scenario, Shape
 from surctl.marine.vehicle import Vehicle
 from surctl.marine.world import WHOLE, Box, Disc, Heights, Prism
-
-__all__ = ["BAND", "FOOTPRINT", "LONGEST", "Body", "World", "WorldDraw", "beside", "build_world", "draw_world"]
 
 
 @dataclass(frozen=True)
@@ -45,8 +42,8 @@ class Body:
 
 
 @dataclass(frozen=True)
-class World:
-    """A scenario together with the random choices that one seed determines.
+class WorldDraw:
+    """The random choices of a run, which one seed determines.
 
     Attributes:
         drift_direction: (n, 2) unit vector of the drift of each obstacle.
@@ -54,11 +51,8 @@ class World:
         wave_direction, wave_phase: direction and phase of the wave force.
         slow_direction, slow_phase: direction and phase of the slow drift force.
         gain_error, bias: (4,) relative thrust errors per axis in [-1, 1]; the scenario states the scale of both errors.
-        hull: radius of the vehicle [m]; moving obstacles without a radius of their own have the same radius.
     """
 
-    scenario: Scenario
-    hull: float
     drift_direction: NDArray[np.float64]
     drift_phase: NDArray[np.float64]
     wave_direction: NDArray[np.float64]
@@ -67,6 +61,18 @@ class World:
     slow_phase: float
     gain_error: NDArray[np.float64]
     bias: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class World(WorldDraw):
+    """A scenario together with the random choices of a run.
+
+    Attributes:
+        hull: radius of the vehicle [m]; moving obstacles without a radius of their own have the same radius.
+    """
+
+    scenario: Scenario
+    hull: float
 
     def bodies(self, time: float) -> list[Body]:
         """Return the obstacles that are in the water at `time` [s]."""
@@ -130,19 +136,6 @@ class World:
         )
 
 
-class WorldDraw(NamedTuple):
-    """The random choices of a run, see `World`."""
-
-    drift_direction: NDArray[np.float64]
-    drift_phase: NDArray[np.float64]
-    wave_direction: NDArray[np.float64]
-    wave_phase: float
-    slow_direction: NDArray[np.float64]
-    slow_phase: float
-    gain_error: NDArray[np.float64]
-    bias: NDArray[np.float64]
-
-
 def draw_world(obstacles: int, *, seed: int) -> WorldDraw:
     """Return the random choices that a seed determines for the given number of obstacles."""
     turns = (2 * np.pi * np.random.default_rng([seed, 1]).random(2 * obstacles + 2)).tolist()
@@ -178,7 +171,7 @@ def build_world(scenario: Scenario, vehicle: Vehicle, *, seed: int) -> World:
         >>> body.name, [round(x, 2) for x in body.shape.center], body.velocity.round(2).tolist()
         ('OM1', [1.11, 0.76], [0.17, 0.1])
     """
-    world = World(scenario, vehicle["radius"], *draw_world(len(scenario.obstacles), seed=seed))
+    world = World(**vars(draw_world(len(scenario.obstacles), seed=seed)), scenario=scenario, hull=vehicle["radius"])
     _check_start(world, vehicle, world.bodies(0.0))
     return world
 

@@ -29,7 +29,7 @@ from surctl.ir import find_compiler
 from surctl.marine.assessment import LoopAnalysis, Mission
 from surctl.marine.control import Gains, Law, build_law, law_source, write_gains
 from surctl.marine.export import build_bundle, origin_of
-from surctl.marine.simulation import Run, findings, law_numbers, simulate
+from surctl.marine.simulation import Run, Scenario, findings, law_numbers, simulate
 from surctl.marine.study.plan import Leg, Plan
 from surctl.marine.tuning import SweepTable, sweep
 from surctl.marine.tuning.derived import has_tuned
@@ -38,6 +38,8 @@ from surctl.marine.verification.region import refused_regions
 from surctl.system import LinearLoop
 from surctl.tuning import LocalExecutor, grid
 from surctl.verification import Inapplicable, LoopMargins, Verdict, decide
+from surctl.verification.linear import LEAST_DISK_MARGIN
+from surctl.verification.loops import LEAST_DELAY_MARGIN
 
 if TYPE_CHECKING:
     from surctl.marine.report import ExportSummary
@@ -132,9 +134,9 @@ def summary(
     if decided:
         notes.append(Line(not unexpected, text, f"claims-{unexpected[0]}" if unexpected else "claims"))
     notes += [
-        Line(False, f"claim {one.claim}: {one.sentence}", "claims", counts=bool(plan.claims))
+        Line(False, f"claim {one.claim}: {one.sentence}", "claims")
         for one in verdicts
-        if isinstance(one, Inapplicable)
+        if isinstance(one, Inapplicable) and plan.claims
     ]
     for leg in plan.legs:
         if leg.exclusion or leg.misfit:
@@ -170,19 +172,38 @@ def _limits(plan: Plan, runs: Sequence[Run]) -> list[Line]:
 def _speed_notes(loops: Loops) -> list[Line]:
     over, mode, notes = loops.over, loops.analysis.mode, list[Line]()
     if over is not None:
-        names = {"delay_margin_s": "delay margin {:.2f} s", "disk_margin": "disk margin {:.2f}"}
-        margin_text = ", ".join(
-            f"least {word.format(value)} (at {at:g} m/s)"
-            for word, (value, at) in ((word, over.worst(name)) for name, word in names.items())
+        rows = (
+            ("delay margin", " s", LEAST_DELAY_MARGIN, over.worst("delay_margin_s")),
+            ("disk margin", "", LEAST_DISK_MARGIN, over.worst("disk_margin")),
         )
+        margin_text = ", ".join(
+            f"least {word} {value:.2f}{unit} (at {at:g} m/s)" for word, unit, _, (value, at) in rows
+        )
+        short = [f"at least {least:g}{unit}" for _, unit, least, (value, _) in rows if value < least]
+        margin_text += f"; required: {', '.join(short)}" if short else ""
         poles = over.figures["slowest_pole_per_s"]
         held = bool((poles < 0).all())
         if not held:
             lost = [u for u, pole in zip(over.cruise, poles.tolist(), strict=True) if not pole < 0]
             bearable = "" if mode is None else f" (bearable speed {mode.bearable:.3g} m/s)"
             margin_text = f"the linear loop is unstable at {speeds_text(lost)}{bearable}; {margin_text}"
-        notes.append(Line(held, f"margins at {speeds_text(over.cruise)}: {margin_text}", "margins"))
+        text = f"margins at {speeds_text(over.cruise)}, worst corner: {margin_text}"
+        notes.append(Line(held and not short, text, "margins"))
     return notes
+
+
+def claims_of(plan: Plan, gains: Gains, fastest: Scenario) -> tuple[tuple[Verdict, ...], tuple[Inapplicable, ...]]:
+    """Return the verdicts on the claims that a plan names, or that concern its vehicle, and those that do not apply.
+
+    `fastest` is the scenario with the largest cruise speed.
+    """
+    if not law_source(plan.law).parts:  # the claims are about parts of the built-in laws
+        return (), tuple(Inapplicable(name, _NO_PART, "this law") for name in plan.claims or ())
+    at_hand = {**gains.values, "speed": fastest.cruise, "speed_max": fastest.cap}
+    errata = has_tuned(plan.vehicle)  # where the paper errs concerns its own robot
+    applicable, refused = applicable_claims(at_hand, plan.claims, vehicle=plan.vehicle, errata=errata)
+    unfit = tuple(Inapplicable.of(name, reason) for name, reason in refused.items())
+    return tuple(decide(claim) for claim in applicable), unfit
 
 
 def left_out(runs: Sequence[Run]) -> tuple[Line, ...]:
@@ -423,17 +444,8 @@ def conduct(
             assessment = assess(assessed(plan, swept.gains, runs=runs, extra=tuple(not each for each in deciding)))
             loops = loops_of(plan, swept.gains, assessment.sources["loop"])
         with clock("claims"):
-            # claims about braking take a minute and stay undecided: check them only if the plan names them
             fastest = max((leg.scenario for leg in plan.deciding), key=lambda scenario: scenario.cruise)
-            at_hand = {**swept.gains.values, "speed": fastest.cruise, "speed_max": fastest.cap}
-            applicable, refused = applicable_claims(at_hand, plan.claims, vehicle=plan.vehicle)
-            inapplicable = tuple(Inapplicable.of(name, reason) for name, reason in refused.items())
-            if not law_source(plan.law).parts:  # the claims are about parts of the built-in laws
-                named = plan.claims or ()
-                applicable, inapplicable = (), tuple(Inapplicable(name, _NO_PART, "this law") for name in named)
-            elif plan.claims is None and not has_tuned(plan.vehicle):  # the paper's claims are about its own robot
-                applicable, inapplicable = (), ()
-            verdicts = tuple(decide(claim) for claim in applicable if plan.claims or claim.paper)
+            verdicts, inapplicable = claims_of(plan, swept.gains, fastest)
             regions = _unprovable_regions(plan, swept.gains, speeds=(fastest.cruise, fastest.cap))
         sonar_runs = [run for leg, run in leg_runs if leg.misfit is None and run.sensing == _sensing(plan)]
         replayed = tuple(run for run in sonar_runs if shipment.carries(run))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -15,6 +15,7 @@ from surctl.marine.control import SONARLESS, Gains, check_forces, default_law, l
 from surctl.marine.guidance import Guidance
 from surctl.marine.simulation import (
     Case,
+    PaperFigure,
     Scenario,
     disturbed,
     findings,
@@ -105,6 +106,17 @@ _Seed = Annotated[int, Field(ge=0)]
 class _Run(Strict):
     scenario: str
     vehicle: str | None = None
+    cruise_m_per_s: Annotated[float, Field(gt=0)] | None = None
+
+    def mission(self, near: Callable[[str], str] = str) -> Scenario:
+        """Return the scenario at the cruise speed of this run; another speed than the file's is another mission."""
+        scenario, speed = load_scenario(near(self.scenario)), self.cruise_m_per_s
+        if speed is None or speed == scenario.cruise:
+            return scenario
+        if speed > scenario.cap:
+            problem = f"is above the speed cap of {scenario.cap:g} m/s of {scenario.name}"
+            raise InputError(problem, key=f"runs: {_CRUISE}", value=speed, remedy="lower it")
+        return replace(scenario, name=f"{scenario.name}-{speed:g}", source="", cruise=speed, paper=PaperFigure())
 
 
 class _Axis(Strict):
@@ -206,12 +218,16 @@ class Plan:
             >>> from surctl.marine.vehicle import load_vehicle
             >>> plan = load_plan().by([load_vehicle("sur540-flooded")])
             >>> [leg.scenario.name for leg in plan.deciding], [leg.scenario.name for leg in plan.left_out]
-            (['tank-static', 'tank-speed-015'], ['pool-static', 'pool-behind'])
+            (['tank-static-0.1', 'tank-moving-0.1'], ['pool-static', 'pool-behind'])
         """
-        scenarios = {leg.scenario.name: leg.scenario for leg in self.legs}.values()
+        scenarios = list({leg.scenario.name: leg.scenario for leg in self.legs}.values())
+        built_in = Path(self.source).parent == LIBRARY
+        if built_in and self.vehicle not in vehicles:  # the speeds of its runs are about its own vehicle
+            file = Path(self.source)
+            scenarios = [load_scenario(run.scenario) for run in _study(read_toml(file), file).runs]
         legs = tuple(_leg(scenario, vehicle, lenient=True) for vehicle in vehicles for scenario in scenarios)
         plan = replace(self, vehicle=vehicles[0], legs=legs)
-        if len(vehicles) == 1 and Path(self.source).parent == LIBRARY and _needs_own(vehicles[0], legs):
+        if len(vehicles) == 1 and built_in and _needs_own(vehicles[0], legs):
             return _about_vehicle(vehicles[0], vehicles[0].source or vehicles[0].name)
         plan = _with_mission(plan)
         if self.named:
@@ -271,9 +287,9 @@ def load_plan(file: str | None = None, *, vehicle: str | None = None, trust: boo
         >>> from surctl.marine.study import load_plan
         >>> plan = load_plan()
         >>> plan.vehicle.name, [leg.scenario.name for leg in plan.legs]
-        ('sur540-flooded', ['tank-static', 'tank-speed-015', 'pool-static', 'pool-behind'])
-        >>> [(axis.name, axis.values) for axis in plan.axes]
-        [('lookahead', (0.5, 0.8, 1.2)), ('k_v', (1.0, 1.5, 2.0)), ('margin', (0.065,)), ('k_psi', (0.4, 0.6))]
+        ('sur540-flooded', ['tank-static-0.1', 'tank-moving-0.1', 'pool-static', 'pool-behind'])
+        >>> [(axis.name, axis.values) for axis in plan.axes[:3]]
+        [('lookahead', (0.5, 0.8, 1.2)), ('k_v', (1.0, 1.5, 2.0)), ('margin', (0.065,))]
     """
     if vehicle is not None:
         if file is not None:
@@ -303,10 +319,10 @@ def _about_vehicle(vehicle: Vehicle, word: str) -> Plan:
     """Return the built-in study with one vehicle, or with missions scaled to it; see `load_plan`."""
     default = LIBRARY / "default.toml"
     study = _study(read_toml(default), default)
-    legs = [_leg(load_scenario(run.scenario), vehicle, lenient=True) for run in study.runs]
+    own = tuple(run.model_copy(update={"vehicle": None, _CRUISE: None}) for run in study.runs)
+    legs = [_leg(run.mission(), vehicle, lenient=True) for run in own]
     name = Path(word).stem
     if not _needs_own(vehicle, legs):
-        own = tuple(run.model_copy(update={"vehicle": None}) for run in study.runs)
         return _plan(
             study.model_copy(update={"runs": own, "vehicle": word, "name": name, "note": ""}), default, lenient=True
         )
@@ -366,7 +382,10 @@ def _plan(
     legs = []
     for run in study.runs:
         leg_vehicle = vehicle if run.vehicle is None else load_vehicle(near(run.vehicle))
-        legs.append(_leg(load_scenario(near(run.scenario)), leg_vehicle, lenient=lenient))
+        try:
+            legs.append(_leg(run.mission(near), leg_vehicle, lenient=lenient))
+        except InputError as error:
+            raise (error if error.file else error.inside(path)) from None
     vehicles = [leg.vehicle for leg in legs] or [vehicle]
     law = default_law(vehicles[0]) if study.law is None else study.law
     law = law_ref(law, file=path, folder=path.parent, trust=trust)

@@ -2,8 +2,9 @@
 
 The formulae give the bandwidths of the inner loops from the delay of the thrust, and everything else from the inner
 loops, the thrust, the hull and the cruise speed. Each formula is a line of `rule`. A search changes k_v, k_r and k_psi
-until the nominal loop has a margin at thrust commands and measured pose together, and then, if needed, until the disk
-margin at the worst corner of the vehicle's ranges is at least `LEAST_DISK_MARGIN`."""
+until the nominal loop has a margin at thrust commands and measured pose together, and then, if needed, until disk and
+delay margin at the worst corners of the vehicle's ranges are at least `LEAST_DISK_MARGIN` and `LEAST_DELAY_MARGIN`.
+"""
 
 from __future__ import annotations
 
@@ -22,11 +23,13 @@ from surctl.marine.vehicle import LIBRARY, Vehicle, load_vehicle, steady_speed
 from surctl.marine.vehicle.linearise import check_cruise
 from surctl.marine.verification import law_corners
 from surctl.marine.verification.cruise_loop import CruiseLoop, cruise_loops
-from surctl.marine.verification.linear import DISK_PLACES, corner_margin, open_loop
+from surctl.marine.verification.linear import DISK_PLACES, corner_margin, loop_delays, open_loop
 from surctl.verification.linear import LEAST_DISK_MARGIN, screened_peaks
+from surctl.verification.loops import LEAST_DELAY_MARGIN
 
 __all__ = [
     "DEPENDENT",
+    "REQUIRED",
     "Derivation",
     "HashedVehicle",
     "default_cruise",
@@ -162,7 +165,7 @@ def _acceleration(vehicle: Vehicle) -> float:
 
 
 _TARGET = 0.42  # nominal margin at commands and measurements together at which the first search stops
-_ABOVE = 1.15  # the second search stops at this multiple of the least disk margin, which its grid misses by 10 %
+_ABOVE = 1.15  # searches stop at this multiple of a least margin: grids miss it by 10 %, and corners have less
 _CORNERS = 3  # most corners that the second search adds, the worst one each time
 _FACTORS = (1.6, 1.25, 1.1)  # of the three gains in the neighbourhoods of the search
 _NEIGHBOURS = np.array(  # exponents of the factor for k_v, k_r, k_psi
@@ -176,10 +179,10 @@ _UNSTABLE = 1e-3  # margin of an unstable loop in the search
 
 
 def searched_inner(vehicle: Vehicle, cruise: float, dt: float, near: Array | None = None) -> tuple[Array, float]:
-    """Return the inner gains (3,) of the formulae, or better ones, and their disk margin at the worst corner.
+    """Return the inner gains (3,) of the formulae, or better ones, and the least share of a required margin they have.
 
-    The first search raises the nominal margin. If the disk margin is below `LEAST_DISK_MARGIN` then, a second one
-    raises it. `near` is the result at a similar speed.
+    The share is that at the worst corners. The first search raises the nominal margins. If the share is below 1 then, a
+    second one raises it. `near` is the result at a similar speed.
     """
     start = inner_start(vehicle, cruise=cruise, dt=dt)
     best, factors = (start, _FACTORS) if near is None else (near, _FACTORS[1:])
@@ -187,11 +190,11 @@ def searched_inner(vehicle: Vehicle, cruise: float, dt: float, near: Array | Non
     def nominal(inner: Array, above: float) -> Array:
         return _margins(vehicle, inner, cruise, dt, above=above)
 
-    best = _climbed(nominal, start, best, factors, _TARGET)
-    margin, plant = _corner_margin(vehicle, best, cruise, dt)
+    best = _climbed(nominal, start, best, factors)
+    share, plant = _corner_share(vehicle, best, cruise, dt)
     plants = [vehicle]
     for _ in range(_CORNERS):
-        if margin >= LEAST_DISK_MARGIN or plant in plants:
+        if share >= 1.0 or plant in plants:
             break
         plants.append(plant)
 
@@ -199,25 +202,23 @@ def searched_inner(vehicle: Vehicle, cruise: float, dt: float, near: Array | Non
             each = [_estimates(vehicle, inner, cruise, dt, speed=cruise, plant=one) for one in plants]
             return np.asarray(np.min(each, axis=0))
 
-        tried = _climbed(uncertain, start, best, _FACTORS, _ABOVE * LEAST_DISK_MARGIN)
-        reached, plant = _corner_margin(vehicle, tried, cruise, dt)
-        if reached > margin:
-            best, margin = tried, reached
-    return best, margin
+        tried = _climbed(uncertain, start, best, _FACTORS)
+        reached, plant = _corner_share(vehicle, tried, cruise, dt)
+        if reached > share:
+            best, share = tried, reached
+    return best, share
 
 
-def _climbed(
-    value: Callable[[Array, float], Array], start: Array, best: Array, factors: Sequence[float], target: float
-) -> Array:
+def _climbed(value: Callable[[Array, float], Array], start: Array, best: Array, factors: Sequence[float]) -> Array:
     """Return inner gains (3,) with a larger value, searched from `best`.
 
-    The search goes to the best neighbour until the target is reached or none is better; then the steps become smaller.
+    The search goes to the best neighbour until the value 1 is reached or none is better; then the steps become smaller.
     The gains stay within `_LEAST` and `_MOST` times those of the formulae, `start`.
     """
     reached = float(value(best[None], 0.0)[0])
     for factor in factors:
         for _ in range(_ROUNDS):
-            if reached >= target:
+            if reached >= 1.0:
                 return best
             around = np.clip(best * factor**_NEIGHBOURS, start * _LEAST, start * _MOST)
             values = value(around, reached)
@@ -228,15 +229,15 @@ def _climbed(
     return best
 
 
-def _corner_margin(vehicle: Vehicle, inner: Array, cruise: float, dt: float) -> tuple[float, Vehicle]:
-    values = rule(vehicle, inner, cruise=cruise, dt=dt)
-    return corner_margin(vehicle, values, cruise=cruise, dt=dt)[:2]
+def _corner_share(vehicle: Vehicle, inner: Array, cruise: float, dt: float) -> tuple[float, Vehicle]:
+    least = corner_margin(vehicle, rule(vehicle, inner, cruise=cruise, dt=dt), cruise=cruise, dt=dt)
+    return min(least.shares), least.weakest
 
 
 def _margins(vehicle: Vehicle, inner: Array, cruise: float, dt: float, *, above: float) -> Array:
-    """Return estimates (n,) of the nominal disk margin, at commands and measurements together, of n gain sets (n, 3).
+    """Return estimates (n,) of the nominal margins of gain sets (n, 3), as shares of those at which a search stops.
 
-    The margin is the least of two speeds; the second speed is evaluated only where the first margin is larger than
+    The share is the least of two speeds; the second speed is evaluated only where the first share is larger than
     `above`. An unstable loop gets a number below 0.001 that is the larger, the slower its pole grows.
     """
     worst = _estimates(vehicle, inner, cruise, dt, speed=cruise)
@@ -249,12 +250,17 @@ def _margins(vehicle: Vehicle, inner: Array, cruise: float, dt: float, *, above:
 def _estimates(
     vehicle: Vehicle, inner: Array, cruise: float, dt: float, *, speed: float, plant: Vehicle | None = None
 ) -> Array:
-    # of the vehicle at both places together; of a plant, the lesser of both places
+    # disk margin of the vehicle at both places together; of a plant, the lesser of both places
     loops = _loops(vehicle, inner, cruise, speed, dt, plant or vehicle)
     places = ("both",) if plant is None else DISK_PLACES[:2]
     peaks = np.max([screened_peaks(open_loop(loops, place)) for place in places], axis=0)
-    growth = np.maximum(loops.poles[:, 0].real, 0.0)
-    return np.where(np.isfinite(peaks), 1 / peaks, _UNSTABLE / (1 + growth))
+    growth, stable = np.maximum(loops.poles[:, 0].real, 0.0), np.isfinite(peaks)
+    least = _TARGET if plant is None else _ABOVE * LEAST_DISK_MARGIN
+    shares = np.where(stable, 1 / peaks / least, _UNSTABLE / (1 + growth))
+    if stable.any():
+        late = loop_delays(loops[stable]).min(axis=0) / (_ABOVE * LEAST_DELAY_MARGIN)
+        shares[stable] = np.minimum(shares[stable], np.maximum(late, _UNSTABLE))
+    return shares
 
 
 def _loops(vehicle: Vehicle, inner: Array, cruise: float, speed: float, dt: float, plant: Vehicle) -> CruiseLoop:
@@ -276,6 +282,10 @@ _LOWERED = 10  # largest number of times that the result is lowered by 2 %
 _SLOWER, _SLOWER_SPEEDS, _SLOWER_STEPS = 0.85, 9, 5
 
 
+REQUIRED = f"a disk margin of {LEAST_DISK_MARGIN:g} and a delay margin of {LEAST_DELAY_MARGIN:g} s"
+"""The required margins, as text."""
+
+
 @dataclass(frozen=True)
 class Derivation:
     """Gains derived from a vehicle, with the margin that they reach.
@@ -286,7 +296,8 @@ class Derivation:
         cruise: cruise speed [m/s] for which the gains were derived.
         dt: control period [s].
         disk_margin: disk margin at the cruise speed and the worst corner of the vehicle's ranges; 0 if unstable.
-        bearable: largest speed [m/s] found, at most `cruise`, with the least disk margin; 0 if none.
+        delay_margin_s: least delay margin [s] of one loop alone, likewise.
+        bearable: largest speed [m/s] found, at most `cruise`, with both least margins; 0 if none.
         searched: whether the formulae alone did not suffice and the search changed the gains.
         munk: growth rate [1/s] of the turn that the Munk moment causes without control; 0 if m22 ≤ m11.
     """
@@ -296,14 +307,15 @@ class Derivation:
     cruise: float
     dt: float
     disk_margin: float
+    delay_margin_s: float
     bearable: float
     searched: bool
     munk: float
 
     @property
     def reached(self) -> bool:
-        """Whether the gains have the required disk margin at the cruise speed."""
-        return self.disk_margin >= LEAST_DISK_MARGIN
+        """Whether the gains have the required disk margin and delay margin at the cruise speed."""
+        return _enough(self.disk_margin, self.delay_margin_s)
 
     def lines(self) -> list[str]:
         """Return one line about the gains; if the margin is missed, a second line with the bearable speed."""
@@ -313,7 +325,7 @@ class Derivation:
         where = f"up to at least {self.bearable:.3g} m/s" if self.bearable > 0 else "at no speed"
         return [
             head,
-            f"  warning: derived gains reach {LEAST_DISK_MARGIN:g} {where}; for {self.cruise:.3g} m/s, {self.remedy}",
+            f"  warning: derived gains reach {REQUIRED} {where}; for {self.cruise:.3g} m/s, {self.remedy}",
         ]
 
     @property
@@ -340,6 +352,8 @@ class Derivation:
             "cruise_m_per_s": self.cruise,
             "disk_margin": self.disk_margin,
             "required": LEAST_DISK_MARGIN,
+            "delay_margin_s": self.delay_margin_s,
+            "required_delay_s": LEAST_DELAY_MARGIN,
             "reached": self.reached,
             "bearable_m_per_s": self.bearable,
             "searched": self.searched,
@@ -474,16 +488,23 @@ def _derivation(hashed: HashedVehicle, cruise: float, dt: float) -> Derivation:
     inner, _ = searched_inner(vehicle, cruise, dt)
     searched = bool(np.any(inner != inner_start(vehicle, cruise=cruise, dt=dt)))
     values = rule(vehicle, inner, cruise=cruise, dt=dt)
-    margin = float(np.nan_to_num(corner_margin(vehicle, values, cruise=cruise, dt=dt, proved=True).margin))
-    bearable = _bearable(vehicle, cruise, dt, inner) if margin < LEAST_DISK_MARGIN else cruise
-    gains = _named(vehicle, inner, cruise, dt, margin)
-    return Derivation(gains, vehicle.name, cruise, dt, margin, bearable, searched, munk_rate(vehicle, cruise))
+    least = corner_margin(vehicle, values, cruise=cruise, dt=dt, proved=True)
+    margins = float(np.nan_to_num(least.margin)), least.delay.delay_s
+    bearable = cruise if least.enough else _bearable(vehicle, cruise, dt, inner)
+    gains = _named(vehicle, inner, cruise, dt, margins)
+    return Derivation(gains, vehicle.name, cruise, dt, *margins, bearable, searched, munk_rate(vehicle, cruise))
 
 
-def _named(vehicle: Vehicle, inner: Array, cruise: float, dt: float, margin: float) -> Gains:
-    values = rule(vehicle, inner, cruise=cruise, dt=dt)
-    reached = f"disk margin {margin:.2f}" if margin > 0 else "UNSTABLE"
-    reached += "" if margin >= LEAST_DISK_MARGIN else f", below {LEAST_DISK_MARGIN:g}"
+def _enough(disk: float, delay: float) -> bool:
+    return disk >= LEAST_DISK_MARGIN and delay >= LEAST_DELAY_MARGIN
+
+
+def _named(vehicle: Vehicle, inner: Array, cruise: float, dt: float, margins: tuple[float, float]) -> Gains:
+    values, (disk, delay) = rule(vehicle, inner, cruise=cruise, dt=dt), margins
+    reached = f"disk margin {disk:.2f}" if disk > 0 else "UNSTABLE"
+    reached += "" if disk >= LEAST_DISK_MARGIN else f", below {LEAST_DISK_MARGIN:g}"
+    if 0 < delay < LEAST_DELAY_MARGIN:
+        reached += f", delay margin {delay:.2f} s, below {LEAST_DELAY_MARGIN:g} s"
     provenance = f"derived from the vehicle {vehicle.name} at {cruise:.3g} m/s, {reached}"
     return Gains("derived", {name: values[name] for name in GAINS}, provenance)
 
@@ -491,22 +512,22 @@ def _named(vehicle: Vehicle, inner: Array, cruise: float, dt: float, margin: flo
 def _steered(vehicle: Vehicle, cruise: float, dt: float) -> Derivation:
     """Return the derivation for a craft without sway force: the formulae, checked by the sampled loop of its law."""
 
-    def margin(speed: float) -> float:
+    def margins(speed: float) -> tuple[float, float]:
         law = default_law(vehicle)
-        gains = _named(vehicle, inner_start(vehicle.at_speed(speed), cruise=speed, dt=dt), speed, dt, 1.0)
+        gains = _named(vehicle, inner_start(vehicle.at_speed(speed), cruise=speed, dt=dt), speed, dt, (1.0, 1.0))
         loops = law_corners(build_law(law, dt=dt), vehicle, gains.with_own(law_source(law).gains), cruise=speed)
-        return float(np.nan_to_num(loops.disk))
+        return float(np.nan_to_num(loops.disk)), loops.delay.delay_s
 
-    reached, bearable = margin(cruise), cruise
-    if reached < LEAST_DISK_MARGIN:
+    reached, bearable = margins(cruise), cruise
+    if not _enough(*reached):
         slower = [float(f"{cruise * _SLOWER**k:.3g}") for k in range(1, _SLOWER_SPEEDS)]
-        bearable = next((speed for speed in slower if margin(speed) >= LEAST_DISK_MARGIN), 0.0)
+        bearable = next((speed for speed in slower if _enough(*margins(speed))), 0.0)
         high = min(bearable / _SLOWER, cruise)
         for _ in range(_SLOWER_STEPS if bearable > 0 else 0):
             at = float(f"{(bearable + high) / 2:.3g}")
-            bearable, high = (at, high) if margin(at) >= LEAST_DISK_MARGIN else (bearable, at)
+            bearable, high = (at, high) if _enough(*margins(at)) else (bearable, at)
     gains = _named(vehicle, inner_start(vehicle, cruise=cruise, dt=dt), cruise, dt, reached)
-    return Derivation(gains, vehicle.name, cruise, dt, reached, bearable, False, munk_rate(vehicle, cruise))
+    return Derivation(gains, vehicle.name, cruise, dt, *reached, bearable, False, munk_rate(vehicle, cruise))
 
 
 def _bearable(vehicle: Vehicle, cruise: float, dt: float, inner: Array) -> float:
@@ -519,8 +540,8 @@ def _bearable(vehicle: Vehicle, cruise: float, dt: float, inner: Array) -> float
     delay = vehicle["thrust_lag"] + 1.5 * dt
     speed = min(_MUNK_DELAY * cruise / max(munk_rate(vehicle, cruise) * delay, 1e-9), cruise / _BRACKET)
     for _ in range(_BEARABLE_STEPS):
-        inner, margin = searched_inner(vehicle, speed, dt, inner if high < cruise else None)
-        low, high = (speed, high) if margin >= LEAST_DISK_MARGIN else (low, speed)
+        inner, share = searched_inner(vehicle, speed, dt, inner if high < cruise else None)
+        low, high = (speed, high) if share >= 1.0 else (low, speed)
         if low == 0.0:
             speed = high / _BRACKET
         elif high > _BRACKET * low:
@@ -529,7 +550,7 @@ def _bearable(vehicle: Vehicle, cruise: float, dt: float, inner: Array) -> float
             speed = (low + high) / 2
     speed = float(np.floor(low * 1000) / 1000)
     for _ in range(_LOWERED):  # without a similar speed to start from, the search may end elsewhere
-        if speed <= 0 or searched_inner(vehicle, speed, dt)[1] >= LEAST_DISK_MARGIN:
+        if speed <= 0 or searched_inner(vehicle, speed, dt)[1] >= 1.0:
             return speed
         speed = float(np.floor(speed * 980) / 1000)
     return 0.0

@@ -27,6 +27,7 @@ __all__ = ["ASSESSED", "LOOP_METRIC", "PART_OF", "Goal", "goals_at", "goals_from
 
 ASSESSED: Mapping[str, MetricSpec] = {
     "nominal_disk_margin": MetricSpec("1", "disk margin of the nominal vehicle, all loops at once", "high"),
+    "nominal_delay_margin_s": MetricSpec("s", "least delay margin of one loop alone, nominal vehicle", "high"),
     "corner_slowest_pole_per_s": MetricSpec("1/s", "largest real part of a pole over the corners", "low"),
     "region_m": MetricSpec("m", "distance beside the path from which the return is proved", "high"),
     "region_within_m": MetricSpec("m", "distance within which the motion ends, proved", "low"),
@@ -39,7 +40,7 @@ PART_OF: Mapping[str, str] = {
     **dict.fromkeys(
         (
             "disk_margin", "single_loop_disk_margin", "delay_margin_s", "slowest_pole_per_s",
-            "nominal_disk_margin", "corner_slowest_pole_per_s",
+            "nominal_disk_margin", "nominal_delay_margin_s", "corner_slowest_pole_per_s",
         ),
         "loop",
     ),

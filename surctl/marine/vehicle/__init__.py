@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from surctl.marine.vehicle.identification.identify import (
         HELD_OUT,
         Identified,
-        held_out,
         held_out_windows,
         identify,
         velocity_notes,
@@ -95,7 +94,6 @@ __all__ = [
     "floating_depth",
     "gazebo_vehicle",
     "heading_velocity",
-    "held_out",
     "held_out_windows",
     "identify",
     "in_sequence",

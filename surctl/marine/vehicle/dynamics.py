@@ -32,21 +32,6 @@ from surctl.marine.vehicle.specs import PlantForm
 from surctl.tasks import ThrustLimit
 from surctl.tasks.task import Expression, checked_column, jacobian, planar_rotation
 
-__all__ = [
-    "PLANT_DISTURBANCE",
-    "PLANT_PARAMETERS",
-    "PLANT_STATE",
-    "Plant",
-    "build_plant",
-    "check_equation_3",
-    "plant_layout",
-    "plant_parameters",
-    "plant_state",
-    "plant_thrust_limit",
-    "steady_speed",
-    "trim_thrust",
-]
-
 _TILT_STATE = Layout((Port("tilt", (4,), "rad, rad/s", "roll, pitch, and angular velocities p, q of the hull"),))
 """Further states of a vehicle that rolls and pitches."""
 

@@ -19,12 +19,10 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.errors import InputError, nearest
+from surctl.errors import InputError, check_known
 from surctl.marine.vehicle.parameters import Parameter, Vehicle
 from surctl.marine.vehicle.specs import PARAMETERS, TERMS, parameter_spec, undamped
 from surctl.recorded import shown, xml_root
-
-__all__ = ["gazebo_vehicle"]
 
 _AXES = (0, 1, 2, 5)  # surge, sway, heave and yaw among the six degrees of freedom
 _FORCES, _RATES = "xyzkmn", "uvwpqr"
@@ -103,8 +101,9 @@ def gazebo_vehicle(
     parameters = {}
     for key, value in [*((k, values[k]) for k in PARAMETERS), *((k, cross[k]) for k in TERMS if k in cross)]:
         spec = parameter_spec(key)
-        if spec is None or not np.isfinite(value) or (value <= 0 and not spec.zero_allowed):
-            raise InputError("must be greater than 0", file=shown(path), key=key, value=value, remedy="correct it")
+        assert spec is not None  # the keys are those of the specifications
+        if not spec.allows(value):
+            raise InputError(f"must be {spec.bound}", file=shown(path), key=key, value=value, remedy=spec.remedy)
         parameters[key] = Parameter(float(value), spec.unit, None, "given" if key in from_user else said)
     free = undamped({key: parameter.value for key, parameter in parameters.items()})
     note = f"; no drag found in {', '.join(free)}" if free else ""
@@ -204,16 +203,10 @@ def _chosen(bodies: Mapping[str, _Body], link: str | None, path: Path) -> str:
         )
     if link is None:
         if len(bodies) > 1:
-            raise InputError(
-                "has several links with hydrodynamics",
-                file=shown(path),
-                remedy=f"choose --link: {', '.join(sorted(bodies))}",
-            )
+            remedy = f"choose --link: {', '.join(sorted(bodies))}"
+            raise InputError("has several links with hydrodynamics", file=shown(path), remedy=remedy)
         return next(iter(bodies))
-    if link not in bodies:
-        raise InputError(
-            "is not a link with hydrodynamics", file=shown(path), key="--link", value=link, remedy=nearest(link, bodies)
-        )
+    check_known(link, bodies, "is not a link with hydrodynamics", key="--link", file=shown(path))
     return link
 
 

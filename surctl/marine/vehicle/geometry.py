@@ -8,8 +8,6 @@ from surctl.errors import InputError
 from surctl.marine.vehicle.parameters import Parameter, Vehicle
 from surctl.marine.vehicle.specs import PARAMETERS
 
-__all__ = ["GRAVITY", "WATER", "floating_depth", "missing_buoyancy", "sphere"]
-
 _DRAG = (0.4, 1.0)  # range of drag coefficients of spheres with openings and fittings
 _THRUST = 0.15  # relative difference between the thrust in a bollard test and at speed
 _LINEAR = 0.03  # [m/s] speed at which linear and quadratic drag are equal
@@ -76,12 +74,9 @@ def sphere(
     radius = diameter / 2
     displaced = density * 4 / 3 * pi * radius**3
     if dry_mass > displaced:
-        raise InputError(
-            f"sinks: a sphere of {diameter:g} m displaces {displaced:.3g} kg",
-            key="dry mass",
-            value=dry_mass,
-            remedy="check the diameter (in m) and the mass (in kg)",
-        )
+        problem = f"sinks: a sphere of {diameter:g} m displaces {displaced:.3g} kg"
+        remedy = "check the diameter (in m) and the mass (in kg)"
+        raise InputError(problem, key="dry mass", value=dry_mass, remedy=remedy)
 
     def mass(f: float) -> float:
         return dry_mass + f * (1.5 * displaced - dry_mass)

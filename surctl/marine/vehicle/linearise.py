@@ -22,24 +22,6 @@ from surctl.marine.vehicle.dynamics import (
 from surctl.marine.vehicle.parameters import Vehicle
 from surctl.marine.vehicle.specs import PlantForm
 
-__all__ = [
-    "STATE_NAMES",
-    "THRUST_NAMES",
-    "TILT_NAMES",
-    "WITHIN_LAW",
-    "ahead_limit",
-    "beyond_law",
-    "can_hold",
-    "check_cruise",
-    "command_range",
-    "dynamic_states",
-    "labelled",
-    "linearise",
-    "plant_jacobians",
-    "plant_system",
-    "state_names",
-]
-
 TILT_NAMES = ("phi", "theta", "p", "q")
 STATE_NAMES = ("x", "y", "z", "psi", "u", "v", "w", "r", "Fu", "Fv", "Fw", "Fr")
 THRUST_NAMES = ("Fu_cmd", "Fv_cmd", "Fw_cmd", "Fr_cmd")
@@ -128,12 +110,8 @@ def _check_trim(vehicle: Vehicle, nu: NDArray[np.float64]) -> None:
         limits = f"the limits are {most.tolist()}"
         if (least != -most).any():
             limits = f"the thrust lies between {least.tolist()} and {most.tolist()}"
-        raise InputError(
-            f"needs thrust {np.round(tau, 2).tolist()}, but {limits} (N, N m)",
-            key="operating point nu",
-            value=nu.tolist(),
-            remedy="linearise at a slower speed",
-        )
+        problem = f"needs thrust {np.round(tau, 2).tolist()}, but {limits} (N, N m)"
+        raise InputError(problem, key="operating point nu", value=nu.tolist(), remedy="linearise at a slower speed")
 
 
 def ahead_limit(vehicle: Vehicle) -> float:

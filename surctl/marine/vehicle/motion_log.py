@@ -15,22 +15,6 @@ from surctl.errors import InputError
 from surctl.recorded import NO_HEADER, Recorded, read_recorded
 from surctl.units import in_unit
 
-__all__ = [
-    "FRAMES",
-    "FRAME_TEXT",
-    "LOG_MOTION",
-    "LOG_THRUST",
-    "LOG_TILT",
-    "Frame",
-    "MotionLog",
-    "check_frame",
-    "heading_velocity",
-    "in_sequence",
-    "read_motion_log",
-    "swap_body",
-    "swap_pose",
-]
-
 # Conversion between the frame conventions ENU/FLU, used in all computations, and NED/FRD, used by other programs.
 #
 # ENU is the frame {E}: x east, y north, z up, ψ counter-clockwise from x. FLU is the frame {B}: x forward, y left, z
@@ -113,10 +97,30 @@ def heading_velocity(
         raise InputError(
             "must be within 90 degrees", key="pitch", value=float(np.max(np.abs(b))), remedy="give radians"
         )
-    across, up = np.cos(a) * v[..., 1] - np.sin(a) * v[..., 2], np.sin(a) * v[..., 1] + np.cos(a) * v[..., 2]
-    ahead, up = np.cos(b) * v[..., 0] + np.sin(b) * up, np.cos(b) * up - np.sin(b) * v[..., 0]
     turn = (np.sin(a) * w[..., 1] + np.cos(a) * w[..., 2]) / np.cos(b)
-    return np.stack(np.broadcast_arrays(ahead, across, up, turn), axis=-1)
+    return np.stack(np.broadcast_arrays(*np.moveaxis(heading_frame(v, roll=a, pitch=b), -1, 0), turn), axis=-1)
+
+
+def heading_frame(vector: ArrayLike, *, roll: ArrayLike, pitch: ArrayLike) -> NDArray[np.float64]:
+    """Return vectors (…, 3) in the heading frame from those in the frame of the hull, by roll and pitch (…) [rad].
+
+    Example:
+        >>> import numpy as np
+        >>> from surctl.marine.vehicle.motion_log import heading_frame
+        >>> heading_frame([1.0, 0.0, 0.0], roll=0.0, pitch=np.pi / 2).round(3).tolist()
+        [0.0, 0.0, -1.0]
+    """
+    u, v, w = np.moveaxis(np.asarray(vector, dtype=float), -1, 0)
+    across, up = v * np.cos(roll) - w * np.sin(roll), v * np.sin(roll) + w * np.cos(roll)
+    ahead, up = u * np.cos(pitch) + up * np.sin(pitch), up * np.cos(pitch) - u * np.sin(pitch)
+    return np.stack(np.broadcast_arrays(ahead, across, up), axis=-1)
+
+
+def quaternion(roll: float, pitch: float, yaw: float) -> NDArray[np.float64]:
+    """Return the quaternion (4,), real part first, of R_z(yaw) R_y(pitch) R_x(roll), for angles in rad."""
+    (cr, sr), (cp, sp), (cy, sy) = ((np.cos(a / 2), np.sin(a / 2)) for a in (roll, pitch, yaw))
+    real = cr * cp * cy + sr * sp * sy
+    return np.array([real, sr * cp * cy - cr * sp * sy, cr * sp * cy + sr * cp * sy, cr * cp * sy - sr * sp * cy])
 
 
 def check_frame(frame: object, *, key: str = "frame", file: object = None) -> Frame:
@@ -200,12 +204,9 @@ class MotionLog:
         _check_increasing(self.time, "t_s", lambda row: self.source and f"{self.source}, row {row + 1}")
         if not np.isfinite(self.thrust).all():
             row, column = np.argwhere(~np.isfinite(self.thrust))[0]
-            raise InputError(
-                f"has no number at {self.time[row]:g} s",
-                file=self.source,
-                key=LOG_THRUST[column],
-                remedy="fill it in or shorten the log, because the thrust must be known at all times",
-            )
+            problem = f"has no number at {self.time[row]:g} s"
+            remedy = "fill it in or shorten the log, because the thrust must be known at all times"
+            raise InputError(problem, file=self.source, key=LOG_THRUST[column], remedy=remedy)
         if not np.isfinite(self.motion).any():
             remedy = f"add at least one of the columns {', '.join(LOG_MOTION)}"
             raise InputError("contains no motion", file=self.source, remedy=remedy)
@@ -316,13 +317,8 @@ def _check_increasing(time: NDArray[np.float64], key: str, at: Callable[[int], s
         remedy = "sort the rows by time, or split the log there and give both parts"
         raise InputError("is before the time of the previous row", file=at(row), key=key, value=value, remedy=remedy)
     more = f", as in {np.count_nonzero(same) - 1} more rows" if np.count_nonzero(same) > 1 else ""
-    raise InputError(
-        f"is the time of the previous row too{more}",
-        file=at(row),
-        key=key,
-        value=value,
-        remedy="write the time with more digits, or remove one of the two rows",
-    )
+    remedy = "write the time with more digits, or remove one of the two rows"
+    raise InputError(f"is the time of the previous row too{more}", file=at(row), key=key, value=value, remedy=remedy)
 
 
 def swapped(motion: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -356,11 +352,6 @@ def _frame(table: Recorded, frame: Frame | str | None) -> Frame:
         return requested or "enu"
     recorded = check_frame(said, file=table.name)
     if requested not in (None, recorded):
-        raise InputError(
-            f"is not the frame that the file states ({recorded})",
-            file=table.name,
-            key="frame",
-            value=frame,
-            remedy="omit --frame",
-        )
+        problem = f"is not the frame that the file states ({recorded})"
+        raise InputError(problem, file=table.name, key="frame", value=frame, remedy="omit --frame")
     return recorded

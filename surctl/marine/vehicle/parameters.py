@@ -6,15 +6,16 @@ import hashlib
 import json
 from collections.abc import Container, Mapping
 from dataclasses import dataclass, replace
+from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, ValidationError
 
 from surctl.errors import InputError, nearest
-from surctl.files import Quantity, Strict, pick, quoted, read_toml, validate
+from surctl.files import Mistakes, Quantity, Strict, pick, quoted, read_toml, validate
 from surctl.marine.vehicle.specs import (
     DEFAULTED,
     NEEDED_TO_TILT,
@@ -26,8 +27,6 @@ from surctl.marine.vehicle.specs import (
 )
 from surctl.marine.vehicle.thruster_file import axis_ends, axis_limits, common_lag, read_actuators, thruster_text
 from surctl.marine.vehicle.thrusters import Actuators
-
-__all__ = ["LIBRARY", "Parameter", "Vehicle", "load_vehicle", "write_vehicle"]
 
 _NAMES = ("Fu_max", "Fv_max", "Fw_max", "Fr_max")
 _ARM = 1e-6  # [m] a shorter arm gives no yaw moment
@@ -64,13 +63,9 @@ def _check_surge(actuators: Actuators, astern: float, ahead: float, source: str)
         return
     pushing = [k for k, one in enumerate(actuators.thrusters) if one.fin is None and abs(one.direction[0]) > _ARM]
     if not pushing:
-        raise InputError(
-            "no thruster pushes ahead",
-            file=source,
-            key="thruster",
-            value=", ".join(actuators.names),
-            remedy="add a [[thruster]] with push = [1, 0, 0]",
-        )
+        problem = "no thruster pushes ahead"
+        remedy = "add a [[thruster]] with push = [1, 0, 0]"
+        raise InputError(problem, file=source, key="thruster", value=", ".join(actuators.names), remedy=remedy)
     weak = next((k for k in pushing if actuators.thrusters[k].reverse == 0), pushing[0])
     where = "astern" if astern <= 0 else "ahead"
     raise _lacks(
@@ -347,22 +342,21 @@ def vehicle_from_table(table: dict[str, Any], *, source: str) -> Vehicle:
     if not model.name.isprintable():
         remedy = "leave out line breaks and other control characters"
         raise InputError("is not a name", file=source, key="name", value=model.name, remedy=remedy)
-    parameters: dict[str, Parameter] = {}
+    parameters, mistakes = dict[str, Parameter](), Mistakes()
     for section in ("hull", "inertia", "drag", "thrust", "force", "attitude"):
-        parameters |= _read_section(section, getattr(model, section), source)
+        parameters |= _read_section(section, getattr(model, section), source, mistakes)
+    mistakes.check()
     actuators = read_actuators(model.thruster, model.allocation, source=source)
     parameters |= _of_thrusters(actuators, model.thruster, parameters, source)
     for name, spec in PARAMETERS.items():
         if name in parameters:
             continue
-        if spec.default is None:
-            raise InputError(
-                "is missing",
-                file=source,
-                key=f"{spec.table}.{name}",
-                remedy=f'add {name} = {{ value = ..., unit = "{spec.unit}" }} ({spec.meaning})',
-            )
-        parameters[name] = Parameter(spec.default, spec.unit, None, DEFAULTED)
+        with mistakes.collected():
+            if spec.default is None:
+                remedy = f'add {name} = {{ value = ..., unit = "{spec.unit}" }} ({spec.meaning})'
+                raise InputError("is missing", file=source, key=f"{spec.table}.{name}", remedy=remedy)
+            parameters[name] = Parameter(spec.default, spec.unit, None, DEFAULTED)
+    mistakes.check()
     ordered = {name: parameters[name] for name in (*PARAMETERS, *TERMS) if name in parameters}
     return _possible(Vehicle(model.name, model.note, ordered, source, actuators))
 
@@ -370,31 +364,52 @@ def vehicle_from_table(table: dict[str, Any], *, source: str) -> Vehicle:
 def _possible(vehicle: Vehicle) -> Vehicle:
     """Return the vehicle if its terms describe a body; else raise InputError.
 
-    Kinetic energy requires a positive definite inertia matrix, and roll and pitch need inertia, weight and buoyancy.
+    Kinetic energy requires a positive definite inertia matrix everywhere in the ranges, and roll and pitch need
+    inertia, weight and buoyancy.
     """
     form, file = vehicle.form, vehicle.source or vehicle.name
     for name in NEEDED_TO_TILT if form.tilts else ():
         if name not in form.terms:
             spec = TERMS[name]
-            raise InputError(
-                "is missing in a vehicle with other terms of roll and pitch",
-                file=file,
-                key=f"{spec.table}.{name}",
-                remedy=f'add {name} = {{ value = ..., unit = "{spec.unit}" }} ({spec.meaning})',
-            )
-    couplings = [entry for entry in form.inertia() if entry[0] != entry[1]]
-    if couplings and np.linalg.eigvalsh(vehicle.inertia)[0] <= 0:
-        own = np.diag(vehicle.inertia)
-        i, j, name = max(couplings, key=lambda entry: vehicle[entry[2]] ** 2 / (own[entry[0]] * own[entry[1]]))
-        most, ends = np.sqrt(own[i] * own[j]), " ".join(("m11", "m22", "m33", "m44", "mpp", "mqq")[k] for k in (i, j))
-        raise InputError(
-            "makes the inertia matrix indefinite",
-            file=file,
-            key=f"inertia.{name}",
-            value=vehicle[name],
-            remedy=f"alone, its size must be below sqrt({ends}) = {most:.4g} {TERMS[name].unit}",
-        )
+            problem = "is missing in a vehicle with other terms of roll and pitch"
+            remedy = f'add {name} = {{ value = ..., unit = "{spec.unit}" }} ({spec.meaning})'
+            raise InputError(problem, file=file, key=f"{spec.table}.{name}", remedy=remedy)
+    for which in ("value", "range"):
+        _check_inertia(vehicle, which, file=file)
     return vehicle
+
+
+def _check_inertia(vehicle: Vehicle, which: Literal["value", "range"], *, file: str) -> None:
+    """Raise InputError if an inertia matrix is not positive definite: that of the values, or one within the ranges.
+
+    The positive definite matrices are a convex set, and more inertia on the diagonal never leaves it. So the matrices
+    with the least diagonal and each combination of ends of the couplings decide.
+    """
+    names = ("m11", "m22", "m33", "m44", *(("mpp", "mqq") if vehicle.form.tilts else ()))
+    couplings = [entry for entry in vehicle.form.inertia() if entry[0] != entry[1]]
+
+    def ends(name: str) -> tuple[float, ...]:
+        parameter = vehicle.parameters[name]
+        return (parameter.value,) if which == "value" or parameter.range is None else parameter.range
+
+    own = [min(ends(name)) for name in names]
+    for values in product(*(dict.fromkeys(ends(name)) for *_, name in couplings)) if couplings else ():
+        inertia = np.diag(own)
+        for (i, j, _), value in zip(couplings, values, strict=True):
+            inertia[i, j] = inertia[j, i] = value
+        if np.linalg.eigvalsh(inertia)[0] <= 0:
+            shares = [value**2 / (own[i] * own[j]) for (i, j, _), value in zip(couplings, values, strict=True)]
+            at = int(np.argmax(shares))
+            (i, j, name), value = couplings[at], values[at]
+            least = " at the lower ends of their ranges" if which == "range" else ""
+            most = f"sqrt({names[i]} {names[j]}) = {np.sqrt(own[i] * own[j]):.4g} {TERMS[name].unit}{least}"
+            raise InputError(
+                "makes the inertia matrix indefinite",
+                file=file,
+                key=f"inertia.{name}" + (".range" if which == "range" else ""),
+                value=value,
+                remedy=f"alone, its size must be below {most}",
+            )
 
 
 def _of_thrusters(
@@ -412,7 +427,9 @@ def _of_thrusters(
     return {name: _checked(name, known, file=source) for name, known in derived.items() if name not in stated}
 
 
-def _read_section(section: str, table: Mapping[str, Quantity | str], source: str) -> dict[str, Parameter]:
+def _read_section(
+    section: str, table: Mapping[str, Quantity | str], source: str, mistakes: Mistakes
+) -> dict[str, Parameter]:
     known = [name for name, spec in (*PARAMETERS.items(), *TERMS.items()) if spec.table == section]
     shared = table.get("provenance")
     if shared is not None and (not isinstance(shared, str) or not shared.strip()):
@@ -423,20 +440,26 @@ def _read_section(section: str, table: Mapping[str, Quantity | str], source: str
     for name, entry in table.items():
         if name == "provenance":
             continue
-        key = f"{section}.{name}"
-        if name not in known:
-            raise InputError("unknown key", file=source, key=key, remedy=nearest(name, [*known, "provenance"]))
-        entry = _in_own_unit(name, entry, file=source)
-        provenance = entry.provenance or shared
-        if not isinstance(provenance, str):
-            raise InputError(
-                "has no provenance",
-                file=source,
-                key=key,
-                remedy=f'add provenance = "..." to [{section}]: who measured or derived it',
-            )
-        parameters[name] = _checked(name, Parameter(entry.value, entry.unit, entry.range, provenance), file=source)
+        with mistakes.collected():
+            parameters[name] = _read_entry(f"{section}.{name}", name, entry, shared, known, source)
     return parameters
+
+
+def _read_entry(
+    key: str, name: str, entry: Quantity | str, shared: str | None, known: list[str], source: str
+) -> Parameter:
+    if name not in known:
+        raise InputError("unknown key", file=source, key=key, remedy=nearest(name, [*known, "provenance"]))
+    entry = _in_own_unit(name, entry, file=source)
+    provenance = entry.provenance or shared
+    if not isinstance(provenance, str):
+        raise InputError(
+            "has no provenance",
+            file=source,
+            key=key,
+            remedy=f'add provenance = "..." to [{key.partition(".")[0]}]: who measured or derived it',
+        )
+    return _checked(name, Parameter(entry.value, entry.unit, entry.range, provenance), file=source)
 
 
 def _in_own_unit(name: str, entry: Quantity | str, *, file: str) -> Quantity:
@@ -444,13 +467,9 @@ def _in_own_unit(name: str, entry: Quantity | str, *, file: str) -> Quantity:
     try:
         return (Quantity.model_validate(entry) if isinstance(entry, str) else entry).within(spec.unit)
     except ValidationError:
-        raise InputError(
-            "must be a value with its unit",
-            file=file,
-            key=f"{spec.table}.{name}",
-            value=entry,
-            remedy=f'write {{ value = ..., unit = "{spec.unit}" }}',
-        ) from None
+        problem = "must be a value with its unit"
+        remedy = f'write {{ value = ..., unit = "{spec.unit}" }}'
+        raise InputError(problem, file=file, key=f"{spec.table}.{name}", value=entry, remedy=remedy) from None
     except InputError as error:
         raise error.inside(file, f"{spec.table}.{name}.unit") from None
 
@@ -458,24 +477,18 @@ def _in_own_unit(name: str, entry: Quantity | str, *, file: str) -> Quantity:
 def _checked(name: str, parameter: Parameter, *, file: str) -> Parameter:
     spec = _spec(name)
     key, value = f"{spec.table}.{name}", parameter.value
-    if not np.isfinite(value) or (value < 0 and not spec.signed) or (value == 0 and not spec.zero_allowed):
-        bound = "must be at least 0" if spec.zero_allowed else "must be greater than 0"
-        bound = "must be finite" if spec.signed else bound
-        raise InputError(bound, file=file, key=key, value=value, remedy=f"{spec.meaning}, in {spec.unit}")
+    for what, number in ((key, value), *((f"{key}.range", end) for end in parameter.range or ())):
+        if not spec.allows(number):
+            raise InputError(f"must be {spec.bound}", file=file, key=what, value=number, remedy=spec.remedy)
     if parameter.range is not None:
         low, high = parameter.range
-        if not ((spec.signed or low >= 0) and low <= high and np.isfinite([low, high]).all()):
+        if low > high:
             raise InputError(
                 "is not a range", file=file, key=f"{key}.range", value=parameter.range, remedy="write [low, high]"
             )
         if not low <= value <= high:
-            raise InputError(
-                f"lies outside its own range [{low:g}, {high:g}]",
-                file=file,
-                key=key,
-                value=value,
-                remedy="widen the range or correct the value",
-            )
+            problem = f"lies outside its own range [{low:g}, {high:g}]"
+            raise InputError(problem, file=file, key=key, value=value, remedy="widen the range or correct the value")
     return parameter
 
 

@@ -22,18 +22,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from itertools import combinations_with_replacement, product
-
-__all__ = [
-    "AXES",
-    "DEFAULTED",
-    "NEEDED_TO_TILT",
-    "PARAMETERS",
-    "TERMS",
-    "ParameterSpec",
-    "PlantForm",
-    "parameter_spec",
-    "undamped",
-]
+from math import isfinite
 
 
 @dataclass(frozen=True)
@@ -55,6 +44,20 @@ class ParameterSpec:
     zero_allowed: bool = False
     default: float | None = None
     signed: bool = False
+
+    def allows(self, value: float) -> bool:
+        """Return whether the parameter may have a value."""
+        return isfinite(value) and (self.signed or value > 0 or (self.zero_allowed and value == 0))
+
+    @property
+    def bound(self) -> str:
+        """Which values are allowed, in words."""
+        return "finite" if self.signed else "at least 0" if self.zero_allowed else "greater than 0"
+
+    @property
+    def remedy(self) -> str:
+        """Meaning and unit, for the message about a value that is not allowed."""
+        return f"{self.meaning}, in {self.unit}"
 
 
 DEFAULTED = "default of this toolkit"

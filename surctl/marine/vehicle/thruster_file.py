@@ -24,8 +24,6 @@ from surctl.marine.vehicle.thrusters import (
     attainable,
 )
 
-__all__ = ["axis_ends", "axis_limits", "common_lag", "read_actuators", "thruster_text"]
-
 _MOST = 16
 _UNIT = 0.01  # allowed error of the length of a unit vector, because files round its entries
 _FORM = 'write "44 N"'
@@ -231,12 +229,8 @@ def _thruster(table: _ThrusterTable, *, names: Sequence[str]) -> Thruster:
 def _finned(table: _ThrusterTable, fin: _FinTable, direction: tuple[float, float, float]) -> Thruster:
     for key in ("forward", "reverse", "curve", "swivel", "dead_band"):
         if getattr(table, key) not in (None, 0.0):
-            raise InputError(
-                "does not go with a fin, whose force follows from its lift and its deflection",
-                key=key,
-                value=key,
-                remedy=f"remove {key}",
-            )
+            problem = "does not go with a fin, whose force follows from its lift and its deflection"
+            raise InputError(problem, key=key, value=key, remedy=f"remove {key}")
     try:
         lift = fin.lift.within(_LIFT).value
     except InputError as error:
@@ -247,12 +241,9 @@ def _finned(table: _ThrusterTable, fin: _FinTable, direction: tuple[float, float
         remedy = "give the force per (m/s)^2 and rad, and turn `push` round if it is negative"
         raise InputError("must be greater than 0", key="fin.lift", value=lift, remedy=remedy)
     if not 0 < fin.limit_deg <= _STALL:
-        raise InputError(
-            f"must be greater than 0 and at most {_STALL:g}",
-            key="fin.limit_deg",
-            value=fin.limit_deg,
-            remedy="give the largest deflection to one side, below the stall angle",
-        )
+        problem = f"must be greater than 0 and at most {_STALL:g}"
+        remedy = "give the largest deflection to one side, below the stall angle"
+        raise InputError(problem, key="fin.limit_deg", value=fin.limit_deg, remedy=remedy)
     if abs(direction[0]) > _UNIT:
         remedy = "give the normal of the blade in its middle position, such as [0, 1, 0]"
         raise InputError("is not across the hull", key="push", value=list(direction), remedy=remedy)
@@ -292,19 +283,11 @@ def _swivel(table: _SwivelTable, direction: tuple[float, float, float], reverse:
     low, high = table.range_deg
     width = high - low
     if not (0 < width <= 180 or width == 360):
-        raise InputError(
-            "must be up to 180 deg wide, or 360: the forces of any other range form no convex set",
-            key="swivel.range_deg",
-            value=[low, high],
-            remedy="give a narrower range",
-        )
+        problem = "must be up to 180 deg wide, or 360: the forces of any other range form no convex set"
+        raise InputError(problem, key="swivel.range_deg", value=[low, high], remedy="give a narrower range")
     if reverse != 0:
-        raise InputError(
-            "must be 0 N with a swivel: a sector and its opposite form no convex set",
-            key="reverse",
-            value=f"{reverse:g} N",
-            remedy='write "0 N", or remove the swivel',
-        )
+        problem = "must be 0 N with a swivel: a sector and its opposite form no convex set"
+        raise InputError(problem, key="reverse", value=f"{reverse:g} N", remedy='write "0 N", or remove the swivel')
     rate = None if table.rate_deg_per_s is None else radians(table.rate_deg_per_s)
     return Swivel((x, y, z), (radians(low), radians(high)), rate)
 
@@ -323,21 +306,14 @@ def _curve(table: _ThrusterTable, forward: float, reverse: float) -> tuple[tuple
     flat = (np.diff(forces) == 0) & (forces[1:] != 0)
     if flat.any():
         k = int(np.flatnonzero(flat)[0])
-        raise InputError(
-            f"is flat at {forces[k]:g} N: several commands give the same force",
-            key="curve",
-            value=[list(curve[k]), list(curve[k + 1])],
-            remedy="only the dead band, at 0 N, may be flat",
-        )
+        problem = f"is flat at {forces[k]:g} N: several commands give the same force"
+        remedy = "only the dead band, at 0 N, may be flat"
+        raise InputError(problem, key="curve", value=[list(curve[k]), list(curve[k + 1])], remedy=remedy)
     starts = -1.0 if reverse > 0 else float(commands[0])
     zero = float(np.interp(0.0, commands, forces))
     if commands[0] != starts or commands[0] > 0 or commands[-1] != 1 or zero != 0:
-        raise InputError(
-            "must begin at command -1 (a water jet: at most 0), end at 1 and give 0 N at command 0",
-            key="curve",
-            value=[list(p) for p in curve],
-            remedy="add these points",
-        )
+        problem = "must begin at command -1 (a water jet: at most 0), end at 1 and give 0 N at command 0"
+        raise InputError(problem, key="curve", value=[list(p) for p in curve], remedy="add these points")
     for key, stated, end in (("forward", forward, forces[-1]), ("reverse", reverse, -forces[0])):
         if not isclose(stated, end, rel_tol=1e-6, abs_tol=1e-9):
             raise InputError(
@@ -345,12 +321,8 @@ def _curve(table: _ThrusterTable, forward: float, reverse: float) -> tuple[tuple
             )
     edges = commands[forces == 0]
     if table.dead_band and not isclose(float(edges.max(initial=0.0)), table.dead_band, rel_tol=1e-6):
-        raise InputError(
-            f"the curve is 0 N up to command {edges.max(initial=0.0):g}",
-            key="dead_band",
-            value=table.dead_band,
-            remedy="make them equal, or remove dead_band",
-        )
+        problem = f"the curve is 0 N up to command {edges.max(initial=0.0):g}"
+        raise InputError(problem, key="dead_band", value=table.dead_band, remedy="make them equal, or remove dead_band")
     pinned = [list(point) for point in curve]
     pinned[-1][1], pinned[0][1] = forward, -reverse
     if reverse == 0:

@@ -26,18 +26,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from surctl.errors import InputError, nearest
-
-__all__ = [
-    "DEFAULT_ORDER",
-    "ORDERS",
-    "Actuators",
-    "Attainable",
-    "Fin",
-    "Swivel",
-    "Thruster",
-    "attainable",
-]
+from surctl.errors import InputError, check_known
 
 Array = NDArray[np.float64]
 
@@ -255,13 +244,8 @@ class Actuators:
         return most if most > _SAME else 1.0
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the thrusters and the order as plain data for JSON; `from_dict` restores them exactly."""
+        """Return the thrusters and the order as plain data for JSON."""
         return asdict(self)
-
-    @staticmethod
-    def from_dict(data: Mapping[str, Any]) -> Actuators:
-        """Return the thrusters from the data of `to_dict`."""
-        return Actuators(tuple(_thruster_from(one) for one in data["thrusters"]), tuple(data["order"]))
 
     def text(self) -> str:
         """Return all numbers and names as one text, without provenance; equal thrusters have equal texts."""
@@ -274,8 +258,7 @@ class Actuators:
 
     def index(self, name: str) -> int:
         """Return the index of a thruster; for an unknown name, raise InputError with a similar name."""
-        if name not in self.names:
-            raise InputError("no such thruster", key="thruster", value=name, remedy=nearest(name, self.names))
+        check_known(name, self.names, "no such thruster", key="thruster")
         return self.names.index(name)
 
     def moments(self, components: Array) -> tuple[float, float]:
@@ -305,14 +288,6 @@ class Actuators:
     def lines(self) -> list[str]:
         """Return one line of text for each thruster."""
         return [_line(thruster) for thruster in self.thrusters]
-
-
-def _thruster_from(data: Mapping[str, Any]) -> Thruster:
-    joint = data["swivel"]
-    swivel = None if joint is None else Swivel(tuple(joint["axis"]), tuple(joint["range"]), joint["rate"])
-    fin = None if data.get("fin") is None else Fin(**data["fin"])
-    lists = {key: tuple(data[key]) for key in ("at", "direction")} | {"curve": tuple(map(tuple, data["curve"]))}
-    return Thruster(**{**data, **lists, "swivel": swivel, "fin": fin})
 
 
 def _line(thruster: Thruster) -> str:
@@ -488,11 +463,9 @@ def _normals(edges: Array, q: int) -> Array:
     rank = int((values > _PARALLEL).sum())
     edges = np.vstack([edges, rows[rank:]])
     if comb(len(edges), q - 1) > _MOST:
-        raise InputError(
-            f"push in {len(edges)} different directions, too many for the attainable set",
-            key="thruster",
-            remedy="describe fewer or equal thrusters, or fixed directions in place of swivels",
-        )
+        problem = f"push in {len(edges)} different directions, too many for the attainable set"
+        remedy = "describe fewer or equal thrusters, or fixed directions in place of swivels"
+        raise InputError(problem, key="thruster", remedy=remedy)
     groups = np.array(list(combinations(range(len(edges)), q - 1)))
     _, values, rows = np.linalg.svd(edges[groups])
     normals = rows[values[:, -1] > _FLAT**0.5 * 1e-2, -1, :]

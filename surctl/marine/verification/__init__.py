@@ -12,7 +12,6 @@ if TYPE_CHECKING:
         closed_loop_poles,
         cruise_loop,
         loop_margins,
-        worst_margins,
     )
     from surctl.marine.verification.law_loop import (
         LawCorners,
@@ -68,7 +67,6 @@ __all__ = [
     "speeds_text",
     "steady_motion",
     "sweep_locus",
-    "worst_margins",
     "worst_place",
     "worst_text",
 ]

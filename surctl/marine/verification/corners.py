@@ -38,13 +38,12 @@ class Corners:
 
     vehicles: tuple[Vehicle, ...]
     text: str
-    labels: tuple[str, ...] = ()
+    labels: tuple[str, ...]
     assumed: bool = False
 
     def label(self, vehicle: Vehicle) -> str:
-        """Return the label of one of the vehicles; its name if the vehicles have no labels."""
-        at = next(k for k, one in enumerate(self.vehicles) if one is vehicle)
-        return self.labels[at] if self.labels else vehicle.name
+        """Return the label of one of the vehicles."""
+        return next(label for label, one in zip(self.labels, self.vehicles, strict=True) if one is vehicle)
 
 
 def corners(
@@ -79,7 +78,7 @@ def corners(
         named = [[name for name in group if _ranged(vehicle, name) and name not in known] for group in stated]
         free = [group for group in named if group]
         if not free:
-            return Corners((vehicle,), "the nominal vehicle alone")
+            return Corners((vehicle,), "the nominal vehicle alone", ("nominal",))
         vehicles = tuple(_with(vehicle, _ends(vehicle, free, side)) for side in product((0, 1), repeat=len(free)))
         tied = ", with equal mass in surge and sway" if _MASSES in stated else ""
         labels = tuple(_label(one, free) for one in vehicles)

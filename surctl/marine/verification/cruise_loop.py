@@ -25,7 +25,6 @@ from surctl.marine.control import CASCADE, Gains, Law, build_law, law_parameters
 from surctl.marine.guidance import Path
 from surctl.marine.vehicle import PLANT_PARAMETERS, PlantForm, Vehicle, plant_jacobians, plant_parameters
 from surctl.marine.vehicle.linearise import STATE_NAMES, TILT_NAMES, check_cruise
-from surctl.marine.verification.corners import corners
 from surctl.system.linear_loop import expm
 from surctl.verification.linear import blockwise, eigenvalues
 from surctl.verification.loops import BrokenLoop, LoopMargins, crossings_of, margins_from, state_blocks
@@ -43,7 +42,6 @@ __all__ = [
     "law_numbers",
     "law_slopes",
     "loop_margins",
-    "worst_margins",
 ]
 
 Array = NDArray[np.float64]
@@ -446,61 +444,6 @@ def loop_margins(
     return tuple(
         margins_from(name, crossings_of(one, highest=highest))
         for name, one in zip(LOOP_NAMES, broken_loops(loop[None]), strict=True)
-    )
-
-
-def worst_margins(
-    vehicle: Vehicle,
-    gains: Mapping[str, float],
-    *,
-    uncertainty: float,
-    cruise: float,
-    dt: float,
-    law: str = TRACKING_LAW,
-) -> tuple[LoopMargins, ...]:
-    """Return the least margins of each loop over uncertain mass and drag; the controller keeps the nominal model.
-
-    All masses are multiplied by 1 − uncertainty or 1 + uncertainty, and all drag coefficients likewise. Combining the
-    two signs gives four corner vehicles besides the nominal vehicle. A linear loop is usually worst at a corner, but
-    the result is no proof for the values between the corners.
-
-    Args:
-        vehicle: the nominal vehicle.
-        gains: the gains by name, as in `loop_margins`.
-        uncertainty: relative uncertainty of mass and drag, 0 ≤ uncertainty < 1.
-        cruise: cruise speed U [m/s].
-        dt: control period [s].
-        law: a law for which `has_cruise_loop` holds.
-
-    Raises:
-        InputError: `loop_margins` rejects its arguments, or the uncertainty is out of range.
-
-    Example:
-        >>> from surctl.marine.control import load_gains
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> from surctl.marine.verification import worst_margins
-        >>> vehicle, gains = load_vehicle("sur400"), load_gains("default").values
-        >>> for share in (0.0, 0.2):
-        ...     worst = worst_margins(vehicle, gains, uncertainty=share, cruise=0.15, dt=0.05)
-        ...     print(share, round(min(loop.disk_margin for loop in worst), 2))
-        0.0 0.81
-        0.2 0.74
-    """
-    tried = corners(vehicle, uncertainty).vehicles
-    margins = [loop_margins(corner, gains, cruise=cruise, dt=dt, model=vehicle, law=law) for corner in tried]
-    return tuple(_least(same) for same in zip(*margins, strict=True))
-
-
-def _least(loops: Sequence[LoopMargins]) -> LoopMargins:
-    return LoopMargins(
-        loops[0].name,
-        all(m.stable for m in loops),
-        min(m.gain_margin for m in loops),
-        min(m.phase_margin_deg for m in loops),
-        min(m.delay_margin_s for m in loops),
-        min(m.disk_margin for m in loops),
-        max(m.crossover_rad_s for m in loops),
-        max(m.least_gain for m in loops),
     )
 
 

@@ -455,11 +455,13 @@ class LawCorners(LoopCorners[LawLoop]):
         """Return lines of text: the nominal loop, then the worst corner."""
         left = f"; at {len(self.lost)} of them the thrust cannot hold the speed" if self.lost else ""
         word = f"disk margin {self.disk:.2f}" if self.worst.stable else "UNSTABLE"
-        return [*self.nominal.lines(), f"  worst of {self.text}{left}: {word} at {self.corner}"]
+        lines = [*self.nominal.lines(), f"  worst of {self.text}{left}: {word} at {self.corner}"]
+        late = f"{self.delay.delay_s:.2f} s ({self.delay.where})"
+        return [*lines, *([f"  least delay margin of one loop alone: {late}"] if self.worst.stable else [])]
 
     def to_dict(self) -> dict[str, Any]:
         """Return the analysis as plain data for JSON."""
-        worst = {**self.worst.to_dict(), "corner": self.corner, "of": self.text}
+        worst = {**self.worst.to_dict(), "corner": self.corner, "of": self.text, "delay_margin": self.delay._asdict()}
         return {**self.nominal.to_dict(), "worst": worst}
 
 

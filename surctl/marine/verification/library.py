@@ -121,11 +121,16 @@ def claims(
 
 
 def applicable_claims(
-    gains: Mapping[str, float] | None = None, names: Sequence[str] | None = None, *, vehicle: Vehicle | None = None
+    gains: Mapping[str, float] | None = None,
+    names: Sequence[str] | None = None,
+    *,
+    vehicle: Vehicle | None = None,
+    errata: bool = True,
 ) -> tuple[tuple[Claim, ...], Mapping[str, NotApplicable]]:
     """Return the claims that apply to the vehicle and, by name, the reason why each of the other claims does not apply.
 
-    A reason is the `NotApplicable` error of the claim. The arguments are those of `claims`.
+    A reason is the `NotApplicable` error of the claim. The arguments are those of `claims`; without `errata` and
+    without names, claims of the paper that are expected to be refuted are left out.
 
     Example:
         >>> from surctl.marine.vehicle import load_vehicle
@@ -152,4 +157,6 @@ def applicable_claims(
             )
         except NotApplicable as reason:
             refused[name] = NotApplicable(reason.because, to=reason.to, key=name)
+    if names is None and not errata:
+        applicable = [claim for claim in applicable if claim.expected == "proved"]
     return tuple(applicable), refused

@@ -33,7 +33,7 @@ from surctl.marine.verification.cruise_loop import (
     check_positive,
     cruise_loops,
 )
-from surctl.marine.verification.linear.side import least_disk
+from surctl.marine.verification.linear.side import least_delay, least_disk
 from surctl.plotted import Plotted
 from surctl.verification.loops import crossings_of, shape_of, state_blocks
 
@@ -169,7 +169,7 @@ def _peak(y: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float
 _CHUNK = 64  # points computed together, so that their frequency responses fit in the cache
 
 _MOST_MARGINS = 10_000
-_margins: dict[bytes, float] = {}  # disk margins by digest: each round of a tuning judges gain sets again
+_margins: dict[bytes, tuple[float, float]] = {}  # by digest: each round of a tuning judges gain sets again
 
 _PLACES = {  # vehicle parameter → its index in the plant's flat vector
     name: PLANT_PARAMETERS.slice(group).start + k
@@ -198,10 +198,11 @@ _MARGINS = {
     "gain_margin": MetricSpec("1", "least factor > 1 on the loop gain that destabilises", "high"),
     "phase_margin_deg": MetricSpec("deg", "least extra phase lag that destabilises", "high"),
     "delay_margin_s": MetricSpec("s", "least extra delay that destabilises", "high"),
-    "disk_margin": MetricSpec("1", "disk margin of one loop alone, nominal vehicle, 0 to 2", "high"),
+    "disk_margin": MetricSpec("1", "disk margin of one loop alone, 0 to 2", "high"),
 }
 _LEAST = {name: name for name in _MARGINS} | {"disk_margin": "single_loop_disk_margin"}
 """Name of the least value of each margin over the single loops."""
+_WORST = ("disk_margin", "delay_margin_s")  # at the worst corner of the ranges
 _SINGLE = {least: name for name, least in _LEAST.items()}
 
 _SHAPES = {
@@ -215,11 +216,14 @@ LINEAR_METRICS: Mapping[str, MetricSpec] = {
     "disk_margin": MetricSpec(
         "1", "disk margin: all loops at once, at commands or measurements, worst corner of the ranges, 0 to 2", "high"
     ),
+    "delay_margin_s": MetricSpec("s", "least extra delay of one loop alone, worst corner of the ranges", "high"),
     **{
-        _LEAST[name]: MetricSpec(m.unit, f"{m.meaning}, least over all loops", m.better) for name, m in _MARGINS.items()
+        _LEAST[name]: MetricSpec(m.unit, f"{m.meaning}, least over all loops, nominal vehicle", m.better)
+        for name, m in _MARGINS.items()
+        if _LEAST[name] not in _WORST
     },
     **{
-        f"{name}.{loop}": MetricSpec(m.unit, f"{m.meaning}, loop {loop}", m.better)
+        f"{name}.{loop}": MetricSpec(m.unit, f"{m.meaning}, loop {loop}, nominal vehicle", m.better)
         for loop in LOOP_NAMES
         for name, m in _MARGINS.items()
     },
@@ -249,8 +253,8 @@ def linear_table(
 ) -> dict[str, NDArray[np.float64]]:
     """Compute the linear metrics of n operating points; return one array (n,) for every requested metric.
 
-    The disk margin is that of `verification.linear.corner_margin`; parameters in `values` are exact. All other metrics
-    are those of the plant.
+    The columns `disk_margin`, as in `verification.linear.corner_margin`, and `delay_margin_s` are those of the worst
+    corner of the ranges; parameters in `values` are exact. All other metrics are those of the plant.
 
     At an unstable point the margins have the values that `LoopMargins` states for an unstable loop (1, 0, 0, 0);
     sensitivity peak, settling time and overshoot are infinite; the rejection frequency is 0; and the crossover is NaN.
@@ -297,19 +301,22 @@ def linear_table(
 
     with ThreadPoolExecutor(workers) as pool:
         list(pool.map(fill, chunks))
-        if "disk_margin" in columns:
+        worst = [name for name in _WORST if name in columns]
+        if worst:
             exact = {name.partition(".")[2] for name in values}
             tried = [
                 _read_points(v, values, base=base, cruise=cruise, dt=dt, model=model or vehicle, law=law)
                 for v in corners(vehicle, known=exact).vehicles
             ]
             able = np.flatnonzero(points.feasible)
-            table["disk_margin"][able] = list(pool.map(lambda k: _disk_margin(tried, int(k)), able))
+            margins = np.reshape(list(pool.map(lambda k: _worst_margins(tried, int(k)), able)), (-1, len(_WORST)))
+            for name in worst:
+                table[name][able] = margins[:, _WORST.index(name)]
     return table
 
 
-def _disk_margin(tried: Sequence[Points], k: int) -> float:
-    # of point k, over the corners that can hold the speed
+def _worst_margins(tried: Sequence[Points], k: int) -> tuple[float, float]:
+    # disk margin and delay margin of point k, over the corners that can hold the speed
     groups = [[one for one in tried if one.holds(k) and one.lagged(k) is lagged] for lagged in (True, False)]
     built = [_together(group, k) for group in groups if group]
     matrices = (m.tobytes() for loops in built for m in (*loops.plant, *loops.law))
@@ -317,7 +324,7 @@ def _disk_margin(tried: Sequence[Points], k: int) -> float:
     if key not in _margins:
         if len(_margins) >= _MOST_MARGINS:
             _margins.clear()
-        _margins[key] = least_disk(built)[0]
+        _margins[key] = least_disk(built)[0], least_delay(built)[0]
     return _margins[key]
 
 
@@ -446,12 +453,9 @@ def _by_order(points: Points) -> Iterator[NDArray[np.intp]]:
 
 def _check_parameter(name: str, key: str, values: NDArray[np.float64]) -> None:
     spec = PARAMETERS.get(name) or TERMS[name]
-    good = np.isfinite(values) & (spec.signed | (values > 0) | (spec.zero_allowed & (values == 0)))
-    if not good.all():
-        least = "finite" if spec.signed else "at least 0" if spec.zero_allowed else "greater than 0"
-        raise InputError(
-            f"must be {least}", key=key, value=float(values[~good][0]), remedy=f"{spec.meaning}, in {spec.unit}"
-        )
+    for value in values.tolist():
+        if not spec.allows(value):
+            raise InputError(f"must be {spec.bound}", key=key, value=value, remedy=spec.remedy)
 
 
 def _figures(loops: CruiseLoop, *, columns: Collection[str]) -> dict[str, NDArray[np.float64]]:
@@ -460,13 +464,17 @@ def _figures(loops: CruiseLoop, *, columns: Collection[str]) -> dict[str, NDArra
     damping = np.where(poles.imag != 0, -poles.real / np.where(size > 0, size, 1), 1.0)
     figures = {"slowest_pole_per_s": poles[:, 0].real, "least_damping": damping.min(axis=1)}
     stable = poles[:, 0].real < -1e-9
-    requested = {_SINGLE.get(name, name.partition(".")[0]) for name in columns if name != "disk_margin"}
+    requested = {_SINGLE.get(name, name.partition(".")[0]) for name in columns if name not in _WORST}
     nothing = {"gain_margin": 1.0, "phase_margin_deg": 0.0, "delay_margin_s": 0.0, "disk_margin": 0.0}
     if requested & nothing.keys():
         for name, loop in zip(LOOP_NAMES, broken_loops(loops), strict=True):
             margins = crossings_of(loop, highest=highest)
             figures |= {f"{m}.{name}": np.where(stable, getattr(margins, m), left) for m, left in nothing.items()}
-        figures |= {_LEAST[m]: np.min([figures[f"{m}.{name}"] for name in LOOP_NAMES], axis=0) for m in nothing}
+        figures |= {
+            least: np.min([figures[f"{m}.{name}"] for name in LOOP_NAMES], axis=0)
+            for m, least in _LEAST.items()
+            if least not in _WORST
+        }
     nowhere = {"sensitivity_peak": np.inf, "rejection_rad_per_s": 0.0, "crossover_rad_per_s": np.nan}
     if requested & nowhere.keys():
         for name, loop in zip(LOOP_NAMES, broken_loops(loops), strict=True):

@@ -87,10 +87,12 @@ async function send(path, place) {
   document.body.dataset[`${path}Ms`] = `${Math.round(performance.now() - began)}`;
   if (next[path]) { const then = next[path]; next[path] = null; send(path, then); }
 }
+const marked = {}; // goals of the loops and of the runs, which stay in view
+function strip(path, html) { marked[path] = html; $("strip").innerHTML = `${marked.goals ?? ""}${marked.run ?? ""}`; }
 function later(path, wait, place) { clearTimeout(timers[path]); timers[path] = setTimeout(() => send(path, place), wait); }
 function loops() {
   send("linear", (found) => { $("linear").innerHTML = found.html; });
-  if (about.goals) later("goals", 30, (found) => { $("goals").innerHTML = found.html; });
+  if (about.goals) later("goals", 30, (found) => { $("goals").innerHTML = found.html; strip("goals", found.strip); });
   later("details", 200, (found) => { $("margins").innerHTML = found.margins; $("locus").innerHTML = found.locus; });
 }
 function ask() {
@@ -98,6 +100,7 @@ function ask() {
   loops();
   later("run", 350, (found) => {
     $("figures").innerHTML = found.table;
+    strip("run", found.strip);
     $("run").innerHTML = found.html;
     if (found.moved) loops(); // the loops are about the motion of this run
   });

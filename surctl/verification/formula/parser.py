@@ -344,14 +344,20 @@ def reads_back(root: Node, names: Collection[str]) -> bool:
     return lengths[root] <= LONGEST
 
 
+_LONG_NUMBER = re.compile(r"(?<![\w.])((?=[\d.]*\.)[0.]*(?:\d\.?){17})\d+(?![\w.])")
+
+
 def clipped(text: str, most: int = 400) -> str:
     """Return the text of an expression for a screen: its first characters, and its length if that is more than `most`.
 
+    Of the digits of a number, the first 17 significant ones stay, which identify a double, and `…` follows.
+
     Example:
         >>> from surctl.verification.formula.parser import clipped
-        >>> clipped("x + y", 3), clipped("x + y")
-        ('x + ... (5 characters)', 'x + y')
+        >>> clipped("x + y", 3), clipped("0.8000000000000000444089209850062616*x + y")
+        ('x + ... (5 characters)', '0.80000000000000004…*x + y')
     """
+    text = _LONG_NUMBER.sub(r"\1…", text)
     return text if len(text) <= most else f"{text[:most]} ... ({len(text)} characters)"
 
 

@@ -29,3 +29,19 @@ def test_all_loops_together_are_deaf_to_fast_noise_and_an_unstable_one_has_no_re
     with pytest.raises(InputError, match="is unstable"):
         wu = cruise_loop(load_vehicle("bluerov2-wu"), GAINS, cruise=0.47, dt=0.05)
         sensitivity_of(open_loop(wu, "thrust"), "thrust", highest=60.0)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_units_of_the_signals_do_not_matter(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    B, C, D = rng.normal(size=(4, 3)), rng.normal(size=(3, 4)), np.zeros((3, 3))
+    A = np.diag(-rng.uniform(0.5, 3.0, 4)) - np.eye(4)
+    C *= 0.5 / np.abs(C @ B).max()  # weak enough to be stable
+    units = 10.0 ** rng.integers(-4, 5, 3)
+    own = sensitivity_of(OpenLoop(A, B, C, D), highest=50.0)
+    other = sensitivity_of(OpenLoop(A, B / units, units[:, None] * C, D), highest=50.0)
+    assert pytest.approx(own.S, rel=1e-4) == other.S and pytest.approx(own.T, rel=1e-4) == other.T
+    at = 1j * own.omega[:, None, None]
+    S = np.linalg.inv(np.eye(3) + C @ np.linalg.solve(at * np.eye(4) - A, np.broadcast_to(B, (len(own.omega), 4, 3))))
+    assert np.all(np.linalg.norm(S, 2, axis=(1, 2)) * (1 + 1e-9) >= own.S)
+    assert np.all(np.abs(np.linalg.eigvals(S)).max(axis=1) * (1 - 1e-9) <= own.S)

@@ -16,8 +16,6 @@ from surctl.marine.control.baselines.situation import Situation, decided, limite
 from surctl.marine.control.decision import Decision
 from surctl.marine.guidance import Contact
 
-__all__ = ["DAMPING", "NEAREST", "RANGE", "STRENGTH", "apf_law"]
-
 RANGE = 0.5
 """Clearance ρ_0 [m] below which an obstacle repels the robot (tuned between 0.2 and 2)."""
 

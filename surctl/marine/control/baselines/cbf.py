@@ -23,8 +23,6 @@ from surctl.marine.control.decision import Decision
 from surctl.marine.vehicle import planar_rotation
 from surctl.tasks import HalfPlane
 
-__all__ = ["ALPHA", "cbf_law", "nearest_velocity"]
-
 ALPHA = 0.2
 """Barrier gain α [1/s] (tuned between 0.03 and 1)."""
 

@@ -14,17 +14,8 @@ import casadi as ca
 import numpy as np
 
 from surctl.ir import fold, tabulated
-from surctl.marine.control.baselines.situation import (
-    Situation,
-    decided,
-    first_contact,
-    length,
-    limited,
-    over_ground,
-)
+from surctl.marine.control.baselines.situation import Situation, decided, first_contact, length, limited, over_ground
 from surctl.marine.control.decision import Decision, weakest_acceleration
-
-__all__ = ["CLEARANCE", "FREE_DISTANCE", "GRID", "HEADING", "HORIZON", "VELOCITY", "dwa_law"]
 
 HORIZON = 0.5
 """Time [s]: the window contains the velocities that full acceleration reaches within it (tuned between 0.5 and 3).

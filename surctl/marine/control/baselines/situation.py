@@ -16,17 +16,6 @@ from surctl.marine.guidance import AvoidanceForm, Contact
 from surctl.marine.vehicle import planar_rotation
 from surctl.tasks import HalfPlane, velocity_task
 
-__all__ = [
-    "NEVER",
-    "Situation",
-    "decided",
-    "first_contact",
-    "length",
-    "limited",
-    "over_ground",
-    "time_to_contact",
-]
-
 NEVER = 1e3
 """Time [s] to an obstacle that the robot never meets."""
 

@@ -19,8 +19,6 @@ from surctl.ir import fold, tabulated
 from surctl.marine.control.baselines.situation import Situation, decided, first_contact, length
 from surctl.marine.control.decision import Decision
 
-__all__ = ["COURSES", "HORIZON", "SAFETY", "SPEEDS", "vo_law"]
-
 HORIZON = 4.0
 """Prediction time [s] (tuned between 2 and 30); the heaviest vehicle needs this time to stop from full speed.
 

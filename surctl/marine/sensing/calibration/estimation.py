@@ -27,8 +27,6 @@ from numpy.typing import ArrayLike, NDArray
 from surctl.errors import InputError
 from surctl.marine.sensing.calibration.noise_shape import NoiseShape, noise_shape
 
-__all__ = ["LEAST_ROWS", "LEAST_ROWS_OF_SLOPE", "OUTLIER_RULE", "Calibration", "Estimate", "calibrate"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class _StraightLine:
@@ -404,15 +402,9 @@ def _check(x: NDArray[np.float64], y: NDArray[np.float64]) -> None:
         raise InputError(f"{len(x)} complete rows are too few", key="rows", remedy=f"give at least {LEAST_ROWS}")
     distinct = len(np.unique(x))
     if distinct < _LEAST_DISTANCES:
-        raise InputError(
-            f"{distinct} distinct true distance{'s' * (distinct > 1)} are too few",
-            key="rows",
-            remedy=f"measure at {_LEAST_DISTANCES} or more distances",
-        )
+        problem = f"{distinct} distinct true distance{'s' * (distinct > 1)} are too few"
+        raise InputError(problem, key="rows", remedy=f"measure at {_LEAST_DISTANCES} or more distances")
     ratio = float(np.median(y) / np.median(x)) if np.median(x) > 0 else 1.0
     if not (1 / 3 <= ratio <= 3 or _other_medium(ratio)):
-        raise InputError(
-            f"measured distances are about {ratio:.3g} times the true ones",
-            key="rows",
-            remedy="check the units of both columns, and whether the columns are exchanged",
-        )
+        remedy = "check the units of both columns, and whether the columns are exchanged"
+        raise InputError(f"measured distances are about {ratio:.3g} times the true ones", key="rows", remedy=remedy)

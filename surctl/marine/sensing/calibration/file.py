@@ -19,22 +19,6 @@ from surctl.files import Strict, load_model
 from surctl.marine.sensing.calibration.estimation import Calibration, Estimate, calibrate
 from surctl.recorded import Recorded, read_recorded, shown
 
-__all__ = [
-    "BUILT_IN",
-    "MEDIA",
-    "Medium",
-    "MediumTest",
-    "RangeTest",
-    "SensorCalibration",
-    "calibrate_file",
-    "calibrate_table_ii",
-    "calibration_rows",
-    "file_stems",
-    "pick_calibration",
-    "sonar_fragment",
-    "table_ii",
-]
-
 Medium: TypeAlias = Literal["air", "water"]
 MEDIA: tuple[Medium, ...] = ("air", "water")
 
@@ -363,11 +347,8 @@ def _columns(table: Recorded) -> tuple[str, str, float]:
     """Return the names of the two distance columns, and the factor that converts their unit to metres."""
     there = [unit for unit, pair in zip(_UNITS, _PAIRS, strict=True) if set(pair) <= set(table.columns)]
     if len(there) > 1:
-        raise InputError(
-            f"gives the distances twice, in {' and in '.join(there)}",
-            file=table.name,
-            remedy="give one pair of columns",
-        )
+        remedy = "give one pair of columns"
+        raise InputError(f"gives the distances twice, in {' and in '.join(there)}", file=table.name, remedy=remedy)
     if there:
         return f"true_{there[0]}", f"measured_{there[0]}", _UNITS[there[0]]
     true = [name for name, _ in _PAIRS if name in table.columns]
@@ -388,12 +369,9 @@ def _groups(table: Recorded) -> Iterator[tuple[tuple[str, str], NDArray[np.intp]
     for k, name in enumerate(zip(*names, strict=True)):
         rows.setdefault(name, []).append(k)
     if len(rows) > _MOST_SENSORS:
-        raise InputError(
-            f"has {len(rows)} combinations of sensor and medium",
-            file=table.name,
-            key="sensor",
-            remedy=f"give at most {_MOST_SENSORS}, and check that this column contains names",
-        )
+        problem = f"has {len(rows)} combinations of sensor and medium"
+        remedy = f"give at most {_MOST_SENSORS}, and check that this column contains names"
+        raise InputError(problem, file=table.name, key="sensor", remedy=remedy)
     for (sensor, medium), indices in rows.items():
         yield (shown(sensor), shown(medium)), np.array(indices)
 

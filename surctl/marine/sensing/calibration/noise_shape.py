@@ -16,8 +16,6 @@ from math import log, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["NoiseShape", "noise_shape"]
-
 _MOST = log(50.0)  # largest |λ|
 _GRID = 401
 _ZOOMS = 5
@@ -207,13 +205,7 @@ def _marginal_line(likelihoods: _Likelihoods) -> NDArray[np.float64]:
 
 
 def _excess(
-    at: float,
-    *,
-    p: float,
-    dof: int,
-    weight: NDArray[np.float64],
-    value: NDArray[np.float64],
-    sd: NDArray[np.float64],
+    at: float, *, p: float, dof: int, weight: NDArray[np.float64], value: NDArray[np.float64], sd: NDArray[np.float64]
 ) -> float:
     # Student's distribution function at `at`, averaged over λ, minus p
     from scipy.special import stdtr  # without the overhead of scipy.stats

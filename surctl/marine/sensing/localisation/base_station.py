@@ -20,8 +20,6 @@ import casadi as ca
 
 from surctl.errors import InputError
 
-__all__ = ["BaseStation", "Delivery", "OwnState", "delayed_symbols", "whole_steps"]
-
 _ALWAYS = 1e300  # bound that no standard normal number reaches
 _ROUNDING = 1e-9  # [1] tolerance of a number of steps
 

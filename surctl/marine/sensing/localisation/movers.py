@@ -15,8 +15,6 @@ import casadi as ca
 from surctl.errors import InputError
 from surctl.ir import Port, each
 
-__all__ = ["MoverTracker", "Movers"]
-
 
 class Movers(NamedTuple):
     """The moving obstacles at a control step, as SX expressions."""
@@ -72,12 +70,8 @@ class MoverTracker:
             if not (isfinite(value) and value >= 0):
                 raise InputError("must be at least 0", key=f"movers.{name}", value=value, remedy=f"give {unit}")
         if self.forget <= self.latency:
-            raise InputError(
-                f"must be greater than the latency of {self.latency:g} s",
-                key="movers.forget",
-                value=self.forget,
-                remedy="give s",
-            )
+            problem = f"must be greater than the latency of {self.latency:g} s"
+            raise InputError(problem, key="movers.forget", value=self.forget, remedy="give s")
 
     def ports(self, prefix: str = "") -> tuple[Port, ...]:
         """Return the entries (name, shape, initial value) of the state; initially there is no obstacle."""

@@ -31,19 +31,6 @@ from surctl.errors import InputError
 from surctl.ir import Port
 from surctl.marine.sensing.localisation.base_station import whole_steps
 
-__all__ = [
-    "BELIEVED_AFTER",
-    "LONGEST_AGE",
-    "LONGEST_LATENCY",
-    "UNKNOWN_SD",
-    "OwnEstimate",
-    "OwnStateFilter",
-    "growth",
-    "transition",
-    "white",
-    "yaw_gains",
-]
-
 _LEAST_MASS = 1e-6  # [kg]
 
 

@@ -19,8 +19,6 @@ from surctl.ir import Port, fold
 from surctl.marine.sensing.sonar.array import SonarArray
 from surctl.marine.sensing.sonar.solids import disc_range, turned, wall_range
 
-__all__ = ["ContactMemory", "Contacts", "expected_range", "sonar_contacts"]
-
 
 def expected_range(
     position: ca.SX,
@@ -158,13 +156,7 @@ class ContactMemory:
         """Return the entries (name, shape, initial value) of the state; initially, no stored echo is valid."""
         return (
             Port(f"{prefix}echo", (self.sensors, 2), "m", "last unexplained echo of each sensor, x, y in {E}"),
-            Port(
-                f"{prefix}age",
-                (self.sensors,),
-                "s",
-                "age of that echo, limited to hold + dt",
-                self.hold + self.dt,
-            ),
+            Port(f"{prefix}age", (self.sensors,), "s", "age of that echo, limited to hold + dt", self.hold + self.dt),
         )
 
     def update(

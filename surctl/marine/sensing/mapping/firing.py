@@ -17,38 +17,6 @@ from __future__ import annotations
 
 import casadi as ca
 
-__all__ = [
-    "AXIS",
-    "BENT",
-    "BESIDE",
-    "BLIND",
-    "DIRECTIONS",
-    "LIMITS",
-    "MIDDLE",
-    "MOVED",
-    "NEAR",
-    "PROTECTED",
-    "READING",
-    "READING_SIZE",
-    "RING",
-    "WIDEST",
-    "WIDEST_FREE",
-    "bearing",
-    "by_direction",
-    "cell_line",
-    "confirms",
-    "direction",
-    "in_front",
-    "includes",
-    "level",
-    "limit_values",
-    "named_limits",
-    "nearby",
-    "on_arc",
-    "sector_with",
-    "split",
-]
-
 DIRECTIONS = 32
 """Number of directions of the compass, about 11 degrees each."""
 

@@ -28,10 +28,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from surctl.errors import InputError
 from surctl.ir import Call, Gather, Loop, Port, Program, Routine, Step, lower
-from surctl.marine.sensing.mapping.firing import BLIND, MIDDLE, READING, READING_SIZE, RING
+from surctl.marine.sensing.mapping.firing import READING_SIZE
 from surctl.marine.sensing.mapping.programs import BASE, BEAM, NONE, MapPrograms
-
-__all__ = ["BLIND", "MIDDLE", "READING", "RING", "LocalMap"]
 
 Vector: TypeAlias = NDArray[np.float64]
 
@@ -378,12 +376,7 @@ class _Steps:
             Gather("best", "sector", len(NONE), "so_far"),
             Call(self.programs.farther(), ("near", "so_far"), ("farther",)),
             Loop(
-                self.programs.enter(),
-                1,
-                ("farther", "best"),
-                ("done", "best_next"),
-                fixed=("near", "sector"),
-                until=0,
+                self.programs.enter(), 1, ("farther", "best"), ("done", "best_next"), fixed=("near", "sector"), until=0
             ),
         )
         inputs = self._sized("flag", "best", "cells", "row", "column", "hull", "none")

@@ -36,8 +36,6 @@ from surctl.marine.sensing.mapping.firing import (
     split,
 )
 
-__all__ = ["BASE", "BEAM", "NONE", "MapPrograms"]
-
 BASE, BEAM = 4, 3
 """Number of values in the base of a column or row, and in the beam of a column or row for one firing."""
 _BOUNDS = 5  # per firing, for the columns or rows of a block: most along, least, most across, least, most squared range
@@ -337,9 +335,7 @@ class MapPrograms:
         for side in sides:
             passed += side
         return lower_named(
-            "sector",
-            {"near": near},
-            {"sector": ca.if_else(sides[0], passed - 1, self.sectors - 1 - passed)},
+            "sector", {"near": near}, {"sector": ca.if_else(sides[0], passed - 1, self.sectors - 1 - passed)}
         )
 
     def farther(self) -> Program:

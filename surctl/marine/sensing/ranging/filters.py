@@ -14,11 +14,9 @@ from typing import Literal, NamedTuple, TypeAlias, get_args
 
 import casadi as ca
 
-from surctl.errors import InputError, nearest
+from surctl.errors import InputError, check_known
 from surctl.ir import Port
 from surctl.marine.sensing.sonar.array import SonarArray
-
-__all__ = ["FilterUpdate", "LmsStep", "SensorFilter", "StepRule", "gate", "lms_step", "weighted_average"]
 
 StepRule: TypeAlias = Literal["corrected", "printed"]
 """Rule for the step size μ of Algorithm 1: `corrected` (at most the line-search optimum) or `printed` (erratum E5)."""
@@ -122,8 +120,7 @@ def lms_step(
     Raises:
         InputError: if `step` is unknown.
     """
-    if step not in get_args(StepRule):
-        raise InputError("unknown LMS step", key="step", value=step, remedy=nearest(step, get_args(StepRule)))
+    check_known(step, get_args(StepRule), "unknown LMS step", key="step")
     n = errors.numel()
     residual = x_n - ca.dot(theta, X)
     history = _pushed(errors, ca.fabs(residual))
@@ -184,9 +181,7 @@ class SensorFilter:
                 raise InputError(f"must be a whole number, at least {least}", key=f"filter.{name}", value=value)
         if not self.jump > 0:
             raise InputError("must be greater than 0", key="filter.jump", value=self.jump, remedy="give m")
-        if self.step not in get_args(StepRule):
-            remedy = nearest(str(self.step), get_args(StepRule))
-            raise InputError("unknown LMS step", key="filter.step", value=self.step, remedy=remedy)
+        check_known(self.step, get_args(StepRule), "unknown LMS step", key="filter.step")
 
     def ports(self, prefix: str = "") -> tuple[Port, ...]:
         """Return the entries (name, shape, initial value) of the state, with one row per sensor.
@@ -213,13 +208,7 @@ class SensorFilter:
         )
 
     def update(
-        self,
-        state: Mapping[str, ca.SX],
-        samples: ca.SX,
-        *,
-        fresh: ca.SX,
-        gains: Mapping[str, ca.SX],
-        prefix: str = "",
+        self, state: Mapping[str, ca.SX], samples: ca.SX, *, fresh: ca.SX, gains: Mapping[str, ca.SX], prefix: str = ""
     ) -> FilterUpdate:
         """Return the ranges after one control step; the filters of the sensors that fired process new samples.
 

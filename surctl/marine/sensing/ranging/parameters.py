@@ -11,8 +11,6 @@ import numpy as np
 from surctl.errors import InputError
 from surctl.marine.sensing.sonar.array import SonarArray
 
-__all__ = ["MOST_REPEATS", "NEVER", "TrackerParameters"]
-
 NEVER = 1e6
 """Longer than any run [s], and more than any turn [rad]."""
 

@@ -16,8 +16,6 @@ import casadi as ca
 
 from surctl.marine.sensing.ranging.parameters import MOST_REPEATS, NEVER, TrackerParameters
 
-__all__ = ["StepInputs", "others", "range_step"]
-
 Value: TypeAlias = Any
 """An SX of one sensor, or a column (n, 1) of n sensors; a float stands for n equal numbers."""
 

@@ -19,8 +19,6 @@ from surctl.ir import Layout, Port, each
 from surctl.marine.sensing.ranging.parameters import NEVER, TrackerParameters
 from surctl.marine.sensing.ranging.rules import StepInputs, others, range_step
 
-__all__ = ["RangeTracker", "Ranging"]
-
 
 class Ranging(NamedTuple):
     """The result of a tracker step for n sensors, as SX expressions."""

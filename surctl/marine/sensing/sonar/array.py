@@ -11,10 +11,8 @@ from dataclasses import dataclass, field
 from math import acos, asin, atan2, ceil, cos, degrees, hypot, inf, isfinite, pi, remainder, sin, sqrt
 from typing import Literal, TypeAlias, get_args
 
-from surctl.errors import InputError, nearest
+from surctl.errors import InputError, check_known
 from surctl.marine.world import Vector2
-
-__all__ = ["Medium", "SonarArray", "open_cones", "speed_of_sound"]
 
 Medium: TypeAlias = Literal["water", "air"]
 
@@ -36,16 +34,11 @@ def speed_of_sound(temperature: float, medium: Medium = "water") -> float:
         >>> round(speed_of_sound(20.0), 2), round(speed_of_sound(20.0, "air"), 2)
         (1482.38, 343.21)
     """
-    if medium not in get_args(Medium):
-        raise InputError("is not known", key="medium", value=medium, remedy=nearest(str(medium), get_args(Medium)))
+    check_known(medium, get_args(Medium), key="medium")
     low, high = _RANGE[medium]
     if not low <= temperature <= high:
-        raise InputError(
-            f"lies outside the range of the formula for {medium}",
-            key="temperature",
-            value=temperature,
-            remedy=f"give {low:g} to {high:g} °C",
-        )
+        problem = f"lies outside the range of the formula for {medium}"
+        raise InputError(problem, key="temperature", value=temperature, remedy=f"give {low:g} to {high:g} °C")
     if medium == "air":
         return 331.3 * sqrt(1.0 + temperature / 273.15)
     speed = 0.0

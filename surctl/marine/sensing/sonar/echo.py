@@ -12,8 +12,6 @@ from surctl.errors import InputError
 from surctl.marine.sensing.sonar.array import SonarArray
 from surctl.marine.sensing.sonar.solids import Cone, Solid, turned
 
-__all__ = ["Beam", "beam_of", "echo_range", "echo_samples", "looks_of"]
-
 
 @dataclass(frozen=True, eq=False)
 class Beam:

@@ -27,21 +27,6 @@ from surctl.ir import Port
 from surctl.marine.sensing.sonar.array import SonarArray
 from surctl.marine.sensing.sonar.echo import echo_samples
 
-__all__ = [
-    "FAULT_KINDS",
-    "LONGEST_DELAY",
-    "SLOT",
-    "Arrival",
-    "Fault",
-    "FaultChances",
-    "FaultKind",
-    "check_faults",
-    "fault_ports",
-    "fault_slots",
-    "faulty_samples",
-]
-
-
 FaultKind: TypeAlias = Literal[
     "dropout", "dead", "stuck", "zero", "maximum", "spike", "second_echo", "crosstalk", "delay"
 ]
@@ -136,12 +121,9 @@ def check_faults(array: SonarArray, faults: Sequence[Fault], chances: FaultChanc
         if fault.kind == "crosstalk" and array.size == 1:
             raise InputError("crosstalk needs at least two sensors", key=f"faults.{k}.kind", value=fault.kind)
         if _delay_firings(array, fault) > LONGEST_DELAY:
-            raise InputError(
-                f"is longer than {LONGEST_DELAY} cycles of {array.cycle:g} s",
-                key=f"faults.{k}.delay_s",
-                value=fault.delay_s,
-                remedy=f"give at most {LONGEST_DELAY * array.cycle:g} s",
-            )
+            problem = f"is longer than {LONGEST_DELAY} cycles of {array.cycle:g} s"
+            remedy = f"give at most {LONGEST_DELAY * array.cycle:g} s"
+            raise InputError(problem, key=f"faults.{k}.delay_s", value=fault.delay_s, remedy=remedy)
 
 
 def _delay_firings(array: SonarArray, fault: Fault) -> int:

@@ -47,22 +47,6 @@ from surctl.marine.sensing.sonar.echo import Beam, looks_of
 from surctl.marine.sensing.sonar.solids import Solid, SolidBox, SolidDisc, SolidWalls
 from surctl.noise import noise_states
 
-__all__ = [
-    "ECHO_KEY",
-    "REFLECTORS",
-    "Reflector",
-    "Surfaces",
-    "certain_range_symbols",
-    "detection_odds",
-    "echo_keys",
-    "echo_number",
-    "firing_block_symbols",
-    "level_range",
-    "rim",
-    "uniform_symbols",
-    "weak_range_symbols",
-]
-
 _RADIUS = 0.1  # [m] radius of the cylinder that `cylinder_range` refers to
 _SILENT = 2.0  # a cosine that no face reaches
 

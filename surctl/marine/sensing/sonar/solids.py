@@ -12,8 +12,6 @@ from math import cos
 
 import casadi as ca
 
-__all__ = ["Cone", "Solid", "SolidBox", "SolidDisc", "SolidWalls", "disc_range", "turned", "wall_range"]
-
 
 def turned(heading: ca.SX, angle: float | ca.SX) -> ca.SX:
     """Return the unit vector in the direction ψ + angle, where `heading` is (cos ψ, sin ψ)."""

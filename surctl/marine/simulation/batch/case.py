@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from math import inf
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,8 +19,6 @@ from surctl.marine.simulation.scenario import Scenario
 from surctl.marine.simulation.thruster_faults import check_failed
 from surctl.marine.vehicle import Vehicle, parameter_spec
 from surctl.priority import Mode
-
-__all__ = ["Case", "CaseParameter", "case_parameters", "check_speeds", "check_values"]
 
 Vector = NDArray[np.float64]
 
@@ -121,12 +120,9 @@ class CaseParameter:
             least = f"greater than {self.low:g}" if self.open_below else f"at least {self.low:g}"
             bounds = [least] if self.low > -inf else []
             bounds += [f"at most {self.high:.3g}"] if self.high < inf else []
-            raise InputError(
-                "must be " + " and ".join(bounds or ["finite"]),
-                key=self.name,
-                value=float(values[~good][0]),
-                remedy=f"{self.meaning}, in {self.unit}",
-            )
+            problem = "must be " + " and ".join(bounds or ["finite"])
+            remedy = f"{self.meaning}, in {self.unit}"
+            raise InputError(problem, key=self.name, value=float(values[~good][0]), remedy=remedy)
 
 
 def case_parameters(case: Case) -> Mapping[str, CaseParameter]:
@@ -160,94 +156,58 @@ def case_parameters(case: Case) -> Mapping[str, CaseParameter]:
 
 
 def _scenario_parameters(scenario: Scenario) -> list[CaseParameter]:
-    d, chances = scenario.disturbance, scenario.sensors.chances
+    d, chances, radius = scenario.disturbance, scenario.sensors.chances, scenario.arrival_radius
+    # name, unit, meaning, value; then low, high, and whether low is excluded
+    rows: tuple[tuple[Any, ...], ...] = (
+        ("cruise", "m/s", "desired speed along the path", scenario.cruise, 0.0, inf, True),
+        ("cap", "m/s", "largest commanded horizontal speed", scenario.cap, 0.0, inf, True),
+        ("depth", "m", "desired z, negative below the surface", scenario.depth, -scenario.site[2], 0.0),
+        ("arrival_radius", "m", "distance to the target that counts as arrived", radius, 0.0, inf, True),
+        ("time_limit", "s", "longest duration of a run", scenario.time_limit, 0.0, 1e6, True),
+        ("current_x", "m/s", "current along x of {E}", d.current_m_per_s[0]),
+        ("current_y", "m/s", "current along y of {E}", d.current_m_per_s[1]),
+        ("wave_force", "N", "amplitude of the wave force", d.wave_force_n, 0.0),
+        ("wave_period", "s", "period of the waves", d.wave_period_s, 0.0, inf, True),
+        ("drift_force", "N", "amplitude of the slow drift force", d.drift_force_n, 0.0),
+        ("drift_period", "s", "period of the slow drift force", d.drift_period_s, 0.0, inf, True),
+        ("thrust_error", "1", "largest relative thrust error of an axis", d.thrust_error, 0.0, 1.0),
+        ("thrust_bias", "1", "largest thrust bias of an axis, as a share of its limit", d.thrust_bias, 0.0, 1.0),
+    )
     return [
         *(
             CaseParameter(f"sonar.{kind}", "1", f"probability of fault {kind} per sonar firing", chance, 0.0, 1.0)
             for kind, chance in zip(chances.kinds(), chances.numbers, strict=True)
         ),
-        CaseParameter("scenario.cruise", "m/s", "desired speed along the path", scenario.cruise, 0.0, inf, True),
-        CaseParameter("scenario.cap", "m/s", "largest commanded horizontal speed", scenario.cap, 0.0, inf, True),
-        CaseParameter(
-            "scenario.depth", "m", "desired z, negative below the surface", scenario.depth, -scenario.site[2], 0.0
-        ),
-        CaseParameter(
-            "scenario.arrival_radius",
-            "m",
-            "distance to the target that counts as arrived",
-            scenario.arrival_radius,
-            0.0,
-            inf,
-            True,
-        ),
-        CaseParameter("scenario.time_limit", "s", "longest duration of a run", scenario.time_limit, 0.0, 1e6, True),
-        CaseParameter("scenario.current_x", "m/s", "current along x of {E}", d.current_m_per_s[0]),
-        CaseParameter("scenario.current_y", "m/s", "current along y of {E}", d.current_m_per_s[1]),
-        CaseParameter("scenario.wave_force", "N", "amplitude of the wave force", d.wave_force_n, 0.0),
-        CaseParameter("scenario.wave_period", "s", "period of the waves", d.wave_period_s, 0.0, inf, True),
-        CaseParameter("scenario.drift_force", "N", "amplitude of the slow drift force", d.drift_force_n, 0.0),
-        CaseParameter("scenario.drift_period", "s", "period of the slow drift force", d.drift_period_s, 0.0, inf, True),
-        CaseParameter(
-            "scenario.thrust_error", "1", "largest relative thrust error of an axis", d.thrust_error, 0.0, 1.0
-        ),
-        CaseParameter(
-            "scenario.thrust_bias",
-            "1",
-            "largest thrust bias of an axis, as a share of its limit",
-            d.thrust_bias,
-            0.0,
-            1.0,
-        ),
+        *(CaseParameter(f"scenario.{name}", *rest) for name, *rest in rows),
     ]
 
 
 def _obstacle_parameters(obstacle: Obstacle, vehicle: Vehicle) -> list[CaseParameter]:
-    def parameter(
-        name: str, unit: str, meaning: str, value: float, least: float | None = None, *, above: bool = False
-    ) -> CaseParameter:
-        low = -inf if least is None else least
-        return CaseParameter(f"obstacle.{obstacle.name}.{name}", unit, meaning, value, low, inf, above)
-
-    common = [
-        parameter("x", "m", "centre of the obstacle at the start, x in {E}", obstacle.centre_m[0]),
-        parameter("y", "m", "centre of the obstacle at the start, y in {E}", obstacle.centre_m[1]),
-        CaseParameter(
-            f"obstacle.{obstacle.name}.there",
-            "1",
-            "1 if the obstacle is in the water, 0 if it is left out",
-            1.0,
-            0.0,
-            1.0,
-        ),
+    # name, unit, meaning, value; then low, high, and whether low is excluded
+    positive = (0.0, inf, True)
+    rows: list[tuple[Any, ...]] = [
+        ("x", "m", "centre of the obstacle at the start, x in {E}", obstacle.centre_m[0]),
+        ("y", "m", "centre of the obstacle at the start, y in {E}", obstacle.centre_m[1]),
+        ("there", "1", "1 if the obstacle is in the water, 0 if it is left out", 1.0, 0.0, 1.0),
     ]
     if obstacle.size_m is not None:
-        common += [
-            parameter(
-                f"size_{axis}",
-                "m",
-                f"edge length of the box along {axis} of {{E}}",
-                obstacle.size_m[k],
-                0.0,
-                above=True,
-            )
-            for k, axis in enumerate("xy")
-        ]
+        edges = zip("xy", obstacle.size_m, strict=True)
+        rows += [(f"size_{k}", "m", f"edge length of the box along {k} of {{E}}", edge, *positive) for k, edge in edges]
     else:
-        radius = obstacle.radius_m or vehicle["radius"]
-        common.append(parameter("radius", "m", "radius of the obstacle", radius, 0.0, above=True))
+        rows.append(("radius", "m", "radius of the obstacle", obstacle.radius_m or vehicle["radius"], *positive))
     if obstacle.shape == "moving":
         to_x, to_y = obstacle.to_m or obstacle.centre_m
-        return [
-            *common,
-            parameter("to_x", "m", "end of the obstacle's motion, x in {E}", to_x),
-            parameter("to_y", "m", "end of the obstacle's motion, y in {E}", to_y),
-            parameter("speed", "m/s", "speed of the obstacle", float(obstacle.speed_m_per_s or 0.0), 0.0, above=True),
+        rows += [
+            ("to_x", "m", "end of the obstacle's motion, x in {E}", to_x),
+            ("to_y", "m", "end of the obstacle's motion, y in {E}", to_y),
+            ("speed", "m/s", "speed of the obstacle", float(obstacle.speed_m_per_s or 0.0), *positive),
         ]
-    return [
-        *common,
-        parameter("drift", "m", "amplitude of the obstacle's drift", obstacle.drift_m, 0.0),
-        parameter("drift_period", "s", "period of the obstacle's drift", obstacle.drift_period_s, 0.0, above=True),
-    ]
+    else:
+        rows += [
+            ("drift", "m", "amplitude of the obstacle's drift", obstacle.drift_m, 0.0),
+            ("drift_period", "s", "period of the obstacle's drift", obstacle.drift_period_s, *positive),
+        ]
+    return [CaseParameter(f"obstacle.{obstacle.name}.{name}", *rest) for name, *rest in rows]
 
 
 def check_values(case: Case, values: Mapping[str, Vector]) -> None:

@@ -11,10 +11,9 @@ from typing import Any, Literal, NamedTuple, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from surctl.errors import InputError, SurctlError, ToolMissing, nearest
+from surctl.errors import InputError, SurctlError, ToolMissing, check_known
 from surctl.ir import (
     Batch,
-    SlowerEngine,
     batch_source,
     cached_bytes,
     compile_batch_source,
@@ -27,27 +26,11 @@ from surctl.ir import (
 from surctl.marine.control.build import LAW_SOURCES
 from surctl.marine.simulation.batch.case import Case, check_values
 from surctl.marine.simulation.batch.listening import VARIATIONS
-from surctl.marine.simulation.batch.loop import Loop, Structure, build_loop
+from surctl.marine.simulation.batch.loop import Loop, build_loop
 from surctl.marine.simulation.batch.pack import Packed, pack, structure_of
-from surctl.marine.simulation.batch.structure import ABSENT
+from surctl.marine.simulation.batch.structure import ABSENT, Structure
 from surctl.marine.simulation.metrics import METRICS, STOPS
 from surctl.own_code import is_own
-
-__all__ = [
-    "ENGINES",
-    "BatchResult",
-    "Engine",
-    "SlowerEngine",
-    "StoredLoop",
-    "Trace",
-    "broadcast",
-    "compiled_loop",
-    "loop_sources",
-    "metrics_table",
-    "simulate_batch",
-    "stored_loop",
-    "trace_batch",
-]
 
 _FURTHER = (
     *(f"surctl.{name}" for name in ("files", "own_code", "units")),
@@ -121,8 +104,7 @@ class BatchResult:
 
     def column(self, name: str) -> Columns:
         """Return the values (n,) of one metric; if the name is unknown, InputError suggests the most similar name."""
-        if name not in METRICS:
-            raise InputError("no such metric", key="metric", value=name, remedy=nearest(name, METRICS))
+        check_known(name, METRICS, "no such metric", key="metric")
         return self.table[:, list(METRICS).index(name)]
 
 
@@ -162,8 +144,7 @@ def simulate_batch(
         >>> runs.column("time_s").round(2).tolist(), runs.column("min_clearance_m").round(3).tolist()
         ([21.3, 20.35, 20.05], [0.093, 0.096, 0.097])
     """
-    if engine not in ENGINES:
-        raise InputError("is not known", key="engine", value=engine, remedy=nearest(str(engine), ENGINES))
+    check_known(engine, ENGINES, key="engine")
     if threads < 1:
         raise InputError("must be at least 1", key="threads", value=threads)
     columns, run_seeds = broadcast(values or {}, seeds)

@@ -29,8 +29,6 @@ from surctl.marine.simulation.metrics import AT_LIMIT, MOVING, NEAR_TARGET, SIGN
 from surctl.marine.simulation.sensors import FIRING, FiringPlan, firing_plan
 from surctl.noise import NOISE_STATE, draw_normals, draw_uniforms
 
-__all__ = ["SUMS", "VARIATIONS", "Listening", "counted", "flat", "path_square", "path_tangent", "slots"]
-
 VARIATIONS = ("surge_n", "sway_n", "heave_n", "yaw_n_m")
 """Axes of the thrust and their units, as in the names of the metrics."""
 

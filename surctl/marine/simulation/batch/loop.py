@@ -37,17 +37,6 @@ from surctl.marine.simulation.world import LONGEST
 from surctl.marine.vehicle import PLANT_DISTURBANCE, PLANT_STATE, plant_layout, plant_state
 from surctl.noise import NOISE_STATE
 
-__all__ = [
-    "Loop",
-    "Structure",
-    "build_loop",
-    "clearances",
-    "free_column",
-    "obstacle_points",
-    "pushed",
-    "with_walls",
-]
-
 _HEADING = PLANT_STATE.slice("eta").start + 3
 _FINITE = 1e300
 
@@ -151,15 +140,7 @@ def _parameter_ports(law: Law, structure: Structure) -> tuple[Port, ...]:
     there = [Port("there", (len(structure.bodies),), "1", "1 if the obstacle is in the water")]
     optional = there if structure.optional else []
     thrusters = [law.inputs.port(WORKING)] if WORKING in law.inputs else []
-    listed = (
-        *law.gains,
-        *world,
-        *bodies,
-        *optional,
-        *thrusters,
-        *upright,
-        *Listening(structure, law).parameters(),
-    )
+    listed = (*law.gains, *world, *bodies, *optional, *thrusters, *upright, *Listening(structure, law).parameters())
     mission = _mission_of(structure, law)
     return (*listed, *mission.parameters(Layout(listed))) if mission else listed
 

@@ -15,15 +15,20 @@ from surctl.marine.sensing import FaultChances
 from surctl.marine.sensing.sonar.faults import fault_slots
 from surctl.marine.sensing.sonar.returns import echo_keys, echo_number
 from surctl.marine.simulation.batch.case import Case, case_parameters
-from surctl.marine.simulation.batch.loop import Loop, Structure
-from surctl.marine.simulation.batch.structure import NO_END, body_columns, capacity_for, kind_of, mission_table
+from surctl.marine.simulation.batch.loop import Loop
+from surctl.marine.simulation.batch.structure import (
+    NO_END,
+    Structure,
+    body_columns,
+    capacity_for,
+    kind_of,
+    mission_table,
+)
 from surctl.marine.simulation.numbers import VISITED, law_numbers
 from surctl.marine.simulation.scenario import check_spacing
 from surctl.marine.simulation.world import WorldDraw, draw_world
 from surctl.marine.vehicle import Vehicle, plant_layout, plant_state
 from surctl.noise import noise_states
-
-__all__ = ["Packed", "pack", "structure_of"]
 
 Columns = NDArray[np.float64]
 
@@ -268,5 +273,6 @@ class _Filler:
 
     def _draws(self) -> WorldDraw:
         unique, back = np.unique(self.seeds, return_inverse=True)
-        draws = [draw_world(len(self.case.scenario.obstacles), seed=int(seed)) for seed in unique]
-        return WorldDraw(*(np.array(part)[back] for part in zip(*draws, strict=True)))  # type: ignore[arg-type]
+        draws = [vars(draw_world(len(self.case.scenario.obstacles), seed=int(seed))) for seed in unique]
+        parts: dict[str, Any] = {name: np.array([draw[name] for draw in draws])[back] for name in draws[0]}
+        return WorldDraw(**parts)

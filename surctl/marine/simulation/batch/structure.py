@@ -36,22 +36,6 @@ from surctl.marine.simulation.world import BAND, FOOTPRINT, LONGEST
 from surctl.marine.vehicle import Actuators, PlantForm, plant_state
 from surctl.priority import Mode
 
-__all__ = [
-    "ABSENT",
-    "NO_END",
-    "Body",
-    "BodyKind",
-    "Mission",
-    "Structure",
-    "body_at",
-    "body_columns",
-    "body_size",
-    "capacity_for",
-    "driven",
-    "kind_of",
-    "mission_table",
-]
-
 _LEAST = 16  # waypoints: paths of similar length use the same compiled loop
 _AROUND = SKIPS + 4  # rows around the robot: from the waypoint before its segment on
 

@@ -37,8 +37,6 @@ from surctl.marine.vehicle.parameters import vehicle_from_table
 from surctl.priority import Mode
 from surctl.store import RESUME, ChunkStore
 
-__all__ = ["CHUNK", "FASTEST", "Campaign", "CampaignFolder", "Replay", "load_replay", "run_campaign"]
-
 T = TypeVar("T")
 
 _FIRST, _ALWAYS = "crab_angle_deg", "wasted_share"  # first of the metrics added later, and one that is always finite
@@ -111,11 +109,7 @@ class Replay:
             "broken_assumptions": list(self.broken),
             "figures": dict(self.figures),
             "draw": dict(run.draw),
-            "gains": {
-                "name": case.gains.name,
-                "provenance": case.gains.provenance,
-                "values": dict(case.gains.values),
-            },
+            "gains": {"name": case.gains.name, "provenance": case.gains.provenance, "values": dict(case.gains.values)},
             "vehicle": _vehicle_table(case.vehicle),
             "scenario": scenario_table(case.scenario),
         }
@@ -393,13 +387,8 @@ def _request(plan: Plan) -> dict[str, Any]:
         "vehicle": _entry(case.vehicle.name, _numbers(case.vehicle)),
         "model": None if case.model is None else _entry(case.model.name, _numbers(case.model)),
         "law": case.law,
-        "avoidance": case.avoidance,
-        "guidance": case.guidance,
-        "priority mode": case.mode,
-        "barrier": case.barrier,
-        "movers": case.movers,
+        **{name.replace("_", " "): option for name, option in case.options.items()},
         "gains": _entry(case.gains.name, repr(sorted(case.gains.values.items()))),
-        "sensing": case.sensing,
         **plan.settings(),
         "version": __version__,
     }

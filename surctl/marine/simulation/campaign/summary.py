@@ -27,9 +27,6 @@ from surctl.marine.simulation.world import build_world
 from surctl.marine.vehicle import Vehicle, check_equation_3
 from surctl.tuning.statistics import Share
 
-__all__ = ["MEANINGS", "RunTable", "Summary", "assumptions", "summarise"]
-
-
 _FIRST = ("collided", "reached")  # true or false
 
 

@@ -23,17 +23,6 @@ from surctl.marine.simulation.scenario import Scenario, scenario_from_table
 from surctl.marine.simulation.world import build_world
 from surctl.marine.vehicle import Vehicle
 
-__all__ = [
-    "WORLDS_VEHICLE",
-    "MonteCarlo",
-    "Plan",
-    "RandomWorlds",
-    "SampledRun",
-    "draw_plant",
-    "random_world",
-    "world_template",
-]
-
 Columns = Mapping[str, NDArray[np.float64]]
 
 
@@ -316,12 +305,8 @@ class RandomWorlds(Plan):
     def __post_init__(self) -> None:
         """Check that the scenario has no waves."""
         if force := self.case.scenario.disturbance.wave_force_n:
-            raise InputError(
-                "must be 0, since random worlds have no waves",
-                key="disturbance.wave_force_n",
-                value=force,
-                remedy="write 0",
-            )
+            problem = "must be 0, since random worlds have no waves"
+            raise InputError(problem, key="disturbance.wave_force_n", value=force, remedy="write 0")
 
     @property
     def names(self) -> tuple[str, ...]:

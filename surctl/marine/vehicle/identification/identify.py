@@ -34,13 +34,11 @@ from surctl.marine.vehicle.identification.model import (
     drift_sections_of,
     sections_of,
 )
-from surctl.marine.vehicle.identification.prediction import WINDOW, Prediction, Trial, drift_trial, predict
+from surctl.marine.vehicle.identification.prediction import Prediction, Trial, drift_trial, predict
 from surctl.marine.vehicle.identification.solve import beginning, minimise, outliers, simulable, without_outliers
 from surctl.marine.vehicle.motion_log import LOG_MOTION, LOG_THRUST, LOG_TILT, MotionLog
 from surctl.marine.vehicle.parameters import Parameter, Vehicle
 from surctl.marine.vehicle.specs import TERMS, parameter_spec
-
-__all__ = ["HELD_OUT", "Identified", "held_out", "held_out_windows", "identify", "velocity_notes"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -261,19 +259,13 @@ def identify(log: MotionLog, start: Vehicle, *, name: str) -> Identified:
         (60.0, True, False)
     """
     if not log.thrust.any() and not start.form.tilts:  # free swinging shows ratios
-        raise InputError(
-            "the log has no thrust, so no mass can be estimated from it",
-            file=log.source,
-            key=", ".join(LOG_THRUST),
-            remedy="give a log in which the vehicle is driven",
-        )
+        problem = "the log has no thrust, so no mass can be estimated from it"
+        remedy = "give a log in which the vehicle is driven"
+        raise InputError(problem, file=log.source, key=", ".join(LOG_THRUST), remedy=remedy)
     if not any(np.unique(column[np.isfinite(column)]).size > 1 for column in log.motion.T):
-        raise InputError(
-            "the log has no motion: no column changes, so no parameter can be estimated from it",
-            file=log.source,
-            key=", ".join(LOG_MOTION),
-            remedy="give a log in which the vehicle moves",
-        )
+        problem = "the log has no motion: no column changes, so no parameter can be estimated from it"
+        remedy = "give a log in which the vehicle moves"
+        raise InputError(problem, file=log.source, key=", ".join(LOG_MOTION), remedy=remedy)
     if start.form.tilts:
         _check_tilt(log, start)
     full = _full_fit(log, start)
@@ -329,12 +321,9 @@ def identify(log: MotionLog, start: Vehicle, *, name: str) -> Identified:
 def _check_tilt(log: MotionLog, start: Vehicle) -> None:
     tilt = log.motion[:, 8:10]
     if not np.isfinite(tilt).any():
-        raise InputError(
-            "rolls and pitches, and the log contains neither roll nor pitch",
-            file=start.source or start.name,
-            key="start",
-            remedy=f"add columns ({', '.join(LOG_TILT)}), or start from a vehicle without weight and buoyancy",
-        )
+        problem = "rolls and pitches, and the log contains neither roll nor pitch"
+        remedy = f"add columns ({', '.join(LOG_TILT)}), or start from a vehicle without weight and buoyancy"
+        raise InputError(problem, file=start.source or start.name, key="start", remedy=remedy)
     for row, column in np.argwhere(np.abs(tilt) >= _MOST_TILT):
         raise InputError(
             f"at {log.time[row]:g} s; the model needs less than {np.degrees(_MOST_TILT):.0f} degrees",
@@ -542,26 +531,6 @@ def _roughness(values: Array) -> float:
 
 HELD_OUT = 0.4
 """Share of a log, at its end, that is predicted by a fit to the rest."""
-
-
-def held_out(log: MotionLog, start: Vehicle, *, share: float = HELD_OUT, window: float = WINDOW) -> Prediction | None:
-    """Predict the last part of a log with a vehicle that is fitted to the part before; None if the log is too short.
-
-    Args:
-        log: the log.
-        start: vehicle with the initial values of the fit.
-        share: share of the time that is predicted.
-        window: length of the windows [s].
-
-    Example:
-        >>> import numpy as np
-        >>> from surctl.marine.vehicle import MotionLog, held_out, load_vehicle
-        >>> boat, t = load_vehicle("sur400"), 0.1 * np.arange(60)
-        >>> held_out(MotionLog(t, np.zeros((60, 8)), np.zeros((60, 4))), boat) is None
-        True
-    """
-    predictions = held_out_windows(log, start, [window], share=share)
-    return predictions[0] if predictions else None
 
 
 def held_out_windows(

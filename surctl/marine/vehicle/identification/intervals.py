@@ -21,18 +21,6 @@ from surctl.marine.vehicle.identification.solve import products
 from surctl.marine.vehicle.motion_log import MotionLog
 from surctl.marine.vehicle.specs import TERMS
 
-__all__ = [
-    "Spread",
-    "at_rest",
-    "drift_note",
-    "few_thrusts",
-    "ill_excited",
-    "measured_forces",
-    "notes_of",
-    "slow_residuals",
-    "spread_of",
-]
-
 Array = NDArray[np.float64]
 
 _QUIET = 5  # successive correlations within the noise after which the correlation has ended

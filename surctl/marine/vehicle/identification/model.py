@@ -20,26 +20,6 @@ from surctl.marine.vehicle.motion_log import LOG_MOTION, LOG_TILT, MotionLog
 from surctl.marine.vehicle.parameters import Parameter, Vehicle
 from surctl.marine.vehicle.specs import AXES, TERMS, PlantForm
 
-__all__ = [
-    "AXIS_OF",
-    "CENTRE",
-    "CONSTANT_FORCE",
-    "FITTED",
-    "LONGEST",
-    "MASS_OF",
-    "OFFSETS",
-    "LogSection",
-    "Model",
-    "Repeated",
-    "Slope",
-    "axes_of",
-    "drift_sections_of",
-    "names_of",
-    "sections_of",
-    "stepper",
-    "with_all_constants",
-]
-
 FITTED = (
     "m11", "m22", "m33", "m44", "Xu", "Yv", "Zw", "Nr", "Xuu", "Yvv", "Zww", "Nrr", "thrust_lag",
 )  # fmt: skip
@@ -288,19 +268,12 @@ def sections_of(log: MotionLog, *, longest: float = LONGEST) -> tuple[LogSection
                 sections.append(_section(log, int(one), int(other)))
     period = float(np.median(step))
     if not sections and (_LEAST_ROWS - 1) * period > longest:
-        raise InputError(
-            f"has rows {period:.3g} s apart (median); a fit needs {_LEAST_ROWS} rows in {longest:g} s",
-            file=log.source,
-            key="t_s",
-            remedy="is the time in ms? name the column t_ms, or set log.time_unit in the map",
-        )
+        problem = f"has rows {period:.3g} s apart (median); a fit needs {_LEAST_ROWS} rows in {longest:g} s"
+        remedy = "is the time in ms? name the column t_ms, or set log.time_unit in the map"
+        raise InputError(problem, file=log.source, key="t_s", remedy=remedy)
     if not sections:
-        raise InputError(
-            f"has no part of {_LEAST_ROWS} rows without a gap",
-            file=log.source,
-            key="t_s",
-            remedy=f"give a log without a gap of more than {max(_GAP, _GAP_FACTOR * period):.3g} s",
-        )
+        remedy = f"give a log without a gap of more than {max(_GAP, _GAP_FACTOR * period):.3g} s"
+        raise InputError(f"has no part of {_LEAST_ROWS} rows without a gap", file=log.source, key="t_s", remedy=remedy)
     return tuple(sections)
 
 

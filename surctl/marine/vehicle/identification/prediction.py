@@ -27,8 +27,6 @@ from surctl.marine.vehicle.identification.solve import minimise, simulable, with
 from surctl.marine.vehicle.motion_log import LOG_MOTION, LOG_TILT, MotionLog
 from surctl.marine.vehicle.parameters import Vehicle
 
-__all__ = ["WINDOW", "Prediction", "Trial", "drift_trial", "predict", "predict_with"]
-
 WINDOW = 5.0
 """Length of a window [s], if none is given."""
 

@@ -15,8 +15,6 @@ from surctl.errors import InputError
 from surctl.marine.vehicle.identification.model import LogSection, Model
 from surctl.marine.vehicle.motion_log import MotionLog
 
-__all__ = ["beginning", "minimise", "outliers", "products", "simulable", "without_outliers"]
-
 _HALF = 3  # values before and after
 _FAR = 6.0  # standard deviations of the noise
 _STEEP = 6.0  # spreads of the middle three of seven values
@@ -216,8 +214,5 @@ def simulable(model: Model, theta: Array, noise: Array, sections: tuple[LogSecti
         for candidate in (tried, model.begin(sections)) if share == 0.0 else (tried,):
             if np.isfinite(model.cost(candidate, noise, sections)):
                 return candidate
-    raise InputError(
-        "no simulated motion fits the log",
-        file=model.log.source,
-        remedy="check units and signs of thrust and motion (x forward, y left, z up, psi counter-clockwise)",
-    )
+    remedy = "check units and signs of thrust and motion (x forward, y left, z up, psi counter-clockwise)"
+    raise InputError("no simulated motion fits the log", file=model.log.source, remedy=remedy)

@@ -12,22 +12,8 @@ from pydantic import Field, model_validator
 from surctl.errors import InputError
 from surctl.files import Strict, read_toml, validate
 from surctl.marine.vehicle.logs.recording import LogRecording, Topic, step_back
-from surctl.marine.vehicle.motion_log import Frame, MotionLog, swap_body, swapped
+from surctl.marine.vehicle.motion_log import Frame, MotionLog, heading_frame, swap_body, swapped
 from surctl.units import in_unit
-
-__all__ = [
-    "LogAttitude",
-    "LogMap",
-    "LogPosition",
-    "LogThrust",
-    "Rates",
-    "Source",
-    "Velocity",
-    "heading_frame",
-    "joined",
-    "load_log_map",
-    "roll_pitch_heading",
-]
 
 Positive = Annotated[float, Field(gt=0)]
 
@@ -136,7 +122,7 @@ class LogThrust(Source):
         return np.asarray(force @ np.array(self.matrix).T)
 
 
-class Clock(Strict):
+class ClockTable(Strict):
     """Time, frame and common period of a log.
 
     Attributes:
@@ -160,7 +146,7 @@ class Clock(Strict):
     period_s: Positive | None = None
 
     @model_validator(mode="after")
-    def _named(self) -> Clock:
+    def _named(self) -> ClockTable:
         twice = sorted({name for name in self.columns or () if (self.columns or []).count(name) > 1})
         if twice:
             raise ValueError(f"columns names {twice[0]} twice; rename one of them")
@@ -173,7 +159,7 @@ class LogMap(Strict):
     """The content of a map file."""
 
     kind: Literal["log-map"]
-    log: Clock
+    log: ClockTable
     position: LogPosition | None = None
     attitude: LogAttitude | None = None
     velocity: Velocity | None = None
@@ -239,20 +225,6 @@ def roll_pitch_heading(quaternion: Array) -> Array:
     return np.column_stack([roll, pitch, heading])
 
 
-def heading_frame(velocity: Array, roll: Array, pitch: Array) -> Array:
-    """Return velocities (n, 3) in the heading frame from those in the body frame, by roll and pitch [rad] (n,).
-
-    Example:
-        >>> import numpy as np
-        >>> from surctl.marine.vehicle.logs.joining import heading_frame
-        >>> heading_frame(np.array([[1.0, 0.0, 0.0]]), np.zeros(1), np.array([np.pi / 2])).round(3).tolist()
-        [[0.0, 0.0, -1.0]]
-    """
-    u, v, w = velocity.T
-    across, down = v * np.cos(roll) - w * np.sin(roll), v * np.sin(roll) + w * np.cos(roll)
-    return np.column_stack([u * np.cos(pitch) + down * np.sin(pitch), across, down * np.cos(pitch) - u * np.sin(pitch)])
-
-
 def joined(recording: LogRecording, log_map: LogMap, *, map_name: str) -> MotionLog:
     """Return the log of motion and thrust of a recording, in the frame enu.
 
@@ -281,7 +253,7 @@ def joined(recording: LogRecording, log_map: LogMap, *, map_name: str) -> Motion
         absent = np.array([not name for name in [*log_map.velocity.fields, ""][:3]])
         velocity = np.where(absent, 0.0, np.column_stack([velocity, np.zeros(len(time))])[:, :3])
         if log_map.velocity.frame == "body":
-            velocity = heading_frame(velocity, roll, pitch)
+            velocity = heading_frame(velocity, roll=roll, pitch=pitch)
         elif log_map.velocity.frame == "world":
             c, s = np.cos(motion[:, 3]), np.sin(motion[:, 3])
             x, y, z = velocity.T
@@ -335,13 +307,9 @@ def _check_norm(quaternion: Array, sources: _Sources, part: Source) -> None:
     norms = np.linalg.norm(quaternion, axis=1)
     norms = norms[np.isfinite(norms) & (norms > 0)]
     if len(norms) and np.mean(np.abs(norms - 1) > _NORM) > _SHARE:
-        raise InputError(
-            f"is not a unit quaternion: norm {norms.min():.3g} to {norms.max():.3g} in {sources.recording.source}",
-            file=sources.map_name,
-            key="attitude.fields",
-            value=list(part.fields),
-            remedy="name the fields x, y, z, w of a quaternion",
-        )
+        problem = f"is not a unit quaternion: norm {norms.min():.3g} to {norms.max():.3g} in {sources.recording.source}"
+        remedy = "name the fields x, y, z, w of a quaternion"
+        raise InputError(problem, file=sources.map_name, key="attitude.fields", value=list(part.fields), remedy=remedy)
 
 
 class _Sources:
@@ -352,13 +320,8 @@ class _Sources:
         for key, names in (("stamp", log_map.log.stamp), ("shift_s", log_map.log.shift_s)):
             for topic in names:
                 if topic not in {part.topic for _, part in log_map.sources()}:
-                    raise InputError(
-                        "is not a topic of this map",
-                        file=map_name,
-                        key=f"log.{key}",
-                        value=topic,
-                        remedy="remove the entry",
-                    )
+                    problem = "is not a topic of this map"
+                    raise InputError(problem, file=map_name, key=f"log.{key}", value=topic, remedy="remove the entry")
 
     def topic(self, name: str, part: Source) -> Topic:
         try:

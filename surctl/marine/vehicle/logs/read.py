@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from surctl.errors import InputError, nearest
+from surctl.errors import InputError, check_known
 from surctl.marine.vehicle.logs.joining import LogMap, joined, load_log_map
 from surctl.marine.vehicle.logs.recording import (
     LogRecording,
@@ -32,8 +32,6 @@ from surctl.marine.vehicle.logs.recording import (
 from surctl.marine.vehicle.motion_log import MotionLog
 from surctl.recorded import Recorded, read_recorded, read_unnamed, shown
 from surctl.units import in_unit
-
-__all__ = ["READERS", "read_mapped_log", "read_recording", "topic_lines"]
 
 _NO_MOTION = ("FMT", "FMTU", "UNIT", "MULT", "PARM")
 
@@ -95,11 +93,8 @@ def _read_bag(path: Path, topics: Collection[str] | None) -> LogRecording:
     if path.suffix.lower() == ".db3":
         bag = path.parent
         if not (bag / "metadata.yaml").is_file():
-            raise InputError(
-                "has no metadata.yaml beside it",
-                file=shown(path),
-                remedy="give the folder of the bag: ros2 bag reindex",
-            )
+            remedy = "give the folder of the bag: ros2 bag reindex"
+            raise InputError("has no metadata.yaml beside it", file=shown(path), remedy=remedy)
     rows: dict[Stream, TopicRows] = {}
     store = typesys.get_typestore(typesys.Stores.LATEST)
     try:
@@ -156,12 +151,8 @@ def _decoder(path: Path, schema: Any, channel: Any) -> Callable[[bytes], Any]:
     if encoding == "json":
         return json.loads
     if encoding not in ("cdr", "ros1") or schema is None:
-        raise InputError(
-            f"has the encoding {encoding!r}",
-            file=shown(path),
-            key=channel.topic,
-            remedy="give messages in JSON, ROS 1 or ROS 2 (CDR)",
-        )
+        remedy = "give messages in JSON, ROS 1 or ROS 2 (CDR)"
+        raise InputError(f"has the encoding {encoding!r}", file=shown(path), key=channel.topic, remedy=remedy)
     typesys = optional_module("rosbags.typesys", path=path, extra="ros")
     store = typesys.get_typestore(typesys.Stores.EMPTY)
     store.register(typesys.get_types_from_msg(schema.data.decode(), schema.name))
@@ -194,27 +185,16 @@ def _read_table(
         InputError: the file cannot be read, the time is missing or not a number, or its unit is unknown.
     """
     table = read_recorded(path) if columns is None else read_unnamed(path, columns, skip=skip_lines)
-    if time not in table.columns:
-        raise InputError(
-            f"is not a column of {table.name}",
-            file=map_name or table.name,
-            key="log.time",
-            value=time,
-            remedy=nearest(time, table.columns),
-        )
+    check_known(time, table.columns, f"is not a column of {table.name}", key="log.time", file=map_name or table.name)
     seconds = table.numbers(time) * in_unit(1.0, unit, "s")
     fields = {name: column for name in table.columns if name != time and (column := _numbers(table, name)) is not None}
     known = np.isfinite(seconds)
     if np.count_nonzero(known) == 1:
         raise InputError("has only one row with a time", file=table.name, key=time, remedy="give a longer log")
     if not known.any():
-        raise InputError(
-            f"has no timestamps in {table.name}",
-            file=map_name or table.name,
-            key="log.time",
-            value=time,
-            remedy="name the column of the time",
-        )
+        problem = f"has no timestamps in {table.name}"
+        remedy = "name the column of the time"
+        raise InputError(problem, file=map_name or table.name, key="log.time", value=time, remedy=remedy)
     return LogRecording(table.name, {"": topic_of(seconds[known], {k: v[known] for k, v in fields.items()})})
 
 

@@ -12,23 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.errors import InputError, nearest
+from surctl.errors import InputError, check_known, nearest
 from surctl.recorded import shown
-
-__all__ = [
-    "LogRecording",
-    "Reader",
-    "Stream",
-    "Topic",
-    "TopicRows",
-    "bare_names",
-    "flattened",
-    "matches",
-    "optional_module",
-    "recording_of",
-    "step_back",
-    "topic_of",
-]
 
 _LONGEST = 64  # numbers of an array that become fields
 _JITTER = 1.0  # [s] messages that are late by at most this are sorted
@@ -114,9 +99,8 @@ class LogRecording:
             InputError: the topic has no such field; the message suggests the most similar one.
         """
         fields = self.topic(topic, key=key).fields
-        if name not in fields:
-            where = f"topic {topic} of {self.source}" if topic else self.source
-            raise InputError(f"is not a numeric field of {where}", key=key, value=name, remedy=nearest(name, fields))
+        where = f"topic {topic} of {self.source}" if topic else self.source
+        check_known(name, fields, f"is not a numeric field of {where}", key=key)
         return fields[name]
 
     def remarks(self, names: Iterable[str]) -> tuple[str, ...]:
@@ -265,8 +249,5 @@ def optional_module(name: str, *, path: Path, extra: str) -> Any:
         return importlib.import_module(name)
     except ImportError:
         package = name.partition(".")[0]
-        raise InputError(
-            f"needs the package {package}, which is not installed",
-            file=shown(path),
-            remedy=f"install it: pip install 'surctl[{extra}]'",
-        ) from None
+        problem = f"needs the package {package}, which is not installed"
+        raise InputError(problem, file=shown(path), remedy=f"install it: pip install 'surctl[{extra}]'") from None

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from surctl.marine.control.gains import setting
 from surctl.marine.vehicle import Vehicle
 from surctl.marine.verification.cruise_loop import LINEAR_GAINS, TRACKING_LAW, CruiseLoop, cruise_loop, cruise_loops
 
@@ -105,12 +106,12 @@ class Mode:
     def remedy(self) -> str:
         """Return a text that names the changes that stabilise an unstable loop.
 
-        An example is "with k_r = 4.5 (one gain changed, …), or at 0.2 m/s".
+        An example is 'with k_r = "4.5 1/s" (one gain changed, …), or at 0.2 m/s'.
         """
         slower = f"at {self.bearable:.3g} m/s or less" if self.bearable > 0 else "at no speed with these gains"
         if not self.remedies:
             return f"{slower}; changing a single gain by up to a factor of {_FACTORS[-1]:g} does not stabilise it"
-        gains = ", or ".join(f"{name} = {value:.3g}" for name, value in self.remedies.items())
+        gains = ", or ".join(setting(name, value) for name, value in self.remedies.items())
         return f"with {gains} (one gain changed, the others unchanged), or {slower}"
 
     def to_dict(self) -> dict[str, Any]:
@@ -296,13 +297,14 @@ def _remedies(
     """For each gain, return the tried value nearest to the present value that makes the loop stable."""
     factors = np.concatenate([_FACTORS, 1 / _FACTORS])
     names = np.repeat(LINEAR_GAINS, len(factors))
-    tried = np.tile(factors, len(LINEAR_GAINS))
-    changed = {name: np.where(names == name, value * tried, value) for name, value in gains.items()}
+    # with the digits that are printed
+    tried = np.array([float(f"{gains[name] * factor:.3g}") for name in LINEAR_GAINS for factor in factors])
+    changed = {name: np.where(names == name, tried, value) for name, value in gains.items()}
     many = cruise_loops([vehicle], changed, cruise=cruise, dt=dt, model=model, law=law)
     good = many.poles[:, 0].real < -_EDGE
     remedies: dict[str, tuple[float, float]] = {}
-    for name, factor in zip(names[good].tolist(), tried[good].tolist(), strict=True):
-        far = abs(float(np.log(factor)))
+    for name, value in zip(names[good].tolist(), tried[good].tolist(), strict=True):
+        far = abs(float(np.log(value / gains[name])))
         if name not in remedies or far < remedies[name][0]:
-            remedies[name] = far, gains[name] * factor
+            remedies[name] = far, value
     return {name: value for name, (_, value) in sorted(remedies.items(), key=lambda item: item[1][0])}

@@ -16,7 +16,14 @@ from surctl.marine.vehicle import Vehicle, plant_parameters
 from surctl.marine.vehicle.dynamics import trim_function
 from surctl.marine.vehicle.linearise import can_hold
 from surctl.marine.verification.corners import Corners, corners
-from surctl.marine.verification.cruise_loop import TRACKING_LAW, CruiseLoop, cruise_loop, cruise_loops
+from surctl.marine.verification.cruise_loop import (
+    LOOP_NAMES,
+    TRACKING_LAW,
+    CruiseLoop,
+    broken_loops,
+    cruise_loop,
+    cruise_loops,
+)
 from surctl.verification.linear import (
     LEAST_DISK_MARGIN,
     DiskMargin,
@@ -26,6 +33,7 @@ from surctl.verification.linear import (
     screened_peaks,
     stored_disk_margin,
 )
+from surctl.verification.loops import LEAST_DELAY_MARGIN, LeastDelay, delays_of
 
 __all__ = [
     "DISK_PLACES",
@@ -34,8 +42,10 @@ __all__ = [
     "Pole",
     "SampledLimits",
     "corner_margin",
+    "least_delay",
     "least_disk",
     "linear_side",
+    "loop_delays",
     "margin_speed",
     "open_loop",
     "sampled_limits",
@@ -195,6 +205,7 @@ class LinearSide:
         poles: closed-loop poles of the nominal vehicle, slowest first, including those of the delay.
         slowest_per_s: largest real part [1/s] of a pole over all corners.
         least_damping: least damping ratio of the poles, over all corners.
+        delay: least delay margin of one loop alone, over all corners.
         sampled: limits of the sampled loop; for several corners, the least value of every limit and the largest radius.
         corner: for several corners, the parameters of the worst corner as text. The worst corner has the least disk
             margin or, if the loop is unstable, the fastest growing pole.
@@ -206,6 +217,7 @@ class LinearSide:
     poles: tuple[Pole, ...]
     slowest_per_s: float
     least_damping: float
+    delay: LeastDelay
     sampled: SampledLimits
     corner: str = ""
     at: Vehicle | None = None
@@ -233,6 +245,7 @@ class LinearSide:
             "poles": [vars(p) for p in self.poles],
             "slowest_per_s": self.slowest_per_s,
             "least_damping": self.least_damping,
+            "delay_margin": self.delay._asdict(),
             "sampled": self.sampled.to_dict(),
             "corner": self.corner,
         }
@@ -249,6 +262,7 @@ class LinearSide:
             f"  disk margin {_number(self.disk)}; all loops at once: {disks}; slowest pole {self.slowest_per_s:.3g} "
             f"1/s, least damping {self.least_damping:.2f}",
             *([f"  least disk margin at the corner {self.corner}"] if self.corner else []),
+            f"  least delay margin of one loop alone: {self.delay.delay_s:.2f} s ({self.delay.where})",
             f"  sampled: stable up to a control period of {none} without delay, {one} with one period of delay, {two} "
             f"with two; at a period of {self.sampled.period_s:g} s stable with up to {self.sampled.delay_periods} "
             "periods of delay",
@@ -277,6 +291,7 @@ def linear_side(
         poles=poles,
         slowest_per_s=float(loop.poles[0].real),
         least_damping=min(p.damping for p in poles),
+        delay=_delay([loop[None]], [["nominal"]]),
         sampled=sampled_limits(loop),
     )
 
@@ -330,6 +345,7 @@ def worst_linear_side(
         poles=every[0],
         slowest_per_s=max(float(each.max()) for each in slowest),
         least_damping=min(p.damping for each in every for p in each),
+        delay=_delay(built, [[tried.label(one) for one in group] for group in groups]),
         sampled=_least_sampled([sampled_limits(group) for group in built]),
         corner=tried.label(bad) if len(tried.vehicles) > 1 else "",
         at=bad,
@@ -466,11 +482,51 @@ def _peaks(
 
 
 class CornerMargin(NamedTuple):
-    """The disk margin at the worst corner of a vehicle's ranges, 0 if it is unstable; the corner, and its label."""
+    """Margins at the worst corners of a vehicle's ranges.
+
+    Attributes:
+        margin: disk margin, 0 if a corner is unstable.
+        vehicle, corner: the corner with the least disk margin, and its label.
+        delay: least delay margin of one loop alone, 0 if a corner is unstable.
+        latest: the corner with the least delay margin.
+    """
 
     margin: float
     vehicle: Vehicle
     corner: str
+    delay: LeastDelay
+    latest: Vehicle
+
+    @property
+    def shares(self) -> tuple[float, float]:
+        """Disk margin and delay margin over the least sufficient ones; 0 for a margin that is not determined."""
+        disk, delay = self.margin / LEAST_DISK_MARGIN, self.delay.delay_s / LEAST_DELAY_MARGIN
+        return float(np.nan_to_num(disk)), delay
+
+    @property
+    def enough(self) -> bool:
+        """Whether both margins suffice."""
+        return min(self.shares) >= 1.0
+
+    @property
+    def short(self) -> str:
+        """The margins that do not suffice, with their corners, as text; empty if both do."""
+        disk, delay = self.shares
+        texts = (
+            []
+            if disk >= 1
+            else [f"a disk margin of {_number(self.margin)} at {self.corner} (at least {LEAST_DISK_MARGIN:g})"]
+        )
+        if delay < 1:
+            late = f"a delay margin of {self.delay.delay_s:.2g} s in {self.delay.where}"
+            texts.append(f"{late} (at least {LEAST_DELAY_MARGIN:g} s)")
+        return " and ".join(texts)
+
+    @property
+    def weakest(self) -> Vehicle:
+        """The corner at which the smaller of the shares is."""
+        disk, delay = self.shares
+        return self.vehicle if disk <= delay else self.latest
 
 
 def corner_margin(
@@ -485,9 +541,9 @@ def corner_margin(
     spread: float = 1.0,
     law: str = TRACKING_LAW,
 ) -> CornerMargin:
-    """Return the disk margin at the worst corner of the vehicle's ranges, or of `uncertainty` (see `corners`).
+    """Return the margins at the worst corners of the vehicle's ranges, or of `uncertainty` (see `corners`).
 
-    It is the margin of `worst_linear_side`; unless `proved`, without the proof between frequencies.
+    They are those of `worst_linear_side`; unless `proved`, the disk margin without the proof between frequencies.
 
     Raises:
         InputError: a gain is missing or not positive, or the nominal vehicle cannot hold the cruise speed.
@@ -509,7 +565,9 @@ def corner_margin(
     built = [cruise_loops(group, gains, cruise=cruise, dt=dt, model=model or vehicle, law=law) for group in groups]
     margin, (group, at) = least_disk(built, margin_of=_proved if proved else quick_disk_margin)
     worst = groups[group][at]
-    return CornerMargin(margin, worst, tried.label(worst))
+    delay, loop, (group, at) = least_delay(built)
+    latest = groups[group][at]
+    return CornerMargin(margin, worst, tried.label(worst), LeastDelay(delay, loop, tried.label(latest)), latest)
 
 
 def _proved(loop: OpenLoop) -> float:
@@ -535,3 +593,27 @@ def least_disk(
         at = int(np.argmax(peaks[worst]))
         margins.append((margin_of(loops[worst][np.asarray(at)]), (worst, at)))
     return min(margins)
+
+
+def least_delay(groups: Sequence[CruiseLoop]) -> tuple[float, str, tuple[int, int]]:
+    """Return the least delay margin [s] of one loop alone, the loop, and the vehicle as in `least_disk`.
+
+    The margin is 0 if one of the loops is unstable.
+    """
+    least = []
+    for k, group in enumerate(groups):
+        delays = loop_delays(group)
+        loop, at = np.unravel_index(int(np.argmin(delays)), delays.shape)
+        least.append((float(delays[loop, at]), LOOP_NAMES[loop], (k, int(at))))
+    return min(least)
+
+
+def loop_delays(loops: CruiseLoop) -> Array:
+    """Return the delay margins (8, n) [s] of the loops of `LOOP_NAMES` of n vehicles; 0 for an unstable vehicle."""
+    stable, highest = loops.poles[:, 0].real < -1e-9, np.pi / float(np.max(loops.dt))
+    return np.array([np.where(stable, delays_of(loop, highest=highest), 0.0) for loop in broken_loops(loops)])
+
+
+def _delay(groups: Sequence[CruiseLoop], labels: Sequence[Sequence[str]]) -> LeastDelay:
+    delay, loop, (group, at) = least_delay(groups)
+    return LeastDelay(delay, loop, labels[group][at])
