@@ -535,9 +535,9 @@ def cost_lines(name: str, cost: Cost, value: float, *, end: float) -> list[Line]
     Example:
         >>> from surctl.assessment import cost_lines
         >>> from surctl.system import Cost
-        >>> late = Cost(lambda s: s.x["error"] - 0.1, "last_time", "s", at_most=2.0)
-        >>> [(line.mark, line.text) for line in cost_lines("late", late, 2.5, end=9.8)]
-        [('FAIL', 'late = 2.5 s, at most 2 s')]
+        >>> [line] = cost_lines("end", Cost(lambda s: s.x["speed"], "final", "m/s", at_most=0.5), 0.2, end=5.0)
+        >>> line.passed, line.text
+        (True, 'end = 0.2 m/s, at most 0.5 m/s')
     """
     lasts = cost.how == "last_time" and value > max(end, 0.0)
     if cost.at_most is None and not lasts:

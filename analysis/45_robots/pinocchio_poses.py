@@ -11,14 +11,9 @@ from numpy.typing import NDArray
 
 from surctl.robot import Robot
 
-__all__ = ["folder_of_robots", "poses"]
+__all__ = ["poses"]
 
 Array = NDArray[np.float64]
-
-
-def folder_of_robots() -> Path:
-    """Return the folder of the URDF files in the package example-robot-data."""
-    return Path(pinocchio.__file__).parents[4] / "share" / "example-robot-data" / "robots"
 
 
 def poses(robot: Robot, path: Path, configurations: Array) -> Iterator[tuple[Array, Array]]:

@@ -1,71 +1,117 @@
-"""Study 45: kinematics of robots against Pinocchio, and an arm on its way to drawn targets.
+"""Study 45: kinematics of robots against Pinocchio, and robots on their way to drawn targets, beside pink and mink.
 
-    python analysis/45_robots/run.py [--quick]
+    python analysis/45_robots/run.py [--quick] [--only TABLE]
 
-The comparison needs the packages pin and example-robot-data; without them, and with --quick, it is left out.
+The full run needs the packages pin, pin-pink, mink and example-robot-data; --quick does without.
 """
 
 from __future__ import annotations
 
 import argparse
-import importlib.util
 import tempfile
+from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
 
 import casadi as ca
 import numpy as np
+from reach import Run, Target, drawn_targets, judge, reach
+from robots import CASES, DAMPING, QUICK, Case, Subject, folder_of_robots, subject
 
 from surctl.errors import InputError
-from surctl.robot import Robot, StackController, load_urdf
+from surctl.robot import Robot, load_urdf
 
-CONFIGURATIONS, PIECE, DT = 1000, 100, 0.01
-JOINTS = (  # axis, offset from the joint before [m], lower and upper limit [rad], largest speed [rad/s]
-    ("0 0 1", 0.2, -2.9, 2.9, 2.2),
-    ("0 1 0", 0.14, -1.8, 1.8, 2.2),
-    ("0 0 1", 0.2, -2.9, 2.9, 2.2),
-    ("0 1 0", 0.2, -2.6, 0.2, 2.2),
-    ("0 0 1", 0.2, -2.9, 2.9, 2.6),
-    ("0 1 0", 0.19, -1.8, 1.8, 2.6),
-    ("0 0 1", 0.09, -2.9, 2.9, 2.6),
-)
-CYLINDERS = {0: (0.15, 0.08), 3: (0.18, 0.06), 5: (0.12, 0.05), 7: (0.1, 0.04)}  # length and radius [m] by link
-ACCELERATION, MARGIN = 15.0, 0.01
+CONFIGURATIONS, PIECE = 1000, 100
+TABLES = ("kinematics", *(case.name.split(",")[0] for case in CASES), "peers")
+COLUMNS = (
+    "robot", "rate Hz", "who", "drawn motions: reached, local, short", "beyond: reached, local, short", "position",
+    "speed", "acceleration", "gap − margin mm", "median error mm", "statuses of the steps", "µs median, p99",
+)  # fmt: skip
+SURCTL, UNDAMPED, PINK, MINK = "surctl", "surctl, damping 0", "pink", "mink"
 
 
 def main() -> None:
-    """Print both tables."""
+    """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--quick", action="store_true", help="an arm with 2 joints, 5 targets, no comparison")
-    quick = parser.parse_args().quick
-    if quick or importlib.util.find_spec("pinocchio") is None:
-        print("kinematics: not compared (needs pin and example-robot-data)\n")
-    else:
+    parser.add_argument("--only", choices=TABLES, help="one table alone")
+    options = parser.parse_args()
+    if options.only in (None, "kinematics") and not options.quick:
         compare()
-    reach(joints=JOINTS[1:4:2] if quick else JOINTS, targets=5 if quick else 100)
+    print("| " + " | ".join(COLUMNS) + " |\n" + "|---" * len(COLUMNS) + "|")
+    for case, rate, who, count in _rows(options.only, quick=options.quick):
+        with tempfile.TemporaryDirectory() as folder:
+            print(row(subject(case, Path(folder)), rate, who, count), flush=True)
+
+
+def _rows(only: str | None, *, quick: bool) -> Iterator[tuple[Case, int, str, int]]:
+    """Yield robot, rate [Hz], controller and number of targets of each row."""
+    if quick:
+        yield QUICK, 100, SURCTL, 5
+        return
+    for case in CASES:
+        if only in (None, case.name.split(",")[0]):
+            yield case, 100, SURCTL, 100
+            yield case, 1000, SURCTL, 30
+    if only in (None, "peers"):
+        for who in (UNDAMPED, PINK, MINK):
+            for case in CASES:
+                yield case, 100, who, 100 if case is CASES[0] else 20
+        for who in (UNDAMPED, PINK, MINK):
+            yield CASES[0], 1000, who, 10
+
+
+def row(robot: Subject, rate: int, who: str, count: int) -> str:
+    """Return the row of one robot, rate and controller."""
+    targets = drawn_targets(robot, count, 45)
+    run = _run(robot, targets, 1.0 / rate, who)
+    verdicts = [judge(robot, target, end, k)[0] for k, (target, end) in enumerate(zip(targets, run.ends, strict=True))]
+    counts = Counter((target.beyond, verdict) for target, verdict in zip(targets, verdicts, strict=True))
+    found = [", ".join(str(counts[beyond, word]) for word in ("reached", "local", "short")) for beyond in (False, True)]
+    over = " | ".join("holds" if by <= 1e-12 else f"{by:.1e}" for by in run.over)
+    error = 1e3 * np.median([e for e, target in zip(run.errors, targets, strict=True) if not target.beyond])
+    stages = ", ".join(f"{name} {number:,}" for name, number in sorted(run.stages.items()))
+    median, late = 1e6 * np.percentile(run.seconds, (50, 99))
+    return (
+        f"| {robot.case.name} | {rate} | {who} | {' | '.join(found)} | {over} | {1e3 * run.gap:.3f} | {error:.2g} | "
+        f"{stages} | {median:.0f}, {late:.0f} |"
+    )
+
+
+def _run(robot: Subject, targets: list[Target], dt: float, who: str) -> Run:
+    if who in (PINK, MINK):
+        from peers import mink_step, pink_step
+
+        return reach(robot, targets, (pink_step if who == PINK else mink_step)(robot, dt), dt, lambda: None)
+    control = robot.controller(dt, DAMPING if who == SURCTL else 0.0)
+    return reach(
+        robot,
+        targets,
+        lambda q, _, poses: (control.step(q, **{f"tool{k}": pose for k, pose in enumerate(poses)}), control.stage),
+        dt,
+        control.reset,
+    )
 
 
 def compare() -> None:
     """Print the largest difference from Pinocchio for one URDF file of each robot."""
-    from pinocchio_poses import folder_of_robots, poses
+    from pinocchio_poses import poses
 
-    print("| file | velocities | links | poses | Jacobians |\n|---|---|---|---|---|")
+    print("| file | base | velocities | links | poses | Jacobians |\n|---|---|---|---|---|---|")
     first: dict[str, Path] = {}
     for path in sorted(folder_of_robots().rglob("*.urdf")):
         first.setdefault(path.relative_to(folder_of_robots()).parts[0], path)
     worst = 0.0
     for path in first.values():
-        try:
-            robot = load_urdf(path, base="floating")
-        except InputError as error:
-            print(f"| {path.name} | refused: {error.problem} | | | |")
-            continue
+        robot, base = _with_base(path)
         links = [name for name in robot.links if name != "world"]
         frames = [robot.frame(name) for name in links]
         places = ca.vertcat(*(ca.vertcat(f.position, ca.vec(f.rotation.T)) for f in frames))
         jacobians = ca.vertcat(*(ca.vec(f.jacobian.T) for f in frames))
         own = ca.Function("own", [robot.q], [ca.densify(places), ca.densify(jacobians)]).map(PIECE)
         q = np.random.default_rng(0).uniform(-3.0, 3.0, (CONFIGURATIONS, robot.nq))
-        q[:, 3:7] /= np.sqrt((q[:, 3:7] ** 2).sum(axis=1, keepdims=True))
+        if base == "floating":
+            q[:, 3:7] /= np.sqrt((q[:, 3:7] ** 2).sum(axis=1, keepdims=True))
         errors = [0.0, 0.0]
         for start in range(0, CONFIGURATIONS, PIECE):
             ours = [np.array(part) for part in own(q[start : start + PIECE].T)]
@@ -73,74 +119,16 @@ def compare() -> None:
                 for i in range(2):
                     errors[i] = max(errors[i], float(abs(ours[i][:, k] - theirs[i].reshape(-1)).max()))
         worst = max(worst, *errors)
-        print(f"| {path.name} | {robot.nv} | {len(links)} | {errors[0]:.1e} | {errors[1]:.1e} |", flush=True)
-    print(f"\nlargest difference: {worst:.1e}\n")
+        print(f"| {path.name} | {base} | {robot.nv} | {len(links)} | {errors[0]:.1e} | {errors[1]:.1e} |", flush=True)
+    print(f"\n{len(first)} robots; largest difference: {worst:.1e}\n")
 
 
-def arm(joints: tuple[tuple[str, float, float, float, float], ...], path: Path) -> Robot:
-    """Write the URDF file of the arm, and return the robot."""
-    parts = ['<robot name="arm">']
-    for k in range(len(joints) + 1):
-        inside = ""
-        if k in CYLINDERS:
-            length, radius = CYLINDERS[k]
-            shape = f'<cylinder radius="{radius}" length="{length}"/>'
-            inside = f'<collision><origin xyz="0 0 {length / 2}"/><geometry>{shape}</geometry></collision>'
-        parts.append(f'<link name="link{k}">{inside}</link>')
-    for k, (axis, offset, lower, upper, speed) in enumerate(joints, 1):
-        ends = f'<parent link="link{k - 1}"/><child link="link{k}"/><origin xyz="0 0 {offset}"/><axis xyz="{axis}"/>'
-        limit = f'<limit lower="{lower}" upper="{upper}" velocity="{speed}"/>'
-        parts.append(f'<joint name="joint{k}" type="revolute">{ends}{limit}</joint>')
-    path.write_text("\n".join([*parts, "</robot>"]), encoding="utf-8")
-    return load_urdf(path)
-
-
-def reach(joints: tuple[tuple[str, float, float, float, float], ...], targets: int) -> None:
-    """Print how well limits hold, and how near the arm comes to drawn targets."""
-    with tempfile.TemporaryDirectory() as folder:
-        robot = arm(joints, Path(folder, "arm.urdf"))
-    tool = robot.frame_task(robot.links[-1], target="tool", gain=5.0, max_speed=0.3, max_rate=1.0)
-    limits = [robot.joint_limits(acceleration=ACCELERATION)]
-    gaps = ca.Function("gaps", [robot.q], [ca.SX(1.0)])
-    if len(joints) > 2:
-        barriers = robot.self_collision(margin=MARGIN)
-        gaps = ca.Function("gaps", [robot.q], [ca.vertcat(*(barriers.distance(pair)[0] for pair in barriers.pairs))])
-        limits.append(barriers)
-    home = robot.posture_task("home", robot.neutral() + 0.5 * np.array([row[2] + row[3] for row in joints]) * 0.4)
-    tasks = [tool.position, tool.orientation, home] if len(joints) > 2 else [tool.position, home]
-    mode = "lexicographic" if len(joints) > 2 else "projected"
-    control = StackController(tasks, limits=limits, dt=DT, mode=mode)
-    draws = np.random.default_rng(45)
-    ends = np.array([robot.range_of(place) for place in robot.coordinates])
-    speeds = np.array([row[4] for row in joints])
-    q, before, over = robot.neutral(), np.zeros(robot.nv), np.full(3, -np.inf)
-    least, errors, stages = np.inf, [], {}
-    for _ in range(targets):
-        while True:
-            goal = draws.uniform(ends[:, 0], ends[:, 1])
-            if np.array(gaps(goal)).min() > 2 * MARGIN:
-                break
-        target = robot.pose(robot.links[-1], goal)
-        for _ in range(400):
-            v = control.step(q, tool=target)
-            q, change, before = robot.integrate(q, v, DT), abs(v - before).max() / DT, v
-            over = np.maximum(
-                over,
-                [max((ends[:, 0] - q).max(), (q - ends[:, 1]).max()), (abs(v) - speeds).max(), change - ACCELERATION],
-            )
-            least = min(least, float(np.array(gaps(q)).min()) - MARGIN)
-            stages[control.stage] = stages.get(control.stage, 0) + 1
-        errors.append(1e3 * float(np.linalg.norm(robot.pose(robot.links[-1], q)[:3, 3] - target[:3, 3])))
-    reached = sum(error < 1.0 for error in errors)
-    median = float(np.median(errors))
-    print(f"targets at drawn configurations: {targets}, within 1 mm after 4 s: {reached}, median {median:.2g} mm")
-    numbers = ", ".join(
-        f"{name} {by:.1e}" for name, by in zip(("position", "speed", "acceleration"), over, strict=True)
-    )
-    print(f"beyond the limits at most (rad, s): {numbers}")
-    if len(joints) > 2:
-        print(f"least gap minus margin: {1e3 * least:.3f} mm")
-    print("stages of the steps: " + ", ".join(f"{name} {count}" for name, count in sorted(stages.items())))
+def _with_base(path: Path) -> tuple[Robot, str]:
+    """Return the robot with a floating base, or with a fixed one if its root is named world already."""
+    try:
+        return load_urdf(path, base="floating"), "floating"
+    except InputError:
+        return load_urdf(path), "fixed"
 
 
 if __name__ == "__main__":

@@ -115,6 +115,9 @@ def joint_limits(
 class SelfCollision:
     """Barriers that keep pairs of links apart: the distance d of two capsules obeys ḋ ≥ −gain · (d − margin).
 
+    In a control period dt, the distance changes by more or less than dt ḋ. What it would fall more at the last velocity
+    is subtracted from the right side, so that the distance also obeys the inequality after the period.
+
     Attributes:
         robot: the robot. pairs: names of two links and a capsule of each.
         margin: least distance of the surfaces [m]. gain: γ of the barrier [1/s].
@@ -145,15 +148,18 @@ class SelfCollision:
         return length - capsule.radius - beside.radius, ca.densify((apart / length).T @ J[:3, :])
 
     def rows(self) -> tuple[LimitRow, ...]:
-        """Return one limit row −ḋ ≤ gain · (d − margin) for each pair, named self.LINK.LINK."""
-        rows, names = [], set[str]()
+        """Return one limit row for each pair, named self.LINK.LINK."""
+        robot, rows, names = self.robot, [], set[str]()
+        ahead = robot.q + robot.dt * (robot.rate_map @ robot.v)
         for pair in self.pairs:
             name = base = f"self.{_identifier(pair[0])}.{_identifier(pair[2])}"
             while name in names:
                 name = f"{base}.{len(names)}"
             names.add(name)
             distance, J = self.distance(pair)
-            rows.append(LimitRow(name, "barrier", -J, ca.SX(-math.inf), self.gain * (distance - self.margin)))
+            curved = ca.substitute(distance, robot.q, ahead) - distance - robot.dt * (J @ robot.v)
+            upper = self.gain * (distance - self.margin) + ca.fmin(curved, 0.0) / robot.dt
+            rows.append(LimitRow(name, "barrier", -J, ca.SX(-math.inf), upper))
         return tuple(rows)
 
 

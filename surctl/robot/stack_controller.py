@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -25,8 +26,9 @@ from surctl.export import (
 )
 from surctl.export.bundle import build_bundle
 from surctl.ir import Block, Call, Layout, Port, Routine, lower, lower_named, without_libm
-from surctl.priority import Assembly, Mode, PrioritySolution, assemble, priority_step
+from surctl.priority import Assembly, Mode, PriorityProblem, PrioritySolution, assemble, priority_step
 from surctl.priority.compiled.step import Stage
+from surctl.priority.shapes import LevelShape, StackShape
 from surctl.priority.solver.fallback import CLAMPED, RELAXED, UNCONFIRMED
 from surctl.priority.solving import explained
 from surctl.robot.kinematics import Kinematics
@@ -34,6 +36,7 @@ from surctl.robot.limits import JointLimits, SelfCollision
 from surctl.robot.robot import RobotTask, flat_pose
 from surctl.system import NONFINITE, Controller, Cost, Plant, System, run_system
 from surctl.tasks import Limit, SetTask, Stack, Task
+from surctl.units import is_number
 
 __all__ = ["StackController"]
 
@@ -65,10 +68,15 @@ class StackController:
         dt: control period [s].
         name: name of the controller, a C identifier.
         mode: priority mode of `surctl.priority`.
+        damping: c ≥ 0 [unit of the first task · s], such as 0.05 m·s, for targets out of reach and singular
+            configurations. For its desired rate x, the first task gets J v of the v that minimises ‖J v − x‖² + c ‖x‖
+            ‖v‖² within the limits. If v = 0 is within the limits, ‖v‖ is at most √(‖x‖/c). The loss: for a singular
+            value σ of J, that part of x is multiplied by σ²/(σ² + c ‖x‖), which tends to 1 as the target is reached.
+            With 0, the step is faster, but velocities may chatter at such targets.
 
     Raises:
-        InputError: tasks or limits are of different robots, two inputs have the same name but differ, or the period is
-            not positive.
+        InputError: tasks or limits are of different robots, two inputs have the same name but differ, the period is not
+            positive, the damping is negative, or the first task of a damped stack is set-based.
 
     Example:
         >>> from pathlib import Path
@@ -92,10 +100,16 @@ class StackController:
         dt: float,
         name: str = "stack",
         mode: Mode = "lexicographic",
+        damping: float = 0.0,
     ) -> None:
         self.robot = _robot_of(tasks, limits)
         split = (part for task in tasks for part in (task.split() if isinstance(task, SetTask) else (task,)))
         self.stack, self.limits, self.dt = Stack(tuple(split)), tuple(limits), dt
+        if not is_number(damping) or not 0.0 <= damping < math.inf:
+            raise InputError("is not a number of at least 0", key="damping", value=damping, remedy="give 0, or 0.05")
+        if damping and isinstance(self.stack.tasks[0], SetTask):
+            key = f"task {self.stack.tasks[0].name}"
+            raise InputError("is set-based, so it cannot be damped", key=key, remedy="leave out damping")
         targets, gains, symbols = _inputs_of(self.robot, self.stack)
         self._assembly = assemble(self.stack, self.limits, inputs=symbols)
         self._targets = tuple(port.name for port in targets)
@@ -105,7 +119,7 @@ class StackController:
         outcome = (Port("stage", (1,), "1", "stage of the solution"), Port("active", (self.robot.nv,), "1", "limits"))
         self.controller: Controller = _Law(
             name, dt, Layout((q, *targets)), Layout((v,)), _no_expressions, Layout(state), Layout(gains),
-            Layout(outcome), assembly=self._assembly, mode=mode,
+            Layout(outcome), assembly=self._assembly, mode=mode, damping=damping,
         )  # fmt: skip
         self._mode: Mode = mode
         self._state = self.controller.initial_state()
@@ -162,11 +176,15 @@ class StackController:
 
     def solution(self) -> PrioritySolution:
         """Return the velocities of the last step with their explanation: residuals, limits that bind, multipliers."""
-        before, _, v = self._before()
+        return explained(self.problem(), self._before()[2], self.stage, mode=self._mode)
+
+    def problem(self) -> PriorityProblem:
+        """Return the priority problem of the last step, without damping."""
+        before = self._before()[0]
         x, u, p = np.split(before, np.cumsum([self.controller.state.size, self.controller.inputs.size]))
         values: dict[str, Any] = {**self.controller.inputs.unpack(u), **self.controller.gains.unpack(p)}
         values |= {"v": x if x.size else np.zeros(self.robot.nv), "dt": self.dt}
-        return explained(self._assembly.problem(values), v, self.stage, mode=self._mode)
+        return self._assembly.problem(values)
 
     def system(
         self,
@@ -257,6 +275,7 @@ class _Law(Controller):
 
     assembly: Assembly = field(kw_only=True)
     mode: Mode = field(kw_only=True)
+    damping: float = field(kw_only=True)
 
     @cached_property
     def block(self) -> Block:
@@ -271,23 +290,49 @@ class _Law(Controller):
         before = lower(ca.Function("tasks", flat, list(map(ca.densify, problem)), list(layouts), list(names)))
         step = priority_step(self.mode, n=n, levels=assembly.shapes, rows=max(1, len(assembly.limits)))
         solution = tuple(f"step_{name}" for name, _ in step.outputs)
-        v, solved, active = ca.SX.sym("v", n), ca.SX.sym("found"), ca.SX.sym("active", n)
+        damped = self._damped() if self.damping else ()
+        ends = ("lower_damped", "upper_damped") if damped else ("lower", "upper")
+        status = "damped_status" if damped else "step_status"
+        v, solved, first, active = (ca.SX.sym(name, size) for name, size in (("v", n), ("s", 1), ("f", 1), ("a", n)))
         moved = ca.SX.sym("moved", dict(before.outputs)["moved"])
-        stage = ca.if_else(ca.logic_and(ca.mmax(moved) > 0, solved < RELAXED), RELAXED, solved)
+        stage = ca.fmax(solved, first)  # the codes of the stages rise with what is lost
+        stage = ca.if_else(ca.logic_and(ca.mmax(moved) > 0, stage < RELAXED), RELAXED, stage)
         bits = sum((bit * (stage == code) for code, bit in _BITS.items()), ca.SX(0))
         after = lower_named(
             "result",
-            {"v": v, "found": solved, "active": active, "moved": moved},
+            {"v": v, "found": solved, "first": first, "active": active, "moved": moved},
             {"tau": v, "x_next": v[: self.state.size], "status": bits, "telemetry": ca.vertcat(stage, active)},
         )
         results = ("tau", "x_next", "status", "telemetry")
         steps = (
             Call(before, tuple(layouts), names),
-            Call(step, names[:-1], solution),
-            Call(after, ("step_v", "step_status", "step_active", "moved"), results),
+            *damped,
+            Call(step, ("J", *ends, "rows", "box"), solution),
+            Call(after, ("step_v", "step_status", status, "step_active", "moved"), results),
         )
         sizes = tuple((name, layout.size) for name, layout in layouts.items())
         return without_libm(Routine(self.name, sizes, steps, results))
+
+    def _damped(self) -> tuple[Call, ...]:
+        """Return the steps that replace the desired rate x of level 1 by J v; see `damping` of `StackController`."""
+        shape = StackShape(self.assembly.stack.velocities, self.assembly.shapes)
+        flat, levels = shape.symbols()
+        n, first = shape.n, levels[0]
+        weight = ca.sqrt(self.damping * ca.norm_2(first.lower))
+        names = tuple(name for name, _ in shape.inputs)
+        inputs = dict(zip(names, flat, strict=True))
+        J, x = ca.vertcat(first.J, weight * ca.SX.eye(n)), ca.vertcat(first.lower, ca.SX.zeros(n))
+        extended = lower_named("extended", inputs, {"J_damped": ca.vec(J.T), "x_damped": x})
+        rows = max(1, len(self.assembly.limits))
+        step = priority_step("lexicographic", n=n, levels=(LevelShape(J.shape[0]),), rows=rows)
+        solution = tuple(f"damped_{name}" for name, _ in step.outputs)
+        v, k = ca.SX.sym("v", n), first.lower.numel()
+        ends = {f"{name}_damped": ca.vertcat(first.J @ v, inputs[name][k:]) for name in names[1:]}
+        return (
+            Call(extended, names, ("J_damped", "x_damped")),
+            Call(step, ("J_damped", "x_damped", "x_damped", "rows", "box"), solution),
+            Call(lower_named("replaced", inputs | {"v": v}, ends), (*names, "damped_v"), tuple(ends)),
+        )
 
 
 def _no_expressions(*_: object) -> NoReturn:

@@ -67,6 +67,15 @@ class Capsule:
         along: Array = np.asarray(self.end) - np.asarray(self.start)
         return along
 
+    def contains(self, other: Capsule) -> bool:
+        """Return whether another capsule in the same frame is inside, to 1e-9 m."""
+        inside = []
+        for point in (other.start, other.end):
+            along = np.asarray(point) - np.asarray(self.start)
+            s = min(1.0, max(0.0, float(along @ self.axis) / self.length**2)) if self.length > 0.0 else 0.0
+            inside.append(float(np.linalg.norm(along - s * self.axis)) + other.radius <= self.radius + 1e-9)
+        return all(inside)  # both are convex
+
     @property
     def length(self) -> float:
         """Return the length of the axis [m]."""
@@ -170,7 +179,7 @@ class Link:
     Attributes:
         mass: mass [kg]; 0 without inertial data.
         centre: centre of mass (3,) in the frame of the link [m].
-        shapes: collision geometry as capsules that contain it.
+        shapes: collision geometry as capsules that contain it, without those inside another.
         meshes: whether the link has collision meshes, which are not read.
     """
 
@@ -244,6 +253,8 @@ def read_xml(path: Path, tag: str) -> Element:
             entities without end.
     """
     try:
+        if path.exists() and not path.is_file():  # such as a device that never ends
+            raise InputError("is not a file", file=path, remedy="give a URDF or SRDF file")
         if path.stat().st_size > _LARGEST:
             raise InputError(f"is larger than {_LARGEST // 1_000_000} MB", file=path, remedy="give a URDF or SRDF file")
         data = path.read_bytes()
@@ -356,7 +367,13 @@ def _link(element: Element) -> Link:
         if (size <= 0.0).any():
             raise InputError("has a size that is not positive", key=at, value=size.tolist(), remedy="give metres")
         shapes.append(_capsule_around(shape.tag, size, *_origin(collision, at)))
-    return Link(name, mass, centre, tuple(shapes), meshes)
+    # such as the spheres at the ends of a cylinder
+    outer = [
+        shape
+        for k, shape in enumerate(shapes)
+        if not any(o.contains(shape) and (j < k or not shape.contains(o)) for j, o in enumerate(shapes) if j != k)
+    ]
+    return Link(name, mass, centre, tuple(outer), meshes)
 
 
 def _joint(element: Element) -> Joint:

@@ -87,13 +87,18 @@ def test_the_gap_falls_at_the_rate_of_its_row(tmp_path: Path) -> None:
     draws, h = np.random.default_rng(4), 1e-6
     for pair, row in zip(barriers.pairs, barriers.rows(), strict=True):
         distance, _ = barriers.distance(pair)
-        gap = ca.Function("gap", [robot.q], [distance, -row.a, row.upper])
+        gap = ca.Function("gap", [robot.q, robot.v, robot.dt], [distance, -row.a, row.upper])
         q, v = robot.integrate(robot.neutral(), draws.normal(size=robot.nv), 1.0), draws.normal(size=robot.nv)
-        ends = [float(gap(robot.integrate(q, v, by))[0]) for by in (h, -h)]
-        value, slope, upper = map(np.array, gap(q))
+        ends = [float(gap(robot.integrate(q, v, by), 0, 1)[0]) for by in (h, -h)]
+        value, slope, upper = map(np.array, gap(q, 0, 0.02))
         assert (ends[0] - ends[1]) / (2 * h) == pytest.approx(float(slope[0] @ v), abs=1e-7)
         assert upper.item() == pytest.approx(3.0 * (value.item() - 0.02))
         assert abs(slope[0, :6]).max() < 1e-15  # the base moves both links
+        # what the distance loses in a period besides its rate
+        after = value + 0.02 * (slope @ v) + 0.02 * (np.array(gap(q, v, 0.02)[2]) - upper)
+        rates = np.array(ca.Function("rates", [robot.q], [robot.rate_map])(q)) @ v
+        true = float(gap(q + 0.02 * rates, 0, 0.02)[0])
+        assert after.item() == pytest.approx(min(true, (value + 0.02 * (slope @ v)).item()), abs=1e-12)
 
 
 def test_an_srdf_file_disables_pairs_and_meshes_need_shapes(tmp_path: Path) -> None:

@@ -67,6 +67,34 @@ def test_a_step_says_what_binds_and_what_it_costs(arm: Robot, control: StackCont
     assert abs(free).max() <= 2 * ACCELERATION * DT
 
 
+@pytest.mark.parametrize("beyond", [[1.5, 0.6], [0.05, 1.4], [-0.8, 0.9]])
+def test_a_damped_arm_rests_at_the_point_nearest_to_a_target_out_of_reach(arm: Robot, beyond: list[float]) -> None:
+    need_compiler()
+    tool = arm.frame_task("link3", target="tool", gain=8.0, max_speed=1.5).position
+    limits, c = [arm.joint_limits(acceleration=ACCELERATION)], 0.1
+    damped, strict = (
+        StackController([tool, arm.posture_task("home")], limits=limits, dt=DT, damping=by) for by in (c, 0.0)
+    )
+    far, target = float(np.linalg.norm(beyond)), [*beyond, 0, 0, 0, 0, 1]
+    short = {}
+    for control in (damped, strict):
+        q, speeds = np.array([0.2, 1.0]), []
+        for _ in range(400):
+            v = control.step(q, tool=target)
+            q = arm.integrate(q, v, DT)
+            speeds.append(v)
+        short[control] = float(np.linalg.norm(arm.pose("link3", q)[:2, 3] - beyond)) - (far - 1.0)
+        if control is damped:
+            assert short[control] < 1e-6 and np.ptp(speeds[-50:], axis=0).max() < 1e-3
+    assert short[strict] > 1e-4
+    # close to the stretched arm, at rest: the bound of the damping
+    for bend in (1e-2, 1e-5, 1e-9, 0.0):
+        damped.reset()
+        heading = np.arctan2(beyond[1], beyond[0]) + 0.5
+        v = damped.step([heading, bend], tool=target)
+        assert np.linalg.norm(v) <= np.sqrt(1.5 / c) + 1e-9
+
+
 def test_nan_never_becomes_a_command(arm: Robot, control: StackController) -> None:
     control.reset([0.1, 0.0])
     for q, target in (([np.nan, 0], [0] * 6 + [1]), ([0, 1.0], [np.inf] + [0] * 5 + [1])):
@@ -88,6 +116,7 @@ def test_a_mistake_gives_one_line(arm: Robot, control: StackController) -> None:
         (lambda: StackController([posture, other.posture_task("two")], dt=0.1), "are of different robots"),
         (lambda: StackController([posture, arm.com_task("home")], dt=0.1), "is the name of two inputs"),
         (lambda: StackController([posture], dt=0.0, mode="nsb"), "is not a control period"),
+        (lambda: StackController([posture], dt=0.1, damping=-1.0), "damping = -1.0"),
         (lambda: arm.frame_task("link9", target="tool"), "is not the name of a link"),
         (lambda: arm.frame_task("link3", target="my tool"), "is not a name for a target"),
         (lambda: arm.frame_task("link3", target="tool", gain=-1.0), "tool_gain = -1.0"),

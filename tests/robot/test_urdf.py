@@ -68,6 +68,9 @@ def test_a_mistake_in_the_file_gives_one_line(problem: str, tmp_path: Path) -> N
 def test_a_file_that_is_absent_huge_or_not_text_gives_one_line(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="cannot be read"):
         read_urdf(tmp_path / "absent.urdf")
+    for path in (tmp_path, Path("/dev/zero")):
+        with pytest.raises(InputError, match="is not a file"):
+            read_urdf(path)
     huge = tmp_path / "huge.urdf"
     with huge.open("wb") as file:
         file.truncate(30_000_000)
@@ -102,6 +105,16 @@ def test_a_mistake_in_the_arguments_gives_one_line(tmp_path: Path) -> None:
         with pytest.raises(InputError) as caught:
             load_urdf(path, **arguments)
         assert problem in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_a_shape_inside_another_is_left_out(tmp_path: Path) -> None:
+    ends = "".join(
+        f'<collision><origin xyz="0 0 {z}"/><geometry><sphere radius="{r}"/></geometry></collision>'
+        for z, r in ((0.2, 0.1), (-0.2, 0.1), (0.2, 0.11))
+    )
+    tube = BALL.format('cylinder radius="0.1" length="0.4"')
+    urdf = read_urdf(written(tmp_path, link("a", ends + tube + tube)))
+    assert [(shape.radius, shape.length) for shape in urdf.links["a"].shapes] == [(0.11, 0.0), (0.1, 0.4)]
 
 
 def test_the_limits_of_mimicking_joints_bound_the_joint_that_they_follow(tmp_path: Path) -> None:
