@@ -531,6 +531,13 @@ def cost_lines(name: str, cost: Cost, value: float, *, end: float) -> list[Line]
         cost: the cost.
         value: its value.
         end: a last time [s] from here on is the end of the run, so that the true one is not known.
+
+    Example:
+        >>> from surctl.assessment import cost_lines
+        >>> from surctl.system import Cost
+        >>> [line] = cost_lines("end", Cost(lambda s: s.x["speed"], "final", "m/s", at_most=0.5), 0.2, end=5.0)
+        >>> line.passed, line.text
+        (True, 'end = 0.2 m/s, at most 0.5 m/s')
     """
     lasts = cost.how == "last_time" and value > max(end, 0.0)
     if cost.at_most is None and not lasts:

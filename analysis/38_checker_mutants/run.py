@@ -52,6 +52,10 @@ EQUIVALENT = {
     "procedures: _checked: ast.walk(tree) -> [*(ast.walk(tree))][1:]": "the first node is the module itself",
     "slope_rows: Rows.__init__: sizes = [max(cover[k][k] for cover in covers) for k in range(self.states)] -> "
     "sizes = [min(cover[k][k] for cover in covers) for k in range(self.states)]": "numbers are scaled by a power of 2",
+    "region_exact: is_positive_definite: any(a[i][j] != a[j][i] for i in range(n) for j in range(i)) -> "
+    "any(a[i][j] != a[j][i] for i in [*(range(n))][1:] for j in range(i))": "the first row has nothing on its left",
+    "turning_cells: decays: most = max(float(np.trace(side @ n @ side.T)) for n in axes[i]) -> "
+    "most = min(float(np.trace(side @ n @ side.T)) for n in axes[i])": "every positive weight bounds the same sum",
     "slopes: is_definite: _vertices(len(used), max(1, _CHUNK // (size**2 + len(terms)))) -> "
     "_vertices(len(used), min(1, _CHUNK // (size**2 + len(terms))))": "the same vertices, one after the other",
     "identity: Exact._reduced: atom = max(squared, key=lambda k: (len(k), k)) -> "

@@ -188,7 +188,7 @@ class Derivation(Numbers):
             return self.table.put(op, *args) if near else self._num(_COMPUTED[op](*values))
         result = Fraction(_COMPUTED[op](*values))
         bound = propagated(op, errors, [(value, value) for value in values], abs(result))
-        if not abs(result) + bound < OVERFLOW:
+        if not (abs(result) < OVERFLOW and bound < OVERFLOW):
             problem = "that is too large for the code, or divides by one that may be rounded to 0"
             raise Rejected(f"an instruction list computes a number {problem}")
         if result.numerator.bit_length() + result.denominator.bit_length() > _BITS:

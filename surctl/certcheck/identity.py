@@ -178,6 +178,8 @@ class Exact:
                 return self._inverse_angle("atan2", args[0], (_ONE, _ONE))
             case "atan2" | "acos":
                 return self._inverse_angle(entry.op, *args)
+            case "min" | "max" if set((apart := self.add(args[0], args[1], -1))[0]) <= {()} == set(apart[1]):
+                return args[(apart[0].get((), 0) / apart[1][()] > 0) is (entry.op == "min")]
             case _ if entry.op in ELEMENTARY:
                 atom = f"{entry.op}{entry.value}{{{self._spelled(args[0][0])} over {self._spelled(args[0][1])}}}"
                 self.entry_of.setdefault(atom, at)

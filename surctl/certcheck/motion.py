@@ -235,10 +235,10 @@ def check_all(obligations: Sequence[Obligation], proofs: object, known: Exact) -
 
 
 def rest_of(value: object) -> tuple[str, Fraction]:
-    """Return a coordinate as an expression and as a number; a text has decimals that a double in JSON would lose."""
+    """Return a coordinate as an expression and as a number; a text has digits that a double in JSON would lose."""
     if isinstance(value, str):
-        if len(value) > _MOST_DECIMALS or not re.fullmatch(r"-?\d+(\.\d+)?", value, re.ASCII):
-            raise Rejected(f"{value[:40]!r} is not a decimal number")
+        if len(value) > _MOST_DECIMALS or not re.fullmatch(r"-?\d+(\.\d+|/[1-9]\d*)?", value, re.ASCII):
+            raise Rejected(f"{value[:40]!r} is not a decimal number or a fraction")
         return f"({value})", Fraction(value)
     return decimal_text(value), Fraction(repr(number(value)))
 

@@ -147,7 +147,7 @@ def decays(
     total = sum(weights)
     forced, force = np.zeros((len(heavy), len(turns), len(z), n, n)), 0.0
     if total > 0:
-        if not (floor > 0 and all(weight > 0 for weight, size in zip(weights[1:3], lack, strict=True) if size > 0)):
+        if not floor > 0:
             return False
         size = float((np.abs(t) @ np.abs(form.p) @ form.entry).sum())
         if weights[0] > 0:

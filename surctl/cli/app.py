@@ -61,8 +61,8 @@ def app() -> None:
     Examples: surctl new system pendulum; surctl study pendulum.py:build; surctl simulate tank-static --out plots
 
     Exit status: 0 finished with the expected result, 1 finished with another result (a line says FAIL, or a claim that
-    you ask for is not proved), 2 wrong input or no permission to write, 3 some output is lost (disk full or read-only,
-    stdout closed), 130 stopped.
+    you ask for is not proved), 2 wrong input or no permission to write, 3 some output is lost (disk full, file system
+    read-only, stdout closed), 130 stopped.
     """
 
 

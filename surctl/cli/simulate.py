@@ -283,7 +283,9 @@ def simulate_own_system(
     }
     fine = record.stopped != LOST
     then = [command_line("verify", own, *own.settings), _sweep(own, duration)] if fine else []
-    brief = [lines[0], *judged, *(" ".join(line.split()) for line in cost_lines(own.system, record.figures))]
+    good = [line for line in judged if line.startswith("ok ")]
+    brief = [lines[0], *(line for line in judged if line not in good)]
+    brief += [" ".join(line.split()) for line in cost_lines(own.system, record.figures)] + good
     steps = [command for command in then if command]
     finish(data, lines, as_json=as_json, passed=assessment.accepted(), then=steps, brief=brief, files=where(out))
 

@@ -91,7 +91,7 @@ __all__ = ["tune", "tune_own_system"]
     type=click.IntRange(min=0),
     default=2000,
     metavar="N",
-    help="New runs that test a round (default 2000), after up to 10 N training runs.",
+    help="New runs that test the gains of a round (default 2000), after up to 10 N training runs.",
 )
 @click.option("--workers", type=click.IntRange(min=1), default=2, metavar="N", help="Number of threads (default 2).")
 @click.option(

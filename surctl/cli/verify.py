@@ -105,7 +105,7 @@ def verify(
     out: Path | None,
     as_json: bool,
 ) -> None:
-    """Prove or refute the paper's claims, or your own, and print stability margins.
+    """Prove or refute claims of the paper, or your own, and print loop margins.
 
     A claim is proved (with a certificate that `surctl check` accepts), refuted (with a counterexample), unknown
     (neither proved nor refuted), or not applicable (this vehicle, law or gains violate an assumption). The paper's
@@ -113,13 +113,13 @@ def verify(
     no-contact claim and prints its assumptions.
 
     The linear analysis about straight cruise (of --law: about steady motion) gives margins, poles, the slowest mode,
-    stable speeds and sampling limits: for the nominal vehicle, and for the worst one within --uncertainty or the ranges
-    of the vehicle file. Region and braking claims are checked only if you name them (see surctl list). A claim file
-    states an inequality of your own (kind claim; --show prints examples), a region claim with other numbers (kind
-    region), or a region of attraction or a barrier of any dynamics (kind lyapunov or barrier). --stack prints which
-    tasks of a law are orthogonal, independent or dependent, and which converge. Exit status: 1 if a verdict is not as
-    expected, a named claim is not applicable, the loop is unstable at a corner, a margin is too small, or the
-    no-contact claim fails.
+    stable speeds and sampling limits: for the nominal vehicle, and for the worst within --uncertainty or the ranges of
+    its file. Region and braking claims are checked only if you name them (see surctl list). A claim file states an
+    inequality of your own (kind claim; --show prints examples), a region claim with other numbers (kind region), or a
+    region of attraction or a barrier of any dynamics (kind lyapunov or barrier). --stack prints which tasks of a law
+    are orthogonal, independent or dependent, and which converge. Exit status: 1 if a verdict is not as expected, a
+    named claim is not applicable, the loop is unstable at a corner, a margin is too small, or the no-contact claim
+    fails.
 
     For FILE.py:FUNCTION, a system of your own, the command prints equilibrium, poles and margins of the sampled loop;
     with within.STATE=LOW..HIGH for every state, it also proves a region of attraction.

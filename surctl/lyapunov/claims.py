@@ -254,9 +254,11 @@ DynamicClaim = Stability | Bound | Safety
 
 
 def stated_number(number: Fraction) -> float | str:
-    """Return a double as a certificate states it: a number is its shortest decimal, other decimals are text."""
+    """Return a number as a certificate states it: a double is its shortest decimal; other decimals and p/q are text."""
     value = float(number)
-    return value if Fraction(repr(value)) == number else format(Decimal(value), "f")
+    if Fraction(repr(value)) == number:
+        return value
+    return format(Decimal(value), "f") if Fraction(value) == number else str(number)
 
 
 def _plain(dynamics: Dynamics, what: str) -> dict[str, Any]:

@@ -50,14 +50,18 @@ class State(Range):
         equilibrium: value of the state at the equilibrium, in `unit`.
         to_the_bit: whether the equilibrium is exactly the double `equilibrium`, as in the law of a controller, and not
             its shortest decimal.
+        exact: the exact value at the equilibrium, if it is no double; `equilibrium` is close to it.
     """
 
     equilibrium: float = 0.0
     to_the_bit: bool = False
+    exact: Fraction | None = None
 
     @property
     def rest(self) -> Fraction:
         """The exact value of the state at the equilibrium."""
+        if self.exact is not None:
+            return self.exact
         value = float(self.equilibrium)
         return Fraction(value) if self.to_the_bit else Fraction(repr(value))
 

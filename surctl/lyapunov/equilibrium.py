@@ -14,7 +14,8 @@ from surctl.certcheck.enclosure import Undefined, enclose, rational
 from surctl.certcheck.expressions import ExpressionTable
 from surctl.errors import InputError, NotApplicable
 from surctl.lyapunov.dynamics import Dynamics
-from surctl.verification.formula import text_of
+from surctl.lyapunov.exact_rest import exact_root
+from surctl.verification.formula import text_of, variable
 
 __all__ = [
     "Linear", "at_equilibrium", "common_quadratic", "equilibria", "inexact", "linearisation",
@@ -104,7 +105,7 @@ def at_equilibrium(dynamics: Dynamics, *, seed: int = 0) -> Dynamics:
         raise InputError(
             many, key=f"{d.name}.equilibrium", remedy="give the equilibrium, or other bounds of the states"
         )
-    moved = _about(d, outcome[0])
+    moved = refined(_about(d, outcome[0]))
     if not moved.rests():
         raise InputError(
             f"moves with the parameters (at their middle: {texts})", key=f"{d.name}.equilibrium",
@@ -114,13 +115,15 @@ def at_equilibrium(dynamics: Dynamics, *, seed: int = 0) -> Dynamics:
 
 
 def _about(d: Dynamics, x: Array) -> Dynamics:
-    return replace(d, states=tuple(replace(s, equilibrium=float(v)) for s, v in zip(d.states, x, strict=True)))
+    states = tuple(replace(s, equilibrium=float(v), exact=None) for s, v in zip(d.states, x, strict=True))
+    return replace(d, states=states)
 
 
 def refined(dynamics: Dynamics) -> Dynamics:
     """Return the dynamics with their equilibrium, known to some digits, to the last digit and as short as possible.
 
-    Parameters have the middle of their ranges. An equilibrium that no step of Newton's method improves is kept.
+    Parameters have the middle of their ranges. An equilibrium that no step of Newton's method improves is kept. If no
+    double is the equilibrium, it is exact where the rates are affine close to it.
     """
     d = dynamics
     size = d.size()
@@ -139,7 +142,18 @@ def refined(dynamics: Dynamics) -> Dynamics:
         if not np.abs(error).max() < np.abs(near).max():
             break
         x, near = trial, error
-    return _about(d, _short(d, x, size)) if np.isfinite(near).all() else d
+    return _exact(_about(d, _short(d, x, size))) if np.isfinite(near).all() else d
+
+
+def _exact(d: Dynamics) -> Dynamics:
+    rates = [rate - variable(s.name) if d.discrete else rate for s, rate in zip(d.states, d.rates, strict=True)]
+    near = {s.name: s.rest for s in d.states}
+    near |= {p.name: (Fraction(p.lower) + Fraction(p.upper)) / 2 for p in d.parameters}
+    root = exact_root(rates, near, d.names) if inexact(d) else None
+    if root is None:
+        return d
+    states = (replace(s, equilibrium=float(x), exact=x) for s, x in zip(d.states, root, strict=True))
+    return replace(d, states=tuple(states))
 
 
 def require_common(dynamics: Dynamics) -> None:
@@ -175,7 +189,7 @@ def inexact(dynamics: Dynamics) -> str:
                 still = rational(s.rest if d.discrete else Fraction(0))
                 if libmp.mpf_gt(low, still[1]) or libmp.mpf_lt(high, still[0]):
                     at = ", ".join(f"{one.name} = {one.equilibrium:.9g}" for one in d.states)
-                    return f"{at} is an equilibrium only up to rounding: no double is its value, which a proof needs"
+                    return f"{at} is an equilibrium only up to rounding, and a proof needs its exact value"
     except Undefined:
         pass
     return ""

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 from surctl.errors import InputError, NotApplicable, nearest
 from surctl.lyapunov.dynamics import Command, Dynamics, Range, Sampling, State, exact
 from surctl.lyapunov.equilibrium import refined
+from surctl.lyapunov.exact_rest import exact_values
 from surctl.system import System, entry_labels, entry_units, find_equilibrium
 from surctl.system.values import check_scalar, place_of, run_numbers, unit_of
 from surctl.verification.formula import IDENTIFIER, Node, Statement, from_casadi, number, rebuilt, substitute
@@ -226,19 +227,22 @@ def _sampling(
     labels = [_identifier(label) for label in entry_labels(plant.inputs)]
     if not set(labels).isdisjoint(names):
         labels = [_identifier(f"command_{label}") for label in labels]
-    at = [s.equilibrium if isinstance(s, State) else s.upper for s in variables]
-    rests = np.asarray(ca.Function("rests", [symbols], [constants.put(f)])(at)).ravel()
+    at = [s.rest if isinstance(s, State) else Fraction(s.upper) for s in variables]
     # converted together, so that a limit that both contain is the same expression
     values = constants.expressions(symbols, names, ca.vertcat(f, after[steps]))
     rates = constants.expressions(ca.vertcat(symbols, held), [*names, *labels], flow[moving])
-    own = [v.name for v in variables if isinstance(v, State)]
+    own, m = [v.name for v in variables if isinstance(v, State)], held.numel()
+    resting = exact_values(values[:m], dict(zip(names, at, strict=True)))
+    if resting is None:
+        rough = ca.Function("rests", [symbols], [constants.put(f)])([float(x) for x in at])
+        resting = [(Fraction(float(rest)), ()) for rest in np.asarray(rough).ravel()]
     return Sampling(
         system.dt,
         dict(zip(own, rates, strict=False)),
-        dict(zip(own[len(moving) :], values[held.numel() :], strict=True)),
+        dict(zip(own[len(moving) :], values[m:], strict=True)),
         tuple(
-            Command(label, value, Fraction(float(rest)), unit)
-            for label, value, rest, unit in zip(labels, values, rests, entry_units(plant.inputs), strict=False)
+            Command(label, value, rest, unit)
+            for label, value, (rest, _), unit in zip(labels, values, resting, entry_units(plant.inputs), strict=False)
         ),
     )
 

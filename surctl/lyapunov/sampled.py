@@ -122,7 +122,7 @@ class _Loop:
     def _between(self, knots: Array, ends: list[tuple[float, float]]) -> Embedding:
         d = self.dynamics
         held = [
-            State(command.name, *pair, equilibrium=float(command.rest))
+            State(command.name, *pair, equilibrium=float(command.rest), exact=command.rest)
             for command, pair in zip(self.sampling.commands, ends, strict=True)
         ]
         zero = number(0)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from types import MappingProxyType
@@ -13,6 +13,7 @@ from weakref import WeakKeyDictionary
 import casadi as ca
 
 from surctl.errors import InputError, nearest
+from surctl.files import Mistakes
 from surctl.ir import Layout, Port, Recording, identifier
 from surctl.system.controller import SampledController, command_ports, step_results
 from surctl.system.parts import Parts, called, joined
@@ -178,31 +179,30 @@ class System:
         if ENDED in self.stops:
             remedy = "choose another name for the stop"
             raise InputError("is the reason of a run that reaches its duration", key=f"stops.{ENDED}", remedy=remedy)
-        for name, cost in self.costs.items():
-            _check_cost(name, cost)
-            if name in named:
-                remedy = "choose another name for the cost"
-                raise InputError("is a signal or a gain of the system", key=f"costs.{name}", remedy=remedy)
-            if cost.how not in get_args(How):
-                raise InputError(
-                    "is not known",
-                    key=f"costs.{name}.how",
-                    value=cost.how,
-                    remedy=nearest(str(cost.how), get_args(How)),
-                )
         self._check_names()
         shown = {port.name for layout in (self.plant.state, self.commands, self.references) for port in layout}
-        for name, ends in self.limits.items():
-            if name not in shown:
-                raise InputError("is no signal of a run", key=f"limits.{name}", remedy=nearest(name, sorted(shown)))
-            if not isinstance(ends, tuple) or len(ends) != 2 or not all(map(is_number, ends)) or not ends[0] < ends[1]:
-                raise InputError("is not (low, high)", key=f"limits.{name}", value=ends, remedy="write such as (-1, 1)")
         driving, to = connected(self.commands, *self.blocks.outputs["actuators"]), f"command of {self.controller.name}"
+        mistakes = Mistakes()
+        for name, cost in self.costs.items():
+            with mistakes.collected():
+                _check_cost(name, cost)
+                if name in named:
+                    remedy = "choose another name for the cost"
+                    raise InputError("is a signal or a gain of the system", key=f"costs.{name}", remedy=remedy)
+                if cost.how not in get_args(How):
+                    remedy = nearest(str(cost.how), get_args(How))
+                    raise InputError("is not known", key=f"costs.{name}.how", value=cost.how, remedy=remedy)
+        for name, ends in self.limits.items():
+            with mistakes.collected():
+                _check_limits(name, ends, shown)
         for port in self.plant.inputs:
-            _connected(port, driving, key=f"{self.plant.name}.inputs", to=to)
+            with mistakes.collected():
+                _connected(port, driving, key=f"{self.plant.name}.inputs", to=to)
         for port in self.controller.inputs:
             if port.name in self.measurements:
-                _connected(port, self.measurements, key=f"{self.controller.name}.inputs", to="measured output")
+                with mistakes.collected():
+                    _connected(port, self.measurements, key=f"{self.controller.name}.inputs", to="measured output")
+        mistakes.check()
         self._check_compiles()
         _ = self.signals  # a metric that cannot be computed is reported here
 
@@ -437,6 +437,13 @@ def _connected(port: Port, layout: Layout, *, key: str, to: str) -> None:
         raise InputError(
             f"is in {port.unit}, the {to} in {other.unit}", key=f"{key}.{port.name}", remedy="use one unit for both"
         )
+
+
+def _check_limits(name: str, ends: object, shown: Collection[str]) -> None:
+    if name not in shown:
+        raise InputError("is no signal of a run", key=f"limits.{name}", remedy=nearest(name, sorted(shown)))
+    if not isinstance(ends, tuple) or len(ends) != 2 or not all(map(is_number, ends)) or not ends[0] < ends[1]:
+        raise InputError("is not (low, high)", key=f"limits.{name}", value=ends, remedy="write such as (-1, 1)")
 
 
 def _check_cost(name: str, cost: object) -> None:

@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from surctl.assessment import ClosedLoop, assess
+from surctl.assessment import ClosedLoop, assess, cost_lines
 from surctl.errors import InputError
 from surctl.ir import Layout, Port
 from surctl.system import Controller, Cost, Plant, System, linearise, run_system
@@ -75,6 +75,21 @@ def test_a_run_states_costs_and_how_long_commands_do_not_respond(limit: float, s
     assert any("do not describe this run" in line.text for line in result.lines) is (exact > 0.5)
     assert result.figures["cost.end"].value == record.figures["end"]
     assert (result.passed is False) is (record.figures["end"] > 0.5)
+
+
+@pytest.mark.parametrize(
+    ("value", "at_most", "passed", "lasts"),
+    [(1.0, 2.0, True, False), (2.5, 2.0, False, False), (9.9, 2.0, False, True), (9.9, 20.0, None, True)],
+)
+def test_a_last_time_at_the_end_of_the_run_is_not_known(
+    value: float, at_most: float, passed: bool | None, lasts: bool
+) -> None:
+    cost = Cost(lambda s: s.x["speed"], "last_time", "s", at_most=at_most)
+    (line,) = cost_lines("late", cost, value, end=9.85)
+    assert line.passed is passed and line.counts and ("until the end of the run" in line.text) is lasts
+    remarks = cost_lines("late", replace(cost, at_most=None), value, end=9.85)
+    assert [one.counts for one in remarks] == [False] * lasts  # without a bound, only a remark
+    assert cost_lines("late", replace(cost, how="max"), value, end=9.85)[0].passed is (value <= at_most)
 
 
 def test_an_unstable_corner_and_one_without_equilibrium_fail() -> None:

@@ -79,6 +79,18 @@ def test_a_steering_certificate_is_about_a_law_without_integral_action() -> None
     assert says(compare(seal("lyapunov", claim, {}), other).differs, "k_i: 0.0 certified, 0.1 exported")
 
 
+def test_a_steering_certificate_covers_the_moment_of_the_law_and_the_fastest_drift() -> None:
+    claim, manifest = copy.deepcopy(steered()[0]), steered()[1]
+    claim["about"]["sha256_law"] = "0" * 64  # so that the law is not evaluated
+    limits = (*manifest.gains["thrust_limit"][:3], 1e9)
+    other = replace(manifest, gains={**manifest.gains, "thrust_limit": limits})
+    text = "thrust_limit of yaw: at least 1000000000.0 N m certified"
+    assert says(compare(seal("lyapunov", claim, {}), other).differs, text)
+    rows = {row["name"]: row for row in (*claim["states"], *claim["parameters"])}
+    rows["sway"]["lower"], rows["share"]["lower"] = -1e-9, 0.9999
+    assert says(compare(seal("lyapunov", claim, {}), manifest).differs, "share: 0.9999 to 1.0 certified")
+
+
 def test_drag_along_the_motion_is_equal_in_surge_and_sway() -> None:
     manifest = manifest_for(lambda table: table["vehicle"]["values"].update(Yvv=64.0), spin=0.0)
     found = compare(braking("braking-simple-20"), replace(manifest, wrong=()))

@@ -230,18 +230,6 @@ def test_an_operation_that_the_grammar_lacks_is_not_shown_to_be_any_text() -> No
     assert not compared(claim, bundled(floor)).belongs
 
 
-def test_an_infinite_constant_is_named() -> None:
-    system = own(lambda x, v, a, b: ca.fmin(x, ca.SX.inf()))
-    assert says(compared(claim_of(own(lambda x, v, a, b: x)) | {"about": about_of(system)}, bundled(system)).differs,
-                "computes with infinity")  # fmt: skip
-
-
-def about_of(system: System) -> dict[str, Any]:
-    lists = {listed.text.split("\n")[0]: key for key, listed in bundled(system).lists.items()}
-    about: dict[str, Any] = claim_of(own(lambda x, v, a, b: x))["about"]
-    return about | {"plant": lists["program cart"] + lists["program cart_measured"]}
-
-
 def test_sines_of_large_arguments_do_not_belong() -> None:
     system = own(lambda x, v, a, b: ca.sin(2e6 * x))
     assert says(compared(claim_of(system), bundled(system)).differs, "no sine or cosine of an argument beyond 2^20")

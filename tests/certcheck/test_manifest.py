@@ -19,6 +19,8 @@ from surctl.errors import InputError
 from surctl.export.bundle import build_bundle
 from tests.certcheck.test_bundle import loop, parts
 
+NOT_ITS_ID = "the id does not match law, ports, period, precision, gains and initial state"
+
 
 @cache
 def files() -> dict[str, str]:
@@ -95,7 +97,7 @@ def test_names_order_and_units_of_the_ports_are_part_of_the_ids(folder: Path) ->
         for k, port in enumerate(ports if vector in ("inputs", "gains", "commands") else ()):
             lists = table()["lists"] | {"law.txt": law | {vector: [*ports[:k], f"{port} other", *ports[k + 1 :]]}}
             wrong = read_bundle(rewritten(folder, lists=lists)).wrong
-            assert "the id does not match law, ports, period, precision, gains and initial state" in wrong
+            assert NOT_ITS_ID in wrong
             assert "the stated id of law and gains is wrong" in wrong
 
 
@@ -163,7 +165,7 @@ def begun(t: dict[str, Any]) -> None:
         (lambda t: t["vehicle"].update(sha256="0" * 64), "the stated hash of the vehicle is wrong"),
         (lambda t: t["gains"].update(id="00000000"), "the stated id of law and gains is wrong"),
         (lambda t: t["gains"].update(sha256="0" * 64), "the stated hash of the gains is wrong"),
-        (lambda t: t.update(id="0" * 64), "the id does not match law, period, precision, gains and initial state"),
+        (lambda t: t.update(id="0" * 64), NOT_ITS_ID),
         (lambda t: t["law"].update(sha256="0" * 64), "the digest of the law is not that of law.txt"),
         (lambda t: t["lists"]["law.txt"].update(sha256="0" * 64), "the stated digest of law.txt is wrong"),
         (renamed, "the gains are not those of law.txt"),
@@ -215,8 +217,8 @@ def test_numbers_texts_rows_ports_and_ranges() -> None:
 
 @pytest.mark.parametrize(("real", "kind"), [("float64", "<f8"), ("float32", "<f4")])
 def test_the_id_of_the_gains_is_the_checksum_of_what_the_robot_stores(real: str, kind: str) -> None:
-    words, numbers = ("law", "0.05", real, "gains", "state"), [0.1, -3.0, 1e-9]
-    key = hashlib.sha256("\n".join(("law", "0.05", real, "state")).encode()).digest()[:8]
+    words, numbers = ("law", "ports", "0.05", real, "state"), [0.1, -3.0, 1e-9]
+    key = hashlib.sha256("\n".join(words).encode()).digest()[:8]
     width = np.dtype(kind).itemsize
     head = b"SURG" + bytes([1, 0, width, 0, 3, 0, 0, 0])
     stored = head + key + np.array(numbers).astype(kind).tobytes()

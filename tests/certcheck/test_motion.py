@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from fractions import Fraction
 from typing import Any
 
 import pytest
@@ -127,8 +128,12 @@ def test_a_loop_that_is_not_complete(change: dict[str, Any], says: str) -> None:
     refuses(says, require_loop, LOOP | change)
 
 
-@pytest.mark.parametrize("text", ["1e5", "٣", "0x1", "1.", ".5", "+1", "", " 1", "1" * 401, "1\n"])
+@pytest.mark.parametrize(
+    "text",
+    ["1e5", "٣", "0x1", "1.", ".5", "+1", "", " 1", "1" * 401, "1\n", "1/0", "1/-3", "1/2/3", "0.5/2", "1/03", "1/٣"],
+)
 def test_a_text_of_a_coordinate_is_a_decimal_number(text: str) -> None:
+    assert rest_of("-1/3") == ("(-1/3)", Fraction(-1, 3))
     assert rest_of("-0.25") == ("(-0.25)", -0.25) and rest_of(0.5)[1] == 0.5 and rest_of("1" * 400)
     refuses("is not a decimal number", rest_of, text)
 

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from mpmath import mp
 
-from surctl.certcheck import check_document, region, region_inclusion
+from surctl.certcheck import check_document, region, region_inclusion, region_trim
 from surctl.certcheck.document import Rejected
 from surctl.certcheck.region_claim import CruiseClaim, read_claim
 from surctl.certcheck.region_exact import Matrix, inverse, quadratic, scaled
@@ -462,3 +462,33 @@ def test_the_share_of_a_thrust_deviation_stays_below_the_limit_to_the_last_digit
         tight = replace(claim, thrust=middle / 2)
         share = _thrust_share(tight, free, cov, [(Fraction(0),) * 3], (Fraction(0),), Fraction(1))
         assert share**2 * g <= tight.thrust**2
+
+
+# the steady cruise
+
+
+def test_a_parabola_is_largest_at_an_end_or_at_its_top() -> None:
+    one, two = Fraction(1), Fraction(2)
+    assert region_trim._parabola(one, -one, Fraction(0), one) == Fraction(1, 4)
+    assert region_trim._parabola(one, one, Fraction(0), two) == 6 == region_trim._parabola(one, one, two, Fraction(0))
+
+
+def test_the_term_that_is_not_affine_is_that_of_the_largest_change_of_speed(monkeypatch: pytest.MonkeyPatch) -> None:
+    claim = parts()[0]
+    claim = replace(claim, linear_model=claim.linear_model * 2)
+    monkeypatch.setattr(region_trim, "_largest", lambda _: Fraction(0))
+    found = region_trim.trim(claim)
+    assert abs(found.omega[0]) != abs(found.omega[1])
+    assert found.total == claim.quadratic_model * max(map(abs, found.omega)) ** 2
+
+
+def test_the_largest_backward_force_is_0_if_the_force_points_forward() -> None:
+    claim = parts()[0]
+    assert steady_trim(claim).backward == 0 < steady_trim(replace(claim, current=Fraction(1, 100))).backward
+
+
+def test_a_steady_command_that_may_point_backwards_is_rejected(monkeypatch: pytest.MonkeyPatch) -> None:
+    claim = replace(parts()[0], current=Fraction(1, 100))
+    monkeypatch.setattr(region_trim, "_flow_bounds", lambda c: (-c.cruise, *(Fraction(0),) * 3))
+    with pytest.raises(Rejected, match="may point backwards"):
+        steady_trim(claim)

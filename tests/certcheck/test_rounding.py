@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import math
+import random
+from collections.abc import Callable
+from fractions import Fraction
+
 import numpy as np
 import pytest
 
 from surctl.certcheck.bundle import Listed, Port
 from surctl.certcheck.derivation import Derivation
 from surctl.certcheck.document import Rejected
+from surctl.certcheck.expressions import ExpressionTable
 from surctl.certcheck.instructions import read_list
 from surctl.certcheck.loop_dynamics import compare_dynamics
-from surctl.certcheck.rounding import rounding_error
+from surctl.certcheck.rounding import STEP, TINY, propagated, rounding_error
 
 PLANT = "program p\nin0 x 1\nin1 u 1\nin2 d 0\nin3 p 0\nv0 = in1[0]\nout0 = v0\n"
 MEASURED = "program m\nin0 x 1\nin1 d 0\nin2 p 0\nv0 = in0[0]\nout0 = v0\n"
@@ -72,6 +78,12 @@ def test_a_comparison_with_the_state_that_rounding_decides_is_not_shown() -> Non
     assert unlike(branch, "select(x, 0.5, -2*x, 2*x)") == ([], [])
 
 
+def test_an_infinite_constant_is_named() -> None:
+    for steps in ("const inf; fmin v2 v3", "const inf; sub v3 v3; add v2 v4", "const inf; neg v3; add v3 v4"):
+        with pytest.raises(Rejected, match="an instruction list computes with infinity"):
+            unlike(steps)
+
+
 def test_common_laws_are_rounded_little() -> None:
     assert unlike("") == ([], [])
     assert unlike(f"{const(0.1)}; mul v2 v3; div v4 v3") == ([], [])
@@ -99,3 +111,46 @@ def test_an_error_without_a_bound_is_infinite() -> None:
     assert rounding_error(algebra.table, int(out[0, 0]), [(-1.0, 1.0)], {}) == float("inf")
     assert rounding_error(algebra.table, int(out[0, 0]), [(0.0, 0.0)], {}) == float("inf")
     assert rounding_error(algebra.table, int(out[0, 0]), [(0.5, 1.0)], {}) < 1e-15
+
+
+OPERATIONS: dict[str, Callable[..., float]] = {
+    "add": lambda a, b: a + b, "mul": lambda a, b: a * b, "div": lambda a, b: a / b, "sqrt": math.sqrt,
+    "atan2": math.atan2, "max": max, "min": min, "select": lambda a, b, x, y: x if a <= b else y,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("op", OPERATIONS)
+def test_no_operation_increases_an_error_beyond_its_bound(op: str) -> None:
+    draw, decided = random.Random(op), 0
+    for _ in range(400):
+        count = {"sqrt": 1, "select": 4}.get(op, 2)
+        ends = [(low, low + draw.uniform(0.1, 2)) for low in (draw.uniform(0.2, 2) for _ in range(count))]
+        if op in ("mul", "add") and draw.random() < 0.5:
+            ends = [(-high, -low) for low, high in ends]
+        errors = [draw.choice((0.0, 10 ** draw.uniform(-4, -2))) for _ in range(count)]
+        if op == "select":
+            ends[1] = (ends[0][1] + 0.5, ends[0][1] + 0.6)
+        at = [draw.choice((*pair, draw.uniform(*pair))) for pair in ends]
+        off = [x + draw.choice((-1, 1)) * e for x, e in zip(at, errors, strict=True)]
+        corners = [OPERATIONS[op](*pair) for pair in (at, off)]
+        size = max(abs(OPERATIONS[op](a, b)) for a in ends[0] for b in ends[1]) if count == 2 else 9.0
+        bound = propagated(op, errors, ends, size)
+        assert abs(corners[0] - corners[1]) <= bound * (1 + 1e-9) + 1e-15
+        decided += bound < 1
+    assert decided > 300
+
+
+def test_a_box_is_halved_where_it_is_widest() -> None:
+    table = ExpressionTable(["y", "x"])
+    root = table.read("1/(x*(x - 0.5) + 0.1 + 0*y)")
+    assert rounding_error(table, root, [(0.5, 0.5), (-1.0, 1.0)], {}) < 1e-10
+
+
+def test_the_error_of_a_constant_is_rounded_up_and_a_large_one_is_refused() -> None:
+    algebra = Derivation(["x"])
+    for pair in ((0.1, 0.2), (0.1, 0.7), (3.3, 1e-20)):
+        at = algebra.apply("add", tuple(map(algebra.constant, pair)))
+        exact = abs(sum(map(Fraction, pair))) * Fraction(STEP) + Fraction(TINY)
+        assert exact <= Fraction(algebra.constants[at]) <= exact * Fraction(1.0000001)
+    with pytest.raises(Rejected, match="computes a number that is too large for the code"):
+        algebra.apply("mul", (algebra.constant(1e300), algebra.constant(1e300)))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 
 from surctl.assessment import ClosedLoop, assess
+from surctl.certcheck import check_document, seal
 from surctl.errors import NotApplicable
 from surctl.ir import Layout, Port
 from surctl.lyapunov import Problem, continuous_dynamics, find_stability, sampled_dynamics, solve
@@ -129,16 +131,36 @@ def test_a_region_is_about_the_rest_point_of_the_margins(seed: int) -> None:
     assert float(dynamics.sampling.commands[0].rest) == pytest.approx(at.f[0], abs=1e-8)
     assert np.abs(dynamics.evaluate(dynamics.equilibrium[:, None])).max() < 1e-12
     solution = solve(Problem(dynamics, "lyapunov"), first=True, time_limit=5.0)
-    # no double is the root of a cubic equation
+    # the root of a cubic equation is no fraction
     assert solution.verdict == "unknown" and "only up to rounding" in solution.reason and solution.seconds < 1.0
 
 
-def test_a_shifted_loop_whose_rest_point_is_a_double_has_a_region() -> None:
-    values = {"reference.goal": 0.3, "disturbance.load": -0.75}
-    dynamics = sampled_dynamics(shifted(0.0, True), {"x": (-1.0, 1.0), "controller.sum": (-2.0, 2.0)}, values=values)
-    assert dynamics.equilibrium.tolist() == [0.3, 0.75]
+@pytest.mark.parametrize(("goal", "load", "gain"), [(0.3, -0.75, 4.0), (0.3, -0.7, 3.0)])
+def test_a_shifted_loop_has_a_region_about_its_exact_rest_point(goal: float, load: float, gain: float) -> None:
+    place, speed, force, drag = (Port(n, (1,), u, "") for n, u in (("x", "m"), ("v", "m/s"), ("u", "N"), ("load", "N")))
+    mass = Port("mass", (1,), "kg", "", 1.0)
+    plant = Plant(
+        "cart", Layout((place, speed)), Layout((force,)), disturbances=Layout((drag,)), parameters=Layout((mass,)),
+        ode=lambda x, f, d, p: {"x": x["v"], "v": (f["u"] + d["load"]) / p["mass"]},
+    )  # fmt: skip
+    inputs = Layout((*plant.state, Port("goal", (1,), "m", "")))
+    law = Controller(
+        "hold", 0.1, inputs, plant.inputs,
+        lambda x, u, p: ca.fmax(-1, ca.fmin(1, gain * (u["goal"] - u["x"]) - 3 * u["v"])),
+    )  # fmt: skip
+    system = System(plant, law, ranges={"plant.mass": (0.9, 1.1)})
+    dynamics = sampled_dynamics(system, WITHIN, values={"reference.goal": goal, "disturbance.load": load})
+    rest = Fraction(goal) + Fraction(load) / Fraction(gain)
+    assert [s.rest for s in dynamics.states] == [rest, 0]
+    assert dynamics.sampling is not None and dynamics.sampling.commands[0].rest == -Fraction(load)
     solution = solve(Problem(dynamics, "lyapunov"), first=True)
     assert solution.verdict == "proved" and solution.sampled
+    stated = solution.document["claim"]["equilibrium"]
+    assert Fraction(stated["x"]) == rest
+    for wrong in (str(rest + Fraction(1, 10**15)), "1/0", "1/-3", "0.3/2", "1e-3", " 1/3"):
+        altered = dict(solution.document["claim"]) | {"equilibrium": stated | {"x": wrong}}
+        evidence = {key: solution.document[key] for key in ("knots", "feedbacks")}
+        assert not check_document(seal("lyapunov", altered, evidence)).accepted
 
 
 @pytest.mark.parametrize(

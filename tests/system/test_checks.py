@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import casadi as ca
@@ -12,9 +13,10 @@ from surctl.errors import InputError
 from surctl.ir import Layout, Port
 from surctl.marine.control import Decision, LawSource
 from surctl.marine.testing import check_law
-from surctl.system import Action, Controller, Plant
+from surctl.system import Action, Controller, Cost, Plant
 from surctl.tasks import depth_task
 from surctl.testing import CheckFailed, check_controller, check_plant
+from tests.system.examples import pendulum
 
 ANGLE, RATE = Port("angle", (1,), "rad", "from upright"), Port("rate", (1,), "rad/s", "of the angle")
 TORQUE = Port("torque", (1,), "N m", "at the pivot")
@@ -72,3 +74,14 @@ def test_a_wrong_range_is_one_line(ranges: dict[str, tuple[float, float]]) -> No
 def test_a_wrong_object_is_one_line(check: Callable[[Any], object], wrong: object, remedy: str) -> None:
     with pytest.raises(InputError, match=f"^{check.__name__}: got .*, not .*; {remedy}"):
         check(wrong)
+
+
+def test_one_message_names_all_entries_of_a_system_that_are_wrong() -> None:
+    cost = Cost(lambda s: s.x["angle"], "final", "rad")
+    with pytest.raises(
+        InputError, match=r"costs\.angle: .* \(also wrong: costs\.late\.how, limits\.no, limits\.torque\)"
+    ):
+        replace(
+            pendulum(), costs={"angle": cost, "late": replace(cost, how="finl")},  # type: ignore[arg-type]
+            limits={"no": (-1.0, 1.0), "torque": (1.0, -1.0), "rate": (-1.0, 1.0)},
+        )  # fmt: skip

@@ -22,8 +22,8 @@ from surctl.marine.control import GAINS, Gains, GainSpec, build_law, default_law
 from surctl.marine.vehicle import LIBRARY, Vehicle, load_vehicle, steady_speed
 from surctl.marine.vehicle.linearise import check_cruise
 from surctl.marine.verification import law_corners
-from surctl.marine.verification.cruise_loop import CruiseLoop, cruise_loops
-from surctl.marine.verification.linear import DISK_PLACES, corner_margin, loop_delays, open_loop
+from surctl.marine.verification.cruise_loop import CruiseLoop, cruise_loops, loop_delays
+from surctl.marine.verification.linear import DISK_PLACES, corner_margin, open_loop
 from surctl.verification.linear import LEAST_DISK_MARGIN, screened_peaks
 from surctl.verification.loops import LEAST_DELAY_MARGIN
 

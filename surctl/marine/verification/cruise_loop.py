@@ -27,7 +27,7 @@ from surctl.marine.vehicle import PLANT_PARAMETERS, PlantForm, Vehicle, plant_ja
 from surctl.marine.vehicle.linearise import STATE_NAMES, TILT_NAMES, check_cruise
 from surctl.system.linear_loop import expm
 from surctl.verification.linear import blockwise, eigenvalues
-from surctl.verification.loops import BrokenLoop, LoopMargins, crossings_of, margins_from, state_blocks
+from surctl.verification.loops import BrokenLoop, LoopMargins, crossings_of, delays_of, margins_from, state_blocks
 
 __all__ = [
     "LINEAR_GAINS",
@@ -41,6 +41,8 @@ __all__ = [
     "has_cruise_loop",
     "law_numbers",
     "law_slopes",
+    "least_delay",
+    "loop_delays",
     "loop_margins",
 ]
 
@@ -445,6 +447,25 @@ def loop_margins(
         margins_from(name, crossings_of(one, highest=highest))
         for name, one in zip(LOOP_NAMES, broken_loops(loop[None]), strict=True)
     )
+
+
+def least_delay(groups: Sequence[CruiseLoop]) -> tuple[float, str, tuple[int, int]]:
+    """Return the least delay margin [s] of one loop alone, the loop, and the vehicle: group, and index in it.
+
+    The margin is 0 if one of the loops is unstable.
+    """
+    least = []
+    for k, group in enumerate(groups):
+        delays = loop_delays(group)
+        loop, at = np.unravel_index(int(np.argmin(delays)), delays.shape)
+        least.append((float(delays[loop, at]), LOOP_NAMES[loop], (k, int(at))))
+    return min(least)
+
+
+def loop_delays(loops: CruiseLoop) -> Array:
+    """Return the delay margins (8, n) [s] of the loops of `LOOP_NAMES` of n vehicles; 0 for an unstable vehicle."""
+    stable, highest = loops.poles[:, 0].real < -1e-9, np.pi / float(np.max(loops.dt))
+    return np.array([np.where(stable, delays_of(loop, highest=highest), 0.0) for loop in broken_loops(loops)])
 
 
 def closed_loop_poles(

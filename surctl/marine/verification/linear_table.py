@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 from types import MappingProxyType
@@ -32,8 +32,9 @@ from surctl.marine.verification.cruise_loop import (
     broken_loops,
     check_positive,
     cruise_loops,
+    least_delay,
 )
-from surctl.marine.verification.linear.side import least_delay, least_disk
+from surctl.marine.verification.linear.side import least_disk
 from surctl.plotted import Plotted
 from surctl.verification.loops import crossings_of, shape_of, state_blocks
 
@@ -200,8 +201,8 @@ _MARGINS = {
     "delay_margin_s": MetricSpec("s", "least extra delay that destabilises", "high"),
     "disk_margin": MetricSpec("1", "disk margin of one loop alone, 0 to 2", "high"),
 }
-_LEAST = {name: name for name in _MARGINS} | {"disk_margin": "single_loop_disk_margin"}
-"""Name of the least value of each margin over the single loops."""
+_LEAST = {name: name for name in ("gain_margin", "phase_margin_deg")} | {"disk_margin": "single_loop_disk_margin"}
+"""Name of the least value of each margin over the nominal single loops."""
 _WORST = ("disk_margin", "delay_margin_s")  # at the worst corner of the ranges
 _SINGLE = {least: name for name, least in _LEAST.items()}
 
@@ -213,14 +214,11 @@ _SHAPES = {
 LINEAR_METRICS: Mapping[str, MetricSpec] = {
     "slowest_pole_per_s": MetricSpec("1/s", "largest real part of a closed-loop pole", "low"),
     "least_damping": MetricSpec("1", "least damping ratio of the closed-loop poles; 1 if all poles are real", "high"),
-    "disk_margin": MetricSpec(
-        "1", "disk margin: all loops at once, at commands or measurements, worst corner of the ranges, 0 to 2", "high"
-    ),
+    "disk_margin": MetricSpec("1", "all loops at once, at commands or measurements, worst corner, 0 to 2", "high"),
     "delay_margin_s": MetricSpec("s", "least extra delay of one loop alone, worst corner of the ranges", "high"),
     **{
-        _LEAST[name]: MetricSpec(m.unit, f"{m.meaning}, least over all loops, nominal vehicle", m.better)
-        for name, m in _MARGINS.items()
-        if _LEAST[name] not in _WORST
+        least: replace(_MARGINS[name], meaning=f"{_MARGINS[name].meaning}, least over all loops, nominal vehicle")
+        for name, least in _LEAST.items()
     },
     **{
         f"{name}.{loop}": MetricSpec(m.unit, f"{m.meaning}, loop {loop}, nominal vehicle", m.better)
@@ -228,11 +226,7 @@ LINEAR_METRICS: Mapping[str, MetricSpec] = {
         for name, m in _MARGINS.items()
     },
     "sensitivity_peak": MetricSpec("1", "largest |S| over frequency and all loops", "low"),
-    **{
-        f"{name}.{loop}": MetricSpec(m.unit, f"{m.meaning}, loop {loop}", m.better)
-        for loop in LOOP_NAMES
-        for name, m in _SHAPES.items()
-    },
+    **{f"{n}.{at}": replace(m, meaning=f"{m.meaning}, loop {at}") for at in LOOP_NAMES for n, m in _SHAPES.items()},
     **{f"settling_time_s.{s}": MetricSpec("s", f"2 % settling time of a step in {s}", "low") for s in STEP_NAMES},
     **{f"overshoot.{s}": MetricSpec("1", f"overshoot of a step in {s}, share of the step", "low") for s in STEP_NAMES},
 }
@@ -284,7 +278,7 @@ def linear_table(
         >>> gains = load_gains("default").values
         >>> table = linear_table(load_vehicle("sur400"), {"k_v": [1.0, 2.0, 4.0]}, base=gains, cruise=0.15, dt=0.05)
         >>> table["disk_margin"].round(2).tolist(), table["delay_margin_s"].round(2).tolist()
-        ([0.76, 0.74, 0.46], [0.54, 0.44, 0.17])
+        ([0.76, 0.74, 0.46], [0.49, 0.41, 0.16])
     """
     for name in columns:
         if name not in LINEAR_METRICS:
@@ -301,8 +295,7 @@ def linear_table(
 
     with ThreadPoolExecutor(workers) as pool:
         list(pool.map(fill, chunks))
-        worst = [name for name in _WORST if name in columns]
-        if worst:
+        if worst := [name for name in _WORST if name in columns]:
             exact = {name.partition(".")[2] for name in values}
             tried = [
                 _read_points(v, values, base=base, cruise=cruise, dt=dt, model=model or vehicle, law=law)
@@ -470,11 +463,8 @@ def _figures(loops: CruiseLoop, *, columns: Collection[str]) -> dict[str, NDArra
         for name, loop in zip(LOOP_NAMES, broken_loops(loops), strict=True):
             margins = crossings_of(loop, highest=highest)
             figures |= {f"{m}.{name}": np.where(stable, getattr(margins, m), left) for m, left in nothing.items()}
-        figures |= {
-            least: np.min([figures[f"{m}.{name}"] for name in LOOP_NAMES], axis=0)
-            for m, least in _LEAST.items()
-            if least not in _WORST
-        }
+        least = {new: [figures[f"{m}.{name}"] for name in LOOP_NAMES] for m, new in _LEAST.items()}
+        figures |= {name: np.min(values, axis=0) for name, values in least.items()}
     nowhere = {"sensitivity_peak": np.inf, "rejection_rad_per_s": 0.0, "crossover_rad_per_s": np.nan}
     if requested & nowhere.keys():
         for name, loop in zip(LOOP_NAMES, broken_loops(loops), strict=True):

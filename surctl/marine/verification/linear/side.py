@@ -16,14 +16,7 @@ from surctl.marine.vehicle import Vehicle, plant_parameters
 from surctl.marine.vehicle.dynamics import trim_function
 from surctl.marine.vehicle.linearise import can_hold
 from surctl.marine.verification.corners import Corners, corners
-from surctl.marine.verification.cruise_loop import (
-    LOOP_NAMES,
-    TRACKING_LAW,
-    CruiseLoop,
-    broken_loops,
-    cruise_loop,
-    cruise_loops,
-)
+from surctl.marine.verification.cruise_loop import TRACKING_LAW, CruiseLoop, cruise_loop, cruise_loops, least_delay
 from surctl.verification.linear import (
     LEAST_DISK_MARGIN,
     DiskMargin,
@@ -33,7 +26,7 @@ from surctl.verification.linear import (
     screened_peaks,
     stored_disk_margin,
 )
-from surctl.verification.loops import LEAST_DELAY_MARGIN, LeastDelay, delays_of
+from surctl.verification.loops import LEAST_DELAY_MARGIN, LeastDelay
 
 __all__ = [
     "DISK_PLACES",
@@ -42,10 +35,8 @@ __all__ = [
     "Pole",
     "SampledLimits",
     "corner_margin",
-    "least_delay",
     "least_disk",
     "linear_side",
-    "loop_delays",
     "margin_speed",
     "open_loop",
     "sampled_limits",
@@ -593,25 +584,6 @@ def least_disk(
         at = int(np.argmax(peaks[worst]))
         margins.append((margin_of(loops[worst][np.asarray(at)]), (worst, at)))
     return min(margins)
-
-
-def least_delay(groups: Sequence[CruiseLoop]) -> tuple[float, str, tuple[int, int]]:
-    """Return the least delay margin [s] of one loop alone, the loop, and the vehicle as in `least_disk`.
-
-    The margin is 0 if one of the loops is unstable.
-    """
-    least = []
-    for k, group in enumerate(groups):
-        delays = loop_delays(group)
-        loop, at = np.unravel_index(int(np.argmin(delays)), delays.shape)
-        least.append((float(delays[loop, at]), LOOP_NAMES[loop], (k, int(at))))
-    return min(least)
-
-
-def loop_delays(loops: CruiseLoop) -> Array:
-    """Return the delay margins (8, n) [s] of the loops of `LOOP_NAMES` of n vehicles; 0 for an unstable vehicle."""
-    stable, highest = loops.poles[:, 0].real < -1e-9, np.pi / float(np.max(loops.dt))
-    return np.array([np.where(stable, delays_of(loop, highest=highest), 0.0) for loop in broken_loops(loops)])
 
 
 def _delay(groups: Sequence[CruiseLoop], labels: Sequence[Sequence[str]]) -> LeastDelay:
