@@ -31,32 +31,35 @@ def pink_step(robot: Subject, dt: float) -> Step:
     # its parser of URDF files does not read capsules
     model = pin.buildModelFromXML(re.sub("<collision>.*?</collision>", "", robot.path.read_text(encoding="utf-8")))
     shapes = _shapes(robot, model, pin)
+    order = [robot.robot.names.index(name) for name in list(model.names)[1:]]  # Pinocchio sorts the branches by name
     configuration = pink.Configuration(
-        model, model.createData(), robot.home, collision_model=shapes, collision_data=pin.GeometryData(shapes)
+        model, model.createData(), robot.home[order], collision_model=shapes, collision_data=pin.GeometryData(shapes)
     )
     tools = [
         pink.FrameTask(link, position_cost=_cost(k, 0), orientation_cost=_cost(k, 1), gain=GAIN * dt)
         for k, link in enumerate(robot.case.tools)
     ]
     posture = pink.PostureTask(cost=WEIGHTS[2], gain=GAIN * dt)
-    posture.set_target(robot.home)
+    posture.set_target(robot.home[order])
     slow = AccelerationLimit(model, np.full(model.nv, ACCELERATION))
     limits = [ConfigurationLimit(model), VelocityLimit(model), slow]
     barriers = [SelfCollisionBarrier(len(shapes.collisionPairs), gain=GAIN, safe_displacement_gain=0.0, d_min=MARGIN)]
 
     def step(q: Array, before: Array, poses: list[Array]) -> Array:
-        configuration.update(q)
-        slow.set_last_integration(before, dt)
+        configuration.update(q[order])
+        slow.set_last_integration(before[order], dt)
         for tool, link, pose in zip(tools, robot.case.tools, poses, strict=True):
             tool.set_target(pin.SE3(_ahead(configuration.get_transform_frame_to_world(link).homogeneous, pose)))
         for kept in (limits, limits[:-1]):
             try:
-                v: Array = pink.solve_ik(
+                found = pink.solve_ik(
                     configuration, [*tools, posture], dt, solver="daqp", limits=kept, barriers=barriers,
                     damping=_DAMPING, safety_break=False,
                 )  # fmt: skip
             except pink.exceptions.NoSolutionFound:
                 continue
+            v = np.zeros(model.nv)
+            v[order] = found
             return v, "met" if kept is limits else "no solution"
         return np.zeros(model.nv), "no solution"
 
