@@ -26,7 +26,7 @@ from surctl.certcheck.bundle import (  # a forger writes hashes as the export do
     ports_sha256,
 )
 from surctl.ir import Block, Program, read_block, replay
-from surctl.ir.routine import nested, rebuilt
+from surctl.ir.routine import changed_programs, nested
 
 __all__ = ["KINDS", "Change", "changed"]
 
@@ -379,7 +379,9 @@ def mutated(law: Block, draw: random.Random) -> Block | None:
     else:
         return None
     listed = (*chosen.instructions[:at], new, *chosen.instructions[at + 1 :])
-    return rebuilt(law, lambda program: replace(program, instructions=listed) if program is chosen else program)
+    return changed_programs(
+        law, lambda program: replace(program, instructions=listed) if program is chosen else program
+    )
 
 
 _SWAPS = {"add": "sub", "sub": "add", "mul": "add", "fmin": "fmax", "fmax": "fmin", "lt": "le"}
