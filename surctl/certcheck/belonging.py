@@ -190,9 +190,14 @@ class _Comparison(Comparison):
             self.take(key)  # compared by the evaluation
         for key in self.claim.keys() & _PROVED:
             self.take(key)
-        for key in ("reference", "disturbance"):
-            if about[key]:
-                self.excludes.append(f"{key}: it is assumed to be {', '.join(map(str, about[key]))}")
+        for at, value in enumerate(about["controller_state"]):  # a state at rest keeps its first value
+            if not isinstance(value, str):
+                start = self.manifest.lists[self.manifest.laws[0]].numbers["initial_state"]
+                self.equal(f"state of the controller[{at}]", value, start[at : at + 1])
+        rest = [value for value in about["plant_state"] if not isinstance(value, str)]
+        for key, values in {"plant state at rest": rest, **{key: about[key] for key in _VECTORS[-2:]}}.items():
+            if values:
+                self.excludes.append(f"{key}: it is assumed to be {', '.join(map(str, values))}")
         self.excludes += [_MODEL, ROUNDING[self.manifest.real]]
         if sampled:
             self.excludes.append("delay: the command is assumed to act at the instant of its sample")

@@ -22,7 +22,7 @@ from surctl.certcheck.instructions import evaluate, read_list
 from surctl.ir import Layout, Port
 from surctl.lyapunov import continuous_dynamics
 from surctl.lyapunov.claims import _plain
-from surctl.system import Controller, Plant, System
+from surctl.system import Action, Controller, Plant, System
 from tests.certcheck.test_bundle import bundled
 from tests.certcheck.test_instructions_parts import BODY, GATHER, LOOP, listing
 
@@ -261,6 +261,23 @@ def test_a_state_at_rest_has_no_rate() -> None:
         result = compare({"kind": "lyapunov", "claim": claim}, manifest)
         assert result.belongs is belongs, (drift, result)
         assert belongs or says([*result.differs, *result.undecided], "dynamics: rate of a state at rest")
+
+
+def test_a_state_of_the_controller_at_rest_has_the_value_that_the_bundle_states() -> None:
+    place, mode = Port("x", (1,), "m", "place"), Port("mode", (1,), "1", "of the law", 3.0)
+    plant = Plant("tank", Layout((place,)), Layout((Port("f", (1,), "m/s", "flow"),)), lambda x, f, d, p: {"x": f["f"]})
+
+    def command(x: Any, u: Any, p: Any) -> Action:
+        return Action(-x["mode"] * u["x"], {"mode": x["mode"]})
+
+    law = Controller("p", 0.02, plant.state, plant.inputs, command, state=Layout((mode,)))
+    system = System(plant, law)
+    claim = json.loads(json.dumps(_plain(continuous_dynamics(system, {"x": (-1.0, 1.0)}), "stability")))
+    manifest, doubled = bundled(system), json.loads(json.dumps(claim))
+    assert claim["about"]["controller_state"] == [3.0] and compared(claim, manifest).belongs
+    doubled["about"]["controller_state"] = [6.0]
+    (text,) = compared(doubled, manifest, x=f"2*({claim['dynamics']['x']})").differs
+    assert text == "state of the controller[0]: 6.0 certified, 3.0 exported"
 
 
 def says(texts: Any, words: str) -> bool:

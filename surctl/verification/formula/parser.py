@@ -344,7 +344,7 @@ def reads_back(root: Node, names: Collection[str]) -> bool:
     return lengths[root] <= LONGEST
 
 
-_LONG_NUMBER = re.compile(r"(?<![\w.])((?=[\d.]*\.)[0.]*(?:\d\.?){17})\d+(?![\w.])")
+_LONG_NUMBER = re.compile(r"(?<![\w.])(?=\d*\.)((?:0?\.0*)?[1-9](?:\.?\d){16})\d+(?![\w.])")
 
 
 def clipped(text: str, most: int = 400) -> str:
