@@ -197,7 +197,7 @@ priority_options = together(
         "--fallback",
         default="exact",
         metavar="NAME",
-        help="If limits conflict: exact (default), or bounded: suboptimal in a fixed number of operations.",
+        help="If limits conflict: exact (default) or bounded (fixed time).",
     ),
 )
 """A decorator that adds these options to a command; the command receives them as `priority_mode` and `fallback`."""
