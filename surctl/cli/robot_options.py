@@ -194,7 +194,10 @@ priority_options = together(
         "--priority-mode", default="nsb", metavar="NAME", help="Mode: nsb (default), filter, projected, lexicographic."
     ),
     click.option(
-        "--fallback", default="exact", metavar="NAME", help="Solution if limits conflict: exact (default), bounded."
+        "--fallback",
+        default="exact",
+        metavar="NAME",
+        help="If limits conflict: exact (default) or bounded (fixed time).",
     ),
 )
 """A decorator that adds these options to a command; the command receives them as `priority_mode` and `fallback`."""
