@@ -197,7 +197,7 @@ priority_options = together(
         "--fallback",
         default="exact",
         metavar="NAME",
-        help="If limits conflict: exact (default) or bounded (fixed time).",
+        help="Conflicting limits: exact (default) or bounded time.",
     ),
 )
 """A decorator that adds these options to a command; the command receives them as `priority_mode` and `fallback`."""
