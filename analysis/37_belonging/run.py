@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import random
+import shutil
 import sys
 import tempfile
 import time
@@ -77,6 +78,7 @@ def examine(found: list[Pair], count: int, seed: int) -> tuple[list[str], bool]:
             change.apply(folder)
             said = answer(change.certificate, folder)
             answers[change.kind][said] += 1
+            shutil.rmtree(folder.parent)
             if number % 50 == 49:
                 print(f"{number + 1} of {count} changes, {len(wrong)} wrong", file=sys.stderr, flush=True)
             if said == "belongs":
