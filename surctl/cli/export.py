@@ -51,8 +51,6 @@ if TYPE_CHECKING:
 
     Tools: TypeAlias = tuple[Sequence[Target], Mapping[str, tuple[str, ...]]]
 
-__all__ = ["ExportOptions", "export", "export_scene", "export_system"]
-
 _TARGETS = ("c99", "fmu", "fmu3")
 
 

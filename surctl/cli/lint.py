@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from surctl.marine.study import Plan
     from surctl.marine.vehicle import Vehicle
 
-__all__ = ["lint"]
-
 _NEXT = {
     "vehicle": ("tune --vehicle {} --out tuned", "study {}"),
     "gains": ("verify --gains {}", "simulate pool-static --gains {}"),

@@ -194,10 +194,7 @@ priority_options = together(
         "--priority-mode", default="nsb", metavar="NAME", help="Mode: nsb (default), filter, projected, lexicographic."
     ),
     click.option(
-        "--fallback",
-        default="exact",
-        metavar="NAME",
-        help="Conflicting limits: exact (default) or bounded time.",
+        "--fallback", default="exact", metavar="NAME", help="Conflicting limits: exact (default) or bounded time."
     ),
 )
 """A decorator that adds these options to a command; the command receives them as `priority_mode` and `fallback`."""

@@ -35,8 +35,6 @@ if TYPE_CHECKING:
     from surctl.tuning.design import Design
     from surctl.verification import LoopMargins
 
-__all__ = ["study", "study_system"]
-
 
 @click.command
 @click.argument("words", nargs=-1, metavar="[FILE | FILE.py:FUNCTION [WORD]...]")

@@ -30,8 +30,6 @@ if TYPE_CHECKING:
     from surctl.tuning import Axis, Design, Executor, SobolIndices, Span, SystemSweep
     from surctl.tuning.system_sweep import Choice
 
-__all__ = ["best_line", "best_points", "choices_and_draws", "sweep", "sweep_own_system"]
-
 _SHOWN = 40  # largest number of points in the text output; the file holds all points
 _MOST_JSON = 100_000  # largest number of points printed as JSON
 _LOCUS = 61  # number of parameter values at which poles are computed

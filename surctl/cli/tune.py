@@ -32,8 +32,6 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-__all__ = ["tune", "tune_own_system"]
-
 
 @click.command
 @click.argument("words", nargs=-1, metavar="[STUDY | FILE.py:FUNCTION [NAME=VALUE,...]...]")
@@ -43,12 +41,7 @@ __all__ = ["tune", "tune_own_system"]
 @click.option(
     "--goals", "goals_file", metavar="FILE", help="Goals: name or file (default: the study's, else the built-in goals)."
 )
-@click.option(
-    "--cruise",
-    type=SPEEDS,
-    metavar="U1,U2,...",
-    help="Cruise speeds [m/s] for loop goals without speeds.",
-)
+@click.option("--cruise", type=SPEEDS, metavar="U1,U2,...", help="Cruise speeds [m/s] for loop goals without speeds.")
 @click.option(
     "--trials",
     type=click.IntRange(min=1),

@@ -37,8 +37,6 @@ if TYPE_CHECKING:
     from surctl.verification import Claim, Verdict
     from surctl.verification.stack import StackConditions
 
-__all__ = ["verify", "verify_system"]
-
 _SHORT, _LONG = 20.0, 60.0  # s
 _MOST_CLAIMS = 3  # in a summary; more are counted
 _GAIN_FILE = "gains.toml"  # in the printed commands, if the gains are derived

@@ -26,8 +26,6 @@ from surctl.export.rendering import render_files
 from surctl.export.supplement import LAW, Supplement, gains_id, law_lines, law_list
 from surctl.ir import Layout, Real
 
-__all__ = ["Bundle", "ExportedFile", "build_bundle", "check_folder", "law_id", "manifest_with", "write_bundle"]
-
 _MANIFEST = "manifest.json"
 
 Vector = NDArray[np.float64]
@@ -107,11 +105,9 @@ def build_bundle(
     """
     prefix = checked_name(law, name)
     if real == "float32" and law.block.libm:
-        raise InputError(
-            f"uses {', '.join(sorted(law.block.libm))} of the C math library, whose results depend on the machine",
-            key=f"{prefix}.block",
-            remedy="replace these functions by exact operations (surctl.ir.without_libm)",
-        )
+        problem = f"uses {', '.join(sorted(law.block.libm))} of the C math library, whose results depend on the machine"
+        remedy = "replace these functions by exact operations (surctl.ir.without_libm)"
+        raise InputError(problem, key=f"{prefix}.block", remedy=remedy)
     p = _gain_vector(law.gains, gains)
     added = supplement or Supplement()
     within = (envelope or anywhere(law)).fitted(law, real)
@@ -133,21 +129,14 @@ def _check_gains(law: Exportable, p: Vector, within: Envelope) -> None:
     if wrong.size:
         at = int(wrong[0])
         port = next(port for port in law.gains if at < law.gains.slice(port.name).stop)
-        raise InputError(
-            f"is outside the range that the guard accepts, {range_text(within.gains[at : at + 1])}",
-            key=port.name,
-            value=float(p[at]),
-            remedy="change the gain, or widen the range of the envelope",
-        )
+        problem = f"is outside the range that the guard accepts, {range_text(within.gains[at : at + 1])}"
+        remedy = "change the gain, or widen the range of the envelope"
+        raise InputError(problem, key=port.name, value=float(p[at]), remedy=remedy)
     for low, high in within.orders:
         if p[low] > p[high]:
             port = next(port for port in law.gains if high < law.gains.slice(port.name).stop)
-            raise InputError(
-                f"must not be below {float(p[low])!r}",
-                key=port.name,
-                value=float(p[high]),
-                remedy="change the gain, or remove this order from the envelope",
-            )
+            remedy = "change the gain, or remove this order from the envelope"
+            raise InputError(f"must not be below {float(p[low])!r}", key=port.name, value=float(p[high]), remedy=remedy)
 
 
 def _gain_vector(layout: Layout, gains: Mapping[str, NDArray[np.float64]]) -> Vector:

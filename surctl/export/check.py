@@ -25,18 +25,6 @@ from surctl.export.precision import Guarded, Rounded, plain, replayed, rounded
 from surctl.export.process import Controller, code_bytes, compile_controller
 from surctl.ir import Real, compile_program, compiler_version, stack_from_report
 
-__all__ = [
-    "STEPS",
-    "BuildReport",
-    "CheckReport",
-    "Instructions",
-    "built_for",
-    "check_builds",
-    "instructions",
-    "step_stack",
-    "trial_steps",
-]
-
 Vector = NDArray[np.float64]
 
 _MOST_NUMBERS = 20_000_000
@@ -343,12 +331,7 @@ def _bytes(rows: Rows, dtype: np.dtype[Any]) -> NDArray[np.uint8]:
 
 
 def _tried(
-    host: Controller,
-    target: Target,
-    folder: Path,
-    stream: bytes,
-    want: NDArray[np.uint8],
-    accepted: NDArray[np.bool_],
+    host: Controller, target: Target, folder: Path, stream: bytes, want: NDArray[np.uint8], accepted: NDArray[np.bool_]
 ) -> BuildReport:
     bundle, version = host.bundle, compiler_version(target.compiler)
     try:

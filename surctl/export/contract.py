@@ -16,27 +16,6 @@ from surctl.ir import Layout, Port, identifier
 from surctl.system import Controller, SampledController
 from surctl.system.controller import command_ports
 
-__all__ = [
-    "DATA",
-    "MISSION_FILES",
-    "SATURATED",
-    "STATUS",
-    "Exportable",
-    "WrappedLaw",
-    "checked_name",
-    "command_size",
-    "command_word",
-    "commands",
-    "entries",
-    "field",
-    "glance",
-    "is_robot_law",
-    "starts",
-    "status_table",
-    "telemetry_ports",
-    "transfers",
-]
-
 STATUS: tuple[tuple[str, int, str], ...] = (
     ("OK", 0, "thrust is valid"),
     ("SATURATED", 1, "bit: a thrust limit was reached"),
@@ -207,34 +186,18 @@ def _check_files(name: str) -> None:
             "is already the name of a file of the bundle", key="name", value=name, remedy="choose another name"
         )
     if small in _HEADERS:
-        raise InputError(
-            f"is the name of a system header, which {small}.h would hide",
-            key="name",
-            value=name,
-            remedy="choose another name",
-        )
+        problem = f"is the name of a system header, which {small}.h would hide"
+        raise InputError(problem, key="name", value=name, remedy="choose another name")
     if small in sys.stdlib_module_names or small in ("numpy", "setuptools"):
-        raise InputError(
-            f"is the name of a Python module, which {small}.py of the bundle would hide",
-            key="name",
-            value=name,
-            remedy=f"choose another name, such as my_{small}",
-        )
+        problem = f"is the name of a Python module, which {small}.py of the bundle would hide"
+        raise InputError(problem, key="name", value=name, remedy=f"choose another name, such as my_{small}")
     for ending in ("_link", "_loop"):
         if small.endswith(ending):
-            raise InputError(
-                f"gives its header the include guard of another bundle's {ending[1:]}.h",
-                key="name",
-                value=name,
-                remedy=f"choose a name that does not end in {ending}",
-            )
+            problem = f"gives its header the include guard of another bundle's {ending[1:]}.h"
+            raise InputError(problem, key="name", value=name, remedy=f"choose a name that does not end in {ending}")
     if name != small:
-        raise InputError(
-            f"has capital letters: its macros, and on some file systems its files, get the names of {small}",
-            key="name",
-            value=name,
-            remedy=f"write {small}",
-        )
+        problem = f"has capital letters: its macros, and on some file systems its files, get the names of {small}"
+        raise InputError(problem, key="name", value=name, remedy=f"write {small}")
 
 
 def _check_sizes(law: Exportable, name: str) -> None:
@@ -243,11 +206,9 @@ def _check_sizes(law: Exportable, name: str) -> None:
     want = [law.state.size, law.inputs.size, law.gains.size]
     want += [n_tau, law.state.size, 1, law.outputs.size - n_tau]
     if have != want:
-        raise InputError(
-            f"has vectors of {have} entries, but its layouts have {want}",
-            key=f"{name}.block",
-            remedy="the order is x, u, p, then tau, x_next, status, telemetry",
-        )
+        problem = f"has vectors of {have} entries, but its layouts have {want}"
+        remedy = "the order is x, u, p, then tau, x_next, status, telemetry"
+        raise InputError(problem, key=f"{name}.block", remedy=remedy)
 
 
 def starts(layout: Layout) -> list[tuple[Port, int]]:

@@ -21,21 +21,6 @@ from surctl.errors import InputError, SurctlError, ToolMissing, nearest
 from surctl.export.bundle import Bundle, write_bundle
 from surctl.ir import compile_program, packaged_compiler
 
-__all__ = [
-    "TARGETS",
-    "VERSION",
-    "EmulatedLine",
-    "Identity",
-    "LineDown",
-    "Reply",
-    "SerialLine",
-    "Target",
-    "chosen_targets",
-    "connect",
-    "emulated",
-    "emulated_target",
-]
-
 # Compilers and processors on which the exported C is checked: this machine's, and emulated microcontrollers
 
 
@@ -347,12 +332,9 @@ def connect(address: str, *, patience: float = 5.0) -> SerialLine:
         wire = socket.create_connection((host, port), timeout=patience)
     except (OSError, UnicodeError) as error:
         why = "no reply" if isinstance(error, TimeoutError) else getattr(error, "strerror", None) or str(error)
-        raise InputError(
-            f"no controller listens there ({why})",
-            key="controller",
-            value=address,
-            remedy="start the exported controller: make controller && ./controller PORT",
-        ) from None
+        problem = f"no controller listens there ({why})"
+        remedy = "start the exported controller: make controller && ./controller PORT"
+        raise InputError(problem, key="controller", value=address, remedy=remedy) from None
     wire.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     return SerialLine(wire, address, patience)
 
@@ -365,12 +347,8 @@ def _host_and_port(address: str) -> tuple[str, int]:
         parts, port = urlsplit(""), None
     rest = parts.path or parts.query or parts.fragment or parts.username or parts.password
     if parts.scheme != "tcp" or not parts.hostname or not port or rest:
-        raise InputError(
-            "is not the address of a controller",
-            key="controller",
-            value=address,
-            remedy="use tcp://HOST:PORT, e.g. tcp://127.0.0.1:5555 or tcp://[::1]:5555",
-        )
+        remedy = "use tcp://HOST:PORT, e.g. tcp://127.0.0.1:5555 or tcp://[::1]:5555"
+        raise InputError("is not the address of a controller", key="controller", value=address, remedy=remedy)
     return parts.hostname, port
 
 
@@ -411,12 +389,8 @@ def emulated_target(name: str) -> Target:
     """
     known = [target for target in TARGETS.values() if target.machine is not None]
     if name not in [target.name for target in known]:
-        raise InputError(
-            "is not an emulated processor",
-            key="controller",
-            value=f"qemu:{name}",
-            remedy="known: " + ", ".join(f"qemu:{target.name}" for target in known),
-        )
+        remedy = "known: " + ", ".join(f"qemu:{target.name}" for target in known)
+        raise InputError("is not an emulated processor", key="controller", value=f"qemu:{name}", remedy=remedy)
     (target,), _ = chosen_targets([name])
     return target
 

@@ -15,24 +15,6 @@ from surctl.export.contract import SATURATED, Exportable, command_size
 from surctl.ir import Real
 from surctl.system import Record
 
-__all__ = [
-    "ITER",
-    "NONFINITE",
-    "NULL",
-    "RANGE",
-    "STALE",
-    "TOLERANCE",
-    "AnyRecord",
-    "Envelope",
-    "Rate",
-    "Records",
-    "Rows",
-    "SelfTest",
-    "anywhere",
-    "as_records",
-    "self_test_vectors",
-]
-
 # Recorded runs of a law, in the form that the software-in-the-loop test replays
 
 

@@ -18,8 +18,6 @@ from surctl.export.contract import STATUS
 from surctl.export.prove import ProofReport
 from surctl.export.sil import SilReport
 
-__all__ = ["evidence_of", "with_evidence"]
-
 _MARK = "## Evidence\n"
 
 

@@ -34,8 +34,6 @@ from surctl.export.envelope import Envelope, anywhere
 from surctl.export.rendering import render_unit
 from surctl.ir import Port, compile_program, packaged_compiler
 
-__all__ = ["description_2", "description_3", "unit_sources", "write_fmu"]
-
 Vector = NDArray[np.float64]
 
 _ROBOT = "Controller of a small underwater robot. SI units, radians; frames ENU (world) and FLU (body)."
@@ -361,12 +359,8 @@ def write_fmu(law: Exportable, bundle: Bundle, gains: Vector, directory: Path | 
     """
     machine = (platform.system(), platform.machine())
     if machine not in _PLATFORMS[fmi]:
-        raise InputError(
-            f"has no name in FMI {fmi}.0",
-            key="target",
-            value=" ".join(machine),
-            remedy="export c99 here, or export the FMU on Linux and compile its sources for this machine",
-        )
+        remedy = "export c99 here, or export the FMU on Linux and compile its sources for this machine"
+        raise InputError(f"has no name in FMI {fmi}.0", key="target", value=" ".join(machine), remedy=remedy)
     fed = bundle.fed if bundle.mission_rows else ()
     sources = unit_sources(law, bundle, fmi=fmi)
     compiled = [file for file in sources if file.endswith(".c")]

@@ -17,20 +17,6 @@ from surctl.export.contract import Exportable, commands, entries, is_robot_law, 
 from surctl.export.envelope import Envelope, Rate
 from surctl.ir import C_TYPE, Layout, Port, Real, c_literal
 
-__all__ = [
-    "ANY_NUMBER",
-    "EXAMPLES",
-    "box_lines",
-    "example_values",
-    "flat_lines",
-    "jump_lines",
-    "keep_lines",
-    "limit_lines",
-    "number_calls",
-    "order_lines",
-    "range_text",
-]
-
 Vector = NDArray[np.float64]
 
 ANY_NUMBER = "any finite number"
@@ -103,12 +89,7 @@ def flat_lines(layout: Layout, box: Vector, array: str, real: Real) -> list[str]
 
 
 def _port_lines(
-    port: Port,
-    first: int,
-    box: Vector,
-    member: Callable[[str, str], str],
-    real: Real,
-    refuse: Callable[[str], str],
+    port: Port, first: int, box: Vector, member: Callable[[str, str], str], real: Real, refuse: Callable[[str], str]
 ) -> list[str]:
     alike = (box == box[0]).all()
     if alike and port.size > _FEW:
@@ -235,9 +216,7 @@ def _each(members: list[str], first: int) -> list[tuple[str, str]]:
     if len(members) < _LOOP:
         return [("", f"@{member} - state->last[{first + k}];") for k, member in enumerate(members)]
     stem, at = members[0].rstrip("]").rsplit("[", 1)
-    return [
-        (f"for (int k = 0; k < {len(members)}; ++k) {{", f"@{stem}[{_plus(at)}] - state->last[{_plus(first)}];"),
-    ]
+    return [(f"for (int k = 0; k < {len(members)}; ++k) {{", f"@{stem}[{_plus(at)}] - state->last[{_plus(first)}];")]
 
 
 EXAMPLES: Mapping[str, str] = MappingProxyType(

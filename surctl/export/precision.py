@@ -13,8 +13,6 @@ from surctl.export.supplement import aged
 from surctl.ir import Block, Layout, Real, replay
 from surctl.system.controller import ControllerStep
 
-__all__ = ["REALS", "Guarded", "Rounded", "Rows", "evaluated", "in_precision", "plain", "replayed", "rounded"]
-
 Vector = NDArray[np.float64]
 
 REALS: tuple[Real, ...] = ("float64", "float32")

@@ -27,16 +27,6 @@ from surctl.ir import cached_bytes, compile_program, compiler_version, find_comp
 from surctl.ir.cache import FLAGS, further_flags
 from surctl.ir.native import loaded
 
-__all__ = [
-    "Controller",
-    "ExportedController",
-    "ExportedStep",
-    "FaultResults",
-    "build_controller",
-    "code_bytes",
-    "compile_controller",
-]
-
 Vector = NDArray[np.float64]
 
 _TIMEOUT = 600.0  # s, time limit of any run of the compiled program

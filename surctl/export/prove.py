@@ -39,8 +39,6 @@ from surctl.export.envelope import anywhere
 from surctl.ir import Block, Loop, Program, Real, Routine, c_literal
 from surctl.ir.routine import nested
 
-__all__ = ["Alarm", "ProofReport", "gain_box", "prove_bundle", "with_proof"]
-
 Vector = NDArray[np.float64]
 
 _TOOL = "frama-c"
@@ -332,11 +330,8 @@ def gain_box(law: Exportable, values: Vector, ranges: Mapping[str, tuple[float, 
         if name in law.gains:
             part = law.gains.slice(name)
             if not ((low <= box[part]) & (box[part] <= high)).all():
-                raise InputError(
-                    f"is outside the range of the proof, {low:g} to {high:g}",
-                    key=name,
-                    value=float(values[part][0]),
-                    remedy="widen its range in the gain file, or change the value",
-                )
+                problem = f"is outside the range of the proof, {low:g} to {high:g}"
+                remedy = "widen its range in the gain file, or change the value"
+                raise InputError(problem, key=name, value=float(values[part][0]), remedy=remedy)
             box[part] = (low, high)
     return box

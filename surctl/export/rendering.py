@@ -56,8 +56,6 @@ from surctl.ir import C_TYPE, Layout, Parts, Port, Program, Real, c_literal, emi
 from surctl.ir.c99_folded import PRAGMA, folded_lines, inline_helpers, own_helpers
 from surctl.ir.cache import FLAGS
 
-__all__ = ["comment", "render_files", "render_unit", "templates", "with_own_names"]
-
 _FUNCTION = re.compile(r"^static (?:inline )?(?:const )?\w+ \*?(\w+)\(", re.MULTILINE)
 
 
@@ -130,10 +128,7 @@ _UNSUPPORTED: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("fmi3EvaluateDiscreteStates", ()),
     (
         "fmi3UpdateDiscreteStates",
-        (
-            *("fmi3Boolean *u", "fmi3Boolean *t", "fmi3Boolean *n", "fmi3Boolean *v", "fmi3Boolean *d"),
-            "fmi3Float64 *e",
-        ),
+        (*("fmi3Boolean *u", "fmi3Boolean *t", "fmi3Boolean *n", "fmi3Boolean *v", "fmi3Boolean *d"), "fmi3Float64 *e"),
     ),
     ("fmi3EnterContinuousTimeMode", ()),
     ("fmi3CompletedIntegratorStep", ("fmi3Boolean b", "fmi3Boolean *e", "fmi3Boolean *t")),

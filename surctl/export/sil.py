@@ -19,18 +19,6 @@ from surctl.export.precision import Guarded, evaluated, replayed, rounded
 from surctl.export.process import Controller, build_controller
 from surctl.ir import Real, compiler_version
 
-__all__ = [
-    "TOLERANCE",
-    "Difference",
-    "Fault",
-    "SilReport",
-    "compare_runs",
-    "fault_cases",
-    "fault_failures",
-    "software_in_the_loop",
-    "software_in_the_loop_runs",
-]
-
 Vector = NDArray[np.float64]
 
 _BAD = (np.nan, np.inf, -np.inf)
@@ -264,11 +252,7 @@ class SilReport:
 
 
 def software_in_the_loop(
-    law: Exportable,
-    records: AnyRecord,
-    *,
-    workdir: Path | str | None = None,
-    real: Real = "float64",
+    law: Exportable, records: AnyRecord, *, workdir: Path | str | None = None, real: Real = "float64"
 ) -> SilReport:
     """Export the law, compile it, and compare it with Python over a recorded run.
 
@@ -304,11 +288,7 @@ def software_in_the_loop(
 
 
 def software_in_the_loop_runs(
-    law: Exportable,
-    runs: Sequence[AnyRecord],
-    *,
-    workdir: Path | str | None = None,
-    real: Real = "float64",
+    law: Exportable, runs: Sequence[AnyRecord], *, workdir: Path | str | None = None, real: Real = "float64"
 ) -> tuple[SilReport, ...]:
     """Return one report per recorded run; all runs use one bundle with the gains of the first run's first record.
 

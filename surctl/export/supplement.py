@@ -19,28 +19,6 @@ from surctl.export.contract import Exportable, commands, is_robot_law, telemetry
 from surctl.ir import Block, Layout, Real
 from surctl.system import Plant
 
-__all__ = [
-    "DEMANDS",
-    "LAW",
-    "RESTART",
-    "UNKNOWN",
-    "Listed",
-    "PlantLists",
-    "Supplement",
-    "aged",
-    "aged_runs",
-    "forgotten",
-    "forgotten_runs",
-    "gains_id",
-    "gains_values",
-    "law_lines",
-    "law_list",
-    "longest_gap",
-    "step_line",
-    "stored_gains",
-    "wiring_values",
-]
-
 # Wiring of an exported law, for the README of its bundle: where every input comes from, and what a status demands
 
 

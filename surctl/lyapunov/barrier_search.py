@@ -19,12 +19,6 @@ from surctl.lyapunov.dynamics import Dynamics, exact
 from surctl.lyapunov.near import inward_speeds
 from surctl.verification.formula import Node, number, power, to_casadi, variable
 
-__all__ = [
-    "BarrierResult",
-    "decide_safety",
-    "find_barrier",
-]
-
 # Decide a barrier claim, and whether its solutions stay in the box
 
 
@@ -179,11 +173,8 @@ class _Samples:
             radius *= 0.7
         inside = best[:, values <= 0]
         if not inside.size:
-            raise InputError(
-                "holds no sample in the box",
-                key=f"{d.name}.{name}",
-                remedy="widen the set, or the bounds of the states",
-            )
+            remedy = "widen the set, or the bounds of the states"
+            raise InputError("holds no sample in the box", key=f"{d.name}.{name}", remedy=remedy)
         return inside
 
     def _on_faces(self, wide: Array) -> Array:

@@ -16,15 +16,6 @@ from surctl.lyapunov.rays import Grid, directions, grid
 from surctl.lyapunov.template import Template, polynomials, quadratic, with_cosines
 from surctl.verification.formula import Node
 
-__all__ = [
-    "Candidate",
-    "candidates",
-    "enlarge",
-    "invariant",
-    "sign_symmetries",
-    "strict_variants",
-]
-
 # First functions of a template by linear programs over samples, where the linearisation gives no quadratic one
 
 

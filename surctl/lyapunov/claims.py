@@ -22,8 +22,6 @@ from surctl.verification.claim import Claim, Variable
 from surctl.verification.formula import Node, number, parse, power, reads_back, text_of, to_casadi, variable
 from surctl.verification.proving import Statement
 
-__all__ = ["Bound", "DynamicClaim", "Inequality", "Power", "Safety", "Stability", "every_digit", "stated_number"]
-
 
 def every_digit(value: float) -> str:
     """Return a number as text without loss: `0.5`, and `1` for 1.0."""

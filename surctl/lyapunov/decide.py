@@ -26,8 +26,6 @@ from surctl.verification.falsifier import search, sobol
 from surctl.verification.formula import BRANCHING, ordered, text_of, values_of
 from surctl.verification.proving import prove_cases
 
-__all__ = ["Decision", "decide_motion", "has_branches", "prove_by_slopes", "prove_motion"]
-
 Array = NDArray[np.float64]
 
 _SAMPLES, _STARTS, _FEW = 2048, 8, 256

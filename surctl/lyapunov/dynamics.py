@@ -15,8 +15,6 @@ from numpy.typing import ArrayLike, NDArray
 from surctl.errors import InputError
 from surctl.verification.formula import IDENTIFIER, Node, derivative, number, ordered, substitute, to_casadi
 
-__all__ = ["Command", "Dynamics", "Range", "Sampling", "State", "exact"]
-
 Array = NDArray[np.float64]
 
 _REST = 1e-9  # largest residual of an equilibrium, relative to the largest rate of the same state in the box

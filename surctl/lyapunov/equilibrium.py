@@ -17,11 +17,6 @@ from surctl.lyapunov.dynamics import Dynamics
 from surctl.lyapunov.exact_rest import exact_root
 from surctl.verification.formula import text_of, variable
 
-__all__ = [
-    "Linear", "at_equilibrium", "common_quadratic", "equilibria", "inexact", "linearisation",
-    "refined", "require_common",
-]  # fmt: skip
-
 Array = NDArray[np.float64]
 
 _REST = 1e-9  # largest residual of an equilibrium, relative to the largest rate of the same state in the box
@@ -259,10 +254,7 @@ def _by_inequalities(matrices: Array, scales: Array, *, discrete: bool) -> Array
         loss = basis[None] - scaled[:, None].transpose(0, 1, 3, 2) @ basis[None] @ scaled[:, None]
     else:
         loss = -(scaled[:, None].transpose(0, 1, 3, 2) @ basis[None] + basis[None] @ scaled[:, None])
-    rows = [
-        (zero - np.eye(n) * 1e-6, basis[None]),
-        (np.repeat(zero - np.eye(n), len(matrices), axis=0), loss),
-    ]
+    rows = [(zero - np.eye(n) * 1e-6, basis[None]), (np.repeat(zero - np.eye(n), len(matrices), axis=0), loss)]
     cost = np.trace(basis, axis1=1, axis2=2)
     x = minimise(cost, rows)
     if x is None:

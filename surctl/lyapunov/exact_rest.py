@@ -7,8 +7,6 @@ from fractions import Fraction
 
 from surctl.verification.formula import Node, ordered
 
-__all__ = ["exact_root", "exact_values"]
-
 _LONGEST = 400  # digits of a coordinate that a certificate may state
 
 Row = tuple[Fraction, ...]

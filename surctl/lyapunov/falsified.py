@@ -16,8 +16,6 @@ from surctl.lyapunov.rays import directions, extent
 from surctl.verification.formula import Node
 from surctl.verification.proving import certain_excess
 
-__all__ = ["Falsified", "least_level"]
-
 Array = NDArray[np.float64]
 
 _RAYS, _POINTS, _STARTS, _MOST_CORNERS = 1024, 48, 5, 16

@@ -22,8 +22,6 @@ from surctl.system.values import check_scalar, place_of, run_numbers, unit_of
 from surctl.verification.formula import IDENTIFIER, Node, Statement, from_casadi, number, rebuilt, substitute
 from surctl.verification.proving import prove_cases
 
-__all__ = ["HELD_COMMANDS", "NOT_COVERED", "continuous_dynamics", "sampled_dynamics"]
-
 NOT_COVERED = "the control law in continuous time: sampling, hold and delay are not covered"
 """What a claim about the dynamics of `continuous_dynamics` does not cover."""
 

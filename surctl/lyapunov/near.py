@@ -16,17 +16,6 @@ from surctl.verification.falsifier import sobol
 from surctl.verification.formula import Node, number, substitute, values_of
 from surctl.verification.proving import certain_excess, range_at, vanishes
 
-__all__ = [
-    "Failure",
-    "fails_nearby",
-    "inward_speeds",
-    "point_text",
-    "short",
-    "slowest",
-    "stationary_state",
-    "too_fast",
-]
-
 # Rates at which states move inwards on the faces of the box, for the proof that solutions do not leave it
 
 

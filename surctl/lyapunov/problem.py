@@ -17,8 +17,6 @@ from surctl.lyapunov.dynamics import Dynamics, Range, State
 from surctl.verification.claim_file import VariableTable
 from surctl.verification.formula import Node, is_name, number, ordered, parse, parse_relation, variable
 
-__all__ = ["KINDS", "Problem", "is_problem", "load_problem"]
-
 KINDS = ("lyapunov", "barrier")
 """The values of `kind` in files about dynamics."""
 

@@ -12,17 +12,6 @@ from surctl.lyapunov.dynamics import Dynamics
 from surctl.lyapunov.template import Template
 from surctl.verification.formula import Node
 
-__all__ = [
-    "Grid",
-    "Sizes",
-    "bounded",
-    "directions",
-    "extent",
-    "grid",
-    "hugged",
-    "product",
-]
-
 Array = NDArray[np.float64]
 
 _BEYOND = 10  # points on each ray beyond the part in which the region may lie

@@ -26,8 +26,6 @@ from surctl.lyapunov.slope_search import Embedding, Family, quadratic, relative_
 from surctl.verification.conic import Inequality, minimise, symmetric_basis
 from surctl.verification.formula import number, text_of, variable
 
-__all__ = ["SampledRegion", "SampledStability", "Shapes", "sampled_region", "sampled_shapes"]
-
 Array = NDArray[np.float64]
 Bits = NDArray[np.bool_]
 _Parts = tuple[Array, Array, list[Array]]

@@ -22,8 +22,6 @@ from surctl.lyapunov.slope_search import LABEL as SLOPES
 from surctl.lyapunov.slope_search import slope_candidate
 from surctl.verification.formula import Node, ordered, text_of
 
-__all__ = ["StabilityResult", "find_stability", "unprovable"]
-
 _SHARES = (0.005, 0.02, 0.1, 0.3, 0.5, 0.7, 0.8, 0.9, 0.95, 0.97, 0.99)  # of the least level with a counterexample
 _FIRST, _PART = 7, 0.4  # index of the share that is tried first; share of the remaining time for one level
 _SIMPLE, _EASY = 2, 1  # the same for the function that is easiest to prove, and when all larger ones failed
@@ -253,12 +251,7 @@ def _jumps(expressions: tuple[Node, ...]) -> bool:
 
 
 def _by_slopes(
-    d: Dynamics,
-    linear: Linear,
-    rate: float | None,
-    seconds: float,
-    seed: int,
-    progress: Callable[[str], None] | None,
+    d: Dynamics, linear: Linear, rate: float | None, seconds: float, seed: int, progress: Callable[[str], None] | None
 ) -> StabilityResult | None:
     """Return a region that the slope rule proves; None if it proves none."""
     candidate = slope_candidate(d, linear, rate, seconds=_SLOPES * seconds)

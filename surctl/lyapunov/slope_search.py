@@ -36,8 +36,6 @@ from surctl.lyapunov.near import slowest
 from surctl.verification.conic import minimise, symmetric_basis
 from surctl.verification.formula import Node, number, power, text_of, to_casadi, values_of, variable
 
-__all__ = ["LABEL", "Embedding", "Family", "form_of", "quadratic", "relative_volume", "slope_candidate"]
-
 Array = NDArray[np.float64]
 
 _POINTS = 65  # samples of a range
@@ -65,12 +63,7 @@ class Embedding(Rows):
     """
 
     def __init__(
-        self,
-        dynamics: Dynamics,
-        covers: Array,
-        *,
-        rates: Sequence[Node] | None = None,
-        feedbacks: Array | None = None,
+        self, dynamics: Dynamics, covers: Array, *, rates: Sequence[Node] | None = None, feedbacks: Array | None = None
     ) -> None:
         d, n = dynamics, len(dynamics.names)
         gains = np.zeros((0, n)) if feedbacks is None else feedbacks
@@ -236,7 +229,7 @@ class Family:
         return chosen
 
 
-class Shape(NamedTuple):
+class Ellipsoid(NamedTuple):
     """P (n, n) of a region ξ' P ξ < 1, and the feedbacks (k, n) of the limits."""
 
     p: Array
@@ -291,7 +284,7 @@ class _Shapes:
         order = np.argsort(least)
         return least[order], chosen[order]
 
-    def holds(self, shape: Shape, level: float = 1.0) -> bool:
+    def holds(self, shape: Ellipsoid, level: float = 1.0) -> bool:
         """Return whether no vertex is known at which the matrix inequality fails on {V ≤ level}."""
         p, g = shape
         try:
@@ -304,7 +297,7 @@ class _Shapes:
             return False
 
 
-def _largest_level(shapes: _Shapes, shape: Shape) -> float:
+def _largest_level(shapes: _Shapes, shape: Ellipsoid) -> float:
     """Return a level up to which the slope rule shows that V = ξ' P ξ decreases in the box; 0 if there is none."""
     top = float((shapes.scales**2 / np.diag(np.linalg.inv(shape.p))).min()) * (1 - _INSIDE)
     if shapes.holds(shape, top):
@@ -377,12 +370,12 @@ def relative_volume(d: Dynamics, p: Array) -> float:
     return float(ball / np.sqrt(np.linalg.det(p * np.outer(*[d.box[1] - d.box[0]] * 2))))
 
 
-def _slope_function(shapes: _Shapes, matrices: Array, until: float) -> Shape | None:
+def _slope_function(shapes: _Shapes, matrices: Array, until: float) -> Ellipsoid | None:
     """Return a large region that the slope rule is likely to prove; None if none is found."""
     p = _start(shapes, matrices)
     if p is None:
         return None
-    plain = _grown(shapes, Shape(p, np.zeros((0, len(p)))), until)
+    plain = _grown(shapes, Ellipsoid(p, np.zeros((0, len(p)))), until)
     limited = _limited(shapes, plain)
     if limited is None:
         return plain
@@ -409,7 +402,7 @@ def _start(shapes: _Shapes, matrices: Array) -> Array | None:
     return p
 
 
-def _limited(shapes: _Shapes, shape: Shape | None) -> Shape | None:
+def _limited(shapes: _Shapes, shape: Ellipsoid | None) -> Ellipsoid | None:
     """Return a small region with feedbacks for the limits that act in a region; None if none acts."""
     if shape is None:
         return None
@@ -421,15 +414,15 @@ def _limited(shapes: _Shapes, shape: Shape | None) -> Shape | None:
     feedbacks = np.zeros((len(embedding.limits), n))
     for k, row in enumerate(embedding.operands()):
         feedbacks[k] = row[:n] + row[n : n + len(feedbacks)] @ feedbacks
-    return Shape(shape.p, feedbacks)
+    return Ellipsoid(shape.p, feedbacks)
 
 
-def _grown(shapes: _Shapes, shape: Shape, until: float) -> Shape | None:
+def _grown(shapes: _Shapes, shape: Ellipsoid, until: float) -> Ellipsoid | None:
     """Return the largest region that the rounds of the search reach from the shape of a small one."""
     level = _largest_level(shapes, shape)
     if not level > 0:
         return None
-    best = Shape(shape.p / level, shape.feedbacks)
+    best = Ellipsoid(shape.p / level, shape.feedbacks)
     size, stretch, pool = _extent(best.p, shapes), _STRETCH, list[Bits]()
     for _ in range(_ROUNDS):
         if time.process_time() > until:
@@ -442,7 +435,7 @@ def _grown(shapes: _Shapes, shape: Shape, until: float) -> Shape | None:
             stretch = 1 + (stretch - 1) / 2
             if stretch < _LEAST_STRETCH:
                 break
-    return Shape(best.p / _largest_level(shapes, best), best.feedbacks) if shapes.holds(best) else best
+    return Ellipsoid(best.p / _largest_level(shapes, best), best.feedbacks) if shapes.holds(best) else best
 
 
 def _extent(p: Array, shapes: _Shapes) -> float:
@@ -454,7 +447,7 @@ def _extent(p: Array, shapes: _Shapes) -> float:
     return float(np.exp(-np.linalg.slogdet(p * np.outer(scales, scales))[1] / 2 / len(scales)))
 
 
-def _reshaped(shapes: _Shapes, shape: Shape, stretch: float, pool: list[Bits]) -> Shape | None:
+def _reshaped(shapes: _Shapes, shape: Ellipsoid, stretch: float, pool: list[Bits]) -> Ellipsoid | None:
     """Return a larger region on which the slopes stay those of p/stretch², if there is one.
 
     The unknowns are Q = P⁻¹ in scaled states, whose square root of r Q r' is the extent of the ellipsoid along a row r,
@@ -535,7 +528,7 @@ def _reshaped(shapes: _Shapes, shape: Shape, stretch: float, pool: list[Bits]) -
     active = np.linalg.eigvalsh(root.T @ shapes.losses(closed.vertices(chosen), trial) @ root)[:, 0]
     pool[:] = [chosen[np.argsort(active)[: 4 * _WORST]]]
     inverse = np.linalg.inv(size)
-    return Shape(np.asarray(inverse @ trial @ inverse), limits[:, None] * new @ inverse)
+    return Ellipsoid(np.asarray(inverse @ trial @ inverse), limits[:, None] * new @ inverse)
 
 
 def _cover(p: Array, level: float) -> Array:

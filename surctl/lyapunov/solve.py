@@ -24,13 +24,6 @@ from surctl.verification.falsifier import sobol
 from surctl.verification.formula import Node, ordered, parse, text_of, values_of
 from surctl.verification.formula.parser import clipped, decimal_text
 
-__all__ = [
-    "NextStep",
-    "Solution",
-    "limits_sentence",
-    "solve",
-]
-
 # What is proved about dynamics where a claim is not: a lower level, a lower rate, narrower ranges, a smaller box
 
 

@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 from surctl.lyapunov.dynamics import Dynamics
 from surctl.verification.formula import Node, number, ordered, power, to_casadi, variable
 
-__all__ = ["Template", "polynomials", "quadratic", "with_cosines"]
-
 Array = NDArray[np.float64]
 Powers = tuple[int, ...]
 

@@ -20,21 +20,6 @@ from numpy.typing import NDArray
 from surctl.errors import InputError, nearest
 from surctl.priority.settings import CUTOFF, ZERO_ROW
 
-__all__ = [
-    "BACKENDS",
-    "FEASIBLE",
-    "Backend",
-    "Kernel",
-    "KernelSolution",
-    "LeastDistance",
-    "RowSpace",
-    "Status",
-    "check_backend",
-    "project",
-    "row_space",
-    "solve_least_distance",
-]
-
 Array: TypeAlias = NDArray[np.float64]
 
 

@@ -21,8 +21,6 @@ from surctl.priority.problem import Level, PriorityProblem
 from surctl.priority.reference import Polyhedron, nsb_sweep, polyhedron_of, without_rows
 from surctl.priority.settings import Settings
 
-__all__ = ["LOSS", "ROUNDING", "conflicting", "is_least", "is_optimal", "nsb", "restrictions"]
-
 
 def nsb(problem: PriorityProblem) -> NDArray[np.float64]:
     """Return the velocity v (n,) of the NSB law, equation (16) of the paper: v = v_1 + N_1(v_2 + N_2(v_3 + …)).

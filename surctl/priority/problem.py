@@ -15,9 +15,6 @@ from surctl.errors import InputError, nearest
 from surctl.priority.settings import ZERO_ROW
 from surctl.tasks.task import Kind
 
-__all__ = ["CROSSING", "Level", "PriorityProblem", "Row", "build_problem"]
-
-
 Array: TypeAlias = NDArray[np.float64]
 
 CROSSING = 1e-9
@@ -174,13 +171,7 @@ class PriorityProblem:
                 for lv in self.levels
             ],
             "rows": [
-                {
-                    "name": r.name,
-                    "kind": r.kind,
-                    "a": r.a.tolist(),
-                    "lower": _bound(r.lower),
-                    "upper": _bound(r.upper),
-                }
+                {"name": r.name, "kind": r.kind, "a": r.a.tolist(), "lower": _bound(r.lower), "upper": _bound(r.upper)}
                 for r in self.rows
             ],
             "moved": dict(self.moved),
@@ -212,11 +203,8 @@ class PriorityProblem:
             ]
             moved = {str(name): float(amount) for name, amount in data.get("moved", {}).items()}
         except (KeyError, TypeError, ValueError) as error:
-            raise InputError(
-                f"is not a saved problem ({type(error).__name__}: {error})",
-                key="problem",
-                remedy="save it with to_dict",
-            ) from None
+            text = f"is not a saved problem ({type(error).__name__}: {error})"
+            raise InputError(text, key="problem", remedy="save it with to_dict") from None
         return build_problem(levels, rows, moved=moved)
 
 
@@ -253,11 +241,8 @@ def build_problem(
     width = checked[0].J.shape[1]
     for level in checked:
         if level.J.shape[1] != width:
-            raise InputError(
-                f"J has {level.J.shape[1]} columns, but task {checked[0].name} has {width}",
-                key=f"task {level.name}",
-                remedy="use the same velocities in all Jacobians",
-            )
+            text = f"J has {level.J.shape[1]} columns, but task {checked[0].name} has {width}"
+            raise InputError(text, key=f"task {level.name}", remedy="use the same velocities in all Jacobians")
     agreed, more, box = _agreed([_checked_row(row, width) for row in rows], width)
     problem = PriorityProblem(checked, agreed, {**(moved or {}), **more})
     problem.__dict__["box"] = box  # known here, and slow to compute again
@@ -291,11 +276,8 @@ def _checked_level(level: Level) -> Level:
     lower, upper = lower.reshape(-1), upper.reshape(-1)
     if J.ndim != 2 or J.shape[0] != lower.size or J.size == 0 or lower.size != upper.size:
         entries = f"{lower.size}" if lower.size == upper.size else f"{lower.size} and {upper.size}"
-        raise InputError(
-            f"J has shape {J.shape}, but its values have {entries} entries",
-            key=key,
-            remedy="give J of shape (k, n) and k values",
-        )
+        remedy = "give J of shape (k, n) and k values"
+        raise InputError(f"J has shape {J.shape}, but its values have {entries} entries", key=key, remedy=remedy)
     finite = np.isfinite(J).all(axis=1) & ~np.isnan(lower) & ~np.isnan(upper)
     finite &= np.isfinite(lower) | (lower < upper)
     crossed = ~(lower <= upper) | (lower == math.inf) | (upper == -math.inf)
@@ -331,11 +313,8 @@ def _check_names(what: str, names: Sequence[str]) -> None:
                 "is not a name", key=f"name of {what} {i + 1}", value=name, remedy="give a non-empty text of one line"
             )
         if name in names[:i]:
-            raise InputError(
-                f"is the name of {what} {names.index(name) + 1} and of {what} {i + 1}",
-                key=f"{what} {name}",
-                remedy="rename one of them",
-            )
+            text = f"is the name of {what} {names.index(name) + 1} and of {what} {i + 1}"
+            raise InputError(text, key=f"{what} {name}", remedy="rename one of them")
 
 
 def _array(value: Any) -> Array:

@@ -25,8 +25,6 @@ from surctl.priority.backends import Backend, LeastDistance, check_backend, proj
 from surctl.priority.problem import Level, PriorityProblem
 from surctl.priority.settings import CUTOFF, ZERO_ROW, Mode, Settings
 
-__all__ = ["Polyhedron", "Reference", "nsb_sweep", "polyhedron_of", "reference_solution", "without_rows"]
-
 Array: TypeAlias = NDArray[np.float64]
 Mask: TypeAlias = NDArray[np.bool_]
 
@@ -479,10 +477,7 @@ def _damped(
         return None
     n, pull = w.size, damping * w
     both = Level(
-        level.name,
-        np.vstack([level.J, damping * np.eye(n)]),
-        np.append(level.lower, pull),
-        np.append(level.high, pull),
+        level.name, np.vstack([level.J, damping * np.eye(n)]), np.append(level.lower, pull), np.append(level.high, pull)
     )
     solution = _solve_level(both, inside, rows, freedom=_Freedom.whole(n), cutoff=_NOTHING)
     status = "optimal" if solution.converged else "unconfirmed"

@@ -10,8 +10,6 @@ import numpy as np
 
 from surctl.errors import InputError, nearest
 
-__all__ = ["CUTOFF", "ZERO_ROW", "Fallback", "Mode", "Settings", "check_fallback"]
-
 CUTOFF = 1e-10
 """Singular values of a Jacobian J, or of J restricted to the null space of higher levels, below CUTOFF·‖J‖ count as
 0."""
@@ -96,9 +94,6 @@ def check_fallback(fallback: str, *, mode: str, damping: float = 0.0) -> None:
     if fallback not in known:
         raise InputError("is not known", key="fallback", value=fallback, remedy=nearest(str(fallback), known))
     if fallback != "exact" and (mode not in _BOUNDED or damping != 0.0):
-        raise InputError(
-            f"mode {mode} has none" if mode not in _BOUNDED else "cannot be combined with damping",
-            key="fallback",
-            value=fallback,
-            remedy=f"use mode {' or '.join(_BOUNDED)}" if mode not in _BOUNDED else "leave the damping out",
-        )
+        problem = f"mode {mode} has none" if mode not in _BOUNDED else "cannot be combined with damping"
+        remedy = f"use mode {' or '.join(_BOUNDED)}" if mode not in _BOUNDED else "leave the damping out"
+        raise InputError(problem, key="fallback", value=fallback, remedy=remedy)

@@ -11,8 +11,6 @@ import numpy as np
 from surctl.errors import InputError
 from surctl.priority.solver.elimination import as_matrix
 
-__all__ = ["LevelShape", "StackShape", "SymbolicLevel"]
-
 
 @dataclass(frozen=True)
 class LevelShape:
@@ -65,11 +63,8 @@ class StackShape:
             if not isinstance(level.rows, int | np.integer) or level.rows < 1:
                 raise InputError("is not a row count", key=f"level {place}", value=level.rows, remedy="give 1, 2, …")
             if level.is_set and level.rows > 1:
-                raise InputError(
-                    f"is set-based and has {level.rows} rows; a compiled set-based level has 1",
-                    key=f"level {place}",
-                    remedy="split it into one level for each row",
-                )
+                problem = f"is set-based and has {level.rows} rows; a compiled set-based level has 1"
+                raise InputError(problem, key=f"level {place}", remedy="split it into one level for each row")
 
     @property
     def rows(self) -> int:

@@ -19,8 +19,6 @@ from surctl.priority.problem import Level, PriorityProblem
 from surctl.priority.reference import nsb_sweep, polyhedron_of, reference_solution, without_rows
 from surctl.priority.settings import Mode, Settings
 
-__all__ = ["NOTICEABLE", "Outcome", "PrioritySolution", "PriorityTimeline", "explained", "residuals_at", "solve"]
-
 Array: TypeAlias = NDArray[np.float64]
 
 Outcome: TypeAlias = Literal["optimal", "limited", "relaxed", "unconfirmed", "clamped"]

@@ -14,8 +14,6 @@ from numpy.typing import ArrayLike, NDArray
 from surctl.errors import InputError
 from surctl.report.theme import AVOIDING, INK, dress, finite, new_axes
 
-__all__ = ["draw_cells", "draw_frame", "plot_cost_map", "value_range"]
-
 Array = NDArray[np.float64]
 
 _NUMBERS = 80  # largest number of cells in which values are written

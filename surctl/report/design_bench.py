@@ -25,11 +25,6 @@ from surctl.report.panel import Curve, Panel, Shade
 from surctl.system import LinearLoop, Record, System, entry_labels, entry_units, linearise, run_system
 from surctl.tuning.loop_goals import LoopGoal
 
-__all__ = [
-    "DesignBench", "RunView", "Slider", "SlowView", "SystemBench", "activity", "assessed_lines", "gain_file",
-    "replaceable",
-]  # fmt: skip
-
 Array = NDArray[np.float64]
 Values = Mapping[str, float]
 View = Literal["loop", "run", "decision"]

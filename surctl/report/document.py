@@ -16,21 +16,6 @@ from matplotlib.figure import Figure
 from surctl.assessment import Line
 from surctl.report.theme import png
 
-__all__ = [
-    "Block",
-    "Cell",
-    "Heading",
-    "Paragraph",
-    "Picture",
-    "Pictures",
-    "Player",
-    "Section",
-    "Table",
-    "outcome_cell",
-    "picture",
-    "render_sections",
-]
-
 Mark = Literal["", "good", "bad", "note"]
 
 

@@ -20,18 +20,6 @@ from surctl.verification.counterexample import Counterexample, Oracle, Replay, b
 from surctl.verification.proving.search import Cells, cells_of
 from surctl.verification.verdict import Verdict
 
-__all__ = [
-    "ClaimWords",
-    "MarginSlice",
-    "claim_words",
-    "margin_slice",
-    "plot_cells",
-    "plot_counterexample",
-    "plot_open_boxes",
-    "plot_replay",
-    "plot_slice",
-]
-
 _CELLS = 121
 _PROBES = 61
 
@@ -298,11 +286,8 @@ def _axes(claim: Claim, ends: Sequence[NDArray[np.float64]]) -> tuple[int, int]:
     width = np.maximum(claim.upper - claim.lower, 1e-300)
     free = [k for k, v in enumerate(claim.variables) if v.upper > v.lower]
     if len(free) < 2:
-        raise InputError(
-            "has fewer than two variables that vary",
-            key=f"claim {claim.name}",
-            remedy="there is no picture; the certificate lists its boxes",
-        )
+        remedy = "there is no picture; the certificate lists its boxes"
+        raise InputError("has fewer than two variables that vary", key=f"claim {claim.name}", remedy=remedy)
     share = np.mean((ends[1] - ends[0]) / width[:, None], axis=1)
     first, second = sorted(sorted(free, key=lambda k: float(share[k]))[:2])
     return first, second

@@ -14,8 +14,6 @@ from surctl.lyapunov import Dynamics
 from surctl.report.theme import AVOIDING, GOOD, INK, MUTED, ROBOT, dress, new_figure
 from surctl.verification.formula import Node
 
-__all__ = ["plot_motion"]
-
 Array = NDArray[np.float64]
 
 _MOST_PLANES = 6

@@ -25,8 +25,6 @@ from surctl.tuning.loop_scores import LoopScores, Score, judge_loops
 from surctl.verification.linear import LEAST_DISK_MARGIN
 from surctl.verification.sampled_margins import quick_margins
 
-__all__ = ["page", "plot_loop", "plot_loop_goals", "plot_loops", "plot_tightest", "respond"]
-
 Array = NDArray[np.float64]
 Loops = Mapping[str, LinearLoop]
 

@@ -14,8 +14,6 @@ from numpy.typing import NDArray
 
 from surctl.report.theme import BAD, CYCLE, INK, curve, dress, finite, legend_above, new_figure
 
-__all__ = ["Curve", "Panel", "Shade", "draw_panel", "draw_panels", "panel_svg"]
-
 Array = NDArray[np.float64]
 
 _WIDTH, _HEIGHT = 320.0, 222.0  # [px]

@@ -17,8 +17,6 @@ from surctl.errors import InputError
 from surctl.report.design_bench import DesignBench
 from surctl.report.page_parts import page, respond
 
-__all__ = ["serve"]
-
 _HOST = "127.0.0.1"
 _LONGEST = 1_000_000  # bytes of a request
 

@@ -35,16 +35,6 @@ from surctl.tuning import SystemSweep
 from surctl.verification import Inapplicable, LoopMargins
 from surctl.verification.linear import DiskMargin
 
-__all__ = [
-    "SystemStudy",
-    "disk_table",
-    "export_line",
-    "figures_table",
-    "margins_table",
-    "render_system_page",
-    "sil_blocks",
-]
-
 
 @dataclass(frozen=True)
 class SystemStudy:

@@ -32,16 +32,6 @@ from surctl.system import Record, Runs, System, entry_labels, entry_units
 from surctl.system.values import run_numbers
 from surctl.tuning import SobolIndices
 
-__all__ = [
-    "plot_attainable_rates",
-    "plot_dependence",
-    "plot_fan",
-    "plot_phase_plane",
-    "plot_record",
-    "plot_runs",
-    "plot_sobol_indices",
-]
-
 _NONE: Mapping[str, tuple[float, float]] = MappingProxyType({})
 
 

@@ -27,31 +27,6 @@ from numpy.typing import NDArray
 import surctl
 from surctl.files import write_file
 
-__all__ = [
-    "AVOIDING",
-    "BAD",
-    "CYCLE",
-    "GOOD",
-    "INK",
-    "MUTED",
-    "OBSTACLE",
-    "ROBOT",
-    "curve",
-    "dress",
-    "file_size",
-    "finite",
-    "head",
-    "interval",
-    "legend_above",
-    "legend_below",
-    "new_axes",
-    "new_figure",
-    "number",
-    "png",
-    "printable",
-    "save_figure",
-]
-
 
 def number(value: float | None, *, digits: int = 4) -> str:
     """Format a value with at most `digits` significant digits; None and NaN give "–", infinities "∞" or "-∞"."""

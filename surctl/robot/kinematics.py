@@ -16,17 +16,6 @@ from surctl.errors import InputError, nearest
 from surctl.ir import Port
 from surctl.robot.urdf import Joint, Urdf
 
-__all__ = [
-    "Base",
-    "Coordinate",
-    "Frame",
-    "Kinematics",
-    "about",
-    "quaternion_of",
-    "rotation_of",
-    "rotation_vector",
-]
-
 # Rotations as matrices, quaternions (x, y, z, w) and rotation vectors, in CasADi
 
 

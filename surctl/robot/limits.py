@@ -18,8 +18,6 @@ from surctl.robot.urdf import Capsule, closest_points, read_xml
 from surctl.tasks import LimitRow
 from surctl.units import is_number
 
-__all__ = ["JointLimits", "SelfCollision", "joint_limits", "self_collision", "stopping_speed"]
-
 
 def stopping_speed(distance: ca.SX, acceleration: float, dt: ca.SX) -> ca.SX:
     """Return the largest speed towards a limit that keeps it, if the speed falls by at most acceleration · dt a step.

@@ -23,18 +23,6 @@ from surctl.robot.urdf import Capsule, read_urdf
 from surctl.tasks import Task
 from surctl.units import is_number
 
-__all__ = [
-    "FrameTask",
-    "Input",
-    "Robot",
-    "RobotTask",
-    "com_task",
-    "frame_task",
-    "load_urdf",
-    "look_at_task",
-    "posture_task",
-]
-
 # Tasks of a robot: frames, centre of mass, posture and the direction in which a frame looks
 
 

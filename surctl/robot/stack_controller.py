@@ -38,8 +38,6 @@ from surctl.system import NONFINITE, Controller, Cost, Plant, System, run_system
 from surctl.tasks import Limit, SetTask, Stack, Task
 from surctl.units import is_number
 
-__all__ = ["StackController"]
-
 Array: TypeAlias = NDArray[np.float64]
 
 _BITS = {RELAXED: 1, UNCONFIRMED: 2, CLAMPED: 4}

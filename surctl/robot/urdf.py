@@ -16,18 +16,6 @@ from numpy.typing import NDArray
 
 from surctl.errors import InputError, nearest
 
-__all__ = [
-    "Capsule",
-    "Joint",
-    "JointType",
-    "Link",
-    "Mimic",
-    "Urdf",
-    "closest_points",
-    "read_urdf",
-    "read_xml",
-]
-
 # Capsules (and spheres) around the links of a robot, and the distance between two of them
 
 

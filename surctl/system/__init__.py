@@ -1,19 +1,12 @@
 """Closed loops of any plant and any sampled controller, for simulation, parameter sweeps and linearisation."""
 
-from surctl.system.controller import (
-    NONFINITE,
-    Action,
-    Controller,
-    ControllerStep,
-    SampledController,
-    Step,
-)
+from surctl.system.controller import NONFINITE, Action, Controller, ControllerStep, SampledController, Step
 from surctl.system.from_control import from_control, to_control
 from surctl.system.linear import Linearisation, Operating, find_equilibrium, linearise, linearise_plant
 from surctl.system.linear_loop import LinearLoop
 from surctl.system.loop import ENDED, LOST, Cost, Signals, System
-from surctl.system.parts import entry_labels, entry_units
-from surctl.system.plant import Parts, Plant
+from surctl.system.parts import Parts, entry_labels, entry_units
+from surctl.system.plant import Plant
 from surctl.system.record import Record, run_system, save_record
 from surctl.system.runs import Runs, periods, simulate_system
 from surctl.system.sampled import Sampled, message

@@ -16,18 +16,6 @@ from surctl.ir import Block, Layout, Port, Recording, identifier, replay, runnab
 from surctl.system.parts import EMPTY, Parts, called, checked_layout, joined, not_finite
 from surctl.units import is_number
 
-__all__ = [
-    "NONFINITE",
-    "Action",
-    "Controller",
-    "ControllerStep",
-    "SampledController",
-    "Step",
-    "command_ports",
-    "lost_entry",
-    "step_results",
-]
-
 Vector = NDArray[np.float64]
 
 _STATUS = Layout((Port("status", (1,), "1", "sum of bits"),))

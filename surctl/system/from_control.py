@@ -21,15 +21,6 @@ from surctl.system.loop import System
 from surctl.system.parts import entry_labels
 from surctl.system.plant import Plant
 
-__all__ = [
-    "controller_from_control",
-    "from_control",
-    "plant_from_control",
-    "state_space",
-    "system_from_control",
-    "to_control",
-]
-
 # A state space of a transfer function with several inputs and outputs (python-control needs slycot for it)
 
 

@@ -21,18 +21,6 @@ from surctl.system.plant import Plant
 from surctl.system.record import Record
 from surctl.system.values import RunNumbers, run_numbers
 
-__all__ = [
-    "Linearisation",
-    "Operating",
-    "find_equilibrium",
-    "law_function",
-    "linearise",
-    "linearise_plant",
-    "state_space",
-    "unresponsive",
-]
-
-
 # Operations of a function that have no finite value or derivative at a point
 
 

@@ -13,13 +13,6 @@ from numpy.typing import NDArray
 from surctl.errors import InputError, nearest
 from surctl.plotted import Plotted
 
-__all__ = [
-    "LinearLoop",
-    "LoopNames",
-    "expm",
-    "held_plant",
-]
-
 # The matrix exponential in NumPy: importing it from SciPy takes longer than many commands of surctl
 
 
@@ -205,12 +198,8 @@ class LinearLoop(Plotted):
             raise InputError("is missing", key="opening", remedy="name a command or a measured output")
         for name in openings:
             if name not in (*commands, *outputs):
-                raise InputError(
-                    "is not a signal of the loop",
-                    key="opening",
-                    value=name,
-                    remedy=nearest(name, (*commands, *outputs)),
-                )
+                remedy = nearest(name, (*commands, *outputs))
+                raise InputError("is not a signal of the loop", key="opening", value=name, remedy=remedy)
         if len(set(openings)) < len(openings):
             double = next(name for k, name in enumerate(openings) if name in openings[:k])
             raise InputError("is opened twice", key="opening", value=double, remedy="name each signal once")

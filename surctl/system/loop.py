@@ -21,8 +21,6 @@ from surctl.system.plant import Plant
 from surctl.system.sampled import CLOCK, Blocks, Sampled, connected
 from surctl.units import is_number
 
-__all__ = ["ENDED", "LOST", "Cost", "How", "Signals", "System", "once_per_system"]
-
 _FIGURE = Layout((Port("value", (1,), "1", "a figure"),))
 
 _MOST = 1000  # steps of integration in a control period
@@ -168,13 +166,7 @@ class System:
                 identifier(name)
             object.__setattr__(self, kind, MappingProxyType(dict(table)))
         self._check_blocks()
-        layouts = (
-            self.plant.state,
-            self.measurements,
-            self.commands,
-            self.controller.inputs,
-            self.controller.gains,
-        )
+        layouts = (self.plant.state, self.measurements, self.commands, self.controller.inputs, self.controller.gains)
         named = {port.name for layout in layouts for port in layout}
         if ENDED in self.stops:
             remedy = "choose another name for the stop"

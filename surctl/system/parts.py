@@ -13,19 +13,6 @@ from surctl.errors import InputError, nearest
 from surctl.ir import Layout, Port, identifier
 from surctl.own_code import remedy_of
 
-__all__ = [
-    "EMPTY",
-    "Parts",
-    "called",
-    "checked_layout",
-    "entry_labels",
-    "entry_units",
-    "expression",
-    "joined",
-    "not_finite",
-    "symbolic",
-]
-
 Parts: TypeAlias = Mapping[str, ca.SX]
 EMPTY = Layout(())
 _FLOAT = "__float__"

@@ -13,8 +13,6 @@ from surctl.errors import InputError
 from surctl.ir import Block, Layout, Recording, identifier, without_libm
 from surctl.system.parts import EMPTY, Parts, called, checked_layout, joined
 
-__all__ = ["Parts", "Plant"]
-
 
 @dataclass(frozen=True, eq=False)
 class Plant:

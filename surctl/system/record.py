@@ -23,13 +23,6 @@ from surctl.system.parts import entry_labels, entry_units, not_finite
 from surctl.system.runs import moved_state, periods
 from surctl.system.values import run_numbers
 
-__all__ = [
-    "Record",
-    "identity",
-    "run_system",
-    "save_record",
-]
-
 Array = NDArray[np.float64]
 
 

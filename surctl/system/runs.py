@@ -30,8 +30,6 @@ from surctl.plotted import Plotted
 from surctl.system.loop import ENDED, LOST, Cost, System, once_per_system
 from surctl.system.values import run_numbers
 
-__all__ = ["Runs", "loop_program", "moved_state", "periods", "simulate_system"]
-
 Array = NDArray[np.float64]
 
 _FINITE = 1e300  # numbers with a larger absolute value count as infinite
@@ -132,12 +130,8 @@ def periods(system: System, seconds: float) -> int:
     """
     steps = round(seconds / system.dt) if np.isfinite(seconds) else 0
     if steps < 1:
-        raise InputError(
-            "is not a duration of a run",
-            key="seconds",
-            value=seconds,
-            remedy=f"give at least a period, {system.dt:g} s",
-        )
+        remedy = f"give at least a period, {system.dt:g} s"
+        raise InputError("is not a duration of a run", key="seconds", value=seconds, remedy=remedy)
     return steps
 
 

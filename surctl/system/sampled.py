@@ -16,8 +16,6 @@ from surctl.noise import NOISE_STATE, draw_normals, draw_uniforms, remainder
 from surctl.system.parts import EMPTY, Parts, called, checked_layout, joined
 from surctl.units import is_number
 
-__all__ = ["CLOCK", "Blocks", "Sampled", "connected", "message"]
-
 CLOCK = Layout((Port("time", (1,), "s", "time since the start"),))
 """What every block can read, unless a signal of the loop has this name."""
 

@@ -14,8 +14,6 @@ from surctl.errors import InputError, nearest
 from surctl.own_code import is_own, label, object_of, pinned
 from surctl.system.loop import System
 
-__all__ = ["SUBJECTS", "LoadedSystem", "is_subject", "load_subject", "registered_subjects"]
-
 SUBJECTS = "surctl.subjects"
 """Group of entry points under which a package registers functions that return a `System`."""
 

@@ -16,8 +16,6 @@ from surctl.system.loop import System
 from surctl.system.parts import entry_units
 from surctl.units import is_number
 
-__all__ = ["RunNumbers", "check_scalar", "checked_ranges", "every_combination", "place_of", "run_numbers", "unit_of"]
-
 Array = NDArray[np.float64]
 _NAME = re.compile(r"(?:(?P<group>\w+)\.)?(?P<port>\w+)(?:\[(?P<entry>\d+)\])?")
 _NAMED = 4  # largest number of entries that a message names
@@ -79,11 +77,8 @@ def run_numbers(system: System, values: Mapping[str, ArrayLike]) -> RunNumbers:
             raise InputError("is not finite", key=name, remedy="give finite numbers")
         size = place.stop - place.start
         if array.ndim == 1 and size > 1:
-            raise InputError(
-                f"has {len(array)} numbers, which are either one run or one number for each run",
-                key=name,
-                remedy=f"give shape (1, {size}) for one run, (n, {size}) for n runs",
-            )
+            problem = f"has {len(array)} numbers, which are either one run or one number for each run"
+            raise InputError(problem, key=name, remedy=f"give shape (1, {size}) for one run, (n, {size}) for n runs")
         if array.ndim > 2 or (array.ndim == 2 and array.shape[1] != size):
             raise InputError(f"has shape {array.shape}", key=name, remedy=f"give a number, (n,) or (n, {size})")
         if array.ndim:

@@ -28,25 +28,6 @@ from surctl.recorded_write import Column, write_netcdf
 from surctl.store import RESUME, ChunkStore
 from surctl.tuning.design import Axis, Design, Span
 
-__all__ = [
-    "TABLE",
-    "Chunk",
-    "Columns",
-    "DaskExecutor",
-    "Evaluator",
-    "Executor",
-    "LocalExecutor",
-    "Progress",
-    "SweepStage",
-    "axis_columns",
-    "chunk_size",
-    "evaluated_chunks",
-    "finished_table",
-    "netcdf_name",
-    "run_chunks",
-    "swept_file",
-]
-
 Chunk = tuple[int, NDArray[np.float64]]
 """Index of a chunk, and the points (rows, axes) of the chunk."""
 
@@ -181,22 +162,15 @@ class DaskExecutor:
         try:
             client = distributed.Client(self.address, timeout=_CONNECT_TIMEOUT, set_as_default=False)
         except (OSError, TimeoutError, ValueError, ImportError) as error:
-            raise InputError(
-                f"no scheduler replies ({type(error).__name__})",
-                key="--dask",
-                value=self.address,
-                remedy="start one with `dask scheduler` and give its address, such as tcp://127.0.0.1:8786",
-            ) from None
+            problem = f"no scheduler replies ({type(error).__name__})"
+            remedy = "start one with `dask scheduler` and give its address, such as tcp://127.0.0.1:8786"
+            raise InputError(problem, key="--dask", value=self.address, remedy=remedy) from None
         try:
             client.wait_for_workers(1, timeout=_CONNECT_TIMEOUT)
         except TimeoutError:
             client.close()
-            raise InputError(
-                "the scheduler has no worker",
-                key="--dask",
-                value=self.address,
-                remedy=f"start one with `dask worker {self.address}`",
-            ) from None
+            remedy = f"start one with `dask worker {self.address}`"
+            raise InputError("the scheduler has no worker", key="--dask", value=self.address, remedy=remedy) from None
         return client
 
 

@@ -13,24 +13,6 @@ from numpy.typing import NDArray
 
 from surctl.errors import InputError, nearest
 
-__all__ = [
-    "DESIGNS",
-    "MOST_POINTS",
-    "ONE_POINT",
-    "SEED",
-    "Axis",
-    "Design",
-    "DesignName",
-    "Span",
-    "default_range",
-    "grid",
-    "make_design",
-    "parse_axis",
-    "random_draws",
-    "saltelli",
-    "spread",
-]
-
 _SPREAD = 4.0
 
 MOST_POINTS = 10_000_000
@@ -346,11 +328,8 @@ def make_design(
             )
         for axis in axes:
             if isinstance(axis, Span):
-                raise InputError(
-                    "a grid needs the number of values",
-                    key=f"axis {axis.name}",
-                    remedy=f"write {axis.name}={axis.low:g}..{axis.high:g}:COUNT, or choose --design lhs",
-                )
+                remedy = f"write {axis.name}={axis.low:g}..{axis.high:g}:COUNT, or choose --design lhs"
+                raise InputError("a grid needs the number of values", key=f"axis {axis.name}", remedy=remedy)
         return grid([axis for axis in axes if isinstance(axis, Axis)])
     spans = _spans(axes, kind)
     if count is None:
@@ -362,12 +341,8 @@ def _spans(axes: Sequence[Axis | Span], kind: str) -> tuple[Span, ...]:
     _check_names(axes)
     for axis in axes:
         if isinstance(axis, Axis):
-            raise InputError(
-                f"{kind} needs a range, not values",
-                key=f"axis {axis.name}",
-                value=axis.values,
-                remedy=f"write {axis.name}=LOW..HIGH",
-            )
+            problem = f"{kind} needs a range, not values"
+            raise InputError(problem, key=f"axis {axis.name}", value=axis.values, remedy=f"write {axis.name}=LOW..HIGH")
     return tuple(axis for axis in axes if isinstance(axis, Span))
 
 

@@ -20,22 +20,6 @@ from surctl.tuning.loop_goals import LoopGoal
 from surctl.tuning.loop_scores import LoopScores, judge_loops, operating_loops
 from surctl.tuning.loop_time_goals import Overshoot, Settling, StepRejection, StepTracking
 
-__all__ = [
-    "GOALS",
-    "LIBRARY",
-    "NO_POINTS",
-    "GoalSearch",
-    "GoalTable",
-    "GoalsFile",
-    "Over",
-    "Plants",
-    "RunGoal",
-    "load_loop_goals",
-    "load_system_goals",
-    "not_representative",
-    "step_goals",
-]
-
 LIBRARY = Path(__file__).parent / "library"
 
 Over = Literal["worst", "mean"]

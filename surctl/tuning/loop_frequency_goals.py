@@ -14,8 +14,6 @@ from surctl.system import LinearLoop
 from surctl.tuning.loop_goals import Between, Bound, Judgement, LoopView, Opened, Profile
 from surctl.tuning.loop_responses import frequencies, loop_gains, response, sensitivities_at
 
-__all__ = ["Effort", "LoopShape", "MaxGain", "Rejection", "SensitivityBound", "Tracking"]
-
 Array = NDArray[np.float64]
 _TINY = 1e-12
 _SIDES = ("both", "above", "below")

@@ -14,8 +14,6 @@ from surctl.tuning.loop_frequency_goals import Effort, LoopShape, MaxGain, Rejec
 from surctl.tuning.loop_goals import Bound, LoopGoal, Profile
 from surctl.tuning.loop_time_goals import Margins, Overshoot, Poles, Settling, StepRejection, StepTracking
 
-__all__ = ["LOOP_GOAL_KEYS", "LoopGoalTable", "PointTable", "check_points", "loop_goal"]
-
 Side = Literal["both", "above", "below"]
 
 

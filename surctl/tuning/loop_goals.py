@@ -20,8 +20,6 @@ from surctl.system import LinearLoop
 from surctl.tuning.loop_responses import stable
 from surctl.units import in_unit
 
-__all__ = ["Between", "Bound", "Judgement", "LoopGoal", "LoopView", "Opened", "Profile"]
-
 Array = NDArray[np.float64]
 
 

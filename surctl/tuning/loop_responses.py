@@ -10,18 +10,6 @@ from numpy.typing import NDArray
 from surctl.system import LinearLoop
 from surctl.verification.linear import balanced
 
-__all__ = [
-    "REMAINDER",
-    "frequencies",
-    "held_step",
-    "loop_gains",
-    "rates",
-    "response",
-    "sensitivities_at",
-    "stable",
-    "step_series",
-]
-
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 Matrices = tuple[Array, Array, Array, Array]

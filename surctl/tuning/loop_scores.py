@@ -14,8 +14,6 @@ from surctl.system import LinearLoop, System, linearise
 from surctl.tuning.loop_goal_file import check_points
 from surctl.tuning.loop_goals import Judgement, LoopGoal
 
-__all__ = ["LoopScores", "Score", "judge_loops", "operating_loops"]
-
 
 @dataclass(frozen=True, eq=False)
 class Score:

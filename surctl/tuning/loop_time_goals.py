@@ -14,8 +14,6 @@ from surctl.tuning.loop_goals import Between, Judgement, LoopGoal, LoopView, Ope
 from surctl.tuning.loop_responses import REMAINDER, held_step, rates, step_series
 from surctl.verification.sampled_margins import quick_margins
 
-__all__ = ["Margins", "Overshoot", "Poles", "Settling", "StepRejection", "StepTracking"]
-
 Array = NDArray[np.float64]
 _BAND = 0.02  # of the final value, as in step_info of python-control
 _UNIT = 1e-3  # largest distance from 1 of the gain of a reference model at frequency 0

@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 from surctl.files import write_file
 from surctl.store import ChunkStore
 
-__all__ = ["Batches", "Journal", "SearchRange", "evolve"]
-
 Array = NDArray[np.float64]
 
 _STORE = "tune.chunks"

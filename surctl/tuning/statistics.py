@@ -12,8 +12,6 @@ from surctl.errors import InputError
 from surctl.plotted import Plotted
 from surctl.tuning.design import Design
 
-__all__ = ["Share", "SobolIndices", "sobol_indices"]
-
 
 @dataclass(frozen=True)
 class Share:
@@ -35,12 +33,8 @@ class Share:
         if self.runs < 1:
             raise InputError("must be at least 1", key="runs", value=self.runs, remedy="simulate at least one run")
         if not 0 <= self.count <= self.runs:
-            raise InputError(
-                "is not between 0 and the number of runs",
-                key="count",
-                value=self.count,
-                remedy=f"give 0 to {self.runs}",
-            )
+            remedy = f"give 0 to {self.runs}"
+            raise InputError("is not between 0 and the number of runs", key="count", value=self.count, remedy=remedy)
 
     @property
     def rate(self) -> float:
@@ -148,12 +142,8 @@ def sobol_indices(design: Design, values: NDArray[np.float64], column: str, *, s
     names = design.names
     lost = int((~np.isfinite(values)).sum())
     if lost:
-        raise InputError(
-            f"is not a finite number at {lost} of {values.size} points",
-            key="sensitivity",
-            value=column,
-            remedy="choose another column or narrower ranges",
-        )
+        problem = f"is not a finite number at {lost} of {values.size} points"
+        raise InputError(problem, key="sensitivity", value=column, remedy="choose another column or narrower ranges")
     parts = values.reshape(len(names) + 2, -1)
     base = parts.shape[1]
     if np.ptp(values) == 0:

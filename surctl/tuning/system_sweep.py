@@ -44,8 +44,6 @@ from surctl.tuning.chunked import (
 )
 from surctl.tuning.design import MOST_POINTS, SEED, Design
 
-__all__ = ["Choice", "SystemSweep", "chosen_points", "sweep_system"]
-
 Array = NDArray[np.float64]
 
 _NONE: Mapping[str, Any] = MappingProxyType({})
@@ -143,9 +141,7 @@ class Choice:
 
 
 def chosen_points(
-    swept: SystemSweep,
-    values: Mapping[str, ArrayLike] = _NONE,
-    ranges: Mapping[str, tuple[float, float]] | None = None,
+    swept: SystemSweep, values: Mapping[str, ArrayLike] = _NONE, ranges: Mapping[str, tuple[float, float]] | None = None
 ) -> dict[str, Choice]:
     """Return for each cost the point with its least value at which the bounds of all costs and the margins hold.
 

@@ -22,8 +22,6 @@ from surctl.tuning.search import Batches, Journal, SearchRange, evolve
 from surctl.tuning.system_sweep import request_digest
 from surctl.verification.linear import LEAST_DISK_MARGIN
 
-__all__ = ["SystemTuning", "tune_system"]
-
 Array: TypeAlias = NDArray[np.float64]
 
 _POPULATION = 15  # gain sets of a generation per gain

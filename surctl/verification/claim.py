@@ -13,8 +13,6 @@ from numpy.typing import NDArray
 from surctl.errors import InputError, nearest
 from surctl.verification.formula import Statement
 
-__all__ = ["Claim", "Motion", "Variable", "VerdictWord"]
-
 VerdictWord = Literal["proved", "refuted", "unknown", "not refuted"]
 """A claim is `proved` with a certificate, `refuted` with a counterexample, or `unknown` if neither was found.
 `not refuted` is the verdict of the falsifier alone, which cannot prove a claim."""

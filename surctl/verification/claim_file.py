@@ -28,8 +28,6 @@ from surctl.verification.formula import (
 )
 from surctl.verification.proving import statement_of
 
-__all__ = ["VariableTable", "load_claim", "write_claim"]
-
 
 class VariableTable(Strict):
     """A variable of a file: its bounds, unit and meaning."""

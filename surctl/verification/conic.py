@@ -8,8 +8,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Inequality", "minimise", "symmetric_basis"]
-
 Array = NDArray[np.float64]
 Inequality = tuple[Array, Array]
 """The matrices F0 (k, n, n) and F (k, m, n, n) of k inequalities in m unknowns."""

@@ -17,16 +17,6 @@ from surctl.ir import on_columns, on_vectors
 from surctl.verification.claim import Claim, Motion
 from surctl.verification.formula import Statement, values_of
 
-__all__ = [
-    "Counterexample",
-    "Oracle",
-    "Origin",
-    "Replay",
-    "build_oracle",
-    "evaluate",
-    "replay",
-]
-
 # Functions that the falsifier evaluates: margin, constraints and exact gradients of a claim on the unit box
 
 
@@ -180,12 +170,8 @@ class Counterexample:
             margin = math.nan if undefined else float(table["margin"])
             return cls(values, margin, str(table["unit"]), origin, undefined)
         except (KeyError, TypeError, ValueError, AttributeError) as error:
-            raise InputError(
-                "is not a counterexample",
-                key="counterexample",
-                value=str(error),
-                remedy="give values, margin and unit",
-            ) from None
+            remedy = "give values, margin and unit"
+            raise InputError("is not a counterexample", key="counterexample", value=str(error), remedy=remedy) from None
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,8 +20,6 @@ from surctl.verification.formula import Statement
 from surctl.verification.proving import certain_excess, prove
 from surctl.verification.verdict import Verdict
 
-__all__ = ["confirmed", "decide"]
-
 _INSIDE = 1e-9  # first distance by which a point is moved into the domain, in the constraint's unit
 _MOVES = 6
 _TOLERANCES, _HELP = (1e-6, 1e-3), 0.1  # tried for an undecided claim; share of its time limit for each

@@ -17,14 +17,6 @@ from surctl.verification.formula import Node, Statement, number, ordered, power,
 from surctl.verification.proving.tape import build_tape
 from surctl.verification.proving.touching import vanishes
 
-__all__ = [
-    "UNDEFINED",
-    "Pointwise",
-    "exceeding",
-    "special_points",
-    "undefined_at",
-]
-
 # Values of expressions at one rational point, in intervals of 256 bits; whether a value exists at all is decided too.
 #
 # Doubles lose digits where large numbers cancel, and a value at which an expression is not defined (1/0, the logarithm

@@ -16,8 +16,6 @@ from surctl.verification.claim import Claim
 from surctl.verification.counterexample import Counterexample, Oracle, build_oracle
 from surctl.verification.verdict import Verdict
 
-__all__ = ["Search", "falsify", "search", "sobol"]
-
 _APART = 0.1  # least distance between two starting points in the unit box, divided by the root of the dimension
 
 
@@ -120,20 +118,13 @@ def _require_finite(
     broken = np.flatnonzero(inside & ~np.isfinite(margin))
     if broken.size:
         where = oracle.claim.values(oracle.place(unit[:, broken[0]]))
-        raise InputError(
-            "is not finite inside its domain",
-            key=f"claim {oracle.claim.name}",
-            value=where,
-            remedy="exclude this part of the domain",
-        )
+        problem = "is not finite inside its domain"
+        remedy = "exclude this part of the domain"
+        raise InputError(problem, key=f"claim {oracle.claim.name}", value=where, remedy=remedy)
 
 
 def _choose_starts(
-    oracle: Oracle,
-    unit: NDArray[np.float64],
-    margin: NDArray[np.float64],
-    inside: NDArray[np.bool_],
-    starts: int,
+    oracle: Oracle, unit: NDArray[np.float64], margin: NDArray[np.float64], inside: NDArray[np.bool_], starts: int
 ) -> NDArray[np.float64]:
     """Return the worst samples (n, ≤ starts) that are far enough apart.
 

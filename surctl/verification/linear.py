@@ -29,24 +29,6 @@ from surctl.errors import InputError
 from surctl.ir.cache import stored_numbers
 from surctl.verification.loops import golden_section
 
-__all__ = [
-    "LEAST_DISK_MARGIN",
-    "DiskMargin",
-    "OpenLoop",
-    "Sensitivity",
-    "balanced",
-    "blockwise",
-    "disk_margin",
-    "disk_profile",
-    "distinct",
-    "eigenvalues",
-    "independent",
-    "quick_disk_margin",
-    "screened_peaks",
-    "sensitivity_of",
-    "structured_bounds",
-]
-
 # Independent parts of linear loops, each computed once: the axes of a vehicle, and corners that differ elsewhere
 
 

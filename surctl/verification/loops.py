@@ -15,21 +15,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = [
-    "LEAST_DELAY_MARGIN",
-    "BrokenLoop",
-    "Crossings",
-    "LeastDelay",
-    "LoopMargins",
-    "SensitivityShape",
-    "crossings_of",
-    "delays_of",
-    "golden_section",
-    "margins_from",
-    "shape_of",
-    "state_blocks",
-]
-
 Array = NDArray[np.float64]
 
 _LOWEST = 1e-4  # [rad/s]

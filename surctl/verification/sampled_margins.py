@@ -19,14 +19,6 @@ from surctl.system.values import checked_ranges
 from surctl.verification.linear import DiskMargin, OpenLoop, disk_margin
 from surctl.verification.loops import BrokenLoop, LeastDelay, LoopMargins, crossings_of, delays_of, margins_from
 
-__all__ = [
-    "LoopCorners",
-    "SampledLoop",
-    "SystemLoop",
-    "corners_of",
-    "system_corners",
-]
-
 Array = NDArray[np.float64]
 
 __all__ = ["quick_margins", "system_disk_margin", "system_margins"]

@@ -9,8 +9,6 @@ import numpy as np
 
 from surctl.errors import InputError
 
-__all__ = ["OVERSHOOT", "Setting", "setting_from"]
-
 OVERSHOOT = 0.25 / 0.22  # ratio of the robot's speed to its commanded speed that the braking claims assume
 _FASTEST = 0.25  # [m/s] least upper bound of the robot's speed in the braking claims
 _ALIASES = {"margin": "standoff"}  # name of d_s in the gain file
@@ -60,19 +58,12 @@ class Setting:
             if not (np.isfinite(value) and value > 0):
                 raise InputError("must be greater than 0", key=entry.name, value=value, remedy="correct the gain")
         if self.speed_max < self.speed:
-            raise InputError(
-                f"must not be below the speed of the path's target, {self.speed:g} m/s",
-                key="speed_max",
-                value=self.speed_max,
-                remedy="raise it",
-            )
+            problem = f"must not be below the speed of the path's target, {self.speed:g} m/s"
+            raise InputError(problem, key="speed_max", value=self.speed_max, remedy="raise it")
         if self.obstacle_speed >= self.avoidance_speed:
-            raise InputError(
-                f"must be less than the avoidance speed, {self.avoidance_speed:g} m/s",
-                key="obstacle_speed",
-                value=self.obstacle_speed,
-                remedy="lower it: law (20) has no equilibrium in front of a faster obstacle",
-            )
+            problem = f"must be less than the avoidance speed, {self.avoidance_speed:g} m/s"
+            remedy = "lower it: law (20) has no equilibrium in front of a faster obstacle"
+            raise InputError(problem, key="obstacle_speed", value=self.obstacle_speed, remedy=remedy)
 
 
 def setting_from(gains: Mapping[str, float] | None) -> Setting:

@@ -56,19 +56,6 @@ from surctl.verification.formula import Node, from_casadi, rebuilt, to_casadi
 from surctl.verification.proving import prove
 from surctl.verification.proving.tape import build_tape
 
-__all__ = [
-    "Coupling",
-    "LevelCondition",
-    "PairCondition",
-    "StackConditions",
-    "comparison_converges",
-    "couplings",
-    "prove_sine",
-    "prove_strength",
-    "simplified",
-    "stack_conditions",
-]
-
 # Properties of a task that follow from its expressions, without evaluation at numbers
 
 

@@ -11,8 +11,6 @@ from surctl.errors import NotApplicable
 from surctl.verification.claim import Claim, VerdictWord
 from surctl.verification.counterexample import Counterexample
 
-__all__ = ["Inapplicable", "Verdict"]
-
 
 @dataclass(frozen=True)
 class Inapplicable:

@@ -43,8 +43,6 @@ from surctl.marine.control import NONFINITE, Law, LawStep, in_real
 from surctl.marine.simulation.metrics import GONE, LATE
 from surctl.noise import NoiseStream
 
-__all__ = ["ClosedForm", "CompiledLaw", "LinkFaults", "LinkReport", "LinkedLaw", "closed_form"]
-
 Vector = NDArray[np.float64]
 
 
@@ -112,11 +110,8 @@ def closed_form(law: Law, *, real: Real = "float64", constants: Vector | None = 
     """
     closed = law.mode == "nsb" and law.perception is None and law.base is None
     if law.perception is not None and constants is not None:
-        raise InputError(
-            "are only for laws without perception",
-            key="constant-gains",
-            remedy="set --sensing truth, or omit this option",
-        )
+        remedy = "set --sensing truth, or omit this option"
+        raise InputError("are only for laws without perception", key="constant-gains", remedy=remedy)
     if not closed:
         single = in_real(law, real)
         if constants is None:
@@ -298,20 +293,14 @@ class LinkedLaw:
             self.shipped, self.gains = self._shipped(who.id)
             self.identity = law_id(self.shipped, self.gains, real=self.real)
             if who.id != self.identity:
-                raise InputError(
-                    f"runs controller {who.id[:12]} in {who.real}, but these options give {self.identity[:12]}",
-                    key="controller",
-                    value=self.line.name,
-                    remedy="export it with the same scenario, vehicle, gains, law, sensing and --real",
-                )
+                problem = f"runs controller {who.id[:12]} in {who.real}, but these options give {self.identity[:12]}"
+                remedy = "export it with the same scenario, vehicle, gains, law, sensing and --real"
+                raise InputError(problem, key="controller", value=self.line.name, remedy=remedy)
             self.line.start(self.identity)
         except LineDown as reason:
-            raise InputError(
-                str(reason).removeprefix(self.line.name).strip(),
-                key="controller",
-                value=self.line.name,
-                remedy="start the controller of the bundle: make controller && ./controller PORT",
-            ) from None
+            problem = str(reason).removeprefix(self.line.name).strip()
+            remedy = "start the controller of the bundle: make controller && ./controller PORT"
+            raise InputError(problem, key="controller", value=self.line.name, remedy=remedy) from None
         self._noise = NoiseStream(_STREAM + self.faults.seed)
         self._late = int(np.ceil(self.faults.delay / self.law.dt - 1e-9))
         self._believed = int(np.floor(self.faults.deadline / self.law.dt + 1e-9))

@@ -15,8 +15,6 @@ from surctl.marine.guidance.braking import brakes_of
 from surctl.marine.simulation import Scenario
 from surctl.marine.vehicle import Vehicle
 
-__all__ = ["gain_orders", "operating_envelope"]
-
 Vector = NDArray[np.float64]
 _Box = Mapping[str, list[tuple[float, float]]]
 

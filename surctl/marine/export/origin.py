@@ -32,8 +32,6 @@ from surctl.verification import Claim
 from surctl.verification.formula import text_of
 from surctl.verification.proving import statement_of
 
-__all__ = ["Origin", "check_belonging", "fitting_certificates", "load_certificates", "manifest_of", "origin_of"]
-
 Vector = NDArray[np.float64]
 
 _CERTIFIED = "certified_law.txt"
@@ -208,11 +206,9 @@ def check_belonging(manifest: Mapping[str, Any], files: Mapping[str, str], origi
     for name, document in (origin.certificates or {}).items():
         comparison = compare(document, read_back)
         if not comparison.belongs:
-            raise InputError(
-                f"is not about this controller: {'; '.join((*comparison.differs, *comparison.unbound))}",
-                key=name.removeprefix("certificate-"),
-                remedy=f"prove the claim for these speeds, these gains and this vehicle: {command}",
-            )
+            problem = f"is not about this controller: {'; '.join((*comparison.differs, *comparison.unbound))}"
+            remedy = f"prove the claim for these speeds, these gains and this vehicle: {command}"
+            raise InputError(problem, key=name.removeprefix("certificate-"), remedy=remedy)
 
 
 def fitting_certificates(paths: Sequence[Path], law: Law, vehicle: Vehicle, p: Vector) -> list[Path]:

@@ -26,8 +26,6 @@ from surctl.marine.sensing import INCIDENCE_LIMITS, Equipment, SonarArray
 from surctl.marine.sensing.localisation.own_state import LONGEST_AGE, LONGEST_LATENCY
 from surctl.marine.vehicle import Actuators
 
-__all__ = ["build_bundle"]
-
 
 def _is_fed(law: Exportable) -> bool:
     """Return whether a law follows a path whose waypoints, depth, speed and visits its host can feed."""

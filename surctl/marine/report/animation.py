@@ -48,21 +48,6 @@ from surctl.report.theme import BAD, GOOD, INK, MUTED, OBSTACLE, ROBOT, dress, f
 if TYPE_CHECKING:
     from surctl.marine.engine import EngineOptions, Moment
 
-__all__ = [
-    "check_animation",
-    "check_film",
-    "film_frames",
-    "film_pictures",
-    "frame_steps",
-    "frames",
-    "moment_of",
-    "mp4",
-    "player",
-    "player_frames",
-    "save_animation",
-    "save_film",
-]
-
 # Films as MP4, by the program ffmpeg or, without it, by the package PyAV
 
 

@@ -35,8 +35,6 @@ from surctl.system import LinearLoop
 from surctl.tuning import LoopGoal
 from surctl.verification import Inapplicable, Verdict, decide
 
-__all__ = ["Bench", "save_gains"]
-
 _PATIENCE = 10.0  # [s] time limit of each proof
 _RUN_FIGURES = (
     "time_s",

@@ -33,8 +33,6 @@ from surctl.report.evidence import margin_slice, plot_counterexample, plot_slice
 from surctl.report.theme import number
 from surctl.verification import Counterexample, Verdict
 
-__all__ = ["claims_section", "decisive_section", "runs_section", "simulate_command"]
-
 
 def _gains_argument(gains: Gains, gains_file: str) -> str | None:
     """Return the value of `--gains`: `gains_file`, or the file of unchanged gains; None if neither has these gains."""

@@ -43,8 +43,6 @@ from surctl.report.theme import (
 from surctl.verification import Verdict
 from surctl.verification.linear import stored_disk_margin
 
-__all__ = ["plot_portrait", "plot_region", "run_labels", "save_margins", "save_run", "save_tuning", "save_verdicts"]
-
 # The plots that `surctl verify --out` writes: margins, refuted claims, boxes of proofs, and regions
 
 

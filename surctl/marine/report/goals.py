@@ -37,20 +37,6 @@ from surctl.report.theme import (
     printable,
 )
 
-__all__ = [
-    "COLUMN_TITLES",
-    "GoalBars",
-    "GoalView",
-    "axis_title",
-    "goal_bars",
-    "goal_views",
-    "plot_front",
-    "plot_goal_bars",
-    "plot_goal_view",
-    "plot_heat_map",
-    "plot_parallel",
-]
-
 # Plots of sweeps over any number of axes: heat maps and parallel coordinates
 
 

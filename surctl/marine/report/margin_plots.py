@@ -17,8 +17,6 @@ from surctl.marine.verification import Locus
 from surctl.report.theme import AVOIDING, BAD, INK, MUTED, curve, dress, legend_above, new_axes, new_figure, printable
 from surctl.verification.linear import DiskMargin, OpenLoop, disk_profile
 
-__all__ = ["plot_disk_margins", "plot_locus"]
-
 
 def plot_disk_margins(loops: Sequence[tuple[OpenLoop, DiskMargin]], *, highest: float) -> Figure:
     """Plot the disk margin α over frequency, and the gain and phase changes that all loops tolerate at once.

@@ -22,8 +22,6 @@ from surctl.report.system_page import figures_table
 from surctl.report.theme import interval, number
 from surctl.verification import Claim, Inapplicable, Verdict
 
-__all__ = ["findings_section", "render_page", "write_page"]
-
 _Row = tuple[Cell | str, ...]
 _WIDTHS = (12, 11, 34, 27, 16)  # [%]
 _LEADS = {"proved": "It is proved that", "refuted": "It is not true that"}

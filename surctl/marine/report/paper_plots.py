@@ -13,8 +13,6 @@ from surctl.marine.simulation import Run
 from surctl.marine.simulation.run import path_depths
 from surctl.report.theme import BAD, curve, dress, head, legend_above, legend_below, new_axes, new_figure, printable
 
-__all__ = ["plot_coordinates", "plot_position_errors", "plot_series"]
-
 
 def plot_coordinates(runs: Sequence[Run], *, title: str) -> Figure:
     """Plot x, y and z in the world frame {E} [m] of each run over time [s].

@@ -20,20 +20,6 @@ from surctl.marine.world import Box, Disc, Heights, Wall
 from surctl.own_code import label
 from surctl.report.theme import AVOIDING, GOOD, INK, MUTED, OBSTACLE, ROBOT, dress, legend_below, new_axes, printable
 
-__all__ = [
-    "INSTANT",
-    "Beam",
-    "beam_patch",
-    "beams_at",
-    "body_middle",
-    "body_outline",
-    "box_corners",
-    "describe",
-    "draw_ends",
-    "draw_site",
-    "plot_run",
-]
-
 INSTANT = "#6D28D9"
 """Colour that marks the instant at which sonar beams are shown."""
 

@@ -36,17 +36,6 @@ from surctl.report.theme import file_size, number
 from surctl.system import LinearLoop
 from surctl.verification import Inapplicable, LoopMargins, Verdict
 
-__all__ = [
-    "ExportSummary",
-    "ReportData",
-    "export_section",
-    "gains_section",
-    "loops_section",
-    "sweep_section",
-    "time_section",
-    "vehicle_section",
-]
-
 
 @dataclass(frozen=True, kw_only=True)
 class ExportSummary:
@@ -129,11 +118,8 @@ class ReportData:
 
     def __post_init__(self) -> None:
         if self.deciding is not None and len(self.deciding) != len(self.runs):
-            raise InputError(
-                f"has {len(self.deciding)} entries for {len(self.runs)} runs",
-                key="deciding",
-                remedy="give one entry per run",
-            )
+            problem = f"has {len(self.deciding)} entries for {len(self.runs)} runs"
+            raise InputError(problem, key="deciding", remedy="give one entry per run")
 
     @property
     def decides(self) -> tuple[bool, ...]:

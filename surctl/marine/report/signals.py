@@ -33,19 +33,6 @@ from surctl.report.theme import (
     printable,
 )
 
-__all__ = [
-    "plot_clearance",
-    "plot_force",
-    "plot_moment",
-    "plot_path_error",
-    "plot_priority",
-    "plot_run_signals",
-    "plot_velocity",
-    "plot_yaw_rate",
-    "relaxation_text",
-    "spans",
-]
-
 _UNKNOWN = 50.0  # [m] a larger nearest distance in the telemetry means that the law knows no contact
 
 

@@ -12,9 +12,6 @@ from numpy.typing import NDArray
 from surctl.marine.sensing import Replay, SensorCalibration
 from surctl.report.theme import AVOIDING, BAD, GOOD, INK, MUTED, ROBOT, dress, head, legend_above, new_figure
 
-__all__ = ["plot_calibration", "plot_errors", "plot_replay_sensor", "plot_sonar_replay", "plot_studentised"]
-
-
 _DOTS = 4000  # largest number of measurements drawn besides the outliers, because more dots would merge
 _NORMAL = 1.96
 

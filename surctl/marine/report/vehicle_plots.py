@@ -16,8 +16,6 @@ from surctl.marine.vehicle import LOG_MOTION, Actuators, Prediction, Vehicle, at
 from surctl.marine.vehicle.linearise import command_range
 from surctl.report.theme import AVOIDING, CYCLE, INK, MUTED, ROBOT, dress, head, legend_below, new_axes, new_figure
 
-__all__ = ["plot_attainable", "plot_prediction"]
-
 _LABELS = dict(
     zip(LOG_MOTION, ("x [m]", "y [m]", "z [m]", "ψ [rad]", "u [m/s]", "v [m/s]", "w [m/s]", "r [rad/s]"), strict=True)
 )
@@ -138,10 +136,6 @@ def _plot_turning(vehicle: Vehicle, ax: Axes | None, failed: Sequence[str]) -> A
 def _thrusters_of(vehicle: Vehicle) -> Actuators:
     """Return the thrusters of a vehicle; InputError if its file describes none."""
     if vehicle.actuators is None:
-        raise InputError(
-            "describes no thrusters",
-            key="vehicle",
-            value=vehicle.name,
-            remedy="add [[thruster]] tables, as in surctl list --show bluerov2-heavy",
-        )
+        remedy = "add [[thruster]] tables, as in surctl list --show bluerov2-heavy"
+        raise InputError("describes no thrusters", key="vehicle", value=vehicle.name, remedy=remedy)
     return vehicle.actuators

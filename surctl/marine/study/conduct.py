@@ -44,8 +44,6 @@ from surctl.verification.loops import LEAST_DELAY_MARGIN
 if TYPE_CHECKING:
     from surctl.marine.report import ExportSummary
 
-__all__ = ["Loops", "Study", "conduct", "left_out", "loops_of", "summary", "with_perception"]
-
 
 @dataclass(frozen=True)
 class Loops:

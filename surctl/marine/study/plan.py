@@ -34,8 +34,6 @@ from surctl.marine.vehicle import Vehicle, load_vehicle
 from surctl.marine.verification import applicable_claims, check_held, cruise_speeds
 from surctl.tuning import Axis, GoalTable
 
-__all__ = ["LIBRARY", "Leg", "Plan", "load_plan", "scaled_missions", "write_missions"]
-
 _TANK = "tank-static"
 """The built-in scenario whose obstacles are scaled to the vehicle."""
 
@@ -304,13 +302,9 @@ def load_plan(file: str | None = None, *, vehicle: str | None = None, trust: boo
     if table.get("kind") == "vehicle":
         return _about_vehicle(load_vehicle(str(path)), str(path.resolve()))
     if table.get("kind") != "study":
-        raise InputError(
-            "is neither a study nor a vehicle",
-            file=path,
-            key="kind",
-            value=table.get("kind", "(missing)"),
-            remedy='write kind = "study" or kind = "vehicle"',
-        )
+        problem = "is neither a study nor a vehicle"
+        remedy = 'write kind = "study" or kind = "vehicle"'
+        raise InputError(problem, file=path, key="kind", value=table.get("kind", "(missing)"), remedy=remedy)
     named = table.pop("goals") if isinstance(table.get("goals"), str) else None
     return _plan(_study(table, path), path, goals=named, trust=trust)
 
@@ -429,12 +423,8 @@ def _with_mission(plan: Plan) -> Plan:
     """Return the plan; raise InputError if no mission of the plan counts towards the result (`Leg.left_out`)."""
     if not plan.deciding:
         reasons = "; ".join(f"{leg.scenario.name}: {leg.left_out}" for leg in plan.legs)
-        raise InputError(
-            f"the vehicle fits no scenario ({reasons})",
-            file=plan.source,
-            key="runs",
-            remedy="add a scenario with a larger site",
-        )
+        remedy = "add a scenario with a larger site"
+        raise InputError(f"the vehicle fits no scenario ({reasons})", file=plan.source, key="runs", remedy=remedy)
     return plan
 
 

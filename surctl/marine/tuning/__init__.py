@@ -7,14 +7,7 @@ from surctl.lazy import load_at_first_use
 if TYPE_CHECKING:
     from surctl.marine.tuning.cegis import Round, Tuning, tune
     from surctl.marine.tuning.derived import Derivation, default_cruise, derive_gains, derived_gains, gains_for
-    from surctl.marine.tuning.evaluation import (
-        Condition,
-        Evaluation,
-        case_loop,
-        conditions,
-        evaluate,
-        figures,
-    )
+    from surctl.marine.tuning.evaluation import Condition, Evaluation, case_loop, conditions, evaluate, figures
     from surctl.marine.tuning.goals import ASSESSED, Goal, load_goals
     from surctl.marine.tuning.measure import build_cases
     from surctl.marine.tuning.montecarlo import Counterexample, MonteCarlo

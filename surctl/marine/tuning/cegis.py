@@ -35,8 +35,6 @@ from surctl.marine.tuning.search import BATCH, BEST, conflict, search
 from surctl.tuning.chunked import Progress
 from surctl.tuning.search import Journal
 
-__all__ = ["Round", "RoundsFile", "Tuning", "tune"]
-
 
 @dataclass(frozen=True)
 class Round:

@@ -27,24 +27,6 @@ from surctl.marine.verification.linear import DISK_PLACES, corner_margin, open_l
 from surctl.verification.linear import LEAST_DISK_MARGIN, screened_peaks
 from surctl.verification.loops import LEAST_DELAY_MARGIN
 
-__all__ = [
-    "DEPENDENT",
-    "REQUIRED",
-    "Derivation",
-    "HashedVehicle",
-    "default_cruise",
-    "derive_gains",
-    "derived_gains",
-    "gains_for",
-    "has_tuned",
-    "inner_start",
-    "munk_rate",
-    "rule",
-    "searched_inner",
-    "shared_gains",
-    "top_speed",
-]
-
 
 class HashedVehicle:
     """A vehicle that compares by name and parameters, as a key of a cache."""
@@ -323,10 +305,7 @@ class Derivation:
         if self.reached:
             return [head]
         where = f"up to at least {self.bearable:.3g} m/s" if self.bearable > 0 else "at no speed"
-        return [
-            head,
-            f"  warning: derived gains reach {REQUIRED} {where}; for {self.cruise:.3g} m/s, {self.remedy}",
-        ]
+        return [head, f"  warning: derived gains reach {REQUIRED} {where}; for {self.cruise:.3g} m/s, {self.remedy}"]
 
     @property
     def warning(self) -> str:

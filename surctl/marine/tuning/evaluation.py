@@ -25,22 +25,6 @@ from surctl.marine.verification.law_loop import operating_point, steadiest
 from surctl.own_code import is_own
 from surctl.system import LinearLoop
 
-__all__ = [
-    "Condition",
-    "Evaluation",
-    "case_loop",
-    "check_goals",
-    "conditions",
-    "corners",
-    "evaluate",
-    "figures",
-    "judged_loops",
-    "merged",
-    "row",
-    "scope",
-    "varied",
-]
-
 Sets = Mapping[str, NDArray[np.float64]]
 _NOMINAL: Mapping[str, float] = MappingProxyType({})
 

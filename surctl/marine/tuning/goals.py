@@ -23,8 +23,6 @@ from surctl.tuning.goals import LIBRARY, GoalsFile, GoalTable, Plants, RunGoal, 
 from surctl.tuning.loop_goal_file import loop_goal
 from surctl.tuning.loop_goals import LoopGoal
 
-__all__ = ["ASSESSED", "LOOP_METRIC", "PART_OF", "Goal", "goals_at", "goals_from_tables", "load_goals", "with_floor"]
-
 ASSESSED: Mapping[str, MetricSpec] = {
     "nominal_disk_margin": MetricSpec("1", "disk margin of the nominal vehicle, all loops at once", "high"),
     "nominal_delay_margin_s": MetricSpec("s", "least delay margin of one loop alone, nominal vehicle", "high"),

@@ -31,22 +31,6 @@ from surctl.marine.verification.cruise_loop import has_cruise_loop
 from surctl.priority import Mode
 from surctl.tuning.design import SEED, Design
 
-__all__ = [
-    "CASE_COLUMNS",
-    "LINEAR_COLUMNS",
-    "RUN_COLUMNS",
-    "Case",
-    "ColumnSpec",
-    "SweepEvaluation",
-    "build_cases",
-    "case_parameters",
-    "check_column",
-    "check_request",
-    "law_digest",
-    "linear_names",
-    "request_digest",
-]
-
 Floats = NDArray[np.float64]
 
 _WORST = "_worst"

@@ -16,20 +16,6 @@ from surctl.marine.tuning.goals import Goal
 from surctl.marine.tuning.pool import ClaimPoint, Pool, Request
 from surctl.tuning.chunked import Progress
 
-__all__ = [
-    "APART",
-    "MOST_SEED",
-    "TRAINING",
-    "Counterexample",
-    "MonteCarlo",
-    "Screened",
-    "fresh",
-    "harder",
-    "monte_carlo",
-    "reduced_pool",
-    "screen",
-]
-
 APART = 10_000_000  # seeds reserved for each tuning, so that two tunings never share a seed
 
 MOST_SEED = 2**62 // APART

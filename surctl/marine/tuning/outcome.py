@@ -19,20 +19,6 @@ from surctl.marine.tuning.montecarlo import APART, fresh, monte_carlo
 from surctl.marine.verification import speeds_text
 from surctl.tuning.chunked import Progress
 
-__all__ = [
-    "CHECKED",
-    "Finals",
-    "Miss",
-    "advice",
-    "check_finals",
-    "goal_rows",
-    "misses",
-    "summary",
-    "tuned_gains",
-    "tuning_dict",
-    "value_text",
-]
-
 _ZERO_IF_UNSTABLE = ("disk_margin", "single_loop_disk_margin", "delay_margin_s", "phase_margin_deg")
 
 

@@ -24,20 +24,6 @@ from surctl.verification.counterexample import evaluate
 from surctl.verification.falsifier import falsify
 from surctl.verification.verdict import Verdict
 
-__all__ = [
-    "TUNED",
-    "ClaimPoint",
-    "GainRange",
-    "Pool",
-    "Request",
-    "default_tuned",
-    "excess",
-    "expected_to_hold",
-    "gain_ranges",
-    "joined_pools",
-    "refuted_claims",
-]
-
 TUNED = ("k1", "lookahead", "k_psi", "k_v", "k_r", "kappa", "reaction", "brake")
 """Gains that are tuned if no gain is named: they shape the motion and do not describe the sensors."""
 

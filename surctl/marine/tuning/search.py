@@ -20,9 +20,6 @@ from surctl.marine.tuning.pool import CAP, Pool, Request, joined_pools
 from surctl.tuning.chunked import Progress
 from surctl.tuning.search import Array, Journal, evolve
 
-__all__ = ["BATCH", "BEST", "Demand", "conflict", "demands", "descend", "minimal_subset", "search"]
-
-
 _FIRST = 0.1  # first step as a share of each range's width on its scale
 _LAST = 1e-3  # the descent from a start ends when its step is shorter
 _SHORTER = 0.1  # factor on the step if no proposal is better

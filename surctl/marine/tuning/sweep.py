@@ -48,8 +48,6 @@ from surctl.verification.loops import LEAST_DELAY_MARGIN
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["SweepTable", "SweptAxis", "judged", "load_sweep", "sweep"]
-
 
 @dataclass(frozen=True, eq=False)
 class SweptAxis:

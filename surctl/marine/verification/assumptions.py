@@ -8,8 +8,6 @@ from surctl.errors import NotApplicable
 from surctl.marine.control import Gains
 from surctl.marine.vehicle import PARAMETERS, Vehicle, check_equation_3
 
-__all__ = ["check_alike", "check_no_integral", "check_sway_force"]
-
 _ALIKE: Mapping[str, tuple[str, str]] = {
     "mass": ("m11", "m22"),
     "linear drag": ("Xu", "Yv"),

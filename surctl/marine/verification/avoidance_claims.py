@@ -16,16 +16,6 @@ from surctl.marine.guidance.avoidance import AvoidanceForm, avoidance_course, cl
 from surctl.verification.claim import Claim, Motion, Variable
 from surctl.verification.setting import Setting
 
-__all__ = [
-    "clearance_corrected",
-    "clearance_printed",
-    "settling_intrusion",
-    "v2_clockwise",
-    "v2_obstacle",
-    "v2_printed",
-    "v2_static",
-]
-
 _LEAST_SPEED = 0.02  # [m/s] lower bound of u_dm in the claims
 
 

@@ -15,8 +15,6 @@ from surctl.marine.vehicle import Vehicle
 from surctl.marine.verification.assumptions import check_alike
 from surctl.verification.claim import Claim, Variable
 
-__all__ = ["braking_keeps", "braking_mass", "braking_retreat"]
-
 _OBSTACLE = 0.15  # [m/s] largest speed of an obstacle in the claims
 
 

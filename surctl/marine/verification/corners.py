@@ -9,8 +9,6 @@ from itertools import product
 from surctl.errors import InputError
 from surctl.marine.vehicle import TERMS, Vehicle
 
-__all__ = ["DRAG_SPREAD", "MASS_SPREAD", "Corners", "corners"]
-
 MASS_SPREAD, DRAG_SPREAD = 0.05, 0.2
 """Relative uncertainty of all masses and of all drag coefficients of a vehicle whose file states no ranges (*chosen*).
 """

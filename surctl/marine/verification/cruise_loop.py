@@ -29,23 +29,6 @@ from surctl.system.linear_loop import expm
 from surctl.verification.linear import blockwise, eigenvalues
 from surctl.verification.loops import BrokenLoop, LoopMargins, crossings_of, delays_of, margins_from, state_blocks
 
-__all__ = [
-    "LINEAR_GAINS",
-    "LOOP_NAMES",
-    "CruiseLoop",
-    "broken_loops",
-    "check_positive",
-    "closed_loop_poles",
-    "cruise_loop",
-    "cruise_loops",
-    "has_cruise_loop",
-    "law_numbers",
-    "law_slopes",
-    "least_delay",
-    "loop_delays",
-    "loop_margins",
-]
-
 Array = NDArray[np.float64]
 
 LOOP_NAMES = ("surge", "sway", "heave", "yaw", "along_track", "cross_track", "depth", "heading")
@@ -204,12 +187,8 @@ def cruise_loop(
     check_positive({"cruise": np.atleast_1d(cruise)})
     for craft in (vehicle, model or vehicle):
         if not craft["Fv_max"] > 0:
-            raise InputError(
-                f"the law moves in any direction, but {craft.name} has no sway force",
-                key="Fv_max",
-                value=craft["Fv_max"],
-                remedy="use law_loop with the law steered",
-            )
+            problem = f"the law moves in any direction, but {craft.name} has no sway force"
+            raise InputError(problem, key="Fv_max", value=craft["Fv_max"], remedy="use law_loop with the law steered")
     check_cruise(vehicle, cruise)
     known = {name: float(value) for name, value in gains.items()}
     return cruise_loops([vehicle], known, cruise=cruise, dt=dt, model=model or vehicle, law=law)[0]
@@ -263,11 +242,8 @@ def cruise_loops(
     lag = plant[:, PLANT_PARAMETERS.slice("thrust_lag")][:, 0]
     for key, value in (("thrust_lag", lag), ("k_i", k_i)):
         if np.any(value > 0) != np.all(value > 0):
-            raise InputError(
-                "is 0 at some points and positive at others",
-                key=key,
-                remedy="build them in separate calls: their loops have different orders",
-            )
+            remedy = "build them in separate calls: their loops have different orders"
+            raise InputError("is 0 at some points and positive at others", key=key, remedy=remedy)
     built = build_law(law)
     Az, By, Cz, D = law_slopes(built, _numbers(built, model, values, speed, believed))
     nu = np.zeros((count, 4))

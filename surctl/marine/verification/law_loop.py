@@ -35,17 +35,6 @@ from surctl.system.linear_loop import LoopNames
 from surctl.verification.loops import LoopMargins
 from surctl.verification.sampled_margins import LoopCorners, SampledLoop, corners_of, system_margins
 
-__all__ = [
-    "LawCorners",
-    "LawLoop",
-    "OperatingPoint",
-    "law_corners",
-    "law_loop",
-    "operating_point",
-    "steadiest",
-    "steady_motion",
-]
-
 Array = NDArray[np.float64]
 
 

@@ -16,8 +16,6 @@ from surctl.tasks.task import planar_rotation
 from surctl.verification.claim import Claim, Motion, Variable
 from surctl.verification.setting import Setting, setting_from
 
-__all__ = ["applicable_claims", "claims"]
-
 
 def _course(setting: Setting, *, corrected: bool) -> Claim:
     y_e, u, v = ca.SX.sym("y_e"), ca.SX.sym("u"), ca.SX.sym("v")

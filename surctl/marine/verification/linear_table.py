@@ -38,18 +38,6 @@ from surctl.marine.verification.linear.side import least_disk
 from surctl.plotted import Plotted
 from surctl.verification.loops import crossings_of, shape_of, state_blocks
 
-__all__ = [
-    "LINEAR_METRICS",
-    "LINEAR_PARAMETERS",
-    "STEP_NAMES",
-    "Locus",
-    "Points",
-    "linear_table",
-    "step_figures",
-    "step_system",
-    "sweep_locus",
-]
-
 STEP_NAMES = ("cross_track", "heading", "surge_speed")
 _BAND = 0.02  # half-width of the settling band, as a share of the final value
 _DECAYS = 10.0  # duration of the response, in time constants of the slowest pole

@@ -29,8 +29,6 @@ from surctl.marine.verification.region.heading import HeadingClaim
 from surctl.marine.verification.region.rates import cruise_rate, heading_loop
 from surctl.verification.formula import parse, values_of, variable
 
-__all__ = ["CRUISE_PLANES", "HEADING_PLANES", "Portrait", "planes_of", "portrait"]
-
 Array = NDArray[np.float64]
 _Rates = Callable[[Array], Array]
 """A function that returns the rates ξ̇ (n, k) of the states ξ (n, k)."""

@@ -31,8 +31,6 @@ from surctl.marine.vehicle.specs import AXES
 from surctl.marine.verification.cruise_loop import FAR, law_numbers
 from surctl.marine.verification.law_loop import delivered
 
-__all__ = ["SonarLoop", "SonarMargins", "sonar_loop", "sonar_margins"]
-
 Array = NDArray[np.float64]
 
 _CONVERGED = 800  # periods until the covariance of the filter is steady
@@ -160,12 +158,8 @@ def sonar_loop(
 
     check_cruise(vehicle, cruise)
     if vehicle["m11"] != vehicle["m22"]:
-        raise InputError(
-            "differs from m11: a cruise turns the hull, and a law with sonars holds no heading",
-            key="m22",
-            value=vehicle["m22"],
-            remedy="take the margins by true positions",
-        )
+        problem = "differs from m11: a cruise turns the hull, and a law with sonars holds no heading"
+        raise InputError(problem, key="m22", value=vehicle["m22"], remedy="take the margins by true positions")
     source = law_source(law.ref)
     noise = source.model_noise
     filt = OwnStateFilter(

@@ -15,8 +15,6 @@ from surctl.marine.vehicle.linearise import WITHIN_LAW, check_cruise
 from surctl.marine.verification.cruise_loop import TRACKING_LAW
 from surctl.marine.verification.linear_table import LINEAR_METRICS, linear_table
 
-__all__ = ["OverSpeeds", "check_held", "cruise_speeds", "over_speeds", "speeds_text", "worst_place", "worst_text"]
-
 _SAME = 1e-6  # relative difference up to which two metric values count as equal
 
 

@@ -11,12 +11,6 @@ from surctl.errors import InputError, nearest
 from surctl.priority.diagnosis.findings import Bounds, Parameter
 from surctl.tasks import Stack, clearance_task, depth_task, heading_task, velocity_task
 
-__all__ = [
-    "SHIPPED_STACKS",
-    "ShippedStack",
-    "shipped_stack",
-]
-
 SHIPPED_STACKS: Mapping[str, str] = {
     "guarded": "velocity, depth, heading; obstacles and walls are constraints of the priority problem, not tasks",
     "paper": "four sensor sub-tasks (17) by urgency, velocity, depth, heading",

@@ -16,16 +16,6 @@ from surctl.marine.guidance.tracking import along_command, tracking_rate
 from surctl.verification.claim import Claim, Motion, Variable
 from surctl.verification.setting import Setting
 
-__all__ = [
-    "cap_limit",
-    "m_norm_corrected",
-    "m_norm_printed",
-    "v1_corrected",
-    "v1_printed",
-    "v1_speed_cap",
-    "v1_speed_cap_region",
-]
-
 _LEAST_BOX = 2.0  # [m] half-width of the box of tracking errors, unless the claim needs more
 _LEAST_CAP_BOX = 10.0  # [m] half-width of the box in the claims with a speed limit, unless the claim needs more
 
@@ -49,11 +39,7 @@ class _Loop:
 
     def variables(self, half: float) -> tuple[Variable, ...]:
         names = ("x_e", "y_e", "z_e")
-        meanings = (
-            "along-track error, path frame",
-            "cross-track error, left positive",
-            "depth error, up positive",
-        )
+        meanings = ("along-track error, path frame", "cross-track error, left positive", "depth error, up positive")
         errors = [Variable(name, self.error[i], "m", -half, half, meanings[i]) for i, name in enumerate(names)]
         return (*errors, Variable("turn", self.turn, "rad/s", -0.5, 0.5, "turn rate of the path"))
 
@@ -75,12 +61,7 @@ def _loop(setting: Setting, *, repaired: bool, capped: bool = False) -> _Loop:
         repaired=repaired,
     )
     rate = tracking_rate(
-        error,
-        along,
-        speed=ca.SX(setting.speed),
-        lookahead=ca.SX(setting.lookahead),
-        k2=ca.SX(setting.k2),
-        turn=turn,
+        error, along, speed=ca.SX(setting.speed), lookahead=ca.SX(setting.lookahead), k2=ca.SX(setting.k2), turn=turn
     )
     return _Loop(error, turn, along, rate)
 

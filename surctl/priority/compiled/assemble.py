@@ -20,8 +20,6 @@ from surctl.priority.shapes import LevelShape
 from surctl.priority.solver.fallback import RELAXED
 from surctl.tasks import Kind, Limit, LimitRow, SetTask, Stack
 
-__all__ = ["AssembledStep", "Assembly", "assemble"]
-
 Array: TypeAlias = NDArray[np.float64]
 
 
@@ -126,11 +124,8 @@ class AssembledStep(PriorityStep):
         """Compile the step; the arguments are those of `Assembly.step`."""
         for task in assembly.stack.tasks:
             if isinstance(task, SetTask) and task.size > 1:
-                raise InputError(
-                    f"is set-based and has {task.size} rows; a compiled level has 1",
-                    key=f"task {task.name}",
-                    remedy="put its split() into the stack",
-                )
+                problem = f"is set-based and has {task.size} rows; a compiled level has 1"
+                raise InputError(problem, key=f"task {task.name}", remedy="put its split() into the stack")
         n, places = assembly.stack.velocities, max(1, len(assembly.limits))
         step = priority_step(
             mode, n=n, levels=assembly.shapes, rows=places, sweeps=sweeps, damping=damping, fallback=fallback
@@ -252,11 +247,8 @@ def _check_symbols(key: str, parts: Sequence[ca.SX], known: set[int]) -> None:
     every = ca.vertcat(*(ca.vec(ca.SX(part)) for part in parts))
     missing = [str(symbol) for symbol in ca.symvar(every) if symbol.element_hash() not in known]
     if missing:
-        raise InputError(
-            f"depends on {', '.join(missing)}, which {'is' if len(missing) == 1 else 'are'} not among the inputs",
-            key=key,
-            remedy="add the symbol to inputs",
-        )
+        problem = f"depends on {', '.join(missing)}, which {'is' if len(missing) == 1 else 'are'} not among the inputs"
+        raise InputError(problem, key=key, remedy="add the symbol to inputs")
 
 
 def _stacked(slabs: Sequence[tuple[ca.SX, ca.SX, ca.SX]]) -> list[ca.SX]:

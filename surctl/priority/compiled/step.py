@@ -29,8 +29,6 @@ from surctl.priority.shapes import LevelShape, StackShape
 from surctl.priority.solver.elimination import FLOAT64, Precision
 from surctl.priority.solver.fallback import CLAMPED, MET, Sizes, limited_step
 
-__all__ = ["OUTPUTS", "PriorityStep", "Stage", "bound", "idle_row", "level_shapes", "priority_step"]
-
 OUTPUTS = ("v", "active", "multipliers", "opening", "status", "count", "target")
 """Names of the outputs of a step, in order."""
 
@@ -385,11 +383,8 @@ class PriorityStep:
             if not (shape.is_set or level.is_goal):
                 raise InputError("is set-based, unlike its level in the step", key=f"task {level.name}")
         if len(problem.rows) > len(self.rows):
-            raise InputError(
-                f"has {len(problem.rows)} rows, but the step has {len(self.rows)} places",
-                key="problem",
-                remedy="build the step with more rows",
-            )
+            text = f"has {len(problem.rows)} rows, but the step has {len(self.rows)} places"
+            raise InputError(text, key="problem", remedy="build the step with more rows")
 
 
 def level_shapes(problem: PriorityProblem) -> tuple[LevelShape, ...]:

@@ -16,8 +16,6 @@ from surctl.priority.settings import CUTOFF, ZERO_ROW, Settings
 from surctl.priority.shapes import StackShape, SymbolicLevel
 from surctl.priority.solver.elimination import LONGEST
 
-__all__ = ["HUGE", "Decomposition", "decompose", "gate", "into", "nsb_symbolic", "projection", "sweep", "swept"]
-
 _DEPENDENT = 1e-12
 """A row of J is dependent if its squared distance from the rows above is below this fraction of its squared length."""
 
@@ -113,11 +111,8 @@ def _check(levels: Sequence[tuple[ca.SX, ca.SX]], damping: float) -> None:
     width = levels[0][0].shape[1]
     for place, (J, x) in enumerate(levels, start=1):
         if J.shape[1] != width or x.shape != (J.shape[0], 1):
-            raise InputError(
-                f"J has shape {J.shape}, x has shape {x.shape}",
-                key=f"level {place}",
-                remedy=f"give J of shape (k, {width}) and x of shape (k, 1)",
-            )
+            remedy = f"give J of shape (k, {width}) and x of shape (k, 1)"
+            raise InputError(f"J has shape {J.shape}, x has shape {x.shape}", key=f"level {place}", remedy=remedy)
 
 
 HUGE = 1e300

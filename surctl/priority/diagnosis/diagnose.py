@@ -54,8 +54,6 @@ from surctl.priority.diagnosis.findings import (
 from surctl.priority.settings import CUTOFF, ZERO_ROW
 from surctl.tasks import Stack
 
-__all__ = ["diagnose", "nsb_velocities", "residual_norms", "strict_velocities"]
-
 Array: TypeAlias = NDArray[np.float64]
 
 

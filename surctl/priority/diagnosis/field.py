@@ -35,30 +35,6 @@ from surctl.priority.diagnosis.findings import Region, pose_text
 from surctl.priority.settings import CUTOFF, ZERO_ROW
 from surctl.tasks import Stack
 
-__all__ = [
-    "TOLERANCE",
-    "Directions",
-    "Field",
-    "Measure",
-    "Values",
-    "best_of",
-    "build_field",
-    "commutator_norms",
-    "commuting_levels",
-    "descend",
-    "directions",
-    "equals_strict_priority",
-    "freedom",
-    "orthogonal_pairs",
-    "outside_sines",
-    "pair_angles",
-    "projector_above",
-    "remaining_sine",
-    "smallest_angle",
-    "task_strength",
-    "world_jacobians",
-]
-
 Array: TypeAlias = NDArray[np.float64]
 
 _ROUNDING = 1e-12  # constants of this size are rounding errors of zero
@@ -394,11 +370,8 @@ def _checked(jacobians: Sequence[Array]) -> list[Array]:
         raise InputError("has no level", key="jacobians", remedy="give at least one")
     for place, J in enumerate(levels, start=1):
         if J.ndim < 2 or 0 in J.shape or J.shape[-1] != levels[0].shape[-1]:
-            raise InputError(
-                f"J has shape {J.shape}",
-                key=f"level {place}",
-                remedy="give (k, n), with the same n for all levels",
-            )
+            remedy = "give (k, n), with the same n for all levels"
+            raise InputError(f"J has shape {J.shape}", key=f"level {place}", remedy=remedy)
         if not np.isfinite(J).all():
             raise InputError("J is not finite", key=f"level {place}", remedy="check the inputs for NaN first")
     return levels

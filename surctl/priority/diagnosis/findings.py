@@ -18,25 +18,6 @@ from surctl.errors import InputError
 from surctl.tasks import Stack
 from surctl.tasks.task import is_pose
 
-__all__ = [
-    "Bounds",
-    "Diagnosis",
-    "Equality",
-    "LevelReport",
-    "Met",
-    "Pair",
-    "PairKind",
-    "Parameter",
-    "Pose",
-    "Region",
-    "Residual",
-    "Singularity",
-    "Symptom",
-    "Verdict",
-    "build_region",
-    "pose_text",
-]
-
 Array: TypeAlias = NDArray[np.float64]
 Bounds: TypeAlias = tuple[Sequence[float] | Array | float, Sequence[float] | Array | float]
 """Lower and upper bounds of the pose."""
@@ -134,11 +115,8 @@ def _check_complete(stack: Stack, known: set[int]) -> None:
     for name, (J, x) in zip(stack.names, stack.levels(), strict=True):
         for symbol in _symbols(J, x):
             if symbol.element_hash() not in known:
-                raise InputError(
-                    f"uses {symbol}, which has no range",
-                    key=f"task {name}",
-                    remedy=f"give parameters=[({symbol}, lower, upper)]",
-                )
+                remedy = f"give parameters=[({symbol}, lower, upper)]"
+                raise InputError(f"uses {symbol}, which has no range", key=f"task {name}", remedy=remedy)
 
 
 def _split(parameter: Parameter) -> tuple[ca.SX, Bounds]:
@@ -173,11 +151,8 @@ def _corners(bounds: Bounds, size: int, *, key: str, names: Sequence[str]) -> tu
     corners = [np.repeat(c, size) if spread and c.size == 1 else c for c in (lower, upper)]
     for side, corner in zip(("lower", "upper"), corners, strict=True):
         if corner.size != size:
-            raise InputError(
-                f"{side} corner has {corner.size} entries",
-                key=f"{key}: {', '.join(names)}",
-                remedy=f"give {size}",
-            )
+            problem = f"{side} corner has {corner.size} entries"
+            raise InputError(problem, key=f"{key}: {', '.join(names)}", remedy=f"give {size}")
     for name, least, most in zip(names, *corners, strict=True):
         if not (math.isfinite(least) and math.isfinite(most)):
             raise InputError("is not finite", key=f"{key}: {name}", value=[least, most], remedy="give finite bounds")

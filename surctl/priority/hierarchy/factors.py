@@ -7,23 +7,6 @@ from __future__ import annotations
 
 from surctl.ir.procedure import back, fabs, sqrt, within
 
-__all__ = [
-    "Memory",
-    "along",
-    "eliminate_left",
-    "enter",
-    "leave",
-    "multipliers",
-    "optimum",
-    "pivots",
-    "reflect_levels",
-    "reflect_table",
-    "reflection",
-    "solve_left",
-    "solve_level",
-    "take_off",
-]
-
 
 class Memory:
     """Constants, arrays and variables of the kernel; sizes are in `hierarchy`."""

@@ -32,8 +32,6 @@ from surctl.priority.hierarchy.search import at_once, descend, judge, prepare, r
 from surctl.priority.shapes import StackShape
 from surctl.priority.solver.elimination import FLOAT32, FLOAT64, Precision
 
-__all__ = ["hierarchy"]
-
 
 def arrange(_s: Memory) -> None:
     """Write the structure of the levels; `hierarchy` puts a function for its levels in the place of this one."""

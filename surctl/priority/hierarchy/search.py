@@ -16,24 +16,6 @@ from __future__ import annotations
 from surctl.ir.procedure import fabs, sqrt, within
 from surctl.priority.hierarchy.factors import Memory, enter, leave, multipliers, optimum
 
-__all__ = [
-    "advance",
-    "at_goal",
-    "at_once",
-    "at_v",
-    "bound_loss",
-    "descend",
-    "jacobian",
-    "judge",
-    "move_limits",
-    "prepare",
-    "ratio",
-    "release",
-    "remember",
-    "restore",
-    "switch_set",
-]
-
 
 def at_goal(s: Memory, row: int) -> float:
     """Return J·goal of a row."""

@@ -19,21 +19,6 @@ import casadi as ca
 from surctl.ir import Block, Call, Gather, Loop, Program, Routine, lower
 from surctl.priority.solver.elimination import FLOAT64, LOOPED, Precision
 
-__all__ = [
-    "OPTIMAL",
-    "SKIPPED",
-    "STUCK",
-    "Space",
-    "close",
-    "dot",
-    "halve",
-    "iteration",
-    "misses",
-    "pricing",
-    "threshold",
-    "which",
-]
-
 
 class _Planar(NamedTuple):
     """Relation of the normal of the entering row, which becomes active, to the normals of the active rows.

@@ -10,8 +10,6 @@ from typing import NamedTuple
 
 import casadi as ca
 
-__all__ = ["FLOAT32", "FLOAT64", "LONGEST", "LOOPED", "Precision", "Reflection", "as_matrix", "reflect"]
-
 LONGEST = 1e140
 """Largest entry of a normal or a Jacobian in double: squares and their sums must not overflow."""
 

@@ -39,19 +39,6 @@ from surctl.priority.solver.dual_step import OPTIMAL, SKIPPED, dot
 from surctl.priority.solver.elimination import FLOAT64, Precision, as_matrix, reflect
 from surctl.priority.solver.kernel import certificate, into, lanes_of, nearest_point, unit_rows
 
-__all__ = [
-    "BOUNDED",
-    "CAP",
-    "CLAMPED",
-    "LIMITED",
-    "MET",
-    "RELAXED",
-    "UNCONFIRMED",
-    "Sizes",
-    "limited_step",
-    "safe_step",
-]
-
 MET, LIMITED, RELAXED, CLAMPED, BOUNDED, UNCONFIRMED = 1, 2, 3, 4, 5, 6
 """Status of a velocity. MET: the task is met. LIMITED: it is met as well as the constraint rows allow. RELAXED: soft
 rows are relaxed. CLAMPED: v is only clipped to the box. BOUNDED: the bounded fallback was used; the opening is then an

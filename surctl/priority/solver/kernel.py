@@ -21,17 +21,6 @@ from surctl.ir import Call, Gather, Loop, Program, Routine, Step, lower
 from surctl.priority.solver.dual_step import SKIPPED, Space, close, halve, iteration, misses, pricing, threshold, which
 from surctl.priority.solver.elimination import FLOAT64, Precision, as_matrix
 
-__all__ = [
-    "certificate",
-    "in_blocks",
-    "into",
-    "lanes_of",
-    "most_iterations",
-    "nearest_point",
-    "search",
-    "unit_rows",
-]
-
 
 def most_iterations(space: Space) -> int:
     """Return the largest number of iterations of a search; it grows with the number of unknowns d.
@@ -289,10 +278,7 @@ def _scaling(n: int, rows: int, precision: Precision) -> Routine:
     never = ca.vertcat(ca.SX.zeros(n), 1, 1, 0)
     scale = lower(ca.Function("unit_row", [row], [ca.if_else(square > precision.huge, never, scaled)]))
     one = lower(ca.Function("scaled", [], [ca.SX.ones(1)]))
-    steps = (
-        Loop(scale, rows // lanes, (), ("unit",), sliced=("rows",), lanes=lanes),
-        Call(one, (), ("yes",)),
-    )
+    steps = (Loop(scale, rows // lanes, (), ("unit",), sliced=("rows",), lanes=lanes), Call(one, (), ("yes",)))
     return Routine("scale", (("rows", rows * (n + 3)), ("done", 1)), steps, ("unit", "yes"))
 
 

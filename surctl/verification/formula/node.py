@@ -16,24 +16,6 @@ from numpy.typing import NDArray
 
 from surctl.errors import InputError, UnsupportedOperation
 
-__all__ = [
-    "ARITY",
-    "BRANCHING",
-    "DEEPEST",
-    "PI",
-    "Node",
-    "Statement",
-    "derivative",
-    "number",
-    "ordered",
-    "power",
-    "rebuilt",
-    "substitute",
-    "to_casadi",
-    "values_of",
-    "variable",
-]
-
 ARITY: Mapping[str, int] = {
     "add": 2, "sub": 2, "mul": 2, "div": 2, "neg": 1, "pow": 1, "sqrt": 1, "sin": 1, "cos": 1, "atan": 1,
     "atan2": 2, "acos": 1, "asin": 1, "tan": 1, "exp": 1, "log": 1, "sinh": 1, "cosh": 1, "tanh": 1, "powr": 1,

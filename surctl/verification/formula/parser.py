@@ -32,22 +32,6 @@ import casadi as ca
 from surctl.errors import InputError, UnsupportedOperation, nearest
 from surctl.verification.formula.node import ARITY, DEEPEST, PI, Node, number, ordered, power, variable
 
-__all__ = [
-    "FUNCTIONS",
-    "IDENTIFIER",
-    "LARGEST_POWER",
-    "LONGEST",
-    "clipped",
-    "decimal",
-    "decimal_text",
-    "from_casadi",
-    "is_name",
-    "parse",
-    "parse_relation",
-    "reads_back",
-    "text_of",
-]
-
 FUNCTIONS = (
     "abs", "acos", "asin", "atan", "atan2", "cos", "cosh", "exp", "log", "max", "min", "select", "sin", "sinh", "sqrt",
     "tan", "tanh",

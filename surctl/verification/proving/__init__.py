@@ -1,6 +1,7 @@
 """The prover splits a claim into cases, rewrites them exactly, and proves them by interval branch and bound."""
 
-from surctl.verification.proving.forms import Statement, statement_of
+from surctl.verification.formula import Statement
+from surctl.verification.proving.forms import statement_of
 from surctl.verification.proving.prove import Cases, Proof, certain_excess, prove, prove_by_boxes, prove_cases
 from surctl.verification.proving.touching import range_at, vanishes
 

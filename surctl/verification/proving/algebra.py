@@ -18,24 +18,6 @@ from surctl.sos.polynomial import ONE, Polynomial
 from surctl.verification.formula import Node, number, ordered, power, variable
 from surctl.verification.formula.node import PI
 
-__all__ = [
-    "MOST_TERMS",
-    "Algebra",
-    "Monomial",
-    "Poly",
-    "Ratio",
-    "SplitAngles",
-    "TooLarge",
-    "Written",
-    "added",
-    "constant",
-    "key_of",
-    "leading",
-    "multiplied",
-    "scaled",
-    "single",
-]
-
 # Polynomials with exact rational coefficients; their indeterminates are the atoms of `proving.algebra`, by index
 
 

@@ -28,19 +28,6 @@ from surctl.verification.proving.intervals import Ends
 from surctl.verification.proving.tape import build_tape
 from surctl.verification.proving.touching import touching_form
 
-__all__ = [
-    "Case",
-    "Form",
-    "Statement",
-    "as_written",
-    "cases_of",
-    "constraint_ratio",
-    "forms_of",
-    "signed",
-    "signs_of",
-    "statement_of",
-]
-
 # Claims as exact expressions, split into cases: in a case, every min, max, abs and select takes one branch
 
 

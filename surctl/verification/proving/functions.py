@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 from surctl.verification.proving import intervals as iv
 from surctl.verification.proving.intervals import Ends
 
-__all__ = ["LARGEST_EXPONENT", "arcsine", "cosh", "defined", "exp", "log", "powr", "sinh", "tan", "tanh"]
-
 Array = NDArray[np.float64]
 
 LARGEST_EXPONENT = 1e5

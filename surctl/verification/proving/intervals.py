@@ -11,11 +11,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = [
-    "LIBM_STEPS", "Ends", "acos", "add", "atan2", "divide", "hull_max", "hull_min", "magnitude", "multiply", "negate",
-    "point", "sine_cosine", "square", "squared_root", "subtract", "to_power", "widened",
-]  # fmt: skip
-
 Array = NDArray[np.float64]
 Ends = tuple[Array, Array]
 """Intervals (lower, upper) as two arrays of equal shape; the whole real line is (−inf, inf)."""

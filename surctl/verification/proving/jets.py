@@ -12,8 +12,6 @@ from surctl.verification.proving import functions as fn
 from surctl.verification.proving import intervals as iv
 from surctl.verification.proving.intervals import Ends
 
-__all__ = ["Jet"]
-
 
 @dataclass(frozen=True, eq=False)
 class Jet:

@@ -13,11 +13,10 @@ from numpy.typing import NDArray
 from surctl.certcheck import check_document, seal
 from surctl.errors import InputError
 from surctl.verification.claim import Claim
-from surctl.verification.formula import FUNCTIONS, ordered, text_of
+from surctl.verification.formula import FUNCTIONS, Statement, ordered, text_of
 from surctl.verification.proving.forms import (
     Case,
     Form,
-    Statement,
     as_written,
     cases_of,
     forms_of,
@@ -29,8 +28,6 @@ from surctl.verification.proving.search import DIMENSIONS, BoxTask, SearchResult
 from surctl.verification.proving.squares import prove_by_squares
 from surctl.verification.proving.tape import Tape, build_tape
 from surctl.verification.proving.touching import excluded, touches
-
-__all__ = ["Cases", "Proof", "certain_excess", "prove", "prove_by_boxes", "prove_cases"]
 
 _ROUNDS = ((100, 0.0), (400, 1e-4), (2_000, 1.0), (20_000, 1.0), (10_000_000, 1.0))
 """The rounds of the search: for each round, the largest number of boxes and the share of the slack that it may use. The

@@ -19,8 +19,6 @@ from surctl.verification.proving.intervals import Ends
 from surctl.verification.proving.jets import Jet
 from surctl.verification.proving.tape import Tape
 
-__all__ = ["Verdicts", "apply_rules", "middle"]
-
 Array = NDArray[np.float64]
 
 _NEWTON, _RESTS = 12, 1e-13  # largest number of Newton steps; step size at convergence, as a share of the box

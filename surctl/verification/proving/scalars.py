@@ -7,8 +7,6 @@ from math import inf, isnan, nextafter, pi
 
 from surctl.verification.formula import Node
 
-__all__ = ["applied", "enclosed"]
-
 Ends = tuple[float, float]
 
 

@@ -15,16 +15,6 @@ from surctl.verification.proving.intervals import Ends
 from surctl.verification.proving.rules import apply_rules, middle
 from surctl.verification.proving.tape import Tape
 
-__all__ = [
-    "DIMENSIONS",
-    "BoxTask",
-    "Cells",
-    "SearchResult",
-    "cells_of",
-    "corners",
-    "search",
-]
-
 Array = NDArray[np.float64]
 
 DIMENSIONS = "0123456789ABCDEFGHIJKLMNOPQRSTUVWXYZ"

@@ -34,12 +34,6 @@ from surctl.verification.proving.forms import Case, Form, constraint_ratio, sign
 from surctl.verification.proving.tape import build_tape
 from surctl.verification.proving.touching import VALUES, fact_polynomial, facts_about
 
-__all__ = [
-    "SquaresProof",
-    "prove_by_squares",
-    "zeros_of",
-]
-
 # Search for points at which a polynomial that is not negative is 0: a sum of squares is 0 at all of them
 
 

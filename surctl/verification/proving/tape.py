@@ -18,8 +18,6 @@ from surctl.verification.proving.intervals import Ends
 from surctl.verification.proving.jets import Jet, choose
 from surctl.verification.proving.scalars import applied, enclosed
 
-__all__ = ["Read", "Tape", "build_tape"]
-
 Array = NDArray[np.float64]
 
 

@@ -15,17 +15,6 @@ from surctl.verification.proving.algebra import Algebra, Monomial, Poly, Ratio, 
 from surctl.verification.proving.intervals import Ends
 from surctl.verification.proving.tape import build_tape
 
-__all__ = [
-    "VALUES",
-    "excluded",
-    "fact_polynomial",
-    "facts_about",
-    "range_at",
-    "touches",
-    "touching_form",
-    "vanishes",
-]
-
 # Polynomial inequalities between a function of one argument and its argument, for proofs by sums of squares.
 #
 # The numbers come from samples and are rounded to the safe side; the checker proves the inequalities.
@@ -142,10 +131,7 @@ def _around(op: str, function: Callable[[Array], Array], low: float, high: float
     below, above = float(rest.min()), float(rest.max())
     margin = 0.05 * (above - below) + 1e-8
     curve = " + ".join(f"({c!r})" + ("" if k == 0 else f"*t^{k}") for k, c in enumerate(fitted))
-    return [
-        (f"{op}(t) - ({curve} + ({_under(below - margin)}))",),
-        (f"{curve} + ({_over(above + margin)}) - {op}(t)",),
-    ]
+    return [(f"{op}(t) - ({curve} + ({_under(below - margin)}))",), (f"{curve} + ({_over(above + margin)}) - {op}(t)",)]
 
 
 def _times(factor: str) -> str:

@@ -13,8 +13,6 @@ from surctl.marine.guidance.braking import Brakes, Watch, brakes_of
 from surctl.marine.vehicle import Vehicle
 from surctl.marine.verification.assumptions import check_no_integral
 
-__all__ = ["BrakingClaim", "LawNumbers", "law_numbers"]
-
 Pair = tuple[float, float]
 
 

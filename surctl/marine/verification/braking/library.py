@@ -17,8 +17,6 @@ from surctl.marine.verification.assumptions import check_sway_force
 from surctl.marine.verification.braking.claim import BrakingClaim, LawNumbers, law_numbers
 from surctl.verification.setting import OVERSHOOT
 
-__all__ = ["BRAKING_CLAIMS", "BrakingEntry", "braking_claim_named"]
-
 _SPREAD = 0.2
 _APART = 0.05  # by how much the ratio of unequal masses may be off
 _FASTEST, _CAP = 0.25, 0.22  # [m/s] largest own speed, and the speed cap that it belongs to

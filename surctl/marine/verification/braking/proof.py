@@ -22,8 +22,6 @@ from surctl.verification.certified import Certified
 from surctl.verification.formula import parse, values_of, variable
 from surctl.verification.proving import Statement, prove_by_boxes
 
-__all__ = ["BrakingProof", "distance_of", "prove_braking", "stated"]
-
 _FACTORS, _POINTS = 6, 150
 _DIGITS = 9
 _LIFT = 1e-3  # by which the polynomial exceeds what is needed, relative to it

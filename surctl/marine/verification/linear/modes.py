@@ -13,8 +13,6 @@ from surctl.marine.control.gains import setting
 from surctl.marine.vehicle import Vehicle
 from surctl.marine.verification.cruise_loop import LINEAR_GAINS, TRACKING_LAW, CruiseLoop, cruise_loop, cruise_loops
 
-__all__ = ["Mode", "bearable_speed", "cap_above_bearable", "slowest_mode"]
-
 Array = NDArray[np.float64]
 
 _SPEEDS, _ROUNDS = 60, 3  # speeds and rounds of the search for the bearable speed; each round divides the interval
@@ -180,12 +178,7 @@ def slowest_mode(
 
 
 def bearable_speed(
-    vehicle: Vehicle,
-    gains: Mapping[str, float],
-    *,
-    dt: float,
-    model: Vehicle | None = None,
-    law: str = TRACKING_LAW,
+    vehicle: Vehicle, gains: Mapping[str, float], *, dt: float, model: Vehicle | None = None, law: str = TRACKING_LAW
 ) -> float:
     """Return the largest cruise speed [m/s] up to which the linear loop is stable and the thrust suffices; 0 if none.
 

@@ -28,21 +28,6 @@ from surctl.verification.linear import (
 )
 from surctl.verification.loops import LEAST_DELAY_MARGIN, LeastDelay
 
-__all__ = [
-    "DISK_PLACES",
-    "CornerMargin",
-    "LinearSide",
-    "Pole",
-    "SampledLimits",
-    "corner_margin",
-    "least_disk",
-    "linear_side",
-    "margin_speed",
-    "open_loop",
-    "sampled_limits",
-    "worst_linear_side",
-]
-
 DISK_PLACES = ("thrust", "measurement", "both")
 """The places where all loops are opened at once: the four thrust commands, the measured x_e, y_e, z_e, ψ, or both."""
 
@@ -360,10 +345,7 @@ def _can_cruise(vehicles: Sequence[Vehicle], cruise: float) -> list[bool]:
 def _least_sampled(limits: Sequence[SampledLimits]) -> SampledLimits:
     one, two, three = (min(s.largest_period_s[k] for s in limits) for k in range(3))
     return SampledLimits(
-        limits[0].period_s,
-        max(s.radius for s in limits),
-        (one, two, three),
-        min(s.delay_periods for s in limits),
+        limits[0].period_s, max(s.radius for s in limits), (one, two, three), min(s.delay_periods for s in limits)
     )
 
 

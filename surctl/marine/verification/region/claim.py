@@ -13,8 +13,6 @@ from surctl.marine.vehicle import Vehicle
 from surctl.marine.verification.assumptions import check_alike, check_no_integral
 from surctl.marine.verification.region.turning import TurningClaim
 
-__all__ = ["RegionClaim", "region_claim"]
-
 Range = tuple[float, float]
 
 _AXES = {"mass_kg": "m11", "linear_drag": "Xu", "quadratic_drag": "Xuu"}  # surge; sway must have equal values

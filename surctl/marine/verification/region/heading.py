@@ -19,8 +19,6 @@ from surctl.certcheck.heading_claim import EXCLUDES
 from surctl.marine.vehicle import Vehicle
 from surctl.marine.verification.assumptions import check_alike
 
-__all__ = ["HEADING_GAINS", "HeadingClaim", "Limits", "heading_claim", "loops_at", "rows_at"]
-
 Array = NDArray[np.float64]
 Range = tuple[float, float]
 

@@ -22,8 +22,6 @@ from surctl.marine.verification.region.proof import RegionProof
 from surctl.marine.verification.region.rates import heading_loop, level_ratios
 from surctl.verification.conic import minimise, symmetric_basis
 
-__all__ = ["prove_heading"]
-
 Array = NDArray[np.float64]
 
 _UNITS = np.array([0.5, 0.4, 0.4, 0.1, 0.1, 0.3])  # scale of each entry of ξ

@@ -20,8 +20,6 @@ from surctl.marine.verification.region.steering import SteeringClaim
 from surctl.marine.verification.region.steering_proof import prove_steering
 from surctl.marine.verification.region.turning import TurningClaim
 
-__all__ = ["REGION_CLAIMS", "applicable_region", "implies", "prove_statement", "refused_regions", "region_statement"]
-
 _RANGES = frozenset({"mass_factor", "drag_factor"})
 _RANGES_OF_CRUISE = frozenset({"mass", "linear", "quadratic", "lag"})
 _AT_LEAST = frozenset(

@@ -19,19 +19,6 @@ from surctl.certcheck.region_claim import axis_pairs, read_claim
 from surctl.certcheck.region_trim import steady_trim
 from surctl.marine.verification.region.claim import RegionClaim
 
-__all__ = [
-    "Bounds",
-    "Gains",
-    "Loop",
-    "Steady",
-    "bounds",
-    "force_gain",
-    "gains_of",
-    "loops",
-    "offset_slopes",
-    "steady_cruise",
-]
-
 Array = NDArray[np.float64]
 
 _SHARE = 0.85  # share of quadratic drag along the path, averaged over the heading

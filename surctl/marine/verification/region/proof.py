@@ -25,8 +25,6 @@ from surctl.marine.verification.region.turning_shells import certificate_of as t
 from surctl.marine.verification.region.turning_shells import raised, region_of
 from surctl.verification.certified import Certified
 
-__all__ = ["RegionProof", "prove_region", "prove_turning"]
-
 _DIGITS = 7
 _SHRUNK = 2 / 3  # largest share of the offset within which the motion ends, for a region that is of use
 _PROGRAMS = 16  # least number of programs of the turning search, if there are as many attempts

@@ -18,8 +18,6 @@ from surctl.certcheck.turning_law import Follower, followed
 from surctl.marine.verification.region.claim import RegionClaim
 from surctl.marine.verification.region.heading import HeadingClaim
 
-__all__ = ["LevelRatios", "Loop", "cruise_loop", "cruise_rate", "heading_loop", "level_ratios"]
-
 Array = NDArray[np.float64]
 Loop = Callable[[Array, Array], tuple[Array, Array]]
 

@@ -18,8 +18,6 @@ from surctl.marine.verification.region.heading import HEADING_GAINS, HeadingClai
 from surctl.marine.verification.region.steering import SteeringClaim, steering_claim
 from surctl.marine.verification.region.turning import TurningClaim, turning_claim
 
-__all__ = ["RegionStatement", "load_region", "write_region"]
-
 _HEADING_KNOWS = frozenset(
     {"kind", "name", "statement", "loop", "share", "ranges", "thrust_share", "rate_per_s", "gains", "attempts", "cells"}
 )

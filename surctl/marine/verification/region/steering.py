@@ -23,8 +23,6 @@ from surctl.marine.vehicle import Vehicle
 from surctl.marine.verification.assumptions import check_no_integral
 from surctl.verification.formula import parse, variable
 
-__all__ = ["SteeringClaim", "side_per_moment", "steering_claim"]
-
 Array = NDArray[np.float64]
 Pair = tuple[float, float]
 

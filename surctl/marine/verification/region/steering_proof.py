@@ -15,8 +15,6 @@ from surctl.lyapunov.slope_search import form_of, slope_candidate
 from surctl.marine.verification.region.proof import RegionProof
 from surctl.marine.verification.region.steering import SteeringClaim
 
-__all__ = ["prove_steering"]
-
 _SECONDS = 300.0  # limit of the processor time of the search, which ends much earlier
 _LEVELS = (0.99, 0.97, 0.94, 0.9, 0.8, 0.65)  # that are tried, relative to the proposed one
 _NOT = "not provable for this vehicle and these gains, because"

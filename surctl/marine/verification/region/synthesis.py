@@ -18,8 +18,6 @@ from surctl.marine.verification.region.claim import RegionClaim
 from surctl.marine.verification.region.loop import Bounds, Gains, Loop, Steady, bounds, force_gain, gains_of, loops
 from surctl.verification.conic import Inequality, minimise, symmetric_basis
 
-__all__ = ["Candidate", "Proposal", "finished", "search"]
-
 Array = NDArray[np.float64]
 
 _WINDS = (1, 2, 3, 5, 6)

@@ -19,8 +19,6 @@ from surctl.marine.control import Gains, build_law
 from surctl.marine.vehicle import Vehicle
 from surctl.marine.verification.assumptions import check_no_integral, check_sway_force
 
-__all__ = ["TurningClaim", "turning_claim"]
-
 Pair = tuple[float, float]
 
 _HEAVE: Pair = (0.1, 0.1)

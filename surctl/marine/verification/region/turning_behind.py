@@ -13,8 +13,6 @@ from numpy.typing import NDArray
 from surctl.certcheck.turning_form import lipschitz, stir
 from surctl.marine.verification.region.turning import TurningClaim
 
-__all__ = ["Behind", "behind_of", "split_of"]
-
 Array = NDArray[np.float64]
 Numbers = NDArray[np.intp]
 

@@ -19,8 +19,6 @@ from surctl.certcheck.turning_terms import other_forces, outer_force
 from surctl.marine.verification.region.turning import TurningClaim
 from surctl.marine.verification.region.turning_behind import Behind, behind_of
 
-__all__ = ["Cruise", "Vertices", "steady_turning", "vertices"]
-
 Array = NDArray[np.float64]
 
 

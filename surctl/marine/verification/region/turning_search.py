@@ -19,8 +19,6 @@ from surctl.marine.verification.region.turning_loop import Cruise, Vertices, ste
 from surctl.marine.verification.region.turning_shells import TurningCandidate, fitted, transformed, violated
 from surctl.verification.conic import Inequality, minimise
 
-__all__ = ["turning_search"]
-
 Array = NDArray[np.float64]
 
 _USUAL = np.array([0.3, 0.8, 0.15])  # k1 [1/s], look-ahead [m] and cruise speed [m/s] of the first start values

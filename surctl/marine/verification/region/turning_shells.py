@@ -21,11 +21,6 @@ from surctl.marine.verification.region.turning import TurningClaim
 from surctl.marine.verification.region.turning_behind import split_of
 from surctl.marine.verification.region.turning_loop import Cruise, Vertices, vertices
 
-__all__ = [
-    "Region", "TurningCandidate", "certificate_of", "fitted", "raised", "region_of", "transformed", "violated",
-    "worst_rate",
-]  # fmt: skip
-
 Array = NDArray[np.float64]
 Numbers = NDArray[np.intp]
 
