@@ -32,7 +32,7 @@ sensor_options = together(
         "faults",
         multiple=True,
         metavar="FAULT",
-        help="Fault KIND:SENSOR or thruster:NAME[:START[:DURATION]]",
+        help="KIND:SENSOR or thruster:NAME[:START[:DURATION]] [s].",
     ),
     click.option(
         "--chance", "chances", multiple=True, metavar="KIND=P", help="Probability of a fault per ping; may be repeated."

@@ -106,9 +106,9 @@ def verify(
     """Prove or refute claims of the paper, or your own, and print loop margins.
 
     A claim is proved (with a certificate that `surctl check` accepts), refuted (with a counterexample), unknown
-    (neither proved nor refuted), or not applicable (this vehicle, law or gains violate an assumption). The paper's
-    claims concern the kinematic loop at the cruise speed, with speeds limited to --cap. --scenario also checks the
-    no-contact claim and prints its assumptions.
+    (neither proved nor refuted), or not applicable (this vehicle, law or gains violate an assumption). Claims of the
+    robot's paper are about the kinematic loop at cruise speed, with speeds limited to --cap. --scenario also checks
+    the no-contact claim and prints its assumptions.
 
     The linear analysis about straight cruise (of --law: about steady motion) gives margins, poles, the slowest mode,
     stable speeds and sampling limits: for the nominal vehicle, and for the worst within --uncertainty or the ranges of
