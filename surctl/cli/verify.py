@@ -106,7 +106,7 @@ def verify(
     """Prove or refute claims of the paper, or your own, and print loop margins.
 
     A claim is proved (with a certificate that `surctl check` accepts), refuted (with a counterexample), unknown
-    (neither proved nor refuted), or not applicable (this vehicle, law or gains violate an assumption). Claims of the
+    (neither), or not applicable (this vehicle, law or gains violate an assumption). Claims of the
     robot's paper are about the kinematic loop at cruise speed, with speeds limited to --cap. --scenario also checks
     the no-contact claim and prints its assumptions.
 
