@@ -819,3 +819,9 @@ def test_a_folder_that_cannot_be_listed_is_told(tmp_path: Path, monkeypatch: pyt
     monkeypatch.setattr(os, "scandir", denied)
     with pytest.raises(InputError, match=r"cannot be read \(Permission denied\)"):
         read_bundle(tmp_path)
+
+
+def test_instruction_lists_have_a_limit_together(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("surctl.certcheck.bundle.LARGEST", (folder / "manifest.json").stat().st_size)
+    with pytest.raises(InputError, match="has instruction lists of more than"):
+        read_bundle(folder)

@@ -79,7 +79,12 @@ def test_a_comparison_with_the_state_that_rounding_decides_is_not_shown() -> Non
 
 
 def test_an_infinite_constant_is_named() -> None:
-    for steps in ("const inf; fmin v2 v3", "const inf; sub v3 v3; add v2 v4", "const inf; neg v3; add v3 v4"):
+    for steps in (
+        "const inf",
+        "const inf; fmin v2 v3",
+        "const inf; sub v3 v3; add v2 v4",
+        "const inf; neg v3; add v3 v4",
+    ):
         with pytest.raises(Rejected, match="an instruction list computes with infinity"):
             unlike(steps)
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 from fractions import Fraction
 from itertools import pairwise, product
 from math import prod
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,7 +16,15 @@ from scipy.linalg import solve_continuous_lyapunov, solve_discrete_lyapunov
 
 from surctl.certcheck import Rejected, check_document, patience, seal
 from surctl.certcheck.region_exact import inverse
-from surctl.certcheck.slopes import Decrease, _joined, _vertices, check_decrease, quadratic_form, require_in_box
+from surctl.certcheck.slopes import (
+    Decrease,
+    _joined,
+    _vertices,
+    check_decrease,
+    is_definite,
+    quadratic_form,
+    require_in_box,
+)
 from surctl.verification.formula import parse, values_of, variable
 
 TERMS = (
@@ -488,3 +497,10 @@ def test_whatever_a_feedback_proves_holds_at_samples() -> None:
             [u] = values_of([parse(text, {name: variable(name) for name in "xv"})], dict(zip("xv", x, strict=True)))
             assert np.all(np.einsum("in,in->n", FORM @ x, np.array([x[1], 0.3 * x[0] + u])) < 0)
     assert 2 < proved < 28
+
+
+@pytest.mark.parametrize(("least", "shown"), [(1e-13, True), (1e-14, False)])
+def test_what_is_below_the_bound_of_rounding_is_not_shown(least: float, shown: bool) -> None:
+    rows = SimpleNamespace(slopes=[(Fraction(0), Fraction(1))], size=lambda _: Fraction(1))
+    entry = SimpleNamespace(poly={(): exact(least), (0,): Fraction(1)}, error=Fraction(0))
+    assert is_definite(rows, [[entry]]) is shown  # type: ignore[arg-type, list-item]
