@@ -59,7 +59,7 @@ EQUIVALENT = {
     "slopes: is_definite: inner = min(len(used), max(0, (_CHUNK // len(lower)).bit_length() - 1)) -> inner = "
     "min(len(used), min(0, (_CHUNK // len(lower)).bit_length() - 1))": "the same vertices, one after the other",
     "slopes: _pair: all(x[j] * first[i] == x[i] * first[j] for x in triples.values() for j in range(3)) -> "
-    "all(x[j] * first[i] == x[i] * first[j] for x in [*(triples.values())][1:] for j in range(3))": "the first is its own",
+    "all(x[j] * first[i] == x[i] * first[j] for x in [*(triples.values())][1:] for j in range(3))": "the first is compared to itself",
     "instructions: evaluate: points, part = max(vector.shape[1] for vector in vectors), max(1, _TABLE // "
     "max(1, block.size)) -> points, part = max(vector.shape[1] for vector in vectors), max(1, _TABLE // "
     "min(1, block.size))": "the same points, in fewer parts",
