@@ -41,6 +41,7 @@ CAUGHT = Path("surctl-out") / "checker-mutants.json"  # by mutant: a digest and 
 CALLS = Path("surctl-out") / "checker-calls.json"  # by digest of a file of tests: the functions that each test calls
 SLOW = "takes too long"
 _FIRST = "the first operation of a table has no operands, so it is a number or a variable"
+_ITSELF = "the first is compared to itself"
 _INNER = "relative to the mass, thrust and drag of the first and last vertex lie between those of the others"
 _HEAVE = 'heading: _check_heave: product(claim.ranges["heave_mass_kg"], drags, (share, Fraction(1))) -> '
 EQUIVALENT = {
@@ -59,7 +60,7 @@ EQUIVALENT = {
     "slopes: is_definite: inner = min(len(used), max(0, (_CHUNK // len(lower)).bit_length() - 1)) -> inner = "
     "min(len(used), min(0, (_CHUNK // len(lower)).bit_length() - 1))": "the same vertices, one after the other",
     "slopes: _pair: all(x[j] * first[i] == x[i] * first[j] for x in triples.values() for j in range(3)) -> "
-    "all(x[j] * first[i] == x[i] * first[j] for x in [*(triples.values())][1:] for j in range(3))": "the first is compared to itself",
+    "all(x[j] * first[i] == x[i] * first[j] for x in [*(triples.values())][1:] for j in range(3))": _ITSELF,
     "instructions: evaluate: points, part = max(vector.shape[1] for vector in vectors), max(1, _TABLE // "
     "max(1, block.size)) -> points, part = max(vector.shape[1] for vector in vectors), max(1, _TABLE // "
     "min(1, block.size))": "the same points, in fewer parts",
