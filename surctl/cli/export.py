@@ -328,7 +328,9 @@ def export(
         compared.sil.summary(),
     ]
     lines += [] if failed is None else [f"warning: the replayed run failed: {failed}; see: {_again(started[1])}"]
-    warnings = [f"warning: {text}" for text in assessment.failures]  # of the loop and the mission, not of the code
+    # of the loop and the mission, not of the code; the replayed run has its own line
+    fails = [one for one in assessment.lines if one.rank == 0 and not one.about.startswith("runs")]
+    warnings = [f"warning: {one.text}" for one in fails]
     lines += [*compared.summaries(proof), *warnings]
     brief = [_sil_line(compared.sil), *([] if failed is None else [f"FAIL the replayed run: {failed}"])]
     brief += [line for line in compared.summaries(proof) if line] + [replay_text + f"{metrics.time_s:.2f} s"]

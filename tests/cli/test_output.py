@@ -38,7 +38,7 @@ def test_many_runs_have_a_summary_that_names_what_fails() -> None:
     calm = series_lines([run(0), run(1)])
     assert calm[0] == "tank by ball, truth: 2 of 2 runs arrive, 0 collide" and "40.00 to 41.00 s" in calm[1]
     late = {"reached": False, "stopped_because": "time limit"}
-    low = {"linear": {"stable": True, "disk_margin": 0.1}}
+    low = {"linear": {"stable": True, "disk_margin": 0.1, "short": "a disk margin of 0.10"}}
     hit = run(7, min_clearance_m=-0.01, **low)
     lines = series_lines([hit, *(run(seed, **late, **low) for seed in range(4))])
     assert lines[0] == "tank by ball, truth: 1 of 5 runs arrive, 1 collide" and "-0.010 m (seed 7)" in lines[1]

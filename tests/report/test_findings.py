@@ -40,7 +40,7 @@ def test_claims_are_one_table_of_sentences_below_the_figures() -> None:
     judged = replace(report().assessment, figures={margin.name: margin})
     section = findings_section(replace(report(), inapplicable=(unfit,), regions=regions, assessment=judged))
     figures, table = [block for block in section.blocks if isinstance(block, Table)]
-    assert [cell.text for cell in figures.cells[0]] == ["disk_margin", "0.31", "1", "all loops", "mass -5%"]
+    assert [cell.text for cell in figures.cells[0]] == ["disk_margin", "0.31", "≥ 0.3", "1", "all loops", "mass -5%"]
     rows = {row[0].text: [cell.text for cell in row[1:]] for row in table.cells}
     assert list(rows) == [
         "v1-printed", "m-norm-printed", "v1-corrected", "braking-rule-20",
