@@ -19,6 +19,7 @@ from collections.abc import Iterable
 __all__ = [
     "LOSSES",
     "LOST",
+    "EmptyDomain",
     "InputError",
     "NotApplicable",
     "SolverError",
@@ -101,6 +102,10 @@ class NotApplicable(InputError):
     def inside(self, file: object, key: str | None = None) -> NotApplicable:
         """Return the same error with the file that contains the claim."""
         return NotApplicable(self.because, to=self.to, key=key or str(file))
+
+
+class EmptyDomain(InputError):
+    """No sample lies in the domain of a claim, which may be empty."""
 
 
 class ToolMissing(InputError):

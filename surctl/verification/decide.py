@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.certcheck import check_document
-from surctl.errors import InputError
+from surctl.errors import EmptyDomain, InputError
 from surctl.verification.claim import Claim, VerdictWord
 from surctl.verification.counterexample import Counterexample, Oracle, build_oracle
 from surctl.verification.doubtful import exceeding, special_points, undefined_at
@@ -83,12 +83,10 @@ def _decide(
     claim: Claim, samples: int, starts: int, seed: int, time_limit: float, progress: Callable[[str], None] | None
 ) -> Verdict:
     began = time.perf_counter()
-    empty: InputError | None = None
+    empty: EmptyDomain | None = None
     try:
         outcome = search(claim, samples=samples, starts=starts, seed=seed)
-    except InputError as error:  # of an exact statement, also its empty domain may be shown
-        if claim.exact is None or "no sample lies in its domain" not in error.problem:
-            raise
+    except EmptyDomain as error:  # it may be shown to be empty
         empty, nothing = error, np.zeros((len(claim.variables), 0))
         outcome = Search(Verdict(claim, "not refuted", None, -math.inf, 0.0, 0.0, 0, 0), nothing, nothing)
     verdict = outcome.verdict

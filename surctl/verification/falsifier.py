@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.errors import InputError
+from surctl.errors import EmptyDomain, InputError
 from surctl.verification.claim import Claim
 from surctl.verification.counterexample import Counterexample, Oracle, build_oracle
 from surctl.verification.verdict import Verdict
@@ -49,8 +49,9 @@ def falsify(claim: Claim, *, samples: int = 4096, starts: int = 16, seed: int = 
         seed: seed of the samples; equal seeds give equal verdicts.
 
     Raises:
-        InputError: there are fewer than 2 samples or fewer than 1 start, the domain is empty, or the margin is not
-            finite at a point of the domain.
+        EmptyDomain: no sample lies in the domain.
+        InputError: there are fewer than 2 samples or fewer than 1 start, or the margin is not finite at a point of the
+            domain.
 
     Example:
         >>> from surctl.marine.verification import claims
@@ -76,7 +77,7 @@ def search(claim: Claim, *, samples: int, starts: int, seed: int) -> Search:
     maxima = _climb(oracle, begin)
     points = np.hstack([oracle.place(unit[:, inside]), maxima])
     if points.shape[1] == 0:
-        raise InputError(
+        raise EmptyDomain(
             "no sample lies in its domain", key=f"claim {claim.name}", remedy="widen the bounds or the constraints"
         )
     scale = max(np.max(size[inside], initial=0), np.max(oracle.evaluate(points)[1]))

@@ -5,7 +5,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from surctl.errors import InputError
-from surctl.verification import Claim, Variable, falsify
+from surctl.marine.control import load_gains
+from surctl.marine.simulation import Case, load_scenario
+from surctl.marine.tuning.pool import refuted_claims
+from surctl.marine.vehicle import load_vehicle
+from surctl.marine.verification import claims
+from surctl.verification import Claim, Variable, decide, falsify
 from surctl.verification.counterexample import build_oracle
 
 
@@ -119,3 +124,12 @@ def test_a_counterexample_beside_a_pole_is_not_rounded_onto_it() -> None:
     x = ca.SX.sym("x", 1)
     found = falsify(claim_of(1 / x, x)).counterexample
     assert found is not None and np.isfinite(found.margin) and found.values["x0"] > 0
+
+
+def test_an_empty_domain_of_a_built_in_claim_is_vacuous_and_refutes_no_gains() -> None:
+    gains = {"kappa": 30.0, "margin": 1.0}  # above every speed
+    (claim,) = claims(gains, ["clearance-corrected"])
+    verdict = decide(claim)
+    assert verdict.verdict == "proved" and verdict.vacuous
+    case = Case(load_scenario("pool-behind"), load_vehicle("sur400"), load_gains("default"), "closed_form")
+    assert "clearance-corrected" not in {v.claim.name for v in refuted_claims(gains, [case])}

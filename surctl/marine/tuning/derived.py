@@ -261,7 +261,7 @@ _MUNK_DELAY = 0.34  # product of Munk rate and delay at which the margin is abou
 _BRACKET, _BEARABLE_STEPS = 1.2, 6
 _LOWERED = 10  # largest number of times that the result is lowered by 2 %
 # ratio and number of the speeds tried for a craft without sway force, and bisections that follow (0.5 %)
-_SLOWER, _SLOWER_SPEEDS, _SLOWER_STEPS = 0.85, 9, 5
+_SLOWER, _SLOWER_SPEEDS, _SLOWER_STEPS = 0.85, 15, 5  # down to a tenth
 
 
 REQUIRED = f"a disk margin of {LEAST_DISK_MARGIN:g} and a delay margin of {LEAST_DELAY_MARGIN:g} s"

@@ -389,7 +389,8 @@ def check_finals(
 
     The sets are the tuned gains, the next best sets of the chosen round that meet the hard goals of the search and, if
     all of these miss a goal, the start gains. The first one that misses the fewest hard goals, then the fewest soft
-    ones, becomes the tuned gains, if the fresh runs that verified the tuning do not refute it.
+    ones, then its worst hard goal by the least share, becomes the tuned gains, if the fresh runs that verified the
+    tuning do not refute it.
 
     Args:
         tuning: a finished tuning.
@@ -453,13 +454,20 @@ def _adopted(tuning: Tuning, gains: Mapping[str, float]) -> Tuning:
     return replace(tuning, tuned=pool, rounds=(*tuning.rounds, one), chosen=len(tuning.rounds))
 
 
-def _missed(goals: Sequence[Goal], one: Assessment) -> tuple[int, int]:
-    missed = [goal.kind for goal in goals if not _met(goal, one)]
-    return missed.count("hard"), missed.count("soft")
+def _missed(goals: Sequence[Goal], one: Assessment) -> tuple[int, int, float]:
+    # how many hard and soft goals are missed, and by how much the worst hard one
+    shares = {goal: _share(goal, one) for goal in goals}
+    missed = [goal.kind for goal, share in shares.items() if not share <= 1]
+    hard = [share for goal, share in shares.items() if goal.kind == "hard" and not share <= 1]
+    return missed.count("hard"), missed.count("soft"), float(np.nan_to_num(max(hard, default=1.0), nan=np.inf))
+
+
+def _share(goal: Goal, one: Assessment) -> float:
+    return float(goal.normalised(np.array([_value(goal, one)]))[0])
 
 
 def _met(goal: Goal, one: Assessment) -> bool:
-    return bool(goal.normalised(np.array([_value(goal, one)]))[0] <= 1)
+    return _share(goal, one) <= 1
 
 
 def _value(goal: Goal, one: Assessment) -> float:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache, cached_property, lru_cache
 
@@ -11,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl import __version__
-from surctl.errors import InputError, nearest
+from surctl.errors import EmptyDomain, InputError, nearest
 from surctl.marine.control import PATH_FOLLOWING, Gains, law_source
 from surctl.marine.simulation import Case
 from surctl.marine.tuning.evaluation import Condition, Evaluation, Figures, Sets, figures, judged, row
@@ -138,7 +139,10 @@ def refuted_claims(gains: Mapping[str, float], cases: Sequence[Case], *, seed: i
 @lru_cache(maxsize=16)
 def _refuted(gains: tuple[tuple[str, float], ...], seed: int) -> tuple[Verdict, ...]:
     # cached, because several rounds may end at the same gains and the falsifier takes seconds
-    verdicts = (falsify(claim, seed=seed) for claim in claims(dict(gains), expected_to_hold()))
+    verdicts = list[Verdict]()
+    for claim in claims(dict(gains), expected_to_hold()):
+        with suppress(EmptyDomain):  # nothing refutes it
+            verdicts.append(falsify(claim, seed=seed))
     return tuple(v for v in verdicts if v.verdict == "refuted")
 
 
