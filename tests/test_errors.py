@@ -49,6 +49,7 @@ def test_public_names() -> None:
     assert errors.__all__ == [
         "LOSSES",
         "LOST",
+        "EmptyDomain",
         "InputError",
         "NotApplicable",
         "SolverError",
