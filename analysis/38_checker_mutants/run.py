@@ -61,9 +61,10 @@ EQUIVALENT = {
     "min(len(used), min(0, (_CHUNK // len(lower)).bit_length() - 1))": "the same vertices, one after the other",
     "slopes: _pair: all(x[j] * first[i] == x[i] * first[j] for x in triples.values() for j in range(3)) -> "
     "all(x[j] * first[i] == x[i] * first[j] for x in [*(triples.values())][1:] for j in range(3))": _ITSELF,
-    "instructions: evaluate: points, part = max((v.shape[1] for v in vectors), default=1), max(1, _TABLE // "
-    "max(1, block.size)) -> points, part = max((v.shape[1] for v in vectors), default=1), max(1, _TABLE // "
-    "min(1, block.size))": "the same points, in fewer parts",
+    "instructions: evaluate: part = max(1, _TABLE // max(1, block.size)) -> "
+    "part = max(1, _TABLE // min(1, block.size))": "the same points, in fewer parts",
+    "instructions: evaluate: part = max(1, _TABLE // max(1, block.size)) -> "
+    "part = min(1, _TABLE // max(1, block.size))": "the same points, in more parts",
     "identity: Exact._reduced: atom = max(squared, key=lambda k: (len(k), k)) -> "
     "atom = min(squared, key=lambda k: (len(k), k))": "each square is replaced, in whichever order",
 }

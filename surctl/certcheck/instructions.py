@@ -153,7 +153,8 @@ def evaluate(block: Block, *vectors: Array) -> list[Array]:
     """Return the outputs (entries, n) of a block from its inputs (entries, n); raise Rejected for wrong sizes."""
     if tuple(len(vector) for vector in vectors) != block.inputs:
         raise Rejected(f"{block.name} takes vectors of {block.inputs} entries")
-    points, part = max((v.shape[1] for v in vectors), default=1), max(1, _TABLE // max(1, block.size))
+    (points,) = {v.shape[1] for v in vectors} or {1}
+    part = max(1, _TABLE // max(1, block.size))
     with np.errstate(all="ignore"):
         pieces = [block.run([v[:, k : k + part] for v in vectors], _NUMBERS) for k in range(0, points, part)]
     return [np.hstack(piece) for piece in zip(*pieces, strict=True)]
