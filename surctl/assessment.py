@@ -31,7 +31,7 @@ __all__ = [
     "Region",
     "Subject",
     "assess",
-    "cost_lines",
+    "cost_verdicts",
 ]
 
 # An assessment: every figure and verdict about one subject, in the form that every page, command and status reads
@@ -491,7 +491,7 @@ class ClosedLoop:
             value = record.figures[name]
             meaning = cost.meaning or f"{cost.how} over the run"
             figures.append(Figure(f"cost.{name}", value, cost.unit, meaning, "low", cost.at_most))
-            lines += cost_lines(name, cost, value, end=record.duration - 1.5 * self.system.dt)
+            lines += cost_verdicts(name, cost, value, duration=record.duration, dt=self.system.dt)
         shares = unresponsive(record)
         if shares:
             worst = max(shares, key=lambda name: shares[name])
@@ -523,23 +523,25 @@ class ClosedLoop:
         return Part((figure,), (line,), solution)
 
 
-def cost_lines(name: str, cost: Cost, value: float, *, end: float) -> list[Line]:
+def cost_verdicts(name: str, cost: Cost, value: float, *, duration: float, dt: float) -> list[Line]:
     """Return the verdict on the bound of a cost, and whether a last time is only the end of the run.
 
     Args:
         name: name of the cost.
         cost: the cost.
         value: its value.
-        end: a last time [s] from here on is the end of the run, so that the true one is not known.
+        duration: duration of the run [s]; a last time at its end is not the true one, which is not known.
+        dt: control period [s].
 
     Example:
-        >>> from surctl.assessment import cost_lines
+        >>> from surctl.assessment import cost_verdicts
         >>> from surctl.system import Cost
-        >>> [line] = cost_lines("end", Cost(lambda s: s.x["speed"], "final", "m/s", at_most=0.5), 0.2, end=5.0)
+        >>> cost = Cost(lambda s: s.x["speed"], "final", "m/s", at_most=0.5)
+        >>> [line] = cost_verdicts("end", cost, 0.2, duration=5.0, dt=0.1)
         >>> line.passed, line.text
         (True, 'end = 0.2 m/s, at most 0.5 m/s')
     """
-    lasts = cost.how == "last_time" and value > max(end, 0.0)
+    lasts = cost.how == "last_time" and value > max(duration - 1.5 * dt, 0.0)
     if cost.at_most is None and not lasts:
         return []
     bound = "" if cost.at_most is None else f", at most {cost.at_most:g} {cost.unit}"

@@ -26,7 +26,7 @@ from typing import Any
 sys.path.insert(0, str(Path(__file__).parent))
 from draws import SYSTEM_SECONDS, loop, vehicle
 
-from surctl.assessment import Assessment, ClosedLoop, assess, cost_lines
+from surctl.assessment import Assessment, ClosedLoop, assess, cost_verdicts
 from surctl.cli import main as command_line
 from surctl.cli.output import finite
 from surctl.cli.runs import linear_warning
@@ -248,8 +248,8 @@ def one_system(seed: int, found: Disagreements, *, compiled: bool) -> None:
     manifest = json.loads(Path("c/manifest.json").read_text())["evidence"]["assessment"]
     found.assessment("export", f"{about} manifest", manifest, result)
     told, _ = surctl("sweep", word, "k=1", *seconds, "--out", "w")
-    end, figures = record.duration - 1.5 * system.dt, record.figures
-    bounds = [line for name, cost in system.costs.items() for line in cost_lines(name, cost, figures[name], end=end)]
+    ends, figures = {"duration": record.duration, "dt": system.dt}, record.figures
+    bounds = [line for name, cost in system.costs.items() for line in cost_verdicts(name, cost, figures[name], **ends)]
     for row in told["best"].values():
         found.assessment("sweep", about, row["assessment"], of_loop.with_lines(bounds))
     told, status = surctl("tune", word, "--gain", "k=0.5..2", *seconds, "--trials", 10, "--out", "t")

@@ -136,11 +136,11 @@ def _lint_system(word: str) -> _Linted:
     absent = {"duration": system.duration is None, "costs": not system.costs, "ranges": not system.ranges}
     absent["within"] = not system.within
     problems += [Finding("info", key, f"is not given, so {_ABSENT[key]}") for key, none in absent.items() if none]
-    if all(one.level != "error" for one in problems):
+    works = all(one.level != "error" for one in problems)
+    if works:
         judged = assess(ClosedLoop(system), parts=["loop"]).lines
         problems += [Finding("warning", "gains", line.text) for line in judged if line.passed is False]
     lines = [f"{one.level}: {one.key}: {one.text}" for one in problems] or [f"{word}: nothing found"]
-    works = all(one.level != "error" for one in problems)
     data = {"file": word, "kind": "system", "findings": [one.to_dict() for one in problems]}
     then = [command_line("study", own), command_line("verify", own)] if works else []
     return _Linted(data, printable(lines), works, then)

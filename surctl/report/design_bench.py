@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from numpy.typing import ArrayLike, NDArray
 
 from surctl import __version__
-from surctl.assessment import Assessment, ClosedLoop, assess
+from surctl.assessment import Assessment, ClosedLoop, assess, cost_verdicts
 from surctl.errors import InputError
 from surctl.files import quoted, read_toml, write_file
 from surctl.ir import Layout
@@ -30,6 +30,7 @@ Values = Mapping[str, float]
 View = Literal["loop", "run", "decision"]
 
 _MOST_TIMES = 1500
+_MARKS = {True: "good", None: "", False: "bad"}
 
 
 @dataclass(frozen=True)
@@ -170,9 +171,9 @@ class SystemBench:
             rows.append((f"end, {point}", f"{record.stopped}, {record.duration:.4g} s", f"end {point}", mark))
             for name, value in record.figures.items():
                 cost = self.system.costs[name]
-                bad = cost.at_most is not None and not value <= cost.at_most
+                judged = cost_verdicts(name, cost, value, duration=record.duration, dt=record.system.dt)
                 text = _quantity(value, cost.unit) + ("" if cost.at_most is None else f", at most {cost.at_most:g}")
-                mark = "" if cost.at_most is None else "bad" if bad else "good"
+                mark = next((_MARKS[line.passed] for line in judged), "")
                 rows.append((f"{cost.meaning or name}, {point}", text, f"cost {name} {point}", mark))
             for label, values_, unit in _entries(record, "command"):
                 rows.append(

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surctl import __version__
-from surctl.assessment import Assessment, ClosedLoop, assess, cost_lines
+from surctl.assessment import Assessment, ClosedLoop, Line, assess, cost_verdicts
 from surctl.errors import InputError, SurctlError
 from surctl.recorded_write import Column
 from surctl.system import (
@@ -159,9 +159,11 @@ def chosen_points(
         if (point, run) not in judged:
             numbers = {**values, **swept.at(point), **swept.random_of(run)}
             loop = assess(ClosedLoop(system, numbers, ranges), parts=["loop"])
-            end = float(swept.runs.time[run]) - 1.5 * system.dt
-            worst = [(name, cost, float(swept.worst(name)[point])) for name, cost in system.costs.items()]
-            judged[point, run] = loop.with_lines([line for one in worst for line in cost_lines(*one, end=end)])
+            lines, duration = list[Line](), float(swept.runs.time[run])
+            for name, cost in system.costs.items():
+                value = float(swept.worst(name)[point])
+                lines += cost_verdicts(name, cost, value, duration=duration, dt=system.dt)
+            judged[point, run] = loop.with_lines(lines)
         return judged[point, run]
 
     choices = {}

@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from surctl.assessment import ClosedLoop, assess, cost_lines
+from surctl.assessment import ClosedLoop, assess, cost_verdicts
 from surctl.errors import InputError
 from surctl.ir import Layout, Port
 from surctl.system import Controller, Cost, Plant, System, linearise, run_system
@@ -85,11 +85,11 @@ def test_a_last_time_at_the_end_of_the_run_is_not_known(
     value: float, at_most: float, passed: bool | None, lasts: bool
 ) -> None:
     cost = Cost(lambda s: s.x["speed"], "last_time", "s", at_most=at_most)
-    (line,) = cost_lines("late", cost, value, end=9.85)
+    (line,) = cost_verdicts("late", cost, value, duration=10.0, dt=0.1)
     assert line.passed is passed and line.counts and ("until the end of the run" in line.text) is lasts
-    remarks = cost_lines("late", replace(cost, at_most=None), value, end=9.85)
+    remarks = cost_verdicts("late", replace(cost, at_most=None), value, duration=10.0, dt=0.1)
     assert [one.counts for one in remarks] == [False] * lasts  # without a bound, only a remark
-    assert cost_lines("late", replace(cost, how="max"), value, end=9.85)[0].passed is (value <= at_most)
+    assert cost_verdicts("late", replace(cost, how="max"), value, duration=10.0, dt=0.1)[0].passed is (value <= at_most)
 
 
 def test_an_unstable_corner_and_one_without_equilibrium_fail() -> None:

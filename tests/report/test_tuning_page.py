@@ -3,6 +3,7 @@
 import re
 import signal
 from contextlib import nullcontext
+from dataclasses import replace
 from http.client import HTTPConnection
 from pathlib import Path
 
@@ -24,7 +25,7 @@ from surctl.report.design_bench import SystemBench, activity
 from surctl.report.page_parts import page, respond
 from surctl.report.panel import Curve, Panel, Shade, draw_panel, panel_svg
 from surctl.report.theme import new_axes
-from surctl.system import Controller, Plant, System
+from surctl.system import Controller, Cost, Plant, System
 from surctl.tuning import Overshoot, Profile, Rejection, Settling
 from surctl.verification import system_margins
 from tests.browser import open_page
@@ -305,6 +306,13 @@ def test_a_law_of_ones_own_is_linear_about_its_run():
     assert bench.goals[0].judge(slow).value > 1.5 * bench.goals[0].judge(fast).value
     moved = respond(bench, "run", request(bench, values={**start, "k_wall": 0.4}, points=["its own run"]))
     assert moved["moved"] and bench.version == 2
+
+
+def test_a_cost_that_lasts_to_the_end_of_the_run_is_not_marked_as_met() -> None:
+    costs = {how: Cost(lambda s: s.x["place"] + 9.0, how, "m", at_most=99.0) for how in ("last_time", "max")}
+    bench = SystemBench(replace(SYSTEM, costs=costs), "mine.py:build", 1.0, RANGES, {"light": PLACES["light"]})
+    marks = {name: mark for _, _, name, mark in bench.run({}, ["light"]).rows}
+    assert marks["cost last_time light"] == "" and marks["cost max light"] == "good"
 
 
 def test_activity_counts_signs_and_saturation():
