@@ -25,6 +25,7 @@ settings.register_profile("repeatable", derandomize=True, deadline=None, max_exa
 settings.load_profile("repeatable")
 
 os.environ["SURCTL_VERBOSE"] = "1"
+os.environ.pop("PYTHONUNBUFFERED", None)  # streams lose their output at other moments with it
 
 HERE = Path(__file__).parent
 SPENT = "processor time [s]"

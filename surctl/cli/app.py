@@ -24,7 +24,7 @@ from surctl.cli.new import new
 from surctl.cli.output import (
     OutputLost,
     Stopped,
-    discard_stdout,
+    discard,
     failed_write,
     guarded_stdout,
     interrupted,
@@ -133,6 +133,10 @@ def main() -> None:
     open_closed_streams()
     with noting_interrupts(), guarded_stdout(), signs_of_life():
         status = _status()
+    try:
+        sys.stderr.flush()
+    except OSError:  # else Python tries again at its end, and changes the status to 120
+        discard(sys.stderr)
     sys.exit(status)
 
 
@@ -156,7 +160,7 @@ def _status() -> int:
     except OutputLost as lost:
         if str(lost):
             print_message(str(lost))
-        discard_stdout()
+        discard(sys.stdout)
         status = LOST
     except OSError as error:
         lost_file = failed_write(error)

@@ -120,11 +120,11 @@ def _lost_text(error: OSError) -> str:
     return f"the output cannot be written ({reason}); free disk space, or write to another place"
 
 
-def discard_stdout() -> None:
-    """Let later writes to stdout succeed without effect: after a failed write, Python writes the rest at its end."""
+def discard(stream: TextIO) -> None:
+    """Let later writes to the stream succeed without effect: Python tries at its end what it could not write before."""
     with suppress(OSError, ValueError):  # a stream in memory has no descriptor
         nothing = os.open(os.devnull, os.O_WRONLY)
-        os.dup2(nothing, sys.stdout.fileno())
+        os.dup2(nothing, stream.fileno())
         os.close(nothing)
 
 

@@ -153,6 +153,7 @@ def process(words: str, folder: Path, *, out: int = subprocess.PIPE, **environme
         ("simulate pool-behind --out out --save csv >&- 2>&-", 0),
         ("list --show sur400 > /dev/full", 3),
         ("list --show sur400 > /dev/full 2> /dev/full", 3),
+        ("list no-such > /dev/null 2> /dev/full", 2),
     ],
 )
 def test_a_stream_that_is_closed_or_full(words: str, status: int, tmp_path: Path) -> None:
