@@ -28,12 +28,12 @@ from surctl.certcheck.region_exact import (
     quadratic,
     root_up,
 )
-from surctl.certcheck.turning_cells import check_shell, heading_cells, lateness, steady
+from surctl.certcheck.turning_cells import Trim, check_shell, heading_cells, lateness, steady
 from surctl.certcheck.turning_claim import Pair, TurningClaim, read_claim
 from surctl.certcheck.turning_form import Form, Phase
 from surctl.certcheck.turning_terms import STILL, coupled_mass, other_forces, other_moment
 
-__all__ = ["check", "check_cells", "require_bound", "require_starts"]
+__all__ = ["check", "check_cells", "cruise_of", "require_bound", "require_starts"]
 
 _MOST_SHELLS = 24
 _CELLS = (4, 96)  # least and largest number of cells of headings
@@ -51,7 +51,7 @@ def check(document: Mapping[str, Any]) -> None:
     keys = ("P", "floor", "trim", "cells", "shells") + (("thrust",) if claim.behind else ())
     keys += ("flow",) if claim.current else ()
     proof = record(document.get("proof"), keys, "proof")
-    check_cells(claim, proof, _slopes(proof["trim"]), _flow(claim, proof["flow"]) if claim.current else STILL)
+    check_cells(claim, proof, *_coefficients(claim, proof))
 
 
 def check_cells(
@@ -120,8 +120,14 @@ def _flow(claim: TurningClaim, value: Any) -> tuple[Pair, Pair, Pair]:
     return first, second, third
 
 
-def _slopes(value: Any) -> Pair:
-    return two(value, "proof.trim", least=-(10**9))
+def _coefficients(claim: TurningClaim, proof: Mapping[str, Any]) -> tuple[Pair, tuple[Pair, Pair, Pair]]:
+    """Return the coefficients of ω, and those of the gains of the current."""
+    return two(proof["trim"], "proof.trim", least=-(10**9)), _flow(claim, proof["flow"]) if claim.current else STILL
+
+
+def cruise_of(claim: TurningClaim, proof: Mapping[str, Any]) -> Trim:
+    """Return the steady cruise of a proof that `check` accepts."""
+    return steady(claim, *_coefficients(claim, proof))
 
 
 def require_starts(
