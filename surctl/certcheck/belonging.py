@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import hypot
 from typing import Any
 
@@ -43,6 +43,7 @@ _KINEMATIC = (
     "and nothing about the rest of the loop"
 )
 _MODEL = "plant: that the plant of the bundle describes the real one is an assumption"
+_PATH = "path: a bundle has no path; the certificate covers the one that it states"
 _RULE = "law: the certificate is about a braking rule alone, to which it binds no law"
 _BY_EXPORT = (
     "statement: the export states the inequality for the gains, the vehicle and the cruise speed; the instruction list "
@@ -103,6 +104,9 @@ def compare(document: Mapping[str, Any], manifest: Manifest) -> Belonging:
         document: the certificate, of which `kind` and `claim` are read.
         manifest: the manifest of the bundle.
     """
+    if document["kind"] == "mission":  # the claim about one leg is about the controller
+        inner = compare({"kind": "turning", "claim": document["claim"]["loop"]}, manifest)
+        return replace(inner, excludes=(_PATH, *inner.excludes))
     comparison = _Comparison(document["claim"], manifest)
     kinds = {
         "region": comparison.region, "braking": comparison.braking, "heading": comparison.heading,

@@ -39,7 +39,6 @@ from surctl.certcheck.region_exact import (
     Matrix,
     inverse,
     is_positive_definite,
-    largest_eigenvalue,
     product,
     quadratic,
     root_down,
@@ -101,19 +100,26 @@ class Mission:
 
 @dataclass(frozen=True)
 class Funnel:
-    """P of V, the rate [1/s], the floor, the ranges of x* and |y*| [m], and the covariance P⁻¹ of the position."""
+    """V and its steady cruise: P, the floor, the ranges of x* and of |y*| [m], and entries of the covariance P⁻¹.
+
+    `spread` are the variances of x_e and y_e, which have no covariance; `trace` is the trace of P⁻¹.
+    """
 
     p: Matrix
     floor: Fraction
     along: tuple[Fraction, Fraction]
     beside: Fraction
-    widest: Fraction
-    largest: Fraction
+    spread: Pair
+    trace: Fraction
 
     def extent(self, level: Fraction) -> Fraction:
-        """Return the largest distance of the robot from the target in V ≤ level [m]."""
-        away = max(map(abs, self.along))
-        return root_up(self.widest * level) + root_up(away * away + self.beside * self.beside)
+        """Return the largest distance of the robot from the target in V ≤ level [m].
+
+        With A and B the variances of x_e and y_e, (δx + x*)² ≤ (1 + t) δx² + (1 + 1/t) x*² for t = B/A − 1 > 0.
+        """
+        (a, b), away = self.spread, max(map(abs, self.along))
+        far = root_up(max(a, b) * level) + away
+        return (min(far, root_up(b * level + away * away * b / (b - a))) if b > a else far) + self.beside
 
     def steady(self) -> list[Pair]:
         """Return the ends of the range of (x*, y*)."""
@@ -211,7 +217,7 @@ def funnel_of(claim: TurningClaim, proof: Mapping[str, Any]) -> Funnel:
         number(proof["floor"], "proof.floor", above=True),
         (-high / claim.k1, -low / claim.k1),
         trim.beside,
-        largest_eigenvalue([row[:2] for row in covariance[:2]]),
+        (covariance[0][0], covariance[1][1]),
         sum((covariance[i][i] for i in range(4)), Fraction(0)),
     )
 
@@ -233,7 +239,10 @@ def starts(mission: Mission, funnel: Funnel) -> list[list[Fraction]]:
     speed = -mission.loop.cruise if mission.at_rest else Fraction(0)
     x, y = mission.within
     return [
-        [side * x - u, end * y - w, speed, Fraction(0)] for side in (1, -1) for end in (1, -1) for u, w in funnel.steady()
+        [side * x - u, end * y - w, speed, Fraction(0)]
+        for side in (1, -1)
+        for end in (1, -1)
+        for u, w in funnel.steady()
     ]
 
 
@@ -258,18 +267,13 @@ def places(mission: Mission, funnel: Funnel, k: int, level: Fraction) -> list[tu
     return [place(first, share * first / 2), place(2 * ON_LEG / share, ON_LEG)]
 
 
-def _turns(
-    mission: Mission, funnel: Funnel, k: int, before: Fraction, after: Fraction, multiplier: Fraction
-) -> bool:
+def _turns(mission: Mission, funnel: Funnel, k: int, before: Fraction, after: Fraction, multiplier: Fraction) -> bool:
     """Return whether V ≤ before at the end of leg k implies V ≤ after on the next leg."""
     rotation, moved = turned(mission, funnel, *turn_of(*mission.path[k : k + 3]))
-    size = root_up(funnel.largest * before) + max(map(abs, funnel.along)) + funnel.beside
+    size = root_up(funnel.trace * before) + max(map(abs, funnel.along)) + funnel.beside
     size += mission.overrun + mission.loop.cruise
-    trace = sum((funnel.p[i][i] for i in range(4)), Fraction(0))
-    left = root_down(after) - 2 * _PRECISION * size * root_up(trace)
-    return left > 0 and all(
-        _inside(funnel.p, before, rotation, offset, left * left, multiplier) for offset in moved
-    )
+    left = root_down(after) - 2 * _PRECISION * size * root_up(sum((funnel.p[i][i] for i in range(4)), Fraction(0)))
+    return left > 0 and all(_inside(funnel.p, before, rotation, offset, left * left, multiplier) for offset in moved)
 
 
 def turned(mission: Mission, funnel: Funnel, c: Fraction, s: Fraction) -> tuple[Matrix, list[list[Fraction]]]:

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
     from surctl.lyapunov import Solution
     from surctl.marine.control import Gains
+    from surctl.marine.simulation import Scenario
     from surctl.marine.vehicle import Vehicle
     from surctl.marine.verification.region import RegionStatement
     from surctl.verification import Inapplicable, Verdict
@@ -76,6 +77,10 @@ class Proofs(NamedTuple):
     lines: list[str]
     files: list[Path]
     instead: str = ""
+
+    def joined(self, other: Proofs) -> Proofs:
+        """Return these results, followed by others."""
+        return Proofs(self.claims + other.claims, self.lines + other.lines, self.files + other.files, self.instead)
 
 
 def _proofs(todo: Sequence[tuple[str, Callable[[], Any]]], refused: Sequence[Inapplicable], out: Path | None) -> Proofs:
@@ -209,6 +214,57 @@ def prove_regions(
     others = [name for name in ("region-turning-20", "region-steered-20") if name not in known]
     instead = applicable_region(others, robot, values, cruise=cruise, cap=cap) if refused and others else None
     return result._replace(instead=instead.name if isinstance(instead, RegionStatement) else "")
+
+
+def is_mission(word: str) -> bool:
+    """Return whether a word denotes the claim about the mission of the scenario: `mission` or `mission:REGION`."""
+    return word.partition(":")[0] == "mission"
+
+
+def prove_missions(
+    words: Sequence[str], scenario: Scenario | None, *, vehicle: str, gains: Gains, speeds: tuple[float, float],
+    seed: int = 0, out: Path | None = None,
+) -> Proofs:  # fmt: skip
+    """Prove the claim about the mission of a scenario, with the region claim that a word names for each leg.
+
+    If the claim is not proved, its line ends with a lower cruise speed at which it is proved, if there is one.
+
+    Raises:
+        InputError: no scenario is given, or a region claim is unknown.
+    """
+    if not words:
+        return Proofs([], [], [])
+    from surctl.marine.vehicle import load_vehicle
+    from surctl.marine.verification.mission import prove_scenario, slower
+    from surctl.verification import Inapplicable
+
+    if scenario is None:
+        remedy = "add --scenario NAME or FILE"
+        raise InputError("is about the path of a scenario", key="claim", value=words[0], remedy=remedy)
+    if len(words) > 1:
+        raise InputError("is a second claim about the mission", key="claim", value=words[1], remedy="drop one of them")
+    [word], robot, (cruise, cap) = words, load_vehicle(vehicle), speeds
+    region = word.partition(":")[2]
+    about = (scenario, robot, gains, region_of(region) if region else None)
+    refused, proofs = list[Inapplicable](), Proofs([], [], [])
+    try:
+        with timed(word):
+            proof = prove_scenario(*about, cruise=cruise, cap=cap, seed=seed)
+        proofs = _proofs([(proof.claim.name, lambda: proof)], [], out)
+    except NotApplicable as reason:
+        refused = [Inapplicable.of(f"mission-{scenario.name}", reason)]
+        proofs = _proofs([], refused, out)
+    if refused or proof.verdict != "proved":
+        with timed(f"{word} at lower speeds"):
+            lower = None if any(one.to == "this mission" for one in refused) else slower(
+                *about, cruise=cruise, cap=cap, seed=seed
+            )  # fmt: skip
+        then = "no lower speed is proved" if lower is None else (
+            f"with --cruise {lower.claim.loop.cruise:g}, {lower.sentence}"
+        )  # fmt: skip
+        proofs.lines[0] += f"; {then}"
+        proofs.claims[0]["at_lower_speed"] = None if lower is None else lower.to_dict()
+    return proofs
 
 
 _KINDS = ("braking-rule", "braking-inertia", "braking-simple")

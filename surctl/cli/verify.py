@@ -134,8 +134,10 @@ def verify(
     from surctl.cli.claims import (
         check_regions,
         is_braking,
+        is_mission,
         is_region,
         prove_all,
+        prove_missions,
         prove_regions,
         region_of,
         require_own_speeds,
@@ -167,15 +169,15 @@ def verify(
     values = tuned.gains.values
     at_hand = {**values, "speed": speeds[0], "speed_max": speeds[1]}
     about = None if law is None or PATH_FOLLOWING in source.parts else label(chosen_law)
-    named = [name for name in claims if not is_region(name) and not is_braking(name)]
+    named = [name for name in claims if not (is_region(name) or is_braking(name) or is_mission(name))]
     chosen, left_out = _chosen(named, at_hand, robot, law=about) if named or not claims else ([], {})
     refused = [Inapplicable.of(name, reason) for name, reason in left_out.items()]
     if show:
         texts = {claim.name: write_claim(claim) for claim in chosen}
         texts |= {word: write_region(region_of(word)) for word in claims if is_region(word)}
-        braking = next((word for word in claims if is_braking(word)), None)
+        braking = next((word for word in claims if is_braking(word) or is_mission(word)), None)
         if braking is not None:
-            remedy = "drop it; a braking claim is fixed by its vehicle and law"
+            remedy = "drop it; the claim is fixed by its vehicle, law and scenario"
             raise InputError("has no claim file", key="claim", value=braking, remedy=remedy)
         lines = [*texts.values(), *(refusal_line(one) for one in refused)]
         finish({"claims": texts}, lines, as_json=as_json, passed=not refused, whole=True)
@@ -183,8 +185,9 @@ def verify(
     check_held(cruise or (), robot, cap=speeds[1], key="--cruise")
     if out is not None:
         prepare_folder(out)
-    if about is not None and any(is_region(name) or is_braking(name) for name in claims):
-        name = next(name for name in claims if is_region(name) or is_braking(name))
+    of_the_law = [name for name in claims if is_region(name) or is_braking(name) or is_mission(name)]
+    if about is not None and of_the_law:
+        name = of_the_law[0]
         raise InputError(f"does not concern the law {about}", key="claim", value=name, remedy="drop it")
     region_names = [name for name in claims if is_region(name)]
     require_own_speeds(region_names, None if cruise is None else max(cruise), cap)
@@ -207,6 +210,10 @@ def verify(
     contacts = assessed[-1].sources.get("no contact") if assessed else None
     safety = contacts[0] if contacts and cascaded else None
     regions = prove_regions(region_names, vehicle=vehicle, gains=tuned.gains, speeds=speeds, seed=seed, out=out)
+    about_mission = [name for name in claims if is_mission(name)]
+    regions = regions.joined(
+        prove_missions(about_mission, mission, vehicle=vehicle, gains=tuned.gains, speeds=speeds, seed=seed, out=out)
+    )
     braked = prove_all([n for n in claims if is_braking(n)], vehicle=vehicle, gains=tuned.gains, cap=speeds[1], out=out)
     verdicts, files, lines = [], dict[str, Path](), list[str]()
     where = "" if out is None else f", certificates in {out}"
@@ -343,12 +350,15 @@ def _draw(
     pictures = list[Path]()
     with saving("plots"):
         from surctl.marine.control import build_law
-        from surctl.marine.report import plot_region
+        from surctl.marine.report import plot_mission, plot_region
         from surctl.marine.report.files import save_margins, save_verdicts
         from surctl.report.theme import save_figure
 
         pictures += save_verdicts(verdicts, out)
-        pictures += [save_figure(plot_region(document), out, (name, "levels")) for name, document in proved.items()]
+        for name, document in proved.items():
+            tube = document["kind"] == "mission"
+            plot = plot_mission(document) if tube else plot_region(document)
+            pictures.append(save_figure(plot, out, (name, "tube" if tube else "levels")))
         pictures += [] if cruise is None else save_margins(build_law(law), vehicle, gains, out, cruise=cruise)
     return [str(path) for path in pictures]
 

@@ -9,6 +9,7 @@ if TYPE_CHECKING:
     from surctl.marine.report.files import plot_region, save_run
     from surctl.marine.report.goals import GoalBars, plot_goal_bars, plot_heat_map, plot_parallel
     from surctl.marine.report.margin_plots import plot_locus
+    from surctl.marine.report.mission_plot import plot_mission
     from surctl.marine.report.page import render_page
     from surctl.marine.report.plan_view import plot_run
     from surctl.marine.report.sections import ExportSummary, ReportData
@@ -26,6 +27,7 @@ __all__ = [
     "plot_goal_bars",
     "plot_heat_map",
     "plot_locus",
+    "plot_mission",
     "plot_parallel",
     "plot_prediction",
     "plot_priority",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from itertools import pairwise
@@ -124,7 +124,7 @@ class _Broken(Exception):
 
 
 def mission_claim(
-    name: str, scenario: Scenario, vehicle: Vehicle, gains: Gains, statement: RegionStatement,
+    scenario: Scenario, vehicle: Vehicle, gains: Gains, statement: RegionStatement,
     *, cruise: float, cap: float, at_rest: bool,
 ) -> MissionClaim:  # fmt: skip
     """Return the claim about a scenario's path, at the given speeds [m/s] and without its obstacles.
@@ -154,7 +154,7 @@ def mission_claim(
     if current > loop.current:
         why = f"its current of {current:.3g} m/s exceeds the {loop.current:g} m/s of {statement.name}"
         raise NotApplicable(why, to="this mission")
-    return MissionClaim(name, path.waypoints, loop, at_rest)
+    return MissionClaim(f"mission-{scenario.name}", path.waypoints, loop, at_rest)
 
 
 def prove_mission(claim: MissionClaim, *, attempts: int = 24, seed: int = 0) -> MissionProof:
@@ -301,11 +301,11 @@ def _array(rows: Sequence[Sequence[Fraction]]) -> Array:
     return np.array([[float(entry) for entry in row] for row in rows])
 
 
-def missions(
+def prove_scenario(
     scenario: Scenario, vehicle: Vehicle, gains: Gains, region: RegionStatement | None = None,
     *, cruise: float, cap: float, seed: int = 0,
 ) -> MissionProof:  # fmt: skip
-    """Return the proof of a mission from rest or, if there is none, from the target's velocity at the start.
+    """Prove a mission from rest or, if that fails, with the target's velocity at the start.
 
     Args:
         scenario: the mission; its obstacles are left out.
@@ -318,13 +318,52 @@ def missions(
     Raises:
         NotApplicable: the mission violates an assumption of the claim.
     """
-    statement = region_statement(USUAL) if region is None else region
-    name, speeds = f"mission-{scenario.name}", {"cruise": cruise, "cap": cap}
-    resting, moving = (
-        prove_mission(
-            mission_claim(name, scenario, vehicle, gains, statement, at_rest=at_rest, **speeds),
-            attempts=statement.attempts, seed=seed,
-        )
-        for at_rest in (True, False)
-    )  # fmt: skip
-    return resting
+    statement, reason = region_statement(USUAL) if region is None else region, ""
+    for at_rest in (True, False):
+        claim = mission_claim(scenario, vehicle, gains, statement, cruise=cruise, cap=cap, at_rest=at_rest)
+        proof = prove_mission(claim, attempts=statement.attempts, seed=seed)
+        if proof.verdict == "proved":
+            return replace(proof, rest=reason)
+        reason = f"{reason}; nor with the target's velocity: {proof.reason}" if reason else proof.reason
+    return replace(proof, reason=f"from rest, {reason}")
+
+
+def slower(
+    scenario: Scenario, vehicle: Vehicle, gains: Gains, region: RegionStatement | None = None,
+    *, cruise: float, cap: float, seed: int = 0,
+) -> MissionProof | None:  # fmt: skip
+    """Return a proof of the mission at a lower cruise speed, if possible from rest; None if there is none.
+
+    The arguments are those of `prove_scenario`.
+    """
+    best = None
+    for share in _SLOWER:
+        speed = float(f"{share * cruise:.2g}")
+        proof = prove_scenario(scenario, vehicle, gains, region, cruise=speed, cap=cap, seed=seed)
+        if proof.useful:
+            return proof
+        best = proof if best is None and proof.verdict == "proved" else best
+    return best
+
+
+def tube_radii(document: Mapping[str, Any], points: int = 41) -> list[Array]:
+    """Return for each leg the distance of the robot from the target [m] at `points` places of the target (points, 3).
+
+    Args:
+        document: the certificate of a mission that the checker accepts.
+        points: number of places, from the begin to the end of a leg.
+
+    Returns:
+        For each leg an array (points, 3) of the target's x and y, and the bound on the distance [m].
+    """
+    mission, proof = read_claim(document["claim"]), document["proof"]
+    funnel = funnel_of(mission.loop, proof["loop"])
+    legs = []
+    for a, b, level in zip(mission.path, mission.path[1:], proof["levels"], strict=True):
+        length, exact = leg_length(a, b), Fraction(repr(level))
+        rows = []
+        for share in (Fraction(k, points - 1) for k in range(points)):
+            far = funnel.extent(decayed(mission.loop, funnel, exact, share * length)) + mission.overrun
+            rows.append([float(a[i] + share * (b[i] - a[i])) for i in (0, 1)] + [float(far)])
+        legs.append(np.array(rows))
+    return legs
