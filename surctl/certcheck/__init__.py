@@ -163,6 +163,14 @@ def _proves(kind: str, claim: Mapping[str, Any]) -> str:
     """Return a sentence that states what an accepted inequality proves."""
     if kind in ("barrier", "lyapunov"):
         return _proves_motion(claim)
+    if kind == "mission":
+        start, motion = claim["start"], claim["motion"]
+        (along, across), how = start["within_m"], "at rest" if start["at_rest"] else "with the target's velocity"
+        return (
+            f"a robot that begins {how}, within {along:g} m along and {across:g} m across the path at its start, stays "
+            f"within {max(motion['tube_m']):g} m of the path, and is within {motion['goal_m']:g} m of its end when the "
+            "target reaches it"
+        )
     if kind != "interval":
         return ""
     if not claim["slack"]:

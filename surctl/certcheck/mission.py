@@ -209,6 +209,7 @@ def check(document: Mapping[str, Any]) -> None:
 
 
 def funnel_of(claim: TurningClaim, proof: Mapping[str, Any]) -> Funnel:
+    """Return V and its steady cruise from a proof that the check of a `turning` certificate accepts."""
     p, trim = triangle(proof["P"], 4, "proof.P"), turning.cruise_of(claim, proof)
     covariance = inverse(p)
     low, high = trim.moved
@@ -249,10 +250,10 @@ def starts(mission: Mission, funnel: Funnel) -> list[list[Fraction]]:
 def places(mission: Mission, funnel: Funnel, k: int, level: Fraction) -> list[tuple[Fraction, Fraction, Fraction]]:
     """Return (u, distance, bound) [m] for the places u before the corner at the end of leg k that decide.
 
-    If each distance of the robot from the target is within its bound, the robot follows leg k up to the corner. It
-    leaves the leg only if it is further than 0.1 m from the leg and nearer to the next one. The next leg is at least σ u
-    from the target, with σ = 1 for turns of up to 90 degrees, and the sine of the turn for others; so a distance of at
-    most σ u/2 excludes it too. The distance is a convex function of u, so the ends of the range of u decide.
+    If each distance of the robot from the target is within its bound, the robot follows leg k up to the corner: it
+    leaves the leg only if it is more than 0.1 m from the leg and nearer to the next one. The next leg is at least σ u
+    from the target, with σ = 1 for turns of up to 90 degrees, and the sine of the turn for others; so a distance of
+    at most σ u/2 suffices. The distance is a convex function of u, so the ends of the range of u decide.
     """
     c, s = turn_of(*mission.path[k : k + 3])
     share = Fraction(1) if c > _PRECISION else max(abs(s) - _PRECISION, Fraction(0))

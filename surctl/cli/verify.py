@@ -211,9 +211,10 @@ def verify(
     safety = contacts[0] if contacts and cascaded else None
     regions = prove_regions(region_names, vehicle=vehicle, gains=tuned.gains, speeds=speeds, seed=seed, out=out)
     about_mission = [name for name in claims if is_mission(name)]
-    regions = regions.joined(
-        prove_missions(about_mission, mission, vehicle=vehicle, gains=tuned.gains, speeds=speeds, seed=seed, out=out)
+    missions = prove_missions(
+        about_mission, mission, vehicle=vehicle, gains=tuned.gains, speeds=speeds, seed=seed, out=out
     )
+    regions = regions.joined(missions)
     braked = prove_all([n for n in claims if is_braking(n)], vehicle=vehicle, gains=tuned.gains, cap=speeds[1], out=out)
     verdicts, files, lines = [], dict[str, Path](), list[str]()
     where = "" if out is None else f", certificates in {out}"
@@ -298,11 +299,11 @@ def verify(
         words = ["surctl", "verify", regions.instead, *("--vehicle", vehicle), *(("--gains", gains) if gains else ())]
         then.insert(0, shlex.join([*words, "--cruise", f"{speeds[0]:g}", "--cap", f"{speeds[1]:g}"]))
     about_claims = [*map(claim_line, verdicts), *(refusal_line(one) for one in refused), *regions.lines, *braked.lines]
-    about_claims = [line for line in about_claims if not line.startswith(" ")]
+    about_claims = [line for line in about_claims if not line.startswith(" ") and line not in missions.lines]
     if len(about_claims) > _MOST_CLAIMS:
         good = sum(line.startswith("ok") for line in about_claims)
         about_claims = [f"ok   {good} of {len(about_claims)} claims as expected"]
-    brief = [f"FAIL {text}" for text in failures] + about_claims
+    brief = [*missions.lines, *(f"FAIL {text}" for text in failures), *about_claims]
     brief += [f"{line.mark} {line.text}" for line in judged if line.rank] + conditions_lines
     finish(
         result, lines, as_json=as_json, passed=not failures, then=then, brief=brief,

@@ -30,7 +30,6 @@ from surctl.certcheck.mission import (
 from surctl.certcheck.region_exact import quadratic
 from surctl.errors import NotApplicable
 from surctl.marine.control import Gains
-from surctl.marine.guidance import VISIT
 from surctl.marine.simulation import Scenario
 from surctl.marine.vehicle import Vehicle
 from surctl.marine.verification.region import RegionStatement, TurningClaim, prove_turning, region_statement
@@ -94,16 +93,17 @@ class MissionProof(Certified):
         if self.verdict != "proved":
             return f"unknown: {self.reason}"
         loop, legs = self.claim.loop, len(self.claim.path) - 1
-        how = "at rest" if self.claim.at_rest else "at the target's velocity, not from rest"
+        begun = "at rest" if self.claim.at_rest else "at the target's velocity, not at rest,"
         seconds = float(np.linalg.norm(np.diff(self.claim.path, axis=0), axis=1).sum()) / loop.cruise
-        held = f"commands held for {loop.period:g} s" if loop.period else "commands not held"
+        without = "obstacles, walls and thrust lag" if loop.period else "obstacles, walls, thrust lag and held commands"
+        along, across = self.within
         return (
-            f"proved: from within {self.within[0]:.3g} m along and {self.within[1]:.3g} m across the start, {how}, the robot stays within {self.tube:.3g} m of "
-            f"the path and is within {self.goal:.3g} m of its end after {seconds:.0f} s, when the target reaches it; "
-            f"{legs} leg{'s' if legs > 1 else ''} at {loop.cruise:g} m/s, drag off by up to "
-            f"{loop.drag_factor[1] - 1:.0%} and masses by {loop.mass_factor[1] - 1:.0%}, a current of up to "
-            f"{loop.current:g} m/s; without obstacles, walls and thrust lag, {held}; "
-            f"checked in {self.check_seconds:.2f} s" + (f"; from rest: {self.rest}" if self.rest else "")
+            f"proved without {without}: begun {begun} within {along:.3g} m along and {across:.3g} m across the start, "
+            f"it stays within {self.tube:.3g} m of the path and is within {self.goal:.3g} m of its end after "
+            f"{seconds:.0f} s; {legs} leg{'s' if legs > 1 else ''} at {loop.cruise:g} m/s, drag off by up to "
+            f"{loop.drag_factor[1] - 1:.0%}, masses by {loop.mass_factor[1] - 1:.0%}, a current of up to "
+            f"{loop.current:g} m/s; checked in {self.check_seconds:.2f} s"
+            + (f"; not proved from rest: {self.rest}" if self.rest else "")
         )
 
     def to_dict(self) -> dict[str, Any]:
@@ -119,8 +119,8 @@ class MissionProof(Certified):
         }
 
 
-class _Broken(Exception):
-    """Error for a chain that breaks; its message names the inequality that fails and its numbers."""
+class BrokenChain(Exception):
+    """Error for a chain of regions that breaks; its message names the inequality that fails and its numbers."""
 
 
 def mission_claim(
@@ -133,9 +133,9 @@ def mission_claim(
         NotApplicable: the region claim of a leg does not apply, or the mission has another form than the claim.
     """
     path = scenario.path
-    if path.rises is not None and np.any(path.rises) or path.speeds is not None and np.any(path.speeds):
+    if (path.rises is not None and np.any(path.rises)) or (path.speeds is not None and np.any(path.speeds)):
         raise NotApplicable("its path changes the depth or the speed", to="this mission")
-    if scenario.visit is not None and np.any(path.table(visits=True)[1:-1, 4] == VISIT):
+    if scenario.visit is not None:
         raise NotApplicable("the robot stops at corners that it visits", to="this mission")
     if statement.loop != "turning":
         raise NotApplicable(f"{statement.name} is not a region claim of the loop turning", to="this mission")
@@ -164,14 +164,14 @@ def prove_mission(claim: MissionClaim, *, attempts: int = 24, seed: int = 0) -> 
         return MissionProof(claim, "unknown", {}, region.reason)
     try:
         document = certificate_of(claim, region.document)
-    except _Broken as broken:
+    except BrokenChain as broken:
         return MissionProof(claim, "unknown", {}, str(broken))
     checked = check_document(document)
     if not checked.accepted:
         return MissionProof(claim, "unknown", {}, checked.reason)
-    motion = document["claim"]["motion"]
+    start, motion = (document["claim"][key] for key in ("start", "motion"))
     return MissionProof(
-        claim, "proved", document, "", tuple(document["claim"]["start"]["within_m"]), max(motion["tube_m"]), motion["goal_m"],
+        claim, "proved", document, "", tuple(start["within_m"]), max(motion["tube_m"]), motion["goal_m"],
         check_seconds=checked.seconds,
     )  # fmt: skip
 
@@ -180,7 +180,7 @@ def certificate_of(claim: MissionClaim, region: dict[str, Any]) -> dict[str, Any
     """Return the certificate of a mission with the largest start that the chain allows.
 
     Raises:
-        _Broken: the chain breaks for every start.
+        BrokenChain: the chain breaks for every start.
     """
     legs = len(claim.path) - 1
     stated: dict[str, Any] = {
@@ -193,7 +193,7 @@ def certificate_of(claim: MissionClaim, region: dict[str, Any]) -> dict[str, Any
     least = _start(mission, funnel, 0.0, 0.0)
     if least > 1:
         begin = "at rest" if claim.at_rest else "at the target's velocity"
-        raise _Broken(f"a start {begin} has V = {least:.3g}, and the region ends at V = 1")
+        raise BrokenChain(f"a start {begin} has V = {least:.3g}, and the region ends at V = 1")
     levels, multipliers = _longest(mission, funnel, least)
     within = _widest(mission, funnel, levels[0])
     lengths = [leg_length(a, b) for a, b in pairwise(mission.path)]
@@ -211,17 +211,17 @@ def _longest(mission: Mission, funnel: Funnel, least: float) -> tuple[list[float
     """Return the levels of the legs and the multipliers of the corners, for the largest level at the start.
 
     Raises:
-        _Broken: the chain breaks even for the least level.
+        BrokenChain: the chain breaks even for the least level.
     """
     try:
         return _chain(mission, funnel, 1.0)
-    except _Broken:
+    except BrokenChain:
         best, low, high = _chain(mission, funnel, least), least, 1.0
     for _ in range(_STEPS):
         middle = (low + high) / 2
         try:
             best, low = _chain(mission, funnel, middle), middle
-        except _Broken:
+        except BrokenChain:
             high = middle
     return best
 
@@ -230,7 +230,7 @@ def _chain(mission: Mission, funnel: Funnel, first: float) -> tuple[list[float],
     """Return the least levels of the legs and the multipliers of the corners for a level at the start.
 
     Raises:
-        _Broken: an inequality of the chain fails.
+        BrokenChain: an inequality of the chain fails.
     """
     levels, multipliers, p = [first], list[float](), _array(funnel.p)
     for k, (a, b, c) in enumerate(zip(mission.path, mission.path[1:], mission.path[2:], strict=False)):
@@ -238,7 +238,7 @@ def _chain(mission: Mission, funnel: Funnel, first: float) -> tuple[list[float],
         where = f"at the corner at ({float(b[0]):g}, {float(b[1]):g})"
         for u, distance, bound in places(mission, funnel, k, level):
             if distance > bound:
-                raise _Broken(f"{where}, the robot may be {float(distance):.3g} m from the target when the target is "
+                raise BrokenChain(f"{where}, the robot may be {float(distance):.3g} m from the target when the target is "
                               f"{float(u):.3g} m before the corner; at more than {float(bound):.3g} m it may leave out "
                               "the corner")  # fmt: skip
         cosine, sine = turn_of(a, b, c)
@@ -247,7 +247,7 @@ def _chain(mission: Mission, funnel: Funnel, first: float) -> tuple[list[float],
         reached, multiplier = _least(p, before, _array(rotation), _array(moved))
         if reached > 1:
             turn = np.degrees(np.arctan2(float(sine), float(cosine)))
-            raise _Broken(f"{where}, a turn of {abs(turn):.0f} degrees, V may grow to {reached:.3g} on leg {k + 2}, "
+            raise BrokenChain(f"{where}, a turn of {abs(turn):.0f} degrees, V may grow to {reached:.3g} on leg {k + 2}, "
                           "and the region ends at V = 1")  # fmt: skip
         levels.append(reached)
         multipliers.append(multiplier)
@@ -359,7 +359,7 @@ def tube_radii(document: Mapping[str, Any], points: int = 41) -> list[Array]:
     mission, proof = read_claim(document["claim"]), document["proof"]
     funnel = funnel_of(mission.loop, proof["loop"])
     legs = []
-    for a, b, level in zip(mission.path, mission.path[1:], proof["levels"], strict=True):
+    for (a, b), level in zip(pairwise(mission.path), proof["levels"], strict=True):
         length, exact = leg_length(a, b), Fraction(repr(level))
         rows = []
         for share in (Fraction(k, points - 1) for k in range(points)):

@@ -1,0 +1,309 @@
+"""The checker of missions: what it accepts, and what it must not."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from fractions import Fraction
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from surctl.certcheck import check_document, mission, turning
+from surctl.certcheck.document import Rejected
+from surctl.certcheck.mission import ON_LEG, decayed, funnel_of, leg_length, places, read_claim, starts
+from surctl.marine.guidance import next_leg
+from surctl.marine.verification.mission import BrokenChain, MissionClaim, certificate_of, tube_radii
+from tests.certcheck.altering import put, sealed
+
+HERE = Path(__file__).parent
+STRAIGHT, BENT = ((0.5, 2.5), (9.5, 2.5)), ((0.0, 0.0), (14.0, 0.0), (28.0, 5.0), (43.0, 3.0))
+EXACT, REST, HELD, CURRENT = (f"region-turning{end}" for end in ("", "-20-rest", "-20-sampled", "-20-current"))
+CASES = (
+    (BENT, EXACT, {}), (BENT, EXACT, {"period": 0.05}), (BENT, EXACT, {"current": 0.003}),
+    (STRAIGHT, REST, {}), (STRAIGHT, HELD, {"at_rest": False}), (STRAIGHT, CURRENT, {"at_rest": False}),
+)  # fmt: skip
+
+
+@cache
+def _built(
+    path: Any = BENT,
+    member: str = EXACT,
+    *,
+    at_rest: bool = True,
+    period: float = 0.0,
+    current: float = 0.0,
+    cruise: float | None = None,
+) -> str:
+    """Return the text of a certificate whose region is that of a certificate of this folder.
+
+    With another period, current or cruise speed, the region is that of another claim, and is not proved.
+    """
+    region = json.loads((HERE / f"{member}.json").read_text())
+    region["claim"]["law"]["cruise"] = cruise or region["claim"]["law"]["cruise"]
+    if period:
+        region["claim"]["law"]["period_s"] = period
+    if current:
+        region["claim"]["vehicle"]["current_m_per_s"] = current
+        region["proof"]["flow"] = [[0.5, 0.5], [0.0, 0.0], [0.0, 0.0]]
+    claim = MissionClaim("mission-test", np.array(path), None, at_rest)  # type: ignore[arg-type]
+    return json.dumps(certificate_of(claim, region))
+
+
+def built(*case: Any, **further: Any) -> dict[str, Any]:
+    """Return a certificate, see `_built`."""
+    return json.loads(_built(*case, **further))
+
+
+@pytest.fixture
+def alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Check the chain without the proof of the region, which takes seconds and has its own tests."""
+    monkeypatch.setattr(turning, "check", lambda document: None)
+
+
+def reason_of(document: dict[str, Any], checker: Any = mission) -> str:
+    try:
+        checker.check(document)
+    except Rejected as rejected:
+        return str(rejected)
+    return ""
+
+
+def test_the_whole_certificate_is_accepted() -> None:
+    assert check_document(built()).reason == ""
+
+
+@pytest.mark.parametrize(("path", "member", "further"), CASES)
+def test_chains_are_accepted(path: Any, member: str, further: Any, alone: None) -> None:
+    assert reason_of(built(path, member, **further)) == ""
+
+
+def numbers(document: dict[str, Any], key: str) -> Any:
+    return {"tube": document["claim"]["motion"]["tube_m"], "levels": document["proof"]["levels"],
+            "path": document["claim"]["path_m"], "within": document["claim"]["start"]["within_m"]}[key]  # fmt: skip
+
+
+def scaled(key: str, k: int, factor: float) -> Callable[[dict[str, Any]], None]:
+    def change(document: dict[str, Any]) -> None:
+        numbers(document, key)[k] *= factor
+
+    return change
+
+
+def moved(k: int, point: tuple[float, float]) -> Callable[[dict[str, Any]], None]:
+    def change(document: dict[str, Any]) -> None:
+        numbers(document, "path")[k] = list(point)
+
+    return change
+
+
+def reordered(document: dict[str, Any]) -> None:
+    points = np.array(numbers(document, "path"))
+    numbers(document, "path")[:] = [*points[:1].tolist(), *(points[0] + np.cumsum(np.diff(points, axis=0)[::-1], 0))]
+    numbers(document, "path")[1:] = [list(map(float, point)) for point in numbers(document, "path")[1:]]
+
+
+def entry(*keys: Any, to: Any) -> Callable[[dict[str, Any]], None]:
+    return lambda document: put(document, keys, to)
+
+
+NEAR_MISSES: tuple[tuple[Callable[[dict[str, Any]], None], str], ...] = (
+    (scaled("levels", 0, 4.0), "above 1"),
+    (scaled("levels", 1, 0.999), "not in the region of leg 2"),
+    (scaled("levels", 2, 0.999), "not in the region of leg 3"),
+    (scaled("levels", 0, 0.99), "at the start"),
+    (scaled("tube", 0, 0.999), "wider than the claimed tube"),
+    (scaled("tube", 1, 0.999), "wider than the claimed tube"),
+    (scaled("within", 0, 1.02), "at the start"),
+    (scaled("within", 1, 1.01), "at the start"),
+    (entry("claim", "motion", "goal_m", to=0.05), "further from the goal"),
+    (moved(1, (13.8, 0.0)), "leave out the corner"),  # a shorter leg
+    (moved(2, (28.0, 5.05)), "leg 2"),  # a larger turn
+    (moved(3, (43.0, 2.9)), "leg 3"),
+    (moved(1, (3.0, 0.0)), "leave out the corner"),
+    (reordered, "leg"),
+    (entry("proof", "multipliers", 0, to=0.9), "not in the region of leg 2"),
+    (entry("proof", "multipliers", to=[2.0]), "must have 2 entries"),
+    (entry("proof", "levels", to=[1.0, 1.0]), "must have 3 entries"),
+    (entry("claim", "loop", "law", "cruise", to=0.16), "start"),  # another speed
+    (entry("claim", "loop", "motion", "rate_per_s", to=0.0198), "leave out"),
+    (entry("claim", "loop", "vehicle", "lag_s", to=[0.1, 0.1]), "lags behind"),
+    (entry("claim", "start", "at_rest", to=1), "true or false"),
+    (entry("claim", "excludes", to=[]), "excludes differs"),
+    (entry("claim", "path_m", to=[[0, 0]]), "2 to 400 points"),
+    (entry("claim", "path_m", 2, to=[14.0, 0.0]), "shorter than the target moves"),
+    (entry("claim", "path_m", 2, to=[8.0]), "two coordinates"),
+    (entry("claim", "motion", "tube_m", to=[1.0]), "one number for each leg"),
+    (entry("claim", "system", to="cruise"), "claim.system"),
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(("change", "message"), NEAR_MISSES)
+def test_near_misses_are_rejected(change: Callable[[dict[str, Any]], None], message: str, alone: None) -> None:
+    document = built()
+    change(document)
+    assert message in reason_of(document)
+
+
+@pytest.mark.parametrize(
+    "keys", [("vehicle", "drag_factor"), ("law", "k1"), ("law", "k_v"), ("vehicle", "yaw_rate_rad_per_s")]
+)
+def test_the_region_of_another_vehicle_is_rejected(keys: tuple[str, str]) -> None:
+    document = built(STRAIGHT)
+    others = {"drag_factor": [0.9, 1.1], "k1": 0.9, "k_v": 0.3, "yaw_rate_rad_per_s": 5.0}
+    put(document, ("claim", "loop", *keys), others[keys[1]])
+    assert not check_document(sealed(document)).accepted
+
+
+def test_a_path_with_sharp_corners_has_no_chain() -> None:
+    with pytest.raises(BrokenChain, match=r"a turn of 179 degrees, V may grow to .*, and the region ends at V = 1"):
+        built(((0, 0), (90, 0), (1, 1)), at_rest=False, cruise=0.21)
+    with pytest.raises(BrokenChain, match="it may leave out the corner"):
+        built(((0, 0), (2, 0), (10, 2)))
+
+
+def test_starts_with_the_targets_velocity_are_further_from_the_path() -> None:
+    rest, moving = (built(STRAIGHT, at_rest=at_rest)["claim"]["start"]["within_m"] for at_rest in (True, False))
+    assert rest[0] < moving[0]
+    assert rest[1] < moving[1]
+
+
+def test_the_decay_is_bounded_from_above() -> None:
+    whole = built(STRAIGHT)
+    loop, funnel = read_claim(whole["claim"]).loop, funnel_of(read_claim(whole["claim"]).loop, whole["proof"]["loop"])
+    for length in (0.0, 0.3, 5.0, 40.0, 400.0):
+        exact = max(0.7 * np.exp(-float(loop.rate) * length / float(loop.cruise)), float(funnel.floor))
+        bound = float(decayed(loop, funnel, Fraction(7, 10), Fraction(length)))
+        assert exact <= bound * (1 + 1e-12)
+        assert bound <= exact * (1 + 1e-3)
+
+
+@pytest.mark.parametrize(("path", "member", "further"), CASES[:2])
+def test_states_at_a_corner_are_in_the_next_region(path: Any, member: str, further: Any, alone: None) -> None:
+    """Turn states of the border by an angle, not by the checker's exact cosines."""
+    whole, rng = built(path, member, **further), np.random.default_rng(1)
+    stated, levels = read_claim(whole["claim"]), whole["proof"]["levels"]
+    funnel, v, points = funnel_of(stated.loop, whole["proof"]["loop"]), float(stated.loop.cruise), np.array(path)
+    p, late = np.array([[float(x) for x in row] for row in funnel.p]), float(stated.overrun)
+    worst = 0.0
+    for k in range(len(levels) - 1):
+        before = float(decayed(stated.loop, funnel, Fraction(repr(levels[k])), leg_length(*stated.path[k : k + 2])))
+        first, second = np.diff(points[k : k + 3], axis=0)
+        angle = np.arctan2(second[1], second[0]) - np.arctan2(first[1], first[0])
+        back = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+        z = rng.normal(size=(20_000, 4))
+        z *= np.sqrt(before / np.einsum("ni,ij,nj->n", z, p, z))[:, None]
+        for x in map(float, funnel.along):
+            d = rng.choice([0.0, late], size=(len(z), 1))
+            place = (z[:, :2] + [x, 0] + d * [1, 0]) @ back.T - d * [1, 0]  # from the target on the next leg
+            speed = (z[:, 2:] + [v, 0]) @ back.T
+            after = np.hstack([place - [x, 0], speed - [v, 0]])
+            value = float(np.einsum("ni,ij,nj->n", after, p, after).max())
+            assert value <= levels[k + 1]
+            worst = max(worst, value / levels[k + 1])
+    assert worst > 0.9  # the bound is not far from the worst state
+
+
+def test_starts_are_in_the_region() -> None:
+    whole = built(STRAIGHT)
+    stated = read_claim(whole["claim"])
+    funnel = funnel_of(stated.loop, whole["proof"]["loop"])
+    p = np.array([[float(x) for x in row] for row in funnel.p])
+    values = [np.array(list(map(float, start))) @ p @ np.array(list(map(float, start))) for start in
+              starts(stated, funnel)]  # fmt: skip
+    assert 0.99 < max(values) <= whole["proof"]["levels"][0]
+
+
+@pytest.mark.parametrize("degrees", [10, 60, 89, 91, 120, 150, 179])
+def test_the_law_does_not_leave_out_a_corner(degrees: float) -> None:
+    """Where the distances of `places` hold, the law's own rule keeps the leg."""
+    turn, rng, wait = np.radians(degrees), np.random.default_rng(2), 0.8
+    corner = ca.DM([[0, 0], [5, 0], [5 + 5 * np.cos(turn), 5 * np.sin(turn)]])
+    s, here = ca.SX.sym("s"), ca.SX.sym("here", 2)
+    rule = ca.Function("rule", [s, here], [next_leg(ca.SX(corner), s, here, near=ca.SX(wait))])
+    share = 1.0 if degrees <= 90 else np.sin(turn)
+    u = rng.uniform(0.001, 1.0, 4000)
+    allowed = np.maximum(float(ON_LEG), share * u / 2)
+    way = rng.uniform(0, 2 * np.pi, len(u))
+    at = np.stack([5 - u, 0 * u]) + 0.9999 * allowed * np.stack([np.cos(way), np.sin(way)])
+    assert np.array_equal(rule((5 - u)[None], at).full().ravel(), 5 - u)
+    skipped = rule(
+        (5 - u)[None], np.stack([5 - u, 0 * u]) + 2.5 * allowed * np.stack([np.cos(way), np.sin(way)])
+    ).full()
+    assert np.any(skipped.ravel() != 5 - u)
+
+
+def test_places_before_a_corner() -> None:
+    whole = built()
+    stated = read_claim(whole["claim"])
+    funnel = funnel_of(stated.loop, whole["proof"]["loop"])
+    (far, _, wide), (near, _, narrow) = places(stated, funnel, 0, Fraction(1))
+    assert (far, wide) == (stated.loop.wait, stated.loop.wait / 2)
+    assert (near, narrow) == (Fraction(1, 5), ON_LEG)
+
+
+def test_the_tube_shrinks_to_the_goal() -> None:
+    whole = built()
+    radii = tube_radii(whole)
+    motion = whole["claim"]["motion"]
+    assert [leg[0, 2] <= most for leg, most in zip(radii, motion["tube_m"], strict=True)] == [True] * 3
+    assert radii[-1][-1, 2] <= motion["goal_m"] <= radii[-1][-1, 2] + 2e-4
+    assert radii[1][0, :2].tolist() == list(BENT[1])
+
+
+MUTANTS = (
+    ("max(levels) > 1", "max(levels) > 2"),
+    ("> levels[0] for start", "> 2 * levels[0] for start"),
+    ("+ mission.overrun > mission.tube[k]", "> 2 * mission.tube[k]"),
+    ("+ mission.overrun > mission.goal", "> 2 * mission.goal"),
+    ("distance > bound for", "distance > 9 * bound for"),
+    ("if not _turns(mission, funnel, k, after, levels[k + 1], multipliers[k]):", "if False:"),
+    ("after = decayed(mission.loop, funnel, level, length)", "after = funnel.floor"),
+    ("(-high / claim.k1, -low / claim.k1)", "(Fraction(0), Fraction(0))"),
+    ("-mission.loop.cruise if mission.at_rest", "Fraction(0) if mission.at_rest"),
+    ("(c - one) * v, -s * v]", "(c - one) * v, s * v / 2]"),
+    ("claim.rate * (length / claim.cruise - claim.period)", "claim.rate * (2 * length / claim.cruise)"),
+    ("level = level / total", "level = level / total / total"),
+    ("[-s, c, zero, zero], [zero, zero, c, s]", "[-s, c, zero, zero], [zero, zero, c, -s]"),
+    ("after - multiplier * before - quadratic(p, w)", "after - quadratic(p, w)"),
+    ("[-pulled[i]]", "[0 * pulled[i]]"),
+    ("if mission.loop.lag[1]:", "if False:"),
+    ("turning.check(seal(", "(lambda *a: None)(seal("),
+    ("<= max(mission.overrun, _SHORTEST)", "<= -1"),
+    ("type(start[\"at_rest\"]) is not bool", "False"),
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(("text", "other"), MUTANTS)
+def test_mutants_of_the_checker_are_found(text: str, other: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each weaker checker accepts a near miss, or rejects a good certificate."""
+    source = Path(mission.__file__).read_text()
+    assert source.count(text) >= 1
+    mutant: dict[str, Any] = {"__name__": "surctl.certcheck.mission", "__file__": mission.__file__}
+    monkeypatch.setattr(turning, "check", _refuse_other_vehicles)
+    module = type(mission)("mutant")
+    monkeypatch.setitem(__import__("sys").modules, "mutant", module)
+    module.__dict__.update(mutant | {"__name__": "mutant"})
+    exec(compile(source.replace(text, other), "mutant", "exec"), module.__dict__)
+    other_vehicle = (entry("claim", "loop", "vehicle", "drag_factor", to=[0.9, 1.1]), "drag")
+    assert any(_differs(module, change, message) for change, message in (*NEAR_MISSES, other_vehicle)) or any(
+        reason_of(built(*case[:2], **case[2]), module) for case in CASES
+    )
+
+
+def _differs(module: Any, change: Callable[[dict[str, Any]], None], message: str) -> bool:
+    document = built()
+    change(document)
+    try:
+        return message not in reason_of(document, module)
+    except (TypeError, ValueError, ArithmeticError, IndexError):
+        return True
+
+
+def _refuse_other_vehicles(document: dict[str, Any]) -> None:
+    if document["claim"]["vehicle"]["drag_factor"] != [1.0, 1.0]:
+        raise Rejected("another drag")
