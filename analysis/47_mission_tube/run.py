@@ -87,7 +87,7 @@ def drawn(loop: TurningClaim, count: int, rng: np.random.Generator) -> dict[str,
 
 
 def border(whole: dict[str, Any], boat: dict[str, Array], rng: np.random.Generator) -> Array:
-    """Return states (n, 4) with V at the level of the first leg; half of them are as far from the target as V allows."""
+    """Return states (n, 4) with V at the level of the first leg, half of them as far from the target as V allows."""
     mission, count = read_claim(whole["claim"]), len(boat["mass"])
     funnel = funnel_of(mission.loop, whole["proof"]["loop"])
     p = np.array([[float(x) for x in row] for row in funnel.p])

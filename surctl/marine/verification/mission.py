@@ -238,17 +238,20 @@ def _chain(mission: Mission, funnel: Funnel, first: float) -> tuple[list[float],
         where = f"at the corner at ({float(b[0]):g}, {float(b[1]):g})"
         for u, distance, bound in places(mission, funnel, k, level):
             if distance > bound:
-                raise BrokenChain(f"{where}, the robot may be {float(distance):.3g} m from the target when the target is "
-                              f"{float(u):.3g} m before the corner; at more than {float(bound):.3g} m it may leave out "
-                              "the corner")  # fmt: skip
+                raise BrokenChain(
+                    f"{where}, the robot may be {float(distance):.3g} m from the target when the target is "
+                    f"{float(u):.3g} m before the corner; at more than {float(bound):.3g} m it may leave out the corner"
+                )
         cosine, sine = turn_of(a, b, c)
         rotation, moved = turned(mission, funnel, cosine, sine)
         before = float(decayed(mission.loop, funnel, level, length))
         reached, multiplier = _least(p, before, _array(rotation), _array(moved))
         if reached > 1:
             turn = np.degrees(np.arctan2(float(sine), float(cosine)))
-            raise BrokenChain(f"{where}, a turn of {abs(turn):.0f} degrees, V may grow to {reached:.3g} on leg {k + 2}, "
-                          "and the region ends at V = 1")  # fmt: skip
+            raise BrokenChain(
+                f"{where}, a turn of {abs(turn):.0f} degrees, V may grow to {reached:.3g} on leg {k + 2}, and the "
+                "region ends at V = 1"
+            )
         levels.append(reached)
         multipliers.append(multiplier)
     return levels, multipliers
