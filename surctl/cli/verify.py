@@ -108,7 +108,7 @@ def verify(
     A claim is proved (with a certificate that `surctl check` accepts), refuted (with a counterexample), unknown
     (neither), or not applicable (this vehicle, law or gains violate an assumption). Claims of the
     robot's paper are about the kinematic loop at cruise speed, with speeds limited to --cap. --scenario also checks
-    the no-contact claim; the claim mission (mission:REGION) is about a tube around the scenario's path.
+    the no-contact claim; mission[:REGION] is about its path.
 
     The linear analysis about straight cruise (of --law: about steady motion) gives margins, poles, the slowest mode,
     stable speeds and sampling limits: for the nominal vehicle, and for the worst within --uncertainty or the ranges of

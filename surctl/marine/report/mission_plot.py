@@ -40,7 +40,7 @@ def plot_mission(document: Mapping[str, Any]) -> Axes:
     rim = 1.1 * float(places[:, 2].max())
     low, high = places[:, :2].min(axis=0) - rim, places[:, :2].max(axis=0) + rim
     width, height = high - low
-    ax = new_axes(9.0, float(np.clip(7.6 * height / width + 1.5, 2.8, 7.6)))
+    ax = new_axes(9.0, float(np.clip(7.6 * height / width + 1.5, 2.3, 7.6)))
     dress(ax, title=f"{document['claim']['name']}: certified tube", x="x in {E} [m]", y="y in {E} [m]")
     # opaque discs, so that their union has one colour
     ax.add_collection(PatchCollection([*map(_disc, places)], facecolor=_TUBE, edgecolor="none", zorder=1.1))
