@@ -43,7 +43,10 @@ _KINEMATIC = (
     "and nothing about the rest of the loop"
 )
 _MODEL = "plant: that the plant of the bundle describes the real one is an assumption"
-_PATH = "path: a bundle has no path; the certificate covers the one that it states"
+_PATH = (
+    "path: a bundle has no path, so the certificate covers the one that it states; the rule by which the law passes "
+    "from one leg to the next is not compared"
+)
 _RULE = "law: the certificate is about a braking rule alone, to which it binds no law"
 _BY_EXPORT = (
     "statement: the export states the inequality for the gains, the vehicle and the cruise speed; the instruction list "

@@ -780,6 +780,14 @@ def test_a_turning_certificate_belongs_to_the_vehicle_with_its_masses() -> None:
     assert set(turning()["claim"]["excludes"]) <= set(found.excludes)
 
 
+def test_a_mission_belongs_where_the_claim_about_its_legs_does() -> None:
+    mission = {"kind": "mission", "claim": {"loop": turning()["claim"]}}
+    found, leg = compare(mission, own_manifest()), compare(turning(), own_manifest())
+    assert (found.belongs, found.excludes[1:]) == (True, leg.excludes)
+    assert found.excludes[0].startswith("path: ")
+    assert compare(mission, own_manifest(Xuu=1.3 * 141.0)).differs
+
+
 @pytest.mark.parametrize(
     ("change", "told"),
     [
