@@ -97,12 +97,13 @@ class MissionProof(Certified):
         seconds = float(np.linalg.norm(np.diff(self.claim.path, axis=0), axis=1).sum()) / loop.cruise
         without = "obstacles, walls and thrust lag" if loop.period else "obstacles, walls, thrust lag and held commands"
         along, across = self.within
+        alike = "" if loop.mass_asymmetry else " by the same factor"
         return (
             f"proved without {without}: begun {begun} within {along:.3g} m along and {across:.3g} m across the start, "
             f"it stays within {self.tube:.3g} m of the path and is within {self.goal:.3g} m of its end after "
             f"{seconds:.0f} s; {legs} leg{'s' if legs > 1 else ''} at {loop.cruise:g} m/s, drag off by up to "
-            f"{loop.drag_factor[1] - 1:.0%}, masses by {loop.mass_factor[1] - 1:.0%}, a current of up to "
-            f"{loop.current:g} m/s; checked in {self.check_seconds:.2f} s"
+            f"{loop.drag_factor[1] - 1:.0%}, masses by {loop.mass_factor[1] - 1:.0%}{alike}, a current of up to "
+            f"{loop.current:g} m/s, a yaw rate of up to {loop.yaw_rate:g} rad/s; checked in {self.check_seconds:.2f} s"
             + (f"; not proved from rest: {self.rest}" if self.rest else "")
         )
 
