@@ -1,4 +1,4 @@
-"""`surctl verify`: check claims and compute stability margins."""
+"""`surctl verify`: check claims, compute stability margins, and decide which results fail the command."""
 
 from __future__ import annotations
 
