@@ -188,9 +188,25 @@ class Assessment:
         return (False, None, True)[min(ranks, default=1)]
 
     def accepted(self, *parts: str) -> bool:
-        """Whether no line fails, and each line of these parts holds: a command then ends with status 0."""
+        """Whether no line that counts fails, and each line of these parts holds: a command then ends with status 0."""
         lines = [line for name in parts if name in self.parts for line in self.parts[name].lines]
         return self.passed is not False and all(line.passed for line in lines)
+
+    def verdict(self, *parts: str) -> str:
+        """Return whether the subject is accepted (see `accepted`), and the banner: the line that every command prints.
+
+        Example:
+            >>> from surctl.assessment import ClosedLoop, assess
+            >>> from surctl.testing import cart_system
+            >>> assess(ClosedLoop(cart_system()), parts=["loop"]).verdict()
+            'accepted: All that is assessed holds.'
+        """
+        return f"{'accepted' if self.accepted(*parts) else 'NOT accepted'}: {self.banner}"
+
+    @property
+    def decisive(self) -> list[str]:
+        """The lines that fail or are not decided, with their marks."""
+        return [f"{line.mark} {line.text}" for line in self.lines if line.rank < 2]
 
     @property
     def failures(self) -> list[str]:
@@ -385,8 +401,7 @@ class Comparison:
         for old, new in self.rows:
             mark = "  worse" if new.worse(old) else ""
             table.append(f"{new.name:<28}{new.unit:<6}{new.required:>10}{_text(old):>12}{_text(new):>12}{mark}")
-        open_ends = [f"{line.mark} {line.text}" for line in self.after.lines if line.rank < 2]
-        return [self.headline, *table, *open_ends]
+        return [self.headline, *table, self.after.verdict(), *self.after.decisive]
 
     def to_dict(self) -> dict[str, Any]:
         """Return both assessments and the names of the figures that got worse as plain data for JSON."""

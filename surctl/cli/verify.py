@@ -65,6 +65,7 @@ _SPEED = FiniteRange(min=0, max=100, min_open=True)
 )
 @click.option("--scenario", metavar="FILE", help="Scenario: name or file; adds the no-contact claim.")
 @click.option("--law", metavar="NAME", help="Law: name or FILE.py:FUNCTION (default: the vehicle's).")
+@click.option("--sensing", metavar="NAME", help="Obstacles: sonar (default if the law can) or truth.")
 @click.option(
     "--stack", "stacks", multiple=True, metavar="LAW", help="Analyse the task stack of a law: guarded or paper."
 )
@@ -94,6 +95,7 @@ def verify(
     cap: float | None,
     scenario: str | None,
     law: str | None,
+    sensing: str | None,
     stacks: tuple[str, ...],
     barrier: str,
     movers: str,
@@ -108,7 +110,7 @@ def verify(
     A claim is proved (with a certificate that `surctl check` accepts), refuted (with a counterexample), unknown
     (neither), or not applicable (this vehicle, law or gains violate an assumption). Claims of the
     robot's paper are about the kinematic loop at cruise speed, with speeds limited to --cap. --scenario also checks
-    the no-contact claim and prints its assumptions.
+    the no-contact claim.
 
     The linear analysis about straight cruise (of --law: about steady motion) gives margins, poles, the slowest mode,
     stable speeds and sampling limits: for the nominal vehicle, and for the worst within --uncertainty or the ranges of
@@ -116,8 +118,7 @@ def verify(
     inequality of your own (kind claim; --show prints examples), a region claim with other numbers (kind region), or a
     region of attraction or a barrier of any dynamics (kind lyapunov or barrier). --stack prints which tasks of a law
     are orthogonal, independent or dependent, and which converge. Exit status: 1 if a verdict is not as expected, a
-    named claim is not applicable, the loop is unstable at a corner, a margin is too small, or the no-contact claim
-    fails.
+    named claim is not applicable, or a margin or the no-contact claim fails.
 
     For FILE.py:FUNCTION, a system of your own, the command prints equilibrium, poles and margins of the sampled loop;
     with within.STATE=LOW..HIGH for every state, it also proves a region of attraction.
@@ -141,7 +142,7 @@ def verify(
         require_own_speeds,
     )
     from surctl.cli.linear_part import LinearPart, linear_part, over_speeds, speed_lines
-    from surctl.cli.robot_options import check_barrier, choose_law, choose_vehicle, export_command
+    from surctl.cli.robot_options import check_barrier, choose_law, choose_sensing, choose_vehicle, export_command
     from surctl.files import prepare_folder
     from surctl.marine.assessment import Mission
     from surctl.marine.control import CASCADE, PATH_FOLLOWING, build_law, law_source
@@ -155,14 +156,14 @@ def verify(
 
     conditions = {name: _stack(name) for name in stacks}  # first, because it refuses unknown names
     # claims of one's own alone concern no vehicle, so nothing is said of one
-    named_things = (vehicle, gains, cruise, cap, scenario, law, *stacks)
+    named_things = (vehicle, gains, cruise, cap, scenario, law, sensing, *stacks)
     alone = bool(claims) and all(map(_is_claim_file, claims)) and all(word is None for word in named_things)
     mission = None if scenario is None else load_scenario(scenario)
     choice = choose_vehicle(vehicle, None if mission is None else (mission.name, mission.vehicle))
     vehicle, robot = choice.word, load_vehicle(choice.word)
     speeds = _speeds(None if cruise is None else max(cruise), cap, scenario)
     chosen_law, about_law = choose_law(law, [robot])
-    source = law_source(chosen_law)
+    source, sensed = law_source(chosen_law), choose_sensing(sensing, chosen_law)
     tuned = choose_gains(gains, robot, cruise=speeds[0], own=source.gains)
     values = tuned.gains.values
     at_hand = {**values, "speed": speeds[0], "speed_max": speeds[1]}
@@ -194,7 +195,7 @@ def verify(
     cascaded = CASCADE in source.parts
     check_barrier(barrier, movers)
     scenarios = () if mission is None else (replace(mission, cruise=speeds[0], cap=speeds[1]),)
-    kind: dict[str, Any] = {"uncertainty": uncertainty or None, "barrier": barrier, "movers": movers}
+    kind: dict[str, Any] = {"uncertainty": uncertainty or None, "sensing": sensed, "barrier": barrier, "movers": movers}
     subjects = [
         Mission(robot, tuned.gains, u, speeds[1], chosen_law, "los", scenarios, **kind)
         for u in (() if alone else cruise or speeds[:1])
@@ -267,8 +268,10 @@ def verify(
         lines += [f"no contact: {safety.sentence}"] if isinstance(safety, Inapplicable) else safety.lines()
         result["safety"] = safety.to_dict()
     if failures:
-        lines.append(f"exit status 1, because {'; '.join(failures)}")
+        lines.append(f"NOT accepted: {'; '.join(failures)}")
         result["failures"] = failures
+    elif not alone:
+        lines.append("accepted")
     proved = any(claim["verdict"] == "proved" for claim in result["claims"])
     then = [f"{same_command()} --out proofs"] if proved and out is None else []
     if not then:
@@ -277,7 +280,7 @@ def verify(
             word = gains or (_GAIN_FILE if tuned.derived else "default")
             then += [derive_words(vehicle, speeds[0], word)] if tuned.derived else []
             then += (
-                export_command(scenario, vehicle, tuned.gains, certificates, file=word)
+                export_command(scenario, vehicle, tuned.gains, certificates, file=word, law=chosen_law, sensing=sensed)
                 if cascaded
                 else export_command(scenario, vehicle, tuned.gains, file=word, law=chosen_law, sensing="truth")
             )

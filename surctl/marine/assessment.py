@@ -11,9 +11,10 @@ import numpy as np
 
 from surctl.assessment import SATURATED, Assumption, Figure, Line, Part, loop_figures, loop_line
 from surctl.errors import InputError, NotApplicable
-from surctl.marine.control import CASCADE, Barrier, Gains, Law, Movers, build_law, default_law, law_source
+from surctl.marine.control import BARRIER, Barrier, Gains, Law, Movers, build_law, default_law, law_source
 from surctl.marine.guidance import Guidance, Path
 from surctl.marine.simulation import (
+    Case,
     Disturbance,
     Run,
     SafetyClaim,
@@ -52,6 +53,7 @@ __all__ = [
     "LoopAnalysis",
     "Mission",
     "assumptions",
+    "missions_of",
 ]
 
 # Defaults that a vehicle file leaves to surctl, and how much the disk margin depends on each
@@ -215,7 +217,7 @@ def _contact_part(
 ) -> Part:
     """Return the no-contact claim of each mission, a scenario and its vehicle, that has obstacles."""
     met = [(scenario, vehicle) for scenario, vehicle in missions if scenario.obstacles]
-    if CASCADE not in law_source(law).parts:
+    if BARRIER not in law_source(law).parts:
         text = f"no contact: not judged, because the claim concerns law guarded and this is {label(law)}"
         return Part((), (Line(None, text, "runs", counts=bool(met)),))
     sensed = "by sonar" if sonar else "with true positions"
@@ -567,3 +569,15 @@ class Mission:
             options |= {"sonar": True, "equipment": sensors, "depths": scenario.depths is not None}
         law = build_law(self.law_ref, actuators=vehicle.actuators, **options)
         return simulate(scenario, vehicle, gains=self.gains, law=law, sensing=self.sensed)
+
+
+def missions_of(cases: Sequence[Case], gains: Gains) -> tuple[Mission, ...]:
+    """Return the subject of each vehicle of some cases, at the largest of its cruise speeds, with these gains."""
+    missions = []
+    for name in dict.fromkeys(case.vehicle.name for case in cases):
+        own = [case for case in cases if case.vehicle.name == name]
+        case = max(own, key=lambda case: case.scenario.cruise)
+        scenario, scenarios = case.scenario, tuple(one.scenario for one in own)
+        mission = Mission(case.vehicle, gains, scenario.cruise, scenario.cap, case.law, case.guidance, scenarios)
+        missions.append(replace(mission, sensing=case.sensing, barrier=case.barrier, movers=case.movers))
+    return tuple(missions)

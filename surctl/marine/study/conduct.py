@@ -320,8 +320,8 @@ class Study:
 
     @property
     def passed(self) -> bool:
-        """Whether no line that counts towards the result fails."""
-        return self.assessment.passed is not False
+        """Whether the study is accepted: no line that counts towards the result fails."""
+        return self.assessment.accepted()
 
     @property
     def notes(self) -> tuple[Line, ...]:
