@@ -277,6 +277,33 @@ def assess(
     return Assessment(subject.name, MappingProxyType(figures), _sorted(lines), MappingProxyType(done), omitted, assumed)
 
 
+def worst_of(assessments: Mapping[str, Assessment]) -> Assessment:
+    """Return several assessments of one subject as one: of each figure the worst, and the lines of each.
+
+    Args:
+        assessments: the assessments by the name of their case; a line that all cases share is stated once.
+    """
+    first = next(iter(assessments.values()))
+    if len(assessments) == 1:
+        return first
+    figures = dict[str, Figure]()
+    for case, one in assessments.items():
+        for name, figure in one.figures.items():
+            if name not in figures or figure.worse(figures[name]):
+                figures[name] = replace(figure, where=f"{case}: {figure.where}" if figure.where else case)
+    lines = list[Line]()
+    for case, one in assessments.items():
+        for line in one.lines:
+            shared = all(line in other.lines for other in assessments.values())
+            lines.append(line if shared else replace(line, text=f"{case}: {line.text}"))
+    parts = {f"{case}: {name}": part for case, one in assessments.items() for name, part in one.parts.items()}
+    omitted = tuple(dict.fromkeys(name for one in assessments.values() for name in one.omitted))
+    return replace(
+        first, figures=MappingProxyType(figures), lines=_sorted(dict.fromkeys(lines)), parts=MappingProxyType(parts),
+        omitted=omitted,
+    )  # fmt: skip
+
+
 def _sorted(lines: Collection[Line]) -> tuple[Line, ...]:
     return tuple(sorted(lines, key=lambda line: line.rank))
 

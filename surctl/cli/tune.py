@@ -377,12 +377,12 @@ def tune_own_system(
     as_json: bool,
 ) -> None:
     """Search gains, write them, print each figure before and after; the exit status is 1 if a bound or a line fails."""
-    from surctl.assessment import ClosedLoop, Comparison, assess
+    from surctl.assessment import Comparison
     from surctl.files import prepare_folder
     from surctl.ir import find_compiler
     from surctl.recorded_write import write_csv
     from surctl.tuning.goals import load_system_goals, not_representative, step_goals
-    from surctl.tuning.systems import check_tuning, tune_system
+    from surctl.tuning.systems import assess_cases, check_tuning, tune_system
 
     own = load_system(words)
     about_loop, points, about_runs = ((), {}, ()) if goals is None else load_system_goals(goals, own.system)
@@ -414,9 +414,9 @@ def tune_own_system(
     with saving("gains"):
         table = write_csv(out / "gains.csv", {name: [value] for name, value in result.gains.items()})
         file.unlink(missing_ok=True)
-    first = {name: value[:1] if value.ndim else value for name, value in cases.items()}
-    run = duration or None
-    comparison = Comparison(*(assess(ClosedLoop(own.system, {**first, **g}, seconds=run)) for g in ({}, result.gains)))
+    comparison = Comparison(
+        *(assess_cases(own.system, cases, gains, seconds=duration or None) for gains in ({}, result.gains))
+    )
     headline, *figures = comparison.lines()
     doubtful = []
     limited = comparison.after.figures.get("limited_share")
@@ -435,7 +435,6 @@ def tune_own_system(
         *(f"  {line}" for line in result.lines(own.system)),
         *([f"gains {table}"] if table else []),
         "",
-        "of the first case:",
         *figures,
     ]
     data = {

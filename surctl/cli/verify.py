@@ -166,7 +166,8 @@ def verify(
     source, sensed = law_source(chosen_law), choose_sensing(sensing, chosen_law)
     tuned = choose_gains(gains, robot, cruise=speeds[0], own=source.gains)
     values = tuned.gains.values
-    at_hand = {**values, "speed": speeds[0], "speed_max": speeds[1]}
+    # a gain of a law of one's own may have the name of a number in a claim
+    at_hand = {n: v for n, v in values.items() if n not in source.gains} | {"speed": speeds[0], "speed_max": speeds[1]}
     about = None if law is None or PATH_FOLLOWING in source.parts else label(chosen_law)
     named = [name for name in claims if not is_region(name) and not is_braking(name)]
     chosen, left_out = _chosen(named, at_hand, robot, law=about) if named or not claims else ([], {})

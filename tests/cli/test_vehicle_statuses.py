@@ -93,3 +93,13 @@ def test_a_law_without_the_barrier_has_no_no_contact_claim(tmp_path: Path, monke
     assert line["passed"] is None and "concerns law guarded and this is closed_form" in line["text"]
     refused = invoked(*words, "--sensing", "sonar")
     assert "set --sensing truth" in str(refused.exception)
+
+
+def test_a_gain_of_ones_own_named_like_a_number_of_a_claim_is_exported(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    need_compiler()
+    monkeypatch.chdir(Path(__file__).parents[2] / "analysis" / "27_own_law")  # its law has the gain radius = 0
+    mission = ("--scenario", "orbit.toml", "--sensing", "truth", "--law", "station.py:station")
+    done = invoked("export", *mission, "--out", str(tmp_path / "code"))
+    assert done.exit_code == 0 and "exported; accepted: " in done.stdout, (done.output, done.exception)

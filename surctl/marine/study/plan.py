@@ -233,7 +233,7 @@ class Plan:
             return plan
         gains, derivation = shared_gains(None, _about(plan.deciding), own=law_source(self.law).gains)
         axes = _axes(_built_in(), gains, scaled=derivation is not None) if built_in else self.axes
-        return replace(plan, gains=_settled(gains, axes), axes=axes, derivation=derivation)
+        return replace(plan, gains=_stated(gains, axes), axes=axes, derivation=derivation)
 
     def written(self, folder: Path) -> Plan:
         """Return the plan with its missions in files; those that are in no file are written to `folder`."""
@@ -398,7 +398,7 @@ def _plan(
             if leg.left_out is None:
                 check_held(cruise, leg.vehicle, cap=leg.scenario.cap, key=_CRUISE)
         axes = _axes(study, gains, scaled=lenient and derivation is not None)
-        gains = _settled(gains, axes)
+        gains = _stated(gains, axes)
         applicable_claims(gains.values, study.claims, vehicle=vehicle)
     except InputError as error:
         raise error.inside(path) from None
@@ -444,7 +444,7 @@ def _gain_axis(axis: _Axis, gains: Gains) -> Axis:
     return Axis(axis.gain, axis.values)
 
 
-def _settled(gains: Gains, axes: Sequence[Axis]) -> Gains:
+def _stated(gains: Gains, axes: Sequence[Axis]) -> Gains:
     # an axis with one value states a gain, also where the grid is not swept
     return gains.with_values({axis.name: axis.values[0] for axis in axes if len(axis.values) == 1})
 
