@@ -167,6 +167,3 @@ def test_bounds_hold_in_every_case_and_all_cases_are_assessed() -> None:
     assert [one.accepted() for one in apart] == [True, False] and not beyond.accepted()
     assert "start.place=1, plant.mass=4: peak = 1.5 N, at most 1 N" in beyond.failures
     assert "plant.mass=0.5" in beyond.figures["delay_margin_s"].where
-    assert (
-        late.value == pytest.approx(min(both), rel=0.3) and "plant.mass=0.5" in beyond.figures["delay_margin_s"].where
-    )
