@@ -14,7 +14,7 @@ from surctl.errors import InputError, NotApplicable
 from surctl.system import ENDED, LOST, Cost, Record, System, run_system
 from surctl.system.linear import unresponsive
 from surctl.system.values import checked_ranges, run_numbers
-from surctl.verification.linear import LEAST_DISK_MARGIN
+from surctl.verification.linear import LEAST_DISK_MARGIN, margin_text, short_margins
 from surctl.verification.loops import LEAST_DELAY_MARGIN, LeastDelay, LoopMargins
 from surctl.verification.sampled_margins import LoopCorners, SystemLoop, system_corners
 from surctl.verification.verdict import Inapplicable
@@ -367,29 +367,19 @@ def loop_line(figures: dict[str, Figure], *, stable: bool, place: str, unstable:
         else:
             text += unstable
         return Line(False, text, "margins")
-    short = [
-        f"at least {f.least:g}{f' {f.unit}' if f.unit != '1' else ''} (worst corner: {f.where})"
-        for f in (disk, delay)
-        if not f.enough
-    ]
-    worst, first, late, later = map(_short, (disk, nominal, delay, on_time))
+    short = short_margins(
+        (disk.value, f"at {disk.where}"), (delay.value, f"in {delay.where}"), least_delay=delay.least or 0.0
+    )
+    worst, first, late, later = (margin_text(f.value, f.least or 0.0) for f in (disk, nominal, delay, on_time))
     text = f"margins {place}: disk margin {worst} at the worst corner, {first} nominal; "
     text += f"least delay margin {late} s at the worst corner, {later} s nominal ({on_time.where})"
     if short:
-        text += f"; required: {', '.join(short)}"
+        text += f"; too small: {short}"
     undetermined = np.isnan(disk.value) and delay.enough
     return Line(None if undetermined else not short, text, "margins")
 
 
 _JUDGED = ("disk_margin", "nominal_disk_margin", "delay_margin_s", "nominal_delay_margin_s")
-
-
-def _short(figure: Figure) -> str:
-    """Return a margin with two decimals or digits, or with four if two would hide that it is too small."""
-    if np.isnan(figure.value):
-        return "not determined"
-    text = f"{figure.value:{'.2f' if figure.value >= 0.1 else '.2g'}}"
-    return text if figure.enough or float(text) < (figure.least or 0.0) else f"{figure.value:.4g}"
 
 
 # Two assessments of one subject, before and after a change: every figure of both, and what got worse

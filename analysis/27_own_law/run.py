@@ -70,7 +70,7 @@ def judged(result: dict[str, Any]) -> tuple[bool, str]:
     return linear["stable"] and worst["stable"] and not result["claims"] and linear["free"] == ["x"], text
 
 
-# with the set `default`, the disk margin at the worst corner is 0.27 instead of 0.3: these are not accepted, with status 1
+# with the set `default`, the disk margin at the worst corner is 0.27 instead of 0.3: these end with status 1
 WEAK = ("sweep", "tuning", "C, double", "C, float", "C with sonars", "FMU", "margins")
 
 

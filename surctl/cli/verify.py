@@ -459,10 +459,8 @@ def verify_system(words: Sequence[str], *, seed: int, time_limit: float, out: Pa
     if solution is not None:
         data["region"] = solution.to_dict()
     if isinstance(solution, Solution):
-        about = (
-            " of the sampled loop, with held commands" if solution.sampled else " of the control law in continuous time"
-        )
-        lines += [f"region of attraction{about * (solution.decision is not None)}:", *solution.lines()]
+        about = f" of {solution.about}" if solution.decision is not None else ""
+        lines += [f"region of attraction{about}:", *solution.lines()]
         if out is not None:
             written = [str(path) for path in write_solution(solution, out)]
             data["region"]["files"] = written

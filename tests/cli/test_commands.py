@@ -96,7 +96,7 @@ def test_a_textbook_law_is_flown_by_name(tmp_path):
 def test_verify_tells_expected_verdicts(tmp_path):
     done = surctl("verify", "v1-printed", "--stack", "guarded", "--json", cwd=tmp_path)
     (why,) = done.json["failures"]  # the default gains at a quarter of the yaw inertia
-    assert done.status == 1 and "required: at least 0.3" in why and done.json["claims"][0]["verdict"] == "refuted"
+    assert done.status == 1 and "too small: a disk margin of " in why and done.json["claims"][0]["verdict"] == "refuted"
     nominal, worst = (done.json["linear"][k] for k in ("nominal", "worst"))
     for mild, bad in zip(nominal["disk_margins"], worst["disk_margins"], strict=True):
         assert 0 < bad["guaranteed"] < mild["guaranteed"] <= mild["reached"]

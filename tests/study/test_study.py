@@ -307,7 +307,7 @@ def test_each_speed_of_a_study_needs_the_margins_that_the_largest_needs(delay, d
     figures = {"delay_margin_s": [0.3, delay], "disk_margin": [disk, 0.5], "slowest_pole_per_s": [-0.1, -0.2]}
     over = OverSpeeds((0.05, 0.1), {name: np.array(values) for name, values in figures.items()})
     [line] = _speed_notes(Loops(LoopAnalysis(0.1), over))
-    assert line.passed is not bool(short) and line.text.endswith(f"; required: at least {short}") is bool(short)
+    assert line.passed is not bool(short) and line.text.endswith(f"(at least {short})") is bool(short)
 
 
 def test_a_study_of_an_own_law_judges_nothing_of_another() -> None:

@@ -16,7 +16,14 @@ from surctl.marine.vehicle import Vehicle, plant_parameters
 from surctl.marine.vehicle.dynamics import trim_function
 from surctl.marine.vehicle.linearise import can_hold
 from surctl.marine.verification.corners import Corners, corners
-from surctl.marine.verification.cruise_loop import TRACKING_LAW, CruiseLoop, cruise_loop, cruise_loops, least_delay
+from surctl.marine.verification.cruise_loop import (
+    AXES,
+    TRACKING_LAW,
+    CruiseLoop,
+    cruise_loop,
+    cruise_loops,
+    least_delay,
+)
 from surctl.verification.linear import (
     LEAST_DISK_MARGIN,
     DiskMargin,
@@ -24,6 +31,7 @@ from surctl.verification.linear import (
     eigenvalues,
     quick_disk_margin,
     screened_peaks,
+    short_margins,
     stored_disk_margin,
 )
 from surctl.verification.loops import LEAST_DELAY_MARGIN, LeastDelay
@@ -33,8 +41,6 @@ DISK_PLACES = ("thrust", "measurement", "both")
 
 Array = NDArray[np.float64]
 
-_AXES = 4
-
 
 def open_loop(loop: CruiseLoop, place: str) -> OpenLoop:
     """Open one or several loops at `place`, one of `DISK_PLACES`; all other connections stay closed.
@@ -43,8 +49,8 @@ def open_loop(loop: CruiseLoop, place: str) -> OpenLoop:
         InputError: `place` is not one of `DISK_PLACES`.
     """
     A, B, C, K = loop.matrices
-    thrust, pose = np.arange(K.shape[-2]) < _AXES, np.arange(K.shape[-1]) < _AXES
-    nothing, dt = np.zeros((*K.shape[:-2], _AXES, _AXES)), float(np.max(loop.dt))
+    thrust, pose = np.arange(K.shape[-2]) < AXES, np.arange(K.shape[-1]) < AXES
+    nothing, dt = np.zeros((*K.shape[:-2], AXES, AXES)), float(np.max(loop.dt))
     if place == "thrust":
         # the law's own states stay connected
         inner = A - B[..., ~thrust] @ K[..., ~thrust, :] @ C
@@ -484,16 +490,7 @@ class CornerMargin(NamedTuple):
     @property
     def short(self) -> str:
         """The margins that do not suffice, with their corners, as text; empty if both do."""
-        disk, delay = self.shares
-        texts = (
-            []
-            if disk >= 1
-            else [f"a disk margin of {_number(self.margin)} at {self.corner} (at least {LEAST_DISK_MARGIN:g})"]
-        )
-        if delay < 1:
-            late = f"a delay margin of {self.delay.delay_s:.2g} s in {self.delay.where}"
-            texts.append(f"{late} (at least {LEAST_DELAY_MARGIN:g} s)")
-        return " and ".join(texts)
+        return short_margins((self.margin, f"at {self.corner}"), (self.delay.delay_s, f"in {self.delay.where}"))
 
     @property
     def weakest(self) -> Vehicle:
