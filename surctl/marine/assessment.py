@@ -37,10 +37,12 @@ from surctl.marine.verification.cruise_loop import TRACKING_LAW, has_cruise_loop
 from surctl.marine.verification.linear import (
     LinearSide,
     Mode,
+    SlowMargins,
     cap_above,
     corner_margin,
     corners,
     linear_side,
+    slow_margins,
     slowest_mode,
     worst_linear_side,
 )
@@ -195,12 +197,10 @@ def judged_contact(
     spread: float | None = None,
 ) -> SafetyClaim | Inapplicable:
     """Return the no-contact claim of a mission, or why it does not apply; by true positions unless `sonar`."""
-    sight = detection_range(scenario) if sonar else float("inf")
-    turning = turn_rate(scenario, vehicle, gains, sonar=sonar)
+    seen: dict[str, Any] = {"detection": detection_range(scenario) if sonar else float("inf")}
+    seen["turning"] = turn_rate(scenario, vehicle, gains, sonar=sonar)
     try:
-        return safety_claim(
-            scenario, vehicle, gains, barrier=barrier, movers=movers, detection=sight, spread=spread, turning=turning
-        )
+        return safety_claim(scenario, vehicle, gains, barrier=barrier, movers=movers, spread=spread, **seen)
     except NotApplicable as reason:
         return Inapplicable.of("no contact", reason)
 
@@ -295,6 +295,7 @@ class LoopAnalysis:
         unjudged: the reason why there is no analysis; else empty.
         failed: whether that reason is a failure of the law.
         assumptions: defaults on which the analysis depends.
+        slow: the least margins over the speeds from rest to the cruise speed; None where they are not computed.
         motion: for an unstable loop about a straight cruise, how a run of the worst corner goes on, in words.
     """
 
@@ -306,6 +307,7 @@ class LoopAnalysis:
     unjudged: str = ""
     failed: bool = False
     assumptions: tuple[Assumption, ...] = ()
+    slow: SlowMargins | None = None
     motion: str = ""
 
     @property
@@ -329,7 +331,11 @@ class LoopAnalysis:
         line = loop_line(figures, stable=self.stable is not False, place=place, unstable=why)
         if self.motion:
             line = replace(line, text=f"{line.text}; {self.motion}")
-        return Part(tuple(figures.values()), (line,), self, self.assumptions)
+        lines = [line]
+        if self.slow is not None and self.slow.short and line.passed:
+            lines.append(Line(None, self.slow.sentence, "margins"))
+        slow = () if self.slow is None else _slow_figures(self.slow)
+        return Part((*figures.values(), *slow), tuple(lines), self, self.assumptions)
 
     def _figures(self) -> dict[str, Figure]:
         if self.law is not None:
@@ -342,6 +348,15 @@ class LoopAnalysis:
             delays = (first.delay, last.delay)
             slowest = (first.slowest_per_s, last.slowest_per_s)
         return loop_figures((nominal, worst), delays, slowest, self.margins, corner=corner)
+
+
+def _slow_figures(slow: SlowMargins) -> tuple[Figure, ...]:
+    (disk, at), (delay, late) = slow.disk, slow.delay
+    text = "over the speeds from rest to the cruise speed, at the worst corner"
+    return (
+        Figure("slow_disk_margin", disk, "1", f"least disk margin {text}", "high", where=at),
+        Figure("slow_delay_margin_s", delay, "s", f"least delay margin of one loop alone {text}", "high", where=late),
+    )
 
 
 def unstable_text(mode: Mode) -> str:
@@ -403,6 +418,7 @@ def _analyse_loop(
             ),
             slowest_mode(vehicle, values, **speeds),
             assumptions=assumptions(vehicle, values, uncertainty=uncertainty, **speeds),
+            slow=slow_margins(vehicle, values, uncertainty=uncertainty, **speeds),
         )
         return _with_motion(analysis, analysis.sides[-1].at, vehicle, gains, built)
     own = gains.with_own(source.gains)
@@ -573,11 +589,11 @@ class Mission:
 
 def missions_of(cases: Sequence[Case], gains: Gains) -> tuple[Mission, ...]:
     """Return the subject of each vehicle of some cases, at the largest of its cruise speeds, with these gains."""
-    missions = []
+    missions = list[Mission]()
     for name in dict.fromkeys(case.vehicle.name for case in cases):
         own = [case for case in cases if case.vehicle.name == name]
         case = max(own, key=lambda case: case.scenario.cruise)
-        scenario, scenarios = case.scenario, tuple(one.scenario for one in own)
-        mission = Mission(case.vehicle, gains, scenario.cruise, scenario.cap, case.law, case.guidance, scenarios)
+        speeds, scenarios = (case.scenario.cruise, case.scenario.cap), tuple(one.scenario for one in own)
+        mission = Mission(case.vehicle, gains, *speeds, case.law, case.guidance, scenarios)
         missions.append(replace(mission, sensing=case.sensing, barrier=case.barrier, movers=case.movers))
     return tuple(missions)
