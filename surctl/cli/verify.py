@@ -150,6 +150,7 @@ def verify(
     from surctl.marine.tuning import derive_gains
     from surctl.marine.vehicle import load_vehicle
     from surctl.marine.verification import check_held
+    from surctl.marine.verification.braking_claims import NOT_RESTED_ON
     from surctl.marine.verification.region import write_region
     from surctl.own_code import label
     from surctl.verification import Inapplicable, decide, write_claim
@@ -261,12 +262,17 @@ def verify(
         margins_at = None if linear.stable is None or not cascaded else cruise or speeds[:1]
         result["pictures"] = _draw(verdicts, regions.claims, robot, tuned.gains, out, cruise=margins_at, law=chosen_law)
         lines.append(f"certificates: {len(certificates)}, pictures: {len(result['pictures'])}, in {out}")
+    beside = list[str]()
     failures = [line.text for line in judged if line.rank == 0]
     failures += [f"{v.claim.name} is {v.verdict}, not {v.claim.expected}" for v in verdicts if not v.as_expected]
     others = [*regions.claims, *braked.claims, *(one.to_dict() for one in refused if named)]
     failures += [f"{one['claim']} is {one['verdict']}" for one in others if one["verdict"] != "proved"]
     if safety is not None:
-        lines += [f"no contact: {safety.sentence}"] if isinstance(safety, Inapplicable) else safety.lines()
+        judges = not isinstance(safety, Inapplicable)
+        lines += safety.lines() if judges else [f"no contact: {safety.sentence}"]
+        refuted = [v.claim.name for v in verdicts if v.verdict == "refuted" and judges and safety.holds]
+        beside = [f"no contact does not rest on {n}: {NOT_RESTED_ON[n]}" for n in refuted if n in NOT_RESTED_ON]
+        lines += beside
         result["safety"] = safety.to_dict()
     if failures:
         lines.append(f"NOT accepted: {'; '.join(failures)}")
@@ -300,7 +306,7 @@ def verify(
         good = sum(line.startswith("ok") for line in about_claims)
         about_claims = [f"ok   {good} of {len(about_claims)} claims as expected"]
     brief = [f"FAIL {text}" for text in failures] + about_claims
-    brief += [f"{line.mark} {line.text}" for line in judged if line.rank] + conditions_lines
+    brief += [f"{line.mark} {line.text}" for line in judged if line.rank] + beside + conditions_lines
     finish(
         result, lines, as_json=as_json, passed=not failures, then=then, brief=brief,
         files=[] if out is None else [f"certificates {out}"],

@@ -227,7 +227,8 @@ def _contact_part(
         if isinstance(claim, Inapplicable):
             lines.append(Line(None, f"no contact in {scenario.name} {sensed}: {claim.sentence}", "runs"))
             continue
-        how = f"holds: margin {claim['margin']:g} m, needed {claim['margin needed']:.3g} m"
+        how = f"holds for obstacles {claim.obstacles}: margin {claim['margin']:g} m, "
+        how += f"needed {claim['margin needed']:.3g} m"
         end = how if claim.holds else f"does not hold: {claim.shortfall}"
         lines.append(Line(claim.holds, f"no contact in {scenario.name} {claim.sensed} {end}", "runs"))
     spare = [(c["margin"] - c["margin needed"], c.scenario) for c in claims if isinstance(c, SafetyClaim)]

@@ -262,7 +262,7 @@ def test_lint_names_the_command_for_the_gain_margin_that_no_contact_needs(tmp_pa
     assert load_gains(str(tmp_path / "gains.toml"))["margin"] == float(needed[1])
     words = ("--vehicle", "mine.toml", "--scenario", "mission.toml", "--gains", "gains.toml")
     verified = surctl_here("verify", "m-norm-corrected", *words, cwd=tmp_path)
-    assert f"ok   no contact in tank-static by sonar holds: margin {needed[1]} m" in verified.out
+    assert f"ok   no contact in tank-static by sonar holds for obstacles at rest: margin {needed[1]} m" in verified.out
 
 
 def test_gains_follow_from_the_vehicle_where_none_are_named(tmp_path):

@@ -11,6 +11,7 @@ from click.testing import CliRunner, Result
 
 from surctl.cli.app import app
 from surctl.marine.control import load_gains, write_gains
+from surctl.marine.vehicle import load_vehicle, write_vehicle
 from tests.tools import need_compiler
 
 STUDY = """
@@ -103,3 +104,17 @@ def test_a_gain_of_ones_own_named_like_a_number_of_a_claim_is_exported(
     mission = ("--scenario", "orbit.toml", "--sensing", "truth", "--law", "station.py:station")
     done = invoked("export", *mission, "--out", str(tmp_path / "code"))
     assert done.exit_code == 0 and "exported; accepted: " in done.stdout, (done.output, done.exception)
+
+
+def test_no_contact_that_holds_says_on_which_refuted_claim_it_does_not_rest(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    late = load_vehicle("sur400").with_values({"Xuu": 80.0, "Yvv": 80.0, "thrust_lag": 3.0})
+    Path("v.toml").write_text(write_vehicle(late))
+    Path("g.toml").write_text(write_gains(load_gains("default").with_values({"margin": 2.0})))
+    done = invoked("verify", "braking-retreat", "braking-mass", *WORDS, "--vehicle", "v.toml", "--verbose")
+    assert done.exit_code == 1 and "braking-retreat is refuted, not proved" in done.stdout
+    assert "no contact in pool-behind by sonar holds for obstacles at rest: margin 2 m" in done.stdout
+    [beside] = [line for line in done.stdout.splitlines() if line.startswith("no contact does not rest on ")]
+    assert "braking-retreat: it is about distances that count during a retreat" in beside
