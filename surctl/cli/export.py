@@ -339,9 +339,10 @@ def export(
 
 
 def _brief(compared: Compared, proof: ProofReport | None, assessment: Assessment, replayed: str) -> list[str]:
-    """Return the summary of an export: comparison of the code, verdict on what was exported, proof, replayed run."""
-    about_code = [line for line in compared.summaries(proof) if line]
-    return [_sil_line(compared.sil), f"exported; {assessment.verdict()}", *about_code, replayed]
+    """Return the summary of an export: verdict on what was exported, comparison of the code, proof, replayed run."""
+    heads = [f"exported; {assessment.verdict()}", _sil_line(compared.sil)]
+    heads = heads[::-1] if assessment.accepted() else heads  # what decides comes first
+    return [*heads, *(line for line in compared.summaries(proof) if line), replayed]
 
 
 def _sil_line(sil: SilReport) -> str:
