@@ -164,10 +164,10 @@ def hierarchy(shape: StackShape, rows: int, precision: Precision = FLOAT64) -> P
         },
         reals={
             "At": n * rows, "lo": rows, "up": rows, "lo_true": rows, "up_true": rows, "T": x * r, "B": x * k,
-            "L": x * x, "V": x * x, "tau": x, "h": x, "sums": r, "other": r, "y": x, "z": x, "g": x, "QR": k * x,
+            "L": x * x, "V": x * x, "tau": x, "h": x, "sums": r, "y": x, "z": x, "g": x, "QR": k * x,
             "diagonal": p * x, "weight": p * x, "side_d": k, "norms": k, "rhs": k, "rest": k, "scale": p, "v": x,
             "goal": x, "step": x, "lam": x, "mu": k, "speed": rows, "value": rows, "slack": rows, "slack_set": k,
-            "speed_set": k, "gap": rows, "gap_set": k, "spread": p, "d": x, "factor": 0, "size": 0,
+            "speed_set": k, "gap": rows, "gap_set": k, "spread": p, "d": x, "factor": 0, "head": 0, "size": 0,
         },
         wholes={
             "first": p + 1, "is_set": p, "level_of": k, "column": rows, "pivot": k, "many": p, "start": p + 1,
