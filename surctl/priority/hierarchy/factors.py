@@ -80,6 +80,10 @@ class Memory:
     value: list[float]
     slack: list[float]
     toward: list[int]
+    near: list[int]
+    room: list[float]
+    found: int
+    nearest: float
     slack_set: list[float]
     speed_set: list[float]
     toward_set: list[int]
