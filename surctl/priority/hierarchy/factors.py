@@ -411,8 +411,7 @@ def optimum(s: Memory, top: int) -> None:
             for j in within(0, s.w, s.x):
                 rest -= s.T[j * s.r + row] * s.y[j]
             s.rest[row] = rest
-        for j in within(0, free, s.x):
-            for row in within(begin, end, s.k):
+            for j in within(0, free, s.x):
                 s.B[j * s.k + row] = s.T[(s.w + j) * s.r + row]
         for number in within(0, s.used[s.valid], s.x):
             reflect_levels(s, number, number, free, begin, end)
