@@ -66,12 +66,12 @@ class _Function:
     def __init__(
         self, procedure: Procedure, function: Typed, symbol: str, real: Real, words: Mapping[str, str], *, vectors: bool
     ) -> None:
-        self.groups = _groups(function, dict(procedure.sizes)) if vectors else {}
-        self.group: _Group | None = None  # the loop whose iterations are now written together
-        self.shifts: tuple[int, ...] = (0,)  # of the vectors with which they are written
-        self.shift = 0
-        self.function, self.symbol, self.real, self.words = function, symbol, real, words
         self.sizes = dict(procedure.sizes)
+        self.groups = _groups(function, self.sizes) if vectors else {}
+        self.group: _Group | None = None  # the loop of which several iterations are written together
+        self.shifts: tuple[int, ...] = (0,)  # first iteration of each of their vectors
+        self.shift = 0  # of the vector that is written
+        self.function, self.symbol, self.real, self.words = function, symbol, real, words
         self.called = {f.name: [kind for _, kind in f.arguments] for f in procedure.functions}
 
     def lines(self) -> list[str]:
@@ -85,14 +85,18 @@ class _Function:
         lines = []
         for statement in body:
             once = self.group is None or isinstance(statement, ast.For) or not self.group.varies(statement)
-            for self.shift in (0,) if once else self.shifts:
+            for shift in (0,) if once else self.shifts:
+                self.shift = shift
                 lines += self._statement(statement, indent)
         return lines
 
     def _statement(self, node: ast.stmt, indent: str) -> list[str]:
         match node:
-            case ast.Assign(targets=[ast.Name(id=name) as target], value=ast.Constant() as value) if self._is_four(name):
-                return [f"{indent}{self._text(target)} = {_broadcast(self.symbol, self._as(value, 'real'))};"]
+            case ast.Assign(targets=[ast.Name(id=name) as target], value=ast.Constant() as value) if self._is_four(
+                name
+            ):
+                four = ", ".join([self._as(value, "real")] * 4)
+                return [f"{indent}{self._text(target)} = ({self.symbol}_four){{{four}}};"]
             case ast.Assign(targets=[target], value=value):
                 return [f"{indent}{self._text(target)} = {self._as(value, self.function.types[id(target)])};"]
             case ast.AugAssign(target=target, op=op, value=value):
@@ -125,16 +129,16 @@ class _Function:
     def _grouped(
         self, name: str, group: _Group, start: str, end: str, body: Sequence[ast.stmt], indent: str
     ) -> list[str]:
-        """Return C for a loop that computes groups of iterations at once, and then those that are left."""
+        """Return C for a loop that computes groups of iterations at once, and then those that are left, one by one."""
         inner, lines = indent + "        ", [f"{indent}{{", f"{indent}    const int {name}_end = {end};"]
         lines += [f"{indent}    int {name} = {start};", "#if defined(FOUR)"]
-        left = int(end) - int(start) if (start + end).isdigit() else -1
+        left = int(end) - int(start) if (start + end).isdigit() else -1  # −1: not known
         for width in group.widths:
             if left in range(width):
                 continue
-            left = left % width if left >= 0 else left
+            left = left % width if left > 0 else left
             self.group, self.shifts = group, tuple(range(0, width, 4))
-            own = [f"{inner}{self.symbol}_four {local}_{at};" for local in sorted(group.local) for at in self.shifts]
+            own = [f"{inner}{self.symbol}_four _{local}{at};" for local in sorted(group.local) for at in self.shifts]
             lines.append(f"{indent}    for (; {name} + {width} <= {name}_end; {name} += {width}) {{")
             lines += [*own, *self._block(body, inner), f"{indent}    }}"]
         self.group, self.shifts = None, (0,)
@@ -167,7 +171,7 @@ class _Function:
             case ast.Constant(value=value):
                 return c_literal(value, self.real) if isinstance(value, float) else str(int(value))  # type: ignore[arg-type]
             case ast.Name(id=name):
-                return f"{name}_{self.shift}" if self._is_four(name) else name
+                return f"_{name}{self.shift}" if self._is_four(name) else name
             case ast.Attribute(attr=name):
                 return str(self.sizes[name]) if name in self.sizes else f"s->{name}"
             case ast.Subscript(value=ast.Attribute(attr=name), slice=at):
@@ -194,10 +198,6 @@ class _Function:
                 passed = [self._as(arg, kind) for arg, kind in zip(args[1:], self.called[name], strict=True)]
                 return f"{self.symbol}_{name}({', '.join(['s', *passed])})"
         raise AssertionError(ast.dump(node))
-
-
-def _broadcast(symbol: str, value: str) -> str:
-    return f"({symbol}_four){{{', '.join([value] * 4)}}}"
 
 
 _BRANCHING = (ast.Call, ast.Compare, ast.BoolOp, ast.IfExp, ast.Div, ast.UnaryOp)
@@ -249,32 +249,23 @@ class _Group:
 class _Reader:
     """Decides whether the iterations of a loop are independent sums and products of entries in neighbouring places.
 
-    No iteration reads or writes an entry that another one writes in the same group: the index of an array that is
-    written is the same in all iterations of inner loops, or is `… * size + variable` with a size of at least the
-    width of the group.
+    No iteration uses an entry that another iteration of its group writes: the index of an array that is written is the
+    same wherever it occurs, also in all iterations of inner loops, or it is `… * size + variable` with a size that is
+    not below the width of the group.
     """
 
     def __init__(self, node: ast.For, function: Typed, sizes: Mapping[str, int]) -> None:
         assert isinstance(node.target, ast.Name)
         self.node, self.name, self.types, self.sizes = node, node.target.id, function.types, sizes
-        assigned = [s for s in self._statements(node.body) if not isinstance(s, ast.For)]
-        self.owned = {t.id for s in assigned if isinstance(t := _target(s), ast.Name)}
+        pairs = [(_target(each), _value(each)) for each in _statements(node.body) if not isinstance(each, ast.For)]
+        values = [(target.id, value) for target, value in pairs if isinstance(target, ast.Name)]
+        self.owned = {name for name, _ in values}
         self.local: set[str] = set()
-        size = -1
-        while size < len(self.local):
-            size = len(self.local)
-            for s in assigned:
-                if isinstance(t := _target(s), ast.Name) and any(_mentions(n, _value(s)) for n in (self.name, *self.local)):
-                    self.local.add(t.id)
+        while new := {name for name, value in values if self._differs(value)} - self.local:
+            self.local |= new
         self.turns: set[str] = set()
-        self.indices: dict[str, dict[str, ast.expr]] = {}
+        self.indices: dict[str, dict[str, ast.expr]] = {}  # of each array, by their text
         self.written: set[str] = set()
-
-    def _statements(self, body: Sequence[ast.stmt]) -> Iterator[ast.stmt]:
-        for statement in body:
-            yield statement
-            if isinstance(statement, ast.For):
-                yield from self._statements(statement.body)
 
     def group(self) -> _Group | None:
         """Return the loop as a group, or None if its iterations cannot be computed together."""
@@ -282,58 +273,55 @@ class _Reader:
         begun = all(_begins(name, self.node.body) for name in self.local)
         if self.node.iter.func.id == "back" or not begun or not self._block(self.node.body) or not self.written:
             return None
-        width = min(self._width(array) for array in self.written)
-        widths = tuple(each for each in (8, 4) if each <= width and (each == 4 or self.turns))
+        most = min(map(self._width, self.written))
+        widths = tuple(width for width in (8, 4) if width <= most and (width == 4 or self.turns))
         return _Group(self.node, self.name, frozenset(self.local), widths) if widths else None
 
     def _width(self, array: str) -> int:
-        indices = self.indices[array]
-        if len(indices) == 1 and not any(_mentions(name, at) for name in self.turns | self.owned for at in indices.values()):
+        indices = self.indices[array].values()
+        if len(indices) == 1 and not any(_mentions(name, at) for name in self.turns | self.owned for at in indices):
             return 8
-        return min(self._stride(at) for at in indices.values())
+        return min(map(self._stride, indices))
 
     def _stride(self, at: ast.expr) -> int:
         match at:
             case ast.BinOp(
                 left=ast.BinOp(op=ast.Mult(), right=ast.Attribute(attr=size)), op=ast.Add(), right=ast.Name(id=name)
-            ) if name == self.name and size in self.sizes:
-                return self.sizes[size]
+            ) if name == self.name:
+                return self.sizes.get(size, 0)
         return 0
 
     def _block(self, body: Sequence[ast.stmt]) -> bool:
         return all(map(self._statement, body))
 
     def _statement(self, node: ast.stmt) -> bool:
-        match node:
-            case ast.For(target=ast.Name(id=turn), iter=ast.Call(args=args), body=body):
-                self.turns.add(turn)
-                return not any(map(self._differs, args)) and self._block(body)
-            case ast.Assign() | ast.AugAssign():
-                target, value = _target(node), _value(node)
-                if not self._sum(value):
-                    return False
-                if isinstance(target, ast.Subscript) and isinstance(target.value, ast.Attribute):
-                    self.written.add(target.value.attr)
-                    return self._differs(value) and self._entry(target) and _mentions(self.name, target.slice)
-                if not isinstance(target, ast.Name):
-                    return False
-                if target.id in self.local:
-                    return self._differs(value) or isinstance(node, ast.AugAssign) or isinstance(value, ast.Constant)
-                return isinstance(node, ast.Assign) and not any(_mentions(name, value) for name in self.owned)
-        return False
+        if isinstance(node, ast.For) and isinstance(node.target, ast.Name) and isinstance(node.iter, ast.Call):
+            self.turns.add(node.target.id)
+            return not any(map(self._differs, node.iter.args)) and self._block(node.body)
+        target, value = _target(node), _value(node)
+        if not self._is_sum(value):
+            return False
+        if isinstance(target, ast.Subscript) and isinstance(target.value, ast.Attribute):
+            self.written.add(target.value.attr)
+            return self._differs(value) and self._is_entry(target) and _mentions(self.name, target.slice)
+        if not isinstance(target, ast.Name):
+            return False
+        if target.id in self.local:
+            return self._differs(value) or isinstance(node, ast.AugAssign) or isinstance(value, ast.Constant)
+        return isinstance(node, ast.Assign) and not any(_mentions(name, value) for name in self.owned)
 
     def _differs(self, value: ast.expr) -> bool:
         return any(_mentions(name, value) for name in (self.name, *self.local))
 
-    def _sum(self, node: ast.expr) -> bool:
+    def _is_sum(self, node: ast.expr) -> bool:
         if isinstance(node, ast.Subscript):
-            return self._entry(node)
+            return self._is_entry(node)
         if isinstance(node, _BRANCHING) or (isinstance(node, ast.Name) and node.id == self.name):
             return False
-        return all(self._sum(inner) for inner in ast.iter_child_nodes(node) if isinstance(inner, ast.expr))
+        return all(self._is_sum(inner) for inner in ast.iter_child_nodes(node) if isinstance(inner, ast.expr))
 
-    def _entry(self, node: ast.Subscript) -> bool:
-        """Return whether an index grows by 1 with the variable: it is the variable, or a sum with it as the last term."""
+    def _is_entry(self, node: ast.Subscript) -> bool:
+        """Return whether an index does not depend on the variable, is the variable, or a sum with it as last term."""
         at = node.slice
         assert isinstance(node.value, ast.Attribute)
         self.indices.setdefault(node.value.attr, {})[ast.unparse(at)] = at
@@ -345,20 +333,30 @@ class _Reader:
         return follows and (first is None or not _mentions(self.name, first)) and self.types[id(node)] == "real"
 
 
+def _statements(body: Sequence[ast.stmt]) -> Iterator[ast.stmt]:
+    for statement in body:
+        yield statement
+        if isinstance(statement, ast.For):
+            yield from _statements(statement.body)
+
+
+_NONE = ast.Tuple([])  # not in the language of procedures
+
+
 def _target(node: ast.stmt) -> ast.expr:
-    if isinstance(node, ast.AugAssign):
-        return node.target
-    return node.targets[0] if isinstance(node, ast.Assign) else ast.Constant(None)
+    return (
+        node.target if isinstance(node, ast.AugAssign) else node.targets[0] if isinstance(node, ast.Assign) else _NONE
+    )
 
 
 def _value(node: ast.stmt) -> ast.expr:
-    return node.value if isinstance(node, ast.Assign | ast.AugAssign) else ast.Constant(None)
+    return node.value if isinstance(node, ast.Assign | ast.AugAssign) else _NONE
 
 
 def _begins(name: str, body: Sequence[ast.stmt]) -> bool:
-    """Return whether the first statement that mentions a variable assigns it, before every other use."""
+    """Return whether a variable is assigned in the first statement that mentions it, in the block with all of them."""
     using = [statement for statement in body if _mentions(name, statement)]
-    if len(using) == 1 and isinstance(using[0], ast.For):
-        return _begins(name, using[0].body)
     first = using[0]
+    if len(using) == 1 and isinstance(first, ast.For):
+        return _begins(name, first.body)
     return isinstance(first, ast.Assign) and not _mentions(name, first.value) and isinstance(first.targets[0], ast.Name)

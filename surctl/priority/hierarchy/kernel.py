@@ -134,8 +134,8 @@ _FUNCTIONS = (
     factors.reflection, factors.reflect_table, factors.reflect_levels, factors.along, factors.enter, factors.leave,
     factors.eliminate_left, factors.solve_left, factors.take_off, factors.pivots, factors.solve_level,
     factors.optimum, factors.multipliers, search.at_goal, search.at_v, search.prepare, search.switch_set,
-    search.at_once, search.approach, search.ratio, search.move_limits, search.advance, search.release, search.descend, search.restore,
-    search.add_row, search.bound_loss, search.remember, search.judge, retreat, sound, solution,
+    search.at_once, search.approach, search.ratio, search.move_limits, search.advance, search.release, search.descend,
+    search.restore, search.add_row, search.bound_loss, search.remember, search.judge, retreat, sound, solution,
 )  # fmt: skip
 
 
@@ -166,8 +166,9 @@ def hierarchy(shape: StackShape, rows: int, precision: Precision = FLOAT64) -> P
             "At": n * rows, "lo": rows, "up": rows, "lo_true": rows, "up_true": rows, "T": x * r, "B": x * k,
             "L": x * x, "V": x * x, "tau": x, "h": x, "sums": r, "y": x, "z": x, "g": x, "QR": k * x,
             "diagonal": p * x, "weight": p * x, "side_d": k, "norms": k, "rhs": k, "rest": k, "scale": p, "v": x,
-            "goal": x, "step": x, "lam": x, "mu": k, "speed": rows, "value": rows, "slack": rows, "room": 2 * rows, "slack_set": k,
-            "speed_set": k, "gap": rows, "gap_set": k, "spread": p, "d": x, "factor": 0, "head": 0, "nearest": 0, "size": 0,
+            "goal": x, "step": x, "lam": x, "mu": k, "speed": rows, "value": rows, "room": 2 * rows, "slack": rows,
+            "slack_set": k, "speed_set": k, "gap": rows, "gap_set": k, "spread": p, "d": x, "factor": 0, "head": 0,
+            "nearest": 0, "size": 0,
         },
         wholes={
             "first": p + 1, "is_set": p, "level_of": k, "column": rows, "pivot": k, "many": p, "start": p + 1,
