@@ -211,7 +211,7 @@ def ratio(s: Memory, limit: int) -> float:
         e = s.speed[i]
         if s.column[i] < 0:
             at = i if e > 0.0 else s.m + i
-            if s.room[at] < fabs(e) and s.inside[i] == 0 and fabs(e) > tiny:
+            if not s.room[at] >= fabs(e) and s.inside[i] == 0 and fabs(e) > tiny:
                 if e > 0.0 and s.up[i] < 1e299:
                     approach(s, i, 1, e, s.room[at])
                 if e < 0.0 and s.lo[i] > -1e299:
