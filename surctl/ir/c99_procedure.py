@@ -209,21 +209,21 @@ def _mentions(name: str, node: ast.AST) -> bool:
 
 def _groups(function: Typed, sizes: Mapping[str, int]) -> dict[int, _Group]:
     """Return the loops whose iterations may be computed together, outer loops first, by the `id` of the node."""
-    found: dict[int, _Group] = {}
+    groups: dict[int, _Group] = {}
     inside: set[int] = set()
     for node in ast.walk(function.node):
         if isinstance(node, ast.For) and id(node) not in inside:
             group = _Reader(node, function, sizes).group()
             if group is not None:
-                found[id(node)] = group
+                groups[id(node)] = group
                 inside |= {id(inner) for inner in ast.walk(node)}
     while True:  # a vector must not be needed elsewhere
-        covered = {id(inner) for group in found.values() for inner in ast.walk(group.node)}
+        covered = {id(inner) for group in groups.values() for inner in ast.walk(group.node)}
         others = {n.id for n in ast.walk(function.node) if isinstance(n, ast.Name) and id(n) not in covered}
-        kept = {key: group for key, group in found.items() if not others & group.local}
-        if len(kept) == len(found):
-            return kept
-        found = kept
+        allowed = {key: group for key, group in groups.items() if not others & group.local}
+        if len(allowed) == len(groups):
+            return allowed
+        groups = allowed
 
 
 @dataclass(frozen=True)

@@ -80,10 +80,10 @@ class Memory:
     value: list[float]
     slack: list[float]
     toward: list[int]
-    near: list[int]
-    room: list[float]
-    found: int
-    nearest: float
+    near: list[int]  # limits that v + step exceeds
+    margin: list[float]  # to the upper bounds, then to the lower ones
+    hits: int  # number of limits in `near`
+    nearest: float  # share of the step up to the first limit
     slack_set: list[float]
     speed_set: list[float]
     toward_set: list[int]
@@ -98,7 +98,7 @@ class Memory:
     soft: int
     top: int
     factor: float
-    head: float
+    head: float  # first entry of the normal of a reflection
     size: float
     moved: int
     still: int
@@ -216,9 +216,9 @@ def leave(s: Memory, place: int) -> None:
                 s.L[j * s.x + i + 1] = cosine * b - sine * a
             for q in range(s.r):
                 one = s.T[i * s.r + q]
-                next = s.T[(i + 1) * s.r + q]
-                s.T[i * s.r + q] = cosine * one + sine * next
-                s.T[(i + 1) * s.r + q] = cosine * next - sine * one
+                other = s.T[(i + 1) * s.r + q]
+                s.T[i * s.r + q] = cosine * one + sine * other
+                s.T[(i + 1) * s.r + q] = cosine * other - sine * one
 
 
 def eliminate_left(s: Memory, level: int, cols: int) -> float:

@@ -166,7 +166,7 @@ def hierarchy(shape: StackShape, rows: int, precision: Precision = FLOAT64) -> P
             "At": n * rows, "lo": rows, "up": rows, "lo_true": rows, "up_true": rows, "T": x * r, "B": x * k,
             "L": x * x, "V": x * x, "tau": x, "h": x, "sums": r, "y": x, "z": x, "g": x, "QR": k * x,
             "diagonal": p * x, "weight": p * x, "side_d": k, "norms": k, "rhs": k, "rest": k, "scale": p, "v": x,
-            "goal": x, "step": x, "lam": x, "mu": k, "speed": rows, "value": rows, "room": 2 * rows, "slack": rows,
+            "goal": x, "step": x, "lam": x, "mu": k, "speed": rows, "value": rows, "margin": 2 * rows, "slack": rows,
             "slack_set": k, "speed_set": k, "gap": rows, "gap_set": k, "spread": p, "d": x, "factor": 0, "head": 0,
             "nearest": 0, "size": 0,
         },
@@ -176,7 +176,7 @@ def hierarchy(shape: StackShape, rows: int, precision: Precision = FLOAT64) -> P
             "side": x, "toward": rows, "near": rows, "toward_set": k,
             **dict.fromkeys(
                 ("N", "w", "valid", "hard", "soft", "top", "moved", "still", "bad", "reached", "block", "block_set",
-                 "block_side", "turns", "found"), 0,
+                 "block_side", "turns", "hits"), 0,
             ),
         },
     )  # fmt: skip

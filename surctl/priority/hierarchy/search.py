@@ -176,8 +176,8 @@ def approach(s: Memory, i: int, side: int, rate: float, distance: float) -> None
         s.nearest = (distance + 1e-13 * s.size) / rate
     if distance < rate and (s.toward[i] == 0 or distance * s.speed[i] < s.slack[i] * rate):
         if s.toward[i] == 0:
-            s.near[s.found] = i
-            s.found += 1
+            s.near[s.hits] = i
+            s.hits += 1
         s.toward[i] = side
         s.slack[i] = distance
         s.speed[i] = rate
@@ -194,7 +194,7 @@ def ratio(s: Memory, limit: int) -> float:
     tiny = tiny if tiny > 1e-13 * s.size else 1e-13 * s.size
     more = 1e-13 * s.size
     s.nearest = 1.0
-    s.found = 0
+    s.hits = 0
     for i in range(s.m):
         speed = 0.0
         value = 0.0
@@ -204,18 +204,18 @@ def ratio(s: Memory, limit: int) -> float:
             value += entry * s.v[j]
         s.speed[i] = speed
         s.value[i] = value
-        s.room[0 * s.m + i] = s.up[i] - value
-        s.room[1 * s.m + i] = value - s.lo[i]
+        s.margin[0 * s.m + i] = s.up[i] - value  # a table of two rows
+        s.margin[1 * s.m + i] = value - s.lo[i]
     for i in range(s.m):
         s.toward[i] = 0
         e = s.speed[i]
         if s.column[i] < 0:
-            at = i if e > 0.0 else s.m + i
-            if not s.room[at] >= fabs(e) and s.inside[i] == 0 and fabs(e) > tiny:
+            at = i if e > 0.0 else s.m + i  # an index, because processors cannot predict this branch
+            if not s.margin[at] >= fabs(e) and s.inside[i] == 0 and fabs(e) > tiny:
                 if e > 0.0 and s.up[i] < 1e299:
-                    approach(s, i, 1, e, s.room[at])
+                    approach(s, i, 1, e, s.margin[at])
                 if e < 0.0 and s.lo[i] > -1e299:
-                    approach(s, i, -1, -e, s.room[at])
+                    approach(s, i, -1, -e, s.margin[at])
         elif s.inside[i] == 0:
             opened = s.v[s.column[i]]
             opening = s.step[s.column[i]]
@@ -253,7 +253,7 @@ def ratio(s: Memory, limit: int) -> float:
         return 1.0
     fastest = 0.0
     share = 1.0
-    for k in within(0, s.found, s.m):
+    for k in within(0, s.hits, s.m):
         i = s.near[k]
         if s.speed[i] > fastest and s.slack[i] <= s.nearest * s.speed[i]:
             fastest = s.speed[i]
