@@ -134,8 +134,9 @@ _FUNCTIONS = (
     factors.reflection, factors.reflect_table, factors.reflect_levels, factors.along, factors.enter, factors.leave,
     factors.eliminate_left, factors.solve_left, factors.take_off, factors.pivots, factors.solve_level,
     factors.optimum, factors.multipliers, search.at_goal, search.at_v, search.prepare, search.switch_set,
-    search.at_once, search.approach, search.ratio, search.move_limits, search.advance, search.release, search.descend,
-    search.restore, search.add_row, search.bound_loss, search.remember, search.judge, retreat, sound, solution,
+    search.at_once, search.approach, search.ratio, search.move_limits, search.advance, search.unlocked, search.release,
+    search.descend, search.restore, search.add_row, search.bound_loss, search.remember, search.judge, retreat, sound,
+    solution,
 )  # fmt: skip
 
 

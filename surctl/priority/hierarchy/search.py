@@ -88,9 +88,9 @@ def prepare(s: Memory) -> None:
         s.N += 1
     for i in range(s.m):
         s.column[i] = s.soft if s.column[i] == 1 else s.hard
+    for q in range(s.x * s.r):
+        s.T[q] = 0.0
     for j in range(s.x):
-        for q in range(s.r):
-            s.T[j * s.r + q] = 0.0
         s.T[j * s.r + s.k + j] = 1.0
     for j in range(s.n):
         for row in within(2, s.first[s.p], s.k):
@@ -331,6 +331,19 @@ def advance(s: Memory) -> int:
     return 0 if enter(s, s.block, s.block_side) != 0 else -1
 
 
+def unlocked(s: Memory, level: int) -> int:
+    """Return whether an active limit, or an active row of a set-based level above, is not locked."""
+    for i in within(0, s.w, s.x):
+        if s.lock[s.W[i]] == 0:
+            return 1
+    for a in within(2, level, s.p):
+        if s.is_set[a] != 0:
+            for row in within(s.first[a], s.first[a + 1], s.b):
+                if s.on[row] != 0 and s.lock_set[row] == 0:
+                    return 1
+    return 0
+
+
 def release(s: Memory) -> int:
     """Drop the limit with the worst multiplier and return 1; lock those with a positive one and return 0 if none."""
     level = s.top - 1
@@ -363,6 +376,8 @@ def release(s: Memory) -> int:
         if not largest > 0.0:
             return 0
     if which < 0:
+        if unlocked(s, level) == 0:
+            return 0
         multipliers(s, level)
         unit = s.scale[level] if level < s.p else 1.0
         limit = 1e-11 * largest * unit
