@@ -341,15 +341,13 @@ def test_errors_count_on_the_axis_with_the_steepest_command(error: str, key: str
     claim["law"] |= {"lookahead": 100.0, "cap": 1.0, "k1": 1.0, "cruise": 0.5}
     claim["vehicle"]["thrust_n"] = 1e9
     law, psi = read_claim(claim), rng.uniform(0, 2 * np.pi, n)
-    pair = {
+    pair: dict[str, Any] = {
         name: tuple(value * (1 + 9 * (name == key and axis == heavy)) for axis in (0, 1))
         for name, value in (("mass", law.mass_model), ("linear", law.linear_model), ("quadratic", law.quadratic_model))
     }
-    other = replace(
-        region._turning(law), place_error=Fraction(0), velocity_error=Fraction(0), force=Fraction(0), **pair
-    )
+    errors: dict[str, Any] = {"place_error": Fraction(0), "velocity_error": Fraction(0)}
+    errors["place_error" if error == "place" else "velocity_error"] = Fraction("0.01")
     size, angle = 0.01, rng.uniform(0, 2 * np.pi, n)
-    other = replace(other, **{{"place": "place_error", "speed": "velocity_error"}[error]: Fraction("0.01")})
     state = np.stack([rng.uniform(-0.6, 0.6, n), *rng.uniform(-y, y, (3, n))], axis=1)
     measured, at = state.copy(), slice(2) if error == "place" else slice(2, 4)
     measured[:, at] += size * np.stack([np.cos(angle), np.sin(angle)], axis=1)
@@ -358,7 +356,7 @@ def test_errors_count_on_the_axis_with_the_steepest_command(error: str, key: str
         names = {"mass_kg": "mass", "linear_drag": "linear", "quadratic_drag": "quadratic"}
         own = claim | {"law": claim["law"] | {name: float(pair[part][axis]) for name, part in names.items()}}
         change[:, axis] = (thrust(own, measured, psi) - thrust(own, state, psi))[:, axis]
-    counted = outer_force(other, y)
+    counted = outer_force(replace(region._turning(law), force=Fraction(0), **pair, **errors), y)
     assert 0.9 * counted < np.hypot(*change.T).max() <= counted
 
 
