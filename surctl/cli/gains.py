@@ -94,10 +94,10 @@ def derive(
 def _contact(vehicle: Vehicle, derivation: Derivation) -> SafetyClaim | Inapplicable | None:
     """Return the no-contact claim of the gains on a straight path in still water; None if it is not about the law."""
     from surctl.marine.assessment import judged_contact
-    from surctl.marine.control import CASCADE, default_law, law_source
+    from surctl.marine.control import BARRIER, default_law, law_source
     from surctl.marine.simulation import mission_size, straight_mission
 
-    if CASCADE not in law_source(default_law(vehicle)).parts:
+    if BARRIER not in law_source(default_law(vehicle)).parts:
         return None
     speeds = {"cruise": derivation.cruise, "size": mission_size(vehicle, derivation.gains, cruise=derivation.cruise)}
     return judged_contact(straight_mission(vehicle, **speeds), vehicle, derivation.gains, sonar=False)

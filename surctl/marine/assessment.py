@@ -11,7 +11,7 @@ import numpy as np
 
 from surctl.assessment import SATURATED, Assumption, Figure, Line, Part, loop_figures, loop_line
 from surctl.errors import InputError, NotApplicable
-from surctl.marine.control import CASCADE, Barrier, Gains, Law, Movers, build_law, default_law, law_source
+from surctl.marine.control import BARRIER, Barrier, Gains, Law, Movers, build_law, default_law, law_source
 from surctl.marine.guidance import Guidance, Path
 from surctl.marine.simulation import (
     Disturbance,
@@ -163,11 +163,9 @@ DEFAULT_REGIONS = ("region-cruise-20", "region-turning-20", "region-steered-20")
 """The region claims of an assessment, strongest assumption first; the first that applies is the one of a vehicle."""
 
 
-def _region_part(vehicle: Vehicle, gains: Gains, *, law: str, cruise: float, cap: float) -> Part:
+def _region_part(vehicle: Vehicle, gains: Gains, *, law: str, guidance: Guidance, cruise: float, cap: float) -> Part:
     """Return whether a region of attraction about the path is proved, and its size."""
-    if not law_source(law).parts:
-        return Part((), (Line(None, f"region of attraction: no claim concerns law {label(law)}", "region"),))
-    claim = applicable_region(DEFAULT_REGIONS, vehicle, gains, cruise=cruise, cap=cap)
+    claim = applicable_region(DEFAULT_REGIONS, vehicle, gains, law=law, guidance=guidance, cruise=cruise, cap=cap)
     if not isinstance(claim, RegionStatement):
         text = f"region of attraction: not applicable to {claim.to}, because {claim.because}"
         return Part((), (Line(None, text, "region"),), claim)
@@ -215,7 +213,7 @@ def _contact_part(
 ) -> Part:
     """Return the no-contact claim of each mission, a scenario and its vehicle, that has obstacles."""
     met = [(scenario, vehicle) for scenario, vehicle in missions if scenario.obstacles]
-    if CASCADE not in law_source(law).parts:
+    if BARRIER not in law_source(law).parts:
         text = f"no contact: not judged, because the claim concerns law guarded and this is {label(law)}"
         return Part((), (Line(None, text, "runs", counts=bool(met)),))
     sensed = "by sonar" if sonar else "with true positions"
@@ -518,7 +516,7 @@ class Mission:
         about: dict[str, Any] = {"vehicle": self.vehicle, "gains": self.gains, "law": self.law_ref}
         parts: dict[str, Callable[[], Part]] = {
             "loop": self._loop,
-            "region": partial(_region_part, **about, cruise=self.cruise, cap=self.cap),
+            "region": partial(_region_part, **about, guidance=self.guidance, cruise=self.cruise, cap=self.cap),
         }
         if self.scenarios:
             parts["no contact"] = partial(
