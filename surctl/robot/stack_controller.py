@@ -25,7 +25,7 @@ from surctl.export import (
     write_bundle,
 )
 from surctl.export.bundle import build_bundle
-from surctl.ir import Block, Call, Layout, Port, Routine, lower, lower_named, without_libm
+from surctl.ir import Block, Call, Layout, Loop, Port, Routine, Step, lower, lower_named, without_libm
 from surctl.priority import Assembly, Mode, PriorityProblem, PrioritySolution, assemble, priority_step
 from surctl.priority.compiled.step import Stage
 from surctl.priority.shapes import LevelShape, StackShape, SymbolicLevel
@@ -42,6 +42,7 @@ Array: TypeAlias = NDArray[np.float64]
 
 _BITS = {RELAXED: 1, UNCONFIRMED: 2, CLAMPED: 4}
 _STAGES = get_args(Stage)
+_PROBLEM = ("J", "lower", "upper", "rows")
 _TOLERANCE = 1e-6  # of the damped problems: change of a rate [unit of the task/s]; square of the least weight of v
 _CHECKED_SECONDS, _CHECKED_RUNS, _CHECKED_STEPS = 2.0, 3, 300
 
@@ -290,86 +291,89 @@ class _Law(Controller):
         problem = assembly.function.call([values[name] for name in assembly.sizes])
         names = ("J", "lower", "upper", "rows", "box", "moved")
         before = lower(ca.Function("tasks", flat, list(map(ca.densify, problem)), list(layouts), list(names)))
-        solved = self._damped() if self.damping else self._strict()
-        numbers, codes = (tuple(f"{name}_{k}" for k in range(len(solved))) for name in ("active", "status"))
-        shapes = {"moved": dict(before.outputs)["moved"], "v": n} | dict.fromkeys(numbers, n) | dict.fromkeys(codes, 1)
-        parts = {name: ca.SX.sym(name, size) for name, size in shapes.items()}
-        stage, active = parts[codes[0]], parts[numbers[-1]]
-        for code in codes[1:]:  # the codes rise with what is lost; tasks above limit each task but the first
-            stage = ca.fmax(stage, ca.if_else(parts[code] > LIMITED, parts[code], 0.0))
-        stage = ca.if_else(ca.logic_and(ca.mmax(parts["moved"]) > 0, stage < RELAXED), RELAXED, stage)
+        tasks = len(assembly.shapes) if self.damping else 1  # problems
+        v, moved = ca.SX.sym("v", n), ca.SX.sym("moved", dict(before.outputs)["moved"])
+        active, codes = ca.SX.sym("active", tasks * n), ca.SX.sym("codes", tasks)
+        stage = codes[0]
+        for k in range(1, tasks):  # the codes rise with what is lost; tasks above limit each task but the first
+            stage = ca.fmax(stage, ca.if_else(codes[k] > LIMITED, codes[k], 0.0))
+        stage = ca.if_else(ca.logic_and(ca.mmax(moved) > 0, stage < RELAXED), RELAXED, stage)
         bits = sum((bit * (stage == code) for code, bit in _BITS.items()), ca.SX(0))
+        shown = active[-n:]
         if self.damping:  # numbers above those of the limits are rows of tasks above
-            of_task = ca.logic_or(active == 0, ca.fabs(active) > len(assembly.limits))
-            active = ca.if_else(of_task, parts[numbers[0]], active)
-        v = parts["v"]
+            of_task = ca.logic_or(shown == 0, ca.fabs(shown) > len(assembly.limits))
+            shown = ca.if_else(of_task, active[:n], shown)
         after = lower_named(
-            "result", parts,
-            {"tau": v, "x_next": v[: self.state.size], "status": bits, "telemetry": ca.vertcat(stage, active)},
-        )  # fmt: skip
+            "result",
+            {"v": v, "active": active, "codes": codes, "moved": moved},
+            {"tau": v, "x_next": v[: self.state.size], "status": bits, "telemetry": ca.vertcat(stage, shown)},
+        )
         results = ("tau", "x_next", "status", "telemetry")
         steps = (
             Call(before, tuple(layouts), names),
-            *(call for calls in solved for call in calls),
-            Call(after, ("moved", f"v_{len(solved) - 1}", *numbers, *codes), results),
+            *(self._damped() if self.damping else self._strict()),
+            Call(after, ("step_v", "step_active", "step_status", "moved"), results),
         )
         sizes = tuple((name, layout.size) for name, layout in layouts.items())
         return without_libm(Routine(self.name, sizes, steps, results))
 
-    def _strict(self) -> list[tuple[Call, ...]]:
+    def _strict(self) -> tuple[Step, ...]:
         """Return the call that solves the priority problem."""
-        assembly = self.assembly
-        step = priority_step(
-            self.mode, n=assembly.stack.velocities, levels=assembly.shapes, rows=max(1, len(assembly.limits))
-        )
-        return [(Call(step, ("J", "lower", "upper", "rows", "box"), tuple(f"{name}_0" for name, _ in step.outputs)),)]
+        shapes, rows = self.assembly.shapes, max(1, len(self.assembly.limits))
+        step = priority_step(self.mode, n=self.assembly.stack.velocities, levels=shapes, rows=rows)
+        return (Call(step, (*_PROBLEM, "box"), tuple(f"step_{name}" for name, _ in step.outputs)),)
 
-    def _damped(self) -> list[tuple[Call, ...]]:
-        """Return the calls that solve one problem for each task; see `damping` of `StackController`."""
+    def _damped(self) -> tuple[Step, ...]:
+        """Return the loop that solves one problem for each task; see `damping` of `StackController`."""
         shape, limits = StackShape(self.assembly.stack.velocities, self.assembly.shapes), len(self.assembly.limits)
-        n, most = shape.n, max(level.rows for level in shape.levels)
+        n, most, above = shape.n, max(level.rows for level in shape.levels), shape.starts[-1]
         flat, levels = shape.symbols()
-        rows = ca.SX.sym("rows", max(1, limits) * (n + 3))
-        names = (*(name for name, _ in shape.inputs), "rows")
-        symbols = dict(zip(names, (*flat, rows), strict=True))
-        step = priority_step(
-            "lexicographic", n=n, levels=(LevelShape(most + n),), rows=max(1, limits) + shape.starts[-1]
+        k, v, rows = ca.SX.sym("k"), ca.SX.sym("v", n), ca.SX.sym("rows", max(1, limits) * (n + 3))
+        J, x = ca.SX(most, n), ca.SX.zeros(most)
+        extended = [rows]
+        for i, level in enumerate(levels):
+            size = level.lower.numel()
+            J[:size, :] += (k == i) * level.J
+            x[:size] += ca.if_else(k == i, level.desired(v), 0.0)
+            if i < len(levels) - 1:
+                extended.append(ca.vec(_kept(level, v, k > i).T))
+        weight = ca.sqrt(self.damping * ca.norm_2(x) + _TOLERANCE)
+        x = ca.vertcat(x, ca.SX.zeros(n))
+        problem = lower_named(
+            "task",
+            dict(zip(("k", "v", *_PROBLEM), (k, v, *flat, rows), strict=True)),
+            {"J_k": ca.vec(ca.vertcat(J, weight * ca.SX.eye(n)).T), "low": x, "high": x, "all": ca.vertcat(*extended)},
         )
-        solved = []
-        for k, level in enumerate(levels):
-            v = ca.SX.sym("v", n) if k else ca.SX.zeros(n)
-            x = level.desired(v)
-            weight = ca.sqrt(self.damping * ca.norm_2(x) + _TOLERANCE)
-            gap = ca.SX.zeros(most - x.numel(), n)
-            J = ca.vertcat(level.J, gap, weight * ca.SX.eye(n))
-            padded = ca.vertcat(x, ca.SX.zeros(most - x.numel() + n))
-            above = [_kept(higher, v) for higher in levels[:k]]
-            free = shape.starts[-1] - shape.starts[k]
-            unused = ca.repmat(ca.horzcat(ca.SX.zeros(1, n), -math.inf, math.inf, 0.0), free, 1)
-            extended = ca.vertcat(rows, *(ca.vec(part.T) for part in (*above, unused)))
-            given = tuple(f"{name}_of_{k}" for name in names)
-            problem = lower_named(
-                f"problem_{k}",
-                symbols | ({"v": v} if k else {}),
-                dict(zip(given, (ca.vec(J.T), padded, padded, extended), strict=True)),
-            )
-            solution = tuple(f"{name}_{k}" for name, _ in step.outputs)
-            solved.append(
-                (
-                    Call(problem, (*names, f"v_{k - 1}") if k else names, given),
-                    Call(step, (*given, "box"), solution),
-                )
-            )
-        return solved
+        step = priority_step("lexicographic", n=n, levels=(LevelShape(most + n),), rows=max(1, limits) + above)
+        inputs, box = (
+            tuple((name, int(symbol.numel())) for name, symbol in zip(_PROBLEM, (*flat, rows), strict=True)),
+            2 * n,
+        )
+        solution = tuple(f"step_{name}" for name, _ in step.outputs)
+        one = Routine(
+            f"{self.name}_task",
+            (("k", 1), ("v", n), *inputs, ("box", box)),
+            (
+                Call(problem, ("k", "v", *_PROBLEM), ("J_k", "low", "high", "all")),
+                Call(step, ("J_k", "low", "high", "all", "box"), solution),
+            ),
+            ("step_v", "step_active", "step_status"),
+        )
+        rest = lower_named("rest", {"J": flat[0]}, {"rest": ca.SX.zeros(n)})
+        loop = Loop(
+            one, len(levels), ("rest",), ("step_v", "step_active", "step_status"), fixed=(*_PROBLEM, "box"), index=True
+        )
+        return Call(rest, ("J",), ("rest",)), loop
 
 
-def _kept(level: SymbolicLevel, v: ca.SX) -> ca.SX:
-    """Return limit rows (k, n + 3) that keep the rates of a task as they are in v, or within its range."""
+def _kept(level: SymbolicLevel, v: ca.SX, used: ca.SX) -> ca.SX:
+    """Return limit rows (k, n + 3) that keep the rates of a task as they are in v, or within its range, if used."""
     now = level.J @ v
     low, high = now - _TOLERANCE, now + _TOLERANCE
     if level.is_set:
         low, high = ca.fmin(low, level.lower), ca.fmax(high, level.upper)
-    return ca.horzcat(level.J, low, high, ca.SX.zeros(now.numel()))
+    low, high = ca.if_else(used, low, -math.inf), ca.if_else(used, high, math.inf)
+    return ca.horzcat(used * level.J, low, high, ca.SX.zeros(now.numel()))
 
 
 def _no_expressions(*_: object) -> NoReturn:
