@@ -336,7 +336,7 @@ class _Law(Controller):
             J[:size, :] += (k == i) * level.J
             x[:size] += ca.if_else(k == i, level.desired(v), 0.0)
             if i < len(levels) - 1:
-                extended.append(ca.vec(_kept(level, v, k > i).T))
+                extended.append(ca.vec(_preserved(level, v, k > i).T))
         weight = ca.sqrt(self.damping * ca.norm_2(x) + _TOLERANCE)
         x = ca.vertcat(x, ca.SX.zeros(n))
         problem = lower_named(
@@ -366,7 +366,7 @@ class _Law(Controller):
         return Call(rest, ("J",), ("rest",)), loop
 
 
-def _kept(level: SymbolicLevel, v: ca.SX, used: ca.SX) -> ca.SX:
+def _preserved(level: SymbolicLevel, v: ca.SX, used: ca.SX) -> ca.SX:
     """Return limit rows (k, n + 3) that keep the rates of a task as they are in v, or within its range, if used."""
     now = level.J @ v
     low, high = now - _TOLERANCE, now + _TOLERANCE
