@@ -143,15 +143,15 @@ class Compared(NamedTuple):
 @click.option("--gains", metavar="FILE", help=GAINS_HELP)
 @click.option("--vehicle", metavar="FILE", help="Vehicle: name or file (default: the scenario's).")
 @click.option(
-    "--scenario", default=MISSION, metavar="FILE", help="Mission, sensors: name or file (default pool-static)."
+    "--scenario", default=MISSION, metavar="FILE", help="Scenario with mission, sensors (default pool-static)."
 )
 @law_option
 @click.option(
-    "--avoidance", default="corrected", metavar="NAME", help="Eq. (20) as corrected (default), consistent or printed."
+    "--avoidance", default="corrected", metavar="NAME", help="Eq. (20): corrected (default), consistent, printed."
 )
 @click.option("--guidance", default="los", metavar="NAME", help="Path guidance: los (default), ilos or alos.")
 @priority_options
-@click.option("--sensing", metavar="NAME", help="Obstacles: sonar (default if the law can) or truth.")
+@click.option("--sensing", metavar="NAME", help="Obstacle positions: sonar (default, if used) or truth.")
 @sensor_options
 @click.option("--name", metavar="TEXT", help="Prefix of files and C symbols (default: the law's name).")
 @click.option("--target", default="c99", metavar="NAME", help="Output: c99 (default), fmu (FMI 2), fmu3 or mjcf.")
@@ -201,7 +201,7 @@ def export(
     QEMU's Cortex-M3, -M4F and -M7: every output byte must equal that of Python. --prove takes minutes with sonar
     sensing; the proof covers all gains within the ranges of the gain file. FILE.py:FUNCTION exports the controller of a
     system of your own. Exit status: 1 if C and Python differ, or if the replayed run collides or does not arrive;
-    other lines of the assessment that fail are warnings.
+    other failed checks of the loop are warnings.
 
     Examples: surctl export --gains surctl-out/gains.toml --out firmware; surctl export --law closed_form --sensing
     truth --constant-gains --check; surctl export my_system.py:build --seconds 5

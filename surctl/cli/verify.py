@@ -1,4 +1,4 @@
-"""`surctl verify`: check claims and compute stability margins."""
+"""`surctl verify`: check claims, compute stability margins, and decide which results fail the command."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ _SPEED = FiniteRange(min=0, max=100, min_open=True)
     type=FiniteRange(min=0, max=1e6, min_open=True),
     default=None,
     metavar="S",
-    help="Largest processor time per claim [s] (default 20; 60 for dynamics).",
+    help="Processor time per claim [s] (default 20; 60 for dynamics).",
 )
 @click.option("--show", is_flag=True, help="Print the claims as claim files without checking them.")
 @click.option(
@@ -103,17 +103,17 @@ def verify(
     out: Path | None,
     as_json: bool,
 ) -> None:
-    """Prove or refute claims of the paper, or your own, and print loop margins.
+    """Prove or refute claims of the robot's paper or your own; print loop margins.
 
     A claim is proved (with a certificate that `surctl check` accepts), refuted (with a counterexample), unknown
-    (neither), or not applicable (this vehicle, law or gains violate an assumption). Claims of the
-    robot's paper are about the kinematic loop at cruise speed, with speeds limited to --cap. --scenario also checks
-    the no-contact claim and prints its assumptions.
+    (neither), or not applicable (this vehicle, law or gains violate an assumption). Claims of the robot's paper are
+    about the kinematic loop at cruise speed, with speeds limited to --cap. --scenario also checks the no-contact claim
+    and prints its assumptions.
 
-    The linear analysis about straight cruise (of --law: about steady motion) gives margins, poles, the slowest mode,
-    stable speeds and sampling limits: for the nominal vehicle, and for the worst within --uncertainty or the ranges of
-    its file. Region and braking claims are checked only if you name them (see surctl list). A claim file states an
-    inequality of your own (kind claim; --show prints examples), a region claim with other numbers (kind region), or a
+    The linear loop about straight cruise (--law: about the law's steady motion) gives margins, poles, the slowest mode,
+    stable speeds and sampling limits. Each is given for the nominal vehicle and the worst one within --uncertainty or
+    the ranges of its file. Region and braking claims are checked only if you name them (see surctl list). A claim file
+    states an inequality (kind claim; --show prints examples), a region claim with other numbers (kind region), or a
     region of attraction or a barrier of any dynamics (kind lyapunov or barrier). --stack prints which tasks of a law
     are orthogonal, independent or dependent, and which converge. Exit status: 1 if a verdict is not as expected, a
     named claim is not applicable, the loop is unstable at a corner, a margin is too small, or the no-contact claim
