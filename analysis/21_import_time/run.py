@@ -18,7 +18,7 @@ import sys
 
 RUNS = 21
 QUICK = 4  # of the processes below, those before the ones that load CasADi
-MOST = 4.0  # times `import numpy`
+MOST = 1.2  # times `import numpy`
 SECONDS = 0.5
 HEAVY = ("casadi", "scipy", "matplotlib", "control", "pandas", "xarray", "qpsolvers", "osqp", "marimo")
 
