@@ -169,6 +169,9 @@ def tune(
     if scenario or port or no_browser:
         raise click.UsageError(_needs_page(scenario))
     from surctl.files import prepare_folder, write_file
+    from surctl.ir import find_compiler
+
+    find_compiler()  # thousands of runs: without compiled code, hours
     from surctl.marine.control import default_law, write_gains
     from surctl.marine.study import load_plan
     from surctl.marine.study.conduct import assessed
