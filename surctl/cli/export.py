@@ -339,10 +339,10 @@ def export(
 
 
 def _brief(compared: Compared, proof: ProofReport | None, assessment: Assessment, replayed: str) -> list[str]:
-    """Return the summary of an export: verdict on what was exported, comparison of the code, proof, replayed run."""
-    heads = [f"exported; {assessment.verdict()}", _sil_line(compared.sil)]
-    heads = heads[::-1] if assessment.accepted() else heads  # what decides comes first
-    return [*heads, *(line for line in compared.summaries(proof) if line), replayed]
+    """Return the summary of an export: comparison of the code, verdict on what was exported, proof, replayed run."""
+    lines = [_sil_line(compared.sil), f"exported; {assessment.verdict()}"]
+    lines += [line for line in compared.summaries(proof) if line]
+    return [*lines, replayed] if assessment.accepted() else lines  # the worst line needs the room
 
 
 def _sil_line(sil: SilReport) -> str:

@@ -55,7 +55,6 @@ __all__ = [
     "LoopAnalysis",
     "Mission",
     "assumptions",
-    "missions_of",
 ]
 
 # Defaults that a vehicle file leaves to surctl, and how much the disk margin depends on each
