@@ -25,7 +25,7 @@ from surctl.export import (
     write_bundle,
 )
 from surctl.export.bundle import build_bundle
-from surctl.ir import Block, Call, Layout, Loop, Port, Routine, Step, lower, lower_named, without_libm
+from surctl.ir import Block, Call, Layout, Loop, Port, Program, Routine, Step, lower, lower_named, without_libm
 from surctl.priority import Assembly, Mode, PriorityProblem, PrioritySolution, assemble, priority_step
 from surctl.priority.compiled.step import Stage
 from surctl.priority.shapes import LevelShape, StackShape, SymbolicLevel
@@ -356,14 +356,23 @@ class _Law(Controller):
             (
                 Call(problem, ("k", "v", *_PROBLEM), ("J_k", "low", "high", "all")),
                 Call(step, ("J_k", "low", "high", "all", "box"), solution),
+                Call(_chosen(n), ("k", "v", "step_v", "step_status"), ("best", "code")),
             ),
-            ("step_v", "step_active", "step_status"),
+            ("best", "step_active", "code"),
         )
         rest = lower_named("rest", {"J": flat[0]}, {"rest": ca.SX.zeros(n)})
         loop = Loop(
             one, len(levels), ("rest",), ("step_v", "step_active", "step_status"), fixed=(*_PROBLEM, "box"), index=True
         )
         return Call(rest, ("J",), ("rest",)), loop
+
+
+def _chosen(n: int) -> Program:
+    """Return what keeps the velocity v of the tasks above, which is within the limits, if a task has no solution."""
+    k, code, v, new = ca.SX.sym("k"), ca.SX.sym("code"), ca.SX.sym("v", n), ca.SX.sym("new", n)
+    lost = ca.logic_and(k > 0, code == CLAMPED)
+    best = {"best": ca.if_else(lost, v, new), "status": ca.if_else(lost, UNCONFIRMED, code)}
+    return lower_named("chosen", {"k": k, "v": v, "new": new, "code": code}, best)
 
 
 def _preserved(level: SymbolicLevel, v: ca.SX, used: ca.SX) -> ca.SX:
