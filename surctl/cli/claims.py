@@ -127,7 +127,7 @@ def region_of(word: str) -> RegionStatement:
 
 
 def check_regions(
-    words: Sequence[str], vehicle: Vehicle, gains: Gains, speeds: tuple[float, float]
+    words: Sequence[str], vehicle: Vehicle, gains: Gains, speeds: tuple[float, float], law: str
 ) -> tuple[dict[str, RegionStatement], dict[str, Inapplicable]]:
     """Return the region claims by word, and those that do not apply to the vehicle with their reason; proves nothing.
 
@@ -136,6 +136,7 @@ def check_regions(
         vehicle: the vehicle.
         gains: the gains.
         speeds: (cruise speed, speed limit) [m/s] for claims whose text does not set these speeds.
+        law: reference of the law.
 
     Raises:
         InputError: a claim is unknown or has a mistake.
@@ -148,6 +149,7 @@ def check_regions(
     for word, statement in stated.items():
         try:
             statement.claim(vehicle, gains, cruise=cruise, cap=cap)
+            statement.require(law)
         except NotApplicable as reason:
             refused[word] = Inapplicable.of(statement.name, reason)
         except InputError as error:
@@ -179,6 +181,7 @@ def prove_regions(
     *,
     vehicle: str,
     gains: str | Gains,
+    law: str,
     speeds: tuple[float, float],
     seed: int = 0,
     out: Path | None = None,
@@ -189,6 +192,7 @@ def prove_regions(
         words: names and files of the claims.
         vehicle: name or file of the vehicle.
         gains: name or file of the gains, or the gains.
+        law: reference of the law.
         speeds: (cruise speed, speed limit) [m/s] for claims whose text does not set these speeds.
         seed: seed of the search for a certificate.
         out: folder of the certificates.
@@ -203,7 +207,7 @@ def prove_regions(
     robot = load_vehicle(vehicle)
     values = load_gains(gains) if isinstance(gains, str) else gains
     cruise, cap = speeds
-    stated, refused = check_regions(words, robot, values, speeds)
+    stated, refused = check_regions(words, robot, values, speeds, law)
     todo = [
         (one.name, partial(prove_statement, one, robot, values, seed=seed, cruise=cruise, cap=cap))
         for word, one in stated.items()
@@ -212,7 +216,7 @@ def prove_regions(
     result = _proofs(todo, list(refused.values()), out)
     known = {statement.name for statement in stated.values()}
     others = [name for name in ("region-turning-20", "region-steered-20") if name not in known]
-    instead = applicable_region(others, robot, values, cruise=cruise, cap=cap) if refused and others else None
+    instead = applicable_region(others, robot, values, law=law, cruise=cruise, cap=cap) if refused and others else None
     return result._replace(instead=instead.name if isinstance(instead, RegionStatement) else "")
 
 
@@ -222,8 +226,8 @@ def is_mission(word: str) -> bool:
 
 
 def prove_missions(
-    words: Sequence[str], scenario: Scenario | None, *, vehicle: str, gains: Gains, speeds: tuple[float, float],
-    seed: int = 0, out: Path | None = None,
+    words: Sequence[str], scenario: Scenario | None, *, vehicle: str, gains: Gains, law: str,
+    speeds: tuple[float, float], seed: int = 0, out: Path | None = None,
 ) -> Proofs:  # fmt: skip
     """Prove the claim about the mission of a scenario, with the region claim that a word names for each leg.
 
@@ -235,7 +239,8 @@ def prove_missions(
     if not words:
         return Proofs([], [], [])
     from surctl.marine.vehicle import load_vehicle
-    from surctl.marine.verification.mission import prove_scenario, slower
+    from surctl.marine.verification.mission import USUAL, prove_scenario, slower
+    from surctl.marine.verification.region import region_statement
     from surctl.verification import Inapplicable
 
     if scenario is None:
@@ -245,25 +250,24 @@ def prove_missions(
         raise InputError("is a second claim about the mission", key="claim", value=words[1], remedy="drop one of them")
     [word], robot, (cruise, cap) = words, load_vehicle(vehicle), speeds
     region = word.partition(":")[2]
-    about = (scenario, robot, gains, region_of(region) if region else None)
+    statement = region_of(region) if region else region_statement(USUAL)
+    about = (scenario, robot, gains, statement)
     refused, proofs = list[Inapplicable](), Proofs([], [], [])
     try:
+        statement.require(law)
         with timed(word):
             proof = prove_scenario(*about, cruise=cruise, cap=cap, seed=seed)
         proofs = _proofs([(proof.claim.name, lambda: proof)], [], out)
     except NotApplicable as reason:
         refused = [Inapplicable.of(f"mission-{scenario.name}", reason)]
         proofs = _proofs([], refused, out)
-    if refused or proof.verdict != "proved":
-        with timed(f"{word} at lower speeds"):
-            lower = None if any(one.to == "this mission" for one in refused) else slower(
-                *about, cruise=cruise, cap=cap, seed=seed
-            )  # fmt: skip
-        then = "no lower speed is proved" if lower is None else (
-            f"with --cruise {lower.claim.loop.cruise:g}, {lower.sentence}"
-        )  # fmt: skip
-        proofs.lines[0] += f"; {then}"
-        proofs.claims[0]["at_lower_speed"] = None if lower is None else lower.to_dict()
+    if refused[0].to != "these speeds" if refused else proof.verdict == "proved":
+        return proofs
+    with timed(f"{word} at lower speeds"):
+        lower = slower(*about, cruise=cruise, cap=cap, seed=seed)
+    proofs.claims[0]["at_lower_speed"] = None if lower is None else lower.to_dict()
+    speed = "" if lower is None else f"with --cruise {lower.claim.loop.cruise:g}, {lower.sentence}"
+    proofs.lines[0] += f"; {speed or 'no lower speed is proved'}"
     return proofs
 
 
@@ -275,19 +279,23 @@ def is_braking(name: str) -> bool:
     return name.startswith(_KINDS)
 
 
-def prove_all(names: Sequence[str], *, vehicle: str, gains: str | Gains, cap: float, out: Path | None = None) -> Proofs:
-    """Prove the named braking claims for a vehicle, gains (or their file) and a speed limit `cap` [m/s].
+def prove_all(
+    names: Sequence[str], *, vehicle: str, gains: str | Gains, law: str, cap: float, out: Path | None = None
+) -> Proofs:
+    """Prove the named braking claims for a vehicle, gains (or their file), a law and a speed limit `cap` [m/s].
 
-    The certificates are written to the folder `out` as NAME.json.
+    The claims do not apply to a law without the barrier of law `guarded`. The certificates are written to the folder
+    `out` as NAME.json.
 
     Raises:
         InputError: a claim, vehicle or gain file is unknown; the error is raised before the first proof.
     """
     if not names:
         return Proofs([], [], [])
-    from surctl.marine.control import load_gains
+    from surctl.marine.control import BARRIER, law_source, load_gains
     from surctl.marine.vehicle import load_vehicle
     from surctl.marine.verification.braking import braking_claim_named, prove_braking
+    from surctl.own_code import label
     from surctl.verification import Inapplicable
 
     robot = load_vehicle(vehicle)
@@ -296,6 +304,8 @@ def prove_all(names: Sequence[str], *, vehicle: str, gains: str | Gains, cap: fl
     for name in names:
         try:
             claim = braking_claim_named(name, robot, values, cap=cap)
+            if BARRIER not in law_source(law).parts:
+                raise NotApplicable("it has not the barrier of law guarded", to=f"law {label(law)}")
         except NotApplicable as reason:
             refused.append(Inapplicable.of(name, reason))
         else:
@@ -374,7 +384,7 @@ def verify_motion(words: Sequence[str], *, seed: int, time_limit: float, out: Pa
         if solution.verdict != problem.expected:
             failures.append(f"{problem.dynamics.name} is {solution.verdict}, not {problem.expected}")
     if failures:
-        lines.append(f"exit status 1, because {'; '.join(failures)}")
+        lines.append(f"NOT accepted: {'; '.join(failures)}")
     then = [shlex.join(["surctl", "check", str(file)]) for file in files[:1]]
     if out is None and any(claim["verdict"] == "proved" for claim in claims):
         then = [shlex.join(["surctl", "verify", *words, "--out", "proofs"])]

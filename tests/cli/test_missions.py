@@ -21,7 +21,7 @@ from tests.cli.process import surctl_here
 
 MEMBER = Path(__file__).parents[1] / "certcheck" / "region-turning.json"
 VEHICLE, GAINS = load_vehicle("sur540-flooded"), load_gains("default")
-ABOUT: dict[str, Any] = {"vehicle": "sur540-flooded", "gains": GAINS, "speeds": (0.15, 0.22)}
+ABOUT: dict[str, Any] = {"vehicle": "sur540-flooded", "gains": GAINS, "law": "guarded", "speeds": (0.15, 0.22)}
 
 
 def proof(claim: MissionClaim) -> MissionProof:
@@ -68,6 +68,11 @@ def test_a_mission_that_is_not_proved_names_a_lower_speed(monkeypatch: pytest.Mo
         assert word in done.lines[0]
         assert "; with --cruise 0.0" in done.lines[0]
         assert done.claims[0]["at_lower_speed"]["verdict"] == "proved"
+
+
+def test_a_mission_under_another_law_is_not_applicable() -> None:
+    done = prove_missions(["mission"], load_scenario("tank-static"), **{**ABOUT, "law": "calm"})
+    assert "not applicable to law calm" in done.lines[0]
 
 
 def test_a_mission_with_visits_is_not_applicable() -> None:
