@@ -196,10 +196,10 @@ def judged_contact(
     spread: float | None = None,
 ) -> SafetyClaim | Inapplicable:
     """Return the no-contact claim of a mission, or why it does not apply; by true positions unless `sonar`."""
-    seen: dict[str, Any] = {"detection": detection_range(scenario) if sonar else float("inf")}
-    seen["turning"] = turn_rate(scenario, vehicle, gains, sonar=sonar)
+    numbers: dict[str, Any] = {"detection": detection_range(scenario) if sonar else float("inf")}
+    numbers["turning"] = turn_rate(scenario, vehicle, gains, sonar=sonar)
     try:
-        return safety_claim(scenario, vehicle, gains, barrier=barrier, movers=movers, spread=spread, **seen)
+        return safety_claim(scenario, vehicle, gains, barrier=barrier, movers=movers, spread=spread, **numbers)
     except NotApplicable as reason:
         return Inapplicable.of("no contact", reason)
 
