@@ -54,10 +54,10 @@ def _rows(only: str | None, *, quick: bool) -> Iterator[tuple[Case, int, str, in
             yield case, 100, SURCTL, 100
             yield case, 1000, SURCTL, 30
     if only in (None, "peers"):
-        for who in (UNDAMPED, PINK, MINK):
+        for who in (SURCTL, UNDAMPED, PINK, MINK):
             for case in CASES:
                 yield case, 100, who, 100 if case is CASES[0] else 20
-        for who in (UNDAMPED, PINK, MINK):
+        for who in (SURCTL, UNDAMPED, PINK, MINK):
             yield CASES[0], 1000, who, 10
 
 

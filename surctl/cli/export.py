@@ -144,15 +144,15 @@ class Compared(NamedTuple):
 @click.option("--gains", metavar="FILE", help=GAINS_HELP)
 @click.option("--vehicle", metavar="FILE", help="Vehicle: name or file (default: the scenario's).")
 @click.option(
-    "--scenario", default=MISSION, metavar="FILE", help="Mission, sensors: name or file (default pool-static)."
+    "--scenario", default=MISSION, metavar="FILE", help="Scenario with mission, sensors (default pool-static)."
 )
 @law_option
 @click.option(
-    "--avoidance", default="corrected", metavar="NAME", help="Eq. (20) as corrected (default), consistent or printed."
+    "--avoidance", default="corrected", metavar="NAME", help="Eq. (20): corrected (default), consistent, printed."
 )
 @click.option("--guidance", default="los", metavar="NAME", help="Path guidance: los (default), ilos or alos.")
 @priority_options
-@click.option("--sensing", metavar="NAME", help="Obstacles: sonar (default if the law can) or truth.")
+@click.option("--sensing", metavar="NAME", help="Obstacle positions: sonar (default, if used) or truth.")
 @sensor_options
 @click.option("--name", metavar="TEXT", help="Prefix of files and C symbols (default: the law's name).")
 @click.option("--target", default="c99", metavar="NAME", help="Output: c99 (default), fmu (FMI 2), fmu3 or mjcf.")

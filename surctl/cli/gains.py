@@ -39,7 +39,7 @@ def gains() -> None:
     "--cruise", type=_SPEED, metavar="V", help="Cruise speed [m/s] (default: 35 % of the speed at full thrust)."
 )
 @click.option(
-    "--margin", type=FiniteRange(min=0), metavar="D", help="Gain margin [m] (default: 0.2 hull radii, at least 0.05)."
+    "--margin", type=FiniteRange(min=0), metavar="D", help="Gain margin, a distance [m] (default: 0.2 radii, ≥ 0.05)."
 )
 @click.option("--out", type=click.Path(path_type=Path), metavar="FILE", help="Gain file to write (default: none).")
 @click.option("--force", is_flag=True, help="Overwrite an existing file.")

@@ -214,7 +214,7 @@ priority_options = together(
         "--priority-mode", default="nsb", metavar="NAME", help="Mode: nsb (default), filter, projected, lexicographic."
     ),
     click.option(
-        "--fallback", default="exact", metavar="NAME", help="Conflicting limits: exact (default) or bounded time."
+        "--fallback", default="exact", metavar="NAME", help="If limits conflict: exact (default) or bounded time."
     ),
 )
 """A decorator that adds these options to a command; the command receives them as `priority_mode` and `fallback`."""
@@ -222,7 +222,7 @@ priority_options = together(
 
 barrier_options = together(
     click.option(
-        "--barrier", default="simple", metavar="NAME", help="Bound on approach speed: simple (default) or inertia."
+        "--barrier", default="simple", metavar="NAME", help="Speed limit near obstacles: simple (default), inertia."
     ),
     click.option(
         "--movers", default="predict", metavar="NAME", help="Avoid moving obstacles by: predict (default), barrier."

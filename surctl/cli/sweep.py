@@ -135,8 +135,8 @@ def sweep(
     A parameter is a gain (k_v), a vehicle parameter (vehicle.m11; plant.m11 changes the plant but not the controller's
     model), a number of the scenario (scenario.cruise) or seed. Exit status: 1 if the best point is not accepted.
 
-    For a system of your own, FILE.py:FUNCTION, costs are computed over gains (k), plant.NAME, reference.NAME,
-    disturbance.NAME, start.NAME; with --seeds N, for the worst of N runs, with plant.NAME=LOW..HIGH sampled at random.
+    For a system of your own, FILE.py:FUNCTION, the axes are gains (k), plant.NAME, reference.NAME, disturbance.NAME,
+    start.NAME. With --seeds N, the worst of N runs with plant.NAME=LOW..HIGH at random counts.
 
     Examples: surctl sweep --scenario pool-static lookahead=0.6,0.9,1.2 k_v=0.5..3:6:log;
     surctl sweep k_v=1..3 plant.m11=30..60 --sensitivity deviation_m;

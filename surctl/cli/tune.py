@@ -43,13 +43,13 @@ if TYPE_CHECKING:
 @click.option(
     "--goals", "goals_file", metavar="FILE", help="Goals: name or file (default: the study's, else the built-in goals)."
 )
-@click.option("--cruise", type=SPEEDS, metavar="U1,U2,...", help="Cruise speeds [m/s] for loop goals without speeds.")
+@click.option("--cruise", type=SPEEDS, metavar="U1,U2,...", help="Cruise speeds [m/s] of loop goals that name none.")
 @click.option(
     "--trials",
     type=click.IntRange(min=1),
     default=256,
     metavar="N",
-    help="Gain sets per round (default 256, in steps of 32), simulated in all scenarios; the descent adds some.",
+    help="Gain sets per round, each simulated in all scenarios (default 256; multiple of 32).",
 )
 @click.option(
     "--seed",
@@ -86,7 +86,7 @@ if TYPE_CHECKING:
     type=click.IntRange(min=0),
     default=2000,
     metavar="N",
-    help="New runs that test the gains of a round (default 2000), after up to 10 N training runs.",
+    help="Random runs that test the gains after each round (default 2000).",
 )
 @click.option("--workers", type=click.IntRange(min=1), default=2, metavar="N", help="Number of threads (default 2).")
 @click.option(
@@ -131,14 +131,15 @@ def tune(
     seconds: float | None,
     as_json: bool,
 ) -> None:
-    """Search for gains that meet goals; repeat with the test runs that fail.
+    """Search for gains that meet goals; test them, and repeat with runs that fail.
 
     The gains must meet the hard goals for every scenario, seed and corner of the vehicle's ranges; the soft goals are
     minimised. New random runs and the claims test the tuned gains. Exit status: 1 if a hard goal is not met or fails
     in the test, or if a line of the assessment fails.
 
-    FILE.py:FUNCTION names a system of your own: its first cost is minimised within the bounds of the other costs and a
-    disk margin of at least 0.3, in each case of NAME=V1,V2. With --goals, its worst soft goal is minimised.
+    FILE.py:FUNCTION names a system of your own: the search minimises its first cost, with the bounds of the
+    other costs and a disk margin of at least 0.3, for every value of NAME=V1,V2. With --goals, the search minimises the
+    worst soft goal.
 
     Examples: surctl tune my-study.toml --gain k_v=0.5..3 --goals my-goals.toml; surctl tune my-system.py:build --page
     """
@@ -168,6 +169,9 @@ def tune(
     if scenario or port or no_browser:
         raise click.UsageError(_needs_page(scenario))
     from surctl.files import prepare_folder, write_file
+    from surctl.ir import find_compiler
+
+    find_compiler()  # thousands of runs: without compiled code, hours
     from surctl.marine.control import default_law, write_gains
     from surctl.marine.study import load_plan
     from surctl.marine.study.conduct import assessed
