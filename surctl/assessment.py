@@ -201,6 +201,8 @@ class Assessment:
             >>> assess(ClosedLoop(cart_system()), parts=["loop"]).verdict()
             'accepted: All that is assessed holds.'
         """
+        if not any(line.counts for line in self.lines):
+            return self.banner
         return f"{'accepted' if self.accepted(*parts) else 'NOT accepted'}: {self.banner}"
 
     @property

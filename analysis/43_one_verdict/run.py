@@ -200,21 +200,25 @@ def _runs(craft: Vehicle, gains: Gains, cruise: float, about: str, found: Disagr
     full = Mission(craft, bench.gains(values), cruise, CAP, "guarded", **about_run)
     result = assess(full)
     shown = [text for text, _ in bench.decide(values).lines]
-    found.same("design page", f"{about} banner", shown[0], result.banner)
+    found.same("design page", f"{about} banner", shown[0], result.verdict())
     for name, figure in result.figures.items():
         text = f"{name} = {figure.value:.4g}"
         found.same("design page", f"{about} {name}", any(line.startswith(text) for line in shown), True)
     words = ("--vehicle", "v.toml", "--gains", "g.toml", "--law", "guarded", "--sensing", "truth")
-    _, _ = surctl("export", "--scenario", "m.toml", *words, "--out", "c")
+    _, status = surctl("export", "--scenario", "m.toml", *words, "--out", "c")
     manifest = json.loads(Path("c/manifest.json").read_text())["evidence"]["assessment"]
-    found.assessment("export", about, manifest, assess(full, parts=["loop", "no contact", "runs"]))
+    exported = assess(full, parts=["loop", "no contact", "runs"])
+    found.assessment("export", about, manifest, exported)
+    found.same("export", f"{about} status", status, int(not exported.accepted()))
+    told, status = surctl("verify", "m-norm-corrected", "--scenario", "m.toml", *words)
+    found.assessment("verify", f"{about} mission", told["assessment"], assess(full, parts=["loop", "no contact"]))
     derived = derive_gains(craft, cruise=cruise)
     of_derived = assess(Mission(craft, derived.gains, cruise, CAP), parts=["loop"])
     for name in ("disk_margin", "delay_margin_s"):
         found.same(
             "gains derive", f"{about} {name}", getattr(derived, name), of_derived.figures[name].value, within=1e-9
         )
-    found.same("gains derive", f"{about} reached", derived.reached, of_derived.passed is True)
+    found.same("gains derive", f"{about} reached", derived.reached, of_derived.parts["loop"].lines[0].passed is True)
 
 
 def _page(file: Path, banner: str, about: str, found: Disagreements) -> None:
@@ -237,7 +241,7 @@ def one_system(seed: int, found: Disagreements, *, compiled: bool) -> None:
 
     bench = SystemBench(system, word, SYSTEM_SECONDS, {"k": (0.5, 2.0)}, {"nominal": {}})
     shown = [text for text, _ in bench.decide({"k": 1.0}).lines]
-    found.same("design page", f"{about} banner", shown[0], result.banner)
+    found.same("design page", f"{about} banner", shown[0], result.verdict())
     for name, figure in result.figures.items():
         text = f"{name} = {figure.value:.4g}"
         found.same("design page", f"{about} {name}", any(line.startswith(text) for line in shown), True)

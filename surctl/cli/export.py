@@ -324,7 +324,7 @@ def export(
         compared.sil.summary(),
     ]
     lines += [] if failed is None else [f"the replayed run failed: {failed}; see: {_again(started[1])}"]
-    lines += [*compared.summaries(proof), assessment.verdict(), *assessment.decisive]
+    lines += [*compared.summaries(proof), f"exported; {assessment.verdict()}", *assessment.decisive]
     brief = _brief(compared, proof, assessment, replay_text + f"{metrics.time_s:.2f} s")
     belong = [shlex.join(["surctl", "check", str(file), "--bundle", str(options.out)]) for file in certificates[:1]]
     finish(
@@ -458,7 +458,7 @@ def export_system(
     files = write_bundle(with_evidence(bundle, evidence, binaries=compared.binaries), options.out)
     lines = [*(f"{file.sha256[:12]}  {file.path}" for file in files), "", f"replayed: {end_text(own, record)}"]
     lines += [*cost_lines(own.system, record.figures), *(f"{line.mark} {line.text}" for line in assessment.lines)]
-    lines += [assessment.verdict(), sil.summary(), *compared.summaries(proof)]
+    lines += [f"exported; {assessment.verdict()}", sil.summary(), *compared.summaries(proof)]
     data = {
         **own.names,
         "name": bundle.name,

@@ -265,7 +265,7 @@ def replaceable(path: Path, kind: str) -> Path:
 def assessed_lines(assessment: Assessment) -> list[tuple[str, str]]:
     """Return banner, lines and figures of an assessment with their marks."""
     marks = ("bad", "none", "good", "")
-    lines = [(assessment.banner, marks[{False: 0, None: 1, True: 2}[assessment.passed]])]
+    lines = [(assessment.verdict(), marks[{False: 0, None: 1, True: 2}[assessment.passed]])]
     lines += [(line.text, marks[line.rank]) for line in assessment.lines]
     for f in assessment.figures.values():
         where = f", at {f.where}" if f.where else ""

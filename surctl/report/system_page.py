@@ -147,7 +147,7 @@ def render_system_page(study: SystemStudy) -> str:
         version=study.version,
         command=study.commands["study"],
         passed=assessment.passed,
-        banner=assessment.banner,
+        banner=assessment.verdict("region"),
         lines=assessment.lines,
         sections=[section for section in _sections(study) if section.blocks],
     )

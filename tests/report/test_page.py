@@ -162,8 +162,8 @@ def test_numbers_that_are_none_or_endless_are_written_as_signs() -> None:
 @pytest.mark.parametrize(
     ("lines", "first"),
     [
-        ((Line(True, "a"), Line(None, "b", counts=False)), "✓ All that is assessed holds."),
-        ((Line(True, "a"), Line(False, "b"), Line(False, "c")), "✗ Fails: b (and 1 more)"),
+        ((Line(True, "a"), Line(None, "b", counts=False)), "✓ accepted: All that is assessed holds."),
+        ((Line(True, "a"), Line(False, "b"), Line(False, "c")), "✗ NOT accepted: Fails: b (and 1 more)"),
         ((Line(None, "b", counts=False),), "• Nothing is assessed."),
     ],
 )

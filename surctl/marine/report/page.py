@@ -139,7 +139,7 @@ def render_page(data: ReportData, *, runs: Section | None = None) -> str:
         version=data.version,
         command=data.command,
         passed=data.assessment.passed,
-        banner=data.assessment.banner,
+        banner=data.assessment.verdict(),
         lines=data.assessment.lines,
         sections=_sections(data, runs),
     )
