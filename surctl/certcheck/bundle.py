@@ -307,7 +307,7 @@ def _row(row: Any, size: int) -> tuple[float, ...]:
 
 
 def _port(text: str) -> Port:
-    match = re.fullmatch(r"(\w+)\[(\d{1,7})\] (.+)", text)
+    match = re.fullmatch(r"(\w+)\[(\d{1,7})\] (.+)", text, re.ASCII)
     if match is None:
         raise ValueError(text)
     return Port(match[1], int(match[2]), match[3])

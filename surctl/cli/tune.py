@@ -32,6 +32,8 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from surctl.assessment import Comparison
+
 
 @click.command
 @click.argument("words", nargs=-1, metavar="[STUDY | FILE.py:FUNCTION [NAME=VALUE,...]...]")
@@ -132,8 +134,8 @@ def tune(
     """Search for gains that meet goals; test them, and repeat with runs that fail.
 
     The gains must meet the hard goals for every scenario, seed and corner of the vehicle's ranges; the soft goals are
-    minimised. New random runs and the claims test the tuned gains. Exit status: 1 if a hard goal is not met, or fails
-    in the test.
+    minimised. New random runs and the claims test the tuned gains. Exit status: 1 if a hard goal is not met or fails
+    in the test, or if a line of the assessment fails.
 
     FILE.py:FUNCTION names a system of your own: the search minimises its first cost, with the bounds of the
     other costs and a disk margin of at least 0.3, for every value of NAME=V1,V2. With --goals, the search minimises the
@@ -167,6 +169,9 @@ def tune(
     if scenario or port or no_browser:
         raise click.UsageError(_needs_page(scenario))
     from surctl.files import prepare_folder, write_file
+    from surctl.ir import find_compiler
+
+    find_compiler()  # thousands of runs: without compiled code, hours
     from surctl.marine.control import default_law, write_gains
     from surctl.marine.study import load_plan
     from surctl.marine.study.conduct import assessed
@@ -265,10 +270,12 @@ def tune(
     warning = ""
     if unmet:
         warning = f"HARD GOALS NOT MET ({', '.join(unmet)}): best gains found, but do not use them on a vehicle"
-    gains_path = write_file(out / "gains.toml", write_gains(tuned_gains(tuning), warning=warning))
+    comparison = checked.comparison
+    accepted = not unmet and comparison.after.accepted()
+    note = warning or ("" if accepted else comparison.after.verdict())
+    gains_path = write_file(out / "gains.toml", write_gains(tuned_gains(tuning), warning=note))
     (out / BEST).unlink(missing_ok=True)
     result = tuning_dict(tuning)
-    result |= {"accepted": not unmet, "unmet": list(unmet), "finals": checked.to_dict()}
     result["left_out"] = [
         {"scenario": leg.scenario.name, "vehicle": leg.vehicle.name, "reason": leg.left_out} for leg in plan.left_out
     ]
@@ -276,7 +283,7 @@ def tune(
     result["caps"] = over = caps(cases, {**plan.gains.values, **tuning.result.gains})
     result["floor"] = floor = floor_lines(tuning, checked, plan, trials=trials)
     result["not_representative"] = doubtful = unrepresentative(tuning)
-    comparison = checked.comparison
+    result |= {"accepted": accepted, "unmet": list(unmet), "finals": checked.to_dict()}
     result["assessment"] = comparison.to_dict()
     everything = write_file(out / "tuning.json", json.dumps(finite(result), ensure_ascii=False, indent=1) + "\n")
     pictures = list[Path]()
@@ -319,16 +326,22 @@ def tune(
         then = (
             [same_command(trials=2 * trials, rounds=rounds + 2)] if longer else look(missed, str(gains_path), options)
         )
-    brief = [headline, *([warning] if warning else []), *floor, *summary(tuning)[-2:], *doubtful, *over]
+    brief = [headline, *([warning] if warning else []), *_verdict(comparison)]
+    brief += [*floor, *summary(tuning)[-2:], *doubtful, *over]
     finish(
         result,
         lines,
         as_json=as_json,
-        passed=not unmet,
+        passed=accepted,
         then=then,
         brief=brief,
         files=[f"gains {gains_path}", f"all {everything}"],
     )
+
+
+def _verdict(comparison: Comparison) -> list[str]:
+    """Return the verdict on the tuned gains for a summary; nothing if they are accepted."""
+    return [] if comparison.after.accepted() else [comparison.after.verdict()]
 
 
 def _needs_page(scenario: str | None) -> str:
@@ -368,12 +381,12 @@ def tune_own_system(
     as_json: bool,
 ) -> None:
     """Search gains, write them, print each figure before and after; the exit status is 1 if a bound or a line fails."""
-    from surctl.assessment import ClosedLoop, Comparison, assess
+    from surctl.assessment import Comparison
     from surctl.files import prepare_folder
     from surctl.ir import find_compiler
     from surctl.recorded_write import write_csv
     from surctl.tuning.goals import load_system_goals, not_representative, step_goals
-    from surctl.tuning.systems import check_tuning, tune_system
+    from surctl.tuning.systems import assess_cases, check_tuning, tune_system
 
     own = load_system(words)
     about_loop, points, about_runs = ((), {}, ()) if goals is None else load_system_goals(goals, own.system)
@@ -405,9 +418,9 @@ def tune_own_system(
     with saving("gains"):
         table = write_csv(out / "gains.csv", {name: [value] for name, value in result.gains.items()})
         file.unlink(missing_ok=True)
-    first = {name: value[:1] if value.ndim else value for name, value in cases.items()}
-    run = duration or None
-    comparison = Comparison(*(assess(ClosedLoop(own.system, {**first, **g}, seconds=run)) for g in ({}, result.gains)))
+    comparison = Comparison(
+        *(assess_cases(own.system, cases, gains, seconds=duration or None) for gains in ({}, result.gains))
+    )
     headline, *figures = comparison.lines()
     doubtful = []
     limited = comparison.after.figures.get("limited_share")
@@ -426,7 +439,6 @@ def tune_own_system(
         *(f"  {line}" for line in result.lines(own.system)),
         *([f"gains {table}"] if table else []),
         "",
-        "of the first case:",
         *figures,
     ]
     data = {
@@ -451,7 +463,7 @@ def tune_own_system(
         command_line("export", own, *numbers, "--seconds", f"{duration or 100 * own.system.dt:g}"),
     ]
     fine = all(map(math.isfinite, result.costs.values()))
-    brief = [headline, *doubtful, *map(str.strip, result.lines(own.system))]
+    brief = [headline, *_verdict(comparison), *doubtful, *map(str.strip, result.lines(own.system))]
     finish(
         data, lines, as_json=as_json, passed=fine and not result.unmet and comparison.after.accepted(),
         then=then if fine else (),

@@ -146,7 +146,7 @@ class Wall(Shape):
 
 
 def site_walls(width: float, length: float) -> tuple[Wall, Wall, Wall, Wall]:
-    """Return the walls x = 0, x = length, y = 0, y = width of the rectangular tank [0, length] × [0, width] [m].
+    """Return the walls x = 0, x = length, y = 0, y = width of a rectangular tank whose sides are given in m.
 
     Raises:
         InputError: a side is not finite or not greater than 0.

@@ -11,7 +11,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from surctl.assessment import ClosedLoop, Figure, assess
+from surctl.assessment import Assessment, ClosedLoop, Figure, assess, worst_of
 from surctl.errors import InputError, nearest
 from surctl.system import ENDED, System, every_combination, simulate_system
 from surctl.system.values import check_scalar, run_numbers
@@ -40,9 +40,10 @@ class SystemTuning:
         objective: name of the minimised cost, or `GOALS` for the largest normalised value of the soft goals.
         gains: the chosen gains by name; if no gain set satisfies all bounds, the gains that are nearest to the bounds.
         costs: costs of the chosen gains as means over the cases; infinite if a run ends early.
-        before: costs of the system's own gains.
+        worst: the same costs, each in its worst case: bounds and hard goals are about these.
+        before: costs of the system's own gains, as means.
         margins: disk margin of all loops at once and least delay margin, at the worst corners of the ranges that the
-            system declares, at the first case, with what is required; none if the loop has no equilibrium there.
+            system declares and in the worst case, with what is required; none if the loop has no equilibrium there.
         least_disk_margin: bound of the disk margin.
         trials: number of gain sets simulated.
         unmet: names of the bounds that the chosen gains break; empty if the tuning succeeded.
@@ -55,6 +56,7 @@ class SystemTuning:
     objective: str
     gains: Mapping[str, float]
     costs: Mapping[str, float]
+    worst: Mapping[str, float]
     before: Mapping[str, float]
     margins: tuple[Figure, ...]
     least_disk_margin: float
@@ -73,10 +75,12 @@ class SystemTuning:
             what = "minimised" if name == self.objective else "not bounded" if cost.at_most is None else "bounded"
             known = math.isfinite(self.costs[name])
             value = f"{self.costs[name]:.6g} {cost.unit}" if known else "none, because a run is not finite"
+            value += f", {self.worst[name]:.6g} in the worst case" * (known and self.worst[name] != self.costs[name])
             lines.append(f"{self._mark(name)}{name}: {value} (before {self.before[name]:.6g}), {what}{bound}")
         lines += [] if self.goals is None else self.goals.lines()
         for goal in self.run_goals:
-            reached, before = self.costs[goal.metric], self.before[goal.metric]
+            hard = goal.kind == "hard"
+            reached, before = (self.worst if hard else self.costs)[goal.metric], self.before[goal.metric]
             share = float(goal.normalised(np.array(reached)))
             text = f"{reached:.4g} {goal.unit} for {goal.limit:.4g} (before {before:.4g}), run"
             lines.append(f"{'met    ' if share <= 1 else 'NOT MET'} {goal.name} ({goal.kind}): {share:.3f}, {text}")
@@ -117,10 +121,10 @@ def tune_system(
     With soft `goals`, the largest normalised value of them is minimised instead, as `systune` does; costs with a bound
     keep it. Hard goals are bounds.
 
-    A gain set is feasible if no run ends early, every cost is at most its bound (`Cost.at_most`), the disk margin is at
-    least `least_disk_margin`, and the delay margin at least one control period. The system's own gains are the first
-    set, if they are in the ranges. The margins are computed only for the
-    sets with the least cost, because their computation takes longer than a run.
+    A gain set is feasible if, in every case, no run ends early, every cost is at most its bound (`Cost.at_most`), the
+    disk margin is at least `least_disk_margin`, and the delay margin at least one control period. The system's own
+    gains are the first set, if they are in the ranges. The margins are computed only for the sets with the least cost,
+    because their computation takes longer than a run.
 
     Args:
         system: the closed loop.
@@ -128,7 +132,7 @@ def tune_system(
         ranges: search range (low, high) of each tuned gain, by name; `K[0]` is an entry of a port. A range of positive
             numbers is searched on a log scale.
         cases: numbers of the runs of every gain set (see `run_numbers`), such as initial states; default: one run with
-            the numbers of the system. Costs are means over the cases.
+            the numbers of the system. The mean over the cases is minimised, bounds are about the worst case.
         objective: cost to minimise; default: the first cost of the system.
         trials: number of gain sets.
         least_disk_margin: least disk margin of all loops at once, at commands or measurements, at the worst corner of
@@ -173,7 +177,7 @@ def tune_system(
         about = f"{name} {size} {seed} own {sorted(ranges.items())} {first.digest()} {aims}"
         request = request_digest(system, seconds, about)
     with journal.held():
-        batches = journal.batches(request, width=len(ranges) + len(system.costs) + 3)
+        batches = journal.batches(request, width=len(ranges) + 2 * len(system.costs) + 3)
         search = _Search(
             system, seconds, list(ranges), dict(cases or {}), name, threads, batches, judged, tuple(run_goals)
         )
@@ -248,13 +252,17 @@ class _Search:
         self.cases = arrays
         self.goals, self.run_goals, self.batches = goals, run_goals, batches
         self.sets: list[Array] = []
-        self.figures: list[Array] = []
+        self.figures: list[Array] = []  # means over the cases
+        self.worsts: list[Array] = []
         self.scores: list[Array] = []  # largest normalised soft goal, excess of the hard ones
         self.least, self.leading = np.inf, dict[str, float]()
         self.lasted = np.zeros(0)  # share of the duration, of the sets simulated last
 
     def costs(self, sets: Array) -> Array:
-        """Return the mean costs (sets, costs) of gain sets (sets, gains); infinite if a run of a case ends early."""
+        """Return the costs (sets, 2 costs) of gain sets (sets, gains): means over the cases, then those of the worst.
+
+        They are infinite if a run of a case ends early.
+        """
         n, k = len(sets), self.count
         if not self.system.costs:
             self.lasted = np.ones(n)
@@ -263,11 +271,11 @@ class _Search:
         runs = simulate_system(self.system, self.seconds, values, threads=self.threads)
         whole = runs.stopped == ENDED
         self.lasted = np.where(whole, 1.0, runs.time / self.seconds).reshape(n, k).mean(axis=1)
-        columns = [np.where(whole, runs[name], np.inf).reshape(n, k).mean(axis=1) for name in self.system.costs]
-        return np.column_stack(columns)
+        each = [np.where(whole, runs[name], np.inf).reshape(n, k) for name in self.system.costs]
+        return np.column_stack([*(one.mean(axis=1) for one in each), *(one.max(axis=1) for one in each)])
 
     def results(self, sets: Array) -> Array:
-        """Return costs, scores of the goals about the loop, and share of the duration (sets, costs + 3)."""
+        """Return costs, scores of the goals about the loop, and share of the duration (sets, 2 costs + 3)."""
         figures = self.costs(sets)
         scores = np.zeros((len(sets), 2)) if self.goals is None else self.goals.scores(self.names, sets)
         return np.column_stack([figures, scores, self.lasted])
@@ -288,17 +296,19 @@ class _Search:
         end early, the value is a still larger number, which decreases if the runs end later.
         """
         table = self.batches.evaluated(sets, self.results)
-        figures, scores, self.lasted = table[:, len(self.names) : -3], table[:, -3:-1].copy(), table[:, -1]
+        figures, worst = np.split(table[:, len(self.names) : -3], 2, axis=1)
+        scores, self.lasted = table[:, -3:-1].copy(), table[:, -1]
         for goal in self.run_goals:
-            share = self.share(goal, figures)
+            share = self.share(goal, figures if goal.kind == "soft" else worst)
             if goal.kind == "soft":
                 scores[:, 0] = np.maximum(scores[:, 0], share)
             else:
                 scores[:, 1] += np.maximum(share - 1, 0.0)
         self.sets.append(sets)
         self.figures.append(figures)
+        self.worsts.append(worst)
         self.scores.append(scores)
-        excess = np.minimum(self.excess(figures).sum(axis=1) + np.minimum(scores[:, 1], _MOST), _MOST)
+        excess = np.minimum(self.excess(worst).sum(axis=1) + np.minimum(scores[:, 1], _MOST), _MOST)
         excess[self.lasted < 1] = _MOST * (2 - self.lasted[self.lasted < 1])
         value = self.value(figures, scores)
         penalised = np.where((excess > 0) | ~np.isfinite(value), _WORSE * (1 + excess), np.minimum(value, _WORSE))
@@ -314,9 +324,9 @@ class _Search:
 
     def chosen(self, least: float) -> SystemTuning:
         """Return the gain set with the least cost that satisfies every bound, or else the set nearest to the bounds."""
-        sets, figures, scores = np.vstack(self.sets), np.vstack(self.figures), np.vstack(self.scores)
+        sets, figures, worst, scores = map(np.vstack, (self.sets, self.figures, self.worsts, self.scores))
         value = self.value(figures, scores)
-        excess = self.excess(figures).sum(axis=1) + scores[:, 1]
+        excess = self.excess(worst).sum(axis=1) + scores[:, 1]
         order = np.lexsort((np.where(np.isfinite(value), value, np.inf), excess))
         feasible = [int(k) for k in order[:_EXAMINED] if excess[k] == 0]
         best, margins = int(order[0]), self.margins(sets[order[0]], least)
@@ -326,22 +336,23 @@ class _Search:
             others = self.margins(sets[k], least)
             if others and min(_shares(others)) > min(_shares(margins)):
                 best, margins = k, others
-        broken = [name for j, name in enumerate(self.system.costs) if self.excess(figures[best][None])[0, j] > 0]
+        broken = [name for j, name in enumerate(self.system.costs) if self.excess(worst[best][None])[0, j] > 0]
         broken += [_MARGINS[one.name] for one in margins if not one.enough]
         nominal = np.array([self.nominal(name) for name in self.names])
-        own = self.costs(nominal[None])[0]
+        own = self.costs(nominal[None])[0, : len(self.system.costs)]
         after, before = (
             None if self.goals is None else self.goals.judged(self.names, gains) for gains in (sets[best], nominal)
         )
         if after is not None:
             broken += [s.goal.name for s in after.worst() if s.goal.kind == "hard" and not s.judgement.met]
         for goal in self.run_goals:
-            met = self.share(goal, figures[best : best + 1])[0] <= 1
+            met = self.share(goal, worst[best : best + 1])[0] <= 1
             broken += [goal.name] if goal.kind == "hard" and not met else []
         return SystemTuning(
             self.objective,
             dict(zip(self.names, sets[best].tolist(), strict=True)),
             dict(zip(self.system.costs, figures[best].tolist(), strict=True)),
+            dict(zip(self.system.costs, worst[best].tolist(), strict=True)),
             dict(zip(self.system.costs, own.tolist(), strict=True)),
             margins,
             least,
@@ -363,9 +374,8 @@ class _Search:
 
     def margins(self, gains: Array, least: float) -> tuple[Figure, ...]:
         """Return disk and delay margin of the assessment, with this least disk margin; none without an equilibrium."""
-        first = {name: a if a.ndim == 0 else a[:1] for name, a in self.cases.items()}
-        numbers = {**first, **dict(zip(self.names, gains.tolist(), strict=True))}
-        figures = assess(ClosedLoop(self.system, numbers), parts=["loop"]).figures
+        about_loop = {name: value for name, value in self.cases.items() if not name.startswith("start.")}
+        figures = assess_cases(self.system, about_loop, dict(zip(self.names, gains.tolist(), strict=True))).figures
         chosen = [figures[name] for name in _MARGINS if name in figures]
         return tuple(replace(one, least=least) if one.name == "disk_margin" else one for one in chosen)
 
@@ -373,6 +383,35 @@ class _Search:
         """Return the system's own value of a gain."""
         gains, (port, _, entry) = self.system.controller.gains, name.partition("[")
         return float(gains.pack()[gains.slice(port)][int(entry.rstrip("]") or 0)])
+
+
+def assess_cases(
+    system: System, cases: Mapping[str, ArrayLike], gains: Mapping[str, float], *, seconds: float | None = None
+) -> Assessment:
+    """Return what is assessed of a system with these gains in all cases: of each figure the worst, and every line.
+
+    Args:
+        system: the closed loop.
+        cases: numbers of the cases, as in `tune_system`.
+        gains: the gains by name.
+        seconds: duration of a run [s]; None: the loop alone.
+
+    Example:
+        >>> from surctl.testing import cart_system
+        >>> from surctl.tuning.systems import assess_cases
+        >>> result = assess_cases(cart_system(), {"start.speed": [4.0, 1.0]}, {"k": 2.0}, seconds=2.0)
+        >>> result.figures["cost.way"].where
+        'start.speed=4'
+    """
+    arrays = {name: np.asarray(value, dtype=float) for name, value in cases.items()}
+    count = max((len(a) for a in arrays.values() if a.ndim), default=1)
+    parts = ["loop"] if seconds is None else None
+    named: dict[str, Assessment] = {}
+    for k in range(count):
+        values = {name: a if a.ndim == 0 else a[k] for name, a in arrays.items()}
+        label = ", ".join(f"{name}={values[name]:g}" for name, a in arrays.items() if a.ndim and len(a) > 1)
+        named[label] = assess(ClosedLoop(system, {**values, **gains}, seconds=seconds), parts=parts)
+    return worst_of(named)
 
 
 def _shares(margins: Sequence[Figure]) -> list[float]:

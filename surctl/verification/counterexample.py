@@ -56,9 +56,11 @@ class Oracle:
         left, right, g = self.sides(x)
         left, right = left[0], right[0]
         inside = self._inside(x, g)
+        with np.errstate(invalid="ignore"):
+            margin = left - right
         if self.claim.exact is not None:  # `surctl.verification.doubtful` searches for points without a value
-            inside &= np.isfinite(left - right)
-        return left - right, np.maximum(abs(left), abs(right)), inside
+            inside &= np.isfinite(margin)
+        return margin, np.maximum(abs(left), abs(right)), inside
 
     def inside(self, x: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Return whether points x (n, N) lie in the domain, up to rounding (N,)."""

@@ -77,9 +77,12 @@ def search(claim: Claim, *, samples: int, starts: int, seed: int) -> Search:
     maxima = _climb(oracle, begin)
     points = np.hstack([oracle.place(unit[:, inside]), maxima])
     if points.shape[1] == 0:
-        raise EmptyDomain(
-            "no sample lies in its domain", key=f"claim {claim.name}", remedy="widen the bounds or the constraints"
-        )
+        key = f"claim {claim.name}"
+        if oracle.inside(oracle.place(unit)).any():
+            raise EmptyDomain(
+                "has no finite value in double precision at any sample", key=key, remedy="scale the claim"
+            )
+        raise EmptyDomain("no sample lies in its domain", key=key, remedy="widen the bounds or the constraints")
     scale = max(np.max(size[inside], initial=0), np.max(oracle.evaluate(points)[1]))
     threshold = claim.tolerance * float(scale)
     witnesses = _weigh(oracle)

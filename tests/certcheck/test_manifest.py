@@ -206,7 +206,7 @@ def test_numbers_texts_rows_ports_and_ranges() -> None:
     assert bundle._row([1, 2], 2) == (1.0, 2.0) and bundle._row(3, 2) == (3.0, 3.0)
     with pytest.raises(ValueError, match="another number of values"):
         bundle._row([1, 2], 3)
-    for text in ("k", "k[x] m", "k[1]", "k[12345678] m", "k l[1] m"):
+    for text in ("k", "k[x] m", "k[1]", "k[12345678] m", "k l[1] m", "k[１] m", "κ[1] m"):
         with pytest.raises(ValueError):
             bundle._port(text)
     assert bundle._ranges(None) is None and bundle._ranges({"a": [1, 1]}) == {"a": (1.0, 1.0)}

@@ -25,7 +25,7 @@ X = {"x": variable("x")}
 
 
 def verdict(
-    folder: Path, left: str, right: str, box: tuple[float, float], *constraints: str, more: str = ""
+    folder: Path, left: str, right: str, box: tuple[float, float], *constraints: str, more: str = "", limit: float = 2.0
 ) -> Verdict:
     path = folder / "claim.toml"
     path.write_text(
@@ -33,7 +33,36 @@ def verdict(
         f"[variables]\nx = {{ lower = {box[0]}, upper = {box[1]} }}\n",
         encoding="utf-8",
     )
-    return decide(load_claim(path), samples=512, starts=4, time_limit=2.0)
+    return decide(load_claim(path), samples=512, starts=4, time_limit=limit)
+
+
+HUGE = ("1e200*1e200", "1e308/1e-5")
+AROUND = ("{}*x", "{}*x - {}*x", "sin({}*x)", "sqrt({}*x)", "atan2({}, x)", "max(x, {})", "x/{}", "select({}, x, 1, 0)")
+
+
+@pytest.mark.parametrize("form", AROUND)
+@pytest.mark.parametrize("huge", HUGE)
+def test_a_number_beyond_all_doubles_is_exact_or_named(huge: str, form: str, tmp_path: Path) -> None:
+    """No verdict is wrong, and what cannot be decided ends in one line."""
+    left = form.replace("{}", huge)
+    for right, true in (("1e308*1e308*1e308", True), ("-1e308*1e308*1e308", False), (huge, True)):
+        try:
+            found = verdict(tmp_path, left, right, (0.5, 1), limit=0.1).verdict
+        except InputError as error:
+            assert "scale the claim" in str(error)
+            continue
+        assert found in (("proved", "unknown") if true else ("refuted", "unknown"))
+
+
+def test_a_box_of_the_largest_doubles_is_divided(tmp_path: Path) -> None:
+    for right, expected in (("3e-308*x + 3e-308*x - 4", "proved"), ("3e-308*x + 3e-308*x - 5", "refuted")):
+        assert verdict(tmp_path, "2", right, (1e308, 1.7e308)).verdict == expected
+
+
+@pytest.mark.parametrize("text", ["1e309", "2e308", "x*1e310", "１", "٣*x", "x + ２", "xα"])
+def test_numbers_are_ascii_and_no_larger_than_a_double(text: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"out of range|not part of the grammar|not expected here|unknown"):
+        verdict(tmp_path, text, "5", (0, 1))
 
 
 @pytest.mark.parametrize(

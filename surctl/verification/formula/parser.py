@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import math
 import re
+import sys
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -42,11 +43,12 @@ IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,39}")
 LONGEST = 60_000
 """The largest number of characters in one expression."""
 _TOKEN = re.compile(
-    r"\s*(?:(\d+(?:\.\d*)?(?:[eE][+-]?\d+)?|\.\d+(?:[eE][+-]?\d+)?)|([A-Za-z_]\w*)|(\*\*|[-+*/^(),])|(\S))"
+    r"\s*(?:(\d+(?:\.\d*)?(?:[eE][+-]?\d+)?|\.\d+(?:[eE][+-]?\d+)?)|([A-Za-z_]\w*)|(\*\*|[-+*/^(),])|(\S))",
+    re.ASCII,
 )
 LARGEST_POWER = 64
 """The largest exponent."""
-_LARGEST_EXPONENT, _MOST_DIGITS = 320, 400
+_LARGEST_EXPONENT, _MOST_DIGITS, _LARGEST_NUMBER = 320, 400, Fraction(sys.float_info.max)
 _LONGEST = 30  # most digits of numerator and denominator of an exponent
 
 
@@ -226,9 +228,10 @@ class _Parser:
         token = self._take()
         if token.kind == "number":
             exponent = re.split("[eE]", token.text)[1:]
-            if len(token.text) > _MOST_DIGITS or (exponent and abs(int(exponent[0][:9])) > _LARGEST_EXPONENT):
+            long = len(token.text) > _MOST_DIGITS or (exponent and abs(int(exponent[0][:9])) > _LARGEST_EXPONENT)
+            if long or (value := decimal(token.text)) > _LARGEST_NUMBER:
                 raise self._mistake("is out of range", token, "scale the claim")
-            return number(decimal(token.text))
+            return number(value)
         if token.kind == "name":
             return self._called(token) if self._next.text == "(" else self._named(token)
         if token.text == "(":

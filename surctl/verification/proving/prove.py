@@ -164,7 +164,10 @@ def prove_cases(
             share = (time_limit - (time.process_time() - worked)) / (len(cases) - number)
             label = f"{name}, case {number + 1} of {len(cases)}"
             task = _Attempt(case, statement, written, slack, with_squares, label, progress, simply)
-            done = _show(task, share)
+            try:
+                done = _show(task, share)
+            except OverflowError:
+                return Cases((), 0.0, "a number of the claim is larger than any double: scale the claim")
             boxes += done.result.boxes
             if not done.result.closed:
                 return _left_open(statement, written, case, done, boxes)

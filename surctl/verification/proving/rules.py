@@ -42,7 +42,9 @@ class Verdicts:
 
 def middle(low: Array, high: Array) -> Array:
     """Return the centre of an interval, computed as the checker does."""
-    return (low + high) / 2
+    with np.errstate(over="ignore", invalid="ignore"):  # the sum of the ends may overflow
+        whole = low + high
+        return np.where(np.isfinite(whole), whole / 2, low / 2 + high / 2)
 
 
 def apply_rules(bound: Tape, constraints: Tape, box: Ends, slack: float, defined: NDArray[np.bool_]) -> Verdicts:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping, Sequence
 from math import inf, isnan, nextafter, pi
 
@@ -9,12 +10,18 @@ from surctl.verification.formula import Node
 
 Ends = tuple[float, float]
 
+_LARGEST = sys.float_info.max
+
 
 def enclosed(node: Node) -> Ends:
     """Return two doubles that enclose an exact number or π: the nearest double below and the nearest double above."""
     if node.op == "pi":
         return pi, nextafter(pi, 4.0)  # the double lies below π
-    near, value = float(node.value), node.value
+    value = node.value
+    try:
+        near = float(value)
+    except OverflowError:
+        return (_LARGEST, inf) if value > 0 else (-inf, -_LARGEST)
     over, under = near.as_integer_ratio()
     above = over * value.denominator - value.numerator * under  # a comparison of fractions is slow
     low = near if above <= 0 else nextafter(near, -inf)
