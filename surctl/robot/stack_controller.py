@@ -74,7 +74,8 @@ class StackController:
             most ‖J u − x‖²/(c ‖x‖) to ‖u‖², where u is the velocity of the tasks above (0 for the first task, if the
             limits contain 0). The loss: for a singular value σ of the J that is left, that part of x is multiplied by
             σ²/(σ² + c ‖x‖), which tends to 1 as the target is reached. With 0, the step is faster, but velocities may
-            chatter at such targets.
+            chatter at such targets; with damping, those of the first task do not, but those that serve other tasks may,
+            because they are free at a singular configuration and bound next to it.
 
     Raises:
         InputError: tasks or limits are of different robots, two inputs have the same name but differ, the period is not
