@@ -55,13 +55,13 @@ def test_a_number_beyond_all_doubles_is_exact_or_named(huge: str, form: str, tmp
 
 
 def test_a_box_of_the_largest_doubles_is_divided(tmp_path: Path) -> None:
-    for right, expected in (("3e-308*x + 3e-308*x - 4", "proved"), ("3e-308*x + 3e-308*x - 5", "refuted")):
+    for right, expected in (("3e-308*x + 3e-308*x - 3.9", "proved"), ("3e-308*x + 3e-308*x - 5", "refuted")):
         assert verdict(tmp_path, "2", right, (1e308, 1.7e308)).verdict == expected
 
 
 @pytest.mark.parametrize("text", ["1e309", "2e308", "x*1e310", "１", "٣*x", "x + ２", "xα"])
 def test_numbers_are_ascii_and_no_larger_than_a_double(text: str, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="out of range|not part of the grammar|not expected here|unknown"):
+    with pytest.raises(InputError, match=r"out of range|not part of the grammar|not expected here|unknown"):
         verdict(tmp_path, text, "5", (0, 1))
 
 
