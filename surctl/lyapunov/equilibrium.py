@@ -191,10 +191,17 @@ def inexact(dynamics: Dynamics) -> str:
 
 
 def linearisation(dynamics: Dynamics) -> Linear:
-    """Return the linearisation at the equilibrium for all corners of the parameters, and whether it is stable."""
+    """Return the linearisation at the equilibrium for all corners of the parameters, and whether it is stable.
+
+    Raises:
+        InputError: the dynamics have no finite slope there.
+    """
     d = dynamics
     corners = d.corners()
     matrices = np.array([d.linear(corner) for corner in corners.T])
+    if not np.all(np.isfinite(matrices)):
+        problem = "has no finite slope at the equilibrium"
+        raise InputError(problem, key=f"{d.name}.dynamics", remedy="use expressions that are smooth there")
     eigenvalues = np.linalg.eigvals(matrices)
     grown = np.abs(eigenvalues) - 1 if d.discrete else eigenvalues.real
     i, j = np.unravel_index(np.argmax(grown), grown.shape)

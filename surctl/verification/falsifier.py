@@ -200,7 +200,8 @@ def _shorten(oracle: Oracle, point: NDArray[np.float64]) -> Counterexample:
     claim = oracle.claim
     full = float(oracle.evaluate(point[:, None])[0][0])
     for decimals in range(1, 8):
-        rounded = np.round(point, decimals) + 0.0  # + 0.0: no negative zeros
+        with np.errstate(over="ignore", invalid="ignore"):  # of the largest doubles
+            rounded = np.round(point, decimals) + 0.0  # + 0.0: no negative zeros
         margin, _, inside = oracle.evaluate(rounded[:, None])
         if inside[0] and np.isfinite(margin[0]) and margin[0] >= 0.9 * full:
             return Counterexample(claim.values(rounded), float(margin[0]), claim.unit)

@@ -173,3 +173,22 @@ def test_the_equilibrium_of_a_law_is_its_double() -> None:
     assert found.verdict == "proved" and found.decision is not None
     stated = found.decision.document["claim"]["equilibrium"]["angle"]
     assert isinstance(stated, str) and Fraction(stated) == Fraction(0.3) != Fraction("0.3")
+
+
+@pytest.mark.parametrize("time", ["continuous", "discrete"])
+@pytest.mark.parametrize("given", ['function = "x^2"\nlevel = 1.0', 'function = "x^2"', ""])
+@pytest.mark.parametrize("rate", ["-sqrt(x)", "-x^(1/3)", "-sqrt(abs(x))", "-x - x^1.5/x", "-x/abs(x)"])
+def test_dynamics_without_a_slope_where_they_rest_end_in_one_line(
+    rate: str, given: str, time: str, tmp_path: Path
+) -> None:
+    key = "rate" if time == "continuous" else "next"
+    (tmp_path / "p.toml").write_text(
+        f'kind = "lyapunov"\nname = "p"\ntime = "{time}"\n{given}\n[states]\n'
+        f'x = {{ {key} = "{rate}", lower = -2, upper = 2 }}\n'
+    )
+    try:
+        found = solve(load_problem(tmp_path / "p.toml"), time_limit=0.5)
+    except InputError as error:
+        assert "\n" not in str(error)
+    else:
+        assert found.verdict in ("refuted", "unknown")
