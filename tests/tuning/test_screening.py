@@ -3,10 +3,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from surctl.marine.tuning import Goal, cegis, search, tune
-from surctl.marine.tuning.cegis import Round, _chosen, _ended
-from surctl.marine.tuning.montecarlo import Counterexample, MonteCarlo, fresh, monte_carlo, reduced_pool, screen
-from surctl.marine.tuning.search import descend
+from surctl.marine.tuning import Goal
+from surctl.marine.tuning.evaluation import fresh
+from surctl.tuning import cegis, search, tune
+from surctl.tuning.cegis import Round, _chosen, _ended
+from surctl.tuning.gain_search import descend
+from surctl.tuning.montecarlo import Counterexample, MonteCarlo, monte_carlo, reduced_pool, screen
 from surctl.tuning.search import Journal
 from tests.tuning.synthetic import CLEAR, GAINS, NEAR, THRIFT, Loop, heavy, install, request
 

@@ -8,16 +8,16 @@ import pytest
 from surctl.errors import InputError
 from surctl.marine.control import load_gains, write_gains
 from surctl.marine.simulation import load_scenario
-from surctl.marine.tuning import Condition, Goal, build_cases, evaluate, load_goals, summary, tune, tuned_gains
+from surctl.marine.tuning import Goal, MissionCondition, build_cases, evaluate, load_goals, tuned_gains
 from surctl.marine.tuning.evaluation import check_goals
 from surctl.marine.tuning.goals import goals_at
 from surctl.marine.tuning.measure import SweepEvaluation, check_request
-from surctl.marine.tuning.montecarlo import monte_carlo
-from surctl.marine.tuning.outcome import goal_rows, tuning_dict
-from surctl.marine.tuning.pool import joined_pools
-from surctl.marine.tuning.search import _functions
 from surctl.marine.verification import LINEAR_METRICS, linear_table
-from surctl.tuning import grid, parse_axis
+from surctl.tuning import grid, parse_axis, summary, tune
+from surctl.tuning.gain_search import _functions
+from surctl.tuning.montecarlo import monte_carlo
+from surctl.tuning.outcome import goal_rows, tuning_dict
+from surctl.tuning.pool import joined_pools
 from tests.tuning.synthetic import CLEAR, GAINS, THRIFT, Loop, case, install, request
 
 SPEEDS = (0.05, 0.15, 0.22)
@@ -43,7 +43,7 @@ def everything_costs_nothing(monkeypatch):
 
 def test_the_worst_speed_decides_in_every_condition(flights_cost_nothing):
     tank = case("pool-static")
-    flown = (Condition(tank), Condition(tank, plant={"plant.m11": 1.3 * tank.vehicle["m11"]}))
+    flown = (MissionCondition(tank), MissionCondition(tank, plant={"plant.m11": 1.3 * tank.vehicle["m11"]}))
     sets = {"k_v": np.array([1.0, 2.0])}
     shape = Goal("shape", "crossover_rad_per_s.cross_track", "rad/s", 0.05, "at least", cruise=SPEEDS)
     own = replace(SETTLE, name="own", cruise=())
@@ -59,14 +59,14 @@ def test_the_worst_speed_decides_in_every_condition(flights_cost_nothing):
 
     at = np.array([[table(u, **c.plant)[SETTLE.metric] for c in flown] for u in SPEEDS])  # speeds, conditions, sets
     assert found.figure[:, 0] == pytest.approx(at.max(axis=(0, 1)), rel=1e-12)
-    assert found.speed[:, 0].tolist() == [0.05, 0.05], "a slow vehicle returns to the path slowly"
+    assert found.place[:, 0].tolist() == [0.05, 0.05], "a slow vehicle returns to the path slowly"
     assert found.figure[:, 3] == pytest.approx(at.max(axis=0).mean(axis=0), rel=1e-12)
     assert found.figure[:, 4] == pytest.approx(at[:, 0].max(axis=0), rel=1e-12)
     least = np.array([[table(u, **c.plant)[shape.metric] for c in flown] for u in SPEEDS])
-    assert found.figure[:, 1] == pytest.approx(least.min(axis=(0, 1)), rel=1e-12) and (found.speed[:, 1] == 0.05).all()
+    assert found.figure[:, 1] == pytest.approx(least.min(axis=(0, 1)), rel=1e-12) and (found.place[:, 1] == 0.05).all()
     # a goal that names no speed is what it was
     there = np.array([table(tank.scenario.cruise, **c.plant)[SETTLE.metric] for c in flown])
-    assert found.figure[:, 2] == pytest.approx(there.max(axis=0), rel=1e-12) and np.isnan(found.speed[:, 2]).all()
+    assert found.figure[:, 2] == pytest.approx(there.max(axis=0), rel=1e-12) and np.isnan(found.place[:, 2]).all()
 
 
 def test_fresh_runs_and_the_descent_see_every_speed(everything_costs_nothing):
@@ -86,7 +86,7 @@ def test_the_speed_stays_with_its_set(everything_costs_nothing):
     pool = asked.judge({"k_v": np.array([1.0, 2.0, 3.0]), "k1": np.array([0.5, 0.5, 0.5])})
     back = asked.pool(pool.table)
     for one in (pool, back, joined_pools([pool.subset([0]), pool.subset([1, 2])])):
-        assert one.evaluation.speed[:, 0].tolist() == [0.2, 0.2, 0.2] and np.isnan(one.evaluation.speed[:, 1]).all()
+        assert one.evaluation.place[:, 0].tolist() == [0.2, 0.2, 0.2] and np.isnan(one.evaluation.place[:, 1]).all()
     assert replace(asked, goals=(replace(DELAY, cruise=(0.1,)), THRIFT)).digest != asked.digest
 
 

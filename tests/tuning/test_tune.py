@@ -12,24 +12,15 @@ from hypothesis import strategies as st
 
 from surctl.errors import InputError
 from surctl.marine.control import law_ref, load_gains, write_gains
-from surctl.marine.tuning import (
-    Counterexample,
-    Goal,
-    conditions,
-    evaluate,
-    figures,
-    gain_ranges,
-    search,
-    summary,
-    tune,
-    tuned_gains,
-)
-from surctl.marine.tuning.cegis import RoundsFile
-from surctl.marine.tuning.evaluation import judged
-from surctl.marine.tuning.montecarlo import fresh, monte_carlo
-from surctl.marine.tuning.outcome import advice, misses, tuning_dict
-from surctl.marine.tuning.pool import ClaimPoint, Pool, excess, expected_to_hold, refuted_claims
-from surctl.marine.tuning.search import demands, minimal_subset
+from surctl.marine.tuning import Goal, conditions, evaluate, figures, gain_ranges, tuned_gains
+from surctl.marine.tuning.evaluation import fresh
+from surctl.marine.tuning.request import excess, expected_to_hold, refuted_claims
+from surctl.tuning import Counterexample, search, summary, tune
+from surctl.tuning.cegis import RoundsFile
+from surctl.tuning.gain_search import demands, minimal_subset
+from surctl.tuning.montecarlo import monte_carlo
+from surctl.tuning.outcome import advice, misses, tuning_dict
+from surctl.tuning.pool import ClaimPoint, Pool, judged
 from surctl.tuning.search import Journal
 from tests.tuning.synthetic import CLEAR, GAINS, MARGIN, NEAR, THRIFT, Loop, case, heavy, install, request
 
@@ -201,7 +192,7 @@ def test_the_worst_run_of_a_refuted_goal_is_the_counterexample(monkeypatch):
     assert all(c.normalised > 1 for c in found.counterexamples)
     assert found.refuted == ("keep clear",)
     assert worst.goal == "keep clear" and found.normalised["spare thrust"] <= 1 and 0 < found.missed["keep clear"] < 1
-    again = monte_carlo((CLEAR,), [worst.condition([flown[0].case])], {"k1": 0.4, "k_v": 1.5})
+    again = monte_carlo((CLEAR,), [worst.condition(flown)], {"k1": 0.4, "k_v": 1.5})
     assert again.normalised["keep clear"] == worst.normalised == found.normalised["keep clear"]
 
 
@@ -361,9 +352,9 @@ def test_the_gain_file_says_where_it_comes_from_and_reads_back(monkeypatch, tmp_
 def test_claims_that_should_hold_do_for_the_shipped_gains(monkeypatch):
     names = expected_to_hold()
     assert "v1-corrected" in names and len(names) > 5
-    monkeypatch.setattr("surctl.marine.tuning.pool.expected_to_hold", lambda: ("v1-corrected", "v2-static"))
+    monkeypatch.setattr("surctl.marine.tuning.request.expected_to_hold", lambda: ("v1-corrected", "v2-static"))
     assert refuted_claims(GAINS.values, [case()]) == ()
-    monkeypatch.setattr("surctl.marine.tuning.pool.expected_to_hold", lambda: ("v1-printed", "v2-static"))
+    monkeypatch.setattr("surctl.marine.tuning.request.expected_to_hold", lambda: ("v1-printed", "v2-static"))
     assert [v.claim.name for v in refuted_claims(GAINS.values, [case()], seed=1)] == ["v1-printed"]
 
 
