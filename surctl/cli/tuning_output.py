@@ -277,10 +277,9 @@ def system_tuned(
     """
     import numpy as np
 
-    from surctl.ir import find_compiler
     from surctl.system.values import check_scalar
     from surctl.tuning.goals import load_system_goals
-    from surctl.tuning.systems import check_tuning, system_request
+    from surctl.tuning.systems import system_request
 
     own = load_system(words)
     about, points, of_runs = ((), {}, ()) if goals_file is None else load_system_goals(goals_file, own.system)
@@ -290,9 +289,6 @@ def system_tuned(
         if len(listed[name]) > 1:
             check_scalar(own.system, name)
     cases = {name: np.array(v[0] if len(v) == 1 else v) for name, v in listed.items()}
-    check_tuning(own.system, space, cases, goals=(*about, *of_runs))
-    if own.system.costs:  # its runs are compiled
-        find_compiler()
     try:
         request = system_request(
             own.system, duration, space,

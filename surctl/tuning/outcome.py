@@ -358,9 +358,9 @@ def check_finals(
     """Return the tuning with the best of its gain sets that meets the goals, and what the check shows.
 
     The sets are the tuned gains, the next best sets of the chosen round that meet the hard goals of the search and, if
-    all of these miss a goal, the start gains. The first one that misses the fewest hard goals, then the fewest soft
-    ones, then its worst hard goal by the least share, becomes the tuned gains, if the fresh runs that verified the
-    tuning do not refute it.
+    all of these miss a goal, the start gains if they are in the ranges. The first one that misses the fewest hard
+    goals, then the fewest soft ones, then its worst hard goal by the least share, becomes the tuned gains, if the fresh
+    runs that verified the tuning do not refute it.
 
     Args:
         tuning: a finished tuning.
@@ -381,7 +381,8 @@ def check_finals(
             goals = [goal for goal in goals if goal not in undetermined]
         if all(_met(goal, tables[-1]) for goal in goals):
             break
-    started = bool(tables) and not all(_met(goal, tables[-1]) for goal in goals)
+    inside = all(span.low <= begun[span.name] <= span.high for span in tuning.request.space)
+    started = bool(tables) and inside and not all(_met(goal, tables[-1]) for goal in goals)
     if started:  # gains that are worse than these are no result
         sets = [*sets[: len(tables)], begun]
         tables.append(assess(subject(begun), parts=parts))

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from surctl.assessment import ClosedLoop
 from surctl.errors import InputError, nearest
+from surctl.ir import find_compiler
 from surctl.system import ENDED, LinearLoop, System, every_combination, linearise, simulate_system
 from surctl.system.values import check_scalar, default_of, run_numbers
 from surctl.tuning.cegis import tune
@@ -246,7 +247,7 @@ def system_request(
     Raises:
         InputError: as in `tune_system`.
     """
-    name = check_tuning(system, ranges, cases, objective=objective, goals=(*goals, *run_goals))
+    name = _checked(system, ranges, cases, objective, (*goals, *run_goals))
     for point, values in points.items():
         for gain in values.keys() & ranges.keys():
             remedy = f"drop it from the point; {gain} has one value at all points"
@@ -366,19 +367,14 @@ def tune_system(
     return check_finals(tuning, finals, request.subject, default=finals, progress=progress)
 
 
-def check_tuning(
+def _checked(
     system: System,
     ranges: Mapping[str, tuple[float, float]],
     cases: Mapping[str, ArrayLike],
-    *,
-    objective: str | None = None,
-    goals: Sequence[LoopGoal | RunGoal] = (),
+    objective: str | None,
+    goals: Sequence[LoopGoal | RunGoal],
 ) -> str:
-    """Return the name of what is minimised, a cost or `GOALS`, after a check of the arguments; nothing is compiled.
-
-    Raises:
-        InputError: as in `tune_system`.
-    """
+    """Return the name of what is minimised, a cost or `GOALS`, after a check of the arguments; nothing is compiled."""
     soft = any(goal.kind == "soft" for goal in goals)
     name = (GOALS if soft else next(iter(system.costs), "")) if objective is None else objective
     if name not in system.costs and not (soft and name == GOALS):
@@ -398,4 +394,6 @@ def check_tuning(
             )
         check_scalar(system, gain)
     run_numbers(system, every_combination({gain: ends[0] for gain, ends in ranges.items()}, cases))
+    if system.costs:  # its runs are compiled
+        find_compiler()
     return name

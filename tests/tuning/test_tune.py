@@ -14,7 +14,7 @@ from surctl.errors import InputError
 from surctl.marine.control import law_ref, load_gains, write_gains
 from surctl.marine.tuning import Goal, conditions, evaluate, figures, gain_ranges, tuned_gains
 from surctl.marine.tuning.evaluation import fresh
-from surctl.marine.tuning.request import excess, expected_to_hold, refuted_claims
+from surctl.marine.tuning.request import expected_to_hold, refuted_claims
 from surctl.tuning import Counterexample, search, summary, tune
 from surctl.tuning.cegis import RoundsFile
 from surctl.tuning.gain_search import demands, minimal_subset
@@ -371,7 +371,7 @@ def test_a_refuted_point_of_a_claim_is_a_constraint(monkeypatch):
     install(monkeypatch)
     point = ClaimPoint("v1-printed", {"x_e": 1.5, "y_e": 1.5, "z_e": 0.0, "turn": 0.0}, 0.0)
     sets = {"k1": np.array([0.05, 1.0])}
-    found = excess((point,), GAINS.values, sets)
+    found = replace(request(), claims=(point,)).excess(sets)
     assert found.shape == (2, 1) and found[0, 0] <= 0 < found[1, 0]
     pool = replace(request(), claims=(point,)).judge({"k1": np.array([0.13, 1.0]), "k_v": np.array([2.0, 2.0])})
     assert pool.constraints.shape == (2, 2) and not pool.feasible[1]

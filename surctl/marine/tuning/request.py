@@ -24,7 +24,7 @@ from surctl.tuning.cegis import Tuning
 from surctl.tuning.chunked import Progress
 from surctl.tuning.design import default_range
 from surctl.tuning.outcome import outcome_text
-from surctl.tuning.pool import ClaimPoint, SearchRequest, Sets
+from surctl.tuning.pool import ClaimPoint, SearchRequest, Sets, row
 from surctl.tuning.search import SearchRange
 from surctl.verification.counterexample import evaluate
 from surctl.verification.falsifier import falsify
@@ -142,24 +142,6 @@ def _refuted(gains: tuple[tuple[str, float], ...], seed: int) -> tuple[Verdict, 
     return tuple(v for v in verdicts if v.verdict == "refuted")
 
 
-def excess(
-    points: Sequence[ClaimPoint], base: Mapping[str, float], sets: Mapping[str, NDArray[np.float64]]
-) -> NDArray[np.float64]:
-    """Return by how much the claims exceed their thresholds, as an array (n gain sets, points).
-
-    The value is -1 for a point outside the claim's domain.
-    """
-    count = len(next(iter(sets.values())))
-    table = np.full((count, len(points)), -1.0)
-    for k in range(count if points else 0):
-        gains = {**base, **{name: float(values[k]) for name, values in sets.items()}}
-        for j, point in enumerate(points):
-            margin, inside = evaluate(claims(gains, [point.name])[0], point.values)
-            if inside:
-                table[k, j] = margin - point.threshold
-    return table
-
-
 def _kind(case: Case) -> tuple[str, ...]:
     """Return the options of a case that determine its control law, without those of its perception."""
     return case.law, case.avoidance, case.mode, case.guidance, case.barrier, case.movers
@@ -232,7 +214,15 @@ class Request(SearchRequest):
 
     def excess(self, sets: Sets) -> NDArray[np.float64]:
         """Return by how much the claims exceed their thresholds at their points, (n gain sets, claims)."""
-        return excess(self.claims, self.start, sets)
+        count = len(next(iter(sets.values())))
+        table = np.full((count, len(self.claims)), -1.0)  # for a point outside the claim's domain
+        for k in range(count if self.claims else 0):
+            gains = {**self.start, **row(sets, k)}
+            for j, point in enumerate(self.claims):
+                margin, inside = evaluate(claims(gains, [point.name])[0], point.values)
+                if inside:
+                    table[k, j] = margin - point.threshold
+        return table
 
 
 BEST = "best-so-far.toml"
