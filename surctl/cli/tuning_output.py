@@ -221,15 +221,15 @@ class _System:
         return out / "gains.csv", self.request.so_far(tuning.result.gains, "")[1]
 
     def more(self, tuning: Tuning, checked: Finals, gains: str, trials: int) -> More:
-        own, base = self.own, self.request.base
+        own, duration = self.own, self.request.seconds
         costs = {
             when: cost_data(own.system, self.request.costs(values))
             for when, values in (("before", self.request.begun), ("after", tuning.result.gains))
         }
         numbers = [f"{name}={value!r}" for name, value in tuning.result.gains.items()]
-        seconds = f"{base.seconds or 100 * own.system.dt:g}"
+        seconds = f"{duration or 100 * own.system.dt:g}"
         then = [command_line("verify", own, *numbers), command_line("export", own, *numbers, "--seconds", seconds)]
-        data = {**own.names, "seconds": base.seconds, "costs": costs}
+        data = {**own.names, "seconds": duration, "costs": costs}
         return More(data, then, doubtful=self._doubtful(checked), notes=self.request.scores(tuning.result.gains))
 
     def _doubtful(self, checked: Finals) -> list[str]:

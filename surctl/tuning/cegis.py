@@ -378,7 +378,7 @@ def _round(
         progress(f"testing the best gain sets with {TRAINING * runs} training runs and {runs} fresh ones")
         left = screen(request, pool, runs=TRAINING * runs, progress=progress)
         conditions = request.fresh(runs=runs, first=used + number * runs)
-        verified = monte_carlo(request.goals, conditions, left.gains, threads=request.threads)
+        verified = monte_carlo(request.figures, request.goals, conditions, left.gains)
         word = ", ".join(verified.refuted) or "nothing"
         progress(f"{runs} fresh runs, seeds {verified.seeds[0]} to {verified.seeds[1]}, refute {word}")
     points = request.refuted_claims(left.gains)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from surctl.tuning.chunked import Progress
 from surctl.tuning.goals import RunGoal
-from surctl.tuning.pool import ClaimPoint, Condition, Pool, SearchRequest, merged, scope
+from surctl.tuning.pool import ClaimPoint, Condition, Figures, Pool, SearchRequest, Sets, merged, scope
 
 APART = 10_000_000  # seeds reserved for each tuning, so that two tunings never share a seed
 
@@ -42,10 +42,10 @@ class Counterexample:
     figure: float
     normalised: float
 
-    def condition(self, conditions: Sequence[Condition]) -> Condition:
-        """Return the run as a condition for the refuted goal alone; `conditions` are others of its tuning."""
-        one = next(c for c in conditions if c.case.name == self.case)
-        return replace(one, seed=self.seed, plant=dict(self.plant), goals=(self.goal,))
+    def condition(self, cases: Sequence[Any]) -> Condition:
+        """Return the run as a condition of a tuning; the condition counts only for the refuted goal."""
+        case = next(c for c in cases if c.name == self.case)
+        return Condition(case, self.seed, dict(self.plant), (self.goal,))
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data for JSON."""
@@ -86,24 +86,24 @@ class MonteCarlo:
 
 
 def monte_carlo(
+    figures: Callable[[Sequence[RunGoal], Sequence[Condition], Sets], Figures],
     goals: Sequence[RunGoal],
     conditions: Sequence[Condition],
     gains: Mapping[str, float],
     *,
     each: int = 3,
-    threads: int = 1,
 ) -> MonteCarlo:
     """Simulate one gain set under every condition and find the goals that it misses.
 
     Args:
+        figures: function that simulates gain sets, see `SearchRequest.figures`.
         goals: the goals.
         conditions: the runs.
         gains: the gain set: the value of each gain by name.
         each: largest number of counterexamples of one goal in one case.
-        threads: number of threads of the compiled loop.
     """
     sets = {name: np.array([value]) for name, value in gains.items()}
-    table = conditions[0].figures(goals, conditions, sets, threads=threads)
+    table = figures(goals, conditions, sets)
     missed, normalised, counterexamples = {}, {}, []
     for goal in goals:
         own = scope(goal, conditions)
@@ -173,7 +173,7 @@ def harder(
     """Extend a request: refuting runs become conditions of the goals that they refute, claim points constraints."""
     requested = [c for c in request.conditions if c.goals is None]
     known = [c for c in request.conditions if c.goals is not None]
-    refuting = merged((*known, *(c.condition(request.conditions) for c in counterexamples)))
+    refuting = merged((*known, *(c.condition(request.cases) for c in counterexamples)))
     return replace(request, conditions=(*requested, *refuting), claims=(*request.claims, *claims))
 
 
@@ -200,7 +200,7 @@ def screen(request: SearchRequest, pool: Pool, *, runs: int, progress: Progress 
     while left:
         goals = [g for g, m in zip(request.goals, met[left[0]], strict=True) if m]
         gains = pool.gains(left[0])
-        refuting = monte_carlo(goals, training, gains, each=_EACH, threads=request.threads).counterexamples
+        refuting = monte_carlo(request.figures, goals, training, gains, each=_EACH).counterexamples
         if not refuting:
             break
         tried += 1
@@ -247,7 +247,7 @@ def _withstanding(
         return []
     place = {g.name: j for j, g in enumerate(request.goals)}
     goals = [replace(g, cases=()) for g in request.goals]  # every run here already belongs to its goal
-    runs = [c.condition(request.conditions) for c in refuting]
+    runs = [c.condition(request.cases) for c in refuting]
     conditions = merged(runs)
     column = {c.run: k for k, c in enumerate(conditions)}
     table = request.figures(goals, conditions, pool.subset(left).sets)

@@ -87,8 +87,8 @@ def misses(tuning: Tuning) -> tuple[Miss, ...]:
         if counterexample is None or verified is None:
             result.append(Miss(name, None, None, float("nan")))
             continue
-        run = counterexample.condition(request.conditions)
-        ending = None if goals[name].linear else run.ending(tuning.result.gains)
+        run = counterexample.condition(request.cases)
+        ending = None if goals[name].linear else request.ending(run, tuning.result.gains)
         extent = f"missed in {verified.missed[name]:.2%} of the verifying runs"
         if goals[name].over == "mean":
             extent = "the mean of the verifying runs misses it"
@@ -118,7 +118,7 @@ def _worst(goals: Sequence[RunGoal], tuning: Tuning) -> dict[str, Miss]:
         extent = f"missed in {int((each > 1).sum())} of {len(own)} run{'s' * (len(own) != 1)}"
         if mean:
             extent = f"the mean of {len(own)} runs is {value_text(goal, float(figure.mean()))}"
-        ending = None if goal.linear else run.ending(tuning.result.gains)
+        ending = None if goal.linear else tuning.request.ending(run, tuning.result.gains)
         own_plant = next((conditions[own[j]] for j in order if each[j] > 1 and not varied[j]), None)
         worst[goal.name] = Miss(goal.name, goal, run, float(figure[k]), ending, extent, own_plant)
     return worst
@@ -417,7 +417,7 @@ def _adopted(tuning: Tuning, gains: Mapping[str, float]) -> Tuning:
     if last.verified is not None:
         first = last.verified.seeds[0] - request.seed * APART
         runs = request.fresh(runs=last.verified.runs, first=first)
-        verified = monte_carlo(request.goals, runs, gains, threads=request.threads)
+        verified = monte_carlo(request.figures, request.goals, runs, gains)
     pool = request.judge({s.name: np.array([gains[s.name]]) for s in request.space})
     start = tuning.hand.evaluation.normalised[0]
     missed = tuple(g.name for g, n in zip(request.goals, pool.evaluation.normalised[0], strict=True) if not n <= 1)

@@ -18,8 +18,9 @@ from surctl.tuning.chunked import Progress
 from surctl.tuning.goals import RunGoal
 from surctl.tuning.search import SearchRange
 
-Sets = Mapping[str, NDArray[np.float64]]
-Figures = Mapping[str, NDArray[np.float64]]  # metric → (n, conditions)
+Floats = NDArray[np.float64]
+Sets = Mapping[str, Floats]
+Figures = Mapping[str, Floats]  # metric → (n, conditions)
 
 
 class TunedCase(Protocol):
@@ -35,7 +36,7 @@ class TunedCase(Protocol):
 
 
 @dataclass(frozen=True)
-class Condition(ABC):
+class Condition:
     """One closed-loop run that evaluates a gain set: case, seed and plant.
 
     Attributes:
@@ -51,20 +52,6 @@ class Condition(ABC):
     seed: int = 0
     plant: Mapping[str, float] = field(default_factory=dict)
     goals: tuple[str, ...] | None = None
-
-    @staticmethod
-    @abstractmethod
-    def figures(
-        goals: Sequence[Any], conditions: Sequence[Any], sets: Sets, *, threads: int = 1
-    ) -> dict[str, NDArray[np.float64]]:
-        """Return an array (n gain sets, conditions) for each column of the goals and for `effort_n`, by name.
-
-        A value is NaN if the run does not succeed, or if no goal needs it under this condition.
-        """
-
-    @abstractmethod
-    def ending(self, gains: Mapping[str, float]) -> str:
-        """Return how and when the run ends with a gain set."""
 
     @property
     def run(self) -> tuple[str, int, tuple[tuple[str, float], ...]]:
@@ -218,6 +205,17 @@ class SearchRequest(ABC):
         """Return lines with everything on which the figures of a gain set depend."""
 
     @abstractmethod
+    def figures(self, goals: Sequence[Any], conditions: Sequence[Condition], sets: Sets) -> dict[str, Floats]:
+        """Return an array (n gain sets, conditions) for each column of the goals and for `effort_n`, by name.
+
+        A value is NaN if the run does not succeed, or if no goal needs it under this condition.
+        """
+
+    @abstractmethod
+    def ending(self, condition: Condition, gains: Mapping[str, float]) -> str:
+        """Return how and when the run of a condition ends with a gain set."""
+
+    @abstractmethod
     def fresh(self, *, runs: int, first: int) -> tuple[Condition, ...]:
         """Return random runs with seeds that no other tuning uses, from the number `first` on; () if nothing varies."""
 
@@ -266,12 +264,6 @@ class SearchRequest(ABC):
         lines += self.identity
         lines += [f"run {c.label} {sorted(c.plant.items())!r} {c.goals}" for c in self.conditions]
         return hashlib.sha256("\n".join(lines).encode()).hexdigest()
-
-    def figures(
-        self, goals: Sequence[RunGoal], conditions: Sequence[Condition], sets: Sets
-    ) -> dict[str, NDArray[np.float64]]:
-        """Return the figures of gain sets under conditions, see `Condition.figures`."""
-        return self.conditions[0].figures(goals, conditions, sets, threads=self.threads)
 
     def simulate(self, sets: Sets) -> tuple[Pool, Figures]:
         """Simulate gain sets; return a `Pool` and the metrics of every run.

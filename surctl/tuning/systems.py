@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -24,7 +24,7 @@ from surctl.tuning.loop_goals import LoopGoal
 from surctl.tuning.loop_scores import judge_loops, operating_loops
 from surctl.tuning.montecarlo import APART
 from surctl.tuning.outcome import Tuned, check_finals
-from surctl.tuning.pool import CAP, Condition, SearchRequest, Sets
+from surctl.tuning.pool import CAP, Condition, SearchRequest, Sets, row
 from surctl.tuning.search import SearchRange
 from surctl.tuning.system_sweep import request_digest
 from surctl.verification.linear import LEAST_DISK_MARGIN
@@ -80,28 +80,10 @@ class LeastCost(RunGoal):
 
 
 @dataclass(frozen=True, eq=False)
-class TunedSystem:
-    """A system, the duration of its runs [s], and the numbers of its operating points by name."""
-
-    system: System
-    seconds: float
-    points: Mapping[str, Mapping[str, ArrayLike]]
-
-    def loops(self, gains: Mapping[str, float]) -> Mapping[str, LinearLoop]:
-        """Return the linear loop at each operating point that has an equilibrium with these gains."""
-        loops = {}
-        for name, values in self.points.items():
-            with suppress(InputError):
-                loops[name] = linearise(self.system, {**values, **gains})
-        return loops
-
-
-@dataclass(frozen=True, eq=False)
 class SystemCase:
-    """Numbers of one run of a tuned system, by name, each with one row; see `run_numbers`."""
+    """Numbers of one run of a tuned system by name, each with one row; see `run_numbers`."""
 
     name: str
-    own: TunedSystem
     values: Mapping[str, Array]
 
     @property
@@ -110,62 +92,22 @@ class SystemCase:
         return (self.name,)
 
 
-class SystemCondition(Condition):
-    """One run of a system that evaluates a gain set; the names in `plant` are those of `run_numbers`."""
-
-    case: SystemCase
-
-    @staticmethod
-    def figures(
-        goals: Sequence[RunGoal], conditions: Sequence[SystemCondition], sets: Sets, *, threads: int = 1
-    ) -> dict[str, Array]:
-        """Return costs, normalised values of goals about the loop, and how much of each run is cut short."""
-        own, count = conditions[0].case.own, len(next(iter(sets.values())))
-        shape = (count, len(conditions))
-        names = ("effort_n", *(name for goal in goals for name in goal.columns))
-        table = {name: np.full(shape, 0.0 if name == "effort_n" else np.nan) for name in names}
-        if own.system.costs:
-            values = every_combination(sets, _numbers(own.system, conditions))
-            runs = simulate_system(own.system, own.seconds, values, threads=threads)
-            whole = runs.stopped == ENDED
-            measured = {name: np.where(whole, values, np.nan) for name, values in runs.figures.items()}
-            measured[_LASTING] = np.where(whole, 1.0, 2 - runs.time / own.seconds)
-            table |= {name: values.reshape(shape) for name, values in measured.items() if name in table}
-        about = [goal for goal in goals if isinstance(goal, PointGoal)]
-        for k in range(count) if about else ():
-            loops = own.loops({name: float(values[k]) for name, values in sets.items()})
-            for goal in about:
-                for name, point in zip(goal.columns, goal.points, strict=True):
-                    if point in loops and goal.loop is not None:
-                        table[name][k] = goal.loop.judge(loops[point]).normalised
-        return table
-
-    def ending(self, gains: Mapping[str, float]) -> str:
-        """Return how and when the run ends with a gain set."""
-        own = self.case.own
-        values: dict[str, Any] = {**_numbers(own.system, [self]), **gains}
-        runs = simulate_system(own.system, own.seconds, values)
-        return f"{runs.stopped[0]} at {runs.time[0]:.6g} s"
-
-
-def _numbers(system: System, conditions: Sequence[SystemCondition]) -> dict[str, Array]:
-    # numbers of the runs by name, a row for each condition
-    rows = [{**c.case.values, **({"seed": c.seed} if system.blocks.noise else {}), **c.plant} for c in conditions]
-    names = dict.fromkeys(name for row in rows for name in row)
-    return {name: np.array([row.get(name, default_of(system, name)) for row in rows]) for name in names}
-
-
 @dataclass(frozen=True, eq=False)
 class SystemRequest(SearchRequest):
     """The request of a search for gains of a system; see `SearchRequest`.
 
+    The numbers `plant` of a condition may be any of `run_numbers`.
+
     Attributes:
         base: the system.
+        seconds: duration of its runs [s].
+        points: numbers of its operating points, by name.
         size: number of gain sets that are simulated together.
     """
 
-    conditions: tuple[SystemCondition, ...]
-    base: TunedSystem
+    base: System
+    seconds: float = 0.0
+    points: Mapping[str, Mapping[str, ArrayLike]] = field(default_factory=dict)
     size: int = 32
 
     others: ClassVar[int] = 49  # the margins are checked at the end only, because they take longer than a run
@@ -180,34 +122,79 @@ class SystemRequest(SearchRequest):
     @property
     def start(self) -> Mapping[str, float]:
         """Return the system's own gains by name."""
-        return {span.name: default_of(self.base.system, span.name) for span in self.space}
+        return {span.name: default_of(self.base, span.name) for span in self.space}
 
     @property
     def identity(self) -> list[str]:
         """Return lines with everything on which the figures of a gain set depend."""
-        system, points = self.base.system, sorted((p, sorted(v.items())) for p, v in self.base.points.items())
-        numbers = run_numbers(system, every_combination(self.start, _numbers(system, self.conditions)))
-        return [request_digest(system, self.base.seconds, f"{points} {numbers.digest()} {self.size}")]
+        points = sorted((point, sorted(values.items())) for point, values in self.points.items())
+        numbers = run_numbers(self.base, every_combination(self.start, self.numbers(self.conditions)))
+        return [request_digest(self.base, self.seconds, f"{points} {numbers.digest()} {self.size}")]
 
-    def fresh(self, *, runs: int, first: int) -> tuple[SystemCondition, ...]:
+    def numbers(self, conditions: Sequence[Condition]) -> dict[str, Array]:
+        """Return the numbers of runs by name, a row for each condition."""
+        noise = self.base.blocks.noise
+        rows = [{**c.case.values, **({"seed": c.seed} if noise else {}), **c.plant} for c in conditions]
+        names = dict.fromkeys(name for row in rows for name in row)
+        return {name: np.array([row.get(name, default_of(self.base, name)) for row in rows]) for name in names}
+
+    def figures(self, goals: Sequence[RunGoal], conditions: Sequence[Condition], sets: Sets) -> dict[str, Array]:
+        """Return costs, normalised values of goals about the loop, and how much of each run is cut short."""
+        count = len(next(iter(sets.values())))
+        shape = (count, len(conditions))
+        names = ("effort_n", *(name for goal in goals for name in goal.columns))
+        table = {name: np.full(shape, 0.0 if name == "effort_n" else np.nan) for name in names}
+        if self.base.costs:
+            values = every_combination(sets, self.numbers(conditions))
+            runs = simulate_system(self.base, self.seconds, values, threads=self.threads)
+            whole = runs.stopped == ENDED
+            measured = {name: np.where(whole, values, np.nan) for name, values in runs.figures.items()}
+            measured[_LASTING] = np.where(whole, 1.0, 2 - runs.time / self.seconds)
+            table |= {name: values.reshape(shape) for name, values in measured.items() if name in table}
+        about = [goal for goal in goals if isinstance(goal, PointGoal)]
+        for k in range(count) if about else ():
+            loops = self.loops(row(sets, k))
+            for goal in about:
+                for name, point in zip(goal.columns, goal.points, strict=True):
+                    if point in loops and goal.loop is not None:
+                        table[name][k] = goal.loop.judge(loops[point]).normalised
+        return table
+
+    def loops(self, gains: Mapping[str, float]) -> Mapping[str, LinearLoop]:
+        """Return the linear loop at each operating point that has an equilibrium with these gains."""
+        loops = {}
+        for name, values in self.points.items():
+            with suppress(InputError):
+                loops[name] = linearise(self.base, {**values, **gains})
+        return loops
+
+    def ending(self, condition: Condition, gains: Mapping[str, float]) -> str:
+        """Return how and when the run of a condition ends with a gain set."""
+        values: dict[str, Any] = {**self.numbers([condition]), **gains}
+        runs = simulate_system(self.base, self.seconds, values)
+        return f"{runs.stopped[0]} at {runs.time[0]:.6g} s"
+
+    def fresh(self, *, runs: int, first: int) -> tuple[Condition, ...]:
         """Return runs with random numbers in the ranges of the system, and with the noise of other seeds."""
-        system, cases = self.base.system, self.cases
-        spans = [Span(name, *ends) for name, ends in system.ranges.items() if ends[0] < ends[1]]
-        if not (spans or system.blocks.noise):
+        spans = [Span(name, *ends) for name, ends in self.base.ranges.items() if ends[0] < ends[1]]
+        if not (spans or self.base.blocks.noise):
             return ()
-        seeds = [self.seed * APART + first + k for k in range(runs)]
-        draws = [{n: float(v[0]) for n, v in random_draws(spans, count=1, seed=seed).items()} for seed in seeds]
-        pairs = zip(seeds, draws, strict=True)
-        return tuple(SystemCondition(cases[k % len(cases)], seed, plant) for k, (seed, plant) in enumerate(pairs))
+        conditions, counted = list[Condition](), tuple(g.name for g in self.goals if not isinstance(g, LeastCost))
+        for k in range(runs):
+            seed = self.seed * APART + first + k
+            draws = random_draws(spans, count=1, seed=seed)
+            plant = {name: float(value[0]) for name, value in draws.items()}
+            conditions.append(Condition(self.cases[k % len(self.cases)], seed, plant, counted))
+        return tuple(conditions)
 
     def subject(self, gains: Mapping[str, float]) -> ClosedLoop:
         """Return the subject of the assessment with these gains, in the first case."""
-        seconds = self.base.seconds if self.base.system.costs else None
-        return ClosedLoop(self.base.system, {**self.conditions[0].case.values, **gains}, seconds=seconds)
+        seconds = self.seconds if self.base.costs else None
+        return ClosedLoop(self.base, {**self.conditions[0].case.values, **gains}, seconds=seconds)
 
     def costs(self, gains: Mapping[str, float]) -> dict[str, float]:
         """Return the costs with these gains as means over the cases; NaN if a run ends early."""
-        about = [RunGoal(name, name, cost.unit, 1.0) for name, cost in self.base.system.costs.items()]
+        about = [RunGoal(name, name, cost.unit, 1.0) for name, cost in self.base.costs.items()]
         runs = [condition for condition in self.conditions if condition.goals is None]
         table = self.figures(about, runs, {name: np.array([value]) for name, value in gains.items()})
         return {goal.name: float(table[goal.name].mean()) for goal in about}
@@ -215,8 +202,8 @@ class SystemRequest(SearchRequest):
     def scores(self, gains: Mapping[str, float]) -> list[str]:
         """Return a line for each goal about the loop at its worst point; none without an equilibrium at all points."""
         about = [goal.loop for goal in self.goals if isinstance(goal, PointGoal) and goal.loop is not None]
-        loops = self.base.loops(gains) if about else {}
-        return judge_loops(about, loops).lines() if len(loops) == len(self.base.points) else []
+        loops = self.loops(gains) if about else {}
+        return judge_loops(about, loops).lines() if len(loops) == len(self.points) else []
 
     def so_far(self, gains: Mapping[str, float], warning: str) -> tuple[str, str]:
         """Return name and text of the table with the best gains of an unfinished tuning."""
@@ -252,10 +239,10 @@ def system_request(
         for gain in values.keys() & ranges.keys():
             remedy = f"drop it from the point; {gain} has one value at all points"
             raise InputError("is searched", key=f"point {point}", value=gain, remedy=remedy)
-    own = TunedSystem(system, seconds, dict(points) or {"nominal": {}})
+    points = dict(points) or {"nominal": {}}
     if goals:
-        judge_loops(goals, operating_loops(system, own.points))  # reports unknown signals before the search
-    about = [PointGoal(g.name, "loop_goal", "1", 1.0, "at most", g.kind, points=g.points or tuple(own.points), loop=g)
+        judge_loops(goals, operating_loops(system, points))  # reports unknown signals before the search
+    about = [PointGoal(g.name, "loop_goal", "1", 1.0, "at most", g.kind, points=g.points or tuple(points), loop=g)
              for g in goals]  # fmt: skip
     bounded = {name: cost for name, cost in system.costs.items() if cost.at_most is not None}
     kept = [RunGoal(n, n, c.unit, c.at_most or _TINY, kind="hard", over="mean") for n, c in bounded.items()]
@@ -263,7 +250,7 @@ def system_request(
     space = tuple(SearchRange(gain, *map(float, ends)) for gain, ends in ranges.items())
     size = max(5, min(_POPULATION * len(space), trials))
     asked = (*about, *run_goals, *kept)
-    request = SystemRequest(asked, _conditions(own, cases), own, space, seed, (), threads, size)
+    request = SystemRequest(asked, _conditions(cases), system, space, seed, (), threads, seconds, points, size)
     if name == GOALS:
         return request
     least = LeastCost(f"least {name}", name, system.costs[name].unit, np.inf, over="mean")
@@ -271,7 +258,7 @@ def system_request(
     return replace(request, goals=(*asked, replace(least, limit=np.inf if np.isnan(value) else value)))
 
 
-def _conditions(own: TunedSystem, cases: Mapping[str, ArrayLike]) -> tuple[SystemCondition, ...]:
+def _conditions(cases: Mapping[str, ArrayLike]) -> tuple[Condition, ...]:
     arrays = {name: np.asarray(value, dtype=float) for name, value in cases.items()}
     count = max((len(array) for array in arrays.values() if array.ndim), default=1)
     conditions = []
@@ -282,7 +269,7 @@ def _conditions(own: TunedSystem, cases: Mapping[str, ArrayLike]) -> tuple[Syste
             f"{name} = {row[name]:g}" for name, array in arrays.items() if name in row and array.shape == (count,)
         ]
         label = (", ".join(listed) or f"case {k + 1}") if count > 1 else "the run"
-        conditions.append(SystemCondition(SystemCase(label, own, row), seed))
+        conditions.append(Condition(SystemCase(label, row), seed))
     return tuple(conditions)
 
 

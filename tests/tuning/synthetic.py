@@ -70,10 +70,11 @@ def linear(vehicle, values, *, base, cruise, dt, model=None, **_):
 
 
 def install(monkeypatch, loop=None):
-    from surctl.marine.tuning import evaluation
+    from surctl.marine.tuning import evaluation, request
 
     loop = loop or Loop()
     monkeypatch.setattr(evaluation, "simulate_batch", loop)
+    monkeypatch.setattr(request, "simulate_batch", loop)
     monkeypatch.setattr(evaluation, "linear_table", linear)
     monkeypatch.setattr(Request, "first_sets", lambda *_, **__: [])
     monkeypatch.setattr(Request, "refuted_claims", lambda *_, **__: ())

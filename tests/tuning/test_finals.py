@@ -121,8 +121,8 @@ def test_a_set_that_the_verifying_runs_refute_is_not_taken(tuning: Tuning, monke
     module = check_finals.__globals__
     real = module["monte_carlo"]
 
-    def refuting(goals, runs, gains, **options):
-        return real([replace(goal, limit=9.0) if goal == CLEAR else goal for goal in goals], runs, gains, **options)
+    def refuting(figures, goals, runs, gains):
+        return real(figures, [replace(goal, limit=9.0) if goal == CLEAR else goal for goal in goals], runs, gains)
 
     monkeypatch.setitem(module, "monte_carlo", refuting)
     same, found = check_finals(tuning, [WIDE], lambda gains: Claimed(gains, lambda g: 0.1 + 0.2 * (g["k_v"] != best)))

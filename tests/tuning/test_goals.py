@@ -4,9 +4,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from surctl.errors import InputError
-from surctl.marine.tuning import Goal, MissionCondition, conditions, evaluate, load_goals
+from surctl.marine.tuning import Goal, conditions, evaluate, load_goals
 from surctl.marine.tuning.evaluation import corners
 from surctl.marine.vehicle import load_vehicle
+from surctl.tuning import Condition
 from tests.tuning.synthetic import CLEAR, GAINS, MARGIN, NEAR, THRIFT, case, install
 
 POLE = Goal("settle", "slowest_pole_per_s", "1/s", -0.1)
@@ -118,7 +119,7 @@ def test_many_sets_at_once_are_what_each_is_alone(monkeypatch):
 
 def test_worst_and_mean_are_taken_over_the_goals_own_runs(monkeypatch):
     install(monkeypatch)
-    runs = (MissionCondition(case(), 0), MissionCondition(case(), 1), MissionCondition(case(), 2, {}, ("keep clear",)))
+    runs = (Condition(case(), 0), Condition(case(), 1), Condition(case(), 2, {}, ("keep clear",)))
     both = (CLEAR, NEAR, Goal("mean", "deviation_m", "m", 0.3, over="mean"))
     found = evaluate(both, runs, {"k1": np.array([0.3])})
     luck = 0.004 * np.sin([0.0, 1.0, 2.0])
@@ -133,4 +134,4 @@ def test_a_goal_about_a_case_that_is_not_flown_is_a_mistake(monkeypatch):
     install(monkeypatch)
     goal = Goal("x", "deviation_m", "m", 1.0, cases=("pool-statik",))
     with pytest.raises(InputError, match="pool-static"):
-        evaluate((goal,), (MissionCondition(case()),), {"k1": np.array([GAINS["k1"]])})
+        evaluate((goal,), (Condition(case()),), {"k1": np.array([GAINS["k1"]])})

@@ -8,12 +8,12 @@ import pytest
 from surctl.errors import InputError
 from surctl.marine.control import load_gains, write_gains
 from surctl.marine.simulation import load_scenario
-from surctl.marine.tuning import Goal, MissionCondition, build_cases, evaluate, load_goals, tuned_gains
+from surctl.marine.tuning import Goal, build_cases, evaluate, figures, load_goals, tuned_gains
 from surctl.marine.tuning.evaluation import check_goals
 from surctl.marine.tuning.goals import goals_at
 from surctl.marine.tuning.measure import SweepEvaluation, check_request
 from surctl.marine.verification import LINEAR_METRICS, linear_table
-from surctl.tuning import grid, parse_axis, summary, tune
+from surctl.tuning import Condition, grid, parse_axis, summary, tune
 from surctl.tuning.gain_search import _functions
 from surctl.tuning.montecarlo import monte_carlo
 from surctl.tuning.outcome import goal_rows, tuning_dict
@@ -43,7 +43,7 @@ def everything_costs_nothing(monkeypatch):
 
 def test_the_worst_speed_decides_in_every_condition(flights_cost_nothing):
     tank = case("pool-static")
-    flown = (MissionCondition(tank), MissionCondition(tank, plant={"plant.m11": 1.3 * tank.vehicle["m11"]}))
+    flown = (Condition(tank), Condition(tank, plant={"plant.m11": 1.3 * tank.vehicle["m11"]}))
     sets = {"k_v": np.array([1.0, 2.0])}
     shape = Goal("shape", "crossover_rad_per_s.cross_track", "rad/s", 0.05, "at least", cruise=SPEEDS)
     own = replace(SETTLE, name="own", cruise=())
@@ -72,7 +72,7 @@ def test_the_worst_speed_decides_in_every_condition(flights_cost_nothing):
 def test_fresh_runs_and_the_descent_see_every_speed(everything_costs_nothing):
     asked = request(goals=(DELAY, THRIFT))
     # 0.6/3.1 · (1.2 − U) s is enough at 0.1 m/s, and not at 0.2 m/s
-    found = monte_carlo((DELAY,), asked.conditions, {"k_v": 3.1, "k1": 0.5})
+    found = monte_carlo(figures, (DELAY,), asked.conditions, {"k_v": 3.1, "k1": 0.5})
     assert found.refuted == ("delay",) and found.counterexamples[0].figure == pytest.approx(0.6 / 3.1)
     pool, table = asked.simulate({"k_v": np.array([1.0, 2.0]), "k1": np.array([0.5, 0.5])})
     _, hard = _functions(asked, pool, table, pool.evaluation.normalised[0])

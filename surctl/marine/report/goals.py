@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 from surctl.errors import InputError, nearest
 from surctl.marine.control import Gains
 from surctl.marine.simulation import Run, simulate
-from surctl.marine.tuning import Goal, MissionCondition, SweepTable, SweptAxis, figures
-from surctl.marine.tuning.evaluation import scope
+from surctl.marine.tuning import Goal, SweepTable, SweptAxis, figures
 from surctl.marine.vehicle import Vehicle
 from surctl.report.cost_map import draw_cells, draw_frame, value_range
 from surctl.report.theme import (
@@ -36,7 +35,8 @@ from surctl.report.theme import (
     new_axes,
     printable,
 )
-from surctl.tuning import Pool, Tuning
+from surctl.tuning import Condition, Pool, Tuning
+from surctl.tuning.pool import scope
 
 # Plots of sweeps over any number of axes: heat maps and parallel coordinates
 
@@ -412,7 +412,7 @@ def goal_views(tuning: Tuning, goals: Iterable[Goal]) -> Iterator[GoalView]:
         yield GoalView(goal, conditions[worst].label, _OVER_TIME[goal.metric], time, values)
 
 
-def _simulated(condition: MissionCondition, gains: Gains) -> Run:
+def _simulated(condition: Condition, gains: Gains) -> Run:
     case = condition.case
     return simulate(
         case.scenario,
@@ -439,7 +439,7 @@ def _course(run: Run, metric: str) -> tuple[NDArray[np.float64], NDArray[np.floa
     return record.time, np.asarray(course, dtype=float)
 
 
-def _actual_vehicle(vehicle: Vehicle, condition: MissionCondition) -> Vehicle:
+def _actual_vehicle(vehicle: Vehicle, condition: Condition) -> Vehicle:
     return vehicle.with_values({name.removeprefix("plant."): value for name, value in condition.plant.items()})
 
 

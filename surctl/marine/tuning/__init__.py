@@ -6,7 +6,7 @@ from surctl.lazy import load_at_first_use
 
 if TYPE_CHECKING:
     from surctl.marine.tuning.derived import Derivation, default_cruise, derive_gains, derived_gains, gains_for
-    from surctl.marine.tuning.evaluation import MissionCondition, case_loop, conditions, evaluate, figures
+    from surctl.marine.tuning.evaluation import case_loop, conditions, evaluate, figures
     from surctl.marine.tuning.goals import ASSESSED, Goal, load_goals
     from surctl.marine.tuning.measure import build_cases
     from surctl.marine.tuning.request import TUNED, GainRange, Request, gain_ranges, tuned_gains
@@ -19,7 +19,6 @@ __all__ = [
     "Derivation",
     "GainRange",
     "Goal",
-    "MissionCondition",
     "Request",
     "SweepTable",
     "SweptAxis",

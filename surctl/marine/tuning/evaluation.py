@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from surctl.errors import InputError, ToolMissing
 from surctl.ir import warn_slower
 from surctl.marine.control import Gains
-from surctl.marine.simulation import STOPS, Case, case_parameters, law_numbers, simulate, simulate_batch
+from surctl.marine.simulation import Case, case_parameters, law_numbers, simulate, simulate_batch
 from surctl.marine.simulation.batch.engines import trace_batch
 from surctl.marine.simulation.campaign.worlds import draw_plant
 from surctl.marine.simulation.loop import SingleRun
@@ -147,26 +147,6 @@ _DRAG = ("Xu", "Yv", "Zw", "Nr", "Xuu", "Yvv", "Zww", "Nrr")
 _GROUPS = (("m11", "m22", "m33", "m44"), _DRAG, ("Fu_max", "Fv_max", "Fw_max", "Fr_max"))
 
 
-class MissionCondition(Condition):
-    """One simulated mission that evaluates a gain set: simulation case, seed and plant; see `Condition`."""
-
-    case: Case
-
-    @staticmethod
-    def figures(
-        goals: Sequence[Goal], conditions: Sequence[Condition], sets: Sets, *, threads: int = 1
-    ) -> dict[str, NDArray[np.float64]]:
-        """Return the metrics of the runs, see `figures`."""
-        return figures(goals, conditions, sets, threads=threads)
-
-    def ending(self, gains: Mapping[str, float]) -> str:
-        """Return how and at what time the run ends with a gain set."""
-        values = {name: np.array([value]) for name, value in ({**gains, **self.plant}).items()}
-        batch = simulate_batch(self.case, values, seeds=np.array([self.seed]))
-        stop, time = (float(np.ravel(batch.column(name))[0]) for name in ("stopped", "time_s"))
-        return f"{STOPS[int(stop)]} at {time:.2f} s"
-
-
 def corners(vehicle: Vehicle) -> tuple[dict[str, float], ...]:
     """Return the plant parameters of the nominal vehicle, and those of the corners of the ranges in its vehicle file.
 
@@ -184,9 +164,7 @@ def corners(vehicle: Vehicle) -> tuple[dict[str, float], ...]:
     return ({}, *combinations) if combinations != [{}] else ({},)
 
 
-def conditions(
-    cases: Sequence[Case], *, seeds: Sequence[int], with_corners: bool = True
-) -> tuple[MissionCondition, ...]:
+def conditions(cases: Sequence[Case], *, seeds: Sequence[int], with_corners: bool = True) -> tuple[Condition, ...]:
     """Return the conditions of every case: nominal plant with each seed, and each corner plant with the first seed.
 
     A case that does not depend on the seed is simulated with the first seed only.
@@ -203,9 +181,9 @@ def conditions(
     result = []
     for case in cases:
         own = seeds if varied(case) else seeds[:1]
-        result += [MissionCondition(case, seed) for seed in own]
+        result += [Condition(case, seed) for seed in own]
         if with_corners:
-            result += [MissionCondition(case, seeds[0], plant) for plant in corners(case.vehicle) if plant]
+            result += [Condition(case, seeds[0], plant) for plant in corners(case.vehicle) if plant]
     return tuple(result)
 
 
@@ -214,7 +192,7 @@ def varied(case: Case) -> bool:
     return case.scenario.seeded or case.sensing == "sonar"
 
 
-def fresh(cases: Sequence[Case], *, runs: int, first: int, tuning: int = 0) -> tuple[MissionCondition, ...]:
+def fresh(cases: Sequence[Case], *, runs: int, first: int, tuning: int = 0) -> tuple[Condition, ...]:
     """Return the conditions of fresh runs; the runs are assigned to the cases in turn.
 
     Every second run of a case has the nominal plant, because some goals apply to the nominal plant only. A case that
@@ -231,7 +209,7 @@ def fresh(cases: Sequence[Case], *, runs: int, first: int, tuning: int = 0) -> t
         case, seed = cases[k % len(cases)], tuning * APART + first + k
         nominal = k // len(cases) % 2 == 1 and varied(case)
         plant = {} if nominal else draw_plant(case.vehicle, seed=seed)
-        conditions.append(MissionCondition(case, seed, {f"plant.{name}": value for name, value in plant.items()}))
+        conditions.append(Condition(case, seed, {f"plant.{name}": value for name, value in plant.items()}))
     return tuple(conditions)
 
 

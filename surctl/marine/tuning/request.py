@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from surctl import __version__
 from surctl.errors import EmptyDomain, InputError, nearest
 from surctl.marine.control import PATH_FOLLOWING, Gains, law_source, write_gains
-from surctl.marine.simulation import Case
+from surctl.marine.simulation import STOPS, Case, simulate_batch
 from surctl.marine.tuning.derived import DEPENDENT, derive_gains
-from surctl.marine.tuning.evaluation import MissionCondition, check_goals, fresh
+from surctl.marine.tuning.evaluation import check_goals, figures, fresh
 from surctl.marine.tuning.goals import Goal
 from surctl.marine.tuning.measure import law_digest
 from surctl.marine.verification import speeds_text
@@ -24,7 +24,7 @@ from surctl.tuning.cegis import Tuning
 from surctl.tuning.chunked import Progress
 from surctl.tuning.design import default_range
 from surctl.tuning.outcome import outcome_text
-from surctl.tuning.pool import ClaimPoint, SearchRequest, Sets, row
+from surctl.tuning.pool import ClaimPoint, Condition, SearchRequest, Sets, row
 from surctl.tuning.search import SearchRange
 from surctl.verification.counterexample import evaluate
 from surctl.verification.falsifier import falsify
@@ -156,7 +156,7 @@ class Request(SearchRequest):
     """
 
     goals: tuple[Goal, ...]
-    conditions: tuple[MissionCondition, ...]
+    conditions: tuple[Condition, ...]
     base: Gains
     space: tuple[GainRange, ...]
 
@@ -179,7 +179,20 @@ class Request(SearchRequest):
         """Raise InputError if goals do not fit the conditions."""
         check_goals(self.goals, self.conditions)
 
-    def fresh(self, *, runs: int, first: int) -> tuple[MissionCondition, ...]:
+    def figures(
+        self, goals: Sequence[Goal], conditions: Sequence[Condition], sets: Sets
+    ) -> dict[str, NDArray[np.float64]]:
+        """Return the metrics of the runs, see `figures`."""
+        return figures(goals, conditions, sets, threads=self.threads)
+
+    def ending(self, condition: Condition, gains: Mapping[str, float]) -> str:
+        """Return how and when the run of a condition ends with a gain set."""
+        values = {name: np.array([value]) for name, value in ({**gains, **condition.plant}).items()}
+        batch = simulate_batch(condition.case, values, seeds=np.array([condition.seed]))
+        stop, time = (float(np.ravel(batch.column(name))[0]) for name in ("stopped", "time_s"))
+        return f"{STOPS[int(stop)]} at {time:.2f} s"
+
+    def fresh(self, *, runs: int, first: int) -> tuple[Condition, ...]:
         """Return random runs, see `fresh`."""
         return fresh(self.cases, runs=runs, first=first, tuning=self.seed)
 
