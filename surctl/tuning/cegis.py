@@ -249,7 +249,7 @@ def tune(
     done: list[Round] = []
     current, requested = request, len(request.conditions)
     with journal.held():
-        if journal.batches(request.digest, width=request.width).known(request.batch) is None:
+        if journal.batches(request.digest, width=request.width).known(request.size) is None:
             # a file of best gains from the first moment on
             journal.note_best(*request.so_far({}, "the start gains of a tuning without a finished trial"))
         for k in range(rounds):

@@ -196,7 +196,7 @@ def search(
     """
     journal = journal or Journal(None)
     batches = journal.batches(request.digest, width=request.width)
-    size = request.batch
+    size = request.size
     count, done = -(-trials // size), 0
     while done < count and batches.known(size, after=done) is not None:
         done += 1

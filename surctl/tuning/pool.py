@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,24 +23,12 @@ Sets = Mapping[str, Floats]
 Figures = Mapping[str, Floats]  # metric → (n, conditions)
 
 
-class TunedCase(Protocol):
-    """What is simulated: a mission of a vehicle, or a system with its numbers."""
-
-    @property
-    def name(self) -> str:
-        """Return the name."""
-
-    @property
-    def known_as(self) -> tuple[str, ...]:
-        """Return the names by which a goal may name it."""
-
-
 @dataclass(frozen=True)
 class Condition:
     """One closed-loop run that evaluates a gain set: case, seed and plant.
 
     Attributes:
-        case: what is simulated.
+        case: what is simulated, with its `name` and the names by which goals may name it, `known_as`.
         seed: seed of the surroundings and of the noise.
         plant: numbers of the simulated plant (`plant.…`) that differ from those of the case; the controller's model
             stays that of the case.
@@ -160,7 +148,6 @@ class ClaimPoint:
     threshold: float
 
 
-BATCH = 32  # gain sets that are simulated together: the population of the differential evolution
 CAP = 10.0  # upper limit of a normalised value in a score, so that one hopeless goal does not hide the others
 _PENALTY = 10.0  # penalty of one unit of violation, relative to the score
 
@@ -177,6 +164,7 @@ class SearchRequest(ABC):
         seed: seed of the search.
         claims: points of claims' domains at which the claims must hold, as constraints of the search.
         threads: number of threads of the compiled loop; no result depends on it.
+        size: number of gain sets that are simulated together.
     """
 
     goals: tuple[Any, ...]
@@ -186,6 +174,7 @@ class SearchRequest(ABC):
     seed: int = 0
     claims: tuple[ClaimPoint, ...] = ()
     threads: int = 1
+    size: int = 32
 
     others: ClassVar[int] = 8
     """Gain sets that a round passes on besides its best set."""
@@ -237,11 +226,6 @@ class SearchRequest(ABC):
     def excess(self, sets: Sets) -> NDArray[np.float64]:
         """Return by how much the claims exceed their thresholds at their points, (n gain sets, claims)."""
         return np.zeros((len(next(iter(sets.values()))), 0))
-
-    @property
-    def batch(self) -> int:
-        """Return the number of gain sets that are simulated together."""
-        return BATCH
 
     @property
     def begun(self) -> dict[str, float]:

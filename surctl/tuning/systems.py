@@ -102,22 +102,15 @@ class SystemRequest(SearchRequest):
         base: the system.
         seconds: duration of its runs [s].
         points: numbers of its operating points, by name.
-        size: number of gain sets that are simulated together.
     """
 
     base: System
     seconds: float = 0.0
     points: Mapping[str, Mapping[str, ArrayLike]] = field(default_factory=dict)
-    size: int = 32
 
     others: ClassVar[int] = 49  # the margins are checked at the end only, because they take longer than a run
     checked: ClassVar[int] = 50
     descends: ClassVar[bool] = False
-
-    @property
-    def batch(self) -> int:
-        """Return the number of gain sets that are simulated together."""
-        return self.size
 
     @property
     def start(self) -> Mapping[str, float]:
@@ -250,7 +243,7 @@ def system_request(
     space = tuple(SearchRange(gain, *map(float, ends)) for gain, ends in ranges.items())
     size = max(5, min(_POPULATION * len(space), trials))
     asked = (*about, *run_goals, *kept)
-    request = SystemRequest(asked, _conditions(cases), system, space, seed, (), threads, seconds, points, size)
+    request = SystemRequest(asked, _conditions(cases), system, space, seed, (), threads, size, seconds, points)
     if name == GOALS:
         return request
     least = LeastCost(f"least {name}", name, system.costs[name].unit, np.inf, over="mean")
