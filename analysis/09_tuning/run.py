@@ -33,7 +33,7 @@ from surctl.marine.tuning import (
     gain_ranges,
     tuned_gains,
 )
-from surctl.tuning import Evaluation, Tuning, tune
+from surctl.tuning import Condition, Evaluation, Tuning, tune
 from surctl.tuning.outcome import goal_rows
 
 CONFIG = Path(__file__).with_name("config.toml")

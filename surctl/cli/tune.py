@@ -67,7 +67,7 @@ if TYPE_CHECKING:
     "runs",
     type=click.IntRange(min=0),
     metavar="N",
-    help="New runs that test the gains of a round (default 2000; of a system 0), after up to 10 N training runs.",
+    help="New runs that test the gains (default 2000, of a system 0), after up to 10 N training runs.",
 )
 @click.option("--workers", type=click.IntRange(min=1), default=2, metavar="N", help="Number of threads (default 2).")
 @click.option(
@@ -158,6 +158,7 @@ def _search(task: Task, *, trials: int, rounds: int, runs: int, out: Path, as_js
     from surctl.files import prepare_folder, write_file
     from surctl.tuning import check_finals, summary
     from surctl.tuning import tune as run_tuning
+    from surctl.tuning.goals import not_representative
     from surctl.tuning.outcome import advice, misses, tuning_dict
 
     prepare_folder(out)
@@ -175,13 +176,14 @@ def _search(task: Task, *, trials: int, rounds: int, runs: int, out: Path, as_js
     more = task.more(tuning, checked, str(gains_path), trials)
     result = tuning_dict(tuning) | {"accepted": not unmet, "unmet": list(unmet), "finals": checked.to_dict()}
     comparison = checked.comparison
-    result |= more.data | {"not_representative": more.doubtful, "assessment": comparison.to_dict()}
+    doubtful = not_representative(task.request.goals, comparison.after, **task.limit)
+    result |= more.data | {"not_representative": doubtful, "assessment": comparison.to_dict()}
     everything = write_file(out / "tuning.json", json.dumps(finite(result), ensure_ascii=False, indent=1) + "\n")
     pictures = list[Path]()
     with saving("plots"):
         pictures = task.pictures(tuning, out)
     headline, *figures = comparison.lines()
-    lines = [headline, *more.floor, *figures, "", *tuned.lines(), *more.doubtful, *more.notes]
+    lines = [headline, *more.floor, *figures, "", *tuned.lines(), *doubtful, *more.notes]
     lines += ["", f"gains {gains_path}", f"all   {everything}", *(f"plot  {path}" for path in pictures)]
     then = more.then
     if unmet and tuning.accepted:
@@ -190,7 +192,7 @@ def _search(task: Task, *, trials: int, rounds: int, runs: int, out: Path, as_js
         missed, (remedy, longer) = misses(tuning), advice(tuning, trials=trials)
         lines += ["", warning, *(f"  {miss.text}" for miss in missed), f"  {remedy}"]
         then = [same_command(trials=2 * trials, rounds=rounds + 2)] if longer else task.look(missed, str(gains_path))
-    brief = [headline, *([warning] if warning else []), *more.floor, *summary(tuning)[-2:], *more.doubtful, *more.over]
+    brief = [headline, *([warning] if warning else []), *more.floor, *summary(tuning)[-2:], *doubtful, *more.over]
     finish(
         result, lines,
         as_json=as_json, passed=not unmet and task.passes(comparison.after), then=then, brief=brief,

@@ -42,7 +42,6 @@ class More:
     data: dict[str, Any]
     then: list[str]
     floor: list[str] = field(default_factory=list)
-    doubtful: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     over: list[str] = field(default_factory=list)
 
@@ -66,6 +65,11 @@ class _Missions:
     @property
     def cases(self) -> Sequence[Case]:
         return self.request.cases
+
+    @property
+    def limit(self) -> dict[str, str]:
+        remedy = 'ask it of runs, such as metric = "time_s" or "deviation_m"'
+        return {"command": "a thrust", "run": "{}", "remedy": remedy}
 
     def subject(self, gains: Mapping[str, float]) -> Subject:
         from surctl.marine.study.conduct import assessed
@@ -102,7 +106,7 @@ class _Missions:
         data = {"left_out": left, "not_judged": unjudged, "caps": over, "floor": floor}
         notes = [*self.derived, *self.omitted, *late, *over]
         then = [shlex.join(["surctl", "verify", *arguments]), *shipped]
-        return More(data, then, floor, unrepresentative(tuning), notes, over)
+        return More(data, then, floor, notes, over)
 
     def pictures(self, tuning: Tuning, out: Path) -> list[Path]:
         from surctl.marine.report.files import save_tuning
@@ -230,21 +234,14 @@ class _System:
         seconds = f"{duration or 100 * own.system.dt:g}"
         then = [command_line("verify", own, *numbers), command_line("export", own, *numbers, "--seconds", seconds)]
         data = {**own.names, "seconds": duration, "costs": costs}
-        return More(data, then, doubtful=self._doubtful(checked), notes=self.request.scores(tuning.result.gains))
+        return More(data, then, notes=self.request.scores(tuning.result.gains))
 
-    def _doubtful(self, checked: Finals) -> list[str]:
-        from surctl.tuning.goals import not_representative, step_goals
-        from surctl.tuning.systems import PointGoal
-
-        limited = checked.comparison.after.figures.get("limited_share")
-        if limited is None:
-            return []
-        about = [goal.loop for goal in self.request.goals if isinstance(goal, PointGoal) and goal.loop is not None]
+    @property
+    def limit(self) -> dict[str, str]:
         costs = self.own.system.costs
         late = next((name for name, cost in costs.items() if cost.how == "last_time"), next(iter(costs), None))
         remedy = f'ask it of the run, such as metric = "{late}"' if late else "give the system a cost of its runs"
-        names = [goal.name for goal in step_goals(about)]
-        return not_representative(names, limited.value, limit=f"command {limited.where}", run="the run", remedy=remedy)
+        return {"command": "command {}", "run": "the run", "remedy": remedy}
 
     def pictures(self, tuning: Tuning, out: Path) -> list[Path]:
         return []
@@ -368,29 +365,6 @@ def _why(plan: Plan, after: Assessment, missed: Figure) -> str:
         both = f"{derivation.disk_margin:.3g} and {derivation.delay_margin_s:.3g} s"
         return f"gains derived from the vehicle have {both}: surctl gains derive {about}"
     return derivation.warning.removeprefix("warning: ")
-
-
-def unrepresentative(tuning: Tuning) -> list[str]:
-    """Return a line if goals about a step response of the linear loop do not describe the run, see `ACTIVE`."""
-    import numpy as np
-
-    from surctl.marine.tuning import Goal
-    from surctl.tuning.goals import not_representative, step_goals
-
-    names = [
-        goal.name
-        for goal in tuning.request.goals
-        if goal.metric.startswith(("settling_time_s.", "overshoot."))
-        or (goal.loop is not None and step_goals([goal.loop]))
-    ]
-    if not names:
-        return []
-    limit = Goal("limit", "axis_saturated_share", "1", 1.0)
-    runs = tuning.request.conditions[: tuning.requested]
-    (shares,) = tuning.request.figures([limit], runs, tuning.tuned.sets)[limit.metric]
-    worst = int(np.argmax(np.nan_to_num(shares)))
-    remedy = 'ask it of runs, such as metric = "time_s" or "deviation_m"'
-    return not_representative(names, float(shares[worst]), limit="a thrust", run=runs[worst].label, remedy=remedy)
 
 
 def look(missed: Sequence[Miss], gains: str, law: Sequence[str]) -> list[str]:

@@ -202,13 +202,15 @@ def search(
         done += 1
     if done:
         progress(f"{done * size} trials of the same request are resumed")
-    pools, began = list[Pool](), time.perf_counter()
+    pools, began, shown = list[Pool](), time.perf_counter(), -np.inf
 
     def merit(sets: Array) -> Array:
+        nonlocal shown
         table = batches.evaluated(sets, lambda sets: request.judge(request.named(sets)).table[:, sets.shape[1] :])
         pools.append(request.pool(table))
         start = pools[0].evaluation.normalised[0]
-        if len(pools) > done:
+        if len(pools) > done and (len(pools) == count or time.perf_counter() - shown > _PAUSE):
+            shown = time.perf_counter()
             whole = joined_pools(pools)
             journal.note_best(*request.so_far(whole.gains(whole.best(start)), "the best gains of an unfinished tuning"))
             rate = (len(pools) - done) * size / (time.perf_counter() - began)
@@ -223,6 +225,7 @@ def search(
     return descend(request, joined_pools(pools), trials=trials, journal=journal, progress=progress)
 
 
+_PAUSE = 0.2  # s between two lines of progress
 _KNOWN_SETS = 64  # gain sets of the pool that are tried before a search
 
 

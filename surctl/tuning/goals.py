@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,9 @@ from surctl.tuning.loop_goal_file import LoopGoalTable, PointTable, check_points
 from surctl.tuning.loop_goals import LoopGoal
 from surctl.tuning.loop_time_goals import Overshoot, Settling, StepRejection, StepTracking
 from surctl.verification.linear import worst_place
+
+if TYPE_CHECKING:
+    from surctl.assessment import Assessment
 
 LIBRARY = Path(__file__).parent / "library"
 
@@ -293,32 +296,28 @@ def _points(tables: tuple[PointTable, ...]) -> dict[str, dict[str, Any]]:
 _ACTIVE = 0.01
 """Share of time at a limit above which a step response of the linear loop does not describe a run."""
 
+_STEP_METRICS = ("settling_time_s.", "overshoot.")
 _STEPS = (Overshoot, Settling, StepRejection, StepTracking)
 
 
-def step_goals(goals: Sequence[LoopGoal]) -> tuple[LoopGoal, ...]:
-    """Return the goals about a step response of the linear loop."""
-    return tuple(goal for goal in goals if isinstance(goal, _STEPS))
-
-
-def not_representative(names: Sequence[str], share: float, *, limit: str, run: str, remedy: str) -> list[str]:
-    """Return a line that says that linear goals do not describe a run; nothing if the limit is hardly active.
+def not_representative(
+    goals: Sequence[RunGoal], after: Assessment, *, command: str, run: str, remedy: str
+) -> list[str]:
+    """Return a line that says that linear goals do not describe a run; nothing if no limit is active.
 
     Args:
-        names: names of goals about a step response of the linear loop.
-        share: share of time at the limit.
-        limit: what is at its limit.
-        run: the run.
+        goals: the goals of a tuning; those about a step response of the linear loop count.
+        after: the assessment of the tuned gains, whose figure `limited_share` is the share of time at a limit.
+        command, run: what is at its limit, and in which run; `{}` stands for the place of the figure.
         remedy: how the goal is asked of the run.
-
-    Example:
-        >>> from surctl.tuning.goals import not_representative
-        >>> options = {"limit": "command force", "run": "the run", "remedy": 'write metric = "settling"'}
-        >>> not_representative(["quick"], 0.0, **options)
-        []
-        >>> print(*not_representative(["quick"], 0.25, **options))
-        not representative: quick (linear): command force is at its limit 25% of the run; write metric = "settling"
     """
-    if not names or not share > _ACTIVE:
+    names = [
+        goal.name
+        for goal in goals
+        if goal.metric.startswith(_STEP_METRICS) or isinstance(getattr(goal, "loop", None), _STEPS)
+    ]
+    limited = after.figures.get("limited_share")
+    if not names or limited is None or not limited.value > _ACTIVE:
         return []
-    return [f"not representative: {', '.join(names)} (linear): {limit} is at its limit {share:.0%} of {run}; {remedy}"]
+    at = f"{command} is at its limit {limited.value:.0%} of {run}".format(limited.where)
+    return [f"not representative: {', '.join(names)} (linear): {at}; {remedy}"]

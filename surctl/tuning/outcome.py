@@ -203,7 +203,7 @@ def summary(tuning: Tuning) -> list[str]:
     for goal, one, place in zip(tuning.request.goals, goal_rows(tuning), places, strict=True):
         change = " → ".join(_normalised(one[f"normalised_{which}"]) for which in ("hand", "tuned"))
         mark = "" if one["met"] else "  MISSED"
-        mark += goal.place_text(place)
+        mark += "".join(f"  {at}" for at in [goal.place_text(place)] if at)
         lines.append(
             f"{one['name']:<24}{one['kind']:<6}{one['unit']:<6}{goal.sign + ' ' + format(one['limit'], 'g'):>12}"
             f"{value_text(goal, one['hand']):>12}{value_text(goal, one['tuned']):>12}{change:>18}{mark}"

@@ -359,7 +359,7 @@ class Pool:
             return f"no gain set meets the hard goals yet; fewest violated: {count[fewest]} of {len(names)} ({missed})"
         if len(hard) == len(self.evaluation.goals):
             return f"{held} gain sets meet the hard goals" if held > 1 else "1 gain set meets the hard goals"
-        return f"best score {self.score(start)[self.best(start)]:.4f}"
+        return f"best score {self.score(start)[self.best(start)]:.5g}"
 
     def front(self, start: NDArray[np.float64]) -> list[int]:
         """Return the indices of the Pareto-optimal feasible sets (score and thrust), least score first."""

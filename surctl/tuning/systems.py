@@ -60,7 +60,7 @@ class PointGoal(RunGoal):
 
     def place_text(self, place: float) -> str:
         """Return at which operating point the goal is worst, for a table."""
-        return f"  worst at {self.points[int(place)]}"
+        return f"worst at {self.points[int(place)]}"
 
     def place_dict(self, place: float) -> dict[str, Any]:
         """Return the operating point as plain data for JSON."""
@@ -238,17 +238,17 @@ def system_request(
     about = [PointGoal(g.name, "loop_goal", "1", 1.0, "at most", g.kind, points=g.points or tuple(points), loop=g)
              for g in goals]  # fmt: skip
     bounded = {name: cost for name, cost in system.costs.items() if cost.at_most is not None}
-    kept = [RunGoal(n, n, c.unit, c.at_most or _TINY, kind="hard", over="mean") for n, c in bounded.items()]
-    kept += [RunGoal("whole run", _LASTING, "1", 1.0, kind="hard")] * bool(system.costs)
+    bounds = [RunGoal(n, n, c.unit, c.at_most or _TINY, kind="hard", over="mean") for n, c in bounded.items()]
+    bounds += [RunGoal("whole run", _LASTING, "1", 1.0, kind="hard")] * bool(system.costs)
     space = tuple(SearchRange(gain, *map(float, ends)) for gain, ends in ranges.items())
     size = max(5, min(_POPULATION * len(space), trials))
-    asked = (*about, *run_goals, *kept)
-    request = SystemRequest(asked, _conditions(cases), system, space, seed, (), threads, size, seconds, points)
+    every = (*about, *run_goals, *bounds)
+    request = SystemRequest(every, _conditions(cases), system, space, seed, (), threads, size, seconds, points)
     if name == GOALS:
         return request
     least = LeastCost(f"least {name}", name, system.costs[name].unit, np.inf, over="mean")
     value = request.costs(request.start)[name]
-    return replace(request, goals=(*asked, replace(least, limit=np.inf if np.isnan(value) else value)))
+    return replace(request, goals=(*every, replace(least, limit=np.inf if np.isnan(value) else value)))
 
 
 def _conditions(cases: Mapping[str, ArrayLike]) -> tuple[Condition, ...]:
@@ -261,7 +261,7 @@ def _conditions(cases: Mapping[str, ArrayLike]) -> tuple[Condition, ...]:
         listed = [
             f"{name} = {row[name]:g}" for name, array in arrays.items() if name in row and array.shape == (count,)
         ]
-        label = (", ".join(listed) or f"case {k + 1}") if count > 1 else "the run"
+        label = (f"case {k + 1}" + f" ({', '.join(listed)})" * bool(listed)) if count > 1 else "the run"
         conditions.append(Condition(SystemCase(label, row), seed))
     return tuple(conditions)
 

@@ -222,9 +222,9 @@ class Bench:
             return []
         rows = []
         for k, goal in enumerate(evaluation.goals):
-            figure, share, speed = evaluation.figure[0, k], evaluation.normalised[0, k], evaluation.place[0, k]
+            figure, share, place = evaluation.figure[0, k], evaluation.normalised[0, k], evaluation.place[0, k]
             unit = "" if goal.unit == "1" else f" {goal.unit}"
-            at = f", worst at {speed:g} m/s" if goal.cruise else ""
+            at = ", ".join(["", *filter(None, [goal.place_text(place)])])
             text = f"{'met' if share <= 1 else 'missed'}: {figure:.4g}{unit}, {goal.sense} {goal.limit:g}{unit}{at}"
             rows.append((f"goal {goal.name} ({goal.kind})", text, f"goal {goal.name}", "good" if share <= 1 else "bad"))
         return rows

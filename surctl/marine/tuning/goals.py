@@ -135,7 +135,7 @@ class Goal(RunGoal):
 
     def place_text(self, place: float) -> str:
         """Return at which cruise speed the goal is worst, for a table; empty if it names no speed."""
-        return f"  worst at {place:g} m/s" if self.cruise else ""
+        return f"worst at {place:g} m/s" if self.cruise else ""
 
     def place_dict(self, place: float) -> dict[str, Any]:
         """Return the cruise speed as plain data for JSON; NaN for a goal at the scenario's own speed."""
