@@ -156,10 +156,10 @@ def tune(
 def _search(task: Task, *, trials: int, rounds: int, runs: int, out: Path, as_json: bool) -> None:
     """Search gains, test them, write them, and print each goal and figure before and after."""
     from surctl.files import prepare_folder, write_file
-    from surctl.tuning import check_finals, summary
+    from surctl.tuning import summary
     from surctl.tuning import tune as run_tuning
     from surctl.tuning.goals import not_representative
-    from surctl.tuning.outcome import advice, misses, tuning_dict
+    from surctl.tuning.outcome import advice, check_finals, misses, tuning_dict
 
     prepare_folder(out)
     best, _ = task.request.so_far({}, "")

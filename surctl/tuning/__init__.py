@@ -29,11 +29,11 @@ if TYPE_CHECKING:
     from surctl.tuning.loop_scores import LoopScores, Score, judge_loops, operating_loops
     from surctl.tuning.loop_time_goals import Margins, Overshoot, Poles, Settling, StepRejection, StepTracking
     from surctl.tuning.montecarlo import Counterexample, MonteCarlo
-    from surctl.tuning.outcome import Finals, Miss, Tuned, check_finals, summary
+    from surctl.tuning.outcome import Finals, Miss, Tuned, summary
     from surctl.tuning.pool import Condition, Evaluation, Pool, SearchRequest
     from surctl.tuning.statistics import Share, SobolIndices, sobol_indices
     from surctl.tuning.system_sweep import SystemSweep, sweep_system
-    from surctl.tuning.systems import SystemRequest, system_request, tune_system
+    from surctl.tuning.systems import SystemRequest, tune_system
 
 
 __all__ = [
@@ -85,7 +85,6 @@ __all__ = [
     "Tracking",
     "Tuned",
     "Tuning",
-    "check_finals",
     "grid",
     "judge_loops",
     "load_loop_goals",
@@ -99,7 +98,6 @@ __all__ = [
     "spread",
     "summary",
     "sweep_system",
-    "system_request",
     "tune",
     "tune_system",
 ]
