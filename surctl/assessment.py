@@ -14,7 +14,7 @@ from surctl.errors import InputError, NotApplicable
 from surctl.system import ENDED, LOST, Cost, Record, System, run_system
 from surctl.system.linear import unresponsive
 from surctl.system.values import checked_ranges, run_numbers
-from surctl.verification.linear import LEAST_DISK_MARGIN
+from surctl.verification.linear import LEAST_DISK_MARGIN, margin_text, short_margins
 from surctl.verification.loops import LEAST_DELAY_MARGIN, LeastDelay, LoopMargins
 from surctl.verification.sampled_margins import LoopCorners, SystemLoop, system_corners
 from surctl.verification.verdict import Inapplicable
@@ -188,9 +188,25 @@ class Assessment:
         return (False, None, True)[min(ranks, default=1)]
 
     def accepted(self, *parts: str) -> bool:
-        """Whether no line fails, and each line of these parts holds: a command then ends with status 0."""
+        """Whether no line that counts fails, and each line of these parts holds: a command then ends with status 0."""
         lines = [line for name in parts if name in self.parts for line in self.parts[name].lines]
         return self.passed is not False and all(line.passed for line in lines)
+
+    def verdict(self, *parts: str) -> str:
+        """Return whether the subject is accepted (see `accepted`), and the banner: the line that every command prints.
+
+        Example:
+            >>> from surctl.assessment import ClosedLoop, assess
+            >>> from surctl.testing import cart_system
+            >>> assess(ClosedLoop(cart_system()), parts=["loop"]).verdict()
+            'accepted: All that is assessed holds.'
+        """
+        return f"{'accepted' if self.accepted(*parts) else 'NOT accepted'}: {self.banner}"
+
+    @property
+    def decisive(self) -> list[str]:
+        """The lines that fail or are not decided, with their marks."""
+        return [f"{line.mark} {line.text}" for line in self.lines if line.rank < 2]
 
     @property
     def failures(self) -> list[str]:
@@ -261,6 +277,33 @@ def assess(
     return Assessment(subject.name, MappingProxyType(figures), _sorted(lines), MappingProxyType(done), omitted, assumed)
 
 
+def worst_of(assessments: Mapping[str, Assessment]) -> Assessment:
+    """Return several assessments of one subject as one: of each figure the worst, and the lines of each.
+
+    Args:
+        assessments: the assessments by the name of their case; a line that all cases share is stated once.
+    """
+    first = next(iter(assessments.values()))
+    if len(assessments) == 1:
+        return first
+    figures = dict[str, Figure]()
+    for case, one in assessments.items():
+        for name, figure in one.figures.items():
+            if name not in figures or figure.worse(figures[name]):
+                figures[name] = replace(figure, where=f"{case}: {figure.where}" if figure.where else case)
+    lines = list[Line]()
+    for case, one in assessments.items():
+        for line in one.lines:
+            shared = all(line in other.lines for other in assessments.values())
+            lines.append(line if shared else replace(line, text=f"{case}: {line.text}"))
+    parts = {f"{case}: {name}": part for case, one in assessments.items() for name, part in one.parts.items()}
+    omitted = tuple(dict.fromkeys(name for one in assessments.values() for name in one.omitted))
+    return replace(
+        first, figures=MappingProxyType(figures), lines=_sorted(dict.fromkeys(lines)), parts=MappingProxyType(parts),
+        omitted=omitted,
+    )  # fmt: skip
+
+
 def _sorted(lines: Collection[Line]) -> tuple[Line, ...]:
     return tuple(sorted(lines, key=lambda line: line.rank))
 
@@ -324,29 +367,19 @@ def loop_line(figures: dict[str, Figure], *, stable: bool, place: str, unstable:
         else:
             text += unstable
         return Line(False, text, "margins")
-    short = [
-        f"at least {f.least:g}{f' {f.unit}' if f.unit != '1' else ''} (worst corner: {f.where})"
-        for f in (disk, delay)
-        if not f.enough
-    ]
-    worst, first, late, later = map(_short, (disk, nominal, delay, on_time))
+    short = short_margins(
+        (disk.value, f"at {disk.where}"), (delay.value, f"in {delay.where}"), least_delay=delay.least or 0.0
+    )
+    worst, first, late, later = (margin_text(f.value, f.least or 0.0) for f in (disk, nominal, delay, on_time))
     text = f"margins {place}: disk margin {worst} at the worst corner, {first} nominal; "
     text += f"least delay margin {late} s at the worst corner, {later} s nominal ({on_time.where})"
     if short:
-        text += f"; required: {', '.join(short)}"
+        text += f"; too small: {short}"
     undetermined = np.isnan(disk.value) and delay.enough
     return Line(None if undetermined else not short, text, "margins")
 
 
 _JUDGED = ("disk_margin", "nominal_disk_margin", "delay_margin_s", "nominal_delay_margin_s")
-
-
-def _short(figure: Figure) -> str:
-    """Return a margin with two decimals or digits, or with four if two would hide that it is too small."""
-    if np.isnan(figure.value):
-        return "not determined"
-    text = f"{figure.value:{'.2f' if figure.value >= 0.1 else '.2g'}}"
-    return text if figure.enough or float(text) < (figure.least or 0.0) else f"{figure.value:.4g}"
 
 
 # Two assessments of one subject, before and after a change: every figure of both, and what got worse
@@ -385,8 +418,7 @@ class Comparison:
         for old, new in self.rows:
             mark = "  worse" if new.worse(old) else ""
             table.append(f"{new.name:<28}{new.unit:<6}{new.required:>10}{_text(old):>12}{_text(new):>12}{mark}")
-        open_ends = [f"{line.mark} {line.text}" for line in self.after.lines if line.rank < 2]
-        return [self.headline, *table, *open_ends]
+        return [self.headline, *table, self.after.verdict(), *self.after.decisive]
 
     def to_dict(self) -> dict[str, Any]:
         """Return both assessments and the names of the figures that got worse as plain data for JSON."""

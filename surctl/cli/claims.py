@@ -318,7 +318,7 @@ def verify_motion(words: Sequence[str], *, seed: int, time_limit: float, out: Pa
         if solution.verdict != problem.expected:
             failures.append(f"{problem.dynamics.name} is {solution.verdict}, not {problem.expected}")
     if failures:
-        lines.append(f"exit status 1, because {'; '.join(failures)}")
+        lines.append(f"NOT accepted: {'; '.join(failures)}")
     then = [shlex.join(["surctl", "check", str(file)]) for file in files[:1]]
     if out is None and any(claim["verdict"] == "proved" for claim in claims):
         then = [shlex.join(["surctl", "verify", *words, "--out", "proofs"])]

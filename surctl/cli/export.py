@@ -20,6 +20,7 @@ from surctl.cli.robot_options import (
     RobotOptions,
     choose_gains,
     choose_law,
+    choose_sensing,
     choose_vehicle,
     law_option,
     priority_options,
@@ -143,15 +144,15 @@ class Compared(NamedTuple):
 @click.option("--gains", metavar="FILE", help=GAINS_HELP)
 @click.option("--vehicle", metavar="FILE", help="Vehicle: name or file (default: the scenario's).")
 @click.option(
-    "--scenario", default=MISSION, metavar="FILE", help="Mission, sensors: name or file (default pool-static)."
+    "--scenario", default=MISSION, metavar="FILE", help="Scenario with mission, sensors (default pool-static)."
 )
 @law_option
 @click.option(
-    "--avoidance", default="corrected", metavar="NAME", help="Eq. (20) as corrected (default), consistent or printed."
+    "--avoidance", default="corrected", metavar="NAME", help="Eq. (20): corrected (default), consistent, printed."
 )
 @click.option("--guidance", default="los", metavar="NAME", help="Path guidance: los (default), ilos or alos.")
 @priority_options
-@click.option("--sensing", metavar="NAME", help="Obstacles: sonar (default if the law can) or truth.")
+@click.option("--sensing", metavar="NAME", help="Obstacle positions: sonar (default, if used) or truth.")
 @sensor_options
 @click.option("--name", metavar="TEXT", help="Prefix of files and C symbols (default: the law's name).")
 @click.option("--target", default="c99", metavar="NAME", help="Output: c99 (default), fmu (FMI 2), fmu3 or mjcf.")
@@ -200,8 +201,8 @@ def export(
     Sensor options override the scenario's tables. --check also runs code built by gcc and clang at -O0 to -O3 and on
     QEMU's Cortex-M3, -M4F and -M7: every output byte must equal that of Python. --prove takes minutes with sonar
     sensing; the proof covers all gains within the ranges of the gain file. FILE.py:FUNCTION exports the controller of a
-    system of your own. Exit status: 1 if C and Python differ, or if the replayed run collides or does not arrive;
-    other lines of the assessment that fail are warnings.
+    system of your own. Exit status: 1 if C and Python differ, or if a line of the assessment fails; the code is written
+    all the same.
 
     Examples: surctl export --gains surctl-out/gains.toml --out firmware; surctl export --law closed_form --sensing
     truth --constant-gains --check; surctl export my_system.py:build --seconds 5
@@ -229,17 +230,12 @@ def export(
     from surctl.marine.control import law_source
     from surctl.marine.export import build_bundle, closed_form, load_certificates, operating_envelope, origin_of
     from surctl.marine.guidance import MAX_WAYPOINTS
-    from surctl.marine.simulation import SENSING, law_numbers, load_scenario, simulate
+    from surctl.marine.simulation import law_numbers, load_scenario, simulate
     from surctl.marine.simulation.numbers import fed_ranges
     from surctl.marine.vehicle import load_vehicle
     from surctl.marine.vehicle.linearise import command_range
 
-    checked = (
-        ("--target", options.target, (*_TARGETS, "mjcf")),
-        ("--real", options.real, REALS),
-        ("--sensing", robot.sensing or SENSING[0], SENSING),
-    )
-    for key, value, known in checked:
+    for key, value, known in (("--target", options.target, (*_TARGETS, "mjcf")), ("--real", options.real, REALS)):
         if value not in known:
             raise InputError("is not available", key=key, value=value, remedy=nearest(value, known))
     if options.target == "mjcf":
@@ -251,7 +247,7 @@ def export(
     choice = choose_vehicle(robot.vehicle, (mission.name, mission.vehicle))
     vehicle = load_vehicle(choice.word)
     law, why = choose_law(robot.law, [vehicle])
-    sensing = robot.sensing or ("sonar" if "sonar" in law_source(law).sensing else "truth")
+    sensing = choose_sensing(robot.sensing, law)
     click.get_current_context().params["sensing"] = sensing
     sensors.check(law=law, sensing=sensing)
     mission = sensors.over(mission)
@@ -327,24 +323,26 @@ def export(
         f"{replay_text}{metrics.time_s:.2f} s",
         compared.sil.summary(),
     ]
-    lines += [] if failed is None else [f"warning: the replayed run failed: {failed}; see: {_again(started[1])}"]
-    # of the loop and the mission, not of the code; the replayed run has its own line
-    fails = [one for one in assessment.lines if one.rank == 0 and not one.about.startswith("runs")]
-    warnings = [f"warning: {one.text}" for one in fails]
-    lines += [*compared.summaries(proof), *warnings]
-    brief = [_sil_line(compared.sil), *([] if failed is None else [f"FAIL the replayed run: {failed}"])]
-    brief += [line for line in compared.summaries(proof) if line] + [replay_text + f"{metrics.time_s:.2f} s"]
-    brief += warnings
+    lines += [] if failed is None else [f"the replayed run failed: {failed}; see: {_again(started[1])}"]
+    lines += [*compared.summaries(proof), assessment.verdict(), *assessment.decisive]
+    brief = _brief(compared, proof, assessment, replay_text + f"{metrics.time_s:.2f} s")
     belong = [shlex.join(["surctl", "check", str(file), "--bundle", str(options.out)]) for file in certificates[:1]]
     finish(
         result,
         lines,
         as_json=as_json,
-        passed=failed is None and compared.sil.conclusive and compared.passed(proof),
+        passed=compared.sil.conclusive and compared.passed(proof) and assessment.accepted(),
         then=[*belong, *(() if mission.path.fed and options.real != "float64" else started)],
         brief=brief,
         files=[f"code {options.out} ({len(files)} files)"],
     )
+
+
+def _brief(compared: Compared, proof: ProofReport | None, assessment: Assessment, replayed: str) -> list[str]:
+    """Return the summary of an export: verdict on what was exported, comparison of the code, proof, replayed run."""
+    heads = [f"exported; {assessment.verdict()}", _sil_line(compared.sil)]
+    heads = heads[::-1] if assessment.accepted() else heads  # what decides comes first
+    return [*heads, *(line for line in compared.summaries(proof) if line), replayed]
 
 
 def _sil_line(sil: SilReport) -> str:
@@ -460,7 +458,7 @@ def export_system(
     files = write_bundle(with_evidence(bundle, evidence, binaries=compared.binaries), options.out)
     lines = [*(f"{file.sha256[:12]}  {file.path}" for file in files), "", f"replayed: {end_text(own, record)}"]
     lines += [*cost_lines(own.system, record.figures), *(f"{line.mark} {line.text}" for line in assessment.lines)]
-    lines += [sil.summary(), *compared.summaries(proof)]
+    lines += [assessment.verdict(), sil.summary(), *compared.summaries(proof)]
     data = {
         **own.names,
         "name": bundle.name,
@@ -478,8 +476,8 @@ def export_system(
     }
     passed = sil.exact and compared.passed(proof) and assessment.accepted()
     then = [f"make -C {shlex.quote(str(options.out))} check"]
-    brief = [_sil_line(sil), *(line for line in compared.summaries(proof) if line)]
-    brief += [f"replayed: {end_text(own, record)}", *(f"{line.mark} {line.text}" for line in assessment.lines)]
+    brief = _brief(compared, proof, assessment, f"replayed: {end_text(own, record)}")
+    brief += [f"{line.mark} {line.text}" for line in assessment.lines]
     where = [f"code {options.out} ({len(files)} files)"]
     finish(data, lines, as_json=as_json, passed=passed, then=then, brief=brief, files=where)
 

@@ -46,7 +46,7 @@ _SYSTEM = click.IntRange(1, 255)
     type=FiniteRange(min=1.0, max=360.0),
     default=45.0,
     metavar="DEG/S",
-    help="Yaw rate at full stick, 45 times ACRO_YAW_P (default 45).",
+    help="Yaw rate at full stick [deg/s] (default 45).",
 )
 @click.option("--target", type=_SYSTEM, default=1, metavar="N", help="System id of the autopilot (default 1).")
 @click.option("--system", type=_SYSTEM, default=255, metavar="N", help="System id of the bridge (default 255).")

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from surctl.marine.simulation import SafetyClaim
     from surctl.marine.tuning import Derivation
     from surctl.marine.vehicle import Vehicle
+    from surctl.marine.verification.linear import SlowMargins
     from surctl.verification import Inapplicable
 
 _SPEED = FiniteRange(min=0, max=100, min_open=True)
@@ -38,7 +39,7 @@ def gains() -> None:
     "--cruise", type=_SPEED, metavar="V", help="Cruise speed [m/s] (default: 35 % of the speed at full thrust)."
 )
 @click.option(
-    "--margin", type=FiniteRange(min=0), metavar="D", help="Gain margin [m] (default: 0.2 hull radii, at least 0.05)."
+    "--margin", type=FiniteRange(min=0), metavar="D", help="Gain margin, a distance [m] (default: 0.2 radii, ≥ 0.05)."
 )
 @click.option("--out", type=click.Path(path_type=Path), metavar="FILE", help="Gain file to write (default: none).")
 @click.option("--force", is_flag=True, help="Overwrite an existing file.")
@@ -72,7 +73,9 @@ def derive(
     if isinstance(contact, SafetyClaim) and not contact.holds:
         at = f"at up to {contact['speed cap']:.3g} m/s in still water, with true positions,"
         lines.append(f"  no contact with obstacles {at} does not hold: {contact.shortfall}")
-    brief = [line.strip() for line in lines if not line.startswith("  ") or "no contact" in line]
+    if derivation.reached and (slow := _slow(robot, derivation)) is not None and slow.short:
+        lines.append(f"  {slow.sentence}")
+    brief = [line.strip() for line in lines if not line.startswith("  ") or "no contact" in line or "below" in line]
     lines += [f"  {name:<10} {value:8.4g} {derivation.gains.specs[name].unit}" for name, value in derivation.shown()]
     then = []
     if not derivation.reached and derivation.bearable > 0:
@@ -91,13 +94,25 @@ def derive(
     )  # fmt: skip
 
 
+def _slow(vehicle: Vehicle, derivation: Derivation) -> SlowMargins | None:
+    """Return the least margins of the gains from rest to the cruise speed; None for a law that steers."""
+    from surctl.marine.control import default_law
+    from surctl.marine.verification.cruise_loop import has_cruise_loop
+    from surctl.marine.verification.linear import slow_margins
+
+    law = default_law(vehicle)
+    if not has_cruise_loop(law, "los"):
+        return None
+    return slow_margins(vehicle, derivation.gains.values, cruise=derivation.cruise, dt=derivation.dt, law=law)
+
+
 def _contact(vehicle: Vehicle, derivation: Derivation) -> SafetyClaim | Inapplicable | None:
     """Return the no-contact claim of the gains on a straight path in still water; None if it is not about the law."""
     from surctl.marine.assessment import judged_contact
-    from surctl.marine.control import CASCADE, default_law, law_source
+    from surctl.marine.control import BARRIER, default_law, law_source
     from surctl.marine.simulation import mission_size, straight_mission
 
-    if CASCADE not in law_source(default_law(vehicle)).parts:
+    if BARRIER not in law_source(default_law(vehicle)).parts:
         return None
     speeds = {"cruise": derivation.cruise, "size": mission_size(vehicle, derivation.gains, cruise=derivation.cruise)}
     return judged_contact(straight_mission(vehicle, **speeds), vehicle, derivation.gains, sonar=False)

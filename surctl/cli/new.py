@@ -1,4 +1,4 @@
-"""`surctl new`: write a commented vehicle, scenario, study, task, law or system file for the user to edit."""
+"""`surctl new`: write a commented file for the user to edit; no command writes a new file outside its folder."""
 
 from __future__ import annotations
 

@@ -374,7 +374,7 @@ def _summary(
     return [*body[:-1], _shortened(body[-1], _WIDTH - len(left) - 1) + f" {left}", *tail]
 
 
-_FAILS = ("FAIL", "WORSE", "HARD GOALS", "warning", "error", "open", "n/a", "exit status")
+_FAILS = ("FAIL", "NOT accepted", "exported; NOT accepted", "WORSE", "HARD GOALS", "warning", "error", "open", "n/a")
 
 
 _NUMBER_AND_UNIT = re.compile(r"(\d) (?=[^\W\d_]{1,3}\b|[%°])")

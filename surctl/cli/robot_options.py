@@ -7,7 +7,7 @@ import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import click
 
@@ -17,7 +17,7 @@ from surctl.errors import InputError, check_known
 if TYPE_CHECKING:
     from surctl.assessment import Assessment
     from surctl.marine.control import Gains, GainSpec, Law
-    from surctl.marine.simulation import SafetyClaim, Scenario
+    from surctl.marine.simulation import SafetyClaim, Scenario, Sensing
     from surctl.marine.vehicle import Vehicle
     from surctl.verification import Inapplicable
 
@@ -179,6 +179,26 @@ def choose_law(law: str | None, vehicles: Sequence[Vehicle]) -> tuple[str, list[
     return reference, [f"law {reference}, because {name} has no sway force (Fv_max = 0)"]
 
 
+def choose_sensing(option: str | None, law: str) -> Sensing:
+    """Return the value of the option `--sensing`, by default sonar if the law can use it.
+
+    Raises:
+        InputError: the value is unknown, or the law does not support it.
+    """
+    from surctl.marine.control import law_source
+    from surctl.marine.simulation import SENSING
+    from surctl.own_code import label
+
+    supported = law_source(law).sensing
+    if option is None:
+        return "sonar" if "sonar" in supported else "truth"
+    check_known(option, SENSING, key="--sensing")
+    if option not in supported:
+        problem, remedy = f"law {label(law)} supports only {' and '.join(supported)}", f"set --sensing {supported[0]}"
+        raise InputError(problem, key="--sensing", value=option, remedy=remedy)
+    return cast("Sensing", option)
+
+
 def law_words(reference: str) -> list[str]:
     """Return the command-line options that select this law, for a suggested command."""
     from surctl.own_code import own_file
@@ -194,7 +214,7 @@ priority_options = together(
         "--priority-mode", default="nsb", metavar="NAME", help="Mode: nsb (default), filter, projected, lexicographic."
     ),
     click.option(
-        "--fallback", default="exact", metavar="NAME", help="Conflicting limits: exact (default) or bounded time."
+        "--fallback", default="exact", metavar="NAME", help="If limits conflict: exact (default) or bounded time."
     ),
 )
 """A decorator that adds these options to a command; the command receives them as `priority_mode` and `fallback`."""
@@ -202,7 +222,7 @@ priority_options = together(
 
 barrier_options = together(
     click.option(
-        "--barrier", default="simple", metavar="NAME", help="Bound on approach speed: simple (default) or inertia."
+        "--barrier", default="simple", metavar="NAME", help="Speed limit near obstacles: simple (default), inertia."
     ),
     click.option(
         "--movers", default="predict", metavar="NAME", help="Avoid moving obstacles by: predict (default), barrier."

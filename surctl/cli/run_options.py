@@ -225,7 +225,7 @@ class PlantOptions:
 
 
 controller_options = together(
-    click.option("--controller", metavar="URL", help="Law as C: c, tcp://HOST:PORT or qemu:cortex-m4f."),
+    click.option("--controller", metavar="URL", help="Run exported C: c, tcp://HOST:PORT or qemu:cortex-m4f."),
     click.option("--link-loss", type=float, metavar="P", help="Probability that a message is lost (default 0)."),
     click.option("--link-delay", type=float, metavar="S", help="Delay of each command [s] (default 0)."),
     click.option("--link-deadline", type=float, metavar="S", help="Largest age of a used command [s] (default 0.25)."),

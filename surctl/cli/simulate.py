@@ -68,7 +68,7 @@ if TYPE_CHECKING:
 @click.option("--gains", metavar="FILE", help=GAINS_HELP)
 @law_option
 @click.option(
-    "--avoidance", default="corrected", metavar="NAME", help="Eq. (20) as corrected (default), consistent or printed."
+    "--avoidance", default="corrected", metavar="NAME", help="Eq. (20): corrected (default), consistent, printed."
 )
 @click.option("--guidance", default="los", metavar="NAME", help="Path guidance: los (default), ilos or alos.")
 @priority_options
@@ -112,7 +112,7 @@ def simulate(
     out: Path | None,
     as_json: bool,
 ) -> None:
-    """Simulate scenarios, or a system of your own (surctl new system). Interrupted campaigns resume in DIR.
+    """Simulate scenarios, or a system of your own (surctl new system). Interrupted campaigns resume in --out DIR.
     Exit status: 1 if a run collides or does not arrive.
     Example: surctl simulate tank-static --runs 9 --monte-carlo
     """

@@ -104,7 +104,7 @@ def study(
         check_pictures()
     with stoppable(f"the finished points are in {out}; to continue: {same_command()}"):
         result = conduct(plan, out, workers=workers, progress=progress, command=command, film=film, saving=saving)
-    lines = [f"study {result.plan.name}: {'passed' if result.passed else 'NOT passed'}: {result.assessment.banner}"]
+    lines = [f"study {result.plan.name}: {result.assessment.verdict()}"]
     lines += [] if plan.derivation is None else [f"started from {line.strip()}" for line in plan.derivation.lines()]
     lines += [f"{line.mark} {line.text}" for line in result.notes]
     loops = result.loops
@@ -274,7 +274,7 @@ def study_system(
     with saving("report"):
         report = write_file(out / "report.html", render_system_page(study))
     passed = assessment.accepted("region")
-    lines = [f"study {own.system.title}: {'passed' if passed else 'NOT passed'}: {assessment.banner}"]
+    lines = [f"study {own.system.title}: {assessment.verdict('region')}"]
     lines += [f"{line.mark} {line.text}" for line in assessment.lines]
     lines += [*ran, *study.best]
     lines += ["", *([f"code   {out / 'export'} ({len(files)} files)"] if files else [])]

@@ -133,10 +133,10 @@ def sweep(
     """Simulate scenarios over values of parameters, compute loop margins, and select the best point.
 
     A parameter is a gain (k_v), a vehicle parameter (vehicle.m11; plant.m11 changes the plant but not the controller's
-    model), a number of the scenario (scenario.cruise) or seed. Exit status: 1 if no point is feasible.
+    model), a number of the scenario (scenario.cruise) or seed. Exit status: 1 if the best point is not accepted.
 
-    For a system of your own, FILE.py:FUNCTION, costs are computed over gains (k), plant.NAME, reference.NAME,
-    disturbance.NAME, start.NAME; with --seeds N, for the worst of N runs, with plant.NAME=LOW..HIGH sampled at random.
+    For a system of your own, FILE.py:FUNCTION, the axes are gains (k), plant.NAME, reference.NAME, disturbance.NAME,
+    start.NAME. With --seeds N, the worst of N runs with plant.NAME=LOW..HIGH at random counts.
 
     Examples: surctl sweep --scenario pool-static lookahead=0.6,0.9,1.2 k_v=0.5..3:6:log;
     surctl sweep k_v=1..3 plant.m11=30..60 --sensitivity deviation_m;
@@ -148,7 +148,9 @@ def sweep(
             axes, seconds=seconds, design=design, points=points, sensitivity=sensitivity, seeds=seeds,
             threads=workers or (2 if dask is None else 1), executor=remote, out=out, as_json=as_json,
         )  # fmt: skip
+    from surctl.assessment import assess
     from surctl.files import prepare_folder, write_file
+    from surctl.marine.assessment import missions_of
     from surctl.marine.control import law_source, load_gains, write_gains
     from surctl.marine.simulation import load_scenario
     from surctl.marine.tuning import build_cases
@@ -209,8 +211,13 @@ def sweep(
             poles = _locus(cases, table.gains, locus, axis.values, at)
             figure = plot_locus(poles, unit=axis.unit, picked=at.get(locus))
             pictures.append(save_figure(figure, out, ("locus", locus)))
+    judged_missions = () if picked is None else missions_of(cases, table.gains)
+    assessments = [assess(one, parts=["loop", "no contact"]) for one in judged_missions]
+    verdicts = [f"{one.subject} {one.verdict()}" for one in assessments]
     lines = [*why, *_vehicles(cases, vehicles), *tuned.lines, *_lines(table, sobol)]
     where = "No point is feasible, so no gain file was written." if picked is None else table.gains.provenance
+    for one, verdict in zip(assessments, verdicts, strict=True):
+        lines += ["", verdict, *one.decisive]
     lines += ["", where, *moved, *([] if gains_path is None else [f"gains {gains_path}"]), f"table {table.path}"]
     lines += [f"plot  {picture}" for picture in pictures]
     about = shlex.join(at_hand(cases[0].scenario, cases[0].vehicle, str(gains_path)))
@@ -218,12 +225,14 @@ def sweep(
     # the claims of `verify` are about parts of the built-in laws
     judged = f"surctl verify {about}" if law_source(law).parts else f"surctl export {about} {named} --sensing {sensing}"
     then = [judged] if picked is not None else []
-    data = {
+    data: dict[str, Any] = {
         "axes": {axis.name: axis.values.tolist() for axis in table.axes},
         "units": {axis.name: axis.unit for axis in table.axes} | dict(table.units),
         "cases": list(table.cases),
         "results": table.rows() if as_json else [],
         "picked": None if picked is None else table.row(picked),
+        "accepted": bool(assessments) and all(one.accepted() for one in assessments),
+        "assessments": [one.to_dict() for one in assessments],
         "gains": None if gains_path is None else str(gains_path),
         "sensitivity": None if sobol is None else sobol.to_dict(),
         "table": str(table.path),
@@ -234,7 +243,8 @@ def sweep(
     values = "; the best has " * bool(best) + ", ".join(f"{name} = {value:.4g}" for name, value in best.items())
     brief = [f"{feasible.sum()} of {feasible.size} points are feasible{values}"]
     brief = [*(sobol.lines() if sobol is not None else ()), *brief, *([where] if picked is None else ()), *moved]
-    finish(data, lines, as_json=as_json, passed=picked is not None, then=then, brief=brief, files=files)
+    brief += [verdict for one, verdict in zip(assessments, verdicts, strict=True) if not one.accepted()]
+    finish(data, lines, as_json=as_json, passed=data["accepted"], then=then, brief=brief, files=files)
 
 
 def _vehicles(cases: Sequence[Case], typed: Sequence[str]) -> list[str]:

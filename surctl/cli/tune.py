@@ -25,13 +25,13 @@ if TYPE_CHECKING:
 @click.option(
     "--goals", "goals_file", metavar="FILE", help="Goals: name or file (default: the study's, else the built-in goals)."
 )
-@click.option("--cruise", type=SPEEDS, metavar="U1,U2,...", help="Cruise speeds [m/s] for loop goals without speeds.")
+@click.option("--cruise", type=SPEEDS, metavar="U1,U2,...", help="Cruise speeds [m/s] of loop goals that name none.")
 @click.option(
     "--trials",
     type=click.IntRange(min=1),
     default=256,
     metavar="N",
-    help="Gain sets per round (default 256, in steps of 32), simulated in all scenarios; the descent adds some.",
+    help="Gain sets per round, each simulated in all scenarios (default 256; multiple of 32).",
 )
 @click.option(
     "--seed",
@@ -67,7 +67,7 @@ if TYPE_CHECKING:
     "runs",
     type=click.IntRange(min=0),
     metavar="N",
-    help="New runs that test the gains (default 2000, of a system 0), after up to 10 N training runs.",
+    help="Random runs that test the gains after each round (default 2000; of a system 0).",
 )
 @click.option("--workers", type=click.IntRange(min=1), default=2, metavar="N", help="Number of threads (default 2).")
 @click.option(
@@ -112,14 +112,15 @@ def tune(
     seconds: float | None,
     as_json: bool,
 ) -> None:
-    """Search for gains that meet goals; repeat with the test runs that fail.
+    """Search for gains that meet goals; test them, and repeat with runs that fail.
 
     The gains must meet the hard goals for every scenario, seed and corner of the vehicle's ranges; the soft goals are
-    minimised. New random runs and the claims test the tuned gains. Exit status: 1 if a hard goal is not met, or fails
-    in the test.
+    minimised. New random runs and the claims test the tuned gains. Exit status: 1 if a hard goal is not met or fails
+    in the test, or if a line of the assessment fails.
 
-    FILE.py:FUNCTION names a system of your own: its first cost is minimised within the bounds of the other costs and a
-    disk margin of at least 0.3, in each case of NAME=V1,V2. With --goals, its worst soft goal is minimised.
+    FILE.py:FUNCTION names a system of your own: the search minimises its first cost, with the bounds of the
+    other costs and a disk margin of at least 0.3, for every value of NAME=V1,V2. With --goals, the search minimises the
+    worst soft goal.
 
     Examples: surctl tune my-study.toml --gain k_v=0.5..3 --goals my-goals.toml; surctl tune my-system.py:build --page
     """
@@ -166,18 +167,21 @@ def _search(task: Task, *, trials: int, rounds: int, runs: int, out: Path, as_js
     message = f"the finished trials are in {out}, the best gains in {out / best}; to continue: {same_command()}"
     with stoppable(message):
         tuning = run_tuning(task.request, trials=trials, rounds=rounds, runs=runs, folder=out, progress=progress)
-        tuned = check_finals(tuning, task.finals, task.subject, default=task.default, progress=progress)
+        tuned = check_finals(tuning, task.finals, task.assessed, default=task.default, progress=progress)
     (tuning, checked), unmet = tuned, tuned.unmet
     warning = ""
     if unmet:
         warning = f"HARD GOALS NOT MET ({', '.join(unmet)}): best gains found, but do not use them on a vehicle"
-    gains_path = write_file(*task.gain_file(tuning, out, warning))
+    comparison = checked.comparison
+    accepted, verdict = not unmet and comparison.after.accepted(), [comparison.after.verdict()]
+    verdict = verdict * (not comparison.after.accepted())
+    note = warning or "".join(verdict)
+    gains_path = write_file(*task.gain_file(tuning, out, note))
     (out / best).unlink(missing_ok=True)
     more = task.more(tuning, checked, str(gains_path), trials)
-    result = tuning_dict(tuning) | {"accepted": not unmet, "unmet": list(unmet), "finals": checked.to_dict()}
-    comparison = checked.comparison
     doubtful = not_representative(task.request.goals, comparison.after, **task.limit)
-    result |= more.data | {"not_representative": doubtful, "assessment": comparison.to_dict()}
+    result = tuning_dict(tuning) | more.data | {"not_representative": doubtful, "accepted": accepted}
+    result |= {"unmet": list(unmet), "finals": checked.to_dict(), "assessment": comparison.to_dict()}
     everything = write_file(out / "tuning.json", json.dumps(finite(result), ensure_ascii=False, indent=1) + "\n")
     pictures = list[Path]()
     with saving("plots"):
@@ -192,10 +196,11 @@ def _search(task: Task, *, trials: int, rounds: int, runs: int, out: Path, as_js
         missed, (remedy, longer) = misses(tuning), advice(tuning, trials=trials)
         lines += ["", warning, *(f"  {miss.text}" for miss in missed), f"  {remedy}"]
         then = [same_command(trials=2 * trials, rounds=rounds + 2)] if longer else task.look(missed, str(gains_path))
-    brief = [headline, *([warning] if warning else []), *more.floor, *summary(tuning)[-2:], *doubtful, *more.over]
+    brief = [headline, *([warning] if warning else []), *verdict, *more.floor, *summary(tuning)[-2:]]
+    brief += [*doubtful, *more.over]
     finish(
         result, lines,
-        as_json=as_json, passed=not unmet and task.passes(comparison.after), then=then, brief=brief,
+        as_json=as_json, passed=accepted, then=then, brief=brief,
         files=[f"gains {gains_path}", f"all {everything}"],
     )  # fmt: skip
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import shlex
 import sys
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -25,7 +25,7 @@ from surctl.cli.subject import (
 from surctl.errors import InputError, NotApplicable
 
 if TYPE_CHECKING:
-    from surctl.assessment import Assessment, Figure, Subject
+    from surctl.assessment import Assessment, Figure, Part
     from surctl.marine.control import Gains
     from surctl.marine.simulation import Case, Scenario
     from surctl.marine.study import Plan
@@ -71,11 +71,14 @@ class _Missions:
         remedy = 'ask it of runs, such as metric = "time_s" or "deviation_m"'
         return {"command": "a thrust", "run": "{}", "remedy": remedy}
 
-    def subject(self, gains: Mapping[str, float]) -> Subject:
+    def assessed(
+        self, gains: Mapping[str, float], parts: Collection[str] | None, computed: Mapping[str, Part] | None
+    ) -> Assessment:
+        from surctl.assessment import assess
         from surctl.marine.study.conduct import assessed
 
         plan = replace(self.plan, guidance=self.cases[0].guidance)
-        return assessed(plan, plan.gains.with_values(dict(gains)))
+        return assess(assessed(plan, plan.gains.with_values(dict(gains))), parts=parts, computed=computed)
 
     def gain_file(self, tuning: Tuning, out: Path, warning: str) -> tuple[Path, str]:
         from surctl.marine.control import write_gains
@@ -116,9 +119,6 @@ class _Missions:
     def look(self, missed: Sequence[Miss], gains: str) -> list[str]:
         options = [*law_words(self.plan.law), "--guidance", self.cases[0].guidance, "--sensing", "truth"]
         return look(missed, gains, options)  # as in the tuning
-
-    def passes(self, after: Assessment) -> bool:
-        return True
 
 
 def mission_plan(
@@ -218,8 +218,9 @@ class _System:
 
     default = finals
 
-    def subject(self, gains: Mapping[str, float]) -> Subject:
-        return self.request.subject(gains)
+    @property
+    def assessed(self) -> Callable[..., Assessment]:
+        return self.request.assessed
 
     def gain_file(self, tuning: Tuning, out: Path, warning: str) -> tuple[Path, str]:
         return out / "gains.csv", self.request.so_far(tuning.result.gains, "")[1]
@@ -248,9 +249,6 @@ class _System:
 
     def look(self, missed: Sequence[Miss], gains: str) -> list[str]:
         return []
-
-    def passes(self, after: Assessment) -> bool:
-        return after.accepted()
 
 
 Task: TypeAlias = _Missions | _System

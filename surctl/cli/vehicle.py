@@ -21,7 +21,7 @@ _FASTEST, _LARGEST = 100.0, 1e9  # [m/s], [N, N m]
 @click.command
 @click.argument("name", metavar="VEHICLE")
 @click.option("--failed", multiple=True, metavar="NAME", help="Thruster that gives no force; may be repeated.")
-@click.option("--speed", type=float, default=1.0, metavar="U", help="Forward speed of rudders [m/s] (default 1).")
+@click.option("--speed", type=float, default=1.0, metavar="U", help="Forward speed at the rudders [m/s] (default 1).")
 @click.option("--force", "wrench", type=float, nargs=4, metavar="FU FV FW FR", help="Allocate this force [N, N m].")
 @out_folder
 @as_json
@@ -243,7 +243,7 @@ def from_gazebo(
     multiple=True,
     default=(5.0,),
     metavar="S",
-    help="Length of the predicted windows [s], each from the measured motion (default 5; repeat for several).",
+    help="Length of predictions [s]; each begins at the measured motion (default 5; repeat for several).",
 )
 @click.option(
     "--picture", type=click.Path(path_type=Path), metavar="FILE", help="PNG of the prediction (default: no picture)."
@@ -271,11 +271,11 @@ def from_log(
     Several logs of one vehicle are fitted together; each log starts from its own initial state.
 
     A log that is a table (CSV, .mat, .nc) has the columns t_s and Fu_N, Fv_N, Fw_N, Fr_N_m (commands, constant until
-    the next row), and of x_m, y_m, z_m, psi_rad, u_m_per_s, v_m_per_s, w_m_per_s, r_rad_per_s those that were measured:
-    x forward, y left, z up; or with --frame ned: x north, y east, z down, v to the right, w down. The velocities in the
-    log are in the heading frame, which turns by the heading alone. If the vehicle of --start rolls and pitches, the
-    table also needs some of roll_rad, pitch_rad, p_rad_per_s, q_rad_per_s. surctl simulate --save csv (mat, nc) writes
-    tables with these columns.
+    the next row). It also has the measured ones of the columns x_m, y_m, z_m, psi_rad, u_m_per_s, v_m_per_s, w_m_per_s,
+    r_rad_per_s. The axes are x forward, y left, z up; with --frame ned, they are x north, y east, z down, v to the
+    right, w down. The velocities in the log are in the heading frame, which turns by the heading alone. If the vehicle
+    of --start rolls and pitches, the table also needs some of roll_rad, pitch_rad, p_rad_per_s, q_rad_per_s. surctl
+    simulate --save csv (mat, nc) writes tables with these columns.
 
     Logs of ArduPilot (.BIN, .tlog), ROS (.bag, .db3 or folder, .mcap), PX4 (.ulg), and tables with other column names
     or none need --map. --topics prints the topics and fields of a log.

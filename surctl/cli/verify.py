@@ -1,4 +1,4 @@
-"""`surctl verify`: check claims and compute stability margins."""
+"""`surctl verify`: check claims, compute stability margins, and decide which results fail the command."""
 
 from __future__ import annotations
 
@@ -65,6 +65,7 @@ _SPEED = FiniteRange(min=0, max=100, min_open=True)
 )
 @click.option("--scenario", metavar="FILE", help="Scenario: name or file; adds the no-contact claim.")
 @click.option("--law", metavar="NAME", help="Law: name or FILE.py:FUNCTION (default: the vehicle's).")
+@click.option("--sensing", metavar="NAME", help="Obstacles: sonar (default if the law can) or truth.")
 @click.option(
     "--stack", "stacks", multiple=True, metavar="LAW", help="Analyse the task stack of a law: guarded or paper."
 )
@@ -75,7 +76,7 @@ _SPEED = FiniteRange(min=0, max=100, min_open=True)
     type=FiniteRange(min=0, max=1e6, min_open=True),
     default=None,
     metavar="S",
-    help="Largest processor time per claim [s] (default 20; 60 for dynamics).",
+    help="Processor time per claim [s] (default 20; 60 for dynamics).",
 )
 @click.option("--show", is_flag=True, help="Print the claims as claim files without checking them.")
 @click.option(
@@ -94,6 +95,7 @@ def verify(
     cap: float | None,
     scenario: str | None,
     law: str | None,
+    sensing: str | None,
     stacks: tuple[str, ...],
     barrier: str,
     movers: str,
@@ -103,21 +105,19 @@ def verify(
     out: Path | None,
     as_json: bool,
 ) -> None:
-    """Prove or refute claims of the paper, or your own, and print loop margins.
+    """Prove or refute claims of the robot's paper or your own; print loop margins.
 
     A claim is proved (with a certificate that `surctl check` accepts), refuted (with a counterexample), unknown
-    (neither), or not applicable (this vehicle, law or gains violate an assumption). Claims of the
-    robot's paper are about the kinematic loop at cruise speed, with speeds limited to --cap. --scenario also checks
-    the no-contact claim and prints its assumptions.
+    (neither), or not applicable (this vehicle, law or gains violate an assumption). Claims of the robot's paper are
+    about the kinematic loop at cruise speed, with speeds limited to --cap. --scenario also checks the no-contact claim.
 
-    The linear analysis about straight cruise (of --law: about steady motion) gives margins, poles, the slowest mode,
-    stable speeds and sampling limits: for the nominal vehicle, and for the worst within --uncertainty or the ranges of
-    its file. Region and braking claims are checked only if you name them (see surctl list). A claim file states an
-    inequality of your own (kind claim; --show prints examples), a region claim with other numbers (kind region), or a
+    The linear loop about straight cruise (--law: about the law's steady motion) gives margins, poles, the slowest mode,
+    stable speeds and sampling limits. Each is given for the nominal vehicle and the worst one within --uncertainty or
+    the ranges of its file. Region and braking claims are checked only if you name them (see surctl list). A claim file
+    states an inequality (kind claim; --show prints examples), a region claim with other numbers (kind region), or a
     region of attraction or a barrier of any dynamics (kind lyapunov or barrier). --stack prints which tasks of a law
     are orthogonal, independent or dependent, and which converge. Exit status: 1 if a verdict is not as expected, a
-    named claim is not applicable, the loop is unstable at a corner, a margin is too small, or the no-contact claim
-    fails.
+    named claim is not applicable, or a margin or the no-contact claim fails.
 
     For FILE.py:FUNCTION, a system of your own, the command prints equilibrium, poles and margins of the sampled loop;
     with within.STATE=LOW..HIGH for every state, it also proves a region of attraction.
@@ -141,7 +141,7 @@ def verify(
         require_own_speeds,
     )
     from surctl.cli.linear_part import LinearPart, linear_part, over_speeds, speed_lines
-    from surctl.cli.robot_options import check_barrier, choose_law, choose_vehicle, export_command
+    from surctl.cli.robot_options import check_barrier, choose_law, choose_sensing, choose_vehicle, export_command
     from surctl.files import prepare_folder
     from surctl.marine.assessment import Mission
     from surctl.marine.control import CASCADE, PATH_FOLLOWING, build_law, law_source
@@ -149,23 +149,25 @@ def verify(
     from surctl.marine.tuning import derive_gains
     from surctl.marine.vehicle import load_vehicle
     from surctl.marine.verification import check_held
+    from surctl.marine.verification.braking_claims import NOT_RESTED_ON
     from surctl.marine.verification.region import write_region
     from surctl.own_code import label
     from surctl.verification import Inapplicable, decide, write_claim
 
     conditions = {name: _stack(name) for name in stacks}  # first, because it refuses unknown names
     # claims of one's own alone concern no vehicle, so nothing is said of one
-    named_things = (vehicle, gains, cruise, cap, scenario, law, *stacks)
+    named_things = (vehicle, gains, cruise, cap, scenario, law, sensing, *stacks)
     alone = bool(claims) and all(map(_is_claim_file, claims)) and all(word is None for word in named_things)
     mission = None if scenario is None else load_scenario(scenario)
     choice = choose_vehicle(vehicle, None if mission is None else (mission.name, mission.vehicle))
     vehicle, robot = choice.word, load_vehicle(choice.word)
     speeds = _speeds(None if cruise is None else max(cruise), cap, scenario)
     chosen_law, about_law = choose_law(law, [robot])
-    source = law_source(chosen_law)
+    source, sensed = law_source(chosen_law), choose_sensing(sensing, chosen_law)
     tuned = choose_gains(gains, robot, cruise=speeds[0], own=source.gains)
     values = tuned.gains.values
-    at_hand = {**values, "speed": speeds[0], "speed_max": speeds[1]}
+    # a gain of a law of one's own may have the name of a number in a claim
+    at_hand = {n: v for n, v in values.items() if n not in source.gains} | {"speed": speeds[0], "speed_max": speeds[1]}
     about = None if law is None or PATH_FOLLOWING in source.parts else label(chosen_law)
     named = [name for name in claims if not is_region(name) and not is_braking(name)]
     chosen, left_out = _chosen(named, at_hand, robot, law=about) if named or not claims else ([], {})
@@ -194,7 +196,7 @@ def verify(
     cascaded = CASCADE in source.parts
     check_barrier(barrier, movers)
     scenarios = () if mission is None else (replace(mission, cruise=speeds[0], cap=speeds[1]),)
-    kind: dict[str, Any] = {"uncertainty": uncertainty or None, "barrier": barrier, "movers": movers}
+    kind: dict[str, Any] = {"uncertainty": uncertainty or None, "sensing": sensed, "barrier": barrier, "movers": movers}
     subjects = [
         Mission(robot, tuned.gains, u, speeds[1], chosen_law, "los", scenarios, **kind)
         for u in (() if alone else cruise or speeds[:1])
@@ -259,16 +261,23 @@ def verify(
         margins_at = None if linear.stable is None or not cascaded else cruise or speeds[:1]
         result["pictures"] = _draw(verdicts, regions.claims, robot, tuned.gains, out, cruise=margins_at, law=chosen_law)
         lines.append(f"certificates: {len(certificates)}, pictures: {len(result['pictures'])}, in {out}")
+    beside = list[str]()
     failures = [line.text for line in judged if line.rank == 0]
     failures += [f"{v.claim.name} is {v.verdict}, not {v.claim.expected}" for v in verdicts if not v.as_expected]
     others = [*regions.claims, *braked.claims, *(one.to_dict() for one in refused if named)]
     failures += [f"{one['claim']} is {one['verdict']}" for one in others if one["verdict"] != "proved"]
     if safety is not None:
-        lines += [f"no contact: {safety.sentence}"] if isinstance(safety, Inapplicable) else safety.lines()
+        judges = not isinstance(safety, Inapplicable)
+        lines += safety.lines() if judges else [f"no contact: {safety.sentence}"]
+        refuted = [v.claim.name for v in verdicts if v.verdict == "refuted" and judges and safety.holds]
+        beside = [f"no contact does not rest on {n}: {NOT_RESTED_ON[n]}" for n in refuted if n in NOT_RESTED_ON]
+        lines += beside
         result["safety"] = safety.to_dict()
     if failures:
-        lines.append(f"exit status 1, because {'; '.join(failures)}")
+        lines.append(f"NOT accepted: {'; '.join(failures)}")
         result["failures"] = failures
+    elif not alone:
+        lines.append("accepted")
     proved = any(claim["verdict"] == "proved" for claim in result["claims"])
     then = [f"{same_command()} --out proofs"] if proved and out is None else []
     if not then:
@@ -277,7 +286,7 @@ def verify(
             word = gains or (_GAIN_FILE if tuned.derived else "default")
             then += [derive_words(vehicle, speeds[0], word)] if tuned.derived else []
             then += (
-                export_command(scenario, vehicle, tuned.gains, certificates, file=word)
+                export_command(scenario, vehicle, tuned.gains, certificates, file=word, law=chosen_law, sensing=sensed)
                 if cascaded
                 else export_command(scenario, vehicle, tuned.gains, file=word, law=chosen_law, sensing="truth")
             )
@@ -296,7 +305,7 @@ def verify(
         good = sum(line.startswith("ok") for line in about_claims)
         about_claims = [f"ok   {good} of {len(about_claims)} claims as expected"]
     brief = [f"FAIL {text}" for text in failures] + about_claims
-    brief += [f"{line.mark} {line.text}" for line in judged if line.rank] + conditions_lines
+    brief += [f"{line.mark} {line.text}" for line in judged if line.rank] + beside + conditions_lines
     finish(
         result, lines, as_json=as_json, passed=not failures, then=then, brief=brief,
         files=[] if out is None else [f"certificates {out}"],
@@ -455,10 +464,8 @@ def verify_system(words: Sequence[str], *, seed: int, time_limit: float, out: Pa
     if solution is not None:
         data["region"] = solution.to_dict()
     if isinstance(solution, Solution):
-        about = (
-            " of the sampled loop, with held commands" if solution.sampled else " of the control law in continuous time"
-        )
-        lines += [f"region of attraction{about * (solution.decision is not None)}:", *solution.lines()]
+        about = f" of {solution.about}" if solution.decision is not None else ""
+        lines += [f"region of attraction{about}:", *solution.lines()]
         if out is not None:
             written = [str(path) for path in write_solution(solution, out)]
             data["region"]["files"] = written

@@ -1,4 +1,4 @@
-"""What an application adds to the bundle of its controller: files, texts, instruction lists, manifest entries."""
+"""What an application adds to the bundle of its controller (files, texts, manifest); time in the exported step."""
 
 from __future__ import annotations
 

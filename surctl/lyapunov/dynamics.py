@@ -1,4 +1,4 @@
-"""Dynamics as exact expressions: x' = f(x, w) or x⁺ = f(x, w), with the ranges of states x and parameters w."""
+"""Dynamics as exact expressions, x' = f(x, w) or x⁺ = f(x, w), with ranges of x and w; whether a state rests."""
 
 from __future__ import annotations
 

@@ -11,9 +11,10 @@ import numpy as np
 
 from surctl.assessment import SATURATED, Assumption, Figure, Line, Part, loop_figures, loop_line
 from surctl.errors import InputError, NotApplicable
-from surctl.marine.control import CASCADE, Barrier, Gains, Law, Movers, build_law, default_law, law_source
+from surctl.marine.control import BARRIER, Barrier, Gains, Law, Movers, build_law, default_law, law_source
 from surctl.marine.guidance import Guidance, Path
 from surctl.marine.simulation import (
+    Case,
     Disturbance,
     Run,
     SafetyClaim,
@@ -36,10 +37,12 @@ from surctl.marine.verification.cruise_loop import TRACKING_LAW, has_cruise_loop
 from surctl.marine.verification.linear import (
     LinearSide,
     Mode,
+    SlowMargins,
     cap_above,
     corner_margin,
     corners,
     linear_side,
+    slow_margins,
     slowest_mode,
     worst_linear_side,
 )
@@ -52,6 +55,7 @@ __all__ = [
     "LoopAnalysis",
     "Mission",
     "assumptions",
+    "missions_of",
 ]
 
 # Defaults that a vehicle file leaves to surctl, and how much the disk margin depends on each
@@ -193,12 +197,10 @@ def judged_contact(
     spread: float | None = None,
 ) -> SafetyClaim | Inapplicable:
     """Return the no-contact claim of a mission, or why it does not apply; by true positions unless `sonar`."""
-    sight = detection_range(scenario) if sonar else float("inf")
-    turning = turn_rate(scenario, vehicle, gains, sonar=sonar)
+    seen: dict[str, Any] = {"detection": detection_range(scenario) if sonar else float("inf")}
+    seen["turning"] = turn_rate(scenario, vehicle, gains, sonar=sonar)
     try:
-        return safety_claim(
-            scenario, vehicle, gains, barrier=barrier, movers=movers, detection=sight, spread=spread, turning=turning
-        )
+        return safety_claim(scenario, vehicle, gains, barrier=barrier, movers=movers, spread=spread, **seen)
     except NotApplicable as reason:
         return Inapplicable.of("no contact", reason)
 
@@ -215,7 +217,7 @@ def _contact_part(
 ) -> Part:
     """Return the no-contact claim of each mission, a scenario and its vehicle, that has obstacles."""
     met = [(scenario, vehicle) for scenario, vehicle in missions if scenario.obstacles]
-    if CASCADE not in law_source(law).parts:
+    if BARRIER not in law_source(law).parts:
         text = f"no contact: not judged, because the claim concerns law guarded and this is {label(law)}"
         return Part((), (Line(None, text, "runs", counts=bool(met)),))
     sensed = "by sonar" if sonar else "with true positions"
@@ -225,7 +227,8 @@ def _contact_part(
         if isinstance(claim, Inapplicable):
             lines.append(Line(None, f"no contact in {scenario.name} {sensed}: {claim.sentence}", "runs"))
             continue
-        how = f"holds: margin {claim['margin']:g} m, needed {claim['margin needed']:.3g} m"
+        how = f"holds for obstacles {claim.obstacles}: margin {claim['margin']:g} m, "
+        how += f"needed {claim['margin needed']:.3g} m"
         end = how if claim.holds else f"does not hold: {claim.shortfall}"
         lines.append(Line(claim.holds, f"no contact in {scenario.name} {claim.sensed} {end}", "runs"))
     spare = [(c["margin"] - c["margin needed"], c.scenario) for c in claims if isinstance(c, SafetyClaim)]
@@ -293,6 +296,7 @@ class LoopAnalysis:
         unjudged: the reason why there is no analysis; else empty.
         failed: whether that reason is a failure of the law.
         assumptions: defaults on which the analysis depends.
+        slow: the least margins over the speeds from rest to the cruise speed; None where they are not computed.
         motion: for an unstable loop about a straight cruise, how a run of the worst corner goes on, in words.
     """
 
@@ -304,6 +308,7 @@ class LoopAnalysis:
     unjudged: str = ""
     failed: bool = False
     assumptions: tuple[Assumption, ...] = ()
+    slow: SlowMargins | None = None
     motion: str = ""
 
     @property
@@ -327,7 +332,11 @@ class LoopAnalysis:
         line = loop_line(figures, stable=self.stable is not False, place=place, unstable=why)
         if self.motion:
             line = replace(line, text=f"{line.text}; {self.motion}")
-        return Part(tuple(figures.values()), (line,), self, self.assumptions)
+        lines = [line]
+        if self.slow is not None and self.slow.short and line.passed:
+            lines.append(Line(None, self.slow.sentence, "margins"))
+        slow = () if self.slow is None else _slow_figures(self.slow)
+        return Part((*figures.values(), *slow), tuple(lines), self, self.assumptions)
 
     def _figures(self) -> dict[str, Figure]:
         if self.law is not None:
@@ -340,6 +349,15 @@ class LoopAnalysis:
             delays = (first.delay, last.delay)
             slowest = (first.slowest_per_s, last.slowest_per_s)
         return loop_figures((nominal, worst), delays, slowest, self.margins, corner=corner)
+
+
+def _slow_figures(slow: SlowMargins) -> tuple[Figure, ...]:
+    (disk, at), (delay, late) = slow.disk, slow.delay
+    text = "over the speeds from rest to the cruise speed, at the worst corner"
+    return (
+        Figure("slow_disk_margin", disk, "1", f"least disk margin {text}", "high", where=at),
+        Figure("slow_delay_margin_s", delay, "s", f"least delay margin of one loop alone {text}", "high", where=late),
+    )
 
 
 def unstable_text(mode: Mode) -> str:
@@ -401,6 +419,7 @@ def _analyse_loop(
             ),
             slowest_mode(vehicle, values, **speeds),
             assumptions=assumptions(vehicle, values, uncertainty=uncertainty, **speeds),
+            slow=slow_margins(vehicle, values, uncertainty=uncertainty, **speeds),
         )
         return _with_motion(analysis, analysis.sides[-1].at, vehicle, gains, built)
     own = gains.with_own(source.gains)
@@ -567,3 +586,15 @@ class Mission:
             options |= {"sonar": True, "equipment": sensors, "depths": scenario.depths is not None}
         law = build_law(self.law_ref, actuators=vehicle.actuators, **options)
         return simulate(scenario, vehicle, gains=self.gains, law=law, sensing=self.sensed)
+
+
+def missions_of(cases: Sequence[Case], gains: Gains) -> tuple[Mission, ...]:
+    """Return the subject of each vehicle of some cases, at the largest of its cruise speeds, with these gains."""
+    missions = list[Mission]()
+    for name in dict.fromkeys(case.vehicle.name for case in cases):
+        own = [case for case in cases if case.vehicle.name == name]
+        case = max(own, key=lambda case: case.scenario.cruise)
+        speeds, scenarios = (case.scenario.cruise, case.scenario.cap), tuple(one.scenario for one in own)
+        mission = Mission(case.vehicle, gains, *speeds, case.law, case.guidance, scenarios)
+        missions.append(replace(mission, sensing=case.sensing, barrier=case.barrier, movers=case.movers))
+    return tuple(missions)

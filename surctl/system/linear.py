@@ -238,22 +238,28 @@ def _equilibrium(functions: _Rest, values: Mapping[str, ArrayLike] | None) -> Op
 
 
 def _newton(functions: _Rest, point: Array) -> tuple[Array, bool]:
-    # damped Newton steps; returns whether the point is an equilibrium
+    # damped Newton steps until they change no state, however slow or small, or bring none nearer; returns whether the
+    # point is an equilibrium: neither the change of a state nor the distance that it stands for is more than rounding
     for _ in range(_NEWTON):
         error, slope = functions.error(point)
         if not (np.isfinite(error).all() and np.isfinite(slope).all()):
+            return point, False
+        rates = np.linalg.norm(slope, axis=1)
+        rates[rates == 0] = 1.0
+        step = np.linalg.lstsq(slope / rates[:, None], -error / rates, rcond=None)[0]
+        if (np.abs(step) <= _REST * np.abs(point)).all():
             break
-        if np.max(np.abs(error)) <= _REST * max(1.0, float(np.max(np.abs(point)))):
-            return point, True
-        step = np.linalg.lstsq(slope, -error, rcond=None)[0]
         for factor in 0.5 ** np.arange(12):
             trial = point + factor * step
-            if np.linalg.norm(functions.error(trial)[0]) < np.linalg.norm(error):
+            if np.linalg.norm(functions.error(trial)[0] / rates) < np.linalg.norm(error / rates):
                 break
         else:  # no part of the step brings it nearer
             break
         point = trial
-    return point, False
+    error, slope = functions.error(point)
+    rates = np.linalg.norm(slope, axis=1)
+    apart = np.abs(error) / np.where(rates > 0, np.minimum(rates, 1.0), 1.0)
+    return point, bool(np.max(apart) <= _REST * max(1.0, float(np.max(np.abs(point)))))
 
 
 def _transient(functions: _Rest, point: Array) -> tuple[Array, bool]:

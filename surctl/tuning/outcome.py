@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from surctl import __version__
-from surctl.assessment import Assessment, Comparison, Figure, Subject, assess
+from surctl.assessment import Assessment, Comparison, Figure, Part
 from surctl.tuning.cegis import Round, Tuning
 from surctl.tuning.chunked import Progress
 from surctl.tuning.goals import RunGoal
@@ -350,7 +350,7 @@ class Tuned(NamedTuple):
 def check_finals(
     tuning: Tuning,
     goals: Sequence[RunGoal],
-    subject: Callable[[Mapping[str, float]], Subject],
+    assessed: Callable[[Mapping[str, float], Collection[str] | None, Mapping[str, Part] | None], Assessment],
     *,
     default: Collection[RunGoal] = (),
     progress: Progress = lambda _: None,
@@ -365,7 +365,7 @@ def check_finals(
     Args:
         tuning: a finished tuning.
         goals: the goals on figures of the assessment.
-        subject: the subject of the assessment with these gains.
+        assessed: function of gains, the names of parts (None: all), and parts that are known: what is assessed.
         default: those of the goals that are left out if the assessment of the tuned gains has no such figure.
         progress: function that receives one line of text for each gain set.
     """
@@ -375,7 +375,7 @@ def check_finals(
     sets, tables = [tuning.result.gains, *(_alternatives(tuning) if goals else [])], list[Assessment]()
     for k, gains in enumerate(sets if goals else []):
         progress(f"goals of the assessment: gain set {k + 1} of {len(sets)}")
-        tables.append(assess(subject(gains), parts=parts))
+        tables.append(assessed(gains, parts, None))
         if k == 0:
             undetermined = tuple(g for g in goals if g in default and g.metric not in tables[0].figures)
             goals = [goal for goal in goals if goal not in undetermined]
@@ -385,7 +385,7 @@ def check_finals(
     started = bool(tables) and inside and not all(_met(goal, tables[-1]) for goal in goals)
     if started:  # gains that are worse than these are no result
         sets = [*sets[: len(tables)], begun]
-        tables.append(assess(subject(begun), parts=parts))
+        tables.append(assessed(begun, parts, None))
     before = tables[-1].parts if started else None
     order = sorted(range(len(tables)), key=lambda k: _missed(goals, tables[k]))
     checked = tables[0].parts if tables else None
@@ -395,8 +395,8 @@ def check_finals(
             tuning, checked = other, tables[k].parts
             break
     progress("assessment of start and tuned gains ...")
-    after = assess(subject(tuning.result.gains), computed=checked)
-    comparison = Comparison(assess(subject(begun), computed=before), after)
+    after = assessed(tuning.result.gains, None, checked)
+    comparison = Comparison(assessed(begun, None, before), after)
     best = {goal.name: _best(goal, tables) for goal in goals}
     return Tuned(tuning, Finals(tuple(goals), comparison, len(tables), best, undetermined, started))
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from surctl.assessment import ClosedLoop
+from surctl.assessment import Assessment, ClosedLoop, assess, worst_of
 from surctl.errors import InputError, nearest
 from surctl.ir import find_compiler
 from surctl.system import ENDED, LinearLoop, System, every_combination, linearise, simulate_system
@@ -102,11 +102,13 @@ class SystemRequest(SearchRequest):
         base: the system.
         seconds: duration of its runs [s].
         points: numbers of its operating points, by name.
+        given: numbers of its cases, by name.
     """
 
     base: System
     seconds: float = 0.0
     points: Mapping[str, Mapping[str, ArrayLike]] = field(default_factory=dict)
+    given: Mapping[str, ArrayLike] = field(default_factory=dict)
 
     others: ClassVar[int] = 49  # the margins are checked at the end only, because they take longer than a run
     checked: ClassVar[int] = 50
@@ -180,10 +182,14 @@ class SystemRequest(SearchRequest):
             conditions.append(Condition(self.cases[k % len(self.cases)], seed, plant, counted))
         return tuple(conditions)
 
-    def subject(self, gains: Mapping[str, float]) -> ClosedLoop:
-        """Return the subject of the assessment with these gains, in the first case."""
-        seconds = self.seconds if self.base.costs else None
-        return ClosedLoop(self.base, {**self.conditions[0].case.values, **gains}, seconds=seconds)
+    def assessed(
+        self, gains: Mapping[str, float], parts: Collection[str] | None = None, computed: object = None
+    ) -> Assessment:
+        """Return what is assessed with these gains in all cases; with `parts`, of the loop alone."""
+        if parts is None and self.base.costs:
+            return assess_cases(self.base, self.given, gains, seconds=self.seconds)
+        about_loop = {name: value for name, value in self.given.items() if not name.startswith("start.")}
+        return assess_cases(self.base, about_loop, gains)
 
     def costs(self, gains: Mapping[str, float]) -> dict[str, float]:
         """Return the costs with these gains as means over the cases; NaN if a run ends early."""
@@ -238,12 +244,13 @@ def system_request(
     about = [PointGoal(g.name, "loop_goal", "1", 1.0, "at most", g.kind, points=g.points or tuple(points), loop=g)
              for g in goals]  # fmt: skip
     bounded = {name: cost for name, cost in system.costs.items() if cost.at_most is not None}
-    bounds = [RunGoal(n, n, c.unit, c.at_most or _TINY, kind="hard", over="mean") for n, c in bounded.items()]
+    bounds = [RunGoal(n, n, c.unit, c.at_most or _TINY, kind="hard") for n, c in bounded.items()]
     bounds += [RunGoal("whole run", _LASTING, "1", 1.0, kind="hard")] * bool(system.costs)
     space = tuple(SearchRange(gain, *map(float, ends)) for gain, ends in ranges.items())
     size = max(5, min(_POPULATION * len(space), trials))
-    every = (*about, *run_goals, *bounds)
-    request = SystemRequest(every, _conditions(cases), system, space, seed, (), threads, size, seconds, points)
+    stated = (replace(goal, over="mean" if goal.kind == "soft" else "worst") for goal in run_goals)
+    every = (*about, *stated, *bounds)
+    request = SystemRequest(every, _conditions(cases), system, space, seed, (), threads, size, seconds, points, cases)
     if name == GOALS:
         return request
     least = LeastCost(f"least {name}", name, system.costs[name].unit, np.inf, over="mean")
@@ -297,10 +304,10 @@ def tune_system(
     With soft `goals`, the largest normalised value of them is minimised instead, as `systune` does; costs with a bound
     keep it. Hard goals are bounds.
 
-    A gain set is feasible if no run ends early, every cost is at most its bound (`Cost.at_most`), the disk margin is at
-    least `least_disk_margin`, and the delay margin at least one control period. The system's own gains are the first
-    set. The margins are computed only for the sets with the least cost, because their computation takes longer than a
-    run.
+    A gain set is feasible if, in every case, no run ends early, every cost is at most its bound (`Cost.at_most`), the
+    disk margin is at least `least_disk_margin`, and the delay margin at least one control period. The system's own
+    gains are the first set. The margins are computed only for the sets with the least cost, because their computation
+    takes longer than a run.
 
     Args:
         system: the closed loop.
@@ -308,7 +315,7 @@ def tune_system(
         ranges: search range (low, high) of each tuned gain, by name; `K[0]` is an entry of a port. A range of positive
             numbers is searched on a log scale.
         cases: numbers of the runs of every gain set (see `run_numbers`), such as initial states; default: one run with
-            the numbers of the system. Costs are means over the cases.
+            the numbers of the system. The minimised cost and soft goals are means over the cases.
         objective: cost to minimise; default: the first cost of the system.
         trials: number of gain sets, rounded up to whole batches.
         least_disk_margin: least disk margin of all loops at once, at commands or measurements, at the worst corner of
@@ -344,7 +351,36 @@ def tune_system(
     )  # fmt: skip
     tuning = tune(request, trials=trials, rounds=rounds, runs=runs, folder=out, progress=progress)
     finals = margin_goals(system, least_disk_margin)
-    return check_finals(tuning, finals, request.subject, default=finals, progress=progress)
+    return check_finals(tuning, finals, request.assessed, default=finals, progress=progress)
+
+
+def assess_cases(
+    system: System, cases: Mapping[str, ArrayLike], gains: Mapping[str, float], *, seconds: float | None = None
+) -> Assessment:
+    """Return what is assessed of a system with these gains in all cases: of each figure the worst, and every line.
+
+    Args:
+        system: the closed loop.
+        cases: numbers of the cases, as in `tune_system`.
+        gains: the gains by name.
+        seconds: duration of a run [s]; None: the loop alone.
+
+    Example:
+        >>> from surctl.testing import cart_system
+        >>> from surctl.tuning.systems import assess_cases
+        >>> result = assess_cases(cart_system(), {"start.speed": [4.0, 1.0]}, {"k": 2.0}, seconds=2.0)
+        >>> result.figures["cost.way"].where
+        'start.speed=4'
+    """
+    arrays = {name: np.asarray(value, dtype=float) for name, value in cases.items()}
+    count = max((len(a) for a in arrays.values() if a.ndim), default=1)
+    parts = ["loop"] if seconds is None else None
+    named: dict[str, Assessment] = {}
+    for k in range(count):
+        values = {name: a if a.ndim == 0 else a[k] for name, a in arrays.items()}
+        label = ", ".join(f"{name}={values[name]:g}" for name, a in arrays.items() if a.ndim and len(a) > 1)
+        named[label] = assess(ClosedLoop(system, {**values, **gains}, seconds=seconds), parts=parts)
+    return worst_of(named)
 
 
 def _checked(

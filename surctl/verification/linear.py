@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from surctl.errors import InputError
 from surctl.ir.cache import stored_numbers
-from surctl.verification.loops import golden_section
+from surctl.verification.loops import LEAST_DELAY_MARGIN, golden_section
 
 # Independent parts of linear loops, each computed once: the axes of a vehicle, and corners that differ elsewhere
 
@@ -197,6 +197,29 @@ LEAST_DISK_MARGIN = 0.3
 
 The *disk margin* is that of all loops opened at once, the lesser of the margins at the commands and at the
 measurements, at the worst corner of the vehicle's ranges."""
+
+
+def margin_text(value: float, least: float) -> str:
+    """Return a margin with two decimals or digits, or with four if two would hide that it is below `least`."""
+    if np.isnan(value):
+        return "not determined"
+    text = f"{value:{'.2f' if value >= 0.1 else '.2g'}}"
+    return text if value >= least or float(text) < least else f"{value:.4g}"
+
+
+def short_margins(disk: tuple[float, str], delay: tuple[float, str], *, least_delay: float = LEAST_DELAY_MARGIN) -> str:
+    """Return which margins are too small, as text; empty if neither is.
+
+    The arguments are the disk margin and the least delay margin [s] of one loop alone, each with the place where it is.
+    """
+    rows = (("disk", LEAST_DISK_MARGIN, "", *disk), ("delay", least_delay, " s", *delay))
+    return " and ".join(
+        f"a {word} margin of {margin_text(value, least)}{unit} {where} (at least {least:g}{unit})"
+        for word, least, unit, value, where in rows
+        if not value >= least
+    )
+
+
 Complex = NDArray[np.complex128]
 
 _LOWEST, _HIGHEST = 1e-4, 1e3  # [rad/s]

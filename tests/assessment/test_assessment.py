@@ -86,7 +86,10 @@ def test_the_line_of_margins_says_what_fails_and_of_which_system() -> None:
 
     delay = "least delay margin 0.25 s at the worst corner, 0.28 s nominal (yaw)"
     assert line(0.3, 0.25) == f"margins at rest: disk margin 0.30 at the worst corner, 0.50 nominal; {delay}"
-    assert "disk margin 0.2988 at" in line(0.29882, 0.25) and line(0.29882, 0.25).endswith("(worst corner: mass -5%)")
+    assert "disk margin 0.2988 at" in line(0.29882, 0.25) and "; too small: a disk margin of 0.2988 at mass" in line(
+        0.29882, 0.25
+    )
     assert line(0.29, 0.1).count("disk margin 0.29 at") == 1
-    assert line(0.4, 0.19984).endswith("; required: at least 0.2 s (worst corner: yaw at drag +20%)")
+    short = "a delay margin of 0.1998 s in yaw at drag +20% (at least 0.2 s)"
+    assert line(0.4, 0.19984).endswith(f"; too small: {short}")
     assert "least delay margin 0.1998 s at" in line(0.4, 0.19984)

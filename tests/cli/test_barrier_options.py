@@ -15,7 +15,7 @@ def test_verify_prints_the_safety_claim_and_fails_where_it_does_not_hold(tmp_pat
     assert {row["name"] for row in near.json["safety"]["assumptions"]} >= {"thrust lag", "obstacle speed"}
     wide = surctl(*common, cwd=tmp_path)
     assert wide.status == 1 and "DOES NOT HOLD" in wide.out
-    (reason,) = [line for line in wide.out.splitlines() if line.startswith("exit status 1")]
+    (reason,) = [line for line in wide.out.splitlines() if line.startswith("NOT accepted: ")]
     assert "no contact in tank-static by sonar does not hold: braking needs a margin of" in reason
 
 

@@ -96,7 +96,7 @@ def test_a_textbook_law_is_flown_by_name(tmp_path):
 def test_verify_tells_expected_verdicts(tmp_path):
     done = surctl("verify", "v1-printed", "--stack", "guarded", "--json", cwd=tmp_path)
     (why,) = done.json["failures"]  # the default gains at a quarter of the yaw inertia
-    assert done.status == 1 and "required: at least 0.3" in why and done.json["claims"][0]["verdict"] == "refuted"
+    assert done.status == 1 and "too small: a disk margin of " in why and done.json["claims"][0]["verdict"] == "refuted"
     nominal, worst = (done.json["linear"][k] for k in ("nominal", "worst"))
     for mild, bad in zip(nominal["disk_margins"], worst["disk_margins"], strict=True):
         assert 0 < bad["guaranteed"] < mild["guaranteed"] <= mild["reached"]
@@ -262,7 +262,7 @@ def test_lint_names_the_command_for_the_gain_margin_that_no_contact_needs(tmp_pa
     assert load_gains(str(tmp_path / "gains.toml"))["margin"] == float(needed[1])
     words = ("--vehicle", "mine.toml", "--scenario", "mission.toml", "--gains", "gains.toml")
     verified = surctl_here("verify", "m-norm-corrected", *words, cwd=tmp_path)
-    assert f"ok   no contact in tank-static by sonar holds: margin {needed[1]} m" in verified.out
+    assert f"ok   no contact in tank-static by sonar holds for obstacles at rest: margin {needed[1]} m" in verified.out
 
 
 def test_gains_follow_from_the_vehicle_where_none_are_named(tmp_path):

@@ -65,7 +65,7 @@ WRITING = {  # command: what its results on stdout contain
     ("verify", "v1-corrected", "m-norm-corrected", "--vehicle", "sur400", "--out", "out"): "ok   m-norm-corrected",
     ("verify", "braking-rule-20", "--vehicle", "sur400", "--out", "out"): "ok   braking-rule-20",
     ("verify", "loop.py:build", "within.x=-1..1", "--out", "out"): "proved",
-    ("study", "loop.py:build", "--seconds", "1", "k=1..2:2", "--out", "out"): "study cart under hold: passed",
+    ("study", "loop.py:build", "--seconds", "1", "k=1..2:2", "--out", "out"): "study cart under hold: accepted",
     ("gains", "derive", "bluerov2-vonbenzon", "--cruise", "0.2", "--out", "gains.toml"): "",
     ("new", "vehicle", "mine"): "",
 }  # fmt: skip

@@ -111,9 +111,10 @@ def test_an_export_whose_replayed_run_fails_warns_and_exits_with_1(tmp_path: Pat
     (tmp_path / "short.toml").write_text(re.sub(r"(?m)^time_limit_s = .*$", "time_limit_s = 1.0", text))
     words = ("export", "--scenario", "short.toml", "--law", "closed_form", "--sensing", "truth", "--out", "code")
     done = surctl(*words, cwd=tmp_path)
-    [warning] = [line for line in done.out.splitlines() if "pool-static by sur400" in line and "warning" in line]
-    assert done.status == 1 and "pool-static by sur400: it does not arrive (time limit at " in warning
-    assert warning.endswith("see: surctl simulate short.toml --law closed_form") and "passed over" in done.out
+    [failed] = [line for line in done.out.splitlines() if "pool-static by sur400: it does not arrive" in line]
+    assert done.status == 1 and "it does not arrive (time limit at " in failed
+    assert "NOT accepted: Fails: pool-static by sur400, truth: time limit at " in done.out
+    assert failed.endswith("see: surctl simulate short.toml --law closed_form") and "passed over" in done.out
 
 
 def test_next_commands_carry_scenario_vehicle_and_gains() -> None:

@@ -6,6 +6,8 @@ import casadi as ca
 import control
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from surctl.errors import InputError
 from surctl.ir import Layout, Port
@@ -42,6 +44,18 @@ def test_the_search_leaves_a_saturated_start() -> None:
     assert find_equilibrium(loop(50.0)).x == pytest.approx([50.0, 0.0])
     with pytest.raises(InputError, match=r"`v` still moves, and command `f` does not depend on the state there"):
         find_equilibrium(loop(1e7))
+
+
+@given(exponent=st.integers(-20, 6), size=st.floats(-12, 6))
+def test_slow_and_small_states_rest_at_their_equilibrium(exponent: int, size: float) -> None:
+    speed, other, force = Port("v", (1,), "m/s", ""), Port("other", (1,), "K", ""), Port("f", (1,), "m/s^2", "")
+    goal, rate = 3.0 * 10.0**size, 10.0**exponent
+    plant = Plant(
+        "boat", Layout((speed, other)), Layout((force,)),
+        lambda x, f, d, p: {"v": f["f"] - x["v"], "other": rate * (goal - x["other"])},
+    )  # fmt: skip
+    law = Controller("hold", 0.1, Layout((speed,)), Layout((force,)), lambda x, u, p: -u["v"])
+    assert find_equilibrium(System(plant, law)).x == pytest.approx([0.0, goal])
 
 
 def test_a_plant_alone_is_linearised_about_a_point() -> None:

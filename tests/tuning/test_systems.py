@@ -10,11 +10,14 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from surctl.assessment import ClosedLoop, assess
 from surctl.errors import InputError
 from surctl.ir import Layout, Port
 from surctl.system import Controller, Cost, Plant, System, linearise, simulate_system
 from surctl.testing import cart_system
 from surctl.tuning import SensitivityBound, Tuned, tune_system
+from surctl.tuning.outcome import goal_rows
+from surctl.tuning.systems import assess_cases
 from surctl.verification import system_disk_margin
 from tests.tools import need_compiler
 
@@ -157,3 +160,25 @@ def test_a_run_that_ends_early_is_no_cheap_run() -> None:
 def test_mistakes_are_named(ranges: dict[str, tuple[float, float]], options: dict[str, Any], problem: str) -> None:
     with pytest.raises(InputError, match=problem):
         tune_system(cart(), 2.0, ranges, trials=20, **options)
+
+
+def test_bounds_hold_in_every_case_and_all_cases_are_assessed() -> None:
+    need_compiler()
+    system, cases = cart(peak=1.0), {"start.place": [0.1, 1.0], "plant.mass": [0.5, 4.0]}
+    tuned = tune_system(system, 8.0, {"k[0]": (0.5, 3.0)}, cases=cases, objective="square", trials=40, seed=1)
+    # |force| is k[0] at the start of the second case; the mean over the cases would allow 1.8
+    assert tuned.gains["k[0]"] == pytest.approx(1.0, abs=0.05) and not tuned.unmet
+    (peak,) = [row for row in goal_rows(tuned.tuning) if row["name"] == "peak"]
+    assert peak["tuned"] <= 1.0 and peak["tuned"] > 1.5 * costs_of(tuned)["peak"]
+    beyond = assess_cases(system, cases, {"k[0]": 1.5}, seconds=8.0)
+    apart = [
+        assess(ClosedLoop(system, {"k[0]": 1.5, **{name: values[k] for name, values in cases.items()}}, seconds=8.0))
+        for k in range(2)
+    ]
+    for name, figure in beyond.figures.items():
+        values = [one.figures[name].value for one in apart]
+        worst = (min if figure.better == "high" else max)(values)
+        assert figure.value == worst, name
+    assert [one.accepted() for one in apart] == [True, False] and not beyond.accepted()
+    assert "start.place=1, plant.mass=4: peak = 1.5 N, at most 1 N" in beyond.failures
+    assert "plant.mass=0.5" in beyond.figures["delay_margin_s"].where

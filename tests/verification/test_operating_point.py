@@ -136,4 +136,4 @@ def test_a_law_whose_run_ends_with_a_fault_fails(tmp_path: Path) -> None:
     assert judged.return_value == 1
     why = "the run of wall ended with a fault: command tau[0] is not finite at "
     assert f"margins: not judged, because {why}" in judged.output
-    assert f"exit status 1, because margins: not judged, because {why}" in judged.output
+    assert f"NOT accepted: margins: not judged, because {why}" in judged.output

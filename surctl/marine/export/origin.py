@@ -253,6 +253,8 @@ def _claims(rows: Sequence[Mapping[str, Any]], origin: Origin) -> dict[str, str]
         values["speed"] = values["cruise"]
     if "cap" in values:
         values["speed_max"] = values["cap"]
+    for name in law_source(origin.ground_truth.ref).gains:  # a gain of one's own may have the name of another number
+        values.pop(name, None)
     hashes: dict[str, str] = {}
     library, _ = applicable_claims(values, vehicle=origin.vehicle)
     for claim in library:

@@ -1,4 +1,4 @@
-"""Decide which segment of its path a robot is on.
+"""Decide which segment of its path a robot is on, and which corners it has visited.
 
 The segment nearest to the robot is not always the right one, because a path may close, cross itself or fold back.
 

@@ -1,4 +1,4 @@
-"""Check before the simulation whether a vehicle can carry out a scenario."""
+"""What `lint` finds: odd numbers of a vehicle (drag, thrusters, fins, units), and missions beyond its abilities."""
 
 from __future__ import annotations
 

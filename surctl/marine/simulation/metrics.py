@@ -1,4 +1,4 @@
-"""The metrics of a run, and the reasons why a run ends."""
+"""Names, units and meanings of a run's metrics (`batch.loop` decides them), and of the reasons why it ends."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The reflectors of a scenario: echo models by name, the keys of the scenario file, and the surfaces of a run."""
+"""The reflectors of a scenario: echo models by name (angles: `returns`), keys of the file, surfaces of a run."""
 
 from __future__ import annotations
 

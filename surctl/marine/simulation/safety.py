@@ -322,6 +322,12 @@ class SafetyClaim:
         return [head, *rows, *([f"  assumes  {self.echoes}"] if self.echoes else []), f"  {end}"]
 
     @property
+    def obstacles(self) -> str:
+        """The obstacles that the claim is about, in words."""
+        covered = self["obstacle speed"]
+        return "at rest" if self.movers == "predict" else f"that approach at up to {covered:.3g} m/s"
+
+    @property
     def sensed(self) -> str:
         """How the law detects obstacles, in words; with true positions the detection range is inf."""
         return "by sonar" if isfinite(self["detection range"]) else "with true positions"

@@ -38,8 +38,7 @@ from surctl.marine.verification.region import refused_regions
 from surctl.system import LinearLoop
 from surctl.tuning import LocalExecutor, grid
 from surctl.verification import Inapplicable, LoopMargins, Verdict, decide
-from surctl.verification.linear import LEAST_DISK_MARGIN
-from surctl.verification.loops import LEAST_DELAY_MARGIN
+from surctl.verification.linear import short_margins
 
 if TYPE_CHECKING:
     from surctl.marine.report import ExportSummary
@@ -170,15 +169,11 @@ def _limits(plan: Plan, runs: Sequence[Run]) -> list[Line]:
 def _speed_notes(loops: Loops) -> list[Line]:
     over, mode, notes = loops.over, loops.analysis.mode, list[Line]()
     if over is not None:
-        rows = (
-            ("delay margin", " s", LEAST_DELAY_MARGIN, over.worst("delay_margin_s")),
-            ("disk margin", "", LEAST_DISK_MARGIN, over.worst("disk_margin")),
-        )
-        margin_text = ", ".join(
-            f"least {word} {value:.2f}{unit} (at {at:g} m/s)" for word, unit, _, (value, at) in rows
-        )
-        short = [f"at least {least:g}{unit}" for _, unit, least, (value, _) in rows if value < least]
-        margin_text += f"; required: {', '.join(short)}" if short else ""
+        (late, late_at), (disk, disk_at) = over.worst("delay_margin_s"), over.worst("disk_margin")
+        margin_text = f"least delay margin {late:.2f} s (at {late_at:g} m/s), "
+        margin_text += f"least disk margin {disk:.2f} (at {disk_at:g} m/s)"
+        short = short_margins((disk, f"at {disk_at:g} m/s"), (late, f"at {late_at:g} m/s"))
+        margin_text += f"; too small: {short}" if short else ""
         poles = over.figures["slowest_pole_per_s"]
         held = bool((poles < 0).all())
         if not held:
@@ -320,8 +315,8 @@ class Study:
 
     @property
     def passed(self) -> bool:
-        """Whether no line that counts towards the result fails."""
-        return self.assessment.passed is not False
+        """Whether the study is accepted: no line that counts towards the result fails."""
+        return self.assessment.accepted()
 
     @property
     def notes(self) -> tuple[Line, ...]:

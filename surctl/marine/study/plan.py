@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -95,6 +96,7 @@ def _scaled_axes(gains: Gains) -> tuple[Axis, ...]:
 
 
 LIBRARY = Path(__file__).parent / "library"
+_DEFAULT = LIBRARY / "default.toml"
 
 _CRUISE = "cruise_m_per_s"
 _SCALED_SEEDS = (0, 1)
@@ -221,8 +223,7 @@ class Plan:
         scenarios = list({leg.scenario.name: leg.scenario for leg in self.legs}.values())
         built_in = Path(self.source).parent == LIBRARY
         if built_in and self.vehicle not in vehicles:  # the speeds of its runs are about its own vehicle
-            file = Path(self.source)
-            scenarios = [load_scenario(run.scenario) for run in _study(read_toml(file), file).runs]
+            scenarios = [load_scenario(run.scenario) for run in _built_in().runs]
         legs = tuple(_leg(scenario, vehicle, lenient=True) for vehicle in vehicles for scenario in scenarios)
         plan = replace(self, vehicle=vehicles[0], legs=legs)
         if len(vehicles) == 1 and built_in and _needs_own(vehicles[0], legs):
@@ -231,7 +232,8 @@ class Plan:
         if self.named:
             return plan
         gains, derivation = shared_gains(None, _about(plan.deciding), own=law_source(self.law).gains)
-        return replace(plan, gains=gains, derivation=derivation)
+        axes = _axes(_built_in(), gains, scaled=derivation is not None) if built_in else self.axes
+        return replace(plan, gains=_stated(gains, axes), axes=axes, derivation=derivation)
 
     def written(self, folder: Path) -> Plan:
         """Return the plan with its missions in files; those that are in no file are written to `folder`."""
@@ -295,8 +297,7 @@ def load_plan(file: str | None = None, *, vehicle: str | None = None, trust: boo
             raise InputError(problem, key="FILE", value=file, remedy="give one of them")
         return _about_vehicle(load_vehicle(vehicle), vehicle)
     if file is None:
-        path = LIBRARY / "default.toml"
-        return _plan(_study(read_toml(path), path), path)
+        return _plan(_built_in(), _DEFAULT)
     path = pick(file, LIBRARY, what="study")
     table = read_toml(path)
     if table.get("kind") == "vehicle":
@@ -311,14 +312,13 @@ def load_plan(file: str | None = None, *, vehicle: str | None = None, trust: boo
 
 def _about_vehicle(vehicle: Vehicle, word: str) -> Plan:
     """Return the built-in study with one vehicle, or with missions scaled to it; see `load_plan`."""
-    default = LIBRARY / "default.toml"
-    study = _study(read_toml(default), default)
+    study = _built_in()
     own = tuple(run.model_copy(update={"vehicle": None, _CRUISE: None}) for run in study.runs)
     legs = [_leg(run.mission(), vehicle, lenient=True) for run in own]
     name = Path(word).stem
     if not _needs_own(vehicle, legs):
         return _plan(
-            study.model_copy(update={"runs": own, "vehicle": word, "name": name, "note": ""}), default, lenient=True
+            study.model_copy(update={"runs": own, "vehicle": word, "name": name, "note": ""}), _DEFAULT, lenient=True
         )
     missions, gains, derivation = scaled_missions(vehicle)
     law = default_law(vehicle)
@@ -328,7 +328,7 @@ def _about_vehicle(vehicle: Vehicle, word: str) -> Plan:
     plan = Plan(
         name,
         f"The missions are scaled to {vehicle.name}, because it does not fit the built-in scenarios.",
-        vehicle.source or str(default),
+        vehicle.source or str(_DEFAULT),
         vehicle,
         gains,
         law,
@@ -354,6 +354,11 @@ def _needs_own(vehicle: Vehicle, legs: Sequence[Leg]) -> bool:
 
 def _study(table: dict[str, Any], path: Path) -> _StudyFile:
     return validate(table, _StudyFile, file=path)
+
+
+@cache
+def _built_in() -> _StudyFile:
+    return _study(read_toml(_DEFAULT), _DEFAULT)
 
 
 def _own_goals(study: _StudyFile, path: Path, named: str | None) -> tuple[Goal, ...]:
@@ -392,9 +397,8 @@ def _plan(
         for leg in legs:
             if leg.left_out is None:
                 check_held(cruise, leg.vehicle, cap=leg.scenario.cap, key=_CRUISE)
-        axes = () if study.sweep is None else tuple(_gain_axis(axis, gains) for axis in study.sweep.axes)
-        if lenient and derivation is not None:
-            axes = tuple(_scaled(axis, gains) for axis in axes)
+        axes = _axes(study, gains, scaled=lenient and derivation is not None)
+        gains = _stated(gains, axes)
         applicable_claims(gains.values, study.claims, vehicle=vehicle)
     except InputError as error:
         raise error.inside(path) from None
@@ -428,11 +432,21 @@ def _with_mission(plan: Plan) -> Plan:
     return plan
 
 
+def _axes(study: _StudyFile, gains: Gains, *, scaled: bool) -> tuple[Axis, ...]:
+    axes = () if study.sweep is None else tuple(_gain_axis(axis, gains) for axis in study.sweep.axes)
+    return tuple(_scaled(axis, gains) for axis in axes) if scaled else axes
+
+
 def _gain_axis(axis: _Axis, gains: Gains) -> Axis:
     # InputError if the parameter is not a gain, because a study chooses only gains
     for value in axis.values:
         gains.with_values({axis.gain: value})
     return Axis(axis.gain, axis.values)
+
+
+def _stated(gains: Gains, axes: Sequence[Axis]) -> Gains:
+    # an axis with one value states a gain, also where the grid is not swept
+    return gains.with_values({axis.name: axis.values[0] for axis in axes if len(axis.values) == 1})
 
 
 def _scaled(axis: Axis, gains: Gains) -> Axis:

@@ -6,6 +6,7 @@ values, `surctl.marine.verification.braking` issues a separate certificate.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import casadi as ca
@@ -16,6 +17,14 @@ from surctl.marine.verification.assumptions import check_alike
 from surctl.verification.claim import Claim, Variable
 
 _OBSTACLE = 0.15  # [m/s] largest speed of an obstacle in the claims
+
+
+NOT_RESTED_ON: Mapping[str, str] = {
+    "braking-keeps": f"it is about obstacles of up to {_OBSTACLE:g} m/s, and the no-contact claim examines its own",
+    "braking-retreat": "it is about distances that count during a retreat, where the no-contact claim counts the one "
+    "at a closing speed of 0",
+}
+"""Why a no-contact claim does not rest on a claim of this module that may be refuted (steps 2 and 7 of the proof)."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -44,7 +44,8 @@ _SITE = (-2 * FAR, 2 * FAR, -2 * FAR, 2 * FAR)
 COUPLED = 1e-9  # largest derivative that counts as none
 NEUTRAL = 1e-4  # the same for x and y, as a share of the larger: the heading of a run is not exact
 _HEADROOM = 1.5  # speed cap over the cruise speed: the cap must not act in a cruise
-_AXES = 4
+AXES = 4
+"""Number of thrust commands: surge, sway, heave and yaw."""
 _EDGE = 1e-9  # [1/s] a pole this near to the imaginary axis counts as on it
 _DEADBEAT = 1e-9  # least modulus of a pole z: a signal that is gone after a period has the pole z = 0
 
@@ -95,20 +96,20 @@ class CruiseLoop:
     def matrices(self) -> tuple[Array, Array, Array, Array]:
         """The matrices A (…, n, n), B (…, n, 4 + k), C (…, 8 + k, n), K (…, 4 + k, 8 + k) for k states of the law."""
         (A, B), (Az, By, Cz, D) = self.plant, self.law
-        many, n, k, late = A.shape[:-2], A.shape[-1], Az.shape[-1], _AXES * self.delay
-        both = np.zeros((*many, n + _AXES, n + _AXES))
+        many, n, k, late = A.shape[:-2], A.shape[-1], Az.shape[-1], AXES * self.delay
+        both = np.zeros((*many, n + AXES, n + AXES))
         both[..., :n, :n], both[..., :n, n:] = A, B
         grown = both * np.asarray(self.dt)[..., None, None]
         held = expm(grown) if grown.ndim == 2 else blockwise(expm, grown)
         size = n + late + k
-        joined, enter = np.zeros((*many, size, size)), np.zeros((*many, size, _AXES + k))
-        joined[..., :n, :n], enter[..., n + late :, _AXES:] = held[..., :n, :n], np.eye(k)
+        joined, enter = np.zeros((*many, size, size)), np.zeros((*many, size, AXES + k))
+        joined[..., :n, :n], enter[..., n + late :, AXES:] = held[..., :n, :n], np.eye(k)
         if self.delay:
-            joined[..., :n, n : n + _AXES] = held[..., :n, n:]
-            joined[..., n : n + late - _AXES, n + _AXES : n + late] = np.eye(late - _AXES)
-            enter[..., n + late - _AXES : n + late, :_AXES] = np.eye(_AXES)
+            joined[..., :n, n : n + AXES] = held[..., :n, n:]
+            joined[..., n : n + late - AXES, n + AXES : n + late] = np.eye(late - AXES)
+            enter[..., n + late - AXES : n + late, :AXES] = np.eye(AXES)
         else:
-            enter[..., :n, :_AXES] = held[..., :n, n:]
+            enter[..., :n, :AXES] = held[..., :n, n:]
         leave = np.zeros((*many, 8 + k, size))
         places = [(STATE_NAMES.index(name), at) for at, name in enumerate(self.states[:n]) if name in STATE_NAMES[:8]]
         for row, at in places:
@@ -265,7 +266,7 @@ def _moving(A: Array, By: Array, D: Array, *, lagged: bool) -> list[int]:
     # x, y and psi follow the surge, sway and yaw motion; the depth, and heave without coupling, stand alone
     coupled = bool((A[:, [4, 5, 7, *tilt], 6] != 0).any())
     apart = [] if acting[2] else [2] if coupled else [2, 6]
-    return [*(k for k in range(8) if k not in apart), *(8 + k for k in range(_AXES) if lagged and acting[k]), *tilt]
+    return [*(k for k in range(8) if k not in apart), *(8 + k for k in range(AXES) if lagged and acting[k]), *tilt]
 
 
 def _numbers(law: Law, model: Vehicle, gains: Mapping[str, Array], cruise: Array, believed: Array | None) -> Array:
@@ -310,7 +311,7 @@ def law_slopes(law: Law, numbers: Array) -> tuple[Array, Array, Array, Array]:
     """
     size = law.state.size
     flat = _slopes(law)(numbers.T)[0].T
-    J = flat.reshape(len(numbers), size + 8, size + _AXES).swapaxes(1, 2)
+    J = flat.reshape(len(numbers), size + 8, size + AXES).swapaxes(1, 2)
     return J[:, :size, :size], J[:, :size, size:], J[:, size:, :size], J[:, size:, size:]
 
 

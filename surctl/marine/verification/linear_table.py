@@ -34,7 +34,7 @@ from surctl.marine.verification.cruise_loop import (
     cruise_loops,
     least_delay,
 )
-from surctl.marine.verification.linear.side import least_disk
+from surctl.marine.verification.linear.corner_margin import least_disk
 from surctl.plotted import Plotted
 from surctl.verification.loops import crossings_of, shape_of, state_blocks
 

@@ -1,4 +1,4 @@
-"""One control period of the closed loop (world, sensors, law, plant and metrics) as one CasADi function.
+"""One control period of the closed loop as one CasADi function, and when a run arrives, collides or ends.
 
 The module writes the loop as CasADi expressions: whole runs are compiled or run in CasADi's virtual machine, and
 `simulation.loop` steps a single run through the same programs.

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,25 +15,29 @@ from surctl.ir.cache import stored_numbers
 from surctl.marine.vehicle import Vehicle, plant_parameters
 from surctl.marine.vehicle.dynamics import trim_function
 from surctl.marine.vehicle.linearise import can_hold
-from surctl.marine.verification.corners import Corners, corners
-from surctl.marine.verification.cruise_loop import TRACKING_LAW, CruiseLoop, cruise_loop, cruise_loops, least_delay
+from surctl.marine.verification.corners import Corners
+from surctl.marine.verification.cruise_loop import (
+    AXES,
+    TRACKING_LAW,
+    CruiseLoop,
+    cruise_loop,
+    cruise_loops,
+    least_delay,
+)
 from surctl.verification.linear import (
     LEAST_DISK_MARGIN,
     DiskMargin,
     OpenLoop,
     eigenvalues,
-    quick_disk_margin,
     screened_peaks,
     stored_disk_margin,
 )
-from surctl.verification.loops import LEAST_DELAY_MARGIN, LeastDelay
+from surctl.verification.loops import LeastDelay
 
 DISK_PLACES = ("thrust", "measurement", "both")
 """The places where all loops are opened at once: the four thrust commands, the measured x_e, y_e, z_e, ψ, or both."""
 
 Array = NDArray[np.float64]
-
-_AXES = 4
 
 
 def open_loop(loop: CruiseLoop, place: str) -> OpenLoop:
@@ -43,8 +47,8 @@ def open_loop(loop: CruiseLoop, place: str) -> OpenLoop:
         InputError: `place` is not one of `DISK_PLACES`.
     """
     A, B, C, K = loop.matrices
-    thrust, pose = np.arange(K.shape[-2]) < _AXES, np.arange(K.shape[-1]) < _AXES
-    nothing, dt = np.zeros((*K.shape[:-2], _AXES, _AXES)), float(np.max(loop.dt))
+    thrust, pose = np.arange(K.shape[-2]) < AXES, np.arange(K.shape[-1]) < AXES
+    nothing, dt = np.zeros((*K.shape[:-2], AXES, AXES)), float(np.max(loop.dt))
     if place == "thrust":
         # the law's own states stay connected
         inner = A - B[..., ~thrust] @ K[..., ~thrust, :] @ C
@@ -290,13 +294,13 @@ def worst_linear_side(
         InputError: `linear_side` rejects its arguments, or none of the vehicles can hold the cruise speed.
     """
     believed = model or tried.vehicles[0]
-    able = [v for v, can in zip(tried.vehicles, _can_cruise(tried.vehicles, cruise), strict=True) if can]
+    able = [v for v, can in zip(tried.vehicles, can_cruise(tried.vehicles, cruise), strict=True) if can]
     unable = len(tried.vehicles) - len(able)
     if not able:
         raise InputError(
             "needs more thrust than any of the vehicles has", key="cruise", value=cruise, remedy="lower it"
         )
-    groups = _alike_in_states(able)
+    groups = alike_in_states(able)
     built = [cruise_loops(group, gains, cruise=cruise, dt=dt, model=believed, law=law) for group in groups]
     disks, lowest = [], list[Vehicle]()
     for place in DISK_PLACES:
@@ -328,14 +332,14 @@ def worst_linear_side(
     )
 
 
-def _alike_in_states(vehicles: Sequence[Vehicle]) -> list[list[Vehicle]]:
+def alike_in_states(vehicles: Sequence[Vehicle]) -> list[list[Vehicle]]:
     """Return the vehicles in two groups, with and without thrust lag; the group of the first vehicle comes first."""
     lagged = vehicles[0]["thrust_lag"] > 0
     parts = [[v for v in vehicles if (v["thrust_lag"] > 0) is kind] for kind in (lagged, not lagged)]
     return [part for part in parts if part]
 
 
-def _can_cruise(vehicles: Sequence[Vehicle], cruise: float) -> list[bool]:
+def can_cruise(vehicles: Sequence[Vehicle], cruise: float) -> list[bool]:
     """Return, for each vehicle, whether its thrust can hold the cruise speed [m/s]."""
     nu = np.tile([[cruise], [0.0], [0.0], [0.0]], len(vehicles))
     tau = np.asarray(trim_function(vehicles[0].form)(nu, np.array([plant_parameters(v) for v in vehicles]).T)).T
@@ -442,8 +446,8 @@ def _peaks(
     """
     peaks = np.full((len(vehicles), len(speeds)), np.inf)
     for k, speed in enumerate(speeds):
-        able = [v for v, can in zip(vehicles, _can_cruise(vehicles, speed), strict=True) if can]
-        for group in _alike_in_states(able) if able else []:
+        able = [v for v, can in zip(vehicles, can_cruise(vehicles, speed), strict=True) if can]
+        for group in alike_in_states(able) if able else []:
             loops = cruise_loops(group, gains, cruise=speed, dt=dt, model=model, law=law)
             if least > 0:
                 values = np.max([screened_peaks(open_loop(loops, place)) for place in DISK_PLACES[:2]], axis=0)
@@ -452,120 +456,6 @@ def _peaks(
             for vehicle, value in zip(group, values.tolist(), strict=True):
                 peaks[next(i for i, one in enumerate(vehicles) if one is vehicle), k] = value
     return peaks
-
-
-class CornerMargin(NamedTuple):
-    """Margins at the worst corners of a vehicle's ranges.
-
-    Attributes:
-        margin: disk margin, 0 if a corner is unstable.
-        vehicle, corner: the corner with the least disk margin, and its label.
-        delay: least delay margin of one loop alone, 0 if a corner is unstable.
-        latest: the corner with the least delay margin.
-    """
-
-    margin: float
-    vehicle: Vehicle
-    corner: str
-    delay: LeastDelay
-    latest: Vehicle
-
-    @property
-    def shares(self) -> tuple[float, float]:
-        """Disk margin and delay margin over the least sufficient ones; 0 for a margin that is not determined."""
-        disk, delay = self.margin / LEAST_DISK_MARGIN, self.delay.delay_s / LEAST_DELAY_MARGIN
-        return float(np.nan_to_num(disk)), delay
-
-    @property
-    def enough(self) -> bool:
-        """Whether both margins suffice."""
-        return min(self.shares) >= 1.0
-
-    @property
-    def short(self) -> str:
-        """The margins that do not suffice, with their corners, as text; empty if both do."""
-        disk, delay = self.shares
-        texts = (
-            []
-            if disk >= 1
-            else [f"a disk margin of {_number(self.margin)} at {self.corner} (at least {LEAST_DISK_MARGIN:g})"]
-        )
-        if delay < 1:
-            late = f"a delay margin of {self.delay.delay_s:.2g} s in {self.delay.where}"
-            texts.append(f"{late} (at least {LEAST_DELAY_MARGIN:g} s)")
-        return " and ".join(texts)
-
-    @property
-    def weakest(self) -> Vehicle:
-        """The corner at which the smaller of the shares is."""
-        disk, delay = self.shares
-        return self.vehicle if disk <= delay else self.latest
-
-
-def corner_margin(
-    vehicle: Vehicle,
-    gains: Mapping[str, float],
-    *,
-    cruise: float,
-    dt: float,
-    model: Vehicle | None = None,
-    proved: bool = False,
-    uncertainty: float | None = None,
-    spread: float = 1.0,
-    law: str = TRACKING_LAW,
-) -> CornerMargin:
-    """Return the margins at the worst corners of the vehicle's ranges, or of `uncertainty` (see `corners`).
-
-    They are those of `worst_linear_side`; unless `proved`, the disk margin without the proof between frequencies.
-
-    Raises:
-        InputError: a gain is missing or not positive, or the nominal vehicle cannot hold the cruise speed.
-
-    Example:
-        >>> from surctl.marine.control import load_gains
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> from surctl.marine.verification.linear import corner_margin
-        >>> rov, gains = load_vehicle("bluerov2-wu"), load_gains("default").values
-        >>> [round(corner_margin(rov, gains, cruise=u, dt=0.05).margin, 2) for u in (0.1, 0.47)]
-        [0.75, 0.0]
-    """
-    tried = corners(vehicle, uncertainty, spread=spread)
-    able = [v for v, can in zip(tried.vehicles, _can_cruise(tried.vehicles, cruise), strict=True) if can]
-    if not able or able[0] is not vehicle:
-        problem = "needs more thrust than the vehicle has"
-        raise InputError(problem, key="cruise", value=cruise, remedy="lower it")
-    groups = _alike_in_states(able)
-    built = [cruise_loops(group, gains, cruise=cruise, dt=dt, model=model or vehicle, law=law) for group in groups]
-    margin, (group, at) = least_disk(built, margin_of=_proved if proved else quick_disk_margin)
-    worst = groups[group][at]
-    delay, loop, (group, at) = least_delay(built)
-    latest = groups[group][at]
-    return CornerMargin(margin, worst, tried.label(worst), LeastDelay(delay, loop, tried.label(latest)), latest)
-
-
-def _proved(loop: OpenLoop) -> float:
-    return stored_disk_margin(loop, "").guaranteed
-
-
-def least_disk(
-    groups: Sequence[CruiseLoop], *, margin_of: Callable[[OpenLoop], float] = quick_disk_margin
-) -> tuple[float, tuple[int, int]]:
-    """Return the least disk margin of several vehicles, in groups (k, …) of loops with equal states, and where it is.
-
-    The second result is the index of the group and the index in it; `margin_of` returns the margin of a stable loop.
-    """
-    grown = [group.poles[:, 0].real + 1e-9 for group in groups]
-    worst = int(np.argmax([each.max() for each in grown]))
-    if grown[worst].max() >= 0:
-        return 0.0, (worst, int(np.argmax(grown[worst])))
-    margins = []
-    for place in DISK_PLACES[:2]:
-        loops = [open_loop(group, place) for group in groups]
-        peaks = [screened_peaks(loop) for loop in loops]
-        worst = int(np.argmax([each.max() for each in peaks]))
-        at = int(np.argmax(peaks[worst]))
-        margins.append((margin_of(loops[worst][np.asarray(at)]), (worst, at)))
-    return min(margins)
 
 
 def _delay(groups: Sequence[CruiseLoop], labels: Sequence[Sequence[str]]) -> LeastDelay:
