@@ -31,15 +31,15 @@ def fast_tick(mode: Mode, levels: tuple[int, ...], *, box: Array, rows: int) -> 
     tick = PriorityStep(mode, n=n, levels=tuple(map(LevelShape, levels)), rows=n + rows)
     tick.rows[:n] = np.column_stack([np.eye(n), *box, np.zeros(n)])
     tick.box[:] = box
-    limits = tick.rows[n:]
+    jacobian, lower, upper, limits, solve, v = tick.J, tick.lower, tick.upper, tick.rows[n:], tick.solve, tick.v
 
     def run(J: Array, x: Array, table: Array) -> Array:
-        tick.J[:] = J
-        tick.lower[:] = x
-        tick.upper[:] = x
+        jacobian[:] = J
+        lower[:] = x
+        upper[:] = x
         limits[:] = table
-        tick.solve()
-        return tick.v
+        solve()
+        return v
 
     return run
 

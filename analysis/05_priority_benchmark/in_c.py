@@ -133,7 +133,10 @@ def compiled(
     references = {
         LEAST: _daqp(trials),
         CLOSED: np.array([nsb(problem) for problem in problems]),
-    } | {name: np.array([solve(problem, mode=mode).v for problem in problems]) for mode, name in TICKS.items()}
+    } | {
+        name: np.array([solve(problem, mode=mode, backend="daqp").v for problem in problems])
+        for mode, name in TICKS.items()
+    }
     stacked = np.array([np.concatenate([i.J.reshape(-1), i.x]) for i in instances])
     box = np.tile(BOX.reshape(-1), (len(stacked), 1))
     ticks = np.hstack([stacked, np.array([i.x for i in instances]), np.array([_table(i) for i in instances]), box])

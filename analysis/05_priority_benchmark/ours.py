@@ -13,25 +13,33 @@ from numpy.typing import NDArray
 
 from surctl.priority import Mode, build_problem, nsb, solve
 
-__all__ = ["FAST", "PROJECTED", "STRICT", "ours"]
+__all__ = ["FAST", "FAST_STRICT", "FILTER", "NSB", "PROJECTED", "STRICT", "by_reference", "ours"]
 
 Array: TypeAlias = NDArray[np.float64]
 
 FAST = "surctl fast path: projected"
 """The contender to which speed limits and ratios refer."""
 
-NSB, PROJECTED, STRICT = "nsb", "projected", "lexicographic"
-"""Names of the problems: the law without limits, the law with its last projection within the limits, strict priority.
+NSB, FILTER, PROJECTED, STRICT = "nsb", "filter", "projected", "lexicographic"
+"""Names of the problems: the law without limits, the velocity within the limits that is nearest to it, the law with its
+last projection within the limits, strict priority.
 """
+
+FAST_STRICT = f"{FAST[: -len(PROJECTED)]}{STRICT}"
+"""The contender for strict priority."""
+
+
+def by_reference(mode: str, backend: str = "daqp") -> str:
+    """Return the name of the reference implementation in NumPy of a mode, with this QP solver."""
+    return f"surctl solve: {mode}, reference with {backend}"
 
 
 def ours(instances: Sequence[Instance], fast_modes: Sequence[Mode]) -> list[Contender]:
     """Return all contenders of this toolkit, with the fast path in these modes."""
     problems = [(instance.problem,) for instance in instances]
     found = [Contender(f"surctl solve: {mode}", mode, _api(mode), problems, ours=True) for mode in get_args(Mode)]
-    for name in ("daqp", "osqp"):
-        run = _api(PROJECTED, name)
-        found.append(Contender(f"surctl solve: projected, reference with {name}", PROJECTED, run, problems, ours=True))
+    for mode, backend in ((PROJECTED, "daqp"), (PROJECTED, "osqp"), (FILTER, "daqp"), (STRICT, "daqp")):
+        found.append(Contender(by_reference(mode, backend), mode, _api(mode, backend), problems, ours=True))
     parts = [(instance.problem.levels, instance.problem.rows) for instance in instances]
     found.append(Contender("surctl build_problem + solve: projected", PROJECTED, _built, parts, ours=True))
     found.append(Contender("surctl nsb, as printed", NSB, nsb, problems, ours=True))

@@ -34,7 +34,7 @@ from in_c import (
     race_in_c,
 )
 from instances import draw_instances
-from ours import FAST, NSB, PROJECTED, STRICT, ours
+from ours import FAST, FAST_STRICT, FILTER, NSB, PROJECTED, STRICT, by_reference, ours
 from peers import MINK, PEER, PEER_API, PEER_FAST, PEER_FILTER, PINK, peers
 from tables import Line, compiled_lines, draw, lines_of, print_bars, print_lines, print_rows
 
@@ -43,17 +43,16 @@ from surctl.files import prepare_folder
 from surctl.ir import compiler_version
 from surctl.priority import Mode
 
-KEPT = "DAQP hierarchy: Model kept"
+KEPT, ONE_CALL = "DAQP hierarchy: Model kept", "DAQP hierarchy: one call"
 PACKAGES = (
     *("numpy", "casadi", "daqp", "osqp", "qpsolvers", "clarabel", "piqp", "proxsuite", "quadprog"),
     *("pin", "pin-pink", "mujoco", "mink"),
 )
 
 # reference of each problem: a contender that shares as little code as possible with our other contenders
-REFERENCES = {mode: f"surctl solve: {mode}" for mode in get_args(Mode)} | {
-    NSB: "numpy nested pinv",
-    STRICT: KEPT,
-    PEER: PEER_API,
+REFERENCES = {
+    **{NSB: "numpy nested pinv", FILTER: by_reference(FILTER), PROJECTED: by_reference(PROJECTED)},
+    **{STRICT: KEPT, PEER: PEER_API},
 }
 OURS_IN_C = {LEAST: OURS, CLOSED: OURS_CLOSED} | {TICKS[mode]: OURS_TICKS[mode] for mode in TICKS}
 
@@ -126,6 +125,11 @@ def bars(lines: dict[str, Line]) -> list[tuple[str, float | None, float, bool]]:
         ("safe step from Python, median µs", lines[FAST].median / 1e3, 6.0, True),
         ("safe step from Python / DAQP's kept hierarchy", ratio(FAST, KEPT), 1.0, True),
     ]
+    if FAST_STRICT in lines:
+        found.append((f"{FAST_STRICT}, median µs", lines[FAST_STRICT].median / 1e3, 4.0, True))
+        found.append((f"{FAST_STRICT} / {ONE_CALL}", ratio(FAST_STRICT, ONE_CALL), 1.0, True))
+    for mode, most in ((PROJECTED, 40.0), (STRICT, 60.0)):
+        found.append((f"surctl solve: {mode}, median µs", lines[f"surctl solve: {mode}"].median / 1e3, most, True))
     for fast in (PEER_FAST, PEER_FILTER):
         found += [(f"{name} / {fast}", ratio(name, fast), 30.0, False) for name in (PINK, MINK)]
     found.append((f"{QRQP} / ours", ratio(QRQP, OURS), 30.0, False))

@@ -34,6 +34,10 @@ EXAMPLES = {
     "barrier_double_integrator": "cart, safety filter",
     "van_der_pol": "textbook dynamics, certificate",
     "own_goals": "underwater robot, goals",
+    "panda_reach": "arm, self-collision",
+    "two_arms": "two arms, relative target",
+    "bluerov2_arm": "ROV with arm, thrust limits",
+    "humanoid_reach": "humanoid, balance",
 }
 """The examples in the order of the gallery, with what each is about."""
 

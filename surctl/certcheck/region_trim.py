@@ -170,7 +170,7 @@ def _flow_bounds(claim: CruiseClaim) -> tuple[Fraction, Fraction, Fraction, Frac
     psi = np.linspace(0, np.pi, _HEADINGS + 1)  # {B} turned by π is the same vehicle
     c, s = np.cos(psi), np.sin(psi)
     stiff = np.array([velocity_gain + hat + 2 * _SHARE * hat2 * v, velocity_gain + hat + _SHARE * hat2 * v])
-    low, high, drift, total, wide = np.inf, -np.inf, 0.0, 0.0, 0.0
+    low, high, drift, total = np.inf, -np.inf, 0.0, 0.0
     ranges = [[(float(a), float(b)) for a, b in axis_pairs(pair, claim.asymmetry)]
               for pair in (claim.linear, claim.quadratic)]  # fmt: skip
     ends = []
@@ -188,20 +188,20 @@ def _flow_bounds(claim: CruiseClaim) -> tuple[Fraction, Fraction, Fraction, Frac
     wide = max(float(np.hypot(*(a - b)).max()) for a in ends for b in ends)
     drag, square = float(claim.linear[1]), float(claim.quadratic[1])
     fast = v + most + 2 * step
-    desired_speed = float(v + max(abs(low), abs(high)) + drift)
     # second derivatives by the current (of ω and of the forces) and by ψ (of rotated quadratic and linear forces)
     bend = 4 * _SHARE * square / stiff[1]
+    curved = 2 * bend * step**2 / 8  # ω differs from its interpolation in (c_x, c_y)
+    low, high, drift = low - curved, high + curved, drift + curved
+    desired_speed = float(v + high + drift)  # `steady_trim` rejects a command that points backwards
     slope = (drag + 2 * _SHARE * square * fast) / stiff[1]
     turn = velocity_gain + hat + 2 * hat2 * desired_speed
     by_current = turn * bend + 2 * hat2 * slope**2 + 2 * square
-    force = velocity_gain * max(abs(low), abs(high), drift) * 2 + hat * desired_speed + drag * fast
+    force = velocity_gain * (abs(low) + abs(high) + drift) + hat * desired_speed + drag * fast
     by_heading = np.sqrt(2) * (4 * force + 9 * (hat2 * desired_speed**2 + square * fast**2))
-    # ω also differs from its interpolation in (c_x, c_y)
-    curved = 2 * bend * step**2 / 8
     total += 2 * by_current * step**2 / 8 + by_heading * (np.pi / _HEADINGS) ** 2 / 8
     total += hat2 * wide**2  # the part that is not affine in the true drag
-    up, down = (Fraction(int(value * 10**9) + k, 10**9) for value, k in ((high + curved, 2), (low - curved, -2)))
-    return down, up, _up(drift + curved), _up(total)
+    up, down = (Fraction(int(value * 10**9) + k, 10**9) for value, k in ((high, 2), (low, -2)))
+    return down, up, _up(drift), _up(total)
 
 
 def _up(value: float) -> Fraction:

@@ -472,7 +472,7 @@ def _limit(claim: TurningClaim, form: Form, fast: float, high: Fraction) -> floa
 
 def _led(form: Form, plans: list[Array], axes: Array, high: float) -> float:
     """Return the largest |n_i δW| [m/s]."""
-    return max(form.largest(form.rows(plan, np.zeros((2, 2))), axes, high) for plan in plans)
+    return form.largest(form.rows(np.array(plans), np.zeros((2, 2))), axes, high)
 
 
 def _axis(
@@ -507,9 +507,8 @@ def _axis(
     left = float(claim.thrust[i]) - trimmed
     if not left > 0:
         raise Rejected("the steady cruise needs all the thrust of an axis")
-    most_force = max(
-        form.largest(form.rows((gain + slope) * plan, gain * np.eye(2)), axes, high) for plan in plans for slope in h
-    )
+    stiff = np.reshape(gain + np.array(h), (2, 1, 1, 1)) * np.array(plans)
+    most_force = form.largest(form.rows(stiff, gain * np.eye(2)), axes, high)
     part = min(1.0, left / most_force / UP)
     if part == 1:
         return np.array([(gain + slope, gain + t) for slope in h for t in (low, top)])

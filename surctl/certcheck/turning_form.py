@@ -82,16 +82,22 @@ class Form:
         entry[4:] = float(k_v) * np.eye(2)[: size - 4]
         self.entry = entry
         self.lever = self.change @ self.p @ entry
+        self._at = np.eye(4, size)[:2], np.eye(4, size)[2:]
         self.place, self.speed, self.error = self.change[:, :2], self.change[:, 2:4], self.change[:, 4:]
 
     def rows(self, place: Array, speed: Array) -> Array:
-        """Return the matrix (2, n) of a function of position and velocity from its blocks (2, 2)."""
-        return np.hstack([place, speed, np.zeros((2, len(self.p) - 4))])
+        """Return the matrices (…, 2, n) of functions of position and velocity from their blocks (…, 2, 2)."""
+        return place @ self._at[0] + speed @ self._at[1]
 
     def largest(self, rows: Array, axes: Array, high: float) -> float:
-        """Return a bound on |n · rows ξ| over V ≤ high and unit vectors n with n nᵀ in the hull of `axes` (k, 2, 2)."""
-        gram, size = rows @ self.covariance @ rows.T, np.abs(rows) @ np.abs(self.covariance) @ np.abs(rows).T
-        at = np.einsum("kij,ij->k", axes, gram) + 1e-12 * np.einsum("kij,ij->k", np.abs(axes), size)
+        """Return a bound on |n · rows ξ| over V ≤ high and unit vectors n with n nᵀ in the hull of `axes` (k, 2, 2).
+
+        Of several matrices `rows` (…, 2, n), the largest bound is returned.
+        """
+        gram = rows @ self.covariance @ rows.swapaxes(-1, -2)
+        size = np.abs(rows) @ np.abs(self.covariance) @ np.abs(rows).swapaxes(-1, -2)
+        flat = axes.reshape(-1, 4).T
+        at = gram.reshape(-1, 4) @ flat + 1e-12 * (size.reshape(-1, 4) @ np.abs(flat))
         return float(np.sqrt(max(at.max(), 0.0) * high) * UP + 1e-12)
 
 
@@ -199,20 +205,18 @@ def held(
     late = 1 - float(claim.rate) * period / 2
     if late <= 0:
         raise Rejected("the control period is too long for the claimed rate")
-    eye, none = np.eye(2), np.zeros((2, 2))
+    eye, none, slopes = np.eye(2), np.zeros((2, 2)), np.array(plans)
     crossed, v = float(np.abs(np.array(turns)[:, :2]).max()), float(claim.cruise)
     fastest = np.sqrt(np.linalg.eigvalsh(form.covariance[2:4, 2:4])[-1]) * UP
     growing, fixed = np.zeros(2), np.zeros(2)
     for at, loops, axes, lack in cells:
         for i, j in ((0, 1), (1, 0)):
             per, mass = heavy[:, i].max(), float(claim.mass[i])
-            pushed = max(
-                form.largest(per * form.rows(stiff * plan, damped * eye), axes[i], 1.0)
-                for plan in plans for stiff, damped in loops[i]
-            )  # fmt: skip
+            stiff, damped = loops[i].T[:, :, None, None, None]
+            pushed = form.largest(per * form.rows(stiff * slopes, damped * eye), axes[i], 1.0)
             behind = per * mass / np.sqrt(form.p[4, 4])  # F_i − f_i is a state
             moved = form.largest(form.rows(none, eye), axes[j], 1.0)
-            swung = max(form.largest(form.rows(k_v * plan, k_v * eye), axes[j], 1.0) for plan in plans)
+            swung = form.largest(form.rows(k_v * slopes, k_v * eye), axes[j], 1.0)
             growth = (k_v + at.slope[i]) * limit * fastest + k_v * (pushed + behind + crossed * moved)
             growth += r * (swung + at.slope[i] * at.led[j])
             own = k_v * (lack[i] * per + crossed * (v * at.share[j] + float(claim.current))) + at.ahead[i]

@@ -122,7 +122,7 @@ def region_of(word: str) -> RegionStatement:
 
 
 def check_regions(
-    words: Sequence[str], vehicle: Vehicle, gains: Gains, speeds: tuple[float, float]
+    words: Sequence[str], vehicle: Vehicle, gains: Gains, speeds: tuple[float, float], law: str
 ) -> tuple[dict[str, RegionStatement], dict[str, Inapplicable]]:
     """Return the region claims by word, and those that do not apply to the vehicle with their reason; proves nothing.
 
@@ -131,6 +131,7 @@ def check_regions(
         vehicle: the vehicle.
         gains: the gains.
         speeds: (cruise speed, speed limit) [m/s] for claims whose text does not set these speeds.
+        law: reference of the law.
 
     Raises:
         InputError: a claim is unknown or has a mistake.
@@ -143,6 +144,7 @@ def check_regions(
     for word, statement in stated.items():
         try:
             statement.claim(vehicle, gains, cruise=cruise, cap=cap)
+            statement.require(law)
         except NotApplicable as reason:
             refused[word] = Inapplicable.of(statement.name, reason)
         except InputError as error:
@@ -174,6 +176,7 @@ def prove_regions(
     *,
     vehicle: str,
     gains: str | Gains,
+    law: str,
     speeds: tuple[float, float],
     seed: int = 0,
     out: Path | None = None,
@@ -184,6 +187,7 @@ def prove_regions(
         words: names and files of the claims.
         vehicle: name or file of the vehicle.
         gains: name or file of the gains, or the gains.
+        law: reference of the law.
         speeds: (cruise speed, speed limit) [m/s] for claims whose text does not set these speeds.
         seed: seed of the search for a certificate.
         out: folder of the certificates.
@@ -198,7 +202,7 @@ def prove_regions(
     robot = load_vehicle(vehicle)
     values = load_gains(gains) if isinstance(gains, str) else gains
     cruise, cap = speeds
-    stated, refused = check_regions(words, robot, values, speeds)
+    stated, refused = check_regions(words, robot, values, speeds, law)
     todo = [
         (one.name, partial(prove_statement, one, robot, values, seed=seed, cruise=cruise, cap=cap))
         for word, one in stated.items()
@@ -207,7 +211,7 @@ def prove_regions(
     result = _proofs(todo, list(refused.values()), out)
     known = {statement.name for statement in stated.values()}
     others = [name for name in ("region-turning-20", "region-steered-20") if name not in known]
-    instead = applicable_region(others, robot, values, cruise=cruise, cap=cap) if refused and others else None
+    instead = applicable_region(others, robot, values, law=law, cruise=cruise, cap=cap) if refused and others else None
     return result._replace(instead=instead.name if isinstance(instead, RegionStatement) else "")
 
 
@@ -219,19 +223,23 @@ def is_braking(name: str) -> bool:
     return name.startswith(_KINDS)
 
 
-def prove_all(names: Sequence[str], *, vehicle: str, gains: str | Gains, cap: float, out: Path | None = None) -> Proofs:
-    """Prove the named braking claims for a vehicle, gains (or their file) and a speed limit `cap` [m/s].
+def prove_all(
+    names: Sequence[str], *, vehicle: str, gains: str | Gains, law: str, cap: float, out: Path | None = None
+) -> Proofs:
+    """Prove the named braking claims for a vehicle, gains (or their file), a law and a speed limit `cap` [m/s].
 
-    The certificates are written to the folder `out` as NAME.json.
+    The claims do not apply to a law without the barrier of law `guarded`. The certificates are written to the folder
+    `out` as NAME.json.
 
     Raises:
         InputError: a claim, vehicle or gain file is unknown; the error is raised before the first proof.
     """
     if not names:
         return Proofs([], [], [])
-    from surctl.marine.control import load_gains
+    from surctl.marine.control import BARRIER, law_source, load_gains
     from surctl.marine.vehicle import load_vehicle
     from surctl.marine.verification.braking import braking_claim_named, prove_braking
+    from surctl.own_code import label
     from surctl.verification import Inapplicable
 
     robot = load_vehicle(vehicle)
@@ -240,6 +248,8 @@ def prove_all(names: Sequence[str], *, vehicle: str, gains: str | Gains, cap: fl
     for name in names:
         try:
             claim = braking_claim_named(name, robot, values, cap=cap)
+            if BARRIER not in law_source(law).parts:
+                raise NotApplicable("it has not the barrier of law guarded", to=f"law {label(law)}")
         except NotApplicable as reason:
             refused.append(Inapplicable.of(name, reason))
         else:

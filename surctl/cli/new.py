@@ -19,6 +19,7 @@ _NEXT = {
     "study": ("surctl lint {}", "surctl study {}"),
     "task": ("python {}",),
     "law": ("python {}", "surctl new scenario open-water", "surctl simulate open-water.toml --law {}:@IDENTIFIER@"),
+    "robot": ("python {}",),
     "system": (
         "surctl study {}:build",
         "surctl simulate {}:build --out plots",
@@ -28,7 +29,7 @@ _NEXT = {
         "surctl export {}:build --out firmware",
     ),
 }
-_IN_PYTHON = ("task", "law", "system")
+_IN_PYTHON = ("task", "law", "robot", "system")
 
 
 @click.command
@@ -40,8 +41,8 @@ _IN_PYTHON = ("task", "law", "system")
 @click.option("--force", is_flag=True, help="Overwrite an existing file.")
 @as_json
 def new(kind: str, name: str, out: Path | None, force: bool, as_json: bool) -> None:
-    """Write a commented file to start from: a vehicle, a scenario, a study, or in Python a task, a control law or a
-    closed loop (system).
+    """Write a commented file to start from: a vehicle, a scenario, a study, or in Python a task, a control law, a
+    robot from its URDF file or a closed loop (system).
 
     The written file works without changes.
 

@@ -90,8 +90,12 @@ def study(
         study_system(words, seconds=seconds, workers=workers, out=out, as_json=as_json, reserved=LAW_NAMES)
     if len(words) > 1:
         raise click.UsageError(f"Got unexpected extra argument ({words[1]})")
-    file = words[0] if words else None
+    from surctl.ir import find_compiler
+
+    find_compiler()  # before the imports and the plan, which take seconds
     from surctl.marine.study import conduct, load_plan
+
+    file = words[0] if words else None
 
     chosen = [f"--vehicle {vehicle}"] if vehicle else [file] if file else []
     chosen += [f"--gains {gains}"] if gains else []

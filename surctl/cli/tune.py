@@ -146,6 +146,9 @@ def tune(
     if own:
         task: Task = system_tuned(words, ranges, goals_file, seconds=seconds, trials=trials, seed=seed, threads=workers)
     else:
+        from surctl.ir import find_compiler
+
+        find_compiler()  # thousands of runs: without compiled code, hours
         plan = mission_plan(file, trust=trust, law=law, gains=gains_file, vehicles=vehicles, out=out)
         task = missions_tuned(
             plan, ranges, goals_file, cruise=cruise or (), guidance=guidance, seeds=seeds, seed=seed, threads=workers

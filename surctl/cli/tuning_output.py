@@ -376,13 +376,10 @@ def look(missed: Sequence[Miss], gains: str, law: Sequence[str]) -> list[str]:
 
 def region_words(law: str, scenario: Scenario, vehicle: Vehicle, gains: Gains) -> list[str]:
     """Return the region claim to suggest next."""
-    from surctl.marine.control import PATH_FOLLOWING, default_law, law_source
     from surctl.marine.verification.region import applicable_region
 
-    if law != default_law(vehicle) and PATH_FOLLOWING not in law_source(law).parts:
-        return []
     names = ("region-cruise-20", "region-steered-20")
-    claim = applicable_region(names, vehicle, gains, cruise=scenario.cruise, cap=scenario.cap)
+    claim = applicable_region(names, vehicle, gains, law=law, cruise=scenario.cruise, cap=scenario.cap)
     return [] if isinstance(claim, NotApplicable) else [claim.name]
 
 

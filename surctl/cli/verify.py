@@ -185,12 +185,11 @@ def verify(
     check_held(cruise or (), robot, cap=speeds[1], key="--cruise")
     if out is not None:
         prepare_folder(out)
-    if about is not None and any(is_region(name) or is_braking(name) for name in claims):
-        name = next(name for name in claims if is_region(name) or is_braking(name))
-        raise InputError(f"does not concern the law {about}", key="claim", value=name, remedy="drop it")
     region_names = [name for name in claims if is_region(name)]
     require_own_speeds(region_names, None if cruise is None else max(cruise), cap)
-    check_regions(region_names, robot, tuned.gains, speeds)  # mistakes are reported before the linear analysis
+    check_regions(
+        region_names, robot, tuned.gains, speeds, chosen_law
+    )  # mistakes are reported before the linear analysis
     dt = build_law().dt
     options: dict[str, Any] = {"dt": dt, "uncertainty": uncertainty, "law": chosen_law}
     cascaded = CASCADE in source.parts
@@ -208,8 +207,9 @@ def verify(
     judged = [line for one in assessed for line in one.lines if line.about]
     contacts = assessed[-1].sources.get("no contact") if assessed else None
     safety = contacts[0] if contacts and cascaded else None
-    regions = prove_regions(region_names, vehicle=vehicle, gains=tuned.gains, speeds=speeds, seed=seed, out=out)
-    braked = prove_all([n for n in claims if is_braking(n)], vehicle=vehicle, gains=tuned.gains, cap=speeds[1], out=out)
+    shared: dict[str, Any] = {"vehicle": vehicle, "gains": tuned.gains, "law": chosen_law, "out": out}
+    regions = prove_regions(region_names, speeds=speeds, seed=seed, **shared)
+    braked = prove_all([name for name in claims if is_braking(name)], cap=speeds[1], **shared)
     verdicts, files, lines = [], dict[str, Path](), list[str]()
     where = "" if out is None else f", certificates in {out}"
     above, message = f"the finished claims are above{where}", "for the other claims: surctl verify CLAIM"

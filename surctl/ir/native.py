@@ -84,7 +84,6 @@ class Native:
         self._inputs, self._outputs = block.inputs, block.outputs  # a routine would compute these at every access
         self._library = loaded(library)
         self._library.surctl_run.restype = None
-        self._library.surctl_run.argtypes = [ctypes.c_void_p]
         self._library.surctl_run_many.restype = None
         count = len(block.inputs) + len(block.outputs)
         self._library.surctl_run_many.argtypes = [ctypes.c_long, *[ctypes.c_void_p] * count]
@@ -94,14 +93,12 @@ class Native:
         return Workspace(self)
 
     def bound(self, memory: Array) -> Callable[[], None]:
-        """Return a function that reads and writes the flat buffer `memory` (all inputs, then all outputs).
-
-        The caller must hold a reference to `memory` as long as the function is used.
-        """
+        """Return a function that reads and writes the flat buffer `memory` (all inputs, then all outputs)."""
         if memory.dtype != self.dtype or not memory.flags.c_contiguous:
             raise InputError(f"is not a contiguous {self.dtype} buffer", key=self.block.name)
         function: Any = self._library.surctl_run
-        return partial(function, ctypes.c_void_p(memory.ctypes.data))
+        # without `argtypes`, a pointer that exists already is passed in half the time; it keeps the buffer alive
+        return partial(function, ctypes.byref(ctypes.c_char.from_buffer(memory.data)))
 
     def __call__(self, *inputs: ArrayLike) -> list[Array]:
         """Evaluate the compiled function; inputs (n,) or (batch, n) give outputs of shape (m,) or (batch, m)."""

@@ -167,11 +167,9 @@ DEFAULT_REGIONS = ("region-cruise-20", "region-turning-20", "region-steered-20")
 """The region claims of an assessment, strongest assumption first; the first that applies is the one of a vehicle."""
 
 
-def _region_part(vehicle: Vehicle, gains: Gains, *, law: str, cruise: float, cap: float) -> Part:
+def _region_part(vehicle: Vehicle, gains: Gains, *, law: str, guidance: Guidance, cruise: float, cap: float) -> Part:
     """Return whether a region of attraction about the path is proved, and its size."""
-    if not law_source(law).parts:
-        return Part((), (Line(None, f"region of attraction: no claim concerns law {label(law)}", "region"),))
-    claim = applicable_region(DEFAULT_REGIONS, vehicle, gains, cruise=cruise, cap=cap)
+    claim = applicable_region(DEFAULT_REGIONS, vehicle, gains, law=law, guidance=guidance, cruise=cruise, cap=cap)
     if not isinstance(claim, RegionStatement):
         text = f"region of attraction: not applicable to {claim.to}, because {claim.because}"
         return Part((), (Line(None, text, "region"),), claim)
@@ -197,10 +195,10 @@ def judged_contact(
     spread: float | None = None,
 ) -> SafetyClaim | Inapplicable:
     """Return the no-contact claim of a mission, or why it does not apply; by true positions unless `sonar`."""
-    seen: dict[str, Any] = {"detection": detection_range(scenario) if sonar else float("inf")}
-    seen["turning"] = turn_rate(scenario, vehicle, gains, sonar=sonar)
+    perceived: dict[str, Any] = {"detection": detection_range(scenario) if sonar else float("inf")}
+    perceived["turning"] = turn_rate(scenario, vehicle, gains, sonar=sonar)
     try:
-        return safety_claim(scenario, vehicle, gains, barrier=barrier, movers=movers, spread=spread, **seen)
+        return safety_claim(scenario, vehicle, gains, barrier=barrier, movers=movers, spread=spread, **perceived)
     except NotApplicable as reason:
         return Inapplicable.of("no contact", reason)
 
@@ -537,7 +535,7 @@ class Mission:
         about: dict[str, Any] = {"vehicle": self.vehicle, "gains": self.gains, "law": self.law_ref}
         parts: dict[str, Callable[[], Part]] = {
             "loop": self._loop,
-            "region": partial(_region_part, **about, cruise=self.cruise, cap=self.cap),
+            "region": partial(_region_part, **about, guidance=self.guidance, cruise=self.cruise, cap=self.cap),
         }
         if self.scenarios:
             parts["no contact"] = partial(

@@ -141,6 +141,8 @@ def posture_task(
 ) -> RobotTask:
     """Return a task for the positions of the joints; see `Robot.posture_task`."""
     places = [place for place in robot.coordinates if place.single]
+    if not places:
+        raise InputError("has no joint with one position", file=robot.urdf.path, key=name, remedy="use a frame task")
     rows, columns = [place.q for place in places], [place.v for place in places]
     default = robot.neutral()
     if isinstance(target, Mapping):

@@ -25,11 +25,11 @@ from surctl.export import (
     write_bundle,
 )
 from surctl.export.bundle import build_bundle
-from surctl.ir import Block, Call, Layout, Port, Routine, lower, lower_named, without_libm
+from surctl.ir import Block, Call, Layout, Loop, Port, Routine, Step, lower, lower_named, without_libm
 from surctl.priority import Assembly, Mode, PriorityProblem, PrioritySolution, assemble, priority_step
 from surctl.priority.compiled.step import Stage
-from surctl.priority.shapes import LevelShape, StackShape
-from surctl.priority.solver.fallback import CLAMPED, RELAXED, UNCONFIRMED
+from surctl.priority.shapes import LevelShape, StackShape, SymbolicLevel
+from surctl.priority.solver.fallback import CLAMPED, LIMITED, RELAXED, UNCONFIRMED
 from surctl.priority.solving import explained
 from surctl.robot.kinematics import Kinematics
 from surctl.robot.limits import JointLimits, SelfCollision
@@ -42,6 +42,8 @@ Array: TypeAlias = NDArray[np.float64]
 
 _BITS = {RELAXED: 1, UNCONFIRMED: 2, CLAMPED: 4}
 _STAGES = get_args(Stage)
+_PROBLEM = ("J", "lower", "upper", "rows")
+_TOLERANCE = 1e-6  # of the damped problems: change of a rate [unit of the task/s]; square of the least weight of v
 _CHECKED_SECONDS, _CHECKED_RUNS, _CHECKED_STEPS = 2.0, 3, 300
 
 
@@ -66,15 +68,17 @@ class StackController:
         dt: control period [s].
         name: name of the controller, a C identifier.
         mode: priority mode of `surctl.priority`.
-        damping: c ≥ 0 [unit of the first task · s], such as 0.05 m·s, for targets out of reach and singular
-            configurations. For its desired rate x, the first task gets J v of the v that minimises ‖J v − x‖² + c ‖x‖
-            ‖v‖² within the limits. If v = 0 is within the limits, ‖v‖ is at most √(‖x‖/c). The loss: for a singular
-            value σ of J, that part of x is multiplied by σ²/(σ² + c ‖x‖), which tends to 1 as the target is reached.
-            With 0, the step is faster, but velocities may chatter at such targets.
+        damping: c ≥ 0 [unit of a task · s], such as 0.05 m·s, for targets out of reach and singular configurations. For
+            its desired rate x, each task in turn gets the v that minimises ‖J v − x‖² + c ‖x‖ ‖v‖² within the limits
+            and with the rates of the tasks above, to 1e-6 of their unit/s; so `mode` must be lexicographic. It adds at
+            most ‖J u − x‖²/(c ‖x‖) to ‖u‖², where u is the velocity of the tasks above (0 for the first task, if the
+            limits contain 0). The loss: for a singular value σ of the J that is left, that part of x is multiplied by
+            σ²/(σ² + c ‖x‖), which tends to 1 as the target is reached. With 0, the step is faster, but velocities may
+            chatter at such targets.
 
     Raises:
         InputError: tasks or limits are of different robots, two inputs have the same name but differ, the period is not
-            positive, the damping is negative, or the first task of a damped stack is set-based.
+            positive, the damping is negative, or a mode other than lexicographic is damped.
 
     Example:
         >>> from pathlib import Path
@@ -105,9 +109,10 @@ class StackController:
         self.stack, self.limits, self.dt = Stack(tuple(split)), tuple(limits), dt
         if not is_number(damping) or not 0.0 <= damping < math.inf:
             raise InputError("is not a number of at least 0", key="damping", value=damping, remedy="give 0, or 0.05")
-        if damping and isinstance(self.stack.tasks[0], SetTask):
-            key = f"task {self.stack.tasks[0].name}"
-            raise InputError("is set-based, so it cannot be damped", key=key, remedy="leave out damping")
+        if damping and mode != "lexicographic":
+            raise InputError(
+                "has no damping", key="mode", value=mode, remedy="take lexicographic, or leave out damping"
+            )
         targets, gains, symbols = _inputs_of(self.robot, self.stack)
         self._assembly = assemble(self.stack, self.limits, inputs=symbols)
         self._targets = tuple(port.name for port in targets)
@@ -166,7 +171,7 @@ class StackController:
         numbers = [int(abs(number)) for number in self._before()[1][1:] if number != 0.0]
         sets = [task.name for task in self.stack.tasks if isinstance(task, SetTask)]
         names = [row.name for row in rows] or [""]
-        return tuple([*names, *sets][number - 1] for number in numbers)
+        return tuple(dict.fromkeys([*names, *sets][number - 1] for number in numbers))
 
     def explain(self) -> str:
         """Return one or two sentences about the last step: what each task gave up, by how much, and for which limit."""
@@ -286,51 +291,89 @@ class _Law(Controller):
         problem = assembly.function.call([values[name] for name in assembly.sizes])
         names = ("J", "lower", "upper", "rows", "box", "moved")
         before = lower(ca.Function("tasks", flat, list(map(ca.densify, problem)), list(layouts), list(names)))
-        step = priority_step(self.mode, n=n, levels=assembly.shapes, rows=max(1, len(assembly.limits)))
-        solution = tuple(f"step_{name}" for name, _ in step.outputs)
-        damped = self._damped() if self.damping else ()
-        ends = ("lower_damped", "upper_damped") if damped else ("lower", "upper")
-        status = "damped_status" if damped else "step_status"
-        v, solved, first, active = (ca.SX.sym(name, size) for name, size in (("v", n), ("s", 1), ("f", 1), ("a", n)))
-        moved = ca.SX.sym("moved", dict(before.outputs)["moved"])
-        stage = ca.fmax(solved, first)  # the codes of the stages rise with what is lost
+        tasks = len(assembly.shapes) if self.damping else 1  # problems
+        v, moved = ca.SX.sym("v", n), ca.SX.sym("moved", dict(before.outputs)["moved"])
+        active, codes = ca.SX.sym("active", tasks * n), ca.SX.sym("codes", tasks)
+        stage = codes[0]
+        for k in range(1, tasks):  # the codes rise with what is lost; tasks above limit each task but the first
+            stage = ca.fmax(stage, ca.if_else(codes[k] > LIMITED, codes[k], 0.0))
         stage = ca.if_else(ca.logic_and(ca.mmax(moved) > 0, stage < RELAXED), RELAXED, stage)
         bits = sum((bit * (stage == code) for code, bit in _BITS.items()), ca.SX(0))
+        shown = active[-n:]
+        if self.damping:  # numbers above those of the limits are rows of tasks above
+            of_task = ca.logic_or(shown == 0, ca.fabs(shown) > len(assembly.limits))
+            shown = ca.if_else(of_task, active[:n], shown)
         after = lower_named(
             "result",
-            {"v": v, "found": solved, "first": first, "active": active, "moved": moved},
-            {"tau": v, "x_next": v[: self.state.size], "status": bits, "telemetry": ca.vertcat(stage, active)},
+            {"v": v, "active": active, "codes": codes, "moved": moved},
+            {"tau": v, "x_next": v[: self.state.size], "status": bits, "telemetry": ca.vertcat(stage, shown)},
         )
         results = ("tau", "x_next", "status", "telemetry")
         steps = (
             Call(before, tuple(layouts), names),
-            *damped,
-            Call(step, ("J", *ends, "rows", "box"), solution),
-            Call(after, ("step_v", "step_status", status, "step_active", "moved"), results),
+            *(self._damped() if self.damping else self._strict()),
+            Call(after, ("step_v", "step_active", "step_status", "moved"), results),
         )
         sizes = tuple((name, layout.size) for name, layout in layouts.items())
         return without_libm(Routine(self.name, sizes, steps, results))
 
-    def _damped(self) -> tuple[Call, ...]:
-        """Return the steps that replace the desired rate x of level 1 by J v; see `damping` of `StackController`."""
-        shape = StackShape(self.assembly.stack.velocities, self.assembly.shapes)
+    def _strict(self) -> tuple[Step, ...]:
+        """Return the call that solves the priority problem."""
+        shapes, rows = self.assembly.shapes, max(1, len(self.assembly.limits))
+        step = priority_step(self.mode, n=self.assembly.stack.velocities, levels=shapes, rows=rows)
+        return (Call(step, (*_PROBLEM, "box"), tuple(f"step_{name}" for name, _ in step.outputs)),)
+
+    def _damped(self) -> tuple[Step, ...]:
+        """Return the loop that solves one problem for each task; see `damping` of `StackController`."""
+        shape, limits = StackShape(self.assembly.stack.velocities, self.assembly.shapes), len(self.assembly.limits)
+        n, most, above = shape.n, max(level.rows for level in shape.levels), shape.starts[-1]
         flat, levels = shape.symbols()
-        n, first = shape.n, levels[0]
-        weight = ca.sqrt(self.damping * ca.norm_2(first.lower))
-        names = tuple(name for name, _ in shape.inputs)
-        inputs = dict(zip(names, flat, strict=True))
-        J, x = ca.vertcat(first.J, weight * ca.SX.eye(n)), ca.vertcat(first.lower, ca.SX.zeros(n))
-        extended = lower_named("extended", inputs, {"J_damped": ca.vec(J.T), "x_damped": x})
-        rows = max(1, len(self.assembly.limits))
-        step = priority_step("lexicographic", n=n, levels=(LevelShape(J.shape[0]),), rows=rows)
-        solution = tuple(f"damped_{name}" for name, _ in step.outputs)
-        v, k = ca.SX.sym("v", n), first.lower.numel()
-        ends = {f"{name}_damped": ca.vertcat(first.J @ v, inputs[name][k:]) for name in names[1:]}
-        return (
-            Call(extended, names, ("J_damped", "x_damped")),
-            Call(step, ("J_damped", "x_damped", "x_damped", "rows", "box"), solution),
-            Call(lower_named("replaced", inputs | {"v": v}, ends), (*names, "damped_v"), tuple(ends)),
+        k, v, rows = ca.SX.sym("k"), ca.SX.sym("v", n), ca.SX.sym("rows", max(1, limits) * (n + 3))
+        J, x = ca.SX(most, n), ca.SX.zeros(most)
+        extended = [rows]
+        for i, level in enumerate(levels):
+            size = level.lower.numel()
+            J[:size, :] += (k == i) * level.J
+            x[:size] += ca.if_else(k == i, level.desired(v), 0.0)
+            if i < len(levels) - 1:
+                extended.append(ca.vec(_preserved(level, v, k > i).T))
+        weight = ca.sqrt(self.damping * ca.norm_2(x) + _TOLERANCE)
+        x = ca.vertcat(x, ca.SX.zeros(n))
+        problem = lower_named(
+            "task",
+            dict(zip(("k", "v", *_PROBLEM), (k, v, *flat, rows), strict=True)),
+            {"J_k": ca.vec(ca.vertcat(J, weight * ca.SX.eye(n)).T), "low": x, "high": x, "all": ca.vertcat(*extended)},
         )
+        step = priority_step("lexicographic", n=n, levels=(LevelShape(most + n),), rows=max(1, limits) + above)
+        inputs, box = (
+            tuple((name, int(symbol.numel())) for name, symbol in zip(_PROBLEM, (*flat, rows), strict=True)),
+            2 * n,
+        )
+        solution = tuple(f"step_{name}" for name, _ in step.outputs)
+        one = Routine(
+            f"{self.name}_task",
+            (("k", 1), ("v", n), *inputs, ("box", box)),
+            (
+                Call(problem, ("k", "v", *_PROBLEM), ("J_k", "low", "high", "all")),
+                Call(step, ("J_k", "low", "high", "all", "box"), solution),
+            ),
+            ("step_v", "step_active", "step_status"),
+        )
+        rest = lower_named("rest", {"J": flat[0]}, {"rest": ca.SX.zeros(n)})
+        loop = Loop(
+            one, len(levels), ("rest",), ("step_v", "step_active", "step_status"), fixed=(*_PROBLEM, "box"), index=True
+        )
+        return Call(rest, ("J",), ("rest",)), loop
+
+
+def _preserved(level: SymbolicLevel, v: ca.SX, used: ca.SX) -> ca.SX:
+    """Return limit rows (k, n + 3) that keep the rates of a task as they are in v, or within its range, if used."""
+    now = level.J @ v
+    low, high = now - _TOLERANCE, now + _TOLERANCE
+    if level.is_set:
+        low, high = ca.fmin(low, level.lower), ca.fmax(high, level.upper)
+    low, high = ca.if_else(used, low, -math.inf), ca.if_else(used, high, math.inf)
+    return ca.horzcat(used * level.J, low, high, ca.SX.zeros(now.numel()))
 
 
 def _no_expressions(*_: object) -> NoReturn:

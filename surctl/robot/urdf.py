@@ -123,6 +123,8 @@ def _share(value: ca.SX) -> ca.SX:
 JointType: TypeAlias = Literal["fixed", "revolute", "continuous", "prismatic", "planar", "floating"]
 
 _LARGEST = 20_000_000  # bytes; the largest public URDF files have some megabytes
+_INERTIA = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
+_ROUNDED = 1e-12  # kg, kg m²; public files have inertias of -5e-20
 _SNAP = 1e-12  # sines and cosines this near to 0 or ±1 come from rounding of a right angle
 
 
@@ -264,7 +266,7 @@ def read_xml(path: Path, tag: str) -> Element:
     except InputError as error:
         raise error.inside(path) from None
     if any(element.tag.startswith("xacro:") for element in root.iter()):
-        raise InputError("contains xacro macros", file=path, remedy=f"expand them: xacro {path.name} > robot.{tag}")
+        raise InputError("contains xacro macros", file=path, remedy=f"expand them: xacro {path.name} > FILE")
     if root.tag != tag:
         raise InputError(f"begins with <{root.tag}>", file=path, remedy=f"give a file that begins with <{tag}>")
     return root
@@ -281,6 +283,14 @@ def _name(element: Element) -> str:
     return name
 
 
+def _one(element: Element, tag: str, key: str) -> Element | None:
+    """Return the part of an element with a tag; None if it has none."""
+    parts = element.findall(tag)
+    if len(parts) > 1:
+        raise InputError(f"has {len(parts)} elements <{tag}>", key=key, remedy="remove all but one")
+    return parts[0] if parts else None
+
+
 def _numbers(element: Element | None, attribute: str, default: str, count: int, key: str) -> Array:
     text = default if element is None else element.get(attribute, default)
     try:
@@ -289,8 +299,12 @@ def _numbers(element: Element | None, attribute: str, default: str, count: int, 
         numbers = []
     if len(numbers) != count or not all(map(math.isfinite, numbers)):
         what = "a finite number" if count == 1 else f"{count} finite numbers"
-        raise InputError(f"is not {what}", key=f"{key}: {attribute}", value=text, remedy="correct it")
+        raise InputError(f"is not {what}", key=f"{key}: {attribute}", value=text, remedy=_remedy(text, "correct it"))
     return np.array(numbers)
+
+
+def _remedy(text: str, otherwise: str) -> str:
+    return "expand the file with xacro" if "${" in text else otherwise
 
 
 def _bound(element: Element | None, attribute: str, key: str) -> float | None:
@@ -303,12 +317,13 @@ def _bound(element: Element | None, attribute: str, key: str) -> float | None:
     except ValueError:
         number = math.nan
     if math.isnan(number):
-        raise InputError("is not a number", key=f"{key}: limit {attribute}", value=text, remedy="give a number")
+        remedy = _remedy(text, "give a number")
+        raise InputError("is not a number", key=f"{key}: limit {attribute}", value=text, remedy=remedy)
     return number if math.isfinite(number) else None
 
 
 def _origin(element: Element, key: str) -> tuple[Array, Array]:
-    origin = element.find("origin")
+    origin = _one(element, "origin", key)
     roll, pitch, yaw = _numbers(origin, "rpy", "0 0 0", 3, f"{key}: origin")
     (cr, sr), (cp, sp), (cy, sy) = ((math.cos(a), math.sin(a)) for a in (roll, pitch, yaw))
     rotation = np.array(
@@ -328,11 +343,14 @@ def _link(element: Element) -> Link:
     name = _name(element)
     key = f"link {name}"
     mass, centre = 0.0, np.zeros(3)
-    inertial = element.find("inertial")
+    inertial = _one(element, "inertial", key)
     if inertial is not None:
-        mass = float(_numbers(inertial.find("mass"), "value", "0", 1, f"{key}: mass")[0])
-        if mass < 0.0:
-            raise InputError("is negative", key=f"{key}: mass", value=mass, remedy="give kilograms")
+        mass = float(_numbers(_one(inertial, "mass", key), "value", "0", 1, f"{key}: mass")[0])
+        inertia = _one(inertial, "inertia", key)
+        moments = [float(_numbers(inertia, name, "0", 1, f"{key}: inertia")[0]) for name in _INERTIA]
+        for what, value, unit in (("mass", mass, "kilograms"), ("inertia", min(moments[:3]), "kg m²")):
+            if value < -_ROUNDED:
+                raise InputError("is negative", key=f"{key}: {what}", value=value, remedy=f"give {unit}")
         centre = _origin(inertial, key)[1]
     shapes, meshes = [], False
     for collision in element.findall("collision"):
@@ -374,13 +392,13 @@ def _joint(element: Element) -> Joint:
         )
     ends = []
     for tag in ("parent", "child"):
-        end = element.find(tag)
+        end = _one(element, tag, key)
         link = None if end is None else end.get("link")
         if not link:
             raise InputError(f"has no {tag} link", key=key, remedy=f'write <{tag} link="…"/>')
         ends.append(link)
     axis = np.array([0.0, 0.0, 1.0]) if kind in ("fixed", "floating") else _axis(element, kind, key)
-    limit = element.find("limit")
+    limit = _one(element, "limit", key)
     lower, upper, velocity = (_bound(limit, attribute, key) for attribute in ("lower", "upper", "velocity"))
     if lower is not None and upper is not None and lower > upper:
         remedy = "give lower <= upper"
@@ -388,7 +406,7 @@ def _joint(element: Element) -> Joint:
     if velocity is not None and velocity < 0.0:
         remedy = "give a largest speed"
         raise InputError("is negative", key=f"{key}: limit velocity", value=velocity, remedy=remedy)
-    follows = element.find("mimic")
+    follows = _one(element, "mimic", key)
     mimic = None
     if follows is not None and kind != "fixed":
         if kind in ("planar", "floating"):
@@ -400,6 +418,9 @@ def _joint(element: Element) -> Joint:
         mimic = Mimic(follows.get("joint", ""), multiplier, offset)
     rotation, position = _origin(element, key)
     bounded = kind != "continuous"
+    if not bounded and lower is not None and upper is not None and 0.0 < upper - lower < 2.0 * math.pi:
+        remedy = "write revolute, or remove its lower and upper limits"
+        raise InputError("is continuous, but has limits", key=key, value=[lower, upper], remedy=remedy)
     return Joint(
         name, cast(JointType, kind), ends[0], ends[1], rotation, position, axis,
         lower if bounded else None, upper if bounded else None, velocity, mimic,
@@ -407,7 +428,7 @@ def _joint(element: Element) -> Joint:
 
 
 def _axis(element: Element, kind: str, key: str) -> Array:
-    axis = _numbers(element.find("axis"), "xyz", "1 0 0", 3, f"{key}: axis")
+    axis = _numbers(_one(element, "axis", key), "xyz", "1 0 0", 3, f"{key}: axis")
     length = float(np.sqrt(axis @ axis))
     if length < 1e-9:
         raise InputError("has length 0", key=f"{key}: axis", value=axis.tolist(), remedy="give a direction")

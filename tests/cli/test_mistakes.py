@@ -224,7 +224,7 @@ def test_an_unknown_stack_is_refused_before_claims_are_decided(tmp_path, monkeyp
 @pytest.mark.parametrize(
     "words",
     [
-        *("study", "export", "export --target fmu", "simulate pool-behind --controller c"),
+        *("study", "tune", "export", "export --target fmu", "simulate pool-behind --controller c"),
         *("study mine.py:build", "export mine.py:build", "sweep mine.py:build k_p=4..20:3", "tune mine.py:build"),
     ],
 )

@@ -7,6 +7,7 @@ import pytest
 
 from tests.cli.process import LIBRARY, surctl, surctl_here
 from tests.processes import run_python
+from tests.tools import need_compiler
 
 
 @pytest.mark.parametrize("kind", ["vehicle", "scenario", "study"])
@@ -30,6 +31,14 @@ def test_a_new_task_passes_its_check(tmp_path: Path) -> None:
     for name, fragment in (("../x", "cannot be a file name"), ("7", "cannot name a task")):
         wrong = surctl("new", "task", name, cwd=tmp_path)
         assert wrong.status == 2 and fragment in wrong.complaint
+
+
+def test_a_new_robot_reaches_its_target_and_becomes_c(tmp_path: Path) -> None:
+    need_compiler()
+    assert surctl("new", "robot", "my-arm", cwd=tmp_path).status == 0
+    done = run_python(["my-arm.py"], cwd=tmp_path)
+    assert done.returncode == 0 and "tool at [0.3 0.6 0. ] m" in done.stdout, done.stderr
+    assert (tmp_path / "my_arm.urdf").exists() and (tmp_path / "firmware" / "my_arm.h").exists()
 
 
 def test_a_vehicle_from_its_geometry(tmp_path: Path) -> None:

@@ -5,11 +5,18 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
+from surctl.assessment import assess
+from surctl.certcheck.belonging import compare
 from surctl.cli import claims as regions
 from surctl.cli.app import app
 from surctl.cli.robot_options import export_command
+from surctl.errors import NotApplicable
+from surctl.marine.assessment import Mission
+from surctl.marine.control import LAW_NAMES, build_law, load_gains
 from surctl.marine.simulation import LIBRARY as SCENARIOS
-from surctl.marine.verification.region import REGION_CLAIMS, load_region
+from surctl.marine.simulation import load_scenario
+from surctl.marine.vehicle import load_vehicle
+from surctl.marine.verification.region import REGION_CLAIMS, applicable_region, load_region
 from tests.certcheck import test_bundle
 from tests.cli.process import surctl, surctl_here
 
@@ -23,7 +30,9 @@ def test_a_region_that_is_not_proved_fails_and_leaves_nothing(tmp_path, monkeypa
     name = "region-cruise-20"
     fast = REGION_CLAIMS[name].model_copy(update={"attempts": 1, "rate_per_s": 5.0})
     monkeypatch.setitem(REGION_CLAIMS, name, fast)
-    found = regions.prove_regions([name], vehicle="sur540-flooded", gains="default", speeds=(0.15, 0.22), out=tmp_path)
+    found = regions.prove_regions(
+        [name], vehicle="sur540-flooded", gains="default", law="guarded", speeds=(0.15, 0.22), out=tmp_path
+    )
     assert found.claims[0]["verdict"] == "unknown" and "FAIL" in found.lines[0]
     assert not list(tmp_path.iterdir())
 
@@ -88,12 +97,12 @@ def test_a_region_for_another_kind_of_vehicle_names_the_one_that_applies(tmp_pat
         (tmp_path / file).write_text(re.sub(r"(?m)^Fv_max = .*", f'Fv_max = "{sway}"', changed))
         return file
 
-    for file, kind in (
-        (written("steered.toml", "50 kg", "0 N"), "region-steered-20"),
-        (written("turning.toml", "60 kg", "5 N"), "region-turning-20"),
+    for file, law, kind in (
+        (written("steered.toml", "50 kg", "0 N"), "steered", "region-steered-20"),
+        (written("turning.toml", "60 kg", "5 N"), "guarded", "region-turning-20"),
     ):
-        vehicle = str(tmp_path / file)
-        found = regions.prove_regions(["region-cruise-20"], vehicle=vehicle, gains="default", speeds=(0.15, 0.22))
+        about = {"vehicle": str(tmp_path / file), "gains": "default", "law": law}
+        found = regions.prove_regions(["region-cruise-20"], **about, speeds=(0.15, 0.22))
         assert found.instead == kind and found.claims[0]["verdict"] == "not applicable"
 
 
@@ -104,3 +113,33 @@ def test_an_option_does_not_exchange_the_speed_of_a_region_file(tmp_path) -> Non
         assert done.status == 2
         assert f"{option} = {value}: is not the speed of the region claim, which is proved at 0." in done.complaint
     assert surctl("verify", "own.toml", "--show", "--cruise", "0.15", cwd=tmp_path).status == 0
+
+
+@pytest.mark.parametrize("guidance", ["los", "ilos", "alos"])
+@pytest.mark.parametrize("law", LAW_NAMES)
+def test_a_claim_is_about_the_laws_that_its_certificate_fits(law: str, guidance: str) -> None:
+    """What applies to a law is compared with what the checker finds in the law's instruction list."""
+    vehicle, gains, names = load_vehicle("sur400"), load_gains("default"), ("region-cruise-20",)
+    speeds = {"cruise": 0.15, "cap": 0.22}
+    claim = applicable_region(names, vehicle, gains, law=law, guidance=guidance, **speeds)
+    found = regions.prove_all(["braking-simple-20"], vehicle="sur400", gains="default", law=law, cap=0.22)
+    braked = found.claims[0]["verdict"] == "proved"
+    subject = Mission(vehicle, gains, 0.15, 0.22, law, guidance, (load_scenario("pool-static"),))
+    judged = assess(subject, parts=["no contact"]).lines[0]
+    assert ("the claim concerns law guarded" in judged.text) != braked
+    if law in ("steered", "calm"):  # the one needs another craft, the other has gains of its own
+        assert isinstance(claim, NotApplicable) and not braked
+        return
+    built = build_law(law, guidance=guidance)
+    manifest = test_bundle.manifest_for(law=built, spin=0.0)
+    fits = not compare(test_bundle.region(law=built.block.digest()), manifest).differs
+    assert fits == (not isinstance(claim, NotApplicable))
+    if guidance == "los":
+        certificate = test_bundle.braking("braking-simple-20", lambda c: c.update(sha256_law=built.block.digest()))
+        assert braked == (not compare(certificate, manifest).differs)
+
+
+def test_verify_says_of_a_law_only_what_is_about_it() -> None:
+    words = ["verify", "region-cruise-20", "braking-inertia-20", "--law", "dwa", "--vehicle", "sur400", "--json"]
+    done = CliRunner().invoke(app, words)
+    assert [one["verdict"] for one in json.loads(done.stdout)["claims"]] == ["not applicable"] * 2

@@ -115,6 +115,64 @@ def test_loops_over_entries_run_four_at_once_and_only_those() -> None:
     assert "FOUR" not in emit_block(example(), symbol="f", folded=True)
 
 
+class Table:
+    n: int
+    k: int
+    x: list[float]
+    y: list[float]
+    T: list[float]
+
+
+def reflect(s: Table) -> None:
+    """Apply I − 2 x xᵀ / 10 to the columns of T, where x are the first n entries; all but one loop go together."""
+    for j in range(s.n):
+        for row in range(s.k):
+            s.T[j * s.k + row] = s.x[j] * s.x[row] - s.x[row]
+    for row in within(1, s.k, s.k):
+        total = 0.0
+        for j in range(s.n):
+            total += s.T[j * s.k + row] * s.x[j]
+        for j in range(s.n):
+            twice = 0.2 * s.x[j]
+            s.T[j * s.k + row] -= total * twice
+        s.y[row] = total
+    s.y[0] = s.T[s.n * s.k - 1]
+
+
+def chained(s: Table) -> None:
+    """Add to entries that other iterations read, and use the last value of a variable: nothing goes together."""
+    for j in range(s.n * s.k):
+        s.T[j] = 0.5 * j
+    for row in range(s.k - 3):
+        total = 0.0
+        for j in range(3):
+            total += s.T[j + row] * s.x[row]
+            s.T[j + row] += s.x[row]
+        s.y[row] = total
+    last = 0.0
+    for row in range(s.k):
+        last = s.x[row] * 2.0
+        s.y[row] = last + s.T[row]
+    s.y[0] = last
+
+
+def table(function: Any, n: int, k: int) -> Procedure:
+    ports: dict[str, Any] = {"inputs": (("x", k),), "outputs": (("y", k),)}
+    return Procedure.of("table", [function], **ports, sizes={"n": n, "k": k}, reals={"T": n * k}, wholes={})
+
+
+@pytest.mark.parametrize("k", [5, 8, 15, 24])
+def test_loops_with_inner_loops_run_together_where_no_iteration_needs_another(k: int) -> None:
+    text, alone = (emit_block(table(f, 4, k), symbol="f") for f in (reflect, chained))
+    assert ("+ 8 <=" in text) == (k > 8)  # a group of eight must not reach the next column of T
+    assert "_total0" in text and "FOUR(" not in alone.replace("FOUR(entry)", "")
+    need_compiler()
+    x = np.random.default_rng(k).normal(size=(6, k))
+    for block in (table(reflect, 4, k), table(chained, 4, k)):
+        assert same(compile_block(block)(x), replay(block, x))
+        assert same(compile_block(block, real="float32")(x), replay(block, x, real=np.float32))
+
+
 def test_a_procedure_is_read_back_and_changes_with_its_text() -> None:
     block = around(example())
     assert read_block(write_block(block)) == block

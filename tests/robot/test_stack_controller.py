@@ -11,7 +11,7 @@ import pytest
 from surctl.errors import InputError
 from surctl.robot import Robot, StackController, load_urdf
 from surctl.system import NONFINITE, run_system
-from surctl.tasks import SetTask
+from surctl.tasks import SetTask, Task
 from tests.robot.robots import ARM, joint, link, written
 from tests.tools import need_compiler
 
@@ -95,6 +95,24 @@ def test_a_damped_arm_rests_at_the_point_nearest_to_a_target_out_of_reach(arm: R
         assert np.linalg.norm(v) <= np.sqrt(1.5 / c) + 1e-9
 
 
+@pytest.mark.parametrize("angle", [1e-1, 1e-3, 1e-6, 1e-9, 0.0])
+def test_damping_bounds_each_task_and_keeps_the_tasks_above(arm: Robot, angle: float) -> None:
+    need_compiler()
+    c, q = 0.05, [0.3, angle - 0.3]  # the second link lies along x, so the elbow moves the tool across x alone
+    turn = Task(name="turn", eta=arm.q, sigma=arm.q[0], target=0.4, unit="rad", kinematics=arm.rate_map)
+    x = arm.frame("link3").position[0]
+    along = Task(name="along", eta=arm.q, sigma=x, target=2.0, gain=0.5, unit="m", kinematics=arm.rate_map)
+    near = SetTask(name="near", eta=arm.q, sigma=arm.q[1], lower=-2.0, upper=1.0, kinematics=arm.rate_map)
+    v = StackController([near, turn, along], limits=[arm.joint_limits(velocity=1e3)], dt=DT, damping=c).step(q)
+    J, rate = np.array(ca.Function("J", [arm.q], [ca.jacobian(x, arm.q)])(q)), 0.5 * (2.0 - arm.pose("link3", q)[0, 3])
+    first = np.array([0.1 / (1.0 + c * 0.1), 0.0])
+    missing = abs(rate - J @ first).item()
+    assert abs(v[0] - first[0]) < 2e-6
+    assert v @ v <= first @ first + missing**2 / (c * rate) + 1e-3
+    free = (c * rate + J[0, 1] ** 2) * v[1] - J[0, 1] * (rate - J[0, 0] * v[0])
+    assert abs(free) < 1e-5, "v minimises ‖J v − x‖² + c ‖x‖ ‖v‖²"
+
+
 def test_nan_never_becomes_a_command(arm: Robot, control: StackController) -> None:
     control.reset([0.1, 0.0])
     for q, target in (([np.nan, 0], [0] * 6 + [1]), ([0, 1.0], [np.inf] + [0] * 5 + [1])):
@@ -117,6 +135,7 @@ def test_a_mistake_gives_one_line(arm: Robot, control: StackController) -> None:
         (lambda: StackController([posture, arm.com_task("home")], dt=0.1), "is the name of two inputs"),
         (lambda: StackController([posture], dt=0.0, mode="nsb"), "is not a control period"),
         (lambda: StackController([posture], dt=0.1, damping=-1.0), "damping = -1.0"),
+        (lambda: StackController([posture], dt=0.1, damping=0.1, mode="nsb"), "mode = 'nsb': has no damping"),
         (lambda: arm.frame_task("link9", target="tool"), "is not the name of a link"),
         (lambda: arm.frame_task("link3", target="my tool"), "is not a name for a target"),
         (lambda: arm.frame_task("link3", target="tool", gain=-1.0), "tool_gain = -1.0"),

@@ -43,6 +43,14 @@ BAD = {
     "leads back to the joint itself": _hinge(more='<mimic joint="j"/>'),
     "is planar, so it cannot mimic a joint": _hinge(kind="planar", more='<mimic joint="j"/>'),
     "link a: mass = -1.0": link("a", '<inertial><mass value="-1"/></inertial>'),
+    "link a: inertia = -1.0: is negative": link("a", '<inertial><inertia ixx="-1"/></inertial>'),
+    "link a: inertia: ixy = 'nan'": link("a", '<inertial><inertia ixy="nan"/></inertial>'),
+    "joint j: has 2 elements <limit>": _hinge(limit='lower="-1"', more='<limit upper="1"/>'),
+    "joint j: has 2 elements <parent>": _hinge(more='<parent link="b"/>'),
+    "joint j = [-1.0, 1.0]: is continuous, but has limits": _hinge(
+        kind="continuous", limit='lower="-1" upper="1" velocity="1"'
+    ),
+    "'${-pi}': is not a number; expand the file with xacro": _hinge(limit='lower="${-pi}"'),
     "link a: collision: has no geometry": link("a", "<collision/>"),
     "link a: geometry = 'ball'": link("a", BALL.format("ball")),
     "has a size that is not positive": link("a", BALL.format('sphere radius="0"')),

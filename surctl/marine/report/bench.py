@@ -237,8 +237,9 @@ class Bench:
         return (*decided, *(Inapplicable.of(name, reason) for name, reason in refused.items()))
 
     def _statement(self, values: Mapping[str, float]) -> RegionStatement | NotApplicable:
-        cruise, cap = self.scenario.cruise, self.scenario.cap
-        return applicable_region(DEFAULT_REGIONS, self.vehicle, self.gains(values), cruise=cruise, cap=cap)
+        about: dict[str, Any] = {"law": self.case.law, "guidance": self.case.guidance}
+        about |= {"cruise": self.scenario.cruise, "cap": self.scenario.cap}
+        return applicable_region(DEFAULT_REGIONS, self.vehicle, self.gains(values), **about)
 
     def assess(self, values: Mapping[str, float]) -> Assessment:
         """Return the assessment of these gains in the scenario, with true positions."""

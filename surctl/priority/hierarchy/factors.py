@@ -48,7 +48,6 @@ class Memory:
     tau: list[float]
     h: list[float]
     sums: list[float]
-    other: list[float]
     y: list[float]
     z: list[float]
     g: list[float]
@@ -81,6 +80,10 @@ class Memory:
     value: list[float]
     slack: list[float]
     toward: list[int]
+    near: list[int]  # limits that v + step exceeds
+    margin: list[float]  # to the upper bounds, then to the lower ones
+    hits: int  # number of limits in `near`
+    nearest: float  # share of the step up to the first limit
     slack_set: list[float]
     speed_set: list[float]
     toward_set: list[int]
@@ -95,6 +98,7 @@ class Memory:
     soft: int
     top: int
     factor: float
+    head: float  # first entry of the normal of a reflection
     size: float
     moved: int
     still: int
@@ -106,67 +110,54 @@ class Memory:
     turns: int
 
 
-def reflection(s: Memory, lo: int, hi: int) -> float:
-    """Turn h[lo:hi] into the normal of a reflection to its first axis; return that entry, set `factor`."""
-    square = 0.0
-    for i in within(lo, hi, s.x):
-        square += s.h[i] * s.h[i]
+def reflection(s: Memory, head: float, square: float) -> float:
+    """Return the first entry of a vector after the reflection to its first axis; set `factor` and `head` of the normal.
+
+    head: the first entry of the vector. square: the square of its length.
+    """
     if not square > 0.0:
         s.factor = 0.0
+        s.head = head
         return 0.0
     length = sqrt(square)
-    to = -length if s.h[lo] > 0.0 else length
-    s.h[lo] = s.h[lo] - to
-    s.factor = 1.0 / (length * fabs(s.h[lo]))
+    to = -length if head > 0.0 else length
+    s.head = head - to
+    s.factor = 1.0 / (length * fabs(s.head))
     return to
 
 
 def reflect_table(s: Memory, lo: int, hi: int) -> None:
     """Apply the reflection h to the columns lo … hi of T."""
-    for r in range(s.r):
-        s.sums[r] = 0.0
-    for j in within(lo, hi, s.x):
-        e = s.h[j]
-        for r in range(s.r):
-            s.sums[r] += s.T[j * s.r + r] * e
-    for r in range(s.r):
-        s.sums[r] = s.sums[r] * s.factor
-    for j in within(lo, hi, s.x):
-        e = s.h[j]
-        for r in range(s.r):
-            s.T[j * s.r + r] -= s.sums[r] * e
+    for row in range(s.r):
+        total = 0.0
+        for j in within(lo, hi, s.x):
+            total += s.T[j * s.r + row] * s.h[j]
+        total = total * s.factor
+        for j in within(lo, hi, s.x):
+            e = s.h[j]
+            s.T[j * s.r + row] -= total * e
 
 
 def reflect_levels(s: Memory, number: int, lo: int, hi: int, begin: int, end: int) -> None:
     """Apply reflection `number` to the columns lo … hi and rows begin … end of B."""
-    for r in within(begin, end, s.k):
-        s.sums[r] = 0.0
-    for j in within(lo, hi, s.x):
-        e = s.V[number * s.x + j]
-        for r in within(begin, end, s.k):
-            s.sums[r] += s.B[j * s.k + r] * e
-    t = s.tau[number]
-    for r in within(begin, end, s.k):
-        s.sums[r] = s.sums[r] * t
-    for j in within(lo, hi, s.x):
-        e = s.V[number * s.x + j]
-        for r in within(begin, end, s.k):
-            s.B[j * s.k + r] -= s.sums[r] * e
+    for row in within(begin, end, s.k):
+        total = 0.0
+        for j in within(lo, hi, s.x):
+            total += s.B[j * s.k + row] * s.V[number * s.x + j]
+        total = total * s.tau[number]
+        for j in within(lo, hi, s.x):
+            e = s.V[number * s.x + j]
+            s.B[j * s.k + row] -= total * e
 
 
 def along(s: Memory, j: int) -> float:
     """Return d·q for column j of Q; d and q are padded with zeros."""
-    a = 0.0
-    b = 0.0
-    c = 0.0
-    e = 0.0
-    for i in range(s.quarter):
-        at = j * s.r + s.k + 4 * i
-        a += s.d[4 * i] * s.T[at]
-        b += s.d[4 * i + 1] * s.T[at + 1]
-        c += s.d[4 * i + 2] * s.T[at + 2]
-        e += s.d[4 * i + 3] * s.T[at + 3]
-    return (a + b) + (c + e)
+    for i in range(4):
+        total = 0.0
+        for q in range(s.quarter):
+            total += s.d[4 * q + i] * s.T[j * s.r + s.k + 4 * q + i]
+        s.sums[i] = total
+    return (s.sums[0] + s.sums[1]) + (s.sums[2] + s.sums[3])
 
 
 def enter(s: Memory, i: int, side: int) -> int:
@@ -183,10 +174,14 @@ def enter(s: Memory, i: int, side: int) -> int:
         s.h[j] = along(s, j)
     for j in within(0, s.w, s.x):
         s.L[s.w * s.x + j] = s.h[j]
-    to = reflection(s, s.w, s.N)
+    square = 0.0
+    for j in within(s.w, s.N, s.x):
+        square += s.h[j] * s.h[j]
+    to = reflection(s, s.h[s.w], square)
     if not fabs(to) >= 1e-12:
         return 0
     s.L[s.w * s.x + s.w] = to
+    s.h[s.w] = s.head
     reflect_table(s, s.w, s.N)
     s.valid = 0
     s.W[s.w] = i
@@ -220,12 +215,10 @@ def leave(s: Memory, place: int) -> None:
                 s.L[j * s.x + i] = cosine * a + sine * b
                 s.L[j * s.x + i + 1] = cosine * b - sine * a
             for q in range(s.r):
-                s.sums[q] = cosine * s.T[i * s.r + q] + sine * s.T[(i + 1) * s.r + q]
-                s.other[q] = cosine * s.T[(i + 1) * s.r + q] - sine * s.T[i * s.r + q]
-            for q in range(s.r):
-                s.T[i * s.r + q] = s.sums[q]
-            for q in range(s.r):
-                s.T[(i + 1) * s.r + q] = s.other[q]
+                one = s.T[i * s.r + q]
+                other = s.T[(i + 1) * s.r + q]
+                s.T[i * s.r + q] = cosine * one + sine * other
+                s.T[(i + 1) * s.r + q] = cosine * other - sine * one
 
 
 def eliminate_left(s: Memory, level: int, cols: int) -> float:
@@ -242,10 +235,12 @@ def eliminate_left(s: Memory, level: int, cols: int) -> float:
         square = 0.0
         for i in within(j, cnt, s.b):
             e = s.QR[(base + i) * s.x + j]
+            s.norms[i] = e
             square += e * e
         length = sqrt(square)
-        head = s.QR[(base + j) * s.x + j]
+        head = s.norms[j]
         to = -length if head > 0.0 else length
+        s.norms[j] = head - to
         s.QR[(base + j) * s.x + j] = head - to
         t = 1.0 / (length * fabs(head - to)) if length > 0.0 else 0.0
         s.diagonal[level * s.x + j] = to
@@ -253,21 +248,19 @@ def eliminate_left(s: Memory, level: int, cols: int) -> float:
         if not length >= least:
             least = length
         total = 0.0
-        for q in within(j + 1, cols, s.x):
-            s.sums[q] = 0.0
         for i in within(j, cnt, s.b):
-            e = s.QR[(base + i) * s.x + j]
-            total += e * s.side_d[i]
-            for q in within(j + 1, cols, s.x):
-                s.sums[q] += e * s.QR[(base + i) * s.x + q]
-        for q in within(j + 1, cols, s.x):
-            s.sums[q] = s.sums[q] * t
+            total += s.norms[i] * s.side_d[i]
         total = total * t
         for i in within(j, cnt, s.b):
-            e = s.QR[(base + i) * s.x + j]
-            s.side_d[i] -= total * e
-            for q in within(j + 1, cols, s.x):
-                s.QR[(base + i) * s.x + q] -= s.sums[q] * e
+            s.side_d[i] -= total * s.norms[i]
+        for q in within(j + 1, cols, s.x):
+            part = 0.0
+            for i in within(j, cnt, s.b):
+                part += s.norms[i] * s.QR[(base + i) * s.x + q]
+            part = part * t
+            for i in within(j, cnt, s.b):
+                f = s.norms[i]
+                s.QR[(base + i) * s.x + q] -= part * f
     return least
 
 
@@ -285,10 +278,11 @@ def solve_left(s: Memory, level: int, cols: int) -> None:
 
 def take_off(s: Memory, begin: int, end: int, low: int, high: int) -> None:
     """Subtract the columns low … high of B, times y, from the remainders of the rows begin … end."""
-    for j in within(low, high, s.x):
-        e = s.y[s.w + j]
-        for row in within(begin, end, s.k):
-            s.rest[row] -= s.B[j * s.k + row] * e
+    for row in within(begin, end, s.k):
+        rest = s.rest[row]
+        for j in within(low, high, s.x):
+            rest -= s.B[j * s.k + row] * s.y[s.w + j]
+        s.rest[row] = rest
 
 
 def pivots(s: Memory, level: int, free: int, end: int) -> None:
@@ -296,10 +290,10 @@ def pivots(s: Memory, level: int, free: int, end: int) -> None:
     base = s.first[level]
     cnt = s.many[level]
     for row in within(base, s.first[level + 1], s.b):
-        s.sums[row] = 0.0
-    for j in within(s.start[level], free, s.x):
-        for row in within(base, s.first[level + 1], s.b):
-            s.sums[row] += s.B[j * s.k + row] * s.B[j * s.k + row]
+        total = 0.0
+        for j in within(s.start[level], free, s.x):
+            total += s.B[j * s.k + row] * s.B[j * s.k + row]
+        s.sums[row] = total
     for i in within(0, cnt, s.b):
         s.norms[i] = s.sums[s.pivot[base + i]]
     cut = 1e-10 * s.scale[level]
@@ -315,8 +309,9 @@ def pivots(s: Memory, level: int, free: int, end: int) -> None:
         row = s.pivot[base + best]
         square = 0.0
         for j in within(column, free, s.x):
-            s.h[j] = s.B[j * s.k + row]
-            square += s.h[j] * s.h[j]
+            e = s.B[j * s.k + row]
+            s.V[number * s.x + j] = e
+            square += e * e
         if square < s.norms[best] * 1e-4 and square < 1e-6 * s.scale[level] * s.scale[level]:
             # cancellation: the lengths are computed anew
             for i in within(done, cnt, s.b):
@@ -331,15 +326,14 @@ def pivots(s: Memory, level: int, free: int, end: int) -> None:
             row = s.pivot[base + best]
             square = s.norms[best]
             for j in within(column, free, s.x):
-                s.h[j] = s.B[j * s.k + row]
+                s.V[number * s.x + j] = s.B[j * s.k + row]
         if not square > cut * cut:
             break
         s.pivot[base + best] = s.pivot[base + done]
         s.pivot[base + done] = row
         s.norms[best] = s.norms[done]
-        to = reflection(s, column, free)
-        for j in within(column, free, s.x):
-            s.V[number * s.x + j] = s.h[j]
+        to = reflection(s, s.V[number * s.x + column], square)
+        s.V[number * s.x + column] = s.head
         s.tau[number] = s.factor
         reflect_levels(s, number, column, free, base, end)
         s.B[column * s.k + row] = to
@@ -413,13 +407,11 @@ def optimum(s: Memory, top: int) -> None:
             s.y[i] = e / s.L[i * s.x + i]
     if end > begin:
         for row in within(begin, end, s.k):
-            s.rest[row] = s.rhs[row]
-        for j in within(0, s.w, s.x):
-            e = s.y[j]
-            for row in within(begin, end, s.k):
-                s.rest[row] -= s.T[j * s.r + row] * e
-        for j in within(0, free, s.x):
-            for row in within(begin, end, s.k):
+            rest = s.rhs[row]
+            for j in within(0, s.w, s.x):
+                rest -= s.T[j * s.r + row] * s.y[j]
+            s.rest[row] = rest
+            for j in within(0, free, s.x):
                 s.B[j * s.k + row] = s.T[(s.w + j) * s.r + row]
         for number in within(0, s.used[s.valid], s.x):
             reflect_levels(s, number, number, free, begin, end)
@@ -458,11 +450,12 @@ def optimum(s: Memory, top: int) -> None:
         for j in within(i, free, s.x):
             s.z[j] -= e * s.V[i * s.x + j]
     for i in range(s.x):
-        s.goal[i] = 0.0
-    for j in within(0, s.N, s.x):
-        e = s.y[j] if j < s.w else s.z[j - s.w]
-        for i in range(s.x):
-            s.goal[i] += s.T[j * s.r + s.k + i] * e
+        goal = 0.0
+        for j in within(0, s.w, s.x):
+            goal += s.T[j * s.r + s.k + i] * s.y[j]
+        for j in within(0, free, s.x):
+            goal += s.T[(s.w + j) * s.r + s.k + i] * s.z[j]
+        s.goal[i] = goal
 
 
 def multipliers(s: Memory, level: int) -> None:

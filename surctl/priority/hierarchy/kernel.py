@@ -134,8 +134,9 @@ _FUNCTIONS = (
     factors.reflection, factors.reflect_table, factors.reflect_levels, factors.along, factors.enter, factors.leave,
     factors.eliminate_left, factors.solve_left, factors.take_off, factors.pivots, factors.solve_level,
     factors.optimum, factors.multipliers, search.at_goal, search.at_v, search.prepare, search.switch_set,
-    search.at_once, search.ratio, search.move_limits, search.advance, search.release, search.descend, search.restore,
-    search.jacobian, search.bound_loss, search.remember, search.judge, retreat, sound, solution,
+    search.at_once, search.approach, search.ratio, search.move_limits, search.advance, search.unlocked, search.release,
+    search.descend, search.restore, search.add_row, search.bound_loss, search.remember, search.judge, retreat, sound,
+    solution,
 )  # fmt: skip
 
 
@@ -164,18 +165,19 @@ def hierarchy(shape: StackShape, rows: int, precision: Precision = FLOAT64) -> P
         },
         reals={
             "At": n * rows, "lo": rows, "up": rows, "lo_true": rows, "up_true": rows, "T": x * r, "B": x * k,
-            "L": x * x, "V": x * x, "tau": x, "h": x, "sums": r, "other": r, "y": x, "z": x, "g": x, "QR": k * x,
+            "L": x * x, "V": x * x, "tau": x, "h": x, "sums": r, "y": x, "z": x, "g": x, "QR": k * x,
             "diagonal": p * x, "weight": p * x, "side_d": k, "norms": k, "rhs": k, "rest": k, "scale": p, "v": x,
-            "goal": x, "step": x, "lam": x, "mu": k, "speed": rows, "value": rows, "slack": rows, "slack_set": k,
-            "speed_set": k, "gap": rows, "gap_set": k, "spread": p, "d": x, "factor": 0, "size": 0,
+            "goal": x, "step": x, "lam": x, "mu": k, "speed": rows, "value": rows, "margin": 2 * rows, "slack": rows,
+            "slack_set": k, "speed_set": k, "gap": rows, "gap_set": k, "spread": p, "d": x, "factor": 0, "head": 0,
+            "nearest": 0, "size": 0,
         },
         wholes={
             "first": p + 1, "is_set": p, "level_of": k, "column": rows, "pivot": k, "many": p, "start": p + 1,
             "used": p + 1, "left": p, "rank": p, "on": k, "lock": rows, "lock_set": k, "inside": rows, "W": x,
-            "side": x, "toward": rows, "toward_set": k,
+            "side": x, "toward": rows, "near": rows, "toward_set": k,
             **dict.fromkeys(
                 ("N", "w", "valid", "hard", "soft", "top", "moved", "still", "bad", "reached", "block", "block_set",
-                 "block_side", "turns"), 0,
+                 "block_side", "turns", "hits"), 0,
             ),
         },
     )  # fmt: skip

@@ -88,9 +88,9 @@ def prepare(s: Memory) -> None:
         s.N += 1
     for i in range(s.m):
         s.column[i] = s.soft if s.column[i] == 1 else s.hard
+    for q in range(s.x * s.r):
+        s.T[q] = 0.0
     for j in range(s.x):
-        for q in range(s.r):
-            s.T[j * s.r + q] = 0.0
         s.T[j * s.r + s.k + j] = 1.0
     for j in range(s.n):
         for row in within(2, s.first[s.p], s.k):
@@ -149,11 +149,10 @@ def at_once(s: Memory) -> int:
     for j in range(s.n):
         size = fabs(s.goal[j]) if fabs(s.goal[j]) > size else size
     for i in range(s.m):
-        s.value[i] = 0.0
-    for j in range(s.n):
-        e = s.goal[j]
-        for i in range(s.m):
-            s.value[i] += s.At[j * s.m + i] * e
+        total = 0.0
+        for j in range(s.n):
+            total += s.At[j * s.m + i] * s.goal[j]
+        s.value[i] = total
     over = 0
     for i in range(s.m):
         if not s.value[i] <= s.up[i] + 1e-13 * size or not s.value[i] >= s.lo[i] - 1e-13 * size:
@@ -170,6 +169,20 @@ def at_once(s: Memory) -> int:
     return 1 - over
 
 
+def approach(s: Memory, i: int, side: int, rate: float, distance: float) -> None:
+    """Note that v + step exceeds a bound of limit i, if it does; `rate` is the speed towards this bound."""
+    distance = distance if distance > 0.0 else 0.0
+    if distance + 1e-13 * s.size < rate * s.nearest:
+        s.nearest = (distance + 1e-13 * s.size) / rate
+    if distance < rate and (s.toward[i] == 0 or distance * s.speed[i] < s.slack[i] * rate):
+        if s.toward[i] == 0:
+            s.near[s.hits] = i
+            s.hits += 1
+        s.toward[i] = side
+        s.slack[i] = distance
+        s.speed[i] = rate
+
+
 def ratio(s: Memory, limit: int) -> float:
     """Find the first limit between v and v + step, of nearly equal ones the one that is approached fastest."""
     s.block = -1
@@ -180,42 +193,36 @@ def ratio(s: Memory, limit: int) -> float:
     tiny = 1e-10 * sqrt(square)
     tiny = tiny if tiny > 1e-13 * s.size else 1e-13 * s.size
     more = 1e-13 * s.size
-    nearest = 1.0
+    s.nearest = 1.0
+    s.hits = 0
     for i in range(s.m):
-        s.speed[i] = 0.0
-        s.value[i] = 0.0
-    for j in range(s.n):
-        e = s.step[j]
-        f = s.v[j]
-        for i in range(s.m):
-            s.speed[i] += s.At[j * s.m + i] * e
-            s.value[i] += s.At[j * s.m + i] * f
+        speed = 0.0
+        value = 0.0
+        for j in range(s.n):
+            entry = s.At[j * s.m + i]
+            speed += entry * s.step[j]
+            value += entry * s.v[j]
+        s.speed[i] = speed
+        s.value[i] = value
+        s.margin[0 * s.m + i] = s.up[i] - value  # a table of two rows
+        s.margin[1 * s.m + i] = value - s.lo[i]
     for i in range(s.m):
         s.toward[i] = 0
-        if s.inside[i] != 0:
-            continue
-        opened = s.v[s.column[i]] if s.column[i] >= 0 else 0.0
-        opening = s.step[s.column[i]] if s.column[i] >= 0 else 0.0
-        above = s.speed[i] - opening
-        below = -s.speed[i] - opening
-        if above > tiny and s.up[i] < 1e299:
-            distance = s.up[i] + opened - s.value[i]
-            distance = distance if distance > 0.0 else 0.0
-            if distance + more < above * nearest:
-                nearest = (distance + more) / above
-            if distance < above:
-                s.toward[i] = 1
-                s.slack[i] = distance
-                s.speed[i] = above
-        if below > tiny and s.lo[i] > -1e299:
-            distance = s.value[i] - s.lo[i] + opened
-            distance = distance if distance > 0.0 else 0.0
-            if distance + more < below * nearest:
-                nearest = (distance + more) / below
-            if distance < below and (s.toward[i] == 0 or distance * s.speed[i] < s.slack[i] * below):
-                s.toward[i] = -1
-                s.slack[i] = distance
-                s.speed[i] = below
+        e = s.speed[i]
+        if s.column[i] < 0:
+            at = i if e > 0.0 else s.m + i  # an index, because processors cannot predict this branch
+            if not s.margin[at] >= fabs(e) and s.inside[i] == 0 and fabs(e) > tiny:
+                if e > 0.0 and s.up[i] < 1e299:
+                    approach(s, i, 1, e, s.margin[at])
+                if e < 0.0 and s.lo[i] > -1e299:
+                    approach(s, i, -1, -e, s.margin[at])
+        elif s.inside[i] == 0:
+            opened = s.v[s.column[i]]
+            opening = s.step[s.column[i]]
+            if e - opening > tiny and s.up[i] < 1e299:
+                approach(s, i, 1, e - opening, s.up[i] + opened - s.value[i])
+            if -e - opening > tiny and s.lo[i] > -1e299:
+                approach(s, i, -1, -e - opening, s.value[i] - s.lo[i] + opened)
     for level in within(2, limit, s.p):
         if s.is_set[level] == 0:
             continue
@@ -223,31 +230,32 @@ def ratio(s: Memory, limit: int) -> float:
             s.toward_set[row] = 0
             if s.on[row] != 0:
                 continue
-            value = at_v(s, row)
+            now = at_v(s, row)
             change = 0.0
             for j in range(s.n):
                 change += s.J[(row - 2) * s.n + j] * s.step[j]
             distance = 0.0
             if change > tiny:
                 s.toward_set[row] = 1
-                distance = s.upper[row - 2] - value
+                distance = s.upper[row - 2] - now
             elif change < -tiny:
                 s.toward_set[row] = -1
-                distance = value - s.lower[row - 2]
+                distance = now - s.lower[row - 2]
                 change = -change
             else:
                 continue
             distance = distance if distance > 0.0 else 0.0
             s.slack_set[row] = distance
             s.speed_set[row] = change
-            if distance + more < change * nearest:
-                nearest = (distance + more) / change
-    if not nearest < 1.0:
+            if distance + more < change * s.nearest:
+                s.nearest = (distance + more) / change
+    if not s.nearest < 1.0:
         return 1.0
     fastest = 0.0
     share = 1.0
-    for i in range(s.m):
-        if s.toward[i] != 0 and s.speed[i] > fastest and s.slack[i] <= nearest * s.speed[i]:
+    for k in within(0, s.hits, s.m):
+        i = s.near[k]
+        if s.speed[i] > fastest and s.slack[i] <= s.nearest * s.speed[i]:
             fastest = s.speed[i]
             share = s.slack[i] / s.speed[i]
             s.block = i
@@ -258,7 +266,7 @@ def ratio(s: Memory, limit: int) -> float:
         for row in within(s.first[level], s.first[level + 1], s.b):
             if s.toward_set[row] == 0 or not s.speed_set[row] > fastest:
                 continue
-            if s.slack_set[row] <= nearest * s.speed_set[row] and s.slack_set[row] < s.speed_set[row]:
+            if s.slack_set[row] <= s.nearest * s.speed_set[row] and s.slack_set[row] < s.speed_set[row]:
                 fastest = s.speed_set[row]
                 share = s.slack_set[row] / s.speed_set[row]
                 s.block = row
@@ -323,6 +331,19 @@ def advance(s: Memory) -> int:
     return 0 if enter(s, s.block, s.block_side) != 0 else -1
 
 
+def unlocked(s: Memory, level: int) -> int:
+    """Return whether an active limit, or an active row of a set-based level above, is not locked."""
+    for i in within(0, s.w, s.x):
+        if s.lock[s.W[i]] == 0:
+            return 1
+    for a in within(2, level, s.p):
+        if s.is_set[a] != 0:
+            for row in within(s.first[a], s.first[a + 1], s.b):
+                if s.on[row] != 0 and s.lock_set[row] == 0:
+                    return 1
+    return 0
+
+
 def release(s: Memory) -> int:
     """Drop the limit with the worst multiplier and return 1; lock those with a positive one and return 0 if none."""
     level = s.top - 1
@@ -355,6 +376,8 @@ def release(s: Memory) -> int:
         if not largest > 0.0:
             return 0
     if which < 0:
+        if unlocked(s, level) == 0:
+            return 0
         multipliers(s, level)
         unit = s.scale[level] if level < s.p else 1.0
         limit = 1e-11 * largest * unit
@@ -434,11 +457,13 @@ def restore(s: Memory) -> None:
             s.v[j] = s.goal[j]
 
 
-def jacobian(s: Memory, row: int, j: int) -> float:
-    """Return entry (row, j) of the levels' Jacobian, openings included."""
+def add_row(s: Memory, row: int, e: float) -> None:
+    """Add e times a row of the levels' Jacobian, openings included, to d."""
     if row >= 2:
-        return s.J[(row - 2) * s.n + j] if j < s.n else 0.0
-    return 1.0 if j == (s.hard if row == 0 else s.soft) else 0.0
+        for j in range(s.n):
+            s.d[j] += s.J[(row - 2) * s.n + j] * e
+    else:
+        s.d[s.hard if row == 0 else s.soft] += e
 
 
 def bound_loss(s: Memory, level: int, radius: float) -> float:
@@ -451,8 +476,7 @@ def bound_loss(s: Memory, level: int, radius: float) -> float:
             if s.on[row] != 0:
                 e = s.rest[row]
                 total += fabs(e) * s.scale[level]
-                for j in within(0, s.N, s.x):
-                    s.d[j] += jacobian(s, row, j) * e
+                add_row(s, row, e)
     else:
         for j in within(0, s.N, s.x):
             s.d[j] = -s.v[j]
@@ -463,8 +487,7 @@ def bound_loss(s: Memory, level: int, radius: float) -> float:
             if s.on[row] == 0 or e == 0.0:
                 continue
             total += fabs(e) * s.scale[a]
-            for j in within(0, s.N, s.x):
-                s.d[j] -= jacobian(s, row, j) * e
+            add_row(s, row, -e)
             if s.is_set[a] != 0 and not fabs(s.rest[row]) > 1e-12 * s.size:
                 sign = e * s.on[row]
                 loss += sign * fabs(s.rest[row]) if sign > 0.0 else -sign * s.gap_set[row]
@@ -514,10 +537,13 @@ def judge(s: Memory) -> int:
         s.size = fabs(s.v[j]) if fabs(s.v[j]) > s.size else s.size
     radius = 2.0 * (1.0 + s.size)
     for i in range(s.m):
-        s.gap[i] = radius
-        value = 0.0
+        total = 0.0
         for j in range(s.n):
-            value += s.At[j * s.m + i] * s.v[j]
+            total += s.At[j * s.m + i] * s.v[j]
+        s.value[i] = total
+    for i in range(s.m):
+        s.gap[i] = radius
+        value = s.value[i]
         opened = s.v[s.column[i]] if s.column[i] >= 0 else 0.0
         if not value - s.up[i] - opened <= 1e-9 * (1.0 + s.size) or not s.lo[i] - opened - value <= 1e-9 * (
             1.0 + s.size

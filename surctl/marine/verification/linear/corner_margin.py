@@ -152,12 +152,12 @@ def slow_margins(
         >>> slow_margins(rov, gains, cruise=0.33, dt=0.05).short
         'a disk margin of 0.27 at 0.0165 m/s, ...'
     """
-    found = [
+    judged = [
         (u, corner_margin(vehicle, gains, cruise=u, dt=dt, uncertainty=uncertainty, law=law))
         for u in (*(share * cruise for share in _SLOWER), cruise)
     ]
-    at, disk = min(found, key=lambda one: float(np.nan_to_num(one[1].margin, nan=np.inf)))
-    late, delay = min(found, key=lambda one: one[1].delay.delay_s)
+    at, disk = min(judged, key=lambda one: float(np.nan_to_num(one[1].margin, nan=np.inf)))
+    late, delay = min(judged, key=lambda one: one[1].delay.delay_s)
     return SlowMargins(
         cruise,
         (disk.margin, f"at {at:.3g} m/s, {disk.corner}"),

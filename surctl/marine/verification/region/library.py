@@ -10,6 +10,7 @@ import numpy as np
 
 from surctl.errors import InputError, NotApplicable, nearest
 from surctl.marine.control import Gains
+from surctl.marine.guidance import Guidance
 from surctl.marine.vehicle import Vehicle
 from surctl.marine.verification.region.claim import RegionClaim
 from surctl.marine.verification.region.heading import HeadingClaim
@@ -279,9 +280,16 @@ def refused_regions(
 
 
 def applicable_region(
-    names: Sequence[str], vehicle: Vehicle, gains: Gains, *, cruise: float, cap: float
+    names: Sequence[str],
+    vehicle: Vehicle,
+    gains: Gains,
+    *,
+    law: str,
+    cruise: float,
+    cap: float,
+    guidance: Guidance = "los",
 ) -> RegionStatement | NotApplicable:
-    """Return the first of the named claims that applies to a vehicle, gains and speeds [m/s], or the first reason.
+    """Return the first of the named claims that applies to a law, vehicle, gains and speeds [m/s], or the first reason.
 
     Raises:
         InputError: `RegionStatement.claim` or `region_statement` raises this error.
@@ -291,13 +299,14 @@ def applicable_region(
         >>> from surctl.marine.vehicle import load_vehicle
         >>> from surctl.marine.verification.region import applicable_region
         >>> names, rov = ("region-cruise-20", "region-turning-20"), load_vehicle("bluerov2-wu")
-        >>> applicable_region(names, rov, load_gains("default"), cruise=0.15, cap=0.22).name
+        >>> applicable_region(names, rov, load_gains("default"), law="guarded", cruise=0.15, cap=0.22).name
         'region-turning-20'
     """
     reasons = []
     for statement in map(region_statement, names):
         try:
             statement.claim(vehicle, gains, cruise=cruise, cap=cap)
+            statement.require(law, guidance)
         except NotApplicable as reason:
             reasons.append(reason)
         else:

@@ -9,14 +9,17 @@ from typing import Literal
 
 from pydantic import Field, StrictBool, StrictFloat, StrictInt, StrictStr
 
-from surctl.errors import InputError
+from surctl.errors import InputError, NotApplicable
 from surctl.files import Strict, load_model, quoted, require_doubles
 from surctl.marine.control import Gains, law_source
+from surctl.marine.guidance import Guidance
 from surctl.marine.vehicle import Vehicle
+from surctl.marine.verification.cruise_loop import has_cruise_loop
 from surctl.marine.verification.region.claim import RegionClaim, region_claim
 from surctl.marine.verification.region.heading import HEADING_GAINS, HeadingClaim, heading_claim
 from surctl.marine.verification.region.steering import SteeringClaim, steering_claim
 from surctl.marine.verification.region.turning import TurningClaim, turning_claim
+from surctl.own_code import label
 
 _HEADING_KNOWS = frozenset(
     {"kind", "name", "statement", "loop", "share", "ranges", "thrust_share", "rate_per_s", "gains", "attempts", "cells"}
@@ -100,6 +103,15 @@ class RegionStatement(Strict):
     gains: dict[str, StrictFloat] = Field(default_factory=dict)
     attempts: StrictInt = Field(default=80, ge=1)
     cells: StrictInt = Field(default=1500, ge=1)
+
+    def require(self, law: str, guidance: Guidance = "los") -> None:
+        """Raise NotApplicable unless the claim is about the loop of a law with a guidance, given by their names."""
+        if self.loop == "steered":
+            fits = law == "steered"
+        else:  # damping in a law changes every command a little
+            fits = has_cruise_loop(law, guidance) and not law_source(law).damping
+        if not fits:
+            raise NotApplicable(f"{self.name} is about another loop", to=f"law {label(law)} with guidance {guidance}")
 
     def claim(
         self, vehicle: Vehicle, gains: Gains, *, cruise: float | None = None, cap: float | None = None

@@ -1,0 +1,17 @@
+"""An extension of the docstring parser: it takes the section `Example:` as code, as it takes `Examples:` by itself."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import griffe
+
+
+class Examples(griffe.Extension):
+    """Rename the section in each docstring before it is parsed; otherwise the code becomes running text."""
+
+    def on_object(self, *, obj: griffe.Object, **_: Any) -> None:
+        """Rename the section of one module, class, function or attribute."""
+        if obj.docstring:
+            obj.docstring.value = re.sub(r"^( *)Example:$", r"\1Examples:", obj.docstring.value, flags=re.MULTILINE)
