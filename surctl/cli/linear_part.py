@@ -197,7 +197,7 @@ def over_speeds(parts: Sequence[LinearPart]) -> LinearPart:
     import numpy as np
 
     from surctl.marine.verification import worst_text
-    from surctl.verification.linear import worst_place
+    from surctl.verification.loops import worst_place
 
     *_, last = parts
     if len(parts) == 1:

@@ -18,7 +18,7 @@ from surctl.system import System
 from surctl.tuning.loop_goal_file import LoopGoalTable, PointTable, check_points, loop_goal
 from surctl.tuning.loop_goals import LoopGoal
 from surctl.tuning.loop_time_goals import Overshoot, Settling, StepRejection, StepTracking
-from surctl.verification.linear import worst_place
+from surctl.verification.loops import worst_place
 
 if TYPE_CHECKING:
     from surctl.assessment import Assessment

@@ -102,13 +102,13 @@ class SystemRequest(SearchRequest):
         base: the system.
         seconds: duration of its runs [s].
         points: numbers of its operating points, by name.
-        given: numbers of its cases, by name.
+        case_values: numbers of its cases, by name.
     """
 
     base: System
     seconds: float = 0.0
     points: Mapping[str, Mapping[str, ArrayLike]] = field(default_factory=dict)
-    given: Mapping[str, ArrayLike] = field(default_factory=dict)
+    case_values: Mapping[str, ArrayLike] = field(default_factory=dict)
 
     others: ClassVar[int] = 49  # the margins are checked at the end only, because they take longer than a run
     checked: ClassVar[int] = 50
@@ -187,8 +187,8 @@ class SystemRequest(SearchRequest):
     ) -> Assessment:
         """Return what is assessed with these gains in all cases; with `parts`, of the loop alone."""
         if parts is None and self.base.costs:
-            return assess_cases(self.base, self.given, gains, seconds=self.seconds)
-        about_loop = {name: value for name, value in self.given.items() if not name.startswith("start.")}
+            return assess_cases(self.base, self.case_values, gains, seconds=self.seconds)
+        about_loop = {name: value for name, value in self.case_values.items() if not name.startswith("start.")}
         return assess_cases(self.base, about_loop, gains)
 
     def costs(self, gains: Mapping[str, float]) -> dict[str, float]:

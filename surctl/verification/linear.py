@@ -595,22 +595,3 @@ def _crossings(closed: OpenLoop, scale: Array, level: float) -> Array:
     eigenvalues = np.linalg.eigvals(hamiltonian)
     near = np.abs(eigenvalues.real) <= _ON_AXIS * np.maximum(np.abs(eigenvalues), 1.0)
     return np.sort(eigenvalues.imag[near & (eigenvalues.imag > 0)])
-
-
-_SAME = 1e-6  # relative difference up to which two metric values count as equal
-
-
-def worst_place(ill: NDArray[np.float64]) -> NDArray[np.intp]:
-    """Return the indices of the worst entries along the first axis (the places), in the shape of the other axes.
-
-    The largest entry is the worst; NaN counts as larger than all numbers. Entries that differ only by rounding count as
-    equal; the index is then the first one.
-
-    Example:
-        >>> import numpy as np
-        >>> from surctl.verification.linear import worst_place
-        >>> worst_place(np.array([[0.81, 2.0], [0.81 + 1e-15, 3.0]])).tolist()
-        [0, 1]
-    """
-    size = np.where(np.isnan(ill), np.inf, ill)
-    return np.asarray(np.isclose(size, size.max(axis=0), rtol=_SAME, atol=0.0).argmax(axis=0))

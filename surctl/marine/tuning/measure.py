@@ -29,7 +29,7 @@ from surctl.marine.verification import (
 from surctl.marine.verification.cruise_loop import has_cruise_loop
 from surctl.priority import Mode
 from surctl.tuning.design import SEED, Design
-from surctl.verification.linear import worst_place
+from surctl.verification.loops import worst_place
 
 Floats = NDArray[np.float64]
 

@@ -14,7 +14,7 @@ from surctl.marine.vehicle import Vehicle
 from surctl.marine.vehicle.linearise import WITHIN_LAW, check_cruise
 from surctl.marine.verification.cruise_loop import TRACKING_LAW
 from surctl.marine.verification.linear_table import LINEAR_METRICS, linear_table
-from surctl.verification.linear import worst_place
+from surctl.verification.loops import worst_place
 
 
 def cruise_speeds(speeds: Sequence[float], *, key: str) -> tuple[float, ...]:
