@@ -124,7 +124,7 @@ def _(mo):
 
 @app.cell
 def _(system):
-    from surctl.tuning import Margins, Settling, tune_system
+    from surctl.tuning import Margins, Settling, judge_loops, operating_loops, tune_system
 
     ranges = {"k_p": (0.2, 20.0), "k_d": (0.2, 20.0)}
     robust = Margins(name="robust", at="force", phase_deg=60.0, kind="hard")
@@ -132,8 +132,8 @@ def _(system):
         system, 10.0, ranges, cases={"start.place": [0.8, -0.4]}, objective="late", trials=40, goals=[robust]
     )
     print("tuned:", {name: round(value, 2) for name, value in tuned.gains.items()}, "unmet:", tuned.unmet)
-    print(f"late: {tuned.before['late']:.2f} s before, {tuned.costs['late']:.2f} s tuned")
-    tuned.goals.plot()
+    print(*tuned.lines(), sep="\n")
+    judge_loops([robust], operating_loops(system, {"tuned": tuned.gains})).plot()
     return Settling, ranges, robust, tune_system
 
 

@@ -25,19 +25,16 @@ from surctl.marine.simulation import Case
 from surctl.marine.study import load_plan
 from surctl.marine.tuning import (
     TUNED,
-    Condition,
-    Evaluation,
     Goal,
     Request,
-    Tuning,
     conditions,
     evaluate,
     figures,
     gain_ranges,
-    tune,
     tuned_gains,
 )
-from surctl.marine.tuning.outcome import goal_rows
+from surctl.tuning import Condition, Evaluation, Tuning, tune
+from surctl.tuning.outcome import goal_rows
 
 CONFIG = Path(__file__).with_name("config.toml")
 

@@ -104,7 +104,7 @@ def main() -> int:
     runs = simulate_system(system, 20.0, every_combination(tried, starts))
     print(f"sweep: {len(runs.time):,} runs, {np.mean(runs.stopped == 'time'):.1%} of them to their end")
     tuned = tune_system(system, 20.0, ranges, cases=starts, trials=3 * sets)
-    print(*tuned.lines(system), sep="\n")
+    print(*tuned.lines(), sep="\n")
     linear = linearise(system, {**tuned.gains, **task, "start.z": 2.0, "start.angles": task["reference.attitude"]})
     print(*(margin.line() for margin in system_margins(linear)), sep="\n")
     law = replace(system.controller, law=partial(system.controller.law, limited=False))

@@ -102,7 +102,7 @@ def main() -> int:
     print(f"sweep: {len(runs.time):,} runs, {np.mean(runs.stopped == 'time'):.1%} of them to their end")
     cases = {name: rows[:few] for name, rows in starts.items()}
     tuned = tune_system(system, 60.0, ranges, cases=cases, trials=few)
-    print(*tuned.lines(system), sep="\n")
+    print(*tuned.lines(), sep="\n")
     print(*(margin.line() for margin in system_margins(linearise(system, {**tuned.gains, **load}))), sep="\n")
     if few == 100:  # the proof takes longer than all else
         free = replace(system, controller=replace(law, law=partial(positioning, limited=False)))

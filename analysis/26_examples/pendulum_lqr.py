@@ -100,7 +100,7 @@ def main() -> int:
     cost = np.where(runs.stopped == "time", runs["cost"], np.inf).reshape(sets, -1).mean(axis=1)
     near = {f"K[{k}]": (2 * value, value / 2) for k, value in enumerate(tried[cost.argmin()])}
     tuned = tune_system(system, 10.0, near, cases=starts, trials=6 * sets, least_disk_margin=0.2)
-    print(*tuned.lines(system), sep="\n")
+    print(*tuned.lines(), sep="\n")
     linear = linearise(system, tuned.gains)
     print(*(margin.line() for margin in system_margins(linear)), sep="\n")
 

@@ -96,7 +96,7 @@ def main() -> int:
     runs = simulate_system(system, 12.0, every_combination(tried, starts))
     print(f"sweep: {len(runs.time):,} runs, {np.mean(runs.stopped == 'time'):.1%} of them to their end")
     tuned = tune_system(system, 12.0, ranges, cases=starts, trials=6 * sets)
-    print(*tuned.lines(system), sep="\n")
+    print(*tuned.lines(), sep="\n")
     linear = linearise(system, tuned.gains)
     print(*(margin.line() for margin in system_margins(linear)), sep="\n")
     good = not tuned.unmet

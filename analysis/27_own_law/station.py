@@ -22,11 +22,12 @@ from surctl.ir import Port
 from surctl.lyapunov import Dynamics, State, find_stability
 from surctl.marine.control import Decision, GainSpec, LawSource, Situation, build_law, law_ref, load_gains
 from surctl.marine.simulation import Case, load_scenario, simulate, simulate_batch
-from surctl.marine.tuning import Goal, Request, build_cases, conditions, gain_ranges, tune
+from surctl.marine.tuning import Goal, Request, build_cases, conditions, gain_ranges
 from surctl.marine.vehicle import load_vehicle
 from surctl.marine.verification import steady_motion
 from surctl.system import every_combination
 from surctl.tasks import depth_task, velocity_task
+from surctl.tuning import tune
 from surctl.verification.formula import from_casadi
 
 HERE, VEHICLE = Path(__file__).parent, load_vehicle("sur540-flooded")

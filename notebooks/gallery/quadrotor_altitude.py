@@ -71,7 +71,10 @@ cases = {
 }
 ranges = {"k_p": (1.0, 60.0), "k_d": (1.0, 20.0), "k_i": (0.1, 40.0)}
 tuned = tune_system(system, 8.0, ranges, cases=cases, objective="cost", trials=60)
-print({name: float(f"{value:.3g}") for name, value in tuned.gains.items()}, f"disk margin {tuned.disk_margin:.2f}")
+print(
+    {name: float(f"{value:.3g}") for name, value in tuned.gains.items()},
+    f"disk margin {tuned.figures['disk_margin'].value:.2f}",
+)
 for label, values in (("first gains", {}), ("tuned gains", tuned.gains)):
     record = run_system(system, 8.0, {**values, "disturbance.wind": -3})
     print(f"{label}: largest error in the gust {record['worst']:.3f} m")

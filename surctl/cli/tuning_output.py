@@ -1,27 +1,297 @@
-"""What `surctl tune` says about its result besides the table of the goals, and its page with sliders."""
+"""What `surctl tune` tunes, missions or a system, and what it says about the result; its page with sliders."""
 
 from __future__ import annotations
 
 import os
 import shlex
 import sys
-from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import click
 
 from surctl.cli.output import progress, waiting
-from surctl.cli.robot_options import at_hand
+from surctl.cli.robot_options import at_hand, export_command, law_words
+from surctl.cli.subject import (
+    OwnSystem,
+    command_line,
+    cost_data,
+    gain_ranges_of,
+    listed_values,
+    load_system,
+)
 from surctl.errors import InputError, NotApplicable
 
 if TYPE_CHECKING:
-    from surctl.assessment import Assessment, Figure
+    from surctl.assessment import Assessment, Figure, Part
     from surctl.marine.control import Gains
     from surctl.marine.simulation import Case, Scenario
     from surctl.marine.study import Plan
-    from surctl.marine.tuning import Finals, Goal, Miss, Tuning
+    from surctl.marine.tuning import Goal, Request
     from surctl.marine.vehicle import Vehicle
     from surctl.report.design_bench import DesignBench
+    from surctl.tuning import Finals, Miss, RunGoal, SystemRequest, Tuning
+
+
+@dataclass(frozen=True)
+class More:
+    """What is printed of a tuning besides goals and assessment: data, lines, and the commands to suggest next."""
+
+    data: dict[str, Any]
+    then: list[str]
+    floor: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    over: list[str] = field(default_factory=list)
+
+
+def _printed(lines: list[str]) -> list[str]:
+    for line in lines:
+        progress(line)
+    return lines
+
+
+@dataclass(frozen=True, eq=False)
+class _Missions:
+    plan: Plan
+    request: Request
+    finals: Sequence[Goal]
+    default: Collection[Goal]
+    unjudged: Sequence[Goal]
+    derived: list[str]
+    omitted: list[str]
+
+    @property
+    def cases(self) -> Sequence[Case]:
+        return self.request.cases
+
+    @property
+    def limit(self) -> dict[str, str]:
+        remedy = 'ask it of runs, such as metric = "time_s" or "deviation_m"'
+        return {"command": "a thrust", "run": "{}", "remedy": remedy}
+
+    def assessed(
+        self, gains: Mapping[str, float], parts: Collection[str] | None, computed: Mapping[str, Part] | None
+    ) -> Assessment:
+        from surctl.assessment import assess
+        from surctl.marine.study.conduct import assessed
+
+        plan = replace(self.plan, guidance=self.cases[0].guidance)
+        return assess(assessed(plan, plan.gains.with_values(dict(gains))), parts=parts, computed=computed)
+
+    def gain_file(self, tuning: Tuning, out: Path, warning: str) -> tuple[Path, str]:
+        from surctl.marine.control import write_gains
+        from surctl.marine.tuning import tuned_gains
+
+        return out / "gains.toml", write_gains(tuned_gains(tuning), warning=warning)
+
+    def more(self, tuning: Tuning, checked: Finals, gains: str, trials: int) -> More:
+        from surctl.marine.control import default_law
+        from surctl.marine.tuning import tuned_gains
+
+        plan, case = self.plan, self.cases[0]
+        unjudged = [goal.name for goal in (*self.unjudged, *checked.undetermined)]
+        late = [f"goal {g.name} is not judged: the assessment has no {g.metric}" for g in checked.undetermined]
+        out = [(leg.scenario.name, leg.vehicle.name, leg.left_out) for leg in plan.left_out]
+        left = [dict(zip(("scenario", "vehicle", "reason"), one, strict=True)) for one in out]
+        over = caps(self.cases, {**plan.gains.values, **tuning.result.gains})
+        floor = floor_lines(tuning, checked, plan, trials=trials)
+        mission, robot = case.scenario, case.vehicle
+        about = at_hand(mission, robot, gains)
+        region = region_words(plan.law, mission, robot, tuned_gains(tuning))
+        # a region claim needs only the speeds; with --scenario, the safety claim would also affect the exit status
+        speeds = ["--cruise", f"{mission.cruise:g}", "--cap", f"{mission.cap:g}"]
+        chosen = [] if plan.law == default_law(robot) else law_words(plan.law)
+        proofs = ["--out", str(Path(gains).parent / "proofs")]
+        arguments = [*region, *(speeds if region else about[:2]), *about[2:], *chosen, *proofs]
+        shipped = export_command(about[1], about[3], gains, law=plan.law, guidance=case.guidance, sensing="truth")
+        data = {"left_out": left, "not_judged": unjudged, "caps": over, "floor": floor}
+        notes = [*self.derived, *self.omitted, *late, *over]
+        then = [shlex.join(["surctl", "verify", *arguments]), *shipped]
+        return More(data, then, floor, notes, over)
+
+    def pictures(self, tuning: Tuning, out: Path) -> list[Path]:
+        from surctl.marine.report.files import save_tuning
+
+        return save_tuning(tuning, out)
+
+    def look(self, missed: Sequence[Miss], gains: str) -> list[str]:
+        options = [*law_words(self.plan.law), "--guidance", self.cases[0].guidance, "--sensing", "truth"]
+        return look(missed, gains, options)  # as in the tuning
+
+
+def mission_plan(
+    file: str | None, *, trust: bool, law: str | None, gains: str | None, vehicles: Sequence[str], out: Path
+) -> Plan:
+    """Return the study whose missions are tuned, with the options of the command line in place of its own values."""
+    from surctl.files import prepare_folder
+    from surctl.marine.study import load_plan
+    from surctl.marine.vehicle import load_vehicle
+
+    plan = load_plan(file, trust=trust)
+    plan = plan if law is None else plan.with_law(law)
+    plan = plan if gains is None else plan.with_gains(gains)
+    plan = plan.by([load_vehicle(vehicle) for vehicle in vehicles]) if vehicles else plan
+    if not plan.unheard:
+        return plan
+    prepare_folder(out)
+    return plan.written(out / "missions")
+
+
+def missions_tuned(
+    plan: Plan,
+    ranges: Mapping[str, tuple[float, float] | None],
+    goals_file: str | None,
+    *,
+    cruise: Sequence[float],
+    guidance: str | None,
+    seeds: int,
+    seed: int,
+    threads: int,
+) -> Task:
+    """Return the tuning of the missions of a study.
+
+    Raises:
+        InputError: a goal does not fit the missions, or a gain is unknown.
+    """
+    from surctl.marine.tuning import Request, build_cases, conditions, gain_ranges, load_goals
+    from surctl.marine.tuning.evaluation import check_goals, judged_goals
+    from surctl.marine.tuning.goals import goals_at, with_floor
+    from surctl.marine.tuning.request import default_tuned
+    from surctl.own_code import label
+
+    file = goals_file or plan.source
+    stated = plan.goals if goals_file is None else load_goals(goals_file)
+    if cruise and not any(goal.linear for goal in stated):
+        remedy = "add one, on disk_margin say, or leave the option out"
+        raise InputError("no goal is about the linear loop", key="--cruise", value=list(cruise), remedy=remedy)
+    derived = _printed([] if plan.derivation is None else plan.derivation.lines())
+    omitted = [f"{leg.scenario.name} by {leg.vehicle.name} is left out: {leg.left_out}" for leg in plan.left_out]
+    _printed(omitted)
+    check_goal_cases(stated, plan, file)
+    kind = {"law": plan.law, "guidance": plan.guidance if guidance is None else guidance}
+    cases = [build_cases([leg.scenario], [leg.vehicle], gains=plan.gains, **kind)[0] for leg in plan.deciding]
+    every = with_floor(stated)
+    for goal in every[len(stated) :]:
+        progress(f"added goal {goal.name}: {goal.sense} {goal.limit:g}; a goal on {goal.metric} replaces it")
+    goals, finals, unjudged = judged_goals(goals_at(every, cruise or plan.cruise), cases)
+    own = [goal.name for goal in stated]
+    if set(plan.goals) <= set(load_goals()) and goals_file is None:
+        own = []
+    default = [goal for goal in (*finals, *unjudged) if goal.name not in own]
+    mine = [goal.name for goal in unjudged if goal.kind == "hard" and goal not in default]
+    if mine:
+        problem = f"is hard, but surctl has no linear model of law {label(plan.law)}"
+        remedy = 'write type = "margins" in place of metric, or drop it'
+        raise InputError(problem, file=file, key=f"goals.{mine[0]}", remedy=remedy)
+    model = f"tune has no linear model of law {label(plan.law)}"
+    omitted += _printed([f"goal {goal.name} is not judged: {model}" for goal in unjudged])
+    if finals:
+        names = ", ".join(goal.name for goal in finals)
+        progress(f"checked at the end on the best gain sets (at most {Request.checked}), not in the search: {names}")
+    if not goals:
+        problem = "has only goals on figures that the search does not compute"
+        raise InputError(problem, file=file, key="goals", remedy="add a goal on a metric of the runs, time_s say")
+    runs = conditions(cases, seeds=range(seeds))
+    try:
+        check_goals(goals, runs)
+    except InputError as error:
+        if error.value in cruise:
+            raise InputError(error.problem, key="--cruise", value=error.value, remedy=error.remedy) from None
+        raise error.inside(file) from None
+    space = gain_ranges(plan.gains, ranges or default_tuned(plan.gains))
+    request = Request(goals, runs, plan.gains, space, seed=seed, threads=threads)
+    return _Missions(plan, request, finals, default, unjudged, derived, omitted)
+
+
+@dataclass(frozen=True, eq=False)
+class _System:
+    own: OwnSystem
+    request: SystemRequest
+
+    @property
+    def finals(self) -> Sequence[RunGoal]:
+        from surctl.tuning.systems import margin_goals
+
+        return margin_goals(self.own.system)
+
+    default = finals
+
+    @property
+    def assessed(self) -> Callable[..., Assessment]:
+        return self.request.assessed
+
+    def gain_file(self, tuning: Tuning, out: Path, warning: str) -> tuple[Path, str]:
+        return out / "gains.csv", self.request.so_far(tuning.result.gains, "")[1]
+
+    def more(self, tuning: Tuning, checked: Finals, gains: str, trials: int) -> More:
+        own, duration = self.own, self.request.seconds
+        costs = {
+            when: cost_data(own.system, self.request.costs(values))
+            for when, values in (("before", self.request.begun), ("after", tuning.result.gains))
+        }
+        numbers = [f"{name}={value!r}" for name, value in tuning.result.gains.items()]
+        seconds = f"{duration or 100 * own.system.dt:g}"
+        then = [command_line("verify", own, *numbers), command_line("export", own, *numbers, "--seconds", seconds)]
+        data = {**own.names, "seconds": duration, "costs": costs}
+        return More(data, then, notes=self.request.scores(tuning.result.gains))
+
+    @property
+    def limit(self) -> dict[str, str]:
+        costs = self.own.system.costs
+        late = next((name for name, cost in costs.items() if cost.how == "last_time"), next(iter(costs), None))
+        remedy = f'ask it of the run, such as metric = "{late}"' if late else "give the system a cost of its runs"
+        return {"command": "command {}", "run": "the run", "remedy": remedy}
+
+    def pictures(self, tuning: Tuning, out: Path) -> list[Path]:
+        return []
+
+    def look(self, missed: Sequence[Miss], gains: str) -> list[str]:
+        return []
+
+
+Task: TypeAlias = _Missions | _System
+"""What is tuned: the request of the search, the goals checked at its end, and what is said and written besides."""
+
+
+def system_tuned(
+    words: Sequence[str],
+    ranges: Mapping[str, tuple[float, float] | None],
+    goals_file: str | None,
+    *,
+    seconds: float | None,
+    trials: int,
+    seed: int,
+    threads: int,
+) -> Task:
+    """Return the tuning of a system; words NAME=V1,V2,… are the numbers of its cases, one value is for all cases.
+
+    Raises:
+        InputError: a word, a range or a goal does not fit the system.
+    """
+    import numpy as np
+
+    from surctl.system.values import check_scalar
+    from surctl.tuning.goals import load_system_goals
+    from surctl.tuning.systems import system_request
+
+    own = load_system(words)
+    about, points, of_runs = ((), {}, ()) if goals_file is None else load_system_goals(goals_file, own.system)
+    duration = own.seconds(seconds) if own.system.costs or seconds is not None else 0.0
+    listed, space = listed_values(own.settings), gain_ranges_of(own, ranges)
+    for name in listed:
+        if len(listed[name]) > 1:
+            check_scalar(own.system, name)
+    cases = {name: np.array(v[0] if len(v) == 1 else v) for name, v in listed.items()}
+    try:
+        request = system_request(
+            own.system, duration, space,
+            cases=cases, trials=trials, seed=seed, threads=threads, goals=about, points=points, run_goals=of_runs,
+        )  # fmt: skip
+    except InputError as error:
+        raise (error.inside(goals_file) if (error.key or "").startswith(("goals.", "point ")) else error) from None
+    return _System(own, request)
 
 
 def check_goal_cases(goals: Sequence[Goal], plan: Plan, file: str) -> None:
@@ -93,29 +363,6 @@ def _why(plan: Plan, after: Assessment, missed: Figure) -> str:
         both = f"{derivation.disk_margin:.3g} and {derivation.delay_margin_s:.3g} s"
         return f"gains derived from the vehicle have {both}: surctl gains derive {about}"
     return derivation.warning.removeprefix("warning: ")
-
-
-def unrepresentative(tuning: Tuning) -> list[str]:
-    """Return a line if goals about a step response of the linear loop do not describe the run, see `ACTIVE`."""
-    import numpy as np
-
-    from surctl.marine.tuning import Goal, figures
-    from surctl.tuning.goals import not_representative, step_goals
-
-    names = [
-        goal.name
-        for goal in tuning.request.goals
-        if goal.metric.startswith(("settling_time_s.", "overshoot."))
-        or (goal.loop is not None and step_goals([goal.loop]))
-    ]
-    if not names:
-        return []
-    limit = Goal("limit", "axis_saturated_share", "1", 1.0)
-    runs = tuning.request.conditions[: tuning.requested]
-    (shares,) = figures([limit], runs, tuning.tuned.sets, threads=tuning.request.threads)[limit.metric]
-    worst = int(np.argmax(np.nan_to_num(shares)))
-    remedy = 'ask it of runs, such as metric = "time_s" or "deviation_m"'
-    return not_representative(names, float(shares[worst]), limit="a thrust", run=runs[worst].label, remedy=remedy)
 
 
 def look(missed: Sequence[Miss], gains: str, law: Sequence[str]) -> list[str]:
@@ -196,12 +443,13 @@ def serve_system_page(
     browser: bool,
 ) -> None:
     """Serve the page for a system of the user's own until Ctrl-C; NAME=V1,V2 gives the operating points."""
-    from surctl.cli.subject import assigned, gain_ranges_of, listed_values, load_system, region_words
+    from surctl.cli.subject import assigned
+    from surctl.cli.subject import region_words as words_of_region
     from surctl.report.design_bench import SystemBench
     from surctl.tuning import judge_loops, load_loop_goals
 
     own = load_system(words)
-    others, region, uncertain = region_words(own.settings, own.system)
+    others, region, uncertain = words_of_region(own.settings, own.system)
     about_loop, stated = ((), {}) if goals is None else load_loop_goals(goals)
     values = listed_values(others)
     swept = {name: numbers for name, numbers in values.items() if len(numbers) > 1}

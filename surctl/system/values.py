@@ -178,6 +178,13 @@ def checked_ranges(
     return checked
 
 
+def default_of(system: System, name: str) -> float:
+    """Return the system's own value of a single number, which has a name as in `run_numbers`."""
+    layouts = _layouts(system)
+    group, place = _place(name, layouts)
+    return float(layouts[group].pack()[place][0])
+
+
 def unit_of(system: System, name: str) -> str:
     """Return the unit of a single number of the system, which has a name as in `run_numbers`."""
     return _entries(system, name)[0]

@@ -1,10 +1,11 @@
-"""Choice of gains of any system: sweep axes and designs, loop goals, and automatic tuning."""
+"""Choice of gains of any system: sweeps, goals, and automatic tuning that counterexamples refine."""
 
 from typing import TYPE_CHECKING
 
 from surctl.lazy import load_at_first_use
 
 if TYPE_CHECKING:
+    from surctl.tuning.cegis import Round, Tuning, tune
     from surctl.tuning.chunked import DaskExecutor, Executor, LocalExecutor
     from surctl.tuning.design import (
         DESIGNS,
@@ -20,15 +21,19 @@ if TYPE_CHECKING:
         saltelli,
         spread,
     )
+    from surctl.tuning.gain_search import search
     from surctl.tuning.goals import LIBRARY, GoalTable, RunGoal, load_loop_goals
     from surctl.tuning.loop_frequency_goals import Effort, LoopShape, MaxGain, Rejection, SensitivityBound, Tracking
     from surctl.tuning.loop_goal_file import LOOP_GOAL_KEYS, LoopGoalTable, PointTable
     from surctl.tuning.loop_goals import Judgement, LoopGoal, LoopView, Profile
     from surctl.tuning.loop_scores import LoopScores, Score, judge_loops, operating_loops
     from surctl.tuning.loop_time_goals import Margins, Overshoot, Poles, Settling, StepRejection, StepTracking
+    from surctl.tuning.montecarlo import Counterexample, MonteCarlo
+    from surctl.tuning.outcome import Finals, Miss, Tuned, summary
+    from surctl.tuning.pool import Condition, Evaluation, Pool, SearchRequest
     from surctl.tuning.statistics import Share, SobolIndices, sobol_indices
     from surctl.tuning.system_sweep import SystemSweep, sweep_system
-    from surctl.tuning.systems import SystemTuning, tune_system
+    from surctl.tuning.systems import SystemRequest, tune_system
 
 
 __all__ = [
@@ -38,10 +43,14 @@ __all__ = [
     "ONE_POINT",
     "SEED",
     "Axis",
+    "Condition",
+    "Counterexample",
     "DaskExecutor",
     "Design",
     "Effort",
+    "Evaluation",
     "Executor",
+    "Finals",
     "GoalTable",
     "Judgement",
     "LocalExecutor",
@@ -52,13 +61,18 @@ __all__ = [
     "LoopView",
     "Margins",
     "MaxGain",
+    "Miss",
+    "MonteCarlo",
     "Overshoot",
     "PointTable",
     "Poles",
+    "Pool",
     "Profile",
     "Rejection",
+    "Round",
     "RunGoal",
     "Score",
+    "SearchRequest",
     "SensitivityBound",
     "Settling",
     "Share",
@@ -66,9 +80,11 @@ __all__ = [
     "Span",
     "StepRejection",
     "StepTracking",
+    "SystemRequest",
     "SystemSweep",
-    "SystemTuning",
     "Tracking",
+    "Tuned",
+    "Tuning",
     "grid",
     "judge_loops",
     "load_loop_goals",
@@ -77,9 +93,12 @@ __all__ = [
     "parse_axis",
     "random_draws",
     "saltelli",
+    "search",
     "sobol_indices",
     "spread",
+    "summary",
     "sweep_system",
+    "tune",
     "tune_system",
 ]
 

@@ -6,10 +6,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from pydantic import Field
 
 from surctl.errors import InputError, nearest
@@ -17,8 +17,11 @@ from surctl.files import Quantity, Strict, load_model, pick
 from surctl.system import System
 from surctl.tuning.loop_goal_file import LoopGoalTable, PointTable, check_points, loop_goal
 from surctl.tuning.loop_goals import LoopGoal
-from surctl.tuning.loop_scores import LoopScores, judge_loops, operating_loops
 from surctl.tuning.loop_time_goals import Overshoot, Settling, StepRejection, StepTracking
+from surctl.verification.loops import worst_place
+
+if TYPE_CHECKING:
+    from surctl.assessment import Assessment
 
 LIBRARY = Path(__file__).parent / "library"
 
@@ -93,8 +96,7 @@ Array = NDArray[np.float64]
 GOALS = "goals"
 """Name of the objective of a search that minimises the largest normalised value of the soft goals."""
 
-NO_POINTS: Mapping[str, Mapping[str, Any]] = MappingProxyType({})
-_MOST = 1e6  # largest normalised value that is distinguished
+NO_NUMBERS: Mapping[str, Any] = MappingProxyType({})
 
 
 @dataclass(frozen=True)
@@ -110,6 +112,9 @@ class RunGoal:
         kind: a hard goal must be met; the normalised value of a soft goal is minimised.
         over: "worst" if every run must meet the limit, "mean" if the mean of the runs must meet it. Costs of a system
             are means over the cases of its tuning.
+        cases: names of the cases to which the goal applies; if empty, it applies to all.
+        plants: "all", or "nominal" to exclude runs with another plant than that of the case (property Models of
+            systune).
 
     Example:
         >>> import numpy as np
@@ -125,6 +130,43 @@ class RunGoal:
     sense: Sense = "at most"
     kind: Kind = "soft"
     over: Over = "worst"
+    cases: tuple[str, ...] = ()
+    plants: Plants = "all"
+
+    @property
+    def linear(self) -> bool:
+        """Whether the metric describes the linear loop; a linear metric does not depend on the seed."""
+        return False
+
+    @property
+    def part(self) -> str:
+        """Part of the assessment with the metric, for a goal that is checked at the end of a tuning."""
+        return "loop"
+
+    @property
+    def columns(self) -> Mapping[str, float | None]:
+        """Place of each column of figures that the goal bounds, by its name; a place is a number, or None."""
+        return {self.metric: None}
+
+    def worst(self, table: Mapping[str, Array]) -> tuple[Array, Array]:
+        """Return two arrays, each shaped like a column: the worst value over the places, and its place, or NaN."""
+        each = np.stack([table[name] for name in self.columns])
+        ill = self.badness(each)
+        place = np.array([np.nan if at is None else at for at in self.columns.values()])
+        return np.take_along_axis(each, ill.argmax(axis=0)[None], axis=0)[0], place[worst_place(ill)]
+
+    def place_text(self, place: float) -> str:
+        """Return at which place the goal is worst, for a table; empty without places."""
+        return ""
+
+    def place_dict(self, place: float) -> dict[str, Any]:
+        """Return the place as plain data for JSON."""
+        return {}
+
+    @property
+    def absent(self) -> str:
+        """Return the text for a metric without a value."""
+        return "undefined" if self.linear else "no value"
 
     @property
     def sign(self) -> str:
@@ -161,37 +203,6 @@ class RunGoal:
         """The goal as plain data for JSON."""
         bound = {"metric": self.metric, "unit": self.unit, "limit": self.limit, "sense": self.sense}
         return {"name": self.name, **bound, "kind": self.kind, "over": self.over}
-
-
-class GoalSearch:
-    """The goals of a system at its operating points, judged for sets of gains."""
-
-    def __init__(
-        self, system: System, goals: tuple[LoopGoal, ...], points: Mapping[str, Mapping[str, ArrayLike]]
-    ) -> None:
-        self.system, self.goals = system, goals
-        self.points = dict(points) or {"nominal": {}}
-        self.judged([], np.zeros(0))  # reports unknown signals before the search
-
-    def judged(self, names: Sequence[str], gains: Array) -> LoopScores:
-        """Return the scores for one gain set (gains,)."""
-        chosen = dict(zip(names, gains.tolist(), strict=True))
-        points = {name: {**values, **chosen} for name, values in self.points.items()}
-        return judge_loops(self.goals, operating_loops(self.system, points))
-
-    def scores(self, names: Sequence[str], sets: Array) -> Array:
-        """Return, for each gain set, the largest normalised value of the soft goals and the excess of the hard ones."""
-        rows = []
-        for gains in sets:
-            try:
-                scores = self.judged(names, gains).scores
-            except InputError:  # no equilibrium
-                rows.append((_MOST, _MOST * len(self.goals)))
-                continue
-            values = [(s.goal.kind, min(s.judgement.normalised, _MOST)) for s in scores]
-            soft = max((value for kind, value in values if kind == "soft"), default=0.0)
-            rows.append((soft, sum(max(value - 1, 0.0) for kind, value in values if kind == "hard")))
-        return np.array(rows)
 
 
 def load_loop_goals(path: Path | str) -> tuple[tuple[LoopGoal, ...], dict[str, dict[str, Any]]]:
@@ -285,32 +296,28 @@ def _points(tables: tuple[PointTable, ...]) -> dict[str, dict[str, Any]]:
 _ACTIVE = 0.01
 """Share of time at a limit above which a step response of the linear loop does not describe a run."""
 
+_STEP_METRICS = ("settling_time_s.", "overshoot.")
 _STEPS = (Overshoot, Settling, StepRejection, StepTracking)
 
 
-def step_goals(goals: Sequence[LoopGoal]) -> tuple[LoopGoal, ...]:
-    """Return the goals about a step response of the linear loop."""
-    return tuple(goal for goal in goals if isinstance(goal, _STEPS))
-
-
-def not_representative(names: Sequence[str], share: float, *, limit: str, run: str, remedy: str) -> list[str]:
-    """Return a line that says that linear goals do not describe a run; nothing if the limit is hardly active.
+def not_representative(
+    goals: Sequence[RunGoal], after: Assessment, *, command: str, run: str, remedy: str
+) -> list[str]:
+    """Return a line that says that linear goals do not describe a run; nothing if no limit is active.
 
     Args:
-        names: names of goals about a step response of the linear loop.
-        share: share of time at the limit.
-        limit: what is at its limit.
-        run: the run.
+        goals: the goals of a tuning; those about a step response of the linear loop count.
+        after: the assessment of the tuned gains, whose figure `limited_share` is the share of time at a limit.
+        command, run: what is at its limit, and in which run; `{}` stands for the place of the figure.
         remedy: how the goal is asked of the run.
-
-    Example:
-        >>> from surctl.tuning.goals import not_representative
-        >>> options = {"limit": "command force", "run": "the run", "remedy": 'write metric = "settling"'}
-        >>> not_representative(["quick"], 0.0, **options)
-        []
-        >>> print(*not_representative(["quick"], 0.25, **options))
-        not representative: quick (linear): command force is at its limit 25% of the run; write metric = "settling"
     """
-    if not names or not share > _ACTIVE:
+    names = [
+        goal.name
+        for goal in goals
+        if goal.metric.startswith(_STEP_METRICS) or isinstance(getattr(goal, "loop", None), _STEPS)
+    ]
+    limited = after.figures.get("limited_share")
+    if not names or limited is None or not limited.value > _ACTIVE:
         return []
-    return [f"not representative: {', '.join(names)} (linear): {limit} is at its limit {share:.0%} of {run}; {remedy}"]
+    at = f"{command} is at its limit {limited.value:.0%} of {run}".format(limited.where)
+    return [f"not representative: {', '.join(names)} (linear): {at}; {remedy}"]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import shutil
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field
@@ -79,14 +78,6 @@ class Journal:
         if self.folder is not None:
             write_file(self.folder / name, text)
 
-    def remove(self, request: str) -> None:
-        """Delete the stored batches of a request, and the journal's folder if no others are in it."""
-        store = self._store(request)
-        if store is not None:
-            store.remove()
-            if not any(path.is_dir() for path in store.folder.parent.iterdir()):
-                shutil.rmtree(store.folder.parent, ignore_errors=True)
-
     def _store(self, request: str) -> ChunkStore | None:
         digest = hashlib.sha256(request.encode()).hexdigest()
         return None if self.folder is None else ChunkStore(self.folder / _STORE / digest[:16], digest)
@@ -101,14 +92,12 @@ class Batches:
         store: the stored batches; None without a folder.
         memory: tables of the request in this process, by the index of the batch.
         tables: the tables (rows, width) so far.
-        restored: how many of their rows an interrupted search had stored.
     """
 
     width: int
     store: ChunkStore | None
     memory: dict[int, Array]
     tables: list[Array] = field(default_factory=list)
-    restored: int = 0
 
     def known(self, count: int, after: int = 0) -> Array | None:
         """Return the stored table of the next batch, with `count` rows, or of one `after` it; None if there is none."""
@@ -121,11 +110,9 @@ class Batches:
 
     def add(self, table: Array, *, restored: bool = False) -> None:
         """Add the table of the next batch, and store it unless it is `restored`; InputError if the disk is full."""
-        if restored:
-            self.restored += len(table)
-        elif self.store is not None:
+        if not restored and self.store is not None:
             self.store.write(len(self.tables), table)
-        else:
+        elif not restored:
             self.memory[len(self.tables)] = table
         self.tables.append(table)
 

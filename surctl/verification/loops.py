@@ -355,3 +355,22 @@ def margins_from(name: str, crossings: Crossings) -> LoopMargins:
         float(crossings.crossover_rad_s[0]),
         float(crossings.least_gain[0]),
     )
+
+
+_SAME = 1e-6  # relative difference up to which two metric values count as equal
+
+
+def worst_place(ill: NDArray[np.float64]) -> NDArray[np.intp]:
+    """Return the indices of the worst entries along the first axis (the places), in the shape of the other axes.
+
+    The largest entry is the worst; NaN counts as larger than all numbers. Entries that differ only by rounding count as
+    equal; the index is then the first one.
+
+    Example:
+        >>> import numpy as np
+        >>> from surctl.verification.loops import worst_place
+        >>> worst_place(np.array([[0.81, 2.0], [0.81 + 1e-15, 3.0]])).tolist()
+        [0, 1]
+    """
+    size = np.where(np.isnan(ill), np.inf, ill)
+    return np.asarray(np.isclose(size, size.max(axis=0), rtol=_SAME, atol=0.0).argmax(axis=0))

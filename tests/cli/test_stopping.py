@@ -38,7 +38,7 @@ def test_ctrl_c_at_any_moment_is_one_line(moment: int, tmp_path: Path) -> None:
     (tmp_path / "loop.py").write_text(LOOP)
     words = ("tune", "loop.py:build", "--seconds", "20", "--trials", "1000000", "--out", "out")
     with Running(["-m", "surctl", *words], cwd=tmp_path) as running:
-        running.until(lambda: "gain sets" in running.err)
+        running.until(lambda: "for each gain set" in running.err)
         if moment > 5:
             running.until((tmp_path / "out" / "best-so-far.csv").exists)
         time.sleep(0.03 * moment)

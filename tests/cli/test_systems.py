@@ -395,11 +395,11 @@ def test_tune_finds_gains_and_says_what_is_not_kept(file: str, tmp_path: Path) -
     need_compiler()
     words = ("tune", file, "start.x=1,0.5", "--gain", "k=0.5..8", "--seconds", "3", "--trials", "40")
     found = data(*words, "--out", str(tmp_path / "t"))
-    assert found["objective"] == "final"
+    assert found["goals"][-1]["name"] == "least final"
     assert 0.5 <= found["best"]["gains"]["k"] <= 8.0
-    assert found["best"]["costs"]["final"]["value"] < found["before"]["final"]
+    assert found["costs"]["after"]["final"]["value"] < found["costs"]["before"]["final"]["value"]
     after, k = found["assessment"]["after"], found["best"]["gains"]["k"]
-    assert after["figures"]["disk_margin"]["value"] > found["least_disk_margin"] == 0.3
+    assert after["figures"]["disk_margin"]["value"] > found["finals"]["goals"][0]["limit"] == 0.3
     worst = data("export", file, "start.x=1", f"k={k!r}", "--seconds", "3", "--out", "c")["assessment"]["figures"]
     assert {name: one["value"] for name, one in after["figures"].items()} == {n: f["value"] for n, f in worst.items()}
     assert after["figures"]["cost.final"]["where"] == "start.x=1", "the worst of both cases"

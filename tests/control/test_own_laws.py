@@ -21,7 +21,7 @@ from surctl.marine.report.evidence_sections import simulate_command
 from surctl.marine.simulation import Case, case_parameters, law_numbers, load_scenario, simulate, simulate_batch
 from surctl.marine.testing import check_law
 from surctl.marine.tuning import build_cases, gain_ranges
-from surctl.marine.tuning.pool import default_tuned
+from surctl.marine.tuning.request import default_tuned
 from surctl.marine.vehicle import load_vehicle
 from surctl.marine.verification.cruise_loop import has_cruise_loop
 from surctl.own_code import own_file

@@ -5,7 +5,8 @@ import pytest
 
 from surctl.marine.report import GoalBars, plot_goal_bars
 from surctl.marine.report.goals import goal_bars, goal_views, plot_front, plot_goal_view
-from surctl.marine.tuning import Goal, tune
+from surctl.marine.tuning import Goal
+from surctl.tuning import tune
 from tests.pictures import rendered
 from tests.tuning.synthetic import CLEAR, MARGIN, NEAR, THRIFT, case, install, request
 

@@ -1,7 +1,6 @@
 """A closed loop that costs nothing: smooth figures of two gains, one plant parameter and the seed."""
 
 from dataclasses import replace
-from importlib import import_module
 
 import numpy as np
 
@@ -71,14 +70,12 @@ def linear(vehicle, values, *, base, cruise, dt, model=None, **_):
 
 
 def install(monkeypatch, loop=None):
-    from surctl.marine.tuning import cegis, evaluation
+    from surctl.marine.tuning import evaluation, request
 
     loop = loop or Loop()
     monkeypatch.setattr(evaluation, "simulate_batch", loop)
-    monkeypatch.setattr(
-        import_module("surctl.marine.tuning.outcome"), "simulate_batch", loop
-    )  # the package has a function of this name
+    monkeypatch.setattr(request, "simulate_batch", loop)
     monkeypatch.setattr(evaluation, "linear_table", linear)
-    monkeypatch.setattr(cegis, "starting_sets", lambda *_, **__: [])
-    monkeypatch.setattr(cegis, "refuted_claims", lambda *_, **__: ())
+    monkeypatch.setattr(Request, "first_sets", lambda *_, **__: [])
+    monkeypatch.setattr(Request, "refuted_claims", lambda *_, **__: ())
     return loop

@@ -2,22 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import pytest
 
-from surctl.assessment import Figure, Part, assess
+from surctl.assessment import Assessment, Figure, Part, assess
 from surctl.errors import InputError
 from surctl.marine.assessment import Mission
-from surctl.marine.control import Gains, load_gains
+from surctl.marine.control import load_gains
 from surctl.marine.simulation import METRICS, load_scenario
-from surctl.marine.tuning import ASSESSED, CHECKED, Goal, Tuning, load_goals, tune
+from surctl.marine.tuning import ASSESSED, Goal, load_goals
 from surctl.marine.tuning.goals import PART_OF, goals_from_tables, with_floor
-from surctl.marine.tuning.outcome import check_finals
 from surctl.marine.vehicle import load_vehicle
 from surctl.marine.verification import LINEAR_METRICS
+from surctl.tuning import Tuned, Tuning, tune
 from surctl.tuning.goals import GoalTable
+from surctl.tuning.outcome import check_finals
 from tests.tuning.synthetic import CLEAR, NEAR, THRIFT, install, request
 
 WIDE = Goal("region", "region_m", "m", 0.2, "at least", "hard")
@@ -27,14 +29,23 @@ WIDE = Goal("region", "region_m", "m", 0.2, "at least", "hard")
 class Claimed:
     """A subject whose certified region is a function of its gains."""
 
-    gains: Gains
-    size: Callable[[Gains], float]
+    gains: Mapping[str, float]
+    size: Callable[[Mapping[str, float]], float]
     name: str = "claimed"
 
     def parts(self) -> Mapping[str, Callable[[], Part]]:
         figure = Figure("region_m", self.size(self.gains), "m", "proved", "high")
         disk = Figure("disk_margin", self.gains["k_v"], "1", "margin", "high", 0.3)
         return {"loop": lambda: Part((disk,), ()), "region": lambda: Part((figure,), ())}
+
+
+def check(
+    tuning: Tuning, goals: Sequence[Goal], subject: Callable[[Mapping[str, float]], Claimed], **more: Any
+) -> Tuned:
+    def assessed(gains: Mapping[str, float], parts: Any, computed: Any) -> Assessment:
+        return assess(subject(gains), parts=parts, computed=computed)
+
+    return check_finals(tuning, goals, assessed, **more)
 
 
 @pytest.fixture(scope="module")
@@ -63,29 +74,27 @@ def test_each_figure_is_one_of_the_assessment() -> None:
 
 
 def test_the_tuned_gains_stay_if_they_meet_the_goal(tuning: Tuning) -> None:
-    same, found = check_finals(tuning, [WIDE], lambda gains: Claimed(gains, lambda g: 0.25))
+    same, found = check(tuning, [WIDE], lambda gains: Claimed(gains, lambda g: 0.25))
     assert same is tuning and found.unmet == () and found.checked == 1
     assert any("region (hard): region_m ≥ 0.2 m: 0.25 → 0.25" in line for line in found.lines())
 
 
 def test_no_part_of_the_tuned_gains_is_computed_twice(tuning: Tuning) -> None:
-    computed = list[Gains]()
+    computed = list[Mapping[str, float]]()
 
     class Counted(Claimed):
         def parts(self) -> Mapping[str, Callable[[], Part]]:
             known = super().parts()
             return {**known, "region": lambda: computed.append(self.gains) or known["region"]()}
 
-    _, found = check_finals(tuning, [WIDE], lambda gains: Counted(gains, lambda g: 0.25))
-    assert [gains.values for gains in computed] == [
-        tuning.request.base.with_values(tuning.result.gains).values, tuning.request.base.values
-    ]  # fmt: skip
+    _, found = check(tuning, [WIDE], lambda gains: Counted(gains, lambda g: 0.25))
+    assert computed == [tuning.result.gains, tuning.request.begun]
     assert found.comparison.after.omitted == ()
 
 
 def test_the_next_best_set_that_meets_the_goal_is_taken(tuning: Tuning) -> None:
     best = tuning.result.gains["k_v"]
-    other, found = check_finals(tuning, [WIDE], lambda gains: Claimed(gains, lambda g: 0.1 + 0.2 * (g["k_v"] != best)))
+    other, found = check(tuning, [WIDE], lambda gains: Claimed(gains, lambda g: 0.1 + 0.2 * (g["k_v"] != best)))
     assert found.unmet == () and found.checked > 1 and other.accepted
     assert other.result.gains != tuning.result.gains and other.result.gains in tuning.result.others
     assert other.tuned.gains(0) == other.result.gains and other.result.verified is not None
@@ -94,8 +103,8 @@ def test_the_next_best_set_that_meets_the_goal_is_taken(tuning: Tuning) -> None:
 
 
 def test_a_goal_that_no_set_meets_is_named_with_the_best_value(tuning: Tuning) -> None:
-    nearest, found = check_finals(tuning, [WIDE], lambda gains: Claimed(gains, lambda g: 0.02 * g["k_v"]))
-    assert found.unmet == ("region",) and found.checked == CHECKED + 1
+    nearest, found = check(tuning, [WIDE], lambda gains: Claimed(gains, lambda g: 0.02 * g["k_v"]))
+    assert found.unmet == ("region",) and found.checked == tuning.request.checked + 1
     assert nearest.accepted and found.comparison.after.figures["region_m"].value == found.best["region"]
     (line,) = [line for line in found.lines() if "MISSED" in line]
     assert f"best of the checked sets: {found.best['region']:.4g}" in line
@@ -112,7 +121,7 @@ def test_the_start_gains_stay_where_every_other_set_misses_more_goals(tuning: Tu
             disk = Figure("disk_margin", float(self.gains["k_v"] == start), "1", "margin", "high", 0.3)
             return {**super().parts(), "loop": lambda: Part((disk,), ())}
 
-    same, found = check_finals(tuning, goals, lambda gains: Broken(gains, lambda g: 0.1))
+    same, found = check(tuning, goals, lambda gains: Broken(gains, lambda g: 0.1))
     assert same.result.gains["k_v"] == start and found.unmet == ("region",)
     assert found.comparison.worse == []
 
@@ -122,19 +131,19 @@ def test_a_set_that_the_verifying_runs_refute_is_not_taken(tuning: Tuning, monke
     module = check_finals.__globals__
     real = module["monte_carlo"]
 
-    def refuting(goals, runs, gains, **options):
-        return real([replace(goal, limit=9.0) if goal == CLEAR else goal for goal in goals], runs, gains, **options)
+    def refuting(figures, goals, runs, gains):
+        return real(figures, [replace(goal, limit=9.0) if goal == CLEAR else goal for goal in goals], runs, gains)
 
     monkeypatch.setitem(module, "monte_carlo", refuting)
-    same, found = check_finals(tuning, [WIDE], lambda gains: Claimed(gains, lambda g: 0.1 + 0.2 * (g["k_v"] != best)))
+    same, found = check(tuning, [WIDE], lambda gains: Claimed(gains, lambda g: 0.1 + 0.2 * (g["k_v"] != best)))
     assert same is tuning and found.unmet == ("region",)
 
 
 def test_a_default_goal_without_a_figure_is_left_out_and_a_stated_one_is_missed(tuning: Tuning) -> None:
     none = replace(WIDE, name="none", metric="contact_margin_m")
-    stated = check_finals(tuning, [none], lambda gains: Claimed(gains, lambda g: 0.3))[1]
+    stated = check(tuning, [none], lambda gains: Claimed(gains, lambda g: 0.3))[1]
     assert stated.unmet == ("none",)
-    left = check_finals(tuning, [none], lambda gains: Claimed(gains, lambda g: 0.3), default=[none])[1]
+    left = check(tuning, [none], lambda gains: Claimed(gains, lambda g: 0.3), default=[none])[1]
     assert left.undetermined == (none,) and left.unmet == ()
 
 

@@ -4,9 +4,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from surctl.errors import InputError
-from surctl.marine.tuning import Condition, Goal, conditions, evaluate, load_goals
+from surctl.marine.tuning import Goal, conditions, evaluate, load_goals
 from surctl.marine.tuning.evaluation import corners
 from surctl.marine.vehicle import load_vehicle
+from surctl.tuning import Condition
 from tests.tuning.synthetic import CLEAR, GAINS, MARGIN, NEAR, THRIFT, case, install
 
 POLE = Goal("settle", "slowest_pole_per_s", "1/s", -0.1)

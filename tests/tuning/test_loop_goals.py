@@ -35,6 +35,7 @@ from surctl.tuning import (
     operating_loops,
     tune_system,
 )
+from surctl.tuning.outcome import goal_rows
 from tests.cli.test_systems import complaint, run
 
 SPEED, PLACE = Port("speed", (1,), "m/s", "of the cart"), Port("place", (1,), "m", "of the cart")
@@ -331,13 +332,12 @@ def test_a_search_minimises_the_worst_soft_goal_and_keeps_the_hard_ones() -> Non
     points = {"light": {"plant.mass": 0.7}, "heavy": {"plant.mass": 1.4}}
     ranges = {"k_p": (1.0, 30.0), "k_d": (1.0, 12.0), "k_i": (0.05, 4.0)}
     tuned = tune_system(SYSTEM, 0.0, ranges, trials=75, goals=goals, points=points)
-    assert tuned.objective == "goals" and tuned.unmet == () and tuned.goals is not None
-    assert tuned.goals_before is not None
-    worst, before = (
-        max(s.judgement.normalised for s in one.scores if s.goal.kind == "soft")
-        for one in (tuned.goals, tuned.goals_before)
-    )
-    assert worst < 1 < before
+    rows = [row for row in goal_rows(tuned.tuning) if row["kind"] == "soft"]
+    assert tuned.unmet == () and {row["name"] for row in rows} == {"soon", "calm"}
+    worst, before = (max(row[f"normalised_{which}"] for row in rows) for which in ("tuned", "hand"))
+    assert worst < 1 < before and rows[0]["worst_point"] in points
+    (line,) = [line for line in tuned.tuning.request.scores(tuned.gains) if "soon (soft)" in line]
+    assert line.startswith("met ") and f"{rows[0]['normalised_tuned']:.3f}" in line
 
 
 def test_the_same_goals_judge_a_law_of_the_robot(tmp_path: Path) -> None:
@@ -355,7 +355,7 @@ def test_the_same_goals_judge_a_law_of_the_robot(tmp_path: Path) -> None:
         goal.loop.judge(case_loop(case, case.gains.with_values({"lookahead": v}), cruise=0.05)) for v in (0.4, 0.8)
     ]
     assert found.normalised[:, 0] == pytest.approx([one.normalised for one in known])
-    assert found.speed[:, 0].tolist() == [0.05, 0.05]
+    assert found.place[:, 0].tolist() == [0.05, 0.05]
     file.write_text(file.read_text() + 'points = ["a"]\n')
     with pytest.raises(InputError, match="use cruise_m_per_s"):
         load_goals(str(file))
@@ -368,7 +368,7 @@ def test_the_command_tunes_a_system_to_goals(tmp_path: Path) -> None:
     )
     words = (f"{tmp_path / 'mine.py'}:build", "--goals", str(tmp_path / "cart.toml"), "--out", str(tmp_path / "out"))
     done = run("tune", *words, "--trials", "12")
-    assert "minimised" not in done.output and "sensitivity (hard)" in done.output and "gains " in done.output
+    assert "least " not in done.output and "sensitivity (hard)" in done.output and "gains " in done.output
     bad = tmp_path / "cart.toml"
     bad.write_text(FILE.replace('at = "force"\ngain', 'at = "forces"\ngain'))
     assert "goals.margins.opening = 'forces'" in complaint("tune", *words, "--trials", "12")

@@ -3,10 +3,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from surctl.marine.tuning import Goal, cegis, search, tune
-from surctl.marine.tuning.cegis import Round, _chosen, _ended
-from surctl.marine.tuning.montecarlo import Counterexample, MonteCarlo, fresh, monte_carlo, reduced_pool, screen
-from surctl.marine.tuning.search import descend
+from surctl.marine.tuning import Goal, figures
+from surctl.marine.tuning.evaluation import fresh
+from surctl.tuning import cegis, search, tune
+from surctl.tuning.cegis import Round, _chosen, _ended
+from surctl.tuning.gain_search import descend
+from surctl.tuning.montecarlo import Counterexample, MonteCarlo, monte_carlo, reduced_pool, screen
 from surctl.tuning.search import Journal
 from tests.tuning.synthetic import CLEAR, GAINS, NEAR, THRIFT, Loop, heavy, install, request
 
@@ -51,7 +53,7 @@ def test_what_is_left_withstands_every_training_run(monkeypatch):
     assert {(c.seed, goal) for c in kept for goal in c.goals} == {(c.seed, c.goal) for c in left.counterexamples}
     assert len({c.seed for c in kept}) == len(kept), "what refutes two sets is flown once"
     training = fresh(asked.cases, runs=500, first=5_000_000)
-    assert monte_carlo(asked.goals, training, left.gains).refuted == ()
+    assert monte_carlo(figures, asked.goals, training, left.gains).refuted == ()
     start = pool.evaluation.normalised[0]
     first = pool.gains(pool.best(start))
     assert left.gains != first, "the best of a few runs is on their edge"
@@ -147,7 +149,7 @@ def test_what_is_chosen_is_what_nothing_refuted(monkeypatch):
     assert tuning.result is tuning.rounds[tuning.chosen] and not tuning.result.refuted
     assert {n: float(v[0]) for n, v in tuning.tuned.sets.items()} == dict(tuning.result.gains)
     flown = tuning.request.conditions
-    assert monte_carlo(tuning.request.goals, flown, tuning.result.gains).refuted == ()
+    assert monte_carlo(figures, tuning.request.goals, flown, tuning.result.gains).refuted == ()
 
 
 def test_more_seeds_than_there_are_is_told(monkeypatch):
@@ -164,6 +166,6 @@ def test_a_goal_over_the_mean_is_met_over_the_training_runs(monkeypatch):
     pool = search(asked, trials=32)
     left = screen(asked, pool, runs=500)
     training = fresh(asked.cases, runs=500, first=5_000_000)
-    assert monte_carlo(asked.goals, training, left.gains).refuted == ()
+    assert monte_carlo(figures, asked.goals, training, left.gains).refuted == ()
     first = pool.gains(pool.best(pool.evaluation.normalised[0]))
-    assert monte_carlo(asked.goals, training, first).refuted, "the best of one run does not"
+    assert monte_carlo(figures, asked.goals, training, first).refuted, "the best of one run does not"

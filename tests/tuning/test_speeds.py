@@ -8,16 +8,16 @@ import pytest
 from surctl.errors import InputError
 from surctl.marine.control import load_gains, write_gains
 from surctl.marine.simulation import load_scenario
-from surctl.marine.tuning import Condition, Goal, build_cases, evaluate, load_goals, summary, tune, tuned_gains
+from surctl.marine.tuning import Goal, build_cases, evaluate, figures, load_goals, tuned_gains
 from surctl.marine.tuning.evaluation import check_goals
 from surctl.marine.tuning.goals import goals_at
 from surctl.marine.tuning.measure import SweepEvaluation, check_request
-from surctl.marine.tuning.montecarlo import monte_carlo
-from surctl.marine.tuning.outcome import goal_rows, tuning_dict
-from surctl.marine.tuning.pool import joined_pools
-from surctl.marine.tuning.search import _functions
 from surctl.marine.verification import LINEAR_METRICS, linear_table
-from surctl.tuning import grid, parse_axis
+from surctl.tuning import Condition, grid, parse_axis, summary, tune
+from surctl.tuning.gain_search import _functions
+from surctl.tuning.montecarlo import monte_carlo
+from surctl.tuning.outcome import goal_rows, tuning_dict
+from surctl.tuning.pool import joined_pools
 from tests.tuning.synthetic import CLEAR, GAINS, THRIFT, Loop, case, install, request
 
 SPEEDS = (0.05, 0.15, 0.22)
@@ -59,20 +59,20 @@ def test_the_worst_speed_decides_in_every_condition(flights_cost_nothing):
 
     at = np.array([[table(u, **c.plant)[SETTLE.metric] for c in flown] for u in SPEEDS])  # speeds, conditions, sets
     assert found.figure[:, 0] == pytest.approx(at.max(axis=(0, 1)), rel=1e-12)
-    assert found.speed[:, 0].tolist() == [0.05, 0.05], "a slow vehicle returns to the path slowly"
+    assert found.place[:, 0].tolist() == [0.05, 0.05], "a slow vehicle returns to the path slowly"
     assert found.figure[:, 3] == pytest.approx(at.max(axis=0).mean(axis=0), rel=1e-12)
     assert found.figure[:, 4] == pytest.approx(at[:, 0].max(axis=0), rel=1e-12)
     least = np.array([[table(u, **c.plant)[shape.metric] for c in flown] for u in SPEEDS])
-    assert found.figure[:, 1] == pytest.approx(least.min(axis=(0, 1)), rel=1e-12) and (found.speed[:, 1] == 0.05).all()
+    assert found.figure[:, 1] == pytest.approx(least.min(axis=(0, 1)), rel=1e-12) and (found.place[:, 1] == 0.05).all()
     # a goal that names no speed is what it was
     there = np.array([table(tank.scenario.cruise, **c.plant)[SETTLE.metric] for c in flown])
-    assert found.figure[:, 2] == pytest.approx(there.max(axis=0), rel=1e-12) and np.isnan(found.speed[:, 2]).all()
+    assert found.figure[:, 2] == pytest.approx(there.max(axis=0), rel=1e-12) and np.isnan(found.place[:, 2]).all()
 
 
 def test_fresh_runs_and_the_descent_see_every_speed(everything_costs_nothing):
     asked = request(goals=(DELAY, THRIFT))
     # 0.6/3.1 · (1.2 − U) s is enough at 0.1 m/s, and not at 0.2 m/s
-    found = monte_carlo((DELAY,), asked.conditions, {"k_v": 3.1, "k1": 0.5})
+    found = monte_carlo(figures, (DELAY,), asked.conditions, {"k_v": 3.1, "k1": 0.5})
     assert found.refuted == ("delay",) and found.counterexamples[0].figure == pytest.approx(0.6 / 3.1)
     pool, table = asked.simulate({"k_v": np.array([1.0, 2.0]), "k1": np.array([0.5, 0.5])})
     _, hard = _functions(asked, pool, table, pool.evaluation.normalised[0])
@@ -86,7 +86,7 @@ def test_the_speed_stays_with_its_set(everything_costs_nothing):
     pool = asked.judge({"k_v": np.array([1.0, 2.0, 3.0]), "k1": np.array([0.5, 0.5, 0.5])})
     back = asked.pool(pool.table)
     for one in (pool, back, joined_pools([pool.subset([0]), pool.subset([1, 2])])):
-        assert one.evaluation.speed[:, 0].tolist() == [0.2, 0.2, 0.2] and np.isnan(one.evaluation.speed[:, 1]).all()
+        assert one.evaluation.place[:, 0].tolist() == [0.2, 0.2, 0.2] and np.isnan(one.evaluation.place[:, 1]).all()
     assert replace(asked, goals=(replace(DELAY, cruise=(0.1,)), THRIFT)).digest != asked.digest
 
 

@@ -12,24 +12,15 @@ from hypothesis import strategies as st
 
 from surctl.errors import InputError
 from surctl.marine.control import law_ref, load_gains, write_gains
-from surctl.marine.tuning import (
-    Counterexample,
-    Goal,
-    conditions,
-    evaluate,
-    figures,
-    gain_ranges,
-    search,
-    summary,
-    tune,
-    tuned_gains,
-)
-from surctl.marine.tuning.cegis import RoundsFile
-from surctl.marine.tuning.evaluation import judged
-from surctl.marine.tuning.montecarlo import fresh, monte_carlo
-from surctl.marine.tuning.outcome import advice, misses, tuning_dict
-from surctl.marine.tuning.pool import ClaimPoint, Pool, excess, expected_to_hold, refuted_claims
-from surctl.marine.tuning.search import demands, minimal_subset
+from surctl.marine.tuning import Goal, conditions, evaluate, figures, gain_ranges, tuned_gains
+from surctl.marine.tuning.evaluation import fresh
+from surctl.marine.tuning.request import expected_to_hold, refuted_claims
+from surctl.tuning import Counterexample, search, summary, tune
+from surctl.tuning.cegis import RoundsFile
+from surctl.tuning.gain_search import demands, minimal_subset
+from surctl.tuning.montecarlo import monte_carlo
+from surctl.tuning.outcome import advice, misses, tuning_dict
+from surctl.tuning.pool import ClaimPoint, Pool, judged
 from surctl.tuning.search import Journal
 from tests.tuning.synthetic import CLEAR, GAINS, MARGIN, NEAR, THRIFT, Loop, case, heavy, install, request
 
@@ -189,19 +180,19 @@ def test_a_goal_about_the_nominal_plant_leaves_the_others_out(monkeypatch):
     assert every < own == alone and margin == light
     table = figures(goals, flown, sets)
     assert np.isfinite(table["delay_margin_s"][0]).tolist() == [True, *[False] * 8]
-    assert monte_carlo(goals[1:2], flown[1:], {"k_v": 2.0, "k1": 0.3}).missed == {}
+    assert monte_carlo(figures, goals[1:2], flown[1:], {"k_v": 2.0, "k1": 0.3}).missed == {}
 
 
 def test_the_worst_run_of_a_refuted_goal_is_the_counterexample(monkeypatch):
     install(monkeypatch, Loop(mass=0.2))
     flown = fresh([case("tank-static", "sur540-flooded")], runs=200, first=0)
-    found = monte_carlo((CLEAR, THRIFT), flown, {"k1": 0.4, "k_v": 1.5})
+    found = monte_carlo(figures, (CLEAR, THRIFT), flown, {"k1": 0.4, "k_v": 1.5})
     worst, *next_to_it = found.counterexamples
     assert len(next_to_it) == 2 and worst.figure < next_to_it[0].figure < next_to_it[1].figure < CLEAR.limit
     assert all(c.normalised > 1 for c in found.counterexamples)
     assert found.refuted == ("keep clear",)
     assert worst.goal == "keep clear" and found.normalised["spare thrust"] <= 1 and 0 < found.missed["keep clear"] < 1
-    again = monte_carlo((CLEAR,), [worst.condition([flown[0].case])], {"k1": 0.4, "k_v": 1.5})
+    again = monte_carlo(figures, (CLEAR,), [worst.condition([flown[0].case])], {"k1": 0.4, "k_v": 1.5})
     assert again.normalised["keep clear"] == worst.normalised == found.normalised["keep clear"]
 
 
@@ -210,7 +201,7 @@ def test_what_refutes_a_mean_has_about_its_mean(monkeypatch):
     cases = [case("tank-static", "sur540-flooded"), case()]
     mean = Goal("mean thrust", "effort_n", "N", 0.1, over="mean")
     flown = fresh(cases, runs=400, first=0)
-    found = monte_carlo((mean,), flown, {"k1": 0.4, "k_v": 1.5}, each=10).counterexamples
+    found = monte_carlo(figures, (mean,), flown, {"k1": 0.4, "k_v": 1.5}, each=10).counterexamples
     assert [sum(c.case == one.name for c in found) for one in cases] == [10, 10]
     figure = figures((mean,), flown, {"k1": np.array([0.4]), "k_v": np.array([1.5])})["effort_n"][0]
     assert np.mean([c.figure for c in found]) == pytest.approx(figure.mean(), abs=0.1 * figure.std())
@@ -361,9 +352,9 @@ def test_the_gain_file_says_where_it_comes_from_and_reads_back(monkeypatch, tmp_
 def test_claims_that_should_hold_do_for_the_shipped_gains(monkeypatch):
     names = expected_to_hold()
     assert "v1-corrected" in names and len(names) > 5
-    monkeypatch.setattr("surctl.marine.tuning.pool.expected_to_hold", lambda: ("v1-corrected", "v2-static"))
+    monkeypatch.setattr("surctl.marine.tuning.request.expected_to_hold", lambda: ("v1-corrected", "v2-static"))
     assert refuted_claims(GAINS.values, [case()]) == ()
-    monkeypatch.setattr("surctl.marine.tuning.pool.expected_to_hold", lambda: ("v1-printed", "v2-static"))
+    monkeypatch.setattr("surctl.marine.tuning.request.expected_to_hold", lambda: ("v1-printed", "v2-static"))
     assert [v.claim.name for v in refuted_claims(GAINS.values, [case()], seed=1)] == ["v1-printed"]
 
 
@@ -380,7 +371,7 @@ def test_a_refuted_point_of_a_claim_is_a_constraint(monkeypatch):
     install(monkeypatch)
     point = ClaimPoint("v1-printed", {"x_e": 1.5, "y_e": 1.5, "z_e": 0.0, "turn": 0.0}, 0.0)
     sets = {"k1": np.array([0.05, 1.0])}
-    found = excess((point,), GAINS.values, sets)
+    found = replace(request(), claims=(point,)).excess(sets)
     assert found.shape == (2, 1) and found[0, 0] <= 0 < found[1, 0]
     pool = replace(request(), claims=(point,)).judge({"k1": np.array([0.13, 1.0]), "k_v": np.array([2.0, 2.0])})
     assert pool.constraints.shape == (2, 2) and not pool.feasible[1]

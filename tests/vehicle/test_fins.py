@@ -26,7 +26,7 @@ from surctl.marine.simulation import (
 from surctl.marine.simulation.physics import advance
 from surctl.marine.simulation.scenario import Disturbance
 from surctl.marine.simulation.thruster_faults import Thrusters
-from surctl.marine.tuning.pool import default_tuned
+from surctl.marine.tuning.request import default_tuned
 from surctl.marine.vehicle import (
     LIBRARY,
     PLANT_DISTURBANCE,

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from surctl.errors import InputError
 from surctl.marine.control import load_gains
 from surctl.marine.simulation import Case, load_scenario
-from surctl.marine.tuning.pool import refuted_claims
+from surctl.marine.tuning.request import refuted_claims
 from surctl.marine.vehicle import load_vehicle
 from surctl.marine.verification import claims
 from surctl.verification import Claim, Variable, decide, falsify

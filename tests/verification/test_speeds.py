@@ -6,7 +6,8 @@ import pytest
 from surctl.errors import InputError
 from surctl.marine.control import load_gains
 from surctl.marine.vehicle import load_vehicle
-from surctl.marine.verification import check_held, cruise_speeds, linear_table, over_speeds, speeds_text, worst_place
+from surctl.marine.verification import check_held, cruise_speeds, linear_table, over_speeds, speeds_text
+from surctl.verification.loops import worst_place
 
 GAINS = load_gains("default").values
 SUR = load_vehicle("sur400")

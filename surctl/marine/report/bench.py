@@ -20,10 +20,10 @@ from surctl.marine.control import Gains, law_source, load_gains, write_gains
 from surctl.marine.report.files import plot_region
 from surctl.marine.report.plan_view import plot_run
 from surctl.marine.simulation import METRICS, Case, Run, Scenario, simulate
-from surctl.marine.tuning import Evaluation, GainRange, Goal, case_loop, conditions, evaluate, gain_ranges
+from surctl.marine.tuning import GainRange, Goal, case_loop, conditions, evaluate, gain_ranges
 from surctl.marine.tuning.derived import has_tuned
 from surctl.marine.tuning.evaluation import corners, judged_goals
-from surctl.marine.tuning.pool import default_tuned
+from surctl.marine.tuning.request import default_tuned
 from surctl.marine.vehicle import Vehicle
 from surctl.marine.vehicle.linearise import command_range
 from surctl.marine.verification import OperatingPoint, applicable_claims, steady_motion
@@ -32,7 +32,7 @@ from surctl.own_code import is_own, label
 from surctl.report.design_bench import RunView, Slider, SlowView, View, activity, assessed_lines, gain_file, replaceable
 from surctl.report.panel import Curve, Panel, Shade
 from surctl.system import LinearLoop
-from surctl.tuning import LoopGoal
+from surctl.tuning import Evaluation, LoopGoal
 from surctl.verification import Inapplicable, Verdict, decide
 
 _PATIENCE = 10.0  # [s] time limit of each proof
@@ -222,9 +222,9 @@ class Bench:
             return []
         rows = []
         for k, goal in enumerate(evaluation.goals):
-            figure, share, speed = evaluation.figure[0, k], evaluation.normalised[0, k], evaluation.speed[0, k]
+            figure, share, place = evaluation.figure[0, k], evaluation.normalised[0, k], evaluation.place[0, k]
             unit = "" if goal.unit == "1" else f" {goal.unit}"
-            at = f", worst at {speed:g} m/s" if goal.cruise else ""
+            at = ", ".join(["", *filter(None, [goal.place_text(place)])])
             text = f"{'met' if share <= 1 else 'missed'}: {figure:.4g}{unit}, {goal.sense} {goal.limit:g}{unit}{at}"
             rows.append((f"goal {goal.name} ({goal.kind})", text, f"goal {goal.name}", "good" if share <= 1 else "bad"))
         return rows

@@ -20,7 +20,6 @@ from surctl.marine.report.margin_plots import plot_disk_margins
 from surctl.marine.report.plan_view import plot_run
 from surctl.marine.report.signals import plot_run_signals
 from surctl.marine.simulation import Run
-from surctl.marine.tuning import Tuning
 from surctl.marine.vehicle import Vehicle
 from surctl.marine.verification import cruise_loop, law_loop
 from surctl.marine.verification.cruise_loop import has_cruise_loop
@@ -40,6 +39,7 @@ from surctl.report.theme import (
     new_figure,
     save_figure,
 )
+from surctl.tuning import Tuning
 from surctl.verification import Verdict
 from surctl.verification.linear import stored_disk_margin
 

@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 from surctl.errors import InputError, nearest
 from surctl.marine.control import Gains
 from surctl.marine.simulation import Run, simulate
-from surctl.marine.tuning import Condition, Goal, Pool, SweepTable, SweptAxis, Tuning, figures
-from surctl.marine.tuning.evaluation import scope
+from surctl.marine.tuning import Goal, SweepTable, SweptAxis, figures
 from surctl.marine.vehicle import Vehicle
 from surctl.report.cost_map import draw_cells, draw_frame, value_range
 from surctl.report.theme import (
@@ -36,6 +35,8 @@ from surctl.report.theme import (
     new_axes,
     printable,
 )
+from surctl.tuning import Condition, Pool, Tuning
+from surctl.tuning.pool import scope
 
 # Plots of sweeps over any number of axes: heat maps and parallel coordinates
 
@@ -250,7 +251,7 @@ def goal_bars(tuning: Tuning) -> GoalBars:
     order = sorted(range(len(goals)), key=lambda j: goals[j].kind != "hard")
     hand, tuned = tuning.hand.evaluation.normalised[0], tuning.tuned.evaluation.normalised[0]
     names = tuple(goals[j].name for j in order)
-    speed = tuning.tuned.evaluation.speed[0][order]
+    speed = tuning.tuned.evaluation.place[0][order]
     return GoalBars(names, tuple(goals[j].kind == "hard" for j in order), hand[order], tuned[order], speed)
 
 
@@ -262,7 +263,8 @@ def plot_goal_bars(data: GoalBars, ax: Axes | None = None) -> Axes:
         >>> from surctl.marine.report import plot_goal_bars
         >>> from surctl.marine.report.goals import goal_bars
         >>> from surctl.marine.simulation import load_scenario
-        >>> from surctl.marine.tuning import Goal, Request, build_cases, conditions, gain_ranges, tune
+        >>> from surctl.marine.tuning import Goal, Request, build_cases, conditions, gain_ranges
+        >>> from surctl.tuning import tune
         >>> gains = load_gains("default")
         >>> runs = conditions(build_cases([load_scenario("pool-behind")], gains=gains, law="closed_form"), seeds=[0])
         >>> goals = (Goal("soon", "time_s", "s", 20.0), Goal("clear", "min_clearance_m", "m", 0.08, "at least", "hard"))

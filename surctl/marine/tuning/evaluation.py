@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from itertools import product
 from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.errors import InputError, ToolMissing, nearest
+from surctl.errors import InputError, ToolMissing
 from surctl.ir import warn_slower
 from surctl.marine.control import Gains
 from surctl.marine.simulation import Case, case_parameters, law_numbers, simulate, simulate_batch
 from surctl.marine.simulation.batch.engines import trace_batch
+from surctl.marine.simulation.campaign.worlds import draw_plant
 from surctl.marine.simulation.loop import SingleRun
 from surctl.marine.tuning.goals import PART_OF, Goal
 from surctl.marine.vehicle import Vehicle
@@ -24,8 +25,9 @@ from surctl.marine.verification.cruise_loop import has_cruise_loop
 from surctl.marine.verification.law_loop import operating_point, steadiest
 from surctl.own_code import is_own
 from surctl.system import LinearLoop
+from surctl.tuning.montecarlo import APART
+from surctl.tuning.pool import Condition, Evaluation, Sets, judged, scope
 
-Sets = Mapping[str, NDArray[np.float64]]
 _NOMINAL: Mapping[str, float] = MappingProxyType({})
 
 
@@ -141,72 +143,8 @@ def _varied(case: Case, plant: Mapping[str, float]) -> Vehicle:
     return case.vehicle.with_values({name.removeprefix("plant."): value for name, value in plant.items()})
 
 
-Figures = Mapping[str, NDArray[np.float64]]  # metric → (n, conditions)
-
 _DRAG = ("Xu", "Yv", "Zw", "Nr", "Xuu", "Yvv", "Zww", "Nrr")
 _GROUPS = (("m11", "m22", "m33", "m44"), _DRAG, ("Fu_max", "Fv_max", "Fw_max", "Fr_max"))
-
-
-@dataclass(frozen=True)
-class Condition:
-    """Condition of one closed-loop run that evaluates a gain set: simulation case, seed and plant.
-
-    Attributes:
-        case: the simulation case: scenario, vehicle, law and gains.
-        seed: seed of the world and of the noise.
-        plant: parameters of the simulated plant (`plant.…`) that differ from the vehicle of the case; the controller's
-            model stays that of the case.
-        goals: names of the goals for which the run counts; None for all goals. A counterexample counts only for the
-            goal that it refutes.
-    """
-
-    case: Case
-    seed: int = 0
-    plant: Mapping[str, float] = field(default_factory=dict)
-    goals: tuple[str, ...] | None = None
-
-    @property
-    def run(self) -> tuple[str, int, tuple[tuple[str, float], ...]]:
-        """Case, seed and plant: the key that identifies a simulated run, independent of its goals."""
-        return self.case.name, self.seed, tuple(sorted(self.plant.items()))
-
-    @property
-    def label(self) -> str:
-        """Case, seed and changed plant parameters as readable text."""
-        off = ", ".join(f"{name.removeprefix('plant.')} = {value:.4g}" for name, value in self.plant.items())
-        return f"{self.case.name}, seed {self.seed}" + (f", {off}" if off else "")
-
-
-@dataclass(frozen=True, eq=False)
-class Evaluation:
-    """Evaluation of m goals for n gain sets.
-
-    Attributes:
-        goals: the m goals.
-        normalised: (n, m): normalised value of each goal for each gain set; at most 1 if the goal is met.
-        figure: (n, m): value of the goal's metric, in its unit: the value of the worst run or the mean over the runs;
-            NaN if a run did not arrive. For a goal at several cruise speeds, the value of a run is that at the worst
-            speed.
-        speed: (n, m): cruise speed [m/s] at which the goal is worst in its worst run; NaN for a goal at the scenario's
-            own speed.
-        excess: (n, m): mean over the goal's runs of max(0, normalised value - 1), limited to 1 in each run; 0 if the
-            goal is met.
-        effort: (n,): mean of |horizontal thrust| over all runs [N].
-    """
-
-    goals: tuple[Goal, ...]
-    normalised: NDArray[np.float64]
-    figure: NDArray[np.float64]
-    speed: NDArray[np.float64]
-    excess: NDArray[np.float64]
-    effort: NDArray[np.float64]
-
-    @property
-    def feasible(self) -> NDArray[np.bool_]:
-        """Array (n,): whether the gain set meets every hard goal."""
-        hard = [g.kind == "hard" for g in self.goals]
-        met: NDArray[np.bool_] = np.all(self.normalised[:, hard] <= 1, axis=1)
-        return met
 
 
 def corners(vehicle: Vehicle) -> tuple[dict[str, float], ...]:
@@ -249,36 +187,30 @@ def conditions(cases: Sequence[Case], *, seeds: Sequence[int], with_corners: boo
     return tuple(result)
 
 
-def merged(conditions: Iterable[Condition]) -> tuple[Condition, ...]:
-    """Merge conditions of the same run (case, seed and plant) into one condition that names all their goals."""
-    counted: dict[object, tuple[Condition, dict[str, None]]] = {}
-    for one in conditions:
-        counted.setdefault(one.run, (one, {}))[1].update(dict.fromkeys(one.goals or ()))
-    return tuple(replace(one, goals=tuple(goals)) for one, goals in counted.values())
-
-
 def varied(case: Case) -> bool:
     """Return whether the runs of a case depend on the seed."""
     return case.scenario.seeded or case.sensing == "sonar"
 
 
-def scope(goal: Goal, conditions: Sequence[Condition]) -> list[int]:
-    """Return the indices of the conditions that count for a goal.
+def fresh(cases: Sequence[Case], *, runs: int, first: int, tuning: int = 0) -> tuple[Condition, ...]:
+    """Return the conditions of fresh runs; the runs are assigned to the cases in turn.
 
-    Raises:
-        InputError: the goal names a case that is not simulated.
+    Every second run of a case has the nominal plant, because some goals apply to the nominal plant only. A case that
+    does not depend on the seed has no runs with the nominal plant, because all of them would be equal.
+
+    Args:
+        cases: the simulated cases.
+        runs: number of runs over all cases.
+        first: number of seeds that this tuning has used so far.
+        tuning: seed of the tuning; the runs of two tunings share no seed.
     """
-    names = {name for c in conditions for name in (c.case.name, c.case.scenario.name)}
-    for name in goal.cases:
-        if name not in names:
-            raise InputError("no such case", key=f"goals.{goal.name}.cases", value=name, remedy=nearest(name, names))
-    return [
-        k
-        for k, c in enumerate(conditions)
-        if (c.goals is None or goal.name in c.goals)
-        and (goal.plants == "all" or not c.plant)
-        and (not goal.cases or {c.case.name, c.case.scenario.name} & set(goal.cases))
-    ]
+    conditions = []
+    for k in range(runs):
+        case, seed = cases[k % len(cases)], tuning * APART + first + k
+        nominal = k // len(cases) % 2 == 1 and varied(case)
+        plant = {} if nominal else draw_plant(case.vehicle, seed=seed)
+        conditions.append(Condition(case, seed, {f"plant.{name}": value for name, value in plant.items()}))
+    return tuple(conditions)
 
 
 def check_goals(goals: Sequence[Goal], conditions: Sequence[Condition]) -> None:
@@ -318,28 +250,6 @@ def evaluate(goals: Sequence[Goal], conditions: Sequence[Condition], sets: Sets,
     """
     check_goals(goals, conditions)
     return judged(goals, conditions, figures(goals, conditions, sets, threads=threads))
-
-
-def judged(goals: Sequence[Goal], conditions: Sequence[Condition], table: Figures) -> Evaluation:
-    """Evaluate the goals from the metrics of the runs."""
-    count = len(table["effort_n"])
-    shape = (count, len(goals))
-    normalised, figure, excess = np.zeros(shape), np.full(shape, np.nan), np.zeros(shape)
-    speed = np.full(shape, np.nan)
-    for j, goal in enumerate(goals):
-        own, speeds = (values[:, scope(goal, conditions)] for values in goal.worst(table))
-        each = goal.normalised(own)
-        worst = each.argmax(axis=1)
-        speed[:, j] = speeds[np.arange(count), worst]
-        if goal.over == "mean":
-            figure[:, j] = own.mean(axis=1)
-            each = goal.normalised(figure[:, [j]])
-            normalised[:, j] = each[:, 0]
-        else:
-            figure[:, j], normalised[:, j] = own[np.arange(count), worst], each.max(axis=1)
-        excess[:, j] = np.clip(each - 1, 0, 1).mean(axis=1)
-    effort = table["effort_n"].mean(axis=1)
-    return Evaluation(tuple(goals), normalised, figure, speed, excess, effort)
 
 
 def figures(
@@ -405,11 +315,6 @@ def judged_goals(
     final = tuple(g for g in late if g.metric in PART_OF and not g.cases and set(g.cruise) <= assessed)
     left = tuple(goal for goal in late if goal not in final)
     return tuple(goal for goal in goals if goal not in late), final, left
-
-
-def row(sets: Sets, k: int) -> dict[str, float]:
-    """Return the k-th gain set: the value of each gain by name."""
-    return {name: float(values[k]) for name, values in sets.items()}
 
 
 def _by_case(conditions: Sequence[Condition]) -> list[tuple[Case, list[int]]]:

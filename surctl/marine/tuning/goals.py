@@ -12,14 +12,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from surctl.errors import InputError, nearest
 from surctl.files import load_model, pick
 from surctl.marine.simulation import METRICS
 from surctl.marine.simulation.metrics import MetricSpec
-from surctl.marine.verification import LINEAR_METRICS, cruise_speeds, worst_place
-from surctl.tuning.goals import LIBRARY, GoalsFile, GoalTable, Plants, RunGoal, check_names
+from surctl.marine.verification import LINEAR_METRICS, cruise_speeds
+from surctl.tuning.goals import LIBRARY, GoalsFile, GoalTable, RunGoal, check_names
 from surctl.tuning.loop_goal_file import loop_goal
 from surctl.tuning.loop_goals import LoopGoal
 
@@ -70,9 +69,6 @@ class Goal(RunGoal):
         metric: name of a metric, either of a run (METRICS of `surctl.marine.simulation`) or of the linear loop
             (LINEAR_METRICS), or of a figure of the assessment (ASSESSED), which is checked at the end of a tuning.
         unit: unit of `limit`; it must be the unit of the metric.
-        cases: names of the scenarios or simulation cases to which the goal applies; if empty, it applies to all.
-        plants: "all", or "nominal" to exclude runs whose plant differs from the vehicle of the case (property Models of
-            systune).
         cruise: cruise speeds [m/s], slowest first, at each of which the linear loop must meet the goal; empty: the
             scenario's own speed.
         loop: a goal about the loop of the law that runs (`LoopGoal`), for the metric `LOOP_METRIC`, which is its
@@ -83,8 +79,6 @@ class Goal(RunGoal):
             sign, a speed is not valid, or the goal has speeds but is not about the linear loop.
     """
 
-    cases: tuple[str, ...] = ()
-    plants: Plants = "all"
     cruise: tuple[float, ...] = ()
     loop: LoopGoal | None = None
 
@@ -139,15 +133,23 @@ class Goal(RunGoal):
         name = self.metric if self.loop is None else f"{self.metric} {self.name}"
         return {f"{name} at {u!r} m/s": u for u in self.cruise} or {name: None}
 
-    def worst(self, table: Mapping[str, NDArray[np.float64]]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return two arrays, each shaped like a column: the worst value over the cruise speeds, and its speed.
+    def place_text(self, place: float) -> str:
+        """Return at which cruise speed the goal is worst, for a table; empty if it names no speed."""
+        return f"worst at {place:g} m/s" if self.cruise else ""
 
-        The speed is in m/s; it is NaN for a goal at the scenario's own speed.
-        """
-        each = np.stack([table[name] for name in self.columns])
-        ill = self.badness(each)
-        speed = np.array([np.nan if u is None else u for u in self.columns.values()])
-        return np.take_along_axis(each, ill.argmax(axis=0)[None], axis=0)[0], speed[worst_place(ill)]
+    def place_dict(self, place: float) -> dict[str, Any]:
+        """Return the cruise speed as plain data for JSON; NaN for a goal at the scenario's own speed."""
+        return {"worst_cruise_m_per_s": place}
+
+    @property
+    def absent(self) -> str:
+        """Return the text for a metric without a value."""
+        return "undefined" if self.linear else "no arrival"
+
+    @property
+    def part(self) -> str:
+        """Part of the assessment with the metric, for a goal that is checked at the end of a tuning."""
+        return PART_OF[self.metric]
 
     def to_dict(self) -> dict[str, Any]:
         """The goal as plain data for JSON."""

@@ -25,11 +25,11 @@ from surctl.marine.verification import (
     check_held,
     cruise_speeds,
     linear_table,
-    worst_place,
 )
 from surctl.marine.verification.cruise_loop import has_cruise_loop
 from surctl.priority import Mode
 from surctl.tuning.design import SEED, Design
+from surctl.verification.loops import worst_place
 
 Floats = NDArray[np.float64]
 

@@ -36,7 +36,6 @@ if TYPE_CHECKING:
         cruise_speeds,
         over_speeds,
         speeds_text,
-        worst_place,
         worst_text,
     )
 
@@ -67,7 +66,6 @@ __all__ = [
     "speeds_text",
     "steady_motion",
     "sweep_locus",
-    "worst_place",
     "worst_text",
 ]
 

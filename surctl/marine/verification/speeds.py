@@ -14,8 +14,7 @@ from surctl.marine.vehicle import Vehicle
 from surctl.marine.vehicle.linearise import WITHIN_LAW, check_cruise
 from surctl.marine.verification.cruise_loop import TRACKING_LAW
 from surctl.marine.verification.linear_table import LINEAR_METRICS, linear_table
-
-_SAME = 1e-6  # relative difference up to which two metric values count as equal
+from surctl.verification.loops import worst_place
 
 
 def cruise_speeds(speeds: Sequence[float], *, key: str) -> tuple[float, ...]:
@@ -62,22 +61,6 @@ def check_held(speeds: Sequence[float], vehicle: Vehicle, *, cap: float, key: st
             remedy = "lower it or raise Fu_reverse" if error.remedy == WITHIN_LAW else "lower it"
             problem = f"{error.problem}, by {vehicle.name}"
             raise InputError(problem, key=key, value=speed, remedy=remedy) from None
-
-
-def worst_place(ill: NDArray[np.float64]) -> NDArray[np.intp]:
-    """Return the indices of the worst entries along the first axis (the speeds), in the shape of the other axes.
-
-    The largest entry is the worst; NaN counts as larger than all numbers. Entries that differ only by rounding count as
-    equal; the index is then that of the slowest speed.
-
-    Example:
-        >>> import numpy as np
-        >>> from surctl.marine.verification import worst_place
-        >>> worst_place(np.array([[0.81, 2.0], [0.81 + 1e-15, 3.0]])).tolist()
-        [0, 1]
-    """
-    size = np.where(np.isnan(ill), np.inf, ill)
-    return np.asarray(np.isclose(size, size.max(axis=0), rtol=_SAME, atol=0.0).argmax(axis=0))
 
 
 def worst_text(ill: NDArray[np.float64], speeds: Sequence[float]) -> str:

@@ -64,6 +64,11 @@ class Case:
         return f"{self.scenario.name}/{self.vehicle.name}/{self.sensing}"
 
     @property
+    def known_as(self) -> tuple[str, str]:
+        """Names by which a goal may name it: the setup, or its scenario."""
+        return self.name, self.scenario.name
+
+    @property
     def options(self) -> dict[str, str]:
         """Options of the law, and the kind of sensing, by their names in files of results."""
         return {

@@ -13,11 +13,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from surctl.marine.control import write_gains
-from surctl.marine.tuning.evaluation import Condition, Figures, merged, scope
-from surctl.marine.tuning.goals import Goal
-from surctl.marine.tuning.pool import CAP, Pool, Request, joined_pools
 from surctl.tuning.chunked import Progress
+from surctl.tuning.goals import RunGoal
+from surctl.tuning.pool import CAP, Condition, Figures, Pool, SearchRequest, joined_pools, merged, scope
 from surctl.tuning.search import Array, Journal, evolve
 
 _FIRST = 0.1  # first step as a share of each range's width on its scale
@@ -38,7 +36,7 @@ class _At:
 
 
 def descend(
-    request: Request, pool: Pool, *, trials: int, journal: Journal, progress: Progress = lambda _: None
+    request: SearchRequest, pool: Pool, *, trials: int, journal: Journal, progress: Progress = lambda _: None
 ) -> Pool:
     """Run a descent from the best sets of the pool; return the pool with all gain sets that the descent simulates.
 
@@ -69,7 +67,7 @@ def descend(
     return whole
 
 
-def _next(request: Request, pool: Pool, visited: list[Array], start: Array) -> _At | None:
+def _next(request: SearchRequest, pool: Pool, visited: list[Array], start: Array) -> _At | None:
     """Return the best gain set of the pool that is far from all earlier starts and ends of the descent.
 
     The function adds this gain set to `visited`.
@@ -83,7 +81,7 @@ def _next(request: Request, pool: Pool, visited: list[Array], start: Array) -> _
     return None
 
 
-def _iteration(request: Request, pool: Pool, at: _At) -> Pool:
+def _iteration(request: SearchRequest, pool: Pool, at: _At) -> Pool:
     """Simulate the neighbours of `at` for the linearisation, then the proposed gain sets; return all as one pool."""
     beside = _beside(at)
     near, table = request.simulate(_sets(request, np.vstack([beside, at.place])))
@@ -107,11 +105,11 @@ def _beside(at: _At) -> Array:
     return places
 
 
-def _sets(request: Request, places: Array) -> dict[str, Array]:
+def _sets(request: SearchRequest, places: Array) -> dict[str, Array]:
     return {s.name: s.place(places[:, k]) for k, s in enumerate(request.space)}
 
 
-def _functions(request: Request, pool: Pool, table: Figures, start: Array) -> tuple[Array, Array]:
+def _functions(request: SearchRequest, pool: Pool, table: Figures, start: Array) -> tuple[Array, Array]:
     # soft goals (n, f), scaled as in the score; hard goals and claims (n, g), at most 0 if met
     soft, hard = [np.zeros((len(pool.claims), 1))], [np.minimum(pool.claims, CAP)]
     for goal, first in zip(request.goals, start, strict=True):
@@ -150,7 +148,7 @@ def _least(place: Array, objective: tuple[Array, Array], constraint: tuple[Array
     return there
 
 
-def _move(request: Request, at: _At, batch: Pool, start: Array) -> None:
+def _move(request: SearchRequest, at: _At, batch: Pool, start: Array) -> None:
     """Move to the best simulated set and adapt the step length; shorten the step if no set improves the merit."""
     merit = batch.merit(start)
     best = int(merit.argmin())
@@ -164,14 +162,8 @@ def _move(request: Request, at: _At, batch: Pool, start: Array) -> None:
         at.step = min(at.step * _STEP_FACTORS[proposal], 1.0)
 
 
-BATCH = 32  # gain sets that are simulated together: the population of the differential evolution
-
-BEST = "best-so-far.toml"
-"""Name of the gain file that an unfinished tuning leaves in its folder."""
-
-
 def search(
-    request: Request,
+    request: SearchRequest,
     *,
     trials: int,
     first: Sequence[Mapping[str, float]] = (),
@@ -191,7 +183,8 @@ def search(
     Example:
         >>> from surctl.marine.control import load_gains
         >>> from surctl.marine.simulation import load_scenario
-        >>> from surctl.marine.tuning import Goal, Request, build_cases, conditions, gain_ranges, search
+        >>> from surctl.marine.tuning import Goal, Request, build_cases, conditions, gain_ranges
+        >>> from surctl.tuning import search
         >>> gains = load_gains("default")
         >>> runs = conditions(build_cases([load_scenario("pool-behind")], gains=gains, law="closed_form"), seeds=[0])
         >>> request = Request((Goal("soon", "time_s", "s", 20.0),), runs, gains, gain_ranges(gains, ["k_v"]))
@@ -203,32 +196,36 @@ def search(
     """
     journal = journal or Journal(None)
     batches = journal.batches(request.digest, width=request.width)
-    count = -(-trials // BATCH)
-    done = 0
-    while done < count and batches.known(BATCH, after=done) is not None:
+    size = request.size
+    count, done = -(-trials // size), 0
+    while done < count and batches.known(size, after=done) is not None:
         done += 1
     if done:
-        progress(f"{done * BATCH} trials of the same request are resumed")
-    pools, began = list[Pool](), time.perf_counter()
+        progress(f"{done * size} trials of the same request are resumed")
+    pools, began, shown = list[Pool](), time.perf_counter(), -np.inf
 
     def merit(sets: Array) -> Array:
+        nonlocal shown
         table = batches.evaluated(sets, lambda sets: request.judge(request.named(sets)).table[:, sets.shape[1] :])
         pools.append(request.pool(table))
         start = pools[0].evaluation.normalised[0]
-        if len(pools) > done:
+        if len(pools) > done and (len(pools) == count or time.perf_counter() - shown > _PAUSE):
+            shown = time.perf_counter()
             whole = joined_pools(pools)
-            best = request.base.with_values(whole.gains(whole.best(start)), how="so-far")
-            journal.note_best(BEST, write_gains(best, warning="the best gains of an unfinished tuning"))
-            rate = (len(pools) - done) * BATCH / (time.perf_counter() - began)
-            speed = f"{rate:.3g} trials/s, ETA {(count - len(pools)) * BATCH / rate:.0f} s"
-            progress(f"trial {len(pools) * BATCH}/{count * BATCH}, {speed}: {whole.standing(start)}")
+            journal.note_best(*request.so_far(whole.gains(whole.best(start)), "the best gains of an unfinished tuning"))
+            rate = (len(pools) - done) * size / (time.perf_counter() - began)
+            speed = f"{rate:.3g} trials/s, ETA {(count - len(pools)) * size / rate:.0f} s"
+            progress(f"trial {len(pools) * size}/{count * size}, {speed}: {whole.standing(start)}")
         return pools[-1].merit(start)
 
-    begun = [[s.clip(gains[s.name]) for s in request.space] for gains in ({**request.base.values}, *first)]
-    evolve(merit, request.space, size=BATCH, batches=count, seed=request.seed, first=begun)
+    begun = [[s.clip(gains[s.name]) for s in request.space] for gains in ({**request.start}, *first)]
+    evolve(merit, request.space, size=size, batches=count, seed=request.seed, first=begun)
+    if not request.descends:
+        return joined_pools(pools)
     return descend(request, joined_pools(pools), trials=trials, journal=journal, progress=progress)
 
 
+_PAUSE = 0.2  # s between two lines of progress
 _KNOWN_SETS = 64  # gain sets of the pool that are tried before a search
 
 
@@ -243,7 +240,7 @@ class Demand:
     """
 
     label: str
-    goal: Goal
+    goal: RunGoal
     conditions: tuple[Condition, ...]
 
 
@@ -275,7 +272,7 @@ def minimal_subset(count: int, together: Callable[[tuple[int, ...]], bool]) -> t
     return tuple(sorted(explained((), False, tuple(range(count)))))
 
 
-def demands(goals: Sequence[Goal], conditions: Sequence[Condition], refuted: Sequence[str]) -> tuple[Demand, ...]:
+def demands(goals: Sequence[RunGoal], conditions: Sequence[Condition], refuted: Sequence[str]) -> tuple[Demand, ...]:
     """Return demands for hard goals and refuted soft goals.
 
     Demands over requested runs and demands over counterexamples are separate.
@@ -297,7 +294,7 @@ def demands(goals: Sequence[Goal], conditions: Sequence[Condition], refuted: Seq
     return tuple(result)
 
 
-def _demand(goal: Goal, conditions: Sequence[Condition], k: int, label: str) -> Demand:
+def _demand(goal: RunGoal, conditions: Sequence[Condition], k: int, label: str) -> Demand:
     own = f"demand {k}"
     return Demand(
         label, replace(goal, name=own, kind="hard", cases=()), tuple(replace(c, goals=(own,)) for c in conditions)
@@ -305,7 +302,7 @@ def _demand(goal: Goal, conditions: Sequence[Condition], k: int, label: str) -> 
 
 
 def conflict(
-    request: Request, pool: Pool, refuted: Sequence[str], *, trials: int, progress: Progress = lambda _: None
+    request: SearchRequest, pool: Pool, refuted: Sequence[str], *, trials: int, progress: Progress = lambda _: None
 ) -> tuple[str, ...]:
     """Return the labels of a minimal set of demands that no known gain set meets together.
 
@@ -342,7 +339,7 @@ def conflict(
     return () if together(everything) else tuple(every[k].label for k in minimal_subset(len(every), together))
 
 
-def _of(request: Request, chosen: Sequence[Demand]) -> Request:
+def _of(request: SearchRequest, chosen: Sequence[Demand]) -> SearchRequest:
     # each run is simulated once
     return replace(
         request, goals=tuple(d.goal for d in chosen), conditions=merged(c for d in chosen for c in d.conditions)

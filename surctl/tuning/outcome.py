@@ -4,20 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from surctl import __version__
-from surctl.assessment import Assessment, Comparison, Subject, assess
-from surctl.marine.control import Gains
-from surctl.marine.simulation import STOPS, simulate_batch
-from surctl.marine.tuning.cegis import Round, Tuning
-from surctl.marine.tuning.evaluation import Condition, figures, scope
-from surctl.marine.tuning.goals import PART_OF, Goal
-from surctl.marine.tuning.montecarlo import APART, fresh, monte_carlo
-from surctl.marine.verification import speeds_text
+from surctl.assessment import Assessment, Comparison, Figure, Part
+from surctl.tuning.cegis import Round, Tuning
 from surctl.tuning.chunked import Progress
+from surctl.tuning.goals import RunGoal
+from surctl.tuning.montecarlo import APART, monte_carlo
+from surctl.tuning.pool import Condition, scope
 
 _ZERO_IF_UNSTABLE = ("disk_margin", "single_loop_disk_margin", "delay_margin_s", "phase_margin_deg")
 
@@ -37,7 +34,7 @@ class Miss:
     """
 
     name: str
-    goal: Goal | None
+    goal: RunGoal | None
     run: Condition | None
     figure: float
     ending: str | None = None
@@ -51,7 +48,7 @@ class Miss:
             return f"claim {self.name} is refuted with these gains"
         goal = self.goal
         unit = "" if goal.unit == "1" else f" {goal.unit}"
-        bound = f"{'≤' if goal.sense == 'at most' else '≥'} {goal.limit:g}{unit}"
+        bound = f"{goal.sign} {goal.limit:g}{unit}"
         value = value_text(goal, self.figure)
         value += unit if value[-1].isdigit() else ""
         ended = "" if self.ending is None else f" ({self.ending})"
@@ -66,10 +63,10 @@ class Miss:
         return {"name": self.name, **where, **value}
 
 
-def value_text(goal: Goal, figure: float) -> str:
+def value_text(goal: RunGoal, figure: float) -> str:
     """Return the value of a goal's metric as text; a word for no arrival, an unstable loop, or an infinite value."""
     if np.isnan(figure):
-        return "undefined" if goal.linear else "no arrival"
+        return goal.absent
     if goal.metric in _ZERO_IF_UNSTABLE and figure == 0:
         return "unstable"
     return f"{figure:.4g}" if np.isfinite(figure) else "unbounded"
@@ -80,8 +77,7 @@ def misses(tuning: Tuning) -> tuple[Miss, ...]:
     goals = {g.name: g for g in tuning.request.goals}
     request, verified = tuning.request, tuning.result.verified
     own = [goals[name] for name in tuning.unmet if name in goals]
-    sets = {name: np.asarray(values, dtype=float) for name, values in tuning.tuned.sets.items()}
-    known = _worst(own, request.conditions, sets, threads=request.threads) if own else {}
+    known = _worst(own, tuning) if own else {}
     result = []
     for name in tuning.unmet:
         if name in known:
@@ -92,7 +88,7 @@ def misses(tuning: Tuning) -> tuple[Miss, ...]:
             result.append(Miss(name, None, None, float("nan")))
             continue
         run = counterexample.condition(request.cases)
-        ending = None if goals[name].linear else _ending(run, sets)
+        ending = None if goals[name].linear else request.ending(run, tuning.result.gains)
         extent = f"missed in {verified.missed[name]:.2%} of the verifying runs"
         if goals[name].over == "mean":
             extent = "the mean of the verifying runs misses it"
@@ -101,11 +97,10 @@ def misses(tuning: Tuning) -> tuple[Miss, ...]:
     return tuple(result)
 
 
-def _worst(
-    goals: Sequence[Goal], conditions: Sequence[Condition], sets: Mapping[str, Any], *, threads: int
-) -> dict[str, Miss]:
-    """Return the goals that one gain set misses under the conditions, by name."""
-    table = figures(goals, conditions, sets, threads=threads)
+def _worst(goals: Sequence[RunGoal], tuning: Tuning) -> dict[str, Miss]:
+    """Return the goals that the tuned gains miss under the conditions, by name."""
+    conditions = tuning.request.conditions
+    table = tuning.request.figures(goals, conditions, tuning.tuned.sets)
     worst = {}
     for goal in goals:
         own = scope(goal, conditions)
@@ -123,18 +118,10 @@ def _worst(
         extent = f"missed in {int((each > 1).sum())} of {len(own)} run{'s' * (len(own) != 1)}"
         if mean:
             extent = f"the mean of {len(own)} runs is {value_text(goal, float(figure.mean()))}"
-        ending = None if goal.linear else _ending(run, sets)
+        ending = None if goal.linear else tuning.request.ending(run, tuning.result.gains)
         own_plant = next((conditions[own[j]] for j in order if each[j] > 1 and not varied[j]), None)
         worst[goal.name] = Miss(goal.name, goal, run, float(figure[k]), ending, extent, own_plant)
     return worst
-
-
-def _ending(run: Condition, sets: Mapping[str, Any]) -> str:
-    """Return how a run ends with the gain set."""
-    values = {name: float(np.ravel(v)[0]) for name, v in sets.items()} | dict(run.plant)
-    batch = simulate_batch(run.case, {name: np.array([v]) for name, v in values.items()}, seeds=np.array([run.seed]))
-    stop, time = (float(np.ravel(batch.column(name))[0]) for name in ("stopped", "time_s"))
-    return f"{STOPS[int(stop)]} at {time:.2f} s"
 
 
 def advice(tuning: Tuning, *, trials: int) -> tuple[str, bool]:
@@ -161,45 +148,8 @@ _SCORE = "the largest soft goal over its limit, or over its start value if that 
 _LARGE = 100  # a larger normalised value only says that a run did not arrive, or that the metric is almost 0
 
 
-def tuned_gains(tuning: Tuning) -> Gains:
-    """Return the tuned gains and, as provenance, the goals, seeds, version, rounds and result of the tuning.
-
-    Example:
-        >>> from surctl.marine.control import load_gains
-        >>> from surctl.marine.simulation import load_scenario
-        >>> from surctl.marine.tuning import Goal, Request, build_cases, conditions, gain_ranges, tune, tuned_gains
-        >>> gains = load_gains("default")
-        >>> runs = conditions(build_cases([load_scenario("pool-behind")], gains=gains, law="closed_form"), seeds=[0])
-        >>> request = Request((Goal("soon", "time_s", "s", 20.0),), runs, gains, gain_ranges(gains, ["k_v"]))
-        >>> tuning = tune(request, trials=8, rounds=1, runs=0)
-        >>> tuned = tuned_gains(tuning)
-        >>> tuned.name, tuned["k_v"] > gains["k_v"], tuned["lookahead"] == gains["lookahead"]
-        ('default-tuned', True, True)
-        >>> print(tuned.provenance)
-        chosen by hand for the built-in law, ...; tuned by surctl ...goals: soon: ...; not verified by fresh runs
-    """
-    request = tuning.request
-    bounds = "; ".join(
-        f"{g.name}: {g.over} {g.metric} {g.sense} {g.limit:g} {g.unit} ({g.kind}){_at(g)}" for g in request.goals
-    )
-    requested = request.conditions[: tuning.requested]
-    seeds = sorted({c.seed for c in requested})
-    cases = ", ".join(dict.fromkeys(c.case.name for c in requested))
-    text = (
-        f"{request.base.provenance}; tuned by surctl {__version__} from gains {request.base.name}, "
-        f"request {request.digest[:16]}, search seed {request.seed}, {len(tuning.rounds)} round(s), "
-        f"{len(requested)} runs over {cases} with seeds {seeds[0]} to {seeds[-1]} and "
-        f"{len(request.conditions) - tuning.requested} counterexamples; goals: {bounds}; {_outcome(tuning)}"
-    )
-    values = dict(tuning.result.gains)
-    return request.base.with_values(values, provenance=text, how="tuned")
-
-
-def _at(goal: Goal) -> str:
-    return f" at {speeds_text(goal.cruise)}" if goal.cruise else ""
-
-
-def _outcome(tuning: Tuning) -> str:
+def outcome_text(tuning: Tuning) -> str:
+    """Return what the fresh runs and the search for a conflict showed, in one line."""
     last = tuning.result
     fresh = last.verified
     missed = f"HARD GOALS NOT MET: {', '.join(tuning.unmet)}; " if tuning.unmet else ""
@@ -213,11 +163,7 @@ def _outcome(tuning: Tuning) -> str:
 
 
 def goal_rows(tuning: Tuning) -> list[dict[str, Any]]:
-    """Return one table row per goal: its bound, and its metric and normalised value with start gains and tuned gains.
-
-    `worst_cruise_m_per_s` is the cruise speed at which the goal is worst with the tuned gains; NaN for a goal at the
-    scenario's own speed.
-    """
+    """Return one table row per goal: its bound, its metric and normalised value with start gains and tuned gains."""
     hand, tuned = tuning.hand.evaluation, tuning.tuned.evaluation
     return [
         goal.to_dict()
@@ -227,9 +173,9 @@ def goal_rows(tuning: Tuning) -> list[dict[str, Any]]:
             "normalised_hand": float(hand.normalised[0, j]),
             "normalised_tuned": float(tuned.normalised[0, j]),
             "met": bool(tuned.normalised[0, j] <= 1),
-            "worst_cruise_m_per_s": float(tuned.speed[0, j]),
-            "better": tuning.better[j],
         }
+        | goal.place_dict(float(tuned.place[0, j]))
+        | {"better": tuning.better[j]}
         for j, goal in enumerate(tuning.request.goals)
     ]
 
@@ -240,7 +186,8 @@ def summary(tuning: Tuning) -> list[str]:
     Example:
         >>> from surctl.marine.control import load_gains
         >>> from surctl.marine.simulation import load_scenario
-        >>> from surctl.marine.tuning import Goal, Request, build_cases, conditions, gain_ranges, summary, tune
+        >>> from surctl.marine.tuning import Goal, Request, build_cases, conditions, gain_ranges
+        >>> from surctl.tuning import summary, tune
         >>> gains = load_gains("default")
         >>> runs = conditions(build_cases([load_scenario("pool-behind")], gains=gains, law="closed_form"), seeds=[0])
         >>> request = Request((Goal("soon", "time_s", "s", 20.0),), runs, gains, gain_ranges(gains, ["k_v"]))
@@ -252,10 +199,11 @@ def summary(tuning: Tuning) -> list[str]:
         after 1 round(s): not verified by fresh runs
     """
     lines = [f"{'goal':<24}{'kind':<6}{'unit':<6}{'limit':>12}{'start gains':>12}{'tuned':>12}{'normalised':>18}"]
-    for goal, one in zip(tuning.request.goals, goal_rows(tuning), strict=True):
+    places = tuning.tuned.evaluation.place[0].tolist()
+    for goal, one, place in zip(tuning.request.goals, goal_rows(tuning), places, strict=True):
         change = " → ".join(_normalised(one[f"normalised_{which}"]) for which in ("hand", "tuned"))
         mark = "" if one["met"] else "  MISSED"
-        mark += f"  worst at {one['worst_cruise_m_per_s']:g} m/s" if one["cruise_m_per_s"] else ""
+        mark += "".join(f"  {at}" for at in [goal.place_text(place)] if at)
         lines.append(
             f"{one['name']:<24}{one['kind']:<6}{one['unit']:<6}{goal.sign + ' ' + format(one['limit'], 'g'):>12}"
             f"{value_text(goal, one['hand']):>12}{value_text(goal, one['tuned']):>12}{change:>18}{mark}"
@@ -266,7 +214,7 @@ def summary(tuning: Tuning) -> list[str]:
         lines += ["", f"score {change}: {_SCORE}"]
     last = tuning.result
     values = ", ".join(f"{name} = {value:.4g}" for name, value in last.gains.items())
-    lines += ["", f"gains: {values}", f"after {len(tuning.rounds)} round(s): {_outcome(tuning)}"]
+    lines += ["", f"gains: {values}", f"after {len(tuning.rounds)} round(s): {outcome_text(tuning)}"]
     return lines
 
 
@@ -314,10 +262,6 @@ def tuning_dict(tuning: Tuning) -> dict[str, Any]:
 # Goals checked at the end of a tuning, on figures of the assessment that the search does not compute
 
 
-CHECKED = 4
-"""Number of gain sets, the best of a search, on which goals are checked at its end."""
-
-
 @dataclass(frozen=True, eq=False)
 class Finals:
     """What the check at the end of a tuning shows.
@@ -331,11 +275,11 @@ class Finals:
         started: whether the start gains are one of the sets, because all others miss a goal.
     """
 
-    goals: tuple[Goal, ...]
+    goals: tuple[RunGoal, ...]
     comparison: Comparison
     checked: int
     best: Mapping[str, float]
-    undetermined: tuple[Goal, ...] = ()
+    undetermined: tuple[RunGoal, ...] = ()
     started: bool = False
 
     @property
@@ -377,44 +321,71 @@ class Finals:
         }
 
 
+class Tuned(NamedTuple):
+    """A tuning, and the check of its gains at the end."""
+
+    tuning: Tuning
+    finals: Finals
+
+    @property
+    def gains(self) -> dict[str, float]:
+        """The tuned gains by name; if no gain set meets all hard goals, those that miss least."""
+        return dict(self.tuning.result.gains)
+
+    @property
+    def unmet(self) -> tuple[str, ...]:
+        """Names of the hard goals that the tuned gains miss; empty if the tuning succeeded."""
+        return (*self.tuning.unmet, *self.finals.unmet)
+
+    @property
+    def figures(self) -> Mapping[str, Figure]:
+        """The figures of the assessment with the tuned gains, by name."""
+        return self.finals.comparison.after.figures
+
+    def lines(self) -> list[str]:
+        """Return lines of text: the table of the goals, the gains, and the goals that were checked at the end."""
+        return [*summary(self.tuning), *self.finals.lines()]
+
+
 def check_finals(
     tuning: Tuning,
-    goals: Sequence[Goal],
-    subject: Callable[[Gains], Subject],
+    goals: Sequence[RunGoal],
+    assessed: Callable[[Mapping[str, float], Collection[str] | None, Mapping[str, Part] | None], Assessment],
     *,
-    default: Collection[Goal] = (),
+    default: Collection[RunGoal] = (),
     progress: Progress = lambda _: None,
-) -> tuple[Tuning, Finals]:
+) -> Tuned:
     """Return the tuning with the best of its gain sets that meets the goals, and what the check shows.
 
     The sets are the tuned gains, the next best sets of the chosen round that meet the hard goals of the search and, if
-    all of these miss a goal, the start gains. The first one that misses the fewest hard goals, then the fewest soft
-    ones, then its worst hard goal by the least share, becomes the tuned gains, if the fresh runs that verified the
-    tuning do not refute it.
+    all of these miss a goal, the start gains if they are in the ranges. The first one that misses the fewest hard
+    goals, then the fewest soft ones, then its worst hard goal by the least share, becomes the tuned gains, if the fresh
+    runs that verified the tuning do not refute it.
 
     Args:
         tuning: a finished tuning.
         goals: the goals on figures of the assessment.
-        subject: the subject of the assessment with these gains.
+        assessed: function of gains, the names of parts (None: all), and parts that are known: what is assessed.
         default: those of the goals that are left out if the assessment of the tuned gains has no such figure.
         progress: function that receives one line of text for each gain set.
     """
-    base = tuning.request.base
-    parts = {PART_OF[goal.metric] for goal in goals}
-    undetermined: tuple[Goal, ...] = ()
+    begun = tuning.request.begun
+    parts = {goal.part for goal in goals}
+    undetermined: tuple[RunGoal, ...] = ()
     sets, tables = [tuning.result.gains, *(_alternatives(tuning) if goals else [])], list[Assessment]()
     for k, gains in enumerate(sets if goals else []):
         progress(f"goals of the assessment: gain set {k + 1} of {len(sets)}")
-        tables.append(assess(subject(base.with_values(gains)), parts=parts))
+        tables.append(assessed(gains, parts, None))
         if k == 0:
             undetermined = tuple(g for g in goals if g in default and g.metric not in tables[0].figures)
             goals = [goal for goal in goals if goal not in undetermined]
         if all(_met(goal, tables[-1]) for goal in goals):
             break
-    started = bool(tables) and not all(_met(goal, tables[-1]) for goal in goals)
+    inside = all(span.low <= begun[span.name] <= span.high for span in tuning.request.space)
+    started = bool(tables) and inside and not all(_met(goal, tables[-1]) for goal in goals)
     if started:  # gains that are worse than these are no result
-        sets = [*sets[: len(tables)], {s.name: base[s.name] for s in tuning.request.space}]
-        tables.append(assess(subject(base), parts=parts))
+        sets = [*sets[: len(tables)], begun]
+        tables.append(assessed(begun, parts, None))
     before = tables[-1].parts if started else None
     order = sorted(range(len(tables)), key=lambda k: _missed(goals, tables[k]))
     checked = tables[0].parts if tables else None
@@ -424,10 +395,10 @@ def check_finals(
             tuning, checked = other, tables[k].parts
             break
     progress("assessment of start and tuned gains ...")
-    after = assess(subject(base.with_values(tuning.result.gains)), computed=checked)
-    comparison = Comparison(assess(subject(base), computed=before), after)
+    after = assessed(tuning.result.gains, None, checked)
+    comparison = Comparison(assessed(begun, None, before), after)
     best = {goal.name: _best(goal, tables) for goal in goals}
-    return tuning, Finals(tuple(goals), comparison, len(tables), best, undetermined, started)
+    return Tuned(tuning, Finals(tuple(goals), comparison, len(tables), best, undetermined, started))
 
 
 def _alternatives(tuning: Tuning) -> list[Mapping[str, float]]:
@@ -436,7 +407,7 @@ def _alternatives(tuning: Tuning) -> list[Mapping[str, float]]:
     if not others or not tuning.accepted:
         return []
     pool = tuning.request.judge({s.name: np.array([o[s.name] for o in others]) for s in tuning.request.space})
-    return [others[k] for k in range(len(others)) if pool.feasible[k]][: CHECKED - 1]
+    return [others[k] for k in range(len(others)) if pool.feasible[k]][: tuning.request.checked - 1]
 
 
 def _adopted(tuning: Tuning, gains: Mapping[str, float]) -> Tuning:
@@ -445,8 +416,8 @@ def _adopted(tuning: Tuning, gains: Mapping[str, float]) -> Tuning:
     verified = None
     if last.verified is not None:
         first = last.verified.seeds[0] - request.seed * APART
-        runs = fresh(request.cases, runs=last.verified.runs, first=first, tuning=request.seed)
-        verified = monte_carlo(request.goals, runs, gains, threads=request.threads)
+        runs = request.fresh(runs=last.verified.runs, first=first)
+        verified = monte_carlo(request.figures, request.goals, runs, gains)
     pool = request.judge({s.name: np.array([gains[s.name]]) for s in request.space})
     start = tuning.hand.evaluation.normalised[0]
     missed = tuple(g.name for g, n in zip(request.goals, pool.evaluation.normalised[0], strict=True) if not n <= 1)
@@ -454,7 +425,7 @@ def _adopted(tuning: Tuning, gains: Mapping[str, float]) -> Tuning:
     return replace(tuning, tuned=pool, rounds=(*tuning.rounds, one), chosen=len(tuning.rounds))
 
 
-def _missed(goals: Sequence[Goal], one: Assessment) -> tuple[int, int, float]:
+def _missed(goals: Sequence[RunGoal], one: Assessment) -> tuple[int, int, float]:
     # how many hard and soft goals are missed, and by how much the worst hard one
     shares = {goal: _share(goal, one) for goal in goals}
     missed = [goal.kind for goal, share in shares.items() if not share <= 1]
@@ -462,19 +433,19 @@ def _missed(goals: Sequence[Goal], one: Assessment) -> tuple[int, int, float]:
     return missed.count("hard"), missed.count("soft"), float(np.nan_to_num(max(hard, default=1.0), nan=np.inf))
 
 
-def _share(goal: Goal, one: Assessment) -> float:
+def _share(goal: RunGoal, one: Assessment) -> float:
     return float(goal.normalised(np.array([_value(goal, one)]))[0])
 
 
-def _met(goal: Goal, one: Assessment) -> bool:
+def _met(goal: RunGoal, one: Assessment) -> bool:
     return _share(goal, one) <= 1
 
 
-def _value(goal: Goal, one: Assessment) -> float:
+def _value(goal: RunGoal, one: Assessment) -> float:
     return one.figures[goal.metric].value if goal.metric in one.figures else float("nan")
 
 
-def _best(goal: Goal, tables: Sequence[Assessment]) -> float:
+def _best(goal: RunGoal, tables: Sequence[Assessment]) -> float:
     values = np.array([_value(goal, one) for one in tables])
     return float(values[int(np.argmin(goal.badness(values)))])
 

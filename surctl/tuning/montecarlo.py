@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.marine.simulation import Case
-from surctl.marine.simulation.campaign.worlds import draw_plant
-from surctl.marine.tuning.evaluation import Condition, figures, merged, scope, varied
-from surctl.marine.tuning.goals import Goal
-from surctl.marine.tuning.pool import ClaimPoint, Pool, Request
 from surctl.tuning.chunked import Progress
+from surctl.tuning.goals import RunGoal
+from surctl.tuning.pool import ClaimPoint, Condition, Figures, Pool, SearchRequest, Sets, merged, scope
 
 APART = 10_000_000  # seeds reserved for each tuning, so that two tunings never share a seed
 
@@ -34,7 +31,7 @@ class Counterexample:
         seed: seed of the run.
         plant: changed parameters (`plant.…`) of the simulated vehicle.
         figure: value of the goal's metric, in its unit; NaN if the run did not arrive.
-        normalised: normalised value of the goal for this run (`Goal.normalised`); above 1, the run
+        normalised: normalised value of the goal for this run (`RunGoal.normalised`); above 1, the run
             misses the goal's limit. It may be at most 1 if the goal limits the mean of all runs.
     """
 
@@ -45,7 +42,7 @@ class Counterexample:
     figure: float
     normalised: float
 
-    def condition(self, cases: Sequence[Case]) -> Condition:
+    def condition(self, cases: Sequence[Any]) -> Condition:
         """Return the run as a condition of a tuning; the condition counts only for the refuted goal."""
         case = next(c for c in cases if c.name == self.case)
         return Condition(case, self.seed, dict(self.plant), (self.goal,))
@@ -88,45 +85,25 @@ class MonteCarlo:
         return {**data, "normalised": dict(self.normalised), "counterexamples": counterexamples}
 
 
-def fresh(cases: Sequence[Case], *, runs: int, first: int, tuning: int = 0) -> tuple[Condition, ...]:
-    """Return the conditions of fresh runs; the runs are assigned to the cases in turn.
-
-    Every second run of a case has the nominal plant, because some goals apply to the nominal plant only. A case that
-    does not depend on the seed has no runs with the nominal plant, because all of them would be equal.
-
-    Args:
-        cases: the simulated cases.
-        runs: number of runs over all cases.
-        first: number of seeds that this tuning has used so far.
-        tuning: seed of the tuning; the runs of two tunings share no seed.
-    """
-    conditions = []
-    for k in range(runs):
-        case, seed = cases[k % len(cases)], tuning * APART + first + k
-        nominal = k // len(cases) % 2 == 1 and varied(case)
-        plant = {} if nominal else draw_plant(case.vehicle, seed=seed)
-        conditions.append(Condition(case, seed, {f"plant.{name}": value for name, value in plant.items()}))
-    return tuple(conditions)
-
-
 def monte_carlo(
-    goals: Sequence[Goal],
+    figures: Callable[[Sequence[RunGoal], Sequence[Condition], Sets], Figures],
+    goals: Sequence[RunGoal],
     conditions: Sequence[Condition],
     gains: Mapping[str, float],
     *,
     each: int = 3,
-    threads: int = 1,
 ) -> MonteCarlo:
     """Simulate one gain set under every condition and find the goals that it misses.
 
     Args:
+        figures: function that simulates gain sets, see `SearchRequest.figures`.
         goals: the goals.
         conditions: the runs.
         gains: the gain set: the value of each gain by name.
         each: largest number of counterexamples of one goal in one case.
-        threads: number of threads of the compiled loop.
     """
-    table = figures(goals, conditions, {name: np.array([value]) for name, value in gains.items()}, threads=threads)
+    sets = {name: np.array([value]) for name, value in gains.items()}
+    table = figures(goals, conditions, sets)
     missed, normalised, counterexamples = {}, {}, []
     for goal in goals:
         own = scope(goal, conditions)
@@ -145,7 +122,7 @@ def monte_carlo(
 
 
 def _chosen(
-    goal: Goal, figure: NDArray[np.float64], normalised: NDArray[np.float64], cases: Sequence[str], most: int
+    goal: RunGoal, figure: NDArray[np.float64], normalised: NDArray[np.float64], cases: Sequence[str], most: int
 ) -> list[int]:
     """Return the indices of runs that refute a goal: the worst runs of each case.
 
@@ -164,7 +141,7 @@ def _chosen(
     return sorted(chosen, key=order.index)
 
 
-def _counterexample(goal: Goal, run: Condition, figure: float, normalised: float) -> Counterexample:
+def _counterexample(goal: RunGoal, run: Condition, figure: float, normalised: float) -> Counterexample:
     return Counterexample(goal.name, run.case.name, run.seed, run.plant, float(figure), float(normalised))
 
 
@@ -185,12 +162,14 @@ class Screened:
         counterexamples: the training runs that refuted a gain set.
     """
 
-    request: Request
+    request: SearchRequest
     gains: dict[str, float]
     counterexamples: tuple[Counterexample, ...]
 
 
-def harder(request: Request, counterexamples: Sequence[Counterexample], claims: Sequence[ClaimPoint] = ()) -> Request:
+def harder(
+    request: SearchRequest, counterexamples: Sequence[Counterexample], claims: Sequence[ClaimPoint] = ()
+) -> SearchRequest:
     """Extend a request: refuting runs become conditions of the goals that they refute, claim points constraints."""
     requested = [c for c in request.conditions if c.goals is None]
     known = [c for c in request.conditions if c.goals is not None]
@@ -198,7 +177,7 @@ def harder(request: Request, counterexamples: Sequence[Counterexample], claims: 
     return replace(request, conditions=(*requested, *refuting), claims=(*request.claims, *claims))
 
 
-def screen(request: Request, pool: Pool, *, runs: int, progress: Progress = lambda _: None) -> Screened:
+def screen(request: SearchRequest, pool: Pool, *, runs: int, progress: Progress = lambda _: None) -> Screened:
     """Simulate training runs with the best gain set and drop all sets that a failed run refutes, until a set passes.
 
     The training runs are identical for all gain sets and all rounds of a tuning; they differ from the fresh runs. A
@@ -215,13 +194,13 @@ def screen(request: Request, pool: Pool, *, runs: int, progress: Progress = lamb
     met = pool.evaluation.normalised <= 1
     left = [k for k in pool.ranked(start) if pool.feasible[k]]
     tested = bool(left)
-    training = fresh(request.cases, runs=runs, first=_FIRST, tuning=request.seed)
+    training = request.fresh(runs=runs, first=_FIRST)
     counterexamples: list[Counterexample] = []
     tried = 0
     while left:
         goals = [g for g, m in zip(request.goals, met[left[0]], strict=True) if m]
         gains = pool.gains(left[0])
-        refuting = monte_carlo(goals, training, gains, each=_EACH, threads=request.threads).counterexamples
+        refuting = monte_carlo(request.figures, goals, training, gains, each=_EACH).counterexamples
         if not refuting:
             break
         tried += 1
@@ -247,7 +226,7 @@ def _message(runs: int, failed: int, added: int) -> str:
     return f"{failed} {sets} failed in {runs:,} training runs; {added} {failed_runs} join the tuning runs."
 
 
-def reduced_pool(request: Request, pool: Pool, *others: Mapping[str, float]) -> Pool:
+def reduced_pool(request: SearchRequest, pool: Pool, *others: Mapping[str, float]) -> Pool:
     """Return a smaller pool, simulated in the runs of a request: start gains, best sets, Pareto front, `others`."""
     start = pool.evaluation.normalised[0]
     best = pool.ranked(start)[:_SHORT]
@@ -258,7 +237,7 @@ def reduced_pool(request: Request, pool: Pool, *others: Mapping[str, float]) -> 
 
 
 def _withstanding(
-    request: Request, pool: Pool, met: NDArray[np.bool_], left: list[int], refuting: Sequence[Counterexample]
+    request: SearchRequest, pool: Pool, met: NDArray[np.bool_], left: list[int], refuting: Sequence[Counterexample]
 ) -> list[int]:
     """Return the sets that still meet, in every refuting run, the goals that they met before the screening.
 
@@ -271,7 +250,7 @@ def _withstanding(
     runs = [c.condition(request.cases) for c in refuting]
     conditions = merged(runs)
     column = {c.run: k for k, c in enumerate(conditions)}
-    table = figures(goals, conditions, pool.subset(left).sets, threads=request.threads)
+    table = request.figures(goals, conditions, pool.subset(left).sets)
     withstands = np.ones(len(left), dtype=bool)
     for one, run in zip(refuting, runs, strict=True):
         goal = goals[place[one.goal]]

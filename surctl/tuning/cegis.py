@@ -14,25 +14,21 @@ from numpy.typing import NDArray
 
 from surctl.errors import InputError
 from surctl.files import write_file
-from surctl.marine.control import write_gains
-from surctl.marine.tuning.derived import DEPENDENT, derive_gains
-from surctl.marine.tuning.evaluation import check_goals
-from surctl.marine.tuning.montecarlo import (
+from surctl.tuning.chunked import Progress
+from surctl.tuning.gain_search import conflict, search
+from surctl.tuning.montecarlo import (
     APART,
     MOST_SEED,
     TRAINING,
     Counterexample,
     MonteCarlo,
     Screened,
-    fresh,
     harder,
     monte_carlo,
     reduced_pool,
     screen,
 )
-from surctl.marine.tuning.pool import ClaimPoint, Pool, Request, joined_pools, refuted_claims
-from surctl.marine.tuning.search import BATCH, BEST, conflict, search
-from surctl.tuning.chunked import Progress
+from surctl.tuning.pool import ClaimPoint, Pool, SearchRequest, joined_pools
 from surctl.tuning.search import Journal
 
 
@@ -147,7 +143,6 @@ def _counterexamples(table: list[dict[str, Any]]) -> tuple[Counterexample, ...]:
 
 
 _WORTH = 0.01  # smallest relative improvement of the score for which tuning continues
-_OTHERS = 8  # gain sets that a round passes to the next round besides its best set
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,7 +165,7 @@ class Tuning:
             round is feasible and not refuted.
     """
 
-    request: Request
+    request: SearchRequest
     requested: int
     hand: Pool
     tuned: Pool
@@ -207,7 +202,7 @@ class Tuning:
 
 
 def tune(
-    request: Request,
+    request: SearchRequest,
     *,
     trials: int = 256,
     rounds: int = 3,
@@ -238,7 +233,8 @@ def tune(
     Example:
         >>> from surctl.marine.control import load_gains
         >>> from surctl.marine.simulation import load_scenario
-        >>> from surctl.marine.tuning import Goal, Request, build_cases, conditions, gain_ranges, tune
+        >>> from surctl.marine.tuning import Goal, Request, build_cases, conditions, gain_ranges
+        >>> from surctl.tuning import tune
         >>> gains = load_gains("default")
         >>> runs = conditions(build_cases([load_scenario("pool-behind")], gains=gains, law="closed_form"), seeds=[0])
         >>> request = Request((Goal("soon", "time_s", "s", 20.0),), runs, gains, gain_ranges(gains, ["k_v"]))
@@ -247,15 +243,15 @@ def tune(
         (True, 0.99, True)
     """
     _check(request, trials, rounds, runs)
+    runs = runs if request.fresh(runs=1, first=0) else 0
     record = RoundsFile(folder, f"{request.digest} {trials} {runs}")
     journal = Journal(folder)
     done: list[Round] = []
     current, requested = request, len(request.conditions)
     with journal.held():
-        if journal.batches(request.digest, width=request.width).known(BATCH) is None:
+        if journal.batches(request.digest, width=request.width).known(request.size) is None:
             # a file of best gains from the first moment on
-            warning = "the start gains of a tuning without a finished trial"
-            journal.note_best(BEST, write_gains(request.base, warning=warning))
+            journal.note_best(*request.so_far({}, "the start gains of a tuning without a finished trial"))
         for k in range(rounds):
             known = record.round(k)
             progress(f"round {k + 1} of at most {rounds}: {len(current.conditions)} runs for each gain set")
@@ -264,9 +260,7 @@ def tune(
                 pool = _searched(current, done, _longer(trials, done), journal, progress)
                 known, pool = _round(current, pool, runs, k, progress, used=1 + max(c.seed for c in request.conditions))
                 record.add(known)
-                best = request.base.with_values(dict(known.gains), how="so-far")
-                warning = f"the gains of round {k + 1} of an unfinished tuning"
-                journal.note_best(BEST, write_gains(best, warning=warning))
+                journal.note_best(*request.so_far(known.gains, f"the gains of round {k + 1} of an unfinished tuning"))
             done.append(known)
             if _ended(done) or k + 1 == rounds:
                 break
@@ -277,7 +271,7 @@ def tune(
             pool = _searched(current, done[:-1], _longer(trials, done[:-1]), journal, progress)
             pool = reduced_pool(final, pool, done[-1].gains)
     hand, candidates = (
-        final.judge({s.name: np.array([request.base[s.name]]) for s in request.space}),
+        final.judge({name: np.array([value]) for name, value in request.begun.items()}),
         _candidates(final, done),
     )
     start = hand.evaluation.normalised[0]
@@ -290,7 +284,7 @@ def tune(
     return Tuning(final, requested, hand, candidates.subset([chosen]), front, tuple(done), chosen, clash)
 
 
-def _candidates(request: Request, done: Sequence[Round]) -> Pool:
+def _candidates(request: SearchRequest, done: Sequence[Round]) -> Pool:
     return request.judge({s.name: np.array([r.gains[s.name] for r in done]) for s in request.space})
 
 
@@ -304,12 +298,12 @@ def _chosen(done: Sequence[Round], candidates: Pool, start: NDArray[np.float64])
     return min(sound or range(len(done)), key=lambda k: float(merit[k]))
 
 
-def _check(request: Request, trials: int, rounds: int, runs: int) -> None:
+def _check(request: SearchRequest, trials: int, rounds: int, runs: int) -> None:
     names = [case.name for case in request.cases]
     for name in names:
         if names.count(name) > 1:  # a counterexample identifies its case by name
             raise InputError("occurs twice", key="case", value=name, remedy="give each vehicle its own name")
-    check_goals(request.goals, request.conditions)
+    request.check()
     if request.seed > MOST_SEED:
         raise InputError(
             "leaves no seeds for fresh runs", key="--seed", value=request.seed, remedy=f"write at most {MOST_SEED}"
@@ -343,34 +337,15 @@ def _longer(trials: int, done: Sequence[Round]) -> int:
     return 2 * trials if done and _barren(done[-1]) else trials
 
 
-def starting_sets(request: Request, *, progress: Progress = lambda _: None) -> list[dict[str, float]]:
-    """Return gain sets, within the search space, that a search simulates before it samples gain sets at random.
-
-    There is one for each vehicle of the request: the gains derived from the vehicle as the controller knows it, and the
-    start values of the request for all gains that do not follow from a vehicle.
-    """
-    sets = []
-    for case in {c.vehicle.name: c for c in request.cases}.values():
-        try:
-            gains = derive_gains(case.model or case.vehicle, cruise=case.scenario.cruise, dt=case.build().dt).gains
-        except InputError as error:
-            # the remedies of the error are about one vehicle; the search needs none, because it has other starts
-            progress(f"{case.vehicle.name}: {error.problem}; the search starts without derived gains")
-            continue
-        values = {**request.base.values, **{name: gains[name] for name in DEPENDENT}}
-        sets.append({s.name: s.clip(values[s.name]) for s in request.space})
-    return sets
-
-
-def _searched(request: Request, done: Sequence[Round], trials: int, journal: Journal, progress: Progress) -> Pool:
+def _searched(request: SearchRequest, done: Sequence[Round], trials: int, journal: Journal, progress: Progress) -> Pool:
     """Search once and, if no gain set meets all hard goals, search again for the hard goals alone.
 
-    The search of the first round starts from `starting_sets`, that of a later round from the best sets of the previous
-    round.
+    The search of the first round starts from `first_sets` of the request, that of a later round from the best sets of
+    the previous round.
     """
     first: Sequence[Mapping[str, float]] = [done[-1].gains, *done[-1].others] if done else []
     if not done:
-        first = starting_sets(request, progress=progress)
+        first = request.first_sets(progress)
     pool = search(request, trials=trials, first=first, journal=journal, progress=progress)
     hard = tuple(g for g in request.goals if g.kind == "hard")
     if pool.feasible.any() or len(hard) in (0, len(request.goals)):
@@ -379,19 +354,20 @@ def _searched(request: Request, done: Sequence[Round], trials: int, journal: Jou
     names = {g.name for g in hard}
     conditions = tuple(c for c in request.conditions if c.goals is None or names & set(c.goals))
     alone = replace(request, goals=hard, conditions=conditions)
-    leading = _leading(search(alone, trials=trials, first=_leading(pool), journal=journal, progress=progress))
+    first, most = _leading(pool, 1 + request.others), 1 + request.others
+    leading = _leading(search(alone, trials=trials, first=first, journal=journal, progress=progress), most)
     return joined_pools(
         [pool, request.judge({s.name: np.array([gains[s.name] for gains in leading]) for s in request.space})]
     )
 
 
-def _leading(pool: Pool) -> list[dict[str, float]]:
+def _leading(pool: Pool, most: int) -> list[dict[str, float]]:
     # as many sets as a round passes to the next round
-    return [pool.gains(k) for k in pool.ranked(pool.evaluation.normalised[0])[: 1 + _OTHERS]]
+    return [pool.gains(k) for k in pool.ranked(pool.evaluation.normalised[0])[:most]]
 
 
 def _round(
-    request: Request, pool: Pool, runs: int, number: int, progress: Progress, *, used: int
+    request: SearchRequest, pool: Pool, runs: int, number: int, progress: Progress, *, used: int
 ) -> tuple[Round, Pool]:
     """Complete a round after its search; return the round and a pool of its best gain sets, the chosen set last.
 
@@ -401,18 +377,15 @@ def _round(
     if runs:
         progress(f"testing the best gain sets with {TRAINING * runs} training runs and {runs} fresh ones")
         left = screen(request, pool, runs=TRAINING * runs, progress=progress)
-        conditions = fresh(request.cases, runs=runs, first=used + number * runs, tuning=request.seed)
-        verified = monte_carlo(request.goals, conditions, left.gains, threads=request.threads)
+        conditions = request.fresh(runs=runs, first=used + number * runs)
+        verified = monte_carlo(request.figures, request.goals, conditions, left.gains)
         word = ", ".join(verified.refuted) or "nothing"
         progress(f"{runs} fresh runs, seeds {verified.seeds[0]} to {verified.seeds[1]}, refute {word}")
-    failing = refuted_claims({**request.base.values, **left.gains}, request.cases, seed=request.seed)
-    points = tuple(
-        ClaimPoint(v.claim.name, dict(v.counterexample.values), v.threshold) for v in failing if v.counterexample
-    )
+    points = request.refuted_claims(left.gains)
     known = reduced_pool(left.request, pool, left.gains)
     start, own = known.evaluation.normalised[0], len(known.claims) - 1
     missed = tuple(g.name for g, n in zip(request.goals, known.evaluation.normalised[own], strict=True) if not n <= 1)
-    others = [k for k in known.ranked(start) if k != own][:_OTHERS]
+    others = [k for k in known.ranked(start) if k != own][: request.others]
     score, feasible = float(known.score(start)[own]), bool(known.feasible[own])
     progress(f"over {len(left.request.conditions)} runs: {known.subset([own]).standing(start)}")
     further = tuple(known.gains(k) for k in others)
