@@ -120,9 +120,13 @@ def _flow(claim: TurningClaim, value: Any) -> tuple[Pair, Pair, Pair]:
     return first, second, third
 
 
+def _slopes(value: Any) -> Pair:
+    return two(value, "proof.trim", least=-(10**9))
+
+
 def _coefficients(claim: TurningClaim, proof: Mapping[str, Any]) -> tuple[Pair, tuple[Pair, Pair, Pair]]:
     """Return the coefficients of ω, and those of the gains of the current."""
-    return two(proof["trim"], "proof.trim", least=-(10**9)), _flow(claim, proof["flow"]) if claim.current else STILL
+    return _slopes(proof["trim"]), _flow(claim, proof["flow"]) if claim.current else STILL
 
 
 def cruise_of(claim: TurningClaim, proof: Mapping[str, Any]) -> Trim:
