@@ -11,9 +11,9 @@ The law takes pose, heave and yaw moment from the law of the library, and comput
 - map: `Points`, in which each place counts that is not among the least probable ones of its arc;
 - cost-to-go on 24 x 24 cells, again every 0.5 s: a cell that the hull cannot enter costs 100 times its length, and
   water that no beam has reached `UNKNOWN` times more;
-- of 72 courses at speeds from which the robot can brake, those that come least too near to a mover, and of these the one
-  that comes farthest along the descent. The prediction includes the time in which the thrust changes the velocity. A
-  speed above the cruise speed counts as the cruise speed, so only a mover makes the robot faster;
+- of 72 courses at speeds from which the robot can brake, those that come least too near to a mover, and of these the
+  one that comes farthest along the descent. The prediction includes the time in which the thrust changes the velocity.
+  A speed above the cruise speed counts as the cruise speed, so only a mover makes the robot faster;
 - inner waypoints in order: each counts as passed within the hull radius of it, or, where the hull has no room in the
   map, of the first place of the path after it that has room.
 """
@@ -33,7 +33,7 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import KDTree
 from to_go import CELLS
-from tracker import EDGE, Arcs, Elements, Map, Points, wrapped
+from tracker import Arcs, Elements, Map, Points, wrapped
 
 from surctl.marine.control import Law, LawStep, build_law, default_law, load_gains
 from surctl.marine.sensing import SonarArray
@@ -47,7 +47,6 @@ SCENARIOS = (
 )  # fmt: skip
 MAPS: dict[str, Callable[[SonarArray], Map]] = {
     "drifting": lambda array: Drifting(array),
-    "goes-on": lambda array: GoesOn(array),
     "points": lambda array: Points(array, risk=RISK),
     "elements": lambda array: Elements(array, risk=RISK),
     "arcs-5": lambda array: Arcs(array, within=np.radians(5)),
@@ -60,7 +59,6 @@ HEAD = (
 )
 RISK = 0.1  # probability of the places of a point that the map leaves out
 MARGIN = 0.03  # m between the hull and a place that counts, for drift, position and shape
-GRAIN = 0.05  # m between two points of a face that goes on
 SPEED, AMPLITUDE = 0.015, 0.05  # m/s and m: drift of a surface
 UNKNOWN = 1.0  # price of unknown water: share by which its way counts as longer
 FROM_PATH = 1.0  # 1/m, as in `to_go.py`
@@ -100,31 +98,6 @@ class Drifting(Arcs):
         drift = np.minimum(SPEED * (self.now - self.rest[:, 4]), AMPLITUDE)
         nearer = np.hypot(MARGIN, drift) - MARGIN
         return np.asarray(here + (1 - nearer / np.maximum(np.hypot(*away.T), 0.01))[:, None] * away)
-
-
-class GoesOn(Drifting):
-    """The points of `Drifting`; within the blind range, the face of a point that explains an echo goes on.
-
-    The face is at right angles to the nearest direction from which the point answered. Its place nearest to the sonar
-    becomes a point with the same directions if it is in the beam. Blind echoes do not widen these directions.
-    """
-
-    def _explained(self, firing: Firing, fits: NDArray[np.bool_], away: Array, far: Array) -> None:
-        if not firing.blind:
-            super()._explained(firing, fits, away, far)
-            return
-        self.rest[fits, 0] = np.minimum(self.rest[fits, 0] + 1, 3)
-        self.rest[fits, 1] = firing.time
-        rows, away = self.rest[fits], away[fits]
-        middle, width = rows[:, 2:4].mean(axis=1), np.diff(rows[:, 2:4]).ravel()
-        turned = wrapped(np.arctan2(-away[:, 1], -away[:, 0]) - middle)
-        facing = middle + np.clip(turned, -width / 2, width / 2)
-        normal = np.stack([np.cos(facing), np.sin(facing)], axis=1)
-        depth = -(away * normal).sum(axis=1)
-        inside = (np.abs(wrapped(facing + np.pi - firing.axis)) < self.half + EDGE) & (depth > 0)
-        for foot, row in zip((firing.apex - depth[:, None] * normal)[inside], rows[inside], strict=True):
-            if np.hypot(*(self.places - foot).T).min() > GRAIN:
-                self.places, self.rest = np.vstack([self.places, foot]), np.vstack([self.rest, row])
 
 
 class SonarLaw:
