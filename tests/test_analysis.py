@@ -488,6 +488,13 @@ def test_the_closed_loop_of_one_law_by_sonar(monkeypatch: pytest.MonkeyPatch) ->
     normal, bound = np.array([[1.0, 0.0], [-1.0, 0.0]]), np.array([0.02, 0.0])
     slower = study["braked"](np.array([0.02, 0.1]), np.array([0.06, 0.1]), normal, bound)
     assert slower == pytest.approx([0.0, 0.1]), "brakes by at most the bound of the place behind"
+    # a mover from behind, faster than the robot, which changes its velocity by 0.15 m/s within 2 s
+    mover, here, now = np.array([[0.0, 0.0, 0.2, 0.2, 0.0]]), np.array([0.6, 0.0]), np.array([0.15, 0.0])
+    velocity = np.array([[0.15, 0.0], [0.0, 0.0], [0.22, 0.0], [0.15, 0.2], [0.15, 0.2]])
+    depth = study["too_near"](mover, here, now, velocity, np.array([2.0, 2, 2, 2, 40]), hull=0.2, left=8.0)
+    assert depth[[0, 2]] == pytest.approx([0.15 + 0.2, 0]), "within 8 s the mover comes nearer by 0.4 m"
+    assert depth[1] > depth[0] > depth[4] > depth[3], "stopping is worst, and weak thrust sidesteps too late"
+    assert (study["too_near"](mover[:0], here, now, velocity, np.ones(5), hull=0.2, left=8.0) == 0).all()
     first, second, length = study["edges"](np.stack(np.meshgrid(*[np.arange(24.0)] * 2, indexing="ij"), axis=-1))
     assert len(first) == 2 * (2 * 24 * 23 + 2 * 23 * 23) == len(set(zip(first, second, strict=True)))
     assert set(np.round(length, 9)) == {1.0, round(np.sqrt(2), 9)}

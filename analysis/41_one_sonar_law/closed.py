@@ -1,6 +1,6 @@
 """A short law by sonar in the closed loop: the points of `tracker.py`, a cost-to-go of their map, and a fan of courses.
 
-    python analysis/41_one_sonar_law/closed.py            # five scenarios, two echo models, 5 seeds; some minutes
+    python analysis/41_one_sonar_law/closed.py            # eight scenarios, two echo models, 5 seeds; some minutes
     python analysis/41_one_sonar_law/closed.py --quick    # 3 s of one run in `pool-static`
 
 `--scenario`, `--echoes`, `--law` and `--seeds` choose; `--why` adds a line for each run that does not arrive. Prints
@@ -11,7 +11,11 @@ The law takes pose, heave and yaw moment from the law of the library, and comput
 - map: `Points`, in which each place counts that is not among the least probable ones of its arc;
 - cost-to-go on 24 x 24 cells, again every 0.5 s: a cell that the hull cannot enter costs 100 times its length, and
   water that no beam has reached `UNKNOWN` times more;
-- of 72 courses the one that comes farthest along the descent, each at the speed from which the robot can brake.
+- of 72 courses at speeds from which the robot can brake, those that come least too near to a mover, and of these the
+  one that comes farthest along the descent. The prediction includes the time in which the thrust changes the velocity.
+  A speed above the cruise speed counts as the cruise speed, so only a mover makes the robot faster;
+- inner waypoints in order: each counts as passed within the hull radius of it, or, where the hull has no room in the
+  map, of the first place of the path after it that has room.
 """
 
 from __future__ import annotations
@@ -37,7 +41,10 @@ from surctl.marine.simulation import Run, Scenario, load_scenario, simulate
 from surctl.marine.vehicle import Vehicle, load_vehicle
 from surctl.marine.world import Disc, site_walls
 
-SCENARIOS = ("pool-static", "tank-static", "tank-slalom", "pool-speed-020", "tank-speed-020")
+SCENARIOS = (
+    "pool-static", "tank-static", "tank-slalom", "tank-moving", "pool-speed-020", "tank-speed-020", "pool-ahead",
+    "pool-behind",
+)  # fmt: skip
 MAPS: dict[str, Callable[[SonarArray], Map]] = {
     "drifting": lambda array: Drifting(array),
     "points": lambda array: Points(array, risk=RISK),
@@ -60,8 +67,10 @@ AHEAD = 0.5  # m along the descent to which the wanted course leads
 NEAR_GOAL = 0.4  # m from the goal within which the course leads straight to it
 COURSES, KEEPS = 72, 0.4  # number of courses, and weight of the last one beside the wanted one
 BRAKE, HARD = 4.0, 0.02  # as in `surctl.marine.control.stopping`
-HORIZON = 8.0  # s, prediction of movers
-PASSING = 0.1  # m from a mover
+STEPS = np.arange(0.5, 12.5, 0.5)  # s, prediction of movers; it ends `AFTER` the arrival, as in the library's law
+AFTER = 3.0  # s
+PASSING = 0.15  # m from a mover: the margin of the library's law and what it keeps beyond it
+SAME = 0.005  # m by which two velocities may come too near to a mover before the nearer one is worse
 LAG = 0.1  # s, age of the position in the law's state
 
 _TURNS = 2 * np.pi * np.arange(COURSES) / COURSES
@@ -102,17 +111,18 @@ class SonarLaw:
         self.ears = Ears(self.array, [*walls], level_echo(scenario, self.array, echoes))
         self.map = MAPS[which](self.array)
         self.latency = scenario.sensors.equipment.station.messages.latency
-        self.way, self.gain = scenario.path.waypoints, load_gains("default").values
-        self.cruise, self.limit = scenario.cruise, np.array(vehicle.thrust_limit)
+        self.way, self.leg, self.gain = scenario.path.waypoints, 0, load_gains("default").values
+        self.cruise, self.cap, self.limit = scenario.cruise, scenario.cap, np.array(vehicle.thrust_limit)
         self.mass, self.drag = np.array(vehicle.mass), np.array(vehicle.drag_at(self.cruise))
         self.quadratic = np.array(vehicle.quadratic_drag)
+        self.slows = self.gain["brake"] * self.limit[:2].min() / self.mass[:2].max()  # m/s^2
         self.size = self.extent / CELLS
         self.centres = (np.stack(np.meshgrid(*[np.arange(CELLS)] * 2, indexing="ij"), axis=-1) + 0.5) * self.size
         self.seen = np.zeros((CELLS, CELLS), dtype=bool)
         along = np.diff(self.way, axis=0)
         off = self.centres[..., None, :] - self.way[:-1]
         share = np.clip((off * along).sum(axis=-1) / (along**2).sum(axis=-1), 0, 1)
-        self.beside = np.hypot(*np.moveaxis(off - share[..., None] * along, -1, 0)).min(axis=-1)
+        self.beside = np.hypot(*np.moveaxis(off - share[..., None] * along, -1, 0))
         self.edges, self.k, self.last = edges(self.centres), 0, np.zeros(2)
         self.movers, self.told = np.zeros((0, 5)), 0
 
@@ -171,10 +181,25 @@ class SonarLaw:
         gap = np.minimum(self.centres, self.extent - self.centres).min(axis=-1)
         if len(places):
             gap = np.minimum(gap, KDTree(places).query(self.centres)[0])
-        weight = 1 + FROM_PATH * self.beside + UNKNOWN * ~self.seen + 100.0 * (gap < keep)
+        target = self._target(gap >= keep)
+        beside = self.beside[..., self.leg :].min(axis=-1)
+        weight = 1 + FROM_PATH * beside + UNKNOWN * ~self.seen + 100.0 * (gap < keep)
         flat, (one, other, length) = weight.ravel(), self.edges
         graph = csr_array((length * (flat[one] + flat[other]) / 2, (one, other)), shape=(CELLS**2, CELLS**2))
-        self.next = dijkstra(graph, indices=self._cell(self.way[-1]), return_predecessors=True)[1]
+        self.next = dijkstra(graph, indices=self._cell(target), return_predecessors=True)[1]
+
+    def _target(self, free: NDArray[np.bool_]) -> Array:
+        # the end of the present leg, or the first place of the path after it where the map has room for the hull
+        while self.leg < len(self.way) - 2:
+            start, end = self.way[self.leg + 1 : self.leg + 3]
+            steps = int(np.hypot(*(end - start)) / np.min(self.size)) + 1
+            onward = start + np.linspace(0, 1, steps)[:, None] * (end - start)
+            rooms = np.flatnonzero([free.ravel()[self._cell(place)] for place in onward])
+            target = onward[rooms[0]] if len(rooms) else end
+            if np.hypot(*(target - self.here)) > self.hull:
+                return np.asarray(target)
+            self.leg += 1
+        return np.asarray(self.way[-1])
 
     def _cell(self, place: Array) -> int:
         i, j = np.clip((place / self.size).astype(int), 0, CELLS - 1)
@@ -184,7 +209,7 @@ class SonarLaw:
         """Return the velocity (2,) in {E} [m/s] to command at a position (2,) [m] with the velocity `now` [m/s]."""
         goal = self.way[-1] - here
         course, left = goal, float(np.hypot(*goal))
-        if left > NEAR_GOAL:
+        if left > NEAR_GOAL or self.leg < len(self.way) - 2:
             centres = self.centres.reshape(-1, 2)
             cell = target = self._cell(here)
             while self.next[target] >= 0 and np.hypot(*(centres[target] - centres[cell])) < AHEAD:
@@ -194,12 +219,16 @@ class SonarLaw:
         normal, bound = self._bounds(here)
         most = min(self.cruise, 0.5 * left + 0.03)
         along = _COURSES @ normal.T
-        free = np.where(along > 1e-3, np.maximum(bound, 0) / np.maximum(along, 1e-3), np.inf).min(axis=1, initial=most)
-        met = self._met(here, free[:, None] * _COURSES)
+        free = np.where(along > 1e-3, np.maximum(bound, 0) / np.maximum(along, 1e-3), np.inf).min(axis=1)
         same = _COURSES @ self.last / max(float(np.hypot(*self.last)), 0.03)
-        value = free * (_COURSES @ ahead + KEEPS * same) - 2 * met
-        best = int(np.argmax(value))
-        self.last = free[best] * _COURSES[best] if value[best] > 0 or met[best] > 0 else np.zeros(2)
+        speed = np.minimum(free[:, None], [most, most / 2, 0.0, self.cap])
+        value = (np.minimum(speed, most) * (_COURSES @ ahead + KEEPS * same)[:, None]).ravel()
+        velocity = (speed[..., None] * _COURSES[:, None]).reshape(-1, 2)
+        takes = self.gain["reaction"] + np.hypot(*(velocity - now).T) / self.slows
+        ends = AFTER + left / self.cruise
+        met = too_near(self.movers_now, here, now, velocity, takes, hull=self.hull, left=ends)
+        best = int(np.argmax(np.where(met <= met.min() + SAME, value, -np.inf)))
+        self.last = velocity[best]
         return braked(self.last, now, normal, bound)
 
     def _bounds(self, here: Array) -> tuple[Array, Array]:
@@ -215,22 +244,33 @@ class SonarLaw:
         chosen = order[np.unique(sector, return_index=True)[1]]
         normal = np.concatenate([away[chosen] / np.maximum(far[chosen], 1e-3)[:, None], walls])
         clear = np.concatenate([far[chosen] - self.hull, clear]) - MARGIN
-        a = self.gain["brake"] * self.limit[:2].min() / self.mass[:2].max()
-        late = self.gain["reaction"] * a
-        room = np.maximum(clear, 0)
-        bound = np.sqrt(late**2 + 2 * a * room) - late
-        return normal, bound
+        late, room = self.gain["reaction"] * self.slows, np.maximum(clear, 0)
+        return normal, np.sqrt(late**2 + 2 * self.slows * room) - late
 
-    def _met(self, here: Array, velocity: Array) -> Array:
-        # depth [m] by which a mover comes nearer than allowed within the horizon, for each velocity (n, 2)
-        worst = np.zeros(len(velocity))
-        for m in self.movers_now:
-            apart, rate = m[:2] - here, m[3:] - velocity
-            when = np.clip(-(rate @ apart) / np.maximum((rate**2).sum(axis=1), 1e-6), 0, HORIZON)
-            least = np.hypot(*(apart + when[:, None] * rate).T) - self.hull - m[2]
-            allowed = min(PASSING, float(np.hypot(*apart)) - self.hull - m[2])
-            worst = np.maximum(worst, allowed - least)
-        return worst
+
+def too_near(
+    movers: Array, here: Array, now: Array, velocity: Array, takes: Array, *, hull: float, left: float
+) -> Array:
+    """Return by how much [m] the robot comes too near to a mover with each velocity; 0 if it does not.
+
+    Args:
+        movers: (m, 5) position [m], radius [m] and velocity [m/s] of each mover.
+        here: (2,) position of the robot [m].
+        now: (2,) its velocity [m/s].
+        velocity: (n, 2) velocities [m/s].
+        takes: (n,) time in which the velocity of the robot becomes this one, at a constant acceleration [s].
+        hull: radius of the robot [m].
+        left: time after which movers do not matter [s].
+    """
+    worst, time, takes = np.zeros(len(velocity)), np.minimum(STEPS, left), takes[:, None]
+    turned = np.where(time < takes, time**2 / (2 * takes), time - takes / 2)
+    way = time[:, None] * now + turned[..., None] * (velocity - now)[:, None]
+    for m in movers:
+        apart = m[:2] - here
+        gap = np.hypot(*np.moveaxis(apart + time[:, None] * m[3:] - way, -1, 0)) - hull - m[2]
+        allowed = min(PASSING, float(np.hypot(*apart)) - hull - m[2])
+        worst = np.maximum(worst, allowed - gap.min(axis=1))
+    return worst
 
 
 def edges(centres: Array) -> tuple[NDArray[np.int_], NDArray[np.int_], Array]:
