@@ -185,6 +185,7 @@ def prove_regions(
     speeds: tuple[float, float],
     seed: int = 0,
     out: Path | None = None,
+    forms: Mapping[str, Any] | None = None,
 ) -> Proofs:
     """Prove region claims for a vehicle and a gain file; the certificates are written to `out` as NAME.json.
 
@@ -196,6 +197,7 @@ def prove_regions(
         speeds: (cruise speed, speed limit) [m/s] for claims whose text does not set these speeds.
         seed: seed of the search for a certificate.
         out: folder of the certificates.
+        forms: `barrier` and `movers` of the law.
 
     Raises:
         InputError: a claim, vehicle or gain file is unknown; the error is raised before the first proof.
@@ -209,7 +211,7 @@ def prove_regions(
     cruise, cap = speeds
     stated, refused = check_regions(words, robot, values, speeds, law)
     todo = [
-        (one.name, partial(prove_statement, one, robot, values, seed=seed, cruise=cruise, cap=cap))
+        (one.name, partial(prove_statement, one, robot, values, seed=seed, cruise=cruise, cap=cap, forms=forms))
         for word, one in stated.items()
         if word not in refused
     ]

@@ -18,6 +18,8 @@ from surctl.cli.robot_options import (
     GAINS_HELP,
     MISSION,
     RobotOptions,
+    barrier_options,
+    check_barrier,
     choose_gains,
     choose_law,
     choose_sensing,
@@ -152,12 +154,13 @@ class Compared(NamedTuple):
 )
 @click.option("--guidance", default="los", metavar="NAME", help="Path guidance: los (default), ilos or alos.")
 @priority_options
+@barrier_options
 @click.option("--sensing", metavar="NAME", help="Obstacle positions: sonar (default, if used) or truth.")
 @sensor_options
-@click.option("--name", metavar="TEXT", help="Prefix of files and C symbols (default: the law's name).")
+@click.option("--name", metavar="TEXT", help="Prefix of C names (default: the law's name).")
 @click.option("--target", default="c99", metavar="NAME", help="Output: c99 (default), fmu (FMI 2), fmu3 or mjcf.")
 @click.option("--real", default="float64", metavar="NAME", help="Number type: float64 (default) or float32.")
-@click.option("--constant-gains", is_flag=True, help="Compile gains and mission as constants; needs --sensing truth.")
+@click.option("--constant-gains", is_flag=True, help="Compile gains and mission in; needs --sensing truth.")
 @click.option(
     "--certificate",
     "certificates",
@@ -168,7 +171,7 @@ class Compared(NamedTuple):
 )
 @click.option("--check", is_flag=True, help="Compare C code and Python for all --targets.")
 @click.option("--prove", is_flag=True, help="Prove that no run-time error occurs (Frama-C's Eva).")
-@click.option("--targets", metavar="A,B", help="Compilers and processors that --check uses (default: all available).")
+@click.option("--targets", metavar="A,B", help="Compilers, processors of --check (default: all).")
 @click.option(
     "--steps", type=click.IntRange(min=1), metavar="N", help="Single steps that --check compares (default 100000)."
 )
@@ -246,6 +249,7 @@ def export(
     mission = load_scenario(scenario)
     choice = choose_vehicle(robot.vehicle, (mission.name, mission.vehicle))
     vehicle = load_vehicle(choice.word)
+    check_barrier(robot.barrier, robot.movers)
     law, why = choose_law(robot.law, [vehicle])
     sensing = choose_sensing(robot.sensing, law)
     click.get_current_context().params["sensing"] = sensing

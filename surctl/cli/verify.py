@@ -211,7 +211,8 @@ def verify(
     contacts = assessed[-1].sources.get("no contact") if assessed else None
     safety = contacts[0] if contacts and cascaded else None
     shared: dict[str, Any] = {"vehicle": vehicle, "gains": tuned.gains, "law": chosen_law, "out": out}
-    regions = prove_regions(region_names, speeds=speeds, seed=seed, **shared)
+    forms = {"barrier": barrier, "movers": movers}
+    regions = prove_regions(region_names, speeds=speeds, seed=seed, forms=forms, **shared)
     about_mission = [name for name in claims if is_mission(name)]
     missions = prove_missions(about_mission, mission, speeds=speeds, seed=seed, **shared)
     regions = regions.joined(missions)

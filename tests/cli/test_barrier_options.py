@@ -20,6 +20,6 @@ def test_verify_prints_the_safety_claim_and_fails_where_it_does_not_hold(tmp_pat
 
 
 def test_mistakes_are_named(tmp_path: Path) -> None:
-    for command in (("simulate", "tank-static"), ("verify", "braking-mass", "--scenario", "tank-static")):
+    for command in (("simulate", "tank-static"), ("export",), ("verify", "braking-mass", "--scenario", "tank-static")):
         done = surctl_here(*command, "--barrier", "inertial", cwd=tmp_path)
         assert done.status != 0 and "did you mean 'inertia'" in done.complaint

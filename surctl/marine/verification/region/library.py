@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import fields, replace
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
 from surctl.errors import InputError, NotApplicable, nearest
-from surctl.marine.control import Gains
+from surctl.marine.control import Gains, build_law
 from surctl.marine.guidance import Guidance
 from surctl.marine.vehicle import Vehicle
 from surctl.marine.verification.region.claim import RegionClaim
@@ -20,6 +20,8 @@ from surctl.marine.verification.region.statement import RegionStatement
 from surctl.marine.verification.region.steering import SteeringClaim
 from surctl.marine.verification.region.steering_proof import prove_steering
 from surctl.marine.verification.region.turning import TurningClaim
+
+AnyClaim: TypeAlias = RegionClaim | HeadingClaim | TurningClaim | SteeringClaim
 
 _RANGES = frozenset({"mass_factor", "drag_factor"})
 _RANGES_OF_CRUISE = frozenset({"mass", "linear", "quadratic", "lag"})
@@ -322,8 +324,12 @@ def prove_statement(
     seed: int = 0,
     cruise: float | None = None,
     cap: float | None = None,
+    forms: Mapping[str, Any] | None = None,
 ) -> RegionProof:
     """Prove a region claim for a vehicle and gains, with the search effort that the statement sets.
+
+    The certificate is about the law of these `forms` (`barrier`, `movers`): they change nothing in open water, but the
+    instruction list of the law.
 
     If the search finds no proof of a claim about a cruise, a proof of a stronger claim of the library is one too. If
     there is none, the reason names a weaker claim that is proved, with its number.
@@ -331,14 +337,14 @@ def prove_statement(
     Raises:
         InputError, NotApplicable: `RegionStatement.claim` raises this error.
     """
-    claim = statement.claim(vehicle, gains, cruise=cruise, cap=cap)
+    claim = _of_law(statement.claim(vehicle, gains, cruise=cruise, cap=cap), forms)
     proof = _prove(statement, claim, seed=seed)
     if proof.verdict == "proved" or not isinstance(claim, (RegionClaim, TurningClaim)):
         return proof
     for other in REGION_CLAIMS.values():
         strong = _claim_or_none(other, vehicle, gains, cruise, cap) if other.loop == statement.loop else None
         if strong is not None and strong.name != claim.name and implies(strong, claim):
-            result = _prove(_shorter(other), strong, seed=seed)
+            result = _prove(_shorter(other), _of_law(strong, forms), seed=seed)
             if result.verdict == "proved":
                 return replace(result, claim=claim, by=strong.name, seconds=proof.seconds + result.seconds)
     tried = []
@@ -348,6 +354,14 @@ def prove_statement(
             return replace(proof, reason=f"{proof.reason}; proved {words}: from {result.offset:.3g} m beside the path")
         tried.append(words)
     return replace(proof, reason=f"{proof.reason}; nor is it proved {', or '.join(tried)}")
+
+
+def _of_law(claim: AnyClaim, forms: Mapping[str, Any] | None) -> AnyClaim:
+    if not forms or not isinstance(claim, (RegionClaim, TurningClaim)):
+        return claim
+    return replace(
+        claim, digests=(claim.digests[0], build_law(barrier=forms["barrier"], movers=forms["movers"]).block.digest())
+    )
 
 
 def _claim_or_none(
@@ -360,9 +374,7 @@ def _claim_or_none(
     return claim if isinstance(claim, (RegionClaim, TurningClaim)) else None
 
 
-def _prove(
-    statement: RegionStatement, claim: RegionClaim | HeadingClaim | TurningClaim | SteeringClaim, *, seed: int
-) -> RegionProof:
+def _prove(statement: RegionStatement, claim: AnyClaim, *, seed: int) -> RegionProof:
     if isinstance(claim, HeadingClaim):
         return prove_heading(claim, rounds=statement.attempts, cells=statement.cells)
     if isinstance(claim, SteeringClaim):
