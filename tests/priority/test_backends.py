@@ -23,7 +23,7 @@ def oracle(target, A, upper):
     for k in range(min(len(A), N) + 1):
         for active in map(list, itertools.combinations(range(len(A)), k)):
             B = A[active]
-            if np.linalg.matrix_rank(B) < k:
+            if k and np.linalg.matrix_rank(B) < k:
                 continue
             x = target + np.linalg.pinv(B) @ (upper[active] - B @ target) if k else target
             if (A @ x <= upper + 1e-9).all() and np.linalg.norm(x - target) < best:
