@@ -936,8 +936,8 @@ def examine_example(example: str) -> None:
     assert "sweep: 900 runs" in done.stdout and "command 0.0e+00, state 0.0e+00" in done.stdout
     if example in ("pendulum_lqr", "bluerov2_attitude"):  # the proofs of the others take too long for the quick form
         assert re.search(r"^claim, .*: (proved|refuted)", done.stdout, re.MULTILINE)
-    [(chosen, least)] = re.findall(
-        r"^disk margin at the worst corner: ([\d.]+), at least ([\d.]+)", done.stdout, re.MULTILINE
+    [(least, chosen)] = re.findall(
+        r"^  disk margin \(hard\): disk_margin ≥ ([\d.]+): [\d.]+ → ([\d.]+)", done.stdout, re.MULTILINE
     )
     assert float(chosen) >= float(least) > 0
     row = r"^(?:\S+): gain factor below (\S+?)(?: \(and above (\S+)\))?, phase (\S+) deg, .*, disk margin (\S+)$"

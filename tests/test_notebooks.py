@@ -43,7 +43,7 @@ PRINTED = {
     "04_sweep_and_tune": (
         "400 runs: the cart is within 2 cm after 2.7 to",
         "unmet: ()",
-        "unmet: peak, quick",
+        "unmet: quick",
         "robust  hard: default 0.79, fast 1.31",
     ),
     "05_export": (

@@ -46,7 +46,7 @@ bars = GoalBars(
     tuple(goal.name for goal in goals),
     tuple(goal.kind == "hard" for goal in goals),
     *result.normalised,
-    result.speed[1],
+    result.place[1],
 )
 ax = plot_goal_bars(bars)
 ax.set_title("normalised goals: default gains and the fast set", loc="left")
