@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from surctl.assessment import Assessment, ClosedLoop, assess, worst_of
+from surctl.assessment import Assessment, ClosedLoop, Line, Part, assess, worst_of
 from surctl.errors import InputError, nearest
 from surctl.ir import find_compiler
 from surctl.system import ENDED, LinearLoop, System, every_combination, linearise, simulate_system
@@ -33,6 +33,7 @@ Array = NDArray[np.float64]
 
 _POPULATION = 15  # gain sets of a generation per gain
 _TINY = 1e-12  # stands for a bound of 0
+_LOOPS = 10  # cases whose loops are assessed; each takes as long as many runs
 _LASTING = "run.cut_short"  # 1 for a whole run; 2 for one that ends at its start
 
 
@@ -186,10 +187,8 @@ class SystemRequest(SearchRequest):
         self, gains: Mapping[str, float], parts: Collection[str] | None = None, computed: object = None
     ) -> Assessment:
         """Return what is assessed with these gains in all cases; with `parts`, of the loop alone."""
-        if parts is None and self.base.costs:
-            return assess_cases(self.base, self.case_values, gains, seconds=self.seconds)
-        about_loop = {name: value for name, value in self.case_values.items() if not name.startswith("start.")}
-        return assess_cases(self.base, about_loop, gains)
+        seconds = self.seconds if parts is None and self.base.costs else None
+        return assess_cases(self.base, self.case_values, gains, seconds=seconds)
 
     def costs(self, gains: Mapping[str, float]) -> dict[str, float]:
         """Return the costs with these gains as means over the cases; NaN if a run ends early."""
@@ -359,6 +358,8 @@ def assess_cases(
 ) -> Assessment:
     """Return what is assessed of a system with these gains in all cases: of each figure the worst, and every line.
 
+    Margins are judged in at most 10 cases whose loops differ; a remark counts the others.
+
     Args:
         system: the closed loop.
         cases: numbers of the cases, as in `tune_system`.
@@ -370,17 +371,30 @@ def assess_cases(
         >>> from surctl.tuning.systems import assess_cases
         >>> result = assess_cases(cart_system(), {"start.speed": [4.0, 1.0]}, {"k": 2.0}, seconds=2.0)
         >>> result.figures["cost.way"].where
-        'start.speed=4'
+        'case 1 (start.speed = 4)'
     """
-    arrays = {name: np.asarray(value, dtype=float) for name, value in cases.items()}
-    count = max((len(a) for a in arrays.values() if a.ndim), default=1)
-    parts = ["loop"] if seconds is None else None
-    named: dict[str, Assessment] = {}
-    for k in range(count):
-        values = {name: a if a.ndim == 0 else a[k] for name, a in arrays.items()}
-        label = ", ".join(f"{name}={values[name]:g}" for name, a in arrays.items() if a.ndim and len(a) > 1)
-        named[label] = assess(ClosedLoop(system, {**values, **gains}, seconds=seconds), parts=parts)
-    return worst_of(named)
+    loops, named, omitted = dict[tuple[bytes, ...], Part](), dict[str, Assessment](), 0
+    for condition in _conditions(cases):  # the loop does not depend on where a run starts
+        values = {name: value[None] if value.ndim else value for name, value in condition.case.values.items()}
+        about = {name: value for name, value in values.items() if not name.startswith("start.")}
+        key, subject = (
+            tuple(value.tobytes() for value in about.values()),
+            ClosedLoop(system, {**values, **gains}, seconds=seconds),
+        )
+        if key not in loops and len(loops) < _LOOPS:
+            named[condition.case.name] = assess(replace(subject, values={**about, **gains}), parts=["loop"])
+            loops[key] = named[condition.case.name].parts["loop"]
+        omitted += key not in loops
+        if seconds is not None:
+            parts = None if key in loops else ["run"]
+            named[condition.case.name] = assess(
+                subject, parts=parts, computed={"loop": loops[key]} if key in loops else {}
+            )
+    result = worst_of(named)
+    if not omitted:
+        return result
+    text = f"margins: judged in {_LOOPS} cases with different loops; {omitted} others have loops of their own"
+    return replace(result, lines=(*result.lines, Line(None, text, "margins", counts=False)))
 
 
 def _checked(

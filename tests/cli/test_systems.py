@@ -402,7 +402,7 @@ def test_tune_finds_gains_and_says_what_is_not_kept(file: str, tmp_path: Path) -
     assert after["figures"]["disk_margin"]["value"] > found["finals"]["goals"][0]["limit"] == 0.3
     worst = data("export", file, "start.x=1", f"k={k!r}", "--seconds", "3", "--out", "c")["assessment"]["figures"]
     assert {name: one["value"] for name, one in after["figures"].items()} == {n: f["value"] for n, f in worst.items()}
-    assert after["figures"]["cost.final"]["where"] == "start.x=1", "the worst of both cases"
+    assert after["figures"]["cost.final"]["where"] == "case 1 (start.x = 1)", "the worst of both cases"
     assert "k" in (tmp_path / "t" / "gains.csv").read_text()
     assert found["next"][0].startswith(f"surctl verify {file} k=")
 

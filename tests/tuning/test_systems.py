@@ -180,5 +180,7 @@ def test_bounds_hold_in_every_case_and_all_cases_are_assessed() -> None:
         worst = (min if figure.better == "high" else max)(values)
         assert figure.value == worst, name
     assert [one.accepted() for one in apart] == [True, False] and not beyond.accepted()
-    assert "start.place=1, plant.mass=4: peak = 1.5 N, at most 1 N" in beyond.failures
-    assert "plant.mass=0.5" in beyond.figures["delay_margin_s"].where
+    assert "case 2 (start.place = 1, plant.mass = 4): peak = 1.5 N, at most 1 N" in beyond.failures
+    assert "plant.mass = 0.5" in beyond.figures["delay_margin_s"].where
+    vectors = assess_cases(system, {"k": [[0.5, 1.0], [2.0, 1.0]], "start.place": [1.0, 1.0]}, {}, seconds=1.0)
+    assert "case 2 (start.place = 1): peak = 2 N, at most 1 N" in vectors.failures
