@@ -1,4 +1,4 @@
-"""The subject of an assessment of a system of the user's own: its loop at the equilibrium, a run, a proved region."""
+"""Every figure and verdict about one subject, the banner with the worst line; and a user's system as a subject."""
 
 from __future__ import annotations
 

@@ -32,7 +32,7 @@ sensor_options = together(
         "faults",
         multiple=True,
         metavar="FAULT",
-        help="KIND:SENSOR or thruster:NAME[:START[:DURATION]] [s].",
+        help="Fault: KIND:SENSOR or thruster:NAME[:START[:SECONDS]].",
     ),
     click.option(
         "--chance", "chances", multiple=True, metavar="KIND=P", help="Probability of a fault per ping; may be repeated."

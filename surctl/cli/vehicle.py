@@ -271,11 +271,11 @@ def from_log(
     Several logs of one vehicle are fitted together; each log starts from its own initial state.
 
     A log that is a table (CSV, .mat, .nc) has the columns t_s and Fu_N, Fv_N, Fw_N, Fr_N_m (commands, constant until
-    the next row). It also has the measured ones of the columns x_m, y_m, z_m, psi_rad, u_m_per_s, v_m_per_s, w_m_per_s,
-    r_rad_per_s. The axes are x forward, y left, z up; with --frame ned, they are x north, y east, z down, v to the
-    right, w down. The velocities in the log are in the heading frame, which turns by the heading alone. If the vehicle
-    of --start rolls and pitches, the table also needs some of roll_rad, pitch_rad, p_rad_per_s, q_rad_per_s. surctl
-    simulate --save csv (mat, nc) writes tables with these columns.
+    the next row). The table also has those of these columns that were measured: x_m, y_m, z_m, psi_rad, u_m_per_s,
+    v_m_per_s, w_m_per_s, r_rad_per_s. The axes are x forward, y left, z up; with --frame ned, they are x north, y east,
+    z down, v to the right, w down. The velocities in the log are in the heading frame, which turns by the heading
+    alone. If the vehicle of --start rolls and pitches, the table also needs some of roll_rad, pitch_rad, p_rad_per_s,
+    q_rad_per_s. surctl simulate --save csv (mat, nc) writes tables with these columns.
 
     Logs of ArduPilot (.BIN, .tlog), ROS (.bag, .db3 or folder, .mcap), PX4 (.ulg), and tables with other column names
     or none need --map. --topics prints the topics and fields of a log.

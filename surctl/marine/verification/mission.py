@@ -1,4 +1,4 @@
-"""Proof of a claim about a whole mission: the region of one leg, chained over all legs and corners of the path."""
+"""Search for the proof of a claim about a whole mission; `certcheck.mission` decides it."""
 
 from __future__ import annotations
 
