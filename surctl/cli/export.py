@@ -150,7 +150,7 @@ class Compared(NamedTuple):
 )
 @law_option
 @click.option(
-    "--avoidance", default="corrected", metavar="NAME", help="Eq. (20): corrected (default), consistent, printed."
+    "--avoidance", default="corrected", metavar="NAME", help="Avoidance law: corrected (default), consistent, printed."
 )
 @click.option("--guidance", default="los", metavar="NAME", help="Path guidance: los (default), ilos or alos.")
 @priority_options

@@ -53,7 +53,7 @@ if TYPE_CHECKING:
 @click.option(
     "--guidance",
     metavar="NAME",
-    help="Path guidance: los, ilos or alos (default: the study's). Loop margins always use los.",
+    help="Path guidance: los, ilos or alos (default: STUDY). Loop margins always use los.",
 )
 @click.option(
     "--rounds",
@@ -78,11 +78,9 @@ if TYPE_CHECKING:
     help="Output folder (default surctl-out); an interrupted search resumes there.",
 )
 @click.option("--page", is_flag=True, help="Open a page with sliders instead of a search.")
-@click.option("--law", metavar="NAME", help="Law: NAME or FILE.py:FUNCTION (default: the study's).")
+@click.option("--law", metavar="NAME", help="Law: NAME or FILE.py:FUNCTION (default: STUDY).")
 @click.option("--scenario", metavar="FILE", help="Scenario of --page (default: the study's first).")
-@click.option(
-    "--gains", "gains_file", metavar="FILE", help="Gain set at the start: name or file (default: the study's)."
-)
+@click.option("--gains", "gains_file", metavar="FILE", help="Gain set at the start: name or file (default: STUDY).")
 @click.option("--port", type=click.IntRange(1, 65535), metavar="N", help="Port of --page (default: a free port).")
 @click.option("--no-browser", is_flag=True, help="Print the address of --page, but do not open it.")
 @trust_option
