@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
+from decimal import Decimal, localcontext
 from fractions import Fraction
 from functools import cache
 from pathlib import Path
@@ -15,7 +17,8 @@ import pytest
 
 from surctl.certcheck import check_document, mission, turning
 from surctl.certcheck.document import Rejected
-from surctl.certcheck.mission import ON_LEG, decayed, funnel_of, leg_length, places, read_claim, starts
+from surctl.certcheck.mission import ON_LEG, Funnel, decayed, funnel_of, leg_length, places, read_claim, starts
+from surctl.certcheck.region_exact import root_up
 from surctl.marine.guidance import next_leg
 from surctl.marine.verification.mission import BrokenChain, MissionClaim, certificate_of, tube_radii
 from tests.certcheck.altering import put, sealed
@@ -139,6 +142,14 @@ NEAR_MISSES: tuple[tuple[Callable[[dict[str, Any]], None], str], ...] = (
     (entry("claim", "path_m", 2, to=[8.0]), "two coordinates"),
     (entry("claim", "motion", "tube_m", to=[1.0]), "one number for each leg"),
     (entry("claim", "system", to="cruise"), "claim.system"),
+    (entry("claim", "name", to=7), "claim.name a text"),
+    (entry("claim", "path_m", to="ab"), "2 to 400 points"),
+    (entry("claim", "path_m", 1, to="ab"), "two coordinates"),
+    (entry("claim", "motion", "tube_m", to="abc"), "one number for each leg"),
+    (entry("proof", "levels", to="abc"), "must have 3 entries"),
+    (moved(1, (1e-7, 0.0)), "shorter than the target moves"),  # the first leg
+    (moved(3, (28.0, 5.0000001)), "shorter than the target moves"),  # the last leg
+    (entry("further", to=1), "the certificate"),
 )  # fmt: skip
 
 
@@ -253,6 +264,73 @@ def test_the_tube_shrinks_to_the_goal() -> None:
     assert [leg[0, 2] <= most for leg, most in zip(radii, motion["tube_m"], strict=True)] == [True] * 3
     assert radii[-1][-1, 2] <= motion["goal_m"] <= radii[-1][-1, 2] + 2e-4
     assert radii[1][0, :2].tolist() == list(BENT[1])
+
+
+def test_a_leg_is_longer_than_a_control_period() -> None:
+    document = built(BENT, EXACT, period=0.05)
+    document["claim"]["path_m"][1] = [0.005, 0.0]  # 0.0075 m a period
+    with pytest.raises(Rejected, match="shorter than the target moves"):
+        read_claim(document["claim"])
+
+
+@pytest.mark.parametrize("name", ["starts", "places"])
+@pytest.mark.parametrize("first", [True, False])
+def test_every_start_and_every_place_counts(
+    name: str, first: bool, alone: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bad, good = ([Fraction(9)] * 4, [Fraction(0)] * 4) if name == "starts" else ((1, 2, 1), (1, 1, 2))
+    monkeypatch.setattr(mission, name, lambda *_: [bad, good] if first else [good, bad])
+    assert reason_of(built()) in (
+        "the states at the start are not in the region of leg 1", "the robot may leave out the corner at the end of leg 1"
+    )  # fmt: skip
+
+
+def some_funnel(a: int, b: int, along: tuple[int, int] = (0, 0)) -> Funnel:
+    """A funnel with the variances a/7 and b/7 of x_e and y_e."""
+    spread = (Fraction(a, 7), Fraction(b, 7))
+    p = [[1 / spread[i] if i == j and i < 2 else Fraction(i == j) for j in range(4)] for i in range(4)]
+    return Funnel(p, Fraction(0), (Fraction(along[0]), Fraction(along[1])), Fraction(0), spread, sum(spread) + 2)
+
+
+@pytest.mark.parametrize(("a", "b"), [(3, 2), (2, 3)])
+def test_the_extent_is_a_bound_and_close(a: int, b: int) -> None:
+    level, largest = Fraction(5, 11), Fraction(max(a, b), 7) * Fraction(5, 11)
+    extent = some_funnel(a, b).extent(level)
+    assert largest <= extent**2 <= largest * (1 + Fraction(1, 10**7))
+    angle = np.linspace(0, 2 * np.pi, 20001)
+    for along in ((-1, 0), (0, 1), (-2, 1)):
+        away = max(map(abs, along))
+        x, y = (np.sqrt(v / 7 * float(level)) * f(angle) for v, f in ((a, np.cos), (b, np.sin)))
+        far = float(np.max(np.hypot(x + away, y)))
+        reached = float(some_funnel(a, b, along).extent(level))
+        assert far <= reached <= float(np.sqrt(max(a, b) / 7 * float(level))) + away + 1e-6
+    assert some_funnel(1, 7, (-1, 0)).extent(level) < root_up(level) + 1  # nearer than the sum of both
+
+
+def test_a_sharp_turn_has_the_place_at_which_the_next_leg_is_near() -> None:
+    stated = read_claim(built()["claim"])
+    sharp = replace(stated, path=tuple((Fraction(x), Fraction(y)) for x, y in ((0, 0), (14, 0), (10, 6))))
+    found = places(sharp, funnel_of(stated.loop, built()["proof"]["loop"]), 0, Fraction(1))
+    assert len(found) == 2 and found[1][0] > Fraction(1, 5)
+
+
+def test_a_corner_is_passed_within_the_errors_of_its_rotation(monkeypatch: pytest.MonkeyPatch) -> None:
+    stated = read_claim(built()["claim"])
+    funnel, before, after = some_funnel(3, 2, (-(10**6), 0)), Fraction(5, 11), Fraction(7, 13)
+    asked: list[Fraction] = []
+    monkeypatch.setattr(mission, "_inside", lambda p, b, m, w, bound, f: asked.append(bound) or True)
+    assert mission._turns(stated, funnel, 0, before, after, Fraction(2))
+    with localcontext(prec=60):
+        root = [Decimal(x.numerator) / Decimal(x.denominator) for x in (funnel.trace * before, after, asked[0])]
+        trace, whole, left = (x.sqrt() for x in root)
+        moved_by = Decimal(10**6) + Decimal(stated.loop.cruise.numerator) / Decimal(stated.loop.cruise.denominator)
+        p = sum(funnel.p[i][i] for i in range(4))
+        error = 2 * Decimal("1e-15") * (trace + moved_by) * (Decimal(p.numerator) / Decimal(p.denominator)).sqrt()
+        assert left <= whole - error
+    assert not mission._turns(stated, funnel, 0, before, Fraction(1, 10**40), Fraction(2))
+    answers = iter([True, False])
+    monkeypatch.setattr(mission, "_inside", lambda *_: next(answers, True))
+    assert not mission._turns(stated, some_funnel(3, 2, (-1, 0)), 0, before, after, Fraction(2))
 
 
 MUTANTS = (
