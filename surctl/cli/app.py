@@ -62,7 +62,7 @@ def app() -> None:
 
     Exit status: 0 finished with the expected result, 1 finished with another result (a line says FAIL, or a claim that
     you ask for is not proved), 2 wrong input or no permission to write, 3 some output is lost (disk full, file system
-    read-only, stdout closed), 130 stopped.
+    read-only, stdout lost), 130 stopped.
     """
 
 
@@ -111,7 +111,7 @@ def main() -> None:
 
     Raises:
         SystemExit: always. Status 0: success, 1: a claim, goal or run failed, 2: wrong input or no permission to write,
-            3: some output is lost (disk full or read-only, stdout closed), 130: stopped by the user.
+            3: some output is lost (disk full or read-only, stdout lost), 130: stopped by the user.
 
     Examples:
         >>> import sys
