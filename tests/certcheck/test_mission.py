@@ -314,7 +314,7 @@ def test_a_sharp_turn_has_the_place_at_which_the_next_leg_is_near() -> None:
 
 def test_a_corner_is_passed_within_the_errors_of_its_rotation(monkeypatch: pytest.MonkeyPatch) -> None:
     stated = read_claim(built()["claim"])
-    funnel, before, after = some_funnel(3, 2, (-(10**6), 0)), Fraction(5, 11), Fraction(7, 13)
+    funnel, before, after = some_funnel(3, 2, (-(10**6), 0)), Fraction(5, 11), Fraction(9, 16)
     asked: list[Fraction] = []
     monkeypatch.setattr(mission, "_inside", lambda p, b, m, w, bound, f: asked.append(bound) or True)
     assert mission._turns(stated, funnel, 0, before, after, Fraction(2))

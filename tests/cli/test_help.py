@@ -77,7 +77,7 @@ def test_the_exit_statuses_of_each_page_are_those_that_are_returned(file: str, p
     for word, number in errors.items():
         status = cannot_write("out", OSError(number, os.strerror(number))).exit_status
         assert word in stated[str(status)], (word, status, stated)
-    assert "stdout closed" in stated[str(LOST)]
+    assert "stdout lost" in stated[str(LOST)]
 
 
 @pytest.mark.parametrize("words", COMMANDS, ids=" ".join)
