@@ -49,6 +49,8 @@ EQUIVALENT = {
     f'{_HEAVE}[*(product(claim.ranges["heave_mass_kg"], drags, (share, Fraction(1))))][:-1]': _INNER,
     "expressions: ExpressionTable.total: return all(self._is_total(self.entries[at]) for at in self.needed(roots)) -> "
     "return all(self._is_total(self.entries[at]) for at in [*(self.needed(roots))][1:])": _FIRST,
+    "mission: _turns: size = root_up(funnel.trace * before) + max(map(abs, funnel.along)) + funnel.beside -> size = "
+    "root_down(funnel.trace * before) + max(map(abs, funnel.along)) + funnel.beside": "the other roots round by more",
     "motion: Motion.require_continuous: table.needed(roots) -> [*(table.needed(roots))][1:]": _FIRST,
     "procedures: _checked: ast.walk(tree) -> [*(ast.walk(tree))][1:]": "the first node is the module itself",
     "slope_rows: Rows.__init__: sizes = [max(cover[k][k] for cover in covers) for k in range(self.states)] -> "
