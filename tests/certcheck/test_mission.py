@@ -77,7 +77,9 @@ def reason_of(document: dict[str, Any], checker: Any = mission) -> str:
 
 
 def test_the_whole_certificate_is_accepted() -> None:
-    assert check_document(built()).reason == ""
+    checked, tube = check_document(built()), built()["claim"]["motion"]["tube_m"]
+    assert checked.reason == "" and f"stays within {max(tube):g} m of the path" in checked.proves
+    assert max(tube) > min(tube)
 
 
 @pytest.mark.parametrize(("path", "member", "further"), CASES)
