@@ -68,9 +68,9 @@ def alone(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(turning, "check", lambda document: None)
 
 
-def reason_of(document: dict[str, Any], checker: Any = mission) -> str:
+def reason_of(document: dict[str, Any]) -> str:
     try:
-        checker.check(document)
+        mission.check(document)
     except Rejected as rejected:
         return str(rejected)
     return ""
@@ -331,57 +331,3 @@ def test_a_corner_is_passed_within_the_errors_of_its_rotation(monkeypatch: pytes
     answers = iter([True, False])
     monkeypatch.setattr(mission, "_inside", lambda *_: next(answers, True))
     assert not mission._turns(stated, some_funnel(3, 2, (-1, 0)), 0, before, after, Fraction(2))
-
-
-MUTANTS = (
-    ("max(levels) > 1", "max(levels) > 2"),
-    ("> levels[0] for start", "> 2 * levels[0] for start"),
-    ("+ mission.overrun > mission.tube[k]", "> 2 * mission.tube[k]"),
-    ("+ mission.overrun > mission.goal", "> 2 * mission.goal"),
-    ("distance > bound for", "distance > 9 * bound for"),
-    ("if not _turns(mission, funnel, k, after, levels[k + 1], multipliers[k]):", "if False:"),
-    ("after = decayed(mission.loop, funnel, level, length)", "after = funnel.floor"),
-    ("(-high / claim.k1, -low / claim.k1)", "(Fraction(0), Fraction(0))"),
-    ("-mission.loop.cruise if mission.at_rest", "Fraction(0) if mission.at_rest"),
-    ("(c - one) * v, -s * v]", "(c - one) * v, s * v / 2]"),
-    ("claim.rate * (length / claim.cruise - claim.period)", "claim.rate * (2 * length / claim.cruise)"),
-    ("level = level / total", "level = level / total / total"),
-    ("[-s, c, zero, zero], [zero, zero, c, s]", "[-s, c, zero, zero], [zero, zero, c, -s]"),
-    ("after - multiplier * before - quadratic(p, w)", "after - quadratic(p, w)"),
-    ("[-pulled[i]]", "[0 * pulled[i]]"),
-    ("if mission.loop.lag[1]:", "if False:"),
-    ("turning.check(seal(", "(lambda *a: None)(seal("),
-    ("<= max(mission.overrun, _SHORTEST)", "<= -1"),
-    ("type(start[\"at_rest\"]) is not bool", "False"),
-)  # fmt: skip
-
-
-@pytest.mark.parametrize(("text", "other"), MUTANTS)
-def test_mutants_of_the_checker_are_found(text: str, other: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Each weaker checker accepts a near miss, or rejects a good certificate."""
-    source = Path(mission.__file__).read_text()
-    assert source.count(text) >= 1
-    mutant: dict[str, Any] = {"__name__": "surctl.certcheck.mission", "__file__": mission.__file__}
-    monkeypatch.setattr(turning, "check", _refuse_other_vehicles)
-    module = type(mission)("mutant")
-    monkeypatch.setitem(__import__("sys").modules, "mutant", module)
-    module.__dict__.update(mutant | {"__name__": "mutant"})
-    exec(compile(source.replace(text, other), "mutant", "exec"), module.__dict__)
-    other_vehicle = (entry("claim", "loop", "vehicle", "drag_factor", to=[0.9, 1.1]), "drag")
-    assert any(_differs(module, change, message) for change, message in (*NEAR_MISSES, other_vehicle)) or any(
-        reason_of(built(*case[:2], **case[2]), module) for case in CASES
-    )
-
-
-def _differs(module: Any, change: Callable[[dict[str, Any]], None], message: str) -> bool:
-    document = built()
-    change(document)
-    try:
-        return message not in reason_of(document, module)
-    except (TypeError, ValueError, ArithmeticError, IndexError):
-        return True
-
-
-def _refuse_other_vehicles(document: dict[str, Any]) -> None:
-    if document["claim"]["vehicle"]["drag_factor"] != [1.0, 1.0]:
-        raise Rejected("another drag")
