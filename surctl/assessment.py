@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from types import MappingProxyType
@@ -293,11 +294,12 @@ def worst_of(assessments: Mapping[str, Assessment]) -> Assessment:
         for name, figure in one.figures.items():
             if name not in figures or figure.worse(figures[name]):
                 figures[name] = replace(figure, where=f"{case}: {figure.where}" if figure.where else case)
-    lines = list[Line]()
-    for case, one in assessments.items():
-        for line in one.lines:
-            shared = all(line in other.lines for other in assessments.values())
-            lines.append(line if shared else replace(line, text=f"{case}: {line.text}"))
+    times = Counter(line for one in assessments.values() for line in set(one.lines))
+    lines = [
+        line if times[line] == len(assessments) else replace(line, text=f"{case}: {line.text}")
+        for case, one in assessments.items()
+        for line in one.lines
+    ]
     parts = {f"{case}: {name}": part for case, one in assessments.items() for name, part in one.parts.items()}
     omitted = tuple(dict.fromkeys(name for one in assessments.values() for name in one.omitted))
     return replace(

@@ -190,15 +190,15 @@ def verify(
         prepare_folder(out)
     region_names = [name for name in claims if is_region(name)]
     require_own_speeds(region_names, None if cruise is None else max(cruise), cap)
-    check_regions(
-        region_names, robot, tuned.gains, speeds, chosen_law
-    )  # mistakes are reported before the linear analysis
+    # mistakes are reported before the linear analysis
+    check_regions(region_names, robot, tuned.gains, speeds, chosen_law)
     dt = build_law().dt
     options: dict[str, Any] = {"dt": dt, "uncertainty": uncertainty, "law": chosen_law}
     cascaded = CASCADE in source.parts
     check_barrier(barrier, movers)
     scenarios = () if mission is None else (replace(mission, cruise=speeds[0], cap=speeds[1]),)
-    kind: dict[str, Any] = {"uncertainty": uncertainty or None, "sensing": sensed, "barrier": barrier, "movers": movers}
+    forms = {"barrier": barrier, "movers": movers}
+    kind: dict[str, Any] = {"uncertainty": uncertainty or None, "sensing": sensed, **forms}
     subjects = [
         Mission(robot, tuned.gains, u, speeds[1], chosen_law, "los", scenarios, **kind)
         for u in (() if alone else cruise or speeds[:1])
@@ -211,7 +211,6 @@ def verify(
     contacts = assessed[-1].sources.get("no contact") if assessed else None
     safety = contacts[0] if contacts and cascaded else None
     shared: dict[str, Any] = {"vehicle": vehicle, "gains": tuned.gains, "law": chosen_law, "out": out}
-    forms = {"barrier": barrier, "movers": movers}
     regions = prove_regions(region_names, speeds=speeds, seed=seed, forms=forms, **shared)
     about_mission = [name for name in claims if is_mission(name)]
     missions = prove_missions(about_mission, mission, speeds=speeds, seed=seed, **shared)

@@ -262,13 +262,11 @@ def _conditions(cases: Mapping[str, ArrayLike]) -> tuple[Condition, ...]:
     count = max((len(array) for array in arrays.values() if array.ndim), default=1)
     conditions = []
     for k in range(count):
-        row = {name: array[min(k, len(array) - 1)] if array.ndim else array for name, array in arrays.items()}
-        seed = int(row.pop("seed", np.array(0.0)))
-        listed = [
-            f"{name} = {row[name]:g}" for name, array in arrays.items() if name in row and array.shape == (count,)
-        ]
+        values = {name: array[min(k, len(array) - 1)] if array.ndim else array for name, array in arrays.items()}
+        seed = int(values.pop("seed", np.array(0.0)))
+        listed = [f"{name} = {value:g}" for name, value in values.items() if arrays[name].shape == (count,)]
         label = (f"case {k + 1}" + f" ({', '.join(listed)})" * bool(listed)) if count > 1 else "the run"
-        conditions.append(Condition(SystemCase(label, row), seed))
+        conditions.append(Condition(SystemCase(label, values), seed))
     return tuple(conditions)
 
 
@@ -374,22 +372,21 @@ def assess_cases(
         'case 1 (start.speed = 4)'
     """
     loops, named, omitted = dict[tuple[bytes, ...], Part](), dict[str, Assessment](), 0
-    for condition in _conditions(cases):  # the loop does not depend on where a run starts
-        values = {name: value[None] if value.ndim else value for name, value in condition.case.values.items()}
+    for condition in _conditions(cases):
+        case = condition.case
+        values = {name: value[None] if value.ndim else value for name, value in case.values.items()}
+        # the loop does not depend on where a run starts, nor on its noise
         about = {name: value for name, value in values.items() if not name.startswith("start.")}
-        key, subject = (
-            tuple(value.tobytes() for value in about.values()),
-            ClosedLoop(system, {**values, **gains}, seconds=seconds),
-        )
+        key = tuple(value.tobytes() for value in about.values())
         if key not in loops and len(loops) < _LOOPS:
-            named[condition.case.name] = assess(replace(subject, values={**about, **gains}), parts=["loop"])
-            loops[key] = named[condition.case.name].parts["loop"]
+            named[case.name] = assess(ClosedLoop(system, {**about, **gains}, seconds=seconds), parts=["loop"])
+            loops[key] = named[case.name].parts["loop"]
         omitted += key not in loops
         if seconds is not None:
-            parts = None if key in loops else ["run"]
-            named[condition.case.name] = assess(
-                subject, parts=parts, computed={"loop": loops[key]} if key in loops else {}
-            )
+            noise = {"seed": condition.seed} if system.blocks.noise else {}
+            subject = ClosedLoop(system, {**values, **noise, **gains}, seconds=seconds)
+            known = {"loop": loops[key]} if key in loops else {}
+            named[case.name] = assess(subject, parts=None if known else ["run"], computed=known)
     result = worst_of(named)
     if not omitted:
         return result

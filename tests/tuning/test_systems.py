@@ -20,6 +20,7 @@ from surctl.tuning.outcome import goal_rows
 from surctl.tuning.systems import assess_cases
 from surctl.verification import system_disk_margin
 from tests.tools import need_compiler
+from tests.tuning.test_system_sweep import build as noisy_cart
 
 PLACE, SPEED = Port("place", (1,), "m", "of the cart", 1.0), Port("speed", (1,), "m/s", "of the cart")
 FORCE = Port("force", (1,), "N", "on the cart")
@@ -184,3 +185,12 @@ def test_bounds_hold_in_every_case_and_all_cases_are_assessed() -> None:
     assert "plant.mass = 0.5" in beyond.figures["delay_margin_s"].where
     vectors = assess_cases(system, {"k": [[0.5, 1.0], [2.0, 1.0]], "start.place": [1.0, 1.0]}, {}, seconds=1.0)
     assert "case 2 (start.place = 1): peak = 2 N, at most 1 N" in vectors.failures
+
+
+def test_each_case_is_assessed_with_its_own_noise() -> None:
+    loop, seeds = noisy_cart(), [0.0, 5.0]
+    both = assess_cases(loop, {"seed": seeds}, {"k": 1.0}, seconds=1.0)
+    apart = [assess(ClosedLoop(loop, {"k": 1.0, "seed": seed}, seconds=1.0)).figures for seed in seeds]
+    found = [one["cost.final"].value for one in apart]
+    assert found[0] < found[1] and both.figures["cost.final"].value == max(found)
+    assert both.figures["disk_margin"].value == apart[0]["disk_margin"].value
