@@ -58,7 +58,7 @@ class Behind:
         return replace(self, acts=False), end
 
     def extended(
-        self, A: Array, factor: Array, inner: Array, h: Numbers, t: Numbers, plans: Array, turn: Array
+        self, A: Array, factor: Array, inner: Array, h: Numbers, t: Numbers, plans: Array, turn: Array, moves: Array
     ) -> tuple[Array, Array, Array]:
         """Return A, the factor of W and the weights of the squared states (k, 4) with the entries of E.
 
@@ -67,29 +67,29 @@ class Behind:
         """
         whole, more = np.zeros((len(h), 6, 6)), np.zeros((len(h), 6, 4))
         whole[:, :4, :4], whole[:, 2:4, 4:] = A, inner * self.acts
-        whole[:, 4:] = self.k_v * whole[:, 2:4]
-        swung = self.k_v * self.rates[t][:, None, None] * _TWIST
+        whole[:, 4:] = self.k_v * moves @ whole[:, 2:4]
+        swung = self.k_v * self.rates[t][:, None, None] * (moves @ _TWIST)
         whole[:, 4:, 2:4] += swung
         whole[:, 4:, :2] += swung * plans[:, None, :]
         whole[:, 4:, 4:] -= (self.fall - self.split) / 2 * np.eye(2)
         more[:, :4, :2] = (_OTHERS if self.k_v else 1.0) * factor
-        more[:, 4:, :2] = self.k_v * more[:, 2:4, :2]
+        more[:, 4:, :2] = self.k_v * moves @ more[:, 2:4, :2]
         more[:, 4:, 2:] = _OWN * turn * self.late[h][:, None, :]
         weights = np.repeat(self.spread[h][:, None], 4, axis=1)
         weights[:, :2] = self.swing[h][:, None] * plans**2
         return whole, more, weights
 
-    def added(self, change: Array, P: Array, bodies: Array, plans: Array, side: Array) -> tuple[Array, Array]:
+    def added(self, change: Array, P: Array, bodies: Array, plans: Array, side: Array, moves: Array) -> tuple[Array, Array]:
         """Return what E adds to the matrices of V: (6, 6, headings, 1, terms, 1, 1, laws) and (headings, masses, 1, 6,
         6)."""
         place, speed, rear = change[:, :2].T, change[:, 2:4].T, change[:, 4:].T
         q, pull = P[4, 4], change @ P[:, 4:]
-        swung = np.array([pull @ _TWIST @ (speed + plan[:, None] * place) * self.k_v for plan in plans])
+        swung = np.array([pull @ moves @ _TWIST @ (speed + plan[:, None] * place) * self.k_v for plan in plans])
         swung = swung + swung.swapaxes(-1, -2)
         led = np.einsum("h,pk,ki,kj->ijhp", q * self.swing, plans**2, place, place)
-        away = np.einsum("t,pij->ijtp", self.rates, swung)[:, :, None, None, :, None, None, :]
+        away = np.einsum("t,phij->ijhtp", self.rates, swung)[:, :, :, None, :, None, None, :]
         away = away + led[:, :, :, None, None, None, None, :]
-        more = side @ np.einsum("mi,hijk->hmjk", self.light * self.acts, bodies) @ rear
+        more = side[:, None] @ np.einsum("mi,hijk->hmjk", self.light * self.acts, bodies) @ rear
         more = more + more.swapaxes(-1, -2) - (self.fall - self.split) * q * (rear.T @ rear)
         more = more + (self.spread * q)[:, None, None, None] * (speed.T @ speed)
         return away, more[:, :, None]

@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from itertools import product
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -118,6 +119,9 @@ class Vertices:
         stray: largest acceleration by disturbance forces and errors of measurement [m/s²].
         turn: rotation matrices (headings, 2, 2) from the body to the path frame.
         behind: what thrust lag adds; None without lag.
+        limits: for claims with thrust that is not the present command, whether the thrust limit of a body axis may be
+            active (headings, 2), and the pairs of an axis at its limit (headings, 2, loops, 2).
+        moves: S = Σ n_i n_iᵀ (headings, 2, 2) over the body axes i whose command moves: it is not at its limit.
     """
 
     bodies: Array
@@ -134,6 +138,8 @@ class Vertices:
     stray: float
     turn: Array
     behind: Behind | None
+    limits: tuple[NDArray[np.bool_], Array] | None = None
+    moves: Array | None = None
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -143,7 +149,24 @@ class Vertices:
 
     def phases(self) -> list[Vertices]:
         """Return the vertices of each form that decides: two with held commands, else one."""
-        return [self] if self.behind is None else [replace(self, behind=one) for one in self.behind.phases()]
+        if self.behind is None:
+            return [self]
+        return [replace(one, behind=phase) for one in self._modes() for phase in self.behind.phases()]
+
+    def _modes(self) -> list[Vertices]:
+        """Return the vertices for each set of body axes whose thrust is at its limit."""
+        modes = [replace(self, moves=self.bodies.sum(axis=1))]
+        if self.limits is None:
+            return modes
+        active, pairs = self.limits
+        own = np.concatenate([self.loops, self.loops[:, :, :2]], axis=2)
+        for held in product((False, True), repeat=2):
+            if not any(held) or not all(active[:, i].any() for i in (0, 1) if held[i]):
+                continue
+            loops = np.stack([pairs[:, i] if held[i] else own[:, i] for i in (0, 1)], 1)
+            moving = ~(active & np.array(held))
+            modes.append(replace(self, loops=loops, moves=np.einsum("hi,hijk->hjk", moving, self.bodies)))
+        return modes
 
     def select(self, chosen: NDArray[np.intp] | list[int]) -> tuple[Array, Array, Array]:
         """Return A (k, n, n), a factor (k, n, c) of W, and weights (k, 4) of the vertices with numbers (k,).
@@ -164,7 +187,7 @@ class Vertices:
         if self.behind is None:
             return A, factor, np.zeros((len(h), 4))
         inner = np.einsum("ni,nijk->njk", self.behind.light[m], self.bodies[h])
-        return self.behind.extended(A, factor, inner, h, t, _straight(self.plans[p]), self.turn[h])
+        return self.behind.extended(A, factor, inner, h, t, _straight(self.plans[p]), self.turn[h], self.moves[h])
 
     def _driven(self) -> Array:
         """Return n_i n_iᵀ/m_i + β n_j n_iᵀ (masses, headings, 2, 2, 2): what a force on each axis i accelerates."""
@@ -174,23 +197,25 @@ class Vertices:
     def matrices(self, P: Array, rate: float, growth: float, low: float) -> Array:
         """Return T (Aᵀ P + P A + (a + η) P + P W P/(η low)) Tᵀ (n, n, k) of all vertices, where T P Tᵀ = I."""
         change, n = np.linalg.inv(np.linalg.cholesky(P)), len(P)
-        side, place, speed = change @ P[:, 2:4], change[:, :2].T, change[:, 2:4].T
+        side, place, speed = (change @ P[:, 2:4])[None], change[:, :2].T, change[:, 2:4].T
         if self.behind is not None:
-            side = side + change @ P[:, 4:] * self.behind.k_v
+            side = side + change @ P[:, 4:] @ self.moves * self.behind.k_v  # (h, n, 2)
         kinematic = change @ P[:, :2] @ speed
-        loose = 2 * self.loose * np.linalg.norm(side) * np.linalg.norm(speed)
+        loose = 2 * self.loose * np.linalg.norm(side, axis=(-1, -2)).max() * np.linalg.norm(speed)
         fixed = kinematic + kinematic.T + (rate + growth + loose) * np.eye(n)
-        turned = side @ self.coriolis @ speed + self.bends[:, None, None] * _bent(change, P)
+        turned = side[:, None] @ self.coriolis @ speed + self.bends[:, None, None] * _bent(change, P)
         weighted, rear = self._weighted(side, P)
-        base = fixed - (turned + turned.swapaxes(-1, -2))[:, None] + side @ weighted @ side.T / (growth * low)
+        outer = side[:, None, None]
+        pushed = outer @ weighted @ outer.swapaxes(-1, -2)
+        base = fixed - (turned + turned.swapaxes(-1, -2))[:, None] + pushed / (growth * low)
         away = np.zeros((n, n, 1, 1, 1, 1, 1, 1))
         if self.behind is not None:
-            away, more = self.behind.added(change, P, self.bodies, _straight(self.plans), side)
+            away, more = self.behind.added(change, P, self.bodies, _straight(self.plans), side, self.moves)
             pull = change @ P[:, 4:]
             base = base + more + (pull @ rear @ pull.T / (growth * low))[:, None, None]
         driven = self._driven()
-        led = side @ (driven[:, :, :, None] @ self.plans) @ place  # (m, h, 2, p, 4, 4)
-        slowed = side @ driven @ speed  # (m, h, 2, 4, 4)
+        led = side[:, None, None] @ (driven[:, :, :, None] @ self.plans) @ place  # (m, h, 2, p, n, n)
+        slowed = side[:, None] @ driven @ speed  # (m, h, 2, n, n)
         led, slowed = led + led.swapaxes(-1, -2), slowed + slowed.swapaxes(-1, -2)
         whole = (
             np.einsum("hil,mhipjk->ihmlpjk", self.loops[..., 0], led)
@@ -204,11 +229,12 @@ class Vertices:
     def _weighted(self, side: Array, P: Array) -> tuple[Array, Array]:
         """Return Q, and that of E alone (h, 2, 2), with the weights of the checker, which measures the parts of w by V.
 
-        `side` (n, 2) is T P B.
+        `side` (headings, n, 2) is T P B.
         """
-        most = np.linalg.norm(self.effect @ side.T, axis=-1).max(axis=1)[:, None, None]
-        strayed = self.stray * float(np.linalg.norm(side))
-        sizes = self.lack.max(axis=1) * np.sqrt(np.einsum("hijk,ak,aj->hi", self.bodies, side, side))  # (h, i)
+        most = np.linalg.norm(self.effect @ side.swapaxes(-1, -2), axis=-1).max(axis=1)[:, None, None]
+        strayed = self.stray * float(np.linalg.norm(side, axis=(-1, -2)).max())
+        gram = np.broadcast_to(side.swapaxes(-1, -2) @ side, (len(self.bodies), 2, 2))
+        sizes = self.lack.max(axis=1) * np.sqrt(np.einsum("hijk,hjk->hi", self.bodies, gram))  # (h, i)
         late = np.zeros_like(sizes) if self.behind is None else self.behind.late
         weights = late * (np.sqrt(2 * P[4, 4]) if self.behind is not None else 0.0)
         total = most + (sizes + weights).sum(axis=1)[:, None, None] + strayed
@@ -289,9 +315,10 @@ def vertices(claim: TurningClaim, cruise: Cruise, covariance: Array, high: float
     ])  # fmt: skip
     c, s = np.cos(cruise.headings), np.sin(cruise.headings)
     turn = np.stack([np.stack([c, -s], 1), np.stack([s, c], 1)], 1)  # (headings, 2, 2)
-    loops = _loops(claim, cruise, covariance[:4, :4] * high * 1.002, turn, plans)
-    if loops is None:
+    found = _loops(claim, cruise, covariance[:4, :4] * high * 1.002, turn, plans)
+    if found is None:
         return None
+    loops, limits = found
     loose, masses, turns = claim.vertex_numbers
     cross = np.array([[[0.0, a], [b, 0.0]] for a, b, *_ in turns])
     coriolis = turn[:, None] @ cross @ turn.swapaxes(-1, -2)[:, None]
@@ -302,14 +329,13 @@ def vertices(claim: TurningClaim, cruise: Cruise, covariance: Array, high: float
     heavy = masses[:, :2] + np.abs(masses[:, 2:])
     forces, behind = cruise.lack + others, None
     if claim.behind:
-        if loops.shape[2] > 4:  # a thrust limit is active
-            return None
-        behind = behind_of(claim, cruise.omega, forces, covariance, high, turn, _straight(plans), loops, masses, turns)
+        every = loops if limits is None else np.concatenate([loops, limits[1]], axis=2)
+        behind = behind_of(claim, cruise.omega, forces, covariance, high, turn, _straight(plans), every, masses, turns)
     lack = forces[:, None, :] * heavy + loose * v + np.abs(turns[:, :2]).max() * claim.current
     stray = outer_force(claim.stated, y + cruise.beside) * heavy.max()
     return Vertices(
         bodies, crossed, masses, coriolis, turns[:, 2], loose, loops, plans,
-        _forces(bodies, effect, lack, stray), effect, lack, stray, turn, behind,
+        _forces(bodies, effect, lack, stray), effect, lack, stray, turn, behind, limits,
     )  # fmt: skip
 
 
@@ -323,7 +349,7 @@ def _forces(bodies: Array, effect: Array, lack: Array, stray: float) -> Array:
     return np.asarray(Q + (total * stray)[..., None, None] * np.eye(2))
 
 
-def _loops(claim: TurningClaim, cruise: Cruise, sized: Array, turn: Array, plans: Array) -> Array | None:
+def _loops(claim: TurningClaim, cruise: Cruise, sized: Array, turn: Array, plans: Array) -> tuple[Array, Any] | None:
     """Return the extreme pairs (headings, 2, k, 2) of stiffness and damping; `sized` is P⁻¹ times the level."""
     step = (cruise.headings[1] - cruise.headings[0]) / 2
     near, far = np.clip(cruise.headings - step, 0, None), np.clip(cruise.headings + step, None, np.pi / 2)
@@ -334,7 +360,7 @@ def _loops(claim: TurningClaim, cruise: Cruise, sized: Array, turn: Array, plans
     def largest(rows: Array) -> Array:
         return np.asarray(np.sqrt(np.maximum(np.einsum("...i,ij,...j->...", rows, sized, rows), 0.0)))
 
-    axes = []
+    axes, parts, free = [], [], []
     for i in (0, 1):
         gain, linear, square = claim.mass[i] * claim.gains["k_v"], claim.linear[i], claim.quadratic[i]
         n, (least, most), c = turn[:, :, i], shares[i], claim.current
@@ -358,10 +384,16 @@ def _loops(claim: TurningClaim, cruise: Cruise, sized: Array, turn: Array, plans
             return None
         need = np.max([largest((gain + slope)[:, None] * one + gain * still) for one in led for slope in h], axis=0)
         part = np.minimum(1.0, 0.99 * left / need)
+        parts.append(part)
         axes.append([(q * (gain + h[a]), q * gain + t[b]) for q, a, b in _extremes(part)])
+        free.append([(gain + h[a], gain + t[b]) for a in (0, 1) for b in (0, 1)])
     if len({len(axis) for axis in axes}) > 1:  # one axis alone may reach its thrust limit: repeat the other's pairs
         axes = [axis if len(axis) == 6 else [*axis, *axis[:2]] for axis in axes]
-    return np.asarray(np.moveaxis(np.array(axes, dtype=np.float64), (0, 1, 2), (1, 2, 3)))
+    pairs = np.asarray(np.moveaxis(np.array(axes, dtype=np.float64), (0, 1, 2), (1, 2, 3)))
+    if not claim.behind or pairs.shape[2] == 4:
+        return pairs, None
+    own = np.asarray(np.moveaxis(np.array(free, dtype=np.float64), (0, 1, 2), (1, 2, 3)))
+    return own, (np.stack(parts, 1) < 1, pairs)
 
 
 def _extremes(part: Array) -> list[tuple[Array, int, int]]:

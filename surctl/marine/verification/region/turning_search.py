@@ -85,7 +85,7 @@ class _Part:
 class _Active:
     """Numbers of the vertices that mattered in the shells of earlier programs."""
 
-    known: list[set[int]]
+    known: dict[int, set[int]]
 
 
 def _improve(
@@ -116,9 +116,9 @@ def _improve(
         fixed += _within(np.linalg.inv(bound) * units[:, None] * units, basis)
     rng = np.random.default_rng(0)
     chosen = []
-    for part, some in zip(parts, active.known, strict=False):
+    for number, part in enumerate(parts):
         count = int(np.prod(part.shell.shape))
-        earlier = {k for k in some if k < count}
+        earlier = {k for k in active.known.get(number, ()) if k < count}
         chosen.append(earlier or set(rng.integers(count, size=_TIGHT).tolist()))
     for _ in range(_ROUNDS):
         own = [
@@ -251,7 +251,7 @@ def turning_search(
     cruise = replace(fine, headings=fine.headings[::_FINE], lack=fine.lack[::_FINE])
     away = max(map(abs, cruise.moved)) / claim.gains["k1"]
     rng = np.random.default_rng(seed)
-    active = _Active([set() for _ in range(2 * _SHELLS)])
+    active = _Active({})
     first: list[_Region] = []
     grown: list[_Region] = []
     for smaller in (False, True):
