@@ -147,6 +147,11 @@ class TurningClaim:
         """Whether the thrust may differ from the present command: by a lag, or because a command is held."""
         return bool(self.lag or self.period)
 
+    @property
+    def late_parts(self) -> int:
+        """Number of pairs of states that thrust lag and held commands add."""
+        return (self.lag > 0) + (self.period > 0)
+
     @cached_property
     def stated(self) -> Stated:
         """Return the claim as the checker reads it, with a region that is not yet known."""

@@ -22,88 +22,125 @@ _SPLIT = 0.6  # of the decay of E that serves as multiplier λ
 
 
 @dataclass(frozen=True)
+class Block:
+    """Two entries of the state that follow the velocity: E, or the change of a held command.
+
+    Attributes:
+        at: number of the first entry.
+        fall: rate φ of the decay of the square [1/s].
+        split: multiplier λ [1/s].
+        driven: whether the rate of the command counts in this form.
+        acts: whether the entries act on the vehicle.
+        feeds: rate at which the entries feed those of E [1/s].
+    """
+
+    at: int
+    fall: float
+    split: float
+    driven: bool = True
+    acts: bool = False
+    feeds: float = 0.0
+
+
+@dataclass(frozen=True)
 class Behind:
-    """What thrust lag adds to the vertices.
+    """What thrust lag and held commands add to the vertices.
 
     Attributes:
         k_v: gain of the law [1/s].
-        lag: time constant [s]; 0 with held commands.
-        fall: rate φ of the decay of |E|² [1/s].
-        split: multiplier λ [1/s].
-        acts: whether E acts on the vehicle.
+        blocks: the entries of the state that they add.
         light: inverse factors of the masses (masses, 2).
         rates: yaw rate r of each Coriolis term (terms,) [rad/s].
-        spread: weight c²/λ of q |δU|² (headings,) [1/s³]; with held commands, twice as much.
-        swing: weight of q |δW|² (headings,) [1/s³], with held commands.
+        spread: c² (headings,) [1/s⁴], twice as much without lag.
+        swing: weight of |δW|² (headings,) [1/s⁴], without lag.
         late: bound on w_2 along each axis (headings, 2) [m/s³].
     """
 
     k_v: float
-    lag: float
-    fall: float
-    split: float
+    blocks: tuple[Block, ...]
     light: Array
     rates: Array
     spread: Array
     swing: Array
     late: Array
-    acts: bool = True
 
-    def phases(self) -> tuple[Behind, ...]:
-        """Return the forms that decide: one with thrust lag; with held commands, those at both ends of a period."""
-        if self.lag:
-            return (self,)
-        nothing = np.zeros_like(self.spread)
-        end = replace(self, k_v=0.0, split=0.0, spread=nothing, swing=nothing, late=0 * self.late)
-        return replace(self, acts=False), end
+    def phases(self, lag: float) -> tuple[Behind, ...]:
+        """Return the forms that decide: with held commands those at both ends of a period, else one."""
+        *first, last = self.blocks
+        if not last.acts or lag and len(self.blocks) > 1:
+            end = replace(last, driven=False, split=0.0, acts=not first, feeds=1 / lag if first else 0.0)
+            return self, replace(self, blocks=(*first, end))
+        return (self,)
 
     def extended(
         self, A: Array, factor: Array, inner: Array, h: Numbers, t: Numbers, plans: Array, turn: Array, moves: Array
     ) -> tuple[Array, Array, Array]:
-        """Return A, the factor of W and the weights of the squared states (k, 4) with the entries of E.
-
-        `inner` (k, 2, 2) is ∂U̇/∂E, and `turn` (k, 2, 2) the rotation from the body. The weights of the disturbances
-        depend on V, and are those of a typical V here.
-        """
-        whole, more = np.zeros((len(h), 6, 6)), np.zeros((len(h), 6, 4))
-        whole[:, :4, :4], whole[:, 2:4, 4:] = A, inner * self.acts
-        whole[:, 4:] = self.k_v * moves @ whole[:, 2:4]
-        swung = self.k_v * self.rates[t][:, None, None] * (moves @ _TWIST)
-        whole[:, 4:, 2:4] += swung
-        whole[:, 4:, :2] += swung * plans[:, None, :]
-        whole[:, 4:, 4:] -= (self.fall - self.split) / 2 * np.eye(2)
-        more[:, :4, :2] = (_OTHERS if self.k_v else 1.0) * factor
-        more[:, 4:, :2] = self.k_v * moves @ more[:, 2:4, :2]
-        more[:, 4:, 2:] = _OWN * turn * self.late[h][:, None, :]
-        weights = np.repeat(self.spread[h][:, None], 4, axis=1)
-        weights[:, :2] = self.swing[h][:, None] * plans**2
+        n = 4 + 2 * len(self.blocks)
+        whole, more = np.zeros((len(h), n, n)), np.zeros((len(h), n, 4))
+        whole[:, :4, :4] = A
+        driven = any(block.driven for block in self.blocks)
+        more[:, :4, :2] = (_OTHERS if driven else 1.0) * factor
+        weights = np.zeros((len(h), 4, len(self.blocks)))
+        for block in self.blocks:
+            if block.acts:
+                whole[:, 2:4, block.at : block.at + 2] = inner
+        for k, block in enumerate(self.blocks):
+            own = slice(block.at, block.at + 2)
+            if block.feeds:
+                whole[:, 4:6, own] += block.feeds * np.eye(2)
+            if block.driven:
+                swung = self.k_v * self.rates[t][:, None, None] * (moves @ _TWIST)
+                whole[:, own] += self.k_v * moves @ whole[:, 2:4]
+                whole[:, own, 2:4] += swung
+                whole[:, own, :2] += swung * plans[:, None, :]
+                more[:, own, :2] = self.k_v * moves @ more[:, 2:4, :2]
+                more[:, own, 2:] = _OWN * turn * self.late[h][:, None, :]
+                weights[:, :, k] = self.spread[h][:, None] / block.split
+                weights[:, :2, k] = self.swing[h][:, None] / block.split * plans**2
+            whole[:, own, own] -= (block.fall - block.split) / 2 * np.eye(2)
         return whole, more, weights
 
+    def pull(self, change: Array, P: Array) -> Array:
+        """Return T P of the entries that a command drives (n, 2)."""
+        return np.asarray(sum((change @ P[:, b.at : b.at + 2] for b in self.blocks if b.driven), np.zeros((len(P), 2))))
+
     def added(self, change: Array, P: Array, bodies: Array, plans: Array, side: Array, moves: Array) -> tuple[Array, Array]:
-        """Return what E adds to the matrices of V: (6, 6, headings, 1, terms, 1, 1, laws) and (headings, masses, 1, 6,
-        6)."""
-        place, speed, rear = change[:, :2].T, change[:, 2:4].T, change[:, 4:].T
-        q, pull = P[4, 4], change @ P[:, 4:]
+        place, speed, pull = change[:, :2].T, change[:, 2:4].T, self.pull(change, P)
         swung = np.array([pull @ moves @ _TWIST @ (speed + plan[:, None] * place) * self.k_v for plan in plans])
         swung = swung + swung.swapaxes(-1, -2)
-        led = np.einsum("h,pk,ki,kj->ijhp", q * self.swing, plans**2, place, place)
         away = np.einsum("t,phij->ijhtp", self.rates, swung)[:, :, :, None, :, None, None, :]
-        away = away + led[:, :, :, None, None, None, None, :]
-        more = side[:, None] @ np.einsum("mi,hijk->hmjk", self.light * self.acts, bodies) @ rear
-        more = more + more.swapaxes(-1, -2) - (self.fall - self.split) * q * (rear.T @ rear)
-        more = more + (self.spread * q)[:, None, None, None] * (speed.T @ speed)
+        more = np.zeros((len(bodies), len(self.light), len(P), len(P)))
+        for block in self.blocks:
+            q, rear = P[block.at, block.at], change[:, block.at : block.at + 2].T
+            if block.acts:
+                one = side[:, None] @ np.einsum("mi,hijk->hmjk", self.light, bodies) @ rear
+                more = more + one + one.swapaxes(-1, -2)
+            if block.feeds:
+                one = change @ P[:, 4:6] @ rear * block.feeds
+                more = more + one + one.T
+            if block.driven:
+                each = q / block.split
+                more = more + (each * self.spread)[:, None, None, None] * (speed.T @ speed)
+                led = np.einsum("h,pk,ki,kj->ijhp", each * self.swing, plans**2, place, place)
+                away = away + led[:, :, :, None, None, None, None, :]
+            more = more - (block.fall - block.split) * q * (rear.T @ rear)
         return away, more[:, :, None]
 
 
-def _fall(claim: TurningClaim) -> float:
-    """Return φ [1/s] of a claim with thrust lag or held commands."""
-    return 2 / claim.lag if claim.lag else 1 / claim.period - claim.gains["k_v"] / claim.mass_factor[0] / 2
+def blocks_of(claim: TurningClaim) -> tuple[Block, ...]:
+    """Return the entries that thrust lag and held commands add to the state."""
 
+    def split(fall: float) -> float:
+        return float(f"{_SPLIT * max(fall / 2 - claim.gains['k_v'], fall / 4):.4g}")
 
-def split_of(claim: TurningClaim) -> float:
-    """Return the multiplier λ [1/s] of a claim with thrust lag or held commands."""
-    half = _fall(claim) / 2
-    return float(f"{_SPLIT * max(half - claim.gains['k_v'], half / 2):.4g}")
+    blocks = []
+    if claim.lag:
+        fall = 2 / claim.lag
+        blocks.append(Block(4, fall, split(fall), acts=True))
+    if claim.period:
+        fall = 1 / claim.period - (0.0 if claim.lag else claim.gains["k_v"] / claim.mass_factor[0] / 2)
+        blocks.append(Block(4 + 2 * len(blocks), fall, split(fall)))
+    return tuple(blocks)
 
 
 def behind_of(
@@ -147,25 +184,10 @@ def behind_of(
     step = np.pi / 2 / max(len(turn) - 1, 1) / 2
     share = np.clip(np.abs(turn[:, 0, :]) + step, 0, 1)
     every = [stir(claim.stated, omega, fast, limit, one, two) for one, two in zip(share, led, strict=True)]
-    slope, light = np.array([one.slope for one in every]), masses[:, :2] * model
-    error = light.max(axis=0) * np.sqrt(whole[4, 4])
-    crossed, moving = float(np.abs(turns[:, :2]).max()), np.zeros(2)
-    for i, j in ((0, 1), (1, 0)):
-        per = masses[:, i].max()
-        pushed = np.max([per * rows(axes[i], plan, *pair) for plan in plans for pair in
-                         np.moveaxis(loops[:, i], 1, 0).swapaxes(1, 2)], axis=0)  # fmt: skip
-        swung = np.max([rows(axes[j], plan, k_v, k_v) for plan in plans], axis=0)
-        own = k_v * (forces[:, i] * per + crossed * (v * share[:, j] + claim.current))
-        own += np.array([one.ahead[i] for one in every])
-        ahead = (k_v + slope[:, i]) * limit * np.sqrt(np.linalg.eigvalsh(speed)[-1])
-        growth = ahead + k_v * (pushed + error[i] + crossed * largest(axes[j], speed)) + r * swung
-        moving[i] = float((growth + r * slope[:, i] * led[:, j] + own).max())
-    split = split_of(claim)
-    spread = np.array([one.spread for one in every]) ** 2 / split
+    spread, light = np.array([one.spread for one in every]) ** 2, masses[:, :2] * model
     if claim.lag:
-        late = np.array([one.turned for one in every]) + claim.period * moving / claim.lag
-        swing = np.zeros(len(every))
+        late, swing = np.array([one.turned for one in every]), np.zeros(len(every))
     else:
-        late = np.array([one.ahead for one in every])
-        spread, swing = 2 * spread, 2 * np.array([one.swing for one in every]) ** 2 / split
-    return Behind(k_v, claim.lag, _fall(claim), split, light, turns[:, 3], spread, swing, late)
+        late, spread = np.array([one.ahead for one in every]), 2 * spread
+        swing = 2 * np.array([one.swing for one in every]) ** 2
+    return Behind(k_v, blocks_of(claim), light, turns[:, 3], spread, swing, late)

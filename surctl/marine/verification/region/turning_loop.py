@@ -138,6 +138,7 @@ class Vertices:
     stray: float
     turn: Array
     behind: Behind | None
+    lag: float = 0.0
     limits: tuple[NDArray[np.bool_], Array] | None = None
     moves: Array | None = None
 
@@ -151,7 +152,7 @@ class Vertices:
         """Return the vertices of each form that decides: two with held commands, else one."""
         if self.behind is None:
             return [self]
-        return [replace(one, behind=phase) for one in self._modes() for phase in self.behind.phases()]
+        return [replace(one, behind=phase) for one in self._modes() for phase in self.behind.phases(self.lag)]
 
     def _modes(self) -> list[Vertices]:
         """Return the vertices for each set of body axes whose thrust is at its limit."""
@@ -185,7 +186,7 @@ class Vertices:
         factor = np.zeros((len(h), 4, 2))
         factor[:, 2:] = vectors * np.sqrt(np.maximum(values, 0))[:, None]
         if self.behind is None:
-            return A, factor, np.zeros((len(h), 4))
+            return A, factor, np.zeros((len(h), 4, 0))
         inner = np.einsum("ni,nijk->njk", self.behind.light[m], self.bodies[h])
         return self.behind.extended(A, factor, inner, h, t, _straight(self.plans[p]), self.turn[h], self.moves[h])
 
@@ -199,19 +200,19 @@ class Vertices:
         change, n = np.linalg.inv(np.linalg.cholesky(P)), len(P)
         side, place, speed = (change @ P[:, 2:4])[None], change[:, :2].T, change[:, 2:4].T
         if self.behind is not None:
-            side = side + change @ P[:, 4:] @ self.moves * self.behind.k_v  # (h, n, 2)
+            side = side + self.behind.pull(change, P) @ self.moves * self.behind.k_v  # (h, n, 2)
         kinematic = change @ P[:, :2] @ speed
         loose = 2 * self.loose * np.linalg.norm(side, axis=(-1, -2)).max() * np.linalg.norm(speed)
         fixed = kinematic + kinematic.T + (rate + growth + loose) * np.eye(n)
         turned = side[:, None] @ self.coriolis @ speed + self.bends[:, None, None] * _bent(change, P)
-        weighted, rear = self._weighted(side, P)
+        weighted, rear = self._weighted(side, change, P)
         outer = side[:, None, None]
         pushed = outer @ weighted @ outer.swapaxes(-1, -2)
         base = fixed - (turned + turned.swapaxes(-1, -2))[:, None] + pushed / (growth * low)
         away = np.zeros((n, n, 1, 1, 1, 1, 1, 1))
         if self.behind is not None:
             away, more = self.behind.added(change, P, self.bodies, _straight(self.plans), side, self.moves)
-            pull = change @ P[:, 4:]
+            pull = self.behind.pull(change, P)
             base = base + more + (pull @ rear @ pull.T / (growth * low))[:, None, None]
         driven = self._driven()
         led = side[:, None, None] @ (driven[:, :, :, None] @ self.plans) @ place  # (m, h, 2, p, n, n)
@@ -226,7 +227,7 @@ class Vertices:
             base[..., None, None, None] - (one[..., None, :, None, :] + two[..., None, None, :, :]) + away
         ).reshape(n, n, -1)  # fmt: skip
 
-    def _weighted(self, side: Array, P: Array) -> tuple[Array, Array]:
+    def _weighted(self, side: Array, change: Array, P: Array) -> tuple[Array, Array]:
         """Return Q, and that of E alone (h, 2, 2), with the weights of the checker, which measures the parts of w by V.
 
         `side` (headings, n, 2) is T P B.
@@ -236,7 +237,7 @@ class Vertices:
         gram = np.broadcast_to(side.swapaxes(-1, -2) @ side, (len(self.bodies), 2, 2))
         sizes = self.lack.max(axis=1) * np.sqrt(np.einsum("hijk,hjk->hi", self.bodies, gram))  # (h, i)
         late = np.zeros_like(sizes) if self.behind is None else self.behind.late
-        weights = late * (np.sqrt(2 * P[4, 4]) if self.behind is not None else 0.0)
+        weights = late * (float(np.linalg.norm(self.behind.pull(change, P))) if self.behind is not None else 0.0)
         total = most + (sizes + weights).sum(axis=1)[:, None, None] + strayed
         share = np.divide(total, most, out=np.zeros_like(total), where=most > 0)[..., None, None]
         parts = np.divide(total[:, :, 0], sizes, out=np.zeros_like(sizes), where=sizes > 0)  # (h, i)
@@ -335,7 +336,7 @@ def vertices(claim: TurningClaim, cruise: Cruise, covariance: Array, high: float
     stray = outer_force(claim.stated, y + cruise.beside) * heavy.max()
     return Vertices(
         bodies, crossed, masses, coriolis, turns[:, 2], loose, loops, plans,
-        _forces(bodies, effect, lack, stray), effect, lack, stray, turn, behind, limits,
+        _forces(bodies, effect, lack, stray), effect, lack, stray, turn, behind, claim.lag, limits,
     )  # fmt: skip
 
 

@@ -111,7 +111,7 @@ def _improve(
     cost[3] += (start.beside / units[1]) ** 2
     if extent is not None:
         fixed += _extents(extent / units, basis)
-    units = np.append(units, units[2:] * claim.gains["k_v"] if claim.behind else [])
+    units = np.append(units, np.tile(units[2:] * claim.gains["k_v"], claim.late_parts))
     if extent is None:
         fixed += _within(np.linalg.inv(bound) * units[:, None] * units, basis)
     rng = np.random.default_rng(0)
@@ -156,11 +156,12 @@ def _sizes(claim: TurningClaim) -> Array:
 
 def _basis(claim: TurningClaim) -> Array:
     """Return a basis (k, n, n) of the matrices of V: the last one is |E|², with thrust lag or held commands."""
-    size = 6 if claim.behind else 4
-    basis = np.zeros((len(_ENTRIES) + (size > 4), size, size))
+    size = 4 + 2 * claim.late_parts
+    basis = np.zeros((len(_ENTRIES) + claim.late_parts, size, size))
     for k, (i, j) in enumerate(_ENTRIES):
         basis[k, i, j] = basis[k, j, i] = 1
-    basis[-1, range(4, size), range(4, size)] = 1
+    for k in range(claim.late_parts):
+        basis[len(_ENTRIES) + k, (4 + 2 * k, 5 + 2 * k), (4 + 2 * k, 5 + 2 * k)] = 1
     return basis
 
 
@@ -198,8 +199,10 @@ def _decay(
     half = np.einsum("kij,njl->nkil", basis, A * units / units[:, None])
     whole = np.zeros((len(A), count + 1, n + inner, n + inner))
     whole[:, :-1, :n, :n] = -(half + half.swapaxes(-1, -2) + (rate + growth + _MARGIN + _LOOSE * shell.loose) * basis)
-    for k in range(4):  # the last entry of V is in units of |E|²
-        whole[:, count - 1, k, k] -= weights[:, k] * (units[k] / units[-1]) ** 2
+    parts = weights.shape[2]
+    for part in range(parts):  # these entries of V are in units of |E|²
+        for k in range(4):
+            whole[:, count - parts + part, k, k] -= weights[:, k, part] * (units[k] / units[4 + 2 * part]) ** 2
     side = np.einsum("kij,njl->nkil", basis, factor / units[:, None])
     whole[:, :-1, :n, n:], whole[:, :-1, n:, :n] = side, side.swapaxes(-1, -2)
     constant = np.zeros((len(A), n + inner, n + inner))
@@ -264,7 +267,7 @@ def turning_search(
                 left -= used
                 continue
             start, extent = _first(claim, away, rng, k, smaller=smaller)
-            behind = _ERROR * claim.gains["k_v"] * extent[2:] if claim.behind else np.zeros(0)
+            behind = np.tile(_ERROR * claim.gains["k_v"] * extent[2:], claim.late_parts)
             bound = np.diag(np.append(extent, behind) ** 2)
             improved = _improve(claim, cruise, bound, start, active, extent)
             k, left = k + 1, left - 1
