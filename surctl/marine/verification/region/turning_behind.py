@@ -22,125 +22,127 @@ _SPLIT = 0.6  # of the decay of E that serves as multiplier λ
 
 
 @dataclass(frozen=True)
-class Block:
-    """Two entries of the state that follow the velocity: E, or the change of a held command.
-
-    Attributes:
-        at: number of the first entry.
-        fall: rate φ of the decay of the square [1/s].
-        split: multiplier λ [1/s].
-        driven: whether the rate of the command counts in this form.
-        acts: whether the entries act on the vehicle.
-        feeds: rate at which the entries feed those of E [1/s].
-    """
-
-    at: int
-    fall: float
-    split: float
-    driven: bool = True
-    acts: bool = False
-    feeds: float = 0.0
-
-
-@dataclass(frozen=True)
 class Behind:
-    """What thrust lag and held commands add to the vertices.
+    """What thrust lag and held commands add to the vertices: the entries F of the thrust, and then ε of a held command.
 
     Attributes:
         k_v: gain of the law [1/s].
-        blocks: the entries of the state that they add.
+        lag: time constant [s]; 0 for thrust without lag, and then no F.
+        held: whether there is ε.
+        driven: whether the rate of the commands counts in this form; else the held command acts in it.
+        fall: rate φ of the decay of |ε|² [1/s].
+        split: multiplier λ [1/s].
         light: inverse factors of the masses (masses, 2).
         rates: yaw rate r of each Coriolis term (terms,) [rad/s].
-        spread: c² (headings,) [1/s⁴], twice as much without lag.
-        swing: weight of |δW|² (headings,) [1/s⁴], without lag.
+        spread: weight of |δU|² (headings,) [1/s³].
+        swing: weight of |δW|² (headings,) [1/s³].
         late: bound on w_2 along each axis (headings, 2) [m/s³].
     """
 
     k_v: float
-    blocks: tuple[Block, ...]
+    lag: float
+    held: bool
+    driven: bool
+    fall: float
+    split: float
     light: Array
     rates: Array
     spread: Array
     swing: Array
     late: Array
 
-    def phases(self, lag: float) -> tuple[Behind, ...]:
+    def phases(self) -> tuple[Behind, ...]:
         """Return the forms that decide: with held commands those at both ends of a period, else one."""
-        *first, last = self.blocks
-        if not last.acts or lag and len(self.blocks) > 1:
-            end = replace(last, driven=False, split=0.0, acts=not first, feeds=1 / lag if first else 0.0)
-            return self, replace(self, blocks=(*first, end))
-        return (self,)
+        if not self.held:
+            return (self,)
+        nothing = np.zeros_like(self.spread)
+        return self, replace(self, driven=False, split=0.0, spread=nothing, swing=nothing)
+
+    @property
+    def error(self) -> int:
+        """Number of the first entry of ε."""
+        return 6 if self.lag else 4
+
+    def entry(self, n: int) -> Array:
+        """Return what w_2 changes (n, 2)."""
+        entry = np.zeros((n, 2))
+        if self.lag:
+            entry[4:6] = np.eye(2)
+        if self.held and self.driven:
+            entry[-2:] = np.eye(2)
+        return entry
 
     def extended(
-        self, A: Array, factor: Array, inner: Array, h: Numbers, t: Numbers, plans: Array, turn: Array, moves: Array
+        self, A: Array, factor: Array, inner: Array, h: Numbers, t: Numbers, plans: Array, turn: Array, moves: Array,
+        led: Array,
     ) -> tuple[Array, Array, Array]:
-        n = 4 + 2 * len(self.blocks)
+        n = self.error + 2 * self.held
         whole, more = np.zeros((len(h), n, n)), np.zeros((len(h), n, 4))
         whole[:, :4, :4] = A
-        driven = any(block.driven for block in self.blocks)
-        more[:, :4, :2] = (_OTHERS if driven else 1.0) * factor
-        weights = np.zeros((len(h), 4, len(self.blocks)))
-        for block in self.blocks:
-            if block.acts:
-                whole[:, 2:4, block.at : block.at + 2] = inner
-        for k, block in enumerate(self.blocks):
-            own = slice(block.at, block.at + 2)
-            if block.feeds:
-                whole[:, 4:6, own] += block.feeds * np.eye(2)
-            if block.driven:
-                swung = self.k_v * self.rates[t][:, None, None] * (moves @ _TWIST)
-                whole[:, own] += self.k_v * moves @ whole[:, 2:4]
-                whole[:, own, 2:4] += swung
-                whole[:, own, :2] += swung * plans[:, None, :]
-                more[:, own, :2] = self.k_v * moves @ more[:, 2:4, :2]
-                more[:, own, 2:] = _OWN * turn * self.late[h][:, None, :]
-                weights[:, :, k] = self.spread[h][:, None] / block.split
-                weights[:, :2, k] = self.swing[h][:, None] / block.split * plans**2
-            whole[:, own, own] -= (block.fall - block.split) / 2 * np.eye(2)
+        late = np.any(self.entry(n))
+        more[:, :4, :2] = (_OTHERS if late else 1.0) * factor
+        weights = np.zeros((len(h), 4))
+        if self.lag:
+            whole[:, 2:4, 4:6] = inner
+            whole[:, 4:6, :4] = led / self.lag
+            whole[:, 4:6, 4:6] = -np.eye(2) / self.lag - self.rates[t][:, None, None] * _TWIST
+        if self.held and not self.driven:
+            if self.lag:
+                whole[:, 4:6, 6:] = np.eye(2) / self.lag
+            else:
+                whole[:, 2:4, 4:] = inner
+        if self.held and self.driven:
+            swung = self.k_v * self.rates[t][:, None, None] * (moves @ _TWIST)
+            whole[:, -2:] = self.k_v * moves @ whole[:, 2:4]
+            whole[:, -2:, 2:4] += swung
+            whole[:, -2:, :2] += swung * plans[:, None, :]
+            more[:, -2:, :2] = self.k_v * moves @ more[:, 2:4, :2]
+            weights = np.repeat(self.spread[h][:, None], 4, axis=1)
+            weights[:, :2] = self.swing[h][:, None] * plans**2
+        if self.held:
+            whole[:, -2:, -2:] -= (self.fall - self.split) / 2 * np.eye(2)
+        more[:, :, 2:] = _OWN * self.entry(n) @ (turn * self.late[h][:, None, :])
         return whole, more, weights
 
-    def pull(self, change: Array, P: Array) -> Array:
-        """Return T P of the entries that a command drives (n, 2)."""
-        return np.asarray(sum((change @ P[:, b.at : b.at + 2] for b in self.blocks if b.driven), np.zeros((len(P), 2))))
-
     def added(self, change: Array, P: Array, bodies: Array, plans: Array, side: Array, moves: Array) -> tuple[Array, Array]:
-        place, speed, pull = change[:, :2].T, change[:, 2:4].T, self.pull(change, P)
-        swung = np.array([pull @ moves @ _TWIST @ (speed + plan[:, None] * place) * self.k_v for plan in plans])
-        swung = swung + swung.swapaxes(-1, -2)
-        away = np.einsum("t,phij->ijhtp", self.rates, swung)[:, :, :, None, :, None, None, :]
+        place, speed = change[:, :2].T, change[:, 2:4].T
+        away = np.zeros((len(P), len(P), 1, 1, len(self.rates), 1, 1, 1))
         more = np.zeros((len(bodies), len(self.light), len(P), len(P)))
-        for block in self.blocks:
-            q, rear = P[block.at, block.at], change[:, block.at : block.at + 2].T
-            if block.acts:
-                one = side[:, None] @ np.einsum("mi,hijk->hmjk", self.light, bodies) @ rear
+        acting = side[:, None] @ np.einsum("mi,hijk->hmjk", self.light, bodies)
+        if self.lag:
+            thrust, rear = change @ P[:, 4:6], change[:, 4:6].T
+            one = acting @ rear - thrust @ rear / self.lag
+            more = more + one + one.swapaxes(-1, -2)
+            turned = thrust @ _TWIST @ rear
+            away = away - np.einsum("t,ij->ijt", self.rates, turned + turned.T)[:, :, None, None, :, None, None, None]
+        if self.held:
+            q, rear = P[-1, -1], change[:, -2:].T
+            more = more - (self.fall - self.split) * q * (rear.T @ rear)
+            if not self.driven:
+                one = change @ P[:, 4:6] @ rear / self.lag if self.lag else acting @ rear
                 more = more + one + one.swapaxes(-1, -2)
-            if block.feeds:
-                one = change @ P[:, 4:6] @ rear * block.feeds
-                more = more + one + one.T
-            if block.driven:
-                each = q / block.split
-                more = more + (each * self.spread)[:, None, None, None] * (speed.T @ speed)
-                led = np.einsum("h,pk,ki,kj->ijhp", each * self.swing, plans**2, place, place)
+            else:
+                pull = change @ P[:, -2:]
+                swung = np.array([pull @ moves @ _TWIST @ (speed + plan[:, None] * place) * self.k_v for plan in plans])
+                swung = swung + swung.swapaxes(-1, -2)
+                away = away + np.einsum("t,phij->ijhtp", self.rates, swung)[:, :, :, None, :, None, None, :]
+                led = np.einsum("h,pk,ki,kj->ijhp", self.swing * q, plans**2, place, place)
                 away = away + led[:, :, :, None, None, None, None, :]
-            more = more - (block.fall - block.split) * q * (rear.T @ rear)
+                more = more + (self.spread * q)[:, None, None, None] * (speed.T @ speed)
         return away, more[:, :, None]
 
 
-def blocks_of(claim: TurningClaim) -> tuple[Block, ...]:
-    """Return the entries that thrust lag and held commands add to the state."""
+def fall_of(claim: TurningClaim) -> float:
+    """Return φ [1/s] of a claim with held commands."""
+    if not claim.period:
+        return 0.0
+    return 1 / claim.period - (0.0 if claim.lag else claim.gains["k_v"] / claim.mass_factor[0] / 2)
 
-    def split(fall: float) -> float:
-        return float(f"{_SPLIT * max(fall / 2 - claim.gains['k_v'], fall / 4):.4g}")
 
-    blocks = []
-    if claim.lag:
-        fall = 2 / claim.lag
-        blocks.append(Block(4, fall, split(fall), acts=True))
-    if claim.period:
-        fall = 1 / claim.period - (0.0 if claim.lag else claim.gains["k_v"] / claim.mass_factor[0] / 2)
-        blocks.append(Block(4 + 2 * len(blocks), fall, split(fall)))
-    return tuple(blocks)
+def split_of(claim: TurningClaim) -> float:
+    """Return the multiplier λ [1/s] of a claim with held commands."""
+    half = fall_of(claim) / 2
+    return float(f"{_SPLIT * max(half - claim.gains['k_v'], half / 2):.4g}")
 
 
 def behind_of(
@@ -184,10 +186,12 @@ def behind_of(
     step = np.pi / 2 / max(len(turn) - 1, 1) / 2
     share = np.clip(np.abs(turn[:, 0, :]) + step, 0, 1)
     every = [stir(claim.stated, omega, fast, limit, one, two) for one, two in zip(share, led, strict=True)]
-    spread, light = np.array([one.spread for one in every]) ** 2, masses[:, :2] * model
-    if claim.lag:
-        late, swing = np.array([one.turned for one in every]), np.zeros(len(every))
-    else:
-        late, spread = np.array([one.ahead for one in every]), 2 * spread
-        swing = 2 * np.array([one.swing for one in every]) ** 2
-    return Behind(k_v, blocks_of(claim), light, turns[:, 3], spread, swing, late)
+    light, late = masses[:, :2] * model, np.array([one.ahead for one in every])
+    spread = swing = np.zeros(len(every))
+    split = split_of(claim)
+    if claim.period:
+        spread = 2 * np.array([one.spread for one in every]) ** 2 / split
+        swing = 2 * np.array([one.swing for one in every]) ** 2 / split
+    return Behind(
+        k_v, claim.lag, claim.period > 0, claim.period > 0, fall_of(claim), split, light, turns[:, 3], spread, swing, late
+    )

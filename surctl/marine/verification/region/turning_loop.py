@@ -139,6 +139,7 @@ class Vertices:
     turn: Array
     behind: Behind | None
     lag: float = 0.0
+    modelled: Any = None
     limits: tuple[NDArray[np.bool_], Array] | None = None
     moves: Array | None = None
 
@@ -152,7 +153,7 @@ class Vertices:
         """Return the vertices of each form that decides: two with held commands, else one."""
         if self.behind is None:
             return [self]
-        return [replace(one, behind=phase) for one in self._modes() for phase in self.behind.phases(self.lag)]
+        return [replace(one, behind=phase) for one in self._modes() for phase in self.behind.phases()]
 
     def _modes(self) -> list[Vertices]:
         """Return the vertices for each set of body axes whose thrust is at its limit."""
@@ -160,7 +161,7 @@ class Vertices:
         if self.limits is None:
             return modes
         active, pairs = self.limits
-        own = np.concatenate([self.loops, self.loops[:, :, :2]], axis=2)
+        own = np.concatenate([self.loops, self.loops], axis=2)[:, :, : pairs.shape[2]]
         for held in product((False, True), repeat=2):
             if not any(held) or not all(active[:, i].any() for i in (0, 1) if held[i]):
                 continue
@@ -175,20 +176,24 @@ class Vertices:
         The weights are those of q times the squared states with thrust lag or held commands, and 0 without.
         """
         h, m, t, one, two, p = np.unravel_index(np.asarray(chosen, dtype=int), self.shape)
-        pairs = np.stack([self.loops[h, 0, one], self.loops[h, 1, two]], 1)
-        stiff, damped = np.einsum("nic,nijk->cnjk", pairs, self._driven()[m, h])
-        A = np.zeros((len(h), 4, 4))
+        pairs = np.stack([self.loops[h, 0, one], self.loops[h, 1, two]], 1)  # (k, 2, 3)
+        stiff, damped, dragged = np.einsum("nic,nijk->cnjk", pairs, self._driven()[m, h])
+        led, A = np.zeros((len(h), 2, 4)), np.zeros((len(h), 4, 4))
         A[:, 0, 2] = A[:, 1, 3] = 1
-        A[:, 2:, :2] = -stiff @ self.plans[p]
-        A[:, 2:, 2:] = -damped - self.coriolis[h, t]
+        if self.lag:
+            stiff, damped = np.einsum("nic,nijk->cnjk", pairs[..., :2], self.model[h])
+        led[:, :, :2], led[:, :, 2:] = -stiff @ self.plans[p], -damped
+        A[:, 2:, 2:] = -dragged - self.coriolis[h, t]
+        if not self.lag:
+            A[:, 2:] += led
         A -= self.bends[t][:, None, None] * _TURNING
         values, vectors = np.linalg.eigh(self.Q[h, m, t])
         factor = np.zeros((len(h), 4, 2))
         factor[:, 2:] = vectors * np.sqrt(np.maximum(values, 0))[:, None]
         if self.behind is None:
-            return A, factor, np.zeros((len(h), 4, 0))
+            return A, factor, np.zeros((len(h), 4))
         inner = np.einsum("ni,nijk->njk", self.behind.light[m], self.bodies[h])
-        return self.behind.extended(A, factor, inner, h, t, _straight(self.plans[p]), self.turn[h], self.moves[h])
+        return self.behind.extended(A, factor, inner, h, t, _straight(self.plans[p]), self.turn[h], self.moves[h], led)
 
     def _driven(self) -> Array:
         """Return n_i n_iᵀ/m_i + β n_j n_iᵀ (masses, headings, 2, 2, 2): what a force on each axis i accelerates."""
@@ -200,7 +205,7 @@ class Vertices:
         change, n = np.linalg.inv(np.linalg.cholesky(P)), len(P)
         side, place, speed = (change @ P[:, 2:4])[None], change[:, :2].T, change[:, 2:4].T
         if self.behind is not None:
-            side = side + self.behind.pull(change, P) @ self.moves * self.behind.k_v  # (h, n, 2)
+            side = side + self._rear(change, P) @ self.moves * self.behind.k_v  # (h, n, 2)
         kinematic = change @ P[:, :2] @ speed
         loose = 2 * self.loose * np.linalg.norm(side, axis=(-1, -2)).max() * np.linalg.norm(speed)
         fixed = kinematic + kinematic.T + (rate + growth + loose) * np.eye(n)
@@ -212,20 +217,35 @@ class Vertices:
         away = np.zeros((n, n, 1, 1, 1, 1, 1, 1))
         if self.behind is not None:
             away, more = self.behind.added(change, P, self.bodies, _straight(self.plans), side, self.moves)
-            pull = self.behind.pull(change, P)
+            pull = change @ P @ self.behind.entry(n)
             base = base + more + (pull @ rear @ pull.T / (growth * low))[:, None, None]
         driven = self._driven()
-        led = side[:, None, None] @ (driven[:, :, :, None] @ self.plans) @ place  # (m, h, 2, p, n, n)
         slowed = side[:, None] @ driven @ speed  # (m, h, 2, n, n)
-        led, slowed = led + led.swapaxes(-1, -2), slowed + slowed.swapaxes(-1, -2)
+        if self.lag:
+            command = ((change @ P[:, 4:6] / self.lag) @ self.model)[None]  # (1, h, 2, n, 2)
+        else:
+            command = side[:, None] @ driven
+        led, eased = command[:, :, :, None] @ self.plans @ place, command @ speed  # (m, h, 2, p, n, n)
+        led, slowed, eased = (part + part.swapaxes(-1, -2) for part in (led, slowed, eased))
         whole = (
             np.einsum("hil,mhipjk->ihmlpjk", self.loops[..., 0], led)
-            + np.einsum("hil,mhijk->ihmljk", self.loops[..., 1], slowed)[:, :, :, :, None]
+            + np.einsum("hil,mhijk->ihmljk", self.loops[..., 1], eased)[:, :, :, :, None]
+            + np.einsum("hil,mhijk->ihmljk", self.loops[..., 2], slowed)[:, :, :, :, None]
         )
         base, one, two = (np.moveaxis(part, (-2, -1), (0, 1)) for part in (base, *whole))
         return np.asarray(
             base[..., None, None, None] - (one[..., None, :, None, :] + two[..., None, None, :, :]) + away
         ).reshape(n, n, -1)  # fmt: skip
+
+    @property
+    def model(self) -> Array:
+        """Return n_i n_iᵀ divided by the mass in the law's model (headings, 2, 2, 2)."""
+        return self.bodies / self.modelled[:, None, None]
+
+    def _rear(self, change: Array, P: Array) -> Array:
+        """Return T P of the entries that the rate of the commands drives (n, 2)."""
+        driven = self.behind is not None and self.behind.held and self.behind.driven
+        return change @ P[:, -2:] * driven
 
     def _weighted(self, side: Array, change: Array, P: Array) -> tuple[Array, Array]:
         """Return Q, and that of E alone (h, 2, 2), with the weights of the checker, which measures the parts of w by V.
@@ -237,7 +257,7 @@ class Vertices:
         gram = np.broadcast_to(side.swapaxes(-1, -2) @ side, (len(self.bodies), 2, 2))
         sizes = self.lack.max(axis=1) * np.sqrt(np.einsum("hijk,hjk->hi", self.bodies, gram))  # (h, i)
         late = np.zeros_like(sizes) if self.behind is None else self.behind.late
-        weights = late * (float(np.linalg.norm(self.behind.pull(change, P))) if self.behind is not None else 0.0)
+        weights = late * (float(np.linalg.norm(change @ P @ self.behind.entry(len(P)))) if self.behind is not None else 0.0)
         total = most + (sizes + weights).sum(axis=1)[:, None, None] + strayed
         share = np.divide(total, most, out=np.zeros_like(total), where=most > 0)[..., None, None]
         parts = np.divide(total[:, :, 0], sizes, out=np.zeros_like(sizes), where=sizes > 0)  # (h, i)
@@ -336,7 +356,7 @@ def vertices(claim: TurningClaim, cruise: Cruise, covariance: Array, high: float
     stray = outer_force(claim.stated, y + cruise.beside) * heavy.max()
     return Vertices(
         bodies, crossed, masses, coriolis, turns[:, 2], loose, loops, plans,
-        _forces(bodies, effect, lack, stray), effect, lack, stray, turn, behind, claim.lag, limits,
+        _forces(bodies, effect, lack, stray), effect, lack, stray, turn, behind, claim.lag, np.array(claim.mass), limits,
     )  # fmt: skip
 
 
@@ -386,20 +406,23 @@ def _loops(claim: TurningClaim, cruise: Cruise, sized: Array, turn: Array, plans
         need = np.max([largest((gain + slope)[:, None] * one + gain * still) for one in led for slope in h], axis=0)
         part = np.minimum(1.0, 0.99 * left / need)
         parts.append(part)
-        axes.append([(q * (gain + h[a]), q * gain + t[b]) for q, a, b in _extremes(part)])
-        free.append([(gain + h[a], gain + t[b]) for a in (0, 1) for b in (0, 1)])
+        axes.append([(q * (gain + h[a]), q * gain, t[b]) for q, a, b in _extremes(part, full=claim.lag > 0)])
+        free.append([(gain + h[a], gain + 0 * part, t[b]) for a in (0, 1) for b in (0, 1)])
     if len({len(axis) for axis in axes}) > 1:  # one axis alone may reach its thrust limit: repeat the other's pairs
-        axes = [axis if len(axis) == 6 else [*axis, *axis[:2]] for axis in axes]
+        axes = [axis if len(axis) > 4 else [*axis, *axis][: max(map(len, axes))] for axis in axes]
     pairs = np.asarray(np.moveaxis(np.array(axes, dtype=np.float64), (0, 1, 2), (1, 2, 3)))
-    if not claim.behind or pairs.shape[2] == 4:
+    if not claim.period or pairs.shape[2] == 4:
         return pairs, None
     own = np.asarray(np.moveaxis(np.array(free, dtype=np.float64), (0, 1, 2), (1, 2, 3)))
     return own, (np.stack(parts, 1) < 1, pairs)
 
 
-def _extremes(part: Array) -> list[tuple[Array, int, int]]:
+def _extremes(part: Array, full: bool = False) -> list[tuple[Array, int, int]]:
     """Return the extreme (φ, end of h, end of t): the other two corners of the rectangles of φ lie between these."""
-    full = np.ones_like(part)
+    whole = np.ones_like(part)
     if np.all(part >= 1):
-        return [(full, a, b) for a in (0, 1) for b in (0, 1)]
+        return [(whole, a, b) for a in (0, 1) for b in (0, 1)]
+    if full:
+        return [(q, a, b) for q in (part, whole) for a in (0, 1) for b in (0, 1)]
+    full = whole
     return [(part, 0, 0), (part, 0, 1), (part, 1, 0), (full, 0, 1), (full, 1, 0), (full, 1, 1)]

@@ -23,6 +23,7 @@ Array = NDArray[np.float64]
 
 _USUAL = np.array([0.3, 0.8, 0.15])  # k1 [1/s], look-ahead [m] and cruise speed [m/s] of the first start values
 _ENTRIES = ((0, 0), (2, 0), (2, 2), (1, 1), (3, 1), (3, 3))
+_OF_THRUST = ((4, 0), (4, 2), (4, 4), (5, 1), (5, 3), (5, 5))
 _SHELLS = 3  # shells of the search
 _CELLS, _FINE = 28, 4  # cells of headings, and the number of them that one cell of the search covers
 _ROUNDS, _CUTS, _TIGHT = 25, 6, 8
@@ -157,11 +158,12 @@ def _sizes(claim: TurningClaim) -> Array:
 def _basis(claim: TurningClaim) -> Array:
     """Return a basis (k, n, n) of the matrices of V: the last one is |E|², with thrust lag or held commands."""
     size = 4 + 2 * claim.late_parts
-    basis = np.zeros((len(_ENTRIES) + claim.late_parts, size, size))
-    for k, (i, j) in enumerate(_ENTRIES):
+    entries = _ENTRIES + (_OF_THRUST if claim.lag else ())
+    basis = np.zeros((len(entries) + (claim.period > 0), size, size))
+    for k, (i, j) in enumerate(entries):
         basis[k, i, j] = basis[k, j, i] = 1
-    for k in range(claim.late_parts):
-        basis[len(_ENTRIES) + k, (4 + 2 * k, 5 + 2 * k), (4 + 2 * k, 5 + 2 * k)] = 1
+    if claim.period:
+        basis[-1, (-2, -1), (-2, -1)] = 1
     return basis
 
 
@@ -199,10 +201,8 @@ def _decay(
     half = np.einsum("kij,njl->nkil", basis, A * units / units[:, None])
     whole = np.zeros((len(A), count + 1, n + inner, n + inner))
     whole[:, :-1, :n, :n] = -(half + half.swapaxes(-1, -2) + (rate + growth + _MARGIN + _LOOSE * shell.loose) * basis)
-    parts = weights.shape[2]
-    for part in range(parts):  # these entries of V are in units of |E|²
-        for k in range(4):
-            whole[:, count - parts + part, k, k] -= weights[:, k, part] * (units[k] / units[4 + 2 * part]) ** 2
+    for k in range(4):  # the last entry of V is in units of |ε|²
+        whole[:, count - 1, k, k] -= weights[:, k] * (units[k] / units[-1]) ** 2
     side = np.einsum("kij,njl->nkil", basis, factor / units[:, None])
     whole[:, :-1, :n, n:], whole[:, :-1, n:, :n] = side, side.swapaxes(-1, -2)
     constant = np.zeros((len(A), n + inner, n + inner))

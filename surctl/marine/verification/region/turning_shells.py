@@ -18,7 +18,7 @@ from surctl.certcheck import seal
 from surctl.certcheck.region_claim import axis_pairs
 from surctl.certcheck.turning_terms import other_moment
 from surctl.marine.verification.region.turning import TurningClaim
-from surctl.marine.verification.region.turning_behind import blocks_of
+from surctl.marine.verification.region.turning_behind import split_of
 from surctl.marine.verification.region.turning_loop import Cruise, Vertices, vertices
 
 Array = NDArray[np.float64]
@@ -103,9 +103,8 @@ def transformed(P: Array, at: Vertices, chosen: Numbers | list[int]) -> tuple[Ar
     change = np.linalg.inv(np.linalg.cholesky(P))
     half, side = (change @ P) @ A @ change.T, (change @ P) @ factor
     half = half + half.swapaxes(-1, -2)
-    for k in range(weights.shape[2]):
-        q = P[4 + 2 * k, 4 + 2 * k]
-        half = half + q * (change[:, :4] * weights[:, None, :, k]) @ change[:, :4].T
+    if len(P) > 4:
+        half = half + P[-1, -1] * (change[:, :4] * weights[:, None]) @ change[:, :4].T
     return half, side @ side.swapaxes(-1, -2)
 
 
@@ -214,7 +213,7 @@ def region_of(claim: TurningClaim, candidate: TurningCandidate) -> Region:
     if claim.current:
         proof["flow"] = cruise.flow.tolist()
     if claim.behind:
-        proof["thrust"] = [{"weight": float(P[b.at, b.at]), "split": b.split} for b in blocks_of(claim)]
+        proof["thrust"] = {"weight": float(P[4, 4]), "split": split_of(claim)}
     return Region(
         start,
         still if still > 0 else None,
