@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
-from fractions import Fraction
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -120,6 +119,9 @@ class TurningClaim:
                 "heave_m_per_s2": self.heave[1],
                 "yaw_rad_per_s2": self.turn_rate,
                 "current_m_per_s": self.current,
+                "force_n": self.force,
+                "place_error_m": self.place_error,
+                "velocity_error_m_per_s": self.velocity_error,
                 "lag_s": [self.lag, self.lag],
             },
             "law": {
@@ -155,9 +157,7 @@ class TurningClaim:
     @cached_property
     def stated(self) -> Stated:
         """Return the claim as the checker reads it, with a region that is not yet known."""
-        stated = read_claim(self.document(offset=1.0, rest_offset=None, ultimate_bound=(1.0, 1.0), munk_moment=0.0))
-        force, place, speed = (Fraction(repr(n)) for n in (self.force, self.place_error, self.velocity_error))
-        return replace(stated, force=force, place_error=place, velocity_error=speed)
+        return read_claim(self.document(offset=1.0, rest_offset=None, ultimate_bound=(1.0, 1.0), munk_moment=0.0))
 
     @cached_property
     def vertex_numbers(self) -> tuple[float, NDArray[np.float64], NDArray[np.float64]]:

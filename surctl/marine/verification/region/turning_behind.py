@@ -134,9 +134,7 @@ class Behind:
 
 def fall_of(claim: TurningClaim) -> float:
     """Return φ [1/s] of a claim with held commands."""
-    if not claim.period:
-        return 0.0
-    return 1 / claim.period - (0.0 if claim.lag else claim.gains["k_v"] / claim.mass_factor[0] / 2)
+    return 1 / claim.period - claim.gains["k_v"] / claim.mass_factor[0] / 2 if claim.period else 0.0
 
 
 def split_of(claim: TurningClaim) -> float:

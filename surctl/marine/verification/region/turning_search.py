@@ -48,6 +48,7 @@ _PRICE, _FREE = 0.8, 0.2  # a floor above 0.2 counts as a smaller region
 _TRIED = 3  # number of candidates that the checker sees at most
 _ERROR = 0.5  # first E, divided by k_v times the first velocity deviation
 _LOOSE = 4.0  # reserve of the decay rate for each 1/s of the Coriolis terms that m12 adds
+_WEIGHTS = np.array([0.6, 1.0, 1.5])  # of held commands, in units of that of the thrust
 _MARGIN = 0.006  # [1/s] reserve of the decay rate, for points between the grid points
 
 
@@ -227,7 +228,7 @@ def _remember(P: Array, parts: list[_Part], chosen: list[set[int]], active: _Act
 
 
 def _first(
-    claim: TurningClaim, away: float, rng: np.random.Generator, k: int, *, smaller: bool
+    claim: TurningClaim, away: float, rng: np.random.Generator, k: int, *, smaller: int
 ) -> tuple[_Start, Array]:
     """Return the start values number k and the extent (4,) of the region."""
     along, beside, fast, _ = _sizes(claim)
@@ -235,7 +236,7 @@ def _first(
     start = _FIRST[k % len(_FIRST)] * (along, beside, speed, fast / beside, 1, 1, beside)
     start = start * np.exp(rng.normal(scale=_SPREAD) * (k >= len(_FIRST)))
     start[0] += away
-    start = start * (_SMALLER if smaller else 1.0)
+    start = start * _SMALLER**smaller
     levels = np.geomspace(min(start[4], _HIGHEST), 1.0, _SHELLS + 1)
     return _Start(levels, start[5] * levels[1:] ** -0.15, start[6]), start[:4] * (1, 1, 1, start[1])
 
@@ -251,13 +252,16 @@ def turning_search(
     the trim force.
     """
     fine = steady_turning(claim, cells=_CELLS, slopes=slopes)
+    if claim.lag and claim.period:
+        yield from _held(claim, fine, turning_search(replace(claim, period=0.0), attempts=attempts, seed=seed))
+        return
     cruise = replace(fine, headings=fine.headings[::_FINE], lack=fine.lack[::_FINE])
     away = max(map(abs, cruise.moved)) / claim.gains["k1"]
     rng = np.random.default_rng(seed)
     active = _Active({})
     first: list[_Region] = []
     grown: list[_Region] = []
-    for smaller in (False, True):
+    for smaller in range(3):
         left, k = attempts, 0
         while left > 0:
             if first and (len(first) + len(grown) >= _ENOUGH or 4 * (attempts - left) >= attempts):
@@ -287,6 +291,21 @@ def turning_search(
     for _, candidate in further:  # the checker accepts none of the others
         if candidate is not None:
             yield candidate
+
+
+def _held(
+    claim: TurningClaim, fine: Cruise, without: Iterator[TurningCandidate]
+) -> Iterator[TurningCandidate]:
+    """Yield candidates for held commands with lag from those `without` held commands: the shape of V hardly changes."""
+    for one in without:
+        size, found = len(one.P), []
+        for weight in _WEIGHTS * np.sqrt(one.P[4, 4] * one.P[5, 5]):
+            P = np.diag(np.full(size + 2, weight))
+            P[:size, :size] = one.P
+            candidate = fitted(claim, fine, P, one.growths[-1])
+            if candidate is not None:
+                found.append(candidate)
+        yield from sorted(found, key=lambda one: -_score(claim, one))
 
 
 def _region(claim: TurningClaim, cruise: Cruise, start: _Start, P: Array, growths: Array) -> _Region:
