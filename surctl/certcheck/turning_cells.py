@@ -57,7 +57,7 @@ from surctl.certcheck.turning_terms import (
     Turn,
     coupling_of,
     flow_gains,
-    flow_lack,
+    flow_push,
     inverse_masses,
     outer_force,
     turn_points,
@@ -78,6 +78,7 @@ class Disturbed:
 
     Attributes:
         lack: largest |l_i| (2,) [N].
+        pushed: largest norm of a further error of both axes [N].
         loose: norm of the Coriolis terms that m12 adds [1/s].
         stray: largest acceleration by these terms, by the Coriolis term of the current, and by disturbance forces and
             errors of measurement [m/s²].
@@ -88,6 +89,7 @@ class Disturbed:
     """
 
     lack: Array
+    pushed: float
     loose: float
     stray: float
     late: Array
@@ -153,6 +155,7 @@ def decays(
     spread = float(np.linalg.norm(form.lever)) * UP
     weights.append(disturbed.stray * spread)
     weights += [late * float(np.linalg.norm(pull)) for late, pull in zip(disturbed.late, pulls, strict=True)]
+    weights.append(disturbed.pushed * heavy[:, :2].max() * spread)
     total = sum(weights)
     forced, force = np.zeros((len(heavy), len(turns), len(z), n, n)), 0.0
     if total > 0:
@@ -165,6 +168,8 @@ def decays(
             force += (size * 3.3 * v * float(np.abs(turns).max())) ** 2 * scale
         for i in (0, 1):
             scale = lack[i] ** 2 * (total / weights[1 + i] / floor) if lack[i] > 0 else 0.0
+            if disturbed.pushed > 0:  # ‖M⁻¹ l‖² is that of both axes
+                scale += disturbed.pushed**2 * (total / weights[6] / floor)
             if scale > 0:
                 # w = l_i (n_i/m_i + β n_j) on axis i
                 share, other = heavy[:, i], heavy[:, 2]
@@ -330,12 +335,14 @@ class Cells:
     """Cells of headings ψ in [0, 90°].
 
     `share` (cells, 2, 2) holds the least and largest |cosine| between the path and each axis of the body, `corners`
-    (cells, 3, 2) the triangles that contain (cos 2ψ, sin 2ψ), and `lack` (cells, 2) the largest |l_i| [N].
+    (cells, 3, 2) the triangles that contain (cos 2ψ, sin 2ψ), `lack` (cells, 2) the largest |l_i| [N], and `pushed`
+    (cells,) the largest norm of what a current leaves of the trim force [N].
     """
 
     share: Array
     corners: Array
     lack: Array
+    pushed: Array
 
 
 def heading_cells(claim: TurningClaim, trim: Trim, count: int) -> Cells:
@@ -352,10 +359,10 @@ def heading_cells(claim: TurningClaim, trim: Trim, count: int) -> Cells:
     centre = triangle.mean(axis=0)
     triangle = centre + (triangle - centre) * (1 + 1e-6)  # its edges are rounded
     corners = triangle[None, :, :1] * ahead[:, None] + triangle[None, :, 1:] * aside[:, None]
-    lack = _lack(claim, trim, share)
+    pushed = np.zeros(count)
     if claim.current:
-        lack = lack + flow_lack(claim, trim.flow, (float(trim.omega[0]), float(trim.omega[1])), share)
-    return Cells(share, corners, lack)
+        pushed = flow_push(claim, trim.flow, (float(trim.omega[0]), float(trim.omega[1])), share)
+    return Cells(share, corners, _lack(claim, trim, share), pushed)
 
 
 def _lack(claim: TurningClaim, trim: Trim, share: Array) -> Array:
@@ -448,7 +455,10 @@ def check_shell(
             rate = at.ahead * UP
             if claim.period and phase.begins:
                 spread, swing = np.sqrt(2) * UP * at.spread, np.sqrt(2) * UP * at.swing
-        disturbed = Disturbed(lack[k], loose, stray, rate, spread, swing, phase)
+        disturbed = Disturbed(lack[k], float(cells.pushed[k]), loose, stray, rate, spread, swing, phase)
+        if not phase.begins:  # s_i does not count, and the limited commands include the others
+            for loop in loops:
+                loop[:, 3] = loop[:, 3] > loop[:, 3].min()
         for moves in product((1, 0), repeat=2):
             pairs = [loop[loop[:, 3] == move, :3] for loop, move in zip(loops, moves, strict=True)]
             one = replace(disturbed, moves=moves)

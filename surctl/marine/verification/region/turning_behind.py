@@ -146,12 +146,11 @@ def split_of(claim: TurningClaim) -> float:
 def behind_of(
     claim: TurningClaim,
     omegas: tuple[float, float],
-    forces: Array,
+    fastest: float,
     covariance: Array,
     high: float,
     turn: Array,
     plans: Array,
-    loops: Array,
     masses: Array,
     turns: Array,
 ) -> Behind:
@@ -160,33 +159,25 @@ def behind_of(
     Args:
         claim: the claim.
         omegas: range of ω [m/s].
-        forces: largest |l_i| (headings, 2) [N].
+        fastest: largest commanded speed along the path [m/s].
         covariance: P⁻¹ (n, n).
         high: level of V.
         turn: rotation matrices (headings, 2, 2) of the grid.
-        plans, loops, masses, turns: the vertices, see `Vertices`.
+        plans, masses, turns: the vertices, see `Vertices`.
     """
-    k_v, r, v, model = claim.gains["k_v"], claim.yaw_rate, claim.cruise, np.array(claim.mass)
-    omega, fast = max(map(abs, omegas)), v + omegas[1]
-    whole = covariance * high
-    limit = lipschitz(claim.stated, fast, float(np.sqrt(whole[1, 1])))
-    place, speed = whole[:2, :2], whole[2:4, 2:4]
+    k_v, model = claim.gains["k_v"], np.array(claim.mass)
+    omega, fast, whole = max(map(abs, omegas)), claim.cruise + omegas[1], covariance[:2, :2] * high
+    limit = lipschitz(claim.stated, fastest, float(np.sqrt(whole[1, 1])))
 
-    def largest(n: Array, matrix: Array) -> Array:
-        return np.asarray(np.sqrt(np.einsum("hi,ij,hj->h", n, matrix, n)))
+    def largest(n: Array) -> Array:
+        return np.asarray(np.sqrt(np.einsum("hi,ij,hj->h", n, whole, n)))
 
-    def rows(n: Array, plan: Array, first: Array | float, second: Array | float) -> Array:
-        row = np.hstack([n * plan * np.reshape(first, (-1, 1)), n * np.reshape(second, (-1, 1))])
-        return np.asarray(np.sqrt(np.einsum("hi,ij,hj->h", row, whole[:4, :4], row)))
-
-    axes = [turn[:, :, i] for i in (0, 1)]
-    led = np.stack([np.max([largest(n * plan, place) for plan in plans], axis=0) for n in axes], 1)
+    led = np.stack([np.max([largest(turn[:, :, i] * plan) for plan in plans], axis=0) for i in (0, 1)], 1)
     step = np.pi / 2 / max(len(turn) - 1, 1) / 2
     share = np.clip(np.abs(turn[:, 0, :]) + step, 0, 1)
     every = [stir(claim.stated, omega, fast, limit, one, two) for one, two in zip(share, led, strict=True)]
     light, late = masses[:, :2] * model, np.array([one.ahead for one in every])
-    spread = swing = np.zeros(len(every))
-    split = split_of(claim)
+    spread, swing, split = np.zeros(len(every)), np.zeros(len(every)), split_of(claim)
     if claim.period:
         spread = 2 * np.array([one.spread for one in every]) ** 2 / split
         swing = 2 * np.array([one.swing for one in every]) ** 2 / split

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.certcheck.region_claim import axis_pairs
-from surctl.certcheck.turning_terms import other_forces, outer_force
+from surctl.certcheck.turning_terms import flow_push, other_forces, outer_force
 from surctl.marine.verification.region.turning import TurningClaim
 from surctl.marine.verification.region.turning_behind import Behind, behind_of
 
@@ -35,16 +35,7 @@ def _least_error(rows: Array, sides: Array) -> Array:
     return np.asarray(np.round(solution.x[:count], 6))
 
 
-def _sizes(claim: TurningClaim, n: Array, factors: Array, moved: Array | float) -> tuple[Array, Array]:
-    """Return α (2, n, 2) and β (2, k, n, 2) of each axis [N s/m] at the ends of the secant slopes."""
-    v, mass, square = claim.cruise, np.array(claim.mass), np.array(claim.quadratic)
-
-    def slopes(speed: Array, change: Array | float) -> Array:
-        return np.stack([np.maximum(0.828 * speed, 2 * speed - change), 2 * speed + change])
-
-    law = mass * claim.gains["k_v"] + claim.linear + square * slopes(v * n, moved)
-    drag = factors[:, 0, None] * claim.linear + factors[:, 1, None] * square * slopes(v * n, claim.current)[:, None]
-    return law, drag
+_SOME = 8  # number of headings and directions in the choice of the steady command in a current
 
 
 def _best_flow(claim: TurningClaim, n: Array, factors: Array, means: Array) -> Array:
@@ -56,26 +47,18 @@ def _best_flow(claim: TurningClaim, n: Array, factors: Array, means: Array) -> A
         factors: vertices (k, 2, 2) of the factors of linear and quadratic drag of both axes.
         means: 1 and the mean factors − 1 (k, 3) at the vertices.
     """
-    law, drag = _sizes(claim, n, factors, 0.0)
-    flow = np.zeros((3, 2))
-    for k, along in enumerate((n, np.sqrt(np.maximum(1 - n**2, 0)))):
-        weight = along / claim.mass
-        rows = (weight * law[0])[None, None, ..., None] * means[None, :, None, None]
-        rows = np.broadcast_to(rows, (*drag.shape, 3))
-        flow[:, k] = _least_error(rows.reshape(-1, 3), -(weight * drag).reshape(-1))
-    return flow
-
-
-def _flow_error(claim: TurningClaim, n: Array, factors: Array, gains: Array, omega: tuple[float, float]) -> Array:
-    """Return the largest error (n, 2) [N] on each axis by the current for the gains (k, 2) at the vertices."""
-    moved = claim.current * np.abs(gains).max() + 2 * max(map(abs, omega))
-    law, drag = _sizes(claim, n, factors, moved)
-    across = np.sqrt(np.maximum(1 - n**2, 0))
-    left = [
-        np.abs(drag[:, None] - law[None, :, None] * gains[:, k, None, None]).max(axis=(0, 1)) * side
-        for k, side in enumerate((n, across))
-    ]
-    return np.asarray(claim.current * np.hypot(*left).max(axis=0))
+    n = n[:: max(len(n) // _SOME, 1)]
+    mass, square, u = np.array(claim.mass), np.array(claim.quadratic), claim.cruise * n
+    law = claim.gains["k_v"] + (claim.linear + 2 * square * u) / mass
+    slopes = np.maximum(0.828 * u, 2 * u - claim.current), 2 * u + claim.current
+    drag = np.stack([(factors[:, 0, None] * claim.linear + factors[:, 1, None] * square * end) / mass for end in slopes])
+    body = np.stack([n, n[:, ::-1] * [-1.0, 1.0]], 1)
+    half = np.pi * np.arange(_SOME) / _SOME
+    one = np.stack([np.cos(half), np.sin(half)], 1)  # directions of the current, and of the error
+    shares = np.einsum("ai,bk,hik->abhik", one, one, body)
+    sides = np.einsum("abhik,efhi->eabfh", shares, drag)
+    rows = np.repeat(-np.einsum("abhik,hi,fj->abfhjk", shares, law, means)[None], 2, axis=0)
+    return _least_error(rows.reshape(-1, 6), sides.reshape(-1)).reshape(3, 2)
 
 
 _TURNING = np.kron(np.eye(2), [[0.0, -1.0], [1.0, 0.0]])
@@ -87,7 +70,8 @@ class Cruise:
 
     `lack` (cells + 1, 2) holds the largest error of the trim force on each axis [N] near each heading. In a current,
     the gains of the shift (g_x, g_y) have the coefficients `flow` (3, 2); `moved` is the range of W*_x − v, `across`
-    the largest |W*_y| [m/s], and `beside` the largest |y_e*| [m].
+    the largest |W*_y| [m/s], `beside` the largest |y_e*| [m], and `pushed` (cells + 1,) the largest norm of the
+    error that the current causes near each heading [N].
     """
 
     slopes: tuple[float, float]
@@ -98,6 +82,7 @@ class Cruise:
     moved: tuple[float, float]
     across: float
     beside: float
+    pushed: Array
 
 
 @dataclass(frozen=True)
@@ -117,6 +102,7 @@ class Vertices:
         effect: Coriolis term of the steady cruise (headings, terms, 2) [m/s²].
         lack: trim error (headings, masses, 2) of the body axes [m/s²].
         stray: largest acceleration by disturbance forces and errors of measurement [m/s²].
+        pushed: largest norm (headings,) of the error by the current [N].
         turn: rotation matrices (headings, 2, 2) from the body to the path frame.
         behind: what thrust lag adds; None without lag.
         limits: for claims with thrust that is not the present command, whether the thrust limit of a body axis may be
@@ -136,6 +122,7 @@ class Vertices:
     effect: Array
     lack: Array
     stray: float
+    pushed: Array
     turn: Array
     behind: Behind | None
     lag: float = 0.0
@@ -253,15 +240,18 @@ class Vertices:
         `side` (headings, n, 2) is T P B.
         """
         most = np.linalg.norm(self.effect @ side.swapaxes(-1, -2), axis=-1).max(axis=1)[:, None, None]
-        strayed = self.stray * float(np.linalg.norm(side, axis=(-1, -2)).max())
+        spread = np.linalg.norm(side, axis=(-1, -2)).max()
+        strayed, pushed = self.stray * spread, self.pushed * spread * self.masses[:, :2].max()  # (h,)
         gram = np.broadcast_to(side.swapaxes(-1, -2) @ side, (len(self.bodies), 2, 2))
         sizes = self.lack.max(axis=1) * np.sqrt(np.einsum("hijk,hjk->hi", self.bodies, gram))  # (h, i)
         late = np.zeros_like(sizes) if self.behind is None else self.behind.late
         weights = late * (float(np.linalg.norm(change @ P @ self.behind.entry(len(P)))) if self.behind is not None else 0.0)
-        total = most + (sizes + weights).sum(axis=1)[:, None, None] + strayed
+        total = most + ((sizes + weights).sum(axis=1) + strayed + pushed)[:, None, None]
         share = np.divide(total, most, out=np.zeros_like(total), where=most > 0)[..., None, None]
         parts = np.divide(total[:, :, 0], sizes, out=np.zeros_like(sizes), where=sizes > 0)  # (h, i)
         own = np.einsum("hi,hmi,hijk->hmjk", parts, self.lack**2, self.bodies)
+        share_of = np.divide(total[:, 0, 0], pushed, out=np.zeros_like(pushed), where=pushed > 0) * self.pushed**2
+        own = own + np.einsum("h,mi,hijk->hmjk", share_of, self.masses[:, :2] ** 2, self.bodies)
         most_late = np.divide(total[:, :, 0], weights, out=np.zeros_like(sizes), where=weights > 0)
         rear = np.einsum("hi,hijk->hjk", most_late * late**2, self.bodies)
         if strayed:
@@ -307,7 +297,6 @@ def steady_turning(claim: TurningClaim, *, cells: int, slopes: tuple[float, floa
         full = np.hstack([np.ones((len(means), 1)), means])
         if not claim.behind:
             flow = _best_flow(claim, n, np.stack([f, g], 1), full)
-        lack = lack + _flow_error(claim, n, np.stack([f, g], 1), full @ flow, omega)
         along, across = np.abs(full @ flow).max(axis=0) * claim.current
     else:
         along = across = 0.0
@@ -315,7 +304,12 @@ def steady_turning(claim: TurningClaim, *, cells: int, slopes: tuple[float, floa
     lack = np.max([near[:-2], near[1:-1], near[2:]], axis=0)[::2]
     moved = omega[0] - float(along), omega[1] + float(along)
     beside = claim.gains["lookahead"] * float(across) / (v + moved[0])
-    return Cruise(slopes, omega, psi[::2], lack, flow, moved, float(across), beside)
+    pushed = np.zeros(cells + 1)
+    if claim.current:
+        rounded = tuple((Fraction(repr(a)), Fraction(repr(b))) for a, b in flow.tolist())
+        ends = np.stack([np.pad(n, ((1, 1), (0, 0)), mode="edge")[k : len(n) + k : 2] for k in (0, 2)], 2)
+        pushed = flow_push(claim.stated, (rounded[0], rounded[1], rounded[2]), omega, np.sort(ends, axis=2))
+    return Cruise(slopes, omega, psi[::2], lack, flow, moved, float(across), beside, pushed)
 
 
 def vertices(claim: TurningClaim, cruise: Cruise, covariance: Array, high: float) -> Vertices | None:
@@ -350,24 +344,24 @@ def vertices(claim: TurningClaim, cruise: Cruise, covariance: Array, high: float
     heavy = masses[:, :2] + np.abs(masses[:, 2:])
     forces, behind = cruise.lack + others, None
     if claim.behind:
-        every = loops if limits is None else np.concatenate([loops, limits[1]], axis=2)
-        behind = behind_of(claim, cruise.omega, forces, covariance, high, turn, _straight(plans), every, masses, turns)
+        behind = behind_of(claim, cruise.omega, steer[1], covariance, high, turn, _straight(plans), masses, turns)
     lack = forces[:, None, :] * heavy + loose * v + np.abs(turns[:, :2]).max() * claim.current
     stray = outer_force(claim.stated, y + cruise.beside) * heavy.max()
     return Vertices(
         bodies, crossed, masses, coriolis, turns[:, 2], loose, loops, plans,
-        _forces(bodies, effect, lack, stray), effect, lack, stray, turn, behind, claim.lag, np.array(claim.mass), limits,
+        _forces(bodies, effect, lack, stray, cruise.pushed, masses), effect, lack, stray, cruise.pushed, turn, behind, claim.lag, np.array(claim.mass), limits,
     )  # fmt: skip
 
 
-def _forces(bodies: Array, effect: Array, lack: Array, stray: float) -> Array:
-    """Return Q (headings, masses, terms, 2, 2) with w wᵀ ⪯ Q for the trim errors, `stray` and the Coriolis force."""
-    size = np.linalg.norm(effect, axis=-1)[:, None]  # (h, 1, t)
-    total = size + lack.sum(axis=-1)[:, :, None] + stray
+def _forces(bodies: Array, effect: Array, lack: Array, stray: float, pushed: Array, masses: Array) -> Array:
+    """Return Q (headings, masses, terms, 2, 2) with w wᵀ ⪯ Q for all parts of w of `Vertices`."""
+    light = masses[:, :2].max(axis=1)
+    size, push = np.linalg.norm(effect, axis=-1)[:, None], np.outer(pushed, light)[:, :, None]  # (h, 1, t), (h, m, 1)
+    total = size + push + lack.sum(axis=-1)[:, :, None] + stray
     share = np.divide(total, size, out=np.zeros_like(total), where=size > 0)
     Q = share[..., None, None] * np.einsum("hti,htj->htij", effect, effect)[:, None]
     Q = Q + np.einsum("hmt,hmi,hijk->hmtjk", total, lack, bodies)
-    return np.asarray(Q + (total * stray)[..., None, None] * np.eye(2))
+    return np.asarray(Q + (total * (stray + push))[..., None, None] * np.eye(2))
 
 
 def _loops(claim: TurningClaim, cruise: Cruise, sized: Array, turn: Array, plans: Array) -> tuple[Array, Any] | None:

@@ -255,7 +255,8 @@ def turning_search(
     if claim.lag and claim.period:
         yield from _held(claim, fine, turning_search(replace(claim, period=0.0), attempts=attempts, seed=seed))
         return
-    cruise = replace(fine, headings=fine.headings[::_FINE], lack=fine.lack[::_FINE])
+    some = slice(None, None, _FINE)
+    cruise = replace(fine, headings=fine.headings[some], lack=fine.lack[some], pushed=fine.pushed[some])
     away = max(map(abs, cruise.moved)) / claim.gains["k1"]
     rng = np.random.default_rng(seed)
     active = _Active({})
