@@ -236,7 +236,7 @@ def _first(
     start = _FIRST[k % len(_FIRST)] * (along, beside, speed, fast / beside, 1, 1, beside)
     start = start * np.exp(rng.normal(scale=_SPREAD) * (k >= len(_FIRST)))
     start[0] += away
-    start = start * _SMALLER**smaller
+    start = start * _SMALLER ** (min(smaller, 2) * (_SMALLER > 1) + smaller * (_SMALLER <= 1))
     levels = np.geomspace(min(start[4], _HIGHEST), 1.0, _SHELLS + 1)
     return _Start(levels, start[5] * levels[1:] ** -0.15, start[6]), start[:4] * (1, 1, 1, start[1])
 
@@ -262,7 +262,7 @@ def turning_search(
     active = _Active({})
     first: list[_Region] = []
     grown: list[_Region] = []
-    for smaller in range(3):
+    for smaller in (0, 1, 3, 5):
         left, k = attempts, 0
         while left > 0:
             if first and (len(first) + len(grown) >= _ENOUGH or 4 * (attempts - left) >= attempts):
