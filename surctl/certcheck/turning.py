@@ -5,9 +5,9 @@ x_e* = −ω/k1 along the path, and in a current with one across it (`turning_te
 = (x_e, y_e, U_x, U_y), every motion that starts in V ≤ 1 satisfies V(t) ≤ max(e^(−a t) V(0), floor) for all t ≥ 0,
 however the heading moves with |r| ≤ yaw_rate_rad_per_s and on any curve with |curvature| ≤ curvature_per_m, and in any
 constant current of at most current_m_per_s. With thrust lag, V is a form in ξ and the thrust; with commands that are
-held for a period that begins at t = 0, it has a term that vanishes at each control instant (`turning_form`). The levels floor = ℓ_0 <
-ℓ_1 < … < 1 divide the region into shells, and `turning_cells` proves the decay in every shell and every cell of
-headings. P > 0, the offsets, the ultimate bound and the Munk moment are checked in exact rational arithmetic.
+held for a period that begins at t = 0, it has a term that vanishes at each control instant (`turning_form`). The levels
+floor = ℓ_0 < ℓ_1 < … < 1 divide the region into shells, and `turning_cells` proves the decay in every shell and every
+cell of headings. P > 0, the offsets, the ultimate bound and the Munk moment are checked in exact rational arithmetic.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from itertools import pairwise
 from typing import Any
 
 from surctl.certcheck.document import Rejected, listed, record
-from surctl.certcheck.region_claim import CruiseClaim, axis_pairs, number, read_shells, triangle, two
+from surctl.certcheck.region_claim import axis_pairs, number, read_shells, triangle, two
 from surctl.certcheck.region_exact import (
     Matrix,
     inverse,
@@ -33,7 +33,7 @@ from surctl.certcheck.turning_claim import Pair, TurningClaim, read_claim
 from surctl.certcheck.turning_form import Form, Phase
 from surctl.certcheck.turning_terms import STILL, coupled_mass, other_forces, other_moment
 
-__all__ = ["check", "check_cells", "cruise_of", "require_bound", "require_starts"]
+__all__ = ["check", "cruise_of", "require_bound", "require_starts"]
 
 _MOST_SHELLS = 24
 _CELLS = (4, 96)  # least and largest number of cells of headings
@@ -50,28 +50,12 @@ def check(document: Mapping[str, Any]) -> None:
     keys = ("P", "floor", "trim", "cells", "shells") + (("thrust",) if claim.period else ())
     keys += ("flow",) if claim.current else ()
     proof = record(document.get("proof"), keys, "proof")
-    check_cells(claim, proof, *_coefficients(claim, proof))
-
-
-def check_cells(
-    claim: TurningClaim,
-    proof: Mapping[str, Any],
-    slopes: tuple[Fraction, Fraction],
-    flow: tuple[Pair, Pair, Pair] = STILL,
-) -> None:
-    """Check the P, floor, cells and shells of a proof for the steady cruise with ω = slopes · (mean factors − 1).
-
-    `flow` holds the coefficients of the gains of the current, see `turning_cells`.
-
-    Raises:
-        Rejected: the proof does not prove the claim; the message names the first failure.
-    """
     p = triangle(proof["P"], 6 if claim.lag[1] else 4, "proof.P")
     if not is_positive_definite(p):
         raise Rejected("P is not positive definite")
     if any(p[i][j] for i in range(len(p)) for j in range(1 - i % 2, i, 2)):  # y, U_y and F_y alone change their sign
         raise Rejected("P is not symmetric under reflection in the path")
-    trim, cells = steady(claim, slopes, flow), proof["cells"]
+    trim, cells = cruise_of(claim, proof), proof["cells"]
     if type(cells) is not int or not _CELLS[0] <= cells <= _CELLS[1]:
         raise Rejected(f"proof.cells must be a whole number from {_CELLS[0]} to {_CELLS[1]}")
     levels, stated = read_shells(proof, "growth", _MOST_SHELLS)
@@ -135,9 +119,7 @@ def cruise_of(claim: TurningClaim, proof: Mapping[str, Any]) -> Trim:
     return steady(claim, *_coefficients(claim, proof))
 
 
-def require_starts(
-    claim: CruiseClaim | TurningClaim, p: Matrix, moved: Pair, beside: Fraction, rest: Fraction | None = None
-) -> None:
+def require_starts(claim: TurningClaim, p: Matrix, moved: Pair, beside: Fraction, rest: Fraction | None = None) -> None:
     """Raise Rejected unless the starts with x_e = 0, |y_e| = offset lie in V ≤ 1 for all steady cruises.
 
     Args:
@@ -158,9 +140,7 @@ def require_starts(
                     raise Rejected(f"a start {how} {float(offset):g} m beside the path is not in the region")
 
 
-def require_bound(
-    claim: CruiseClaim | TurningClaim, covariance: Matrix, moved: Pair, beside: Fraction, floor: Fraction
-) -> None:
+def require_bound(claim: TurningClaim, covariance: Matrix, moved: Pair, beside: Fraction, floor: Fraction) -> None:
     """Raise Rejected unless |x_e| and |y_e| in V ≤ floor are within the ultimate bound; see `require_starts`."""
     away = max(map(abs, moved)) / claim.k1
     x, y = (root_up(covariance[k][k] * floor) + shift for k, shift in enumerate((away, beside)))

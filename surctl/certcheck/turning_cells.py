@@ -96,7 +96,7 @@ class Disturbed:
     spread: float
     swing: float
     phase: Phase
-    moves: tuple[int, int] = (1, 1)
+    moves: tuple[int, ...] = (1, 1)
 
 
 def decays(
@@ -456,10 +456,10 @@ def check_shell(
             if claim.period and phase.begins:
                 spread, swing = np.sqrt(2) * UP * at.spread, np.sqrt(2) * UP * at.swing
         disturbed = Disturbed(lack[k], float(cells.pushed[k]), loose, stray, rate, spread, swing, phase)
-        if not phase.begins:  # s_i does not count, and the limited commands include the others
-            for loop in loops:
-                loop[:, 3] = loop[:, 3] > loop[:, 3].min()
-        for moves in product((1, 0), repeat=2):
+        modes = list(product((1, 0), repeat=2))
+        if not phase.begins:  # s_i does not count, and the pairs of a limited command include the others
+            modes = [tuple(int(loop[:, 3].min()) for loop in loops)]
+        for moves in modes:
             pairs = [loop[loop[:, 3] == move, :3] for loop, move in zip(loops, moves, strict=True)]
             one = replace(disturbed, moves=moves)
             if all(map(len, pairs)) and not decays(

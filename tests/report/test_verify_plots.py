@@ -61,12 +61,10 @@ def test_the_flow_is_that_of_the_loop_written_for_the_checkers_tests() -> None:
     document = certificate("region-cruise-20")
     seen, claim = portrait(document, "across"), document["claim"]
     y, velocity = (grid.ravel() for grid in np.meshgrid(seen.x, seen.y))
-    law = claim["law"]
-    state = np.stack([0 * y, y, 0 * y + law["cruise"], velocity], axis=1)
-    drag = {k: np.full((len(y), 2), law[f"{k}_drag"]) for k in ("linear", "quadratic")}
-    still = dict.fromkeys(("current", "push", "place", "speed"), np.zeros((len(y), 2)))
-    boat = {"mass": np.full(len(y), law["mass_kg"]), **still, **drag}
-    rates = cruise.rate(claim, boat, state, np.zeros(len(y)))
+    stated, n = read_claim(claim), len(y)
+    state = np.stack([0 * y, y, 0 * y + claim["law"]["cruise"], velocity], axis=1)
+    ones = {key: np.ones((n, 2)) for key in ("mass", "linear", "quadratic")} | dict.fromkeys(("term_mass", "term"), np.ones(n))
+    rates = true_rate(stated, ones, state, np.zeros(n), np.zeros(n))
     assert seen.flow[0].ravel() == pytest.approx(rates[:, 1], abs=1e-12)
     assert seen.flow[1].ravel() == pytest.approx(rates[:, 3], abs=1e-12)
 

@@ -73,9 +73,23 @@ class Behind:
         return entry
 
     def extended(
-        self, A: Array, factor: Array, inner: Array, h: Numbers, t: Numbers, plans: Array, turn: Array, moves: Array,
+        self,
+        A: Array,
+        factor: Array,
+        inner: Array,
+        h: Numbers,
+        t: Numbers,
+        plans: Array,
+        turn: Array,
+        moves: Array,
         led: Array,
     ) -> tuple[Array, Array, Array]:
+        """Return A, the factor of W and the weights of the squared states (k, 4) with the entries of F and ε.
+
+        `inner` (k, 2, 2) is ∂U̇/∂F, `turn` (k, 2, 2) the rotation from the body, `moves` (k, 2, 2) the matrix S, and
+        `led` (k, 2, 4) the command divided by the mass. The weights of the disturbances depend on V, and are those of a
+        typical V here.
+        """
         n = self.error + 2 * self.held
         whole, more = np.zeros((len(h), n, n)), np.zeros((len(h), n, 4))
         whole[:, :4, :4] = A
@@ -104,7 +118,11 @@ class Behind:
         more[:, :, 2:] = _OWN * self.entry(n) @ (turn * self.late[h][:, None, :])
         return whole, more, weights
 
-    def added(self, change: Array, P: Array, bodies: Array, plans: Array, side: Array, moves: Array) -> tuple[Array, Array]:
+    def added(
+        self, change: Array, P: Array, bodies: Array, plans: Array, side: Array, moves: Array
+    ) -> tuple[Array, Array]:
+        """Return what F and ε add to the matrices of V: (n, n, headings, 1, terms, 1, 1, laws) and (headings, masses,
+        1, n, n)."""
         place, speed = change[:, :2].T, change[:, 2:4].T
         away = np.zeros((len(P), len(P), 1, 1, len(self.rates), 1, 1, 1))
         more = np.zeros((len(bodies), len(self.light), len(P), len(P)))
@@ -181,6 +199,5 @@ def behind_of(
     if claim.period:
         spread = 2 * np.array([one.spread for one in every]) ** 2 / split
         swing = 2 * np.array([one.swing for one in every]) ** 2 / split
-    return Behind(
-        k_v, claim.lag, claim.period > 0, claim.period > 0, fall_of(claim), split, light, turns[:, 3], spread, swing, late
-    )
+    held = claim.period > 0
+    return Behind(k_v, claim.lag, held, held, fall_of(claim), split, light, turns[:, 3], spread, swing, late)

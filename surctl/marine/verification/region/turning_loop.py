@@ -51,7 +51,8 @@ def _best_flow(claim: TurningClaim, n: Array, factors: Array, means: Array) -> A
     mass, square, u = np.array(claim.mass), np.array(claim.quadratic), claim.cruise * n
     law = claim.gains["k_v"] + (claim.linear + 2 * square * u) / mass
     slopes = np.maximum(0.828 * u, 2 * u - claim.current), 2 * u + claim.current
-    drag = np.stack([(factors[:, 0, None] * claim.linear + factors[:, 1, None] * square * end) / mass for end in slopes])
+    linear = factors[:, 0, None] * claim.linear
+    drag = np.stack([(linear + factors[:, 1, None] * square * end) / mass for end in slopes])
     body = np.stack([n, n[:, ::-1] * [-1.0, 1.0]], 1)
     half = np.pi * np.arange(_SOME) / _SOME
     one = np.stack([np.cos(half), np.sin(half)], 1)  # directions of the current, and of the error
@@ -208,10 +209,8 @@ class Vertices:
             base = base + more + (pull @ rear @ pull.T / (growth * low))[:, None, None]
         driven = self._driven()
         slowed = side[:, None] @ driven @ speed  # (m, h, 2, n, n)
-        if self.lag:
-            command = ((change @ P[:, 4:6] / self.lag) @ self.model)[None]  # (1, h, 2, n, 2)
-        else:
-            command = side[:, None] @ driven
+        rear = change @ P[:, 4:6]
+        command = (rear / self.lag @ self.model)[None] if self.lag else side[:, None] @ driven  # (m, h, 2, n, 2)
         led, eased = command[:, :, :, None] @ self.plans @ place, command @ speed  # (m, h, 2, p, n, n)
         led, slowed, eased = (part + part.swapaxes(-1, -2) for part in (led, slowed, eased))
         whole = (
@@ -245,7 +244,8 @@ class Vertices:
         gram = np.broadcast_to(side.swapaxes(-1, -2) @ side, (len(self.bodies), 2, 2))
         sizes = self.lack.max(axis=1) * np.sqrt(np.einsum("hijk,hjk->hi", self.bodies, gram))  # (h, i)
         late = np.zeros_like(sizes) if self.behind is None else self.behind.late
-        weights = late * (float(np.linalg.norm(change @ P @ self.behind.entry(len(P)))) if self.behind is not None else 0.0)
+        entry = np.zeros((len(P), 2)) if self.behind is None else self.behind.entry(len(P))
+        weights = late * float(np.linalg.norm(change @ P @ entry))
         total = most + ((sizes + weights).sum(axis=1) + strayed + pushed)[:, None, None]
         share = np.divide(total, most, out=np.zeros_like(total), where=most > 0)[..., None, None]
         parts = np.divide(total[:, :, 0], sizes, out=np.zeros_like(sizes), where=sizes > 0)  # (h, i)
@@ -269,8 +269,8 @@ def _straight(plans: Array) -> Array:
     return np.stack([plans[:, 0, 0], plans[:, 1, 1]], 1)
 
 
-def steady_turning(claim: TurningClaim, *, cells: int, slopes: tuple[float, float] | None = None) -> Cruise:
-    """Return the steady cruise with these slopes of ω; by default ω leaves the least trim error at the worst heading.
+def steady_turning(claim: TurningClaim, *, cells: int) -> Cruise:
+    """Return the steady cruise whose ω leaves the least trim error at the worst heading.
 
     The error at a heading is the largest one up to half a cell away.
     """
@@ -282,10 +282,9 @@ def steady_turning(claim: TurningClaim, *, cells: int, slopes: tuple[float, floa
     own = (gain + claim.linear) * n + 2 * np.array(claim.quadratic) * v * n * n  # force per ω
     missing = (1 - f)[:, None] * claim.linear * n * v + (1 - g)[:, None] * claim.quadratic * (n * v) ** 2
     means = np.stack([f.mean(axis=1) - 1, g.mean(axis=1) - 1], 1)  # (k, 2)
-    if slopes is None:
-        rows = (means[:, None, None, :] * own[None, :, :, None] / np.array(claim.mass)[:, None]).reshape(-1, 2)
-        first, second = _least_error(rows, (missing / claim.mass).reshape(-1))
-        slopes = float(first), float(second)
+    rows = (means[:, None, None, :] * own[None, :, :, None] / np.array(claim.mass)[:, None]).reshape(-1, 2)
+    first, second = _least_error(rows, (missing / claim.mass).reshape(-1))
+    slopes = float(first), float(second)
     omegas = means @ slopes
     lack = (
         np.abs(missing + omegas[:, None, None] * own).max(axis=0)
@@ -347,9 +346,10 @@ def vertices(claim: TurningClaim, cruise: Cruise, covariance: Array, high: float
         behind = behind_of(claim, cruise.omega, steer[1], covariance, high, turn, _straight(plans), masses, turns)
     lack = forces[:, None, :] * heavy + loose * v + np.abs(turns[:, :2]).max() * claim.current
     stray = outer_force(claim.stated, y + cruise.beside) * heavy.max()
+    forced = _forces(bodies, effect, lack, stray, cruise.pushed, masses)
     return Vertices(
-        bodies, crossed, masses, coriolis, turns[:, 2], loose, loops, plans,
-        _forces(bodies, effect, lack, stray, cruise.pushed, masses), effect, lack, stray, cruise.pushed, turn, behind, claim.lag, np.array(claim.mass), limits,
+        bodies, crossed, masses, coriolis, turns[:, 2], loose, loops, plans, forced, effect, lack, stray, cruise.pushed,
+        turn, behind, claim.lag, np.array(claim.mass), limits,
     )  # fmt: skip
 
 

@@ -227,9 +227,7 @@ def _remember(P: Array, parts: list[_Part], chosen: list[set[int]], active: _Act
     return np.array([growths[k][int(np.argmin(worst[k]))] for k in sorted(worst)])
 
 
-def _first(
-    claim: TurningClaim, away: float, rng: np.random.Generator, k: int, *, smaller: int
-) -> tuple[_Start, Array]:
+def _first(claim: TurningClaim, away: float, rng: np.random.Generator, k: int, *, smaller: int) -> tuple[_Start, Array]:
     """Return the start values number k and the extent (4,) of the region."""
     along, beside, fast, _ = _sizes(claim)
     speed = claim.cruise * (_REST if claim.rest else 1)
@@ -241,17 +239,14 @@ def _first(
     return _Start(levels, start[5] * levels[1:] ** -0.15, start[6]), start[:4] * (1, 1, 1, start[1])
 
 
-def turning_search(
-    claim: TurningClaim, *, attempts: int, seed: int = 0, slopes: tuple[float, float] | None = None
-) -> Iterator[TurningCandidate]:
+def turning_search(claim: TurningClaim, *, attempts: int, seed: int = 0) -> Iterator[TurningCandidate]:
     """Yield candidates, the largest region first.
 
     The size of a region is that of its start beside the path, and also that of its start at rest if the claim asks for
     it. `attempts` is the number of convex programs, or half of it if the first start values yield no V; equal seeds
-    give equal candidates. `slopes` are those of ω in the mean drag factors; by default those with the least error of
-    the trim force.
+    give equal candidates.
     """
-    fine = steady_turning(claim, cells=_CELLS, slopes=slopes)
+    fine = steady_turning(claim, cells=_CELLS)
     if claim.lag and claim.period:
         yield from _held(claim, fine, turning_search(replace(claim, period=0.0), attempts=attempts, seed=seed))
         return
@@ -294,9 +289,7 @@ def turning_search(
             yield candidate
 
 
-def _held(
-    claim: TurningClaim, fine: Cruise, without: Iterator[TurningCandidate]
-) -> Iterator[TurningCandidate]:
+def _held(claim: TurningClaim, fine: Cruise, without: Iterator[TurningCandidate]) -> Iterator[TurningCandidate]:
     """Yield candidates for held commands with lag from those `without` held commands: the shape of V hardly changes."""
     for one in without:
         size, found = len(one.P), []
