@@ -23,9 +23,7 @@ def test_turns(name: str) -> None:
     test_turning.test_the_kept_certificates_are_accepted_and_small(name)
 
 
-@pytest.mark.parametrize(
-    "module", [test_heading, test_steering, test_turning], ids=lambda module: module.__name__
-)
+@pytest.mark.parametrize("module", [test_heading, test_steering, test_turning], ids=lambda module: module.__name__)
 def test_what_asks_for_more_is_rejected(module: ModuleType) -> None:
     for kind in module.STRONGER:
         module.test_what_asks_for_more_is_rejected_however_it_is_sealed(kind)
@@ -35,7 +33,6 @@ def test_what_asks_for_more_is_rejected(module: ModuleType) -> None:
 def test_no_braking_certificate_states_more(name: str) -> None:
     for kind in test_braking.OF_THE_LAW if name == "braking-simple-20" else test_braking.STRONGER:
         test_braking.test_what_asks_for_more_is_rejected_however_it_is_sealed(kind, name)
-
 
 
 def test_no_altered_heading_that_sampling_refutes_is_accepted() -> None:

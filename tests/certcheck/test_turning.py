@@ -276,10 +276,11 @@ def test_the_corners_that_are_left_out_lie_between_the_others() -> None:
         for i, axis in enumerate(axes_of(cells.corners[k])):
             kept = _axis(claim, trim, form, i, axis, cells.share[k, i], [np.diag([0.3, 0.2])], 9.0)
             gain = float(claim.mass[i] * claim.k_v)
-            h1, low, top = kept[5, 0] - gain, kept[4, 1] - gain, kept[5, 1] - gain
-            part = (kept[0, 1] - low) / gain
-            h0 = kept[0, 0] / part - gain
-            assert len(kept) == 6 and 0 < part < 1 and 0 <= h0 < h1 and 0 <= low < top
+            assert len(kept) == 6 and np.all(kept[:, 3] == 1)
+            part, (low, top) = kept[:, 1].min() / gain, (kept[:, 2].min(), kept[:, 2].max())
+            h0, h1 = (kept[:, 0] / kept[:, 1] - 1).min() * gain, (kept[:, 0] / kept[:, 1] - 1).max() * gain
+            kept = np.stack([kept[:, 0], kept[:, 1] + kept[:, 2]], 1)
+            assert 0 < part < 1 and 0 <= h0 < h1 and 0 <= low < top
             corners = [(q * (gain + h), q * gain + t) for q in (part, 1) for h in (h0, h1) for t in (low, top)]
             assert np.all((np.array(corners) @ ahead).max(axis=0) <= (kept @ ahead).max(axis=0) + 1e-9)
     kept = np.array(inverse_masses(claim, coupling_of(claim)))[:, :2] * np.array([float(m) for m in claim.mass])

@@ -132,7 +132,7 @@ def test_with_held_commands_each_axis_is_free_or_at_its_limit(monkeypatch: pytes
     met = shell(monkeypatch, held, _axis=lambda *_: both.copy())
     assert [one.moves for one in met] == 4 * [(1, 1), (1, 0), (0, 1), (0, 0)]
     trim, cells, form = setting()
-    weak = replace(held, thrust=(F(5, 4),) * 2)
+    weak = replace(held, thrust=(F(30),) * 2)
     rows = _axis(weak, trim, form, 0, axes_of(cells.corners[1])[0], cells.share[1, 0], [np.eye(2)], 1.0)
     free = rows[rows[:, 3] == 1]
     gain = float(weak.mass[0] * weak.k_v)

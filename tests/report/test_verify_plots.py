@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from surctl.certcheck.turning_claim import read_claim
+from surctl.certcheck.turning_law import true_rate
 from surctl.errors import InputError
 from surctl.marine.control import build_law, load_gains
 from surctl.marine.report.files import plot_region, save_margins, save_verdicts
@@ -17,7 +19,6 @@ from surctl.marine.verification.portrait import CRUISE_PLANES, HEADING_PLANES, p
 from surctl.report.evidence import plot_cells, plot_open_boxes
 from surctl.verification import decide, falsify, prove
 from surctl.verification.proving.search import cells_of
-from tests.certcheck import cruise
 from tests.certcheck.test_heading import RANGES, rate
 
 CERTIFICATES = Path(__file__).parents[1] / "certcheck"
@@ -63,7 +64,8 @@ def test_the_flow_is_that_of_the_loop_written_for_the_checkers_tests() -> None:
     y, velocity = (grid.ravel() for grid in np.meshgrid(seen.x, seen.y))
     stated, n = read_claim(claim), len(y)
     state = np.stack([0 * y, y, 0 * y + claim["law"]["cruise"], velocity], axis=1)
-    ones = {key: np.ones((n, 2)) for key in ("mass", "linear", "quadratic")} | dict.fromkeys(("term_mass", "term"), np.ones(n))
+    ones = {key: np.ones((n, 2)) for key in ("mass", "linear", "quadratic")}
+    ones |= {"term_mass": np.ones(n), "term": np.ones(n)}
     rates = true_rate(stated, ones, state, np.zeros(n), np.zeros(n))
     assert seen.flow[0].ravel() == pytest.approx(rates[:, 1], abs=1e-12)
     assert seen.flow[1].ravel() == pytest.approx(rates[:, 3], abs=1e-12)

@@ -1,6 +1,7 @@
 import hashlib
 import json
 from dataclasses import replace
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -8,6 +9,8 @@ import numpy as np
 import pytest
 
 from surctl.certcheck import check_document, check_file
+from surctl.certcheck.turning_claim import read_claim
+from surctl.certcheck.turning_law import commanded, true_rate
 from surctl.errors import InputError
 from surctl.marine.control import load_gains
 from surctl.marine.tuning import derived_gains
@@ -26,8 +29,6 @@ from surctl.marine.verification.region import (
     region_statement,
     turning_claim,
 )
-from surctl.certcheck.turning_claim import read_claim
-from surctl.certcheck.turning_law import commanded, true_rate
 from surctl.marine.verification.region.rates import cruise_loop, level_ratios
 from surctl.marine.verification.region.turning_loop import steady_turning, vertices
 from surctl.marine.verification.region.turning_shells import violated, worst_rate
@@ -221,10 +222,11 @@ def test_the_loop_of_the_falsifier_is_that_of_the_certificate() -> None:
     claim, slopes, draws = claimed(), (0.002, 0.007), np.full((1, 10), 0.5)
     xi = np.array([[0.1, -0.2, 0.02, 0.03]])
     rate, share = cruise_loop(claim, slopes)(xi, draws)
-    nominal = {key: np.ones((1, 2)) for key in ("mass", "linear", "quadratic")} | {"term_mass": np.ones(1), "term": np.ones(1)}
+    nominal = {key: np.ones((1, 2)) for key in ("mass", "linear", "quadratic")}
+    nominal |= {"term_mass": np.ones(1), "term": np.ones(1)}
     state, psi = xi + np.array([0, 0, claim.cruise, 0]), np.array([np.pi])
     assert rate == pytest.approx(true_rate(claim.stated, nominal, state, psi, np.zeros(1)))
-    strong = replace(claim.stated, thrust=(10**6,) * 2)
+    strong = replace(claim.stated, thrust=(Fraction(10**6),) * 2)
     assert share == pytest.approx(np.abs(commanded(strong, state, psi)).max() / claim.thrust[0])
 
 

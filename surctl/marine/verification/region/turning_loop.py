@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from itertools import product
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -97,7 +96,7 @@ class Vertices:
         coriolis: r R [[0, e1], [e2, 0]] Rᵀ (headings, terms, 2, 2) [1/s].
         bends: turn rate of the path frame (terms,) [rad/s].
         loose: norm [1/s] of the Coriolis terms that m12 adds.
-        loops: stiffness and damping (headings, 2, loops, 2) of each body axis [N s/m].
+        loops: stiffness and damping by the command, and drag (headings, 2, loops, 3), of each body axis [N s/m].
         plans: slopes of −δW in the position (laws, 2, 2) [1/s].
         Q: bound on w wᵀ (headings, masses, terms, 2, 2).
         effect: Coriolis term of the steady cruise (headings, terms, 2) [m/s²].
@@ -106,9 +105,11 @@ class Vertices:
         pushed: largest norm (headings,) of the error by the current [N].
         turn: rotation matrices (headings, 2, 2) from the body to the path frame.
         behind: what thrust lag adds; None without lag.
-        limits: for claims with thrust that is not the present command, whether the thrust limit of a body axis may be
-            active (headings, 2), and the pairs of an axis at its limit (headings, 2, loops, 2).
+        lag: time constant of the thrust [s]; 0 without lag.
+        modelled: masses in the law's model (2,) [kg].
         moves: S = Σ n_i n_iᵀ (headings, 2, 2) over the body axes i whose command moves: it is not at its limit.
+        limits: with held commands, whether the thrust limit of a body axis may be active (headings, 2), and the pairs
+            of an axis at its limit (headings, 2, loops, 3); None if no limit is active.
     """
 
     bodies: Array
@@ -126,10 +127,10 @@ class Vertices:
     pushed: Array
     turn: Array
     behind: Behind | None
-    lag: float = 0.0
-    modelled: Any = None
-    limits: tuple[NDArray[np.bool_], Array] | None = None
-    moves: Array | None = None
+    lag: float
+    modelled: Array
+    moves: Array
+    limits: tuple[NDArray[np.bool_], Array] | None
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -145,7 +146,7 @@ class Vertices:
 
     def _modes(self) -> list[Vertices]:
         """Return the vertices for each set of body axes whose thrust is at its limit."""
-        modes = [replace(self, moves=self.bodies.sum(axis=1))]
+        modes = [self]
         if self.limits is None:
             return modes
         active, pairs = self.limits
@@ -231,7 +232,7 @@ class Vertices:
     def _rear(self, change: Array, P: Array) -> Array:
         """Return T P of the entries that the rate of the commands drives (n, 2)."""
         driven = self.behind is not None and self.behind.held and self.behind.driven
-        return change @ P[:, -2:] * driven
+        return np.asarray(change @ P[:, -2:] * driven)
 
     def _weighted(self, side: Array, change: Array, P: Array) -> tuple[Array, Array]:
         """Return Q, and that of E alone (h, 2, 2), with the weights of the checker, which measures the parts of w by V.
@@ -349,7 +350,7 @@ def vertices(claim: TurningClaim, cruise: Cruise, covariance: Array, high: float
     forced = _forces(bodies, effect, lack, stray, cruise.pushed, masses)
     return Vertices(
         bodies, crossed, masses, coriolis, turns[:, 2], loose, loops, plans, forced, effect, lack, stray, cruise.pushed,
-        turn, behind, claim.lag, np.array(claim.mass), limits,
+        turn, behind, claim.lag, np.array(claim.mass), bodies.sum(axis=1), limits,
     )  # fmt: skip
 
 
@@ -364,8 +365,13 @@ def _forces(bodies: Array, effect: Array, lack: Array, stray: float, pushed: Arr
     return np.asarray(Q + (total * (stray + push))[..., None, None] * np.eye(2))
 
 
-def _loops(claim: TurningClaim, cruise: Cruise, sized: Array, turn: Array, plans: Array) -> tuple[Array, Any] | None:
-    """Return the extreme pairs (headings, 2, k, 2) of stiffness and damping; `sized` is P⁻¹ times the level."""
+def _loops(
+    claim: TurningClaim, cruise: Cruise, sized: Array, turn: Array, plans: Array
+) -> tuple[Array, tuple[NDArray[np.bool_], Array] | None] | None:
+    """Return the extremes (headings, 2, k, 3) of stiffness and damping by the command, and of drag, and `limits`.
+
+    `sized` is P⁻¹ times the level.
+    """
     step = (cruise.headings[1] - cruise.headings[0]) / 2
     near, far = np.clip(cruise.headings - step, 0, None), np.clip(cruise.headings + step, None, np.pi / 2)
     shares = np.array([[np.cos(far), np.cos(near)], [np.sin(near), np.sin(far)]])  # (axis, end, headings)
@@ -400,7 +406,7 @@ def _loops(claim: TurningClaim, cruise: Cruise, sized: Array, turn: Array, plans
         need = np.max([largest((gain + slope)[:, None] * one + gain * still) for one in led for slope in h], axis=0)
         part = np.minimum(1.0, 0.99 * left / need)
         parts.append(part)
-        axes.append([(q * (gain + h[a]), q * gain, t[b]) for q, a, b in _extremes(part, full=claim.lag > 0)])
+        axes.append([(q * (gain + h[a]), q * gain, t[b]) for q, a, b in _extremes(part, every=claim.lag > 0)])
         free.append([(gain + h[a], gain + 0 * part, t[b]) for a in (0, 1) for b in (0, 1)])
     if len({len(axis) for axis in axes}) > 1:  # one axis alone may reach its thrust limit: repeat the other's pairs
         axes = [axis if len(axis) > 4 else [*axis, *axis][: max(map(len, axes))] for axis in axes]
@@ -411,12 +417,14 @@ def _loops(claim: TurningClaim, cruise: Cruise, sized: Array, turn: Array, plans
     return own, (np.stack(parts, 1) < 1, pairs)
 
 
-def _extremes(part: Array, full: bool = False) -> list[tuple[Array, int, int]]:
-    """Return the extreme (φ, end of h, end of t): the other two corners of the rectangles of φ lie between these."""
-    whole = np.ones_like(part)
+def _extremes(part: Array, *, every: bool) -> list[tuple[Array, int, int]]:
+    """Return the extreme (φ, end of h, end of t).
+
+    Unless `every` is true, the other two corners of the rectangles of φ lie between these in the sum of both dampings.
+    """
+    full = np.ones_like(part)
     if np.all(part >= 1):
-        return [(whole, a, b) for a in (0, 1) for b in (0, 1)]
-    if full:
-        return [(q, a, b) for q in (part, whole) for a in (0, 1) for b in (0, 1)]
-    full = whole
+        return [(full, a, b) for a in (0, 1) for b in (0, 1)]
+    if every:
+        return [(q, a, b) for q in (part, full) for a in (0, 1) for b in (0, 1)]
     return [(part, 0, 0), (part, 0, 1), (part, 1, 0), (full, 0, 1), (full, 1, 0), (full, 1, 1)]
