@@ -109,7 +109,7 @@ def _entries(*entries: tuple[str, str, dict[str, Any]]) -> Mapping[str, RegionSt
 
 
 REGION_CLAIMS: Mapping[str, RegionStatement] = _entries(
-    ("region-cruise-20", "mass and drag uncertain by ±20 %, any heading, with thrust limits", {"attempts": 40}),
+    ("region-cruise-20", "mass and drag uncertain by ±20 %, any heading, with thrust limits", {"attempts": 60}),
     (
         "region-cruise-20-soft",
         "as region-cruise-20, with the gains k1 = 0.15/s, look-ahead 1.2 m, k_v = 0.35/s",
