@@ -1,4 +1,4 @@
-"""Every figure and verdict about one subject, the banner with the worst line; and a user's system as a subject."""
+"""Assessment: figures, verdicts, worst line as banner, before and after; of a system: loop, run, costs, region."""
 
 from __future__ import annotations
 

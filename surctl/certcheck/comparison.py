@@ -1,4 +1,4 @@
-"""Comparison of the numbers of a claim with those of an exported controller; each comparison adds what differs."""
+"""Comparison of single numbers of a claim (ranges, gains, units, hashes) with those of an exported controller."""
 
 from __future__ import annotations
 

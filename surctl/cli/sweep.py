@@ -1,4 +1,4 @@
-"""`surctl sweep`: closed-loop and linear metrics over gains and other parameters."""
+"""`surctl sweep`: points and random runs (--seeds), best point and whether it is accepted, tables, pictures."""
 
 from __future__ import annotations
 

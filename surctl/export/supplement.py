@@ -1,4 +1,4 @@
-"""What an application adds to the bundle of its controller (files, texts, manifest); time in the exported step."""
+"""What an application adds to a bundle; state after missed samples, stored gains and id, README on each status."""
 
 from __future__ import annotations
 
