@@ -1,4 +1,4 @@
-"""Differential evolution over ranges in batches; journal of them for a resume, lock of the folder, best gains so far."""
+"""Differential evolution over ranges in batches; journal for a resume, lock of the folder, best gains so far."""
 
 from __future__ import annotations
 
