@@ -1,4 +1,4 @@
-"""Close to the equilibrium: where a stated V fails, rates that are too fast, states where V does not change."""
+"""Close to the equilibrium: where a stated V fails, too fast rates, V that does not change; speeds on faces."""
 
 from __future__ import annotations
 
