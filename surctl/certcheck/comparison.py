@@ -1,4 +1,4 @@
-"""Comparison of single numbers of a claim (ranges, gains, units, hashes) with those of an exported controller."""
+"""Comparison of numbers of a claim (gains, vehicle, limits, hashes, period) with those of an exported controller."""
 
 from __future__ import annotations
 
