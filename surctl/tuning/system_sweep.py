@@ -1,4 +1,4 @@
-"""Sweep of any system: costs of random runs at each point, the best point within bounds and margins; resume."""
+"""Sweep of any system: its costs at every point of a design, each over the same random runs, with resume."""
 
 from __future__ import annotations
 
