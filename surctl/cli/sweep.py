@@ -1,4 +1,4 @@
-"""`surctl sweep`: points and random runs (--seeds), best point and whether it is accepted, tables, pictures."""
+"""`surctl sweep`: results over gains and other parameters, of missions or of any system, and the best points."""
 
 from __future__ import annotations
 
