@@ -1,4 +1,4 @@
-"""State derivatives of the true loops of region claims in floating point, for the falsifier; no proof uses them.
+"""Falsifier of a region: random search for the least level where V grows, with the true loops; no proof uses it.
 
 The function of a loop takes deviations ξ (n, k) from the steady cruise and random numbers (n, DRAWS) in [0, 1], which
 choose the true vehicle, the heading and the other uncertain quantities. The function of a loop returns ξ̇ (n, k) and
