@@ -1,4 +1,4 @@
-"""Scenario files and their checks: site, speeds, depths, disturbances, `[uncertainty]` (sonars: `sensors`)."""
+"""Scenario files and their checks: site, speeds, depths, disturbances, `[uncertainty]` (path: `route`; `sensors`)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The plan of a study: keys of a study file, missions scaled to a vehicle, and missions that it leaves out."""
+"""The plan of a study: keys of a study file, missions scaled to a vehicle, missions that count or are left out."""
 
 from __future__ import annotations
 

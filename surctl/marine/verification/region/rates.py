@@ -1,4 +1,4 @@
-"""Falsifier of a region: random search for the least level where V grows, with the true loops; no proof uses it.
+"""Falsifier of a region: random search for the least level at which V decays too slowly, in the true loops.
 
 The function of a loop takes deviations ξ (n, k) from the steady cruise and random numbers (n, DRAWS) in [0, 1], which
 choose the true vehicle, the heading and the other uncertain quantities. The function of a loop returns ξ̇ (n, k) and

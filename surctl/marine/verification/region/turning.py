@@ -1,4 +1,4 @@
-"""A claim about a turning cruise with own masses in surge and sway, and vehicles that it cannot be about."""
+"""A claim about a turning cruise with different masses in surge and sway, and vehicles that it cannot be about."""
 
 from __future__ import annotations
 
