@@ -2,7 +2,7 @@
 
 The function of a loop takes deviations ξ (n, k) from the steady cruise and random numbers (n, DRAWS) in [0, 1], which
 choose the true vehicle, the heading and the other uncertain quantities. The function of a loop returns ξ̇ (n, k) and
-the largest ratio of a commanded thrust to its limit (n,).
+the largest ratio of a commanded thrust to its limit (n,). No proof uses these functions.
 """
 
 from __future__ import annotations
