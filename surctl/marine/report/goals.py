@@ -1,4 +1,4 @@
-"""Plots of sweeps (heat map, parallel coordinates), of goals and their metric over time, and of the Pareto front."""
+"""Plots of goals: how well each goal is met, the Pareto front of a tuning, and a metric over time with its bound."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Columns of a sweep at a point (means and worst values of runs, linear metrics), and refusals of its request."""
+"""Metrics that a parameter sweep computes at its points: metrics of closed-loop runs, and of the linear loops."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Sweeps of missions in chunks that resume: score, feasibility, the picked point, and the table `sweep.nc`."""
+"""Parameter sweeps: closed-loop and linear metrics at many points, computed in chunks, so that a sweep can resume."""
 
 from __future__ import annotations
 
