@@ -1,4 +1,4 @@
-"""Perception of a law with sonars: which readings and marks become obstacle points; smooth faces that are silent.
+"""Perception of a law with sonars: which echoes (not walls or floor) become obstacle points; faces that are silent.
 
 Perception estimates four things: the robot's own state, from delayed position fixes; moving obstacles, from delayed
 messages; the range of every sonar, with an error bound; and the map of `sensing.mapping`. The nearest marks (occupied
