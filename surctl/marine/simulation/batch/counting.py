@@ -86,7 +86,7 @@ def counted(
         "count_error": old["count_error"] + ca.logic_not(excluded),
         "sum_effort": old["sum_effort"] + ca.sqrt(ca.sumsqr(thrust)),
         "sum_jump": old["sum_jump"] + ca.if_else(first, 0, ca.sumsqr(change[:2])),
-        "count_saturated": old["count_saturated"] + status - 2 * ca.floor(status / 2),
+        "count_saturated": old["count_saturated"] + (status - 2 * ca.floor(status / 2)),
         "most_away": ca.fmax(old["most_away"], away),
         "most_past": ca.fmax(old["most_past"], past),
         "most_thrust": ca.fmax(old["most_thrust"], ca.mmax(share)),
