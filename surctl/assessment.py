@@ -1,4 +1,4 @@
-"""Assessment: figures, verdicts, worst line as banner, before and after; of a system: loop, run, costs, region."""
+"""Assessment: figures, verdicts, worst line as banner, worst of several cases, before and after; of any system."""
 
 from __future__ import annotations
 

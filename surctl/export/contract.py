@@ -1,4 +1,4 @@
-"""What a law needs for export: ports, step, status codes; names refused for a bundle, its files and its ports."""
+"""What a law needs for export: ports, step, status codes (RANGE, STALE, ITER); names refused for a bundle or a port."""
 
 from __future__ import annotations
 

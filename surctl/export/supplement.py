@@ -1,4 +1,4 @@
-"""What an application adds to a bundle; state after missed samples, stored gains and id, README on each status."""
+"""What an application adds to a bundle; ageing of the state after missed samples, restarts; gains, README, statuses."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The plan of a study: keys of a study file, missions scaled to a vehicle, missions that count or are left out."""
+"""The plan of a study and of `tune --vehicle`: keys of its file, missions scaled to a vehicle, those left out."""
 
 from __future__ import annotations
 
