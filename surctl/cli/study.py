@@ -211,7 +211,7 @@ def study_system(
     from surctl.lyapunov import solve
     from surctl.report.system_page import SystemStudy, export_line, render_system_page
     from surctl.system import run_system
-    from surctl.tuning import sweep_system
+    from surctl.tuning import SystemSweep, sweep
     from surctl.tuning.system_sweep import chosen_points
 
     own = load_system(words)
@@ -255,17 +255,18 @@ def study_system(
         if design is not None:
             progress(f"sweep of {len(design[0].points)} points")
             with saving("sweep"):
-                swept = sweep_system(own.system, design[0], duration, draws=design[1], values=values, threads=workers)
+                swept = sweep(SystemSweep(own.system, duration, design[1], values, workers), design[0])
     loop, solution = assessment.sources["loop"], assessment.sources.get("region")
     judged = not isinstance(loop, InputError)
-    choices = {} if swept is None else chosen_points(swept, values, subject.ranges)
-    best = {} if swept is None else best_points(swept, choices)
+    choices = {} if swept is None else chosen_points(swept, own.system, values, subject.ranges)
+    best = {} if swept is None else best_points(swept, own.system, choices)
+    found = [best_line(swept, own.system, name, row, choices[name]) for name, row in best.items()] if swept else []
     about = [word for word in others if not word.startswith("start.")]
     study = SystemStudy(
         title=f"Study of {own.system.title}", record=record, assessment=assessment,
         resting=resting(own.system, loop.nominal.at) if judged else {}, mode=mode_text(loop.nominal) if judged else "",
         swept=swept, sil=sil,
-        best=[] if swept is None else [best_line(swept, name, row, choices[name]) for name, row in best.items()],
+        best=found,
         commands={
             "study": command_line("study", own, *own.settings, "--seconds", f"{duration:g}", "--out", str(out)),
             "run": command_line("simulate", own, *others, "--seconds", f"{duration:g}", "--out", "run"),
@@ -315,12 +316,12 @@ def _design(
     own: OwnSystem, axes: Sequence[str], values: Mapping[str, object]
 ) -> tuple[Design, Mapping[str, ArrayLike]] | None:
     """Return the grid of the sweep, and the numbers of the runs at each point; None without axes."""
-    from surctl.cli.sweep import choices_and_draws
     from surctl.tuning import parse_axis
+    from surctl.tuning.system_sweep import choices_and_draws
 
     if not axes:
         return None
-    design, draws = choices_and_draws(own, [parse_axis(axis) for axis in axes])
+    design, draws = choices_and_draws(own.system, [parse_axis(axis) for axis in axes])
     for name in (*design.names, *draws):
         if name in values:
             raise InputError("is given twice", key=name, remedy="give a value or an axis")

@@ -6,15 +6,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import ArrayLike
 
 from surctl.assessment import Assessment, Line
 from surctl.errors import InputError
 from surctl.export import SilReport
 from surctl.ir import Layout
-from surctl.report.cost_map import plot_cost_map
 from surctl.report.document import (
     Block,
     Cell,
@@ -28,10 +25,12 @@ from surctl.report.document import (
 )
 from surctl.report.motion_plots import plot_motion
 from surctl.report.page_parts import plot_loop
+from surctl.report.sweep_plots import plot_heat_map
 from surctl.report.system_plots import plot_dependence, plot_record
 from surctl.report.theme import number
 from surctl.system import Record, Runs, entry_labels, entry_units
-from surctl.tuning import SystemSweep
+from surctl.tuning import SweepTable
+from surctl.tuning.system_sweep import runs_of
 from surctl.verification import Inapplicable, LoopMargins
 from surctl.verification.linear import DiskMargin
 
@@ -58,7 +57,7 @@ class SystemStudy:
     assessment: Assessment
     resting: Mapping[str, Sequence[tuple[str, float, str]]]
     mode: str
-    swept: SystemSweep | None
+    swept: SweepTable | None
     best: Sequence[str]
     sil: SilReport
     commands: Mapping[str, str]
@@ -228,28 +227,24 @@ def _sweep(study: SystemStudy) -> tuple[Block, ...]:
     swept = study.swept
     if swept is None:
         return ()
+    runs = runs_of(swept, study.record.system)
     figures = tuple(
         picture(
-            _plot_cost(swept.swept, swept.runs, name, cost.unit),
+            _plot_cost(swept, runs, name),
             alt=f"{name} over each number of the sweep",
             caption=f"{name} [{cost.unit}]{f': {cost.meaning}' if cost.meaning else ''}.",
             command=study.commands["sweep"],
         )
         for name, cost in study.record.system.costs.items()
     )
-    return (Paragraph(f"{len(swept.runs.time):,} runs."), *map(Paragraph, study.best), Pictures(figures))
+    return (Paragraph(f"{len(runs.time):,} runs."), *map(Paragraph, study.best), Pictures(figures))
 
 
-def _plot_cost(swept: Mapping[str, ArrayLike], runs: Runs, name: str, unit: str) -> Figure:
+def _plot_cost(swept: SweepTable, runs: Runs, name: str) -> Figure:
     """Plot a cost over the sweep: as a map over a grid of two numbers, otherwise over each number alone."""
-    values = [np.asarray(one, dtype=float) for one in swept.values()]
-    axes = [np.unique(one) for one in values]
-    cost = np.asarray(runs[name], dtype=float)
-    if len(axes) != 2 or len(axes[0]) * len(axes[1]) != len(cost):
-        return plot_dependence(swept, runs, name)
-    order = np.lexsort((values[1], values[0]))
-    table = cost[order].reshape(len(axes[0]), len(axes[1]))
-    return plot_cost_map(dict(zip(swept, axes, strict=True)), table, f"{name} [{unit}]").figure.figure
+    if swept.is_grid and len(swept.axes) == 2 and swept.each == 1:
+        return plot_heat_map(swept, name).figure.figure
+    return plot_dependence(swept.numbers(), runs, name)
 
 
 def _ports(record: Record) -> tuple[Block, ...]:

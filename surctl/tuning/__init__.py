@@ -32,7 +32,8 @@ if TYPE_CHECKING:
     from surctl.tuning.outcome import Finals, Miss, Tuned, summary
     from surctl.tuning.pool import Condition, Evaluation, Pool, SearchRequest
     from surctl.tuning.statistics import Share, SobolIndices, sobol_indices
-    from surctl.tuning.system_sweep import SystemSweep, sweep_system
+    from surctl.tuning.sweep import SweepSubject, SweepTable, load_sweep, sweep
+    from surctl.tuning.system_sweep import SystemSweep
     from surctl.tuning.systems import SystemRequest, tune_system
 
 
@@ -80,6 +81,8 @@ __all__ = [
     "Span",
     "StepRejection",
     "StepTracking",
+    "SweepSubject",
+    "SweepTable",
     "SystemRequest",
     "SystemSweep",
     "Tracking",
@@ -88,6 +91,7 @@ __all__ = [
     "grid",
     "judge_loops",
     "load_loop_goals",
+    "load_sweep",
     "make_design",
     "operating_loops",
     "parse_axis",
@@ -97,7 +101,7 @@ __all__ = [
     "sobol_indices",
     "spread",
     "summary",
-    "sweep_system",
+    "sweep",
     "tune",
     "tune_system",
 ]

@@ -15,10 +15,10 @@ from surctl.assessment import Assessment, Line
 from surctl.marine.control import build_law, load_gains
 from surctl.marine.report import ReportData
 from surctl.marine.simulation import Run, load_scenario, simulate
-from surctl.marine.tuning import SweepTable
 from surctl.marine.vehicle import Vehicle, load_vehicle
 from surctl.marine.verification import claims, law_loop, loop_margins
 from surctl.marine.verification.linear import linear_side
+from surctl.tuning import SweepTable
 from surctl.verification import Verdict, falsify
 
 COLUMNS = {
@@ -66,7 +66,7 @@ def swept(
 ) -> SweepTable:
     """A sweep of these columns."""
     where = tuple(axes) if design == "grid" else ("point",)
-    about = {"design": design, "axes": json.dumps(list(axes)), "gains": json.dumps(asdict(GAINS))}
+    about = {"design": design, "axes": json.dumps(list(axes)), "draws": "[]", "gains": json.dumps(asdict(GAINS))}
     return SweepTable(
         xr.Dataset(
             {name: (where, v, {"units": COLUMNS.get(name, "1"), "long_name": name}) for name, v in table.items()},

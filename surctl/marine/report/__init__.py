@@ -7,7 +7,7 @@ from surctl.lazy import load_at_first_use
 if TYPE_CHECKING:
     from surctl.marine.report.animation import moment_of, save_animation, save_film
     from surctl.marine.report.files import plot_region, save_run
-    from surctl.marine.report.goals import GoalBars, plot_goal_bars, plot_heat_map, plot_parallel
+    from surctl.marine.report.goals import GoalBars, plot_goal_bars
     from surctl.marine.report.margin_plots import plot_locus
     from surctl.marine.report.mission_plot import plot_mission
     from surctl.marine.report.page import render_page
@@ -25,10 +25,8 @@ __all__ = [
     "plot_attainable",
     "plot_calibration",
     "plot_goal_bars",
-    "plot_heat_map",
     "plot_locus",
     "plot_mission",
-    "plot_parallel",
     "plot_prediction",
     "plot_priority",
     "plot_region",

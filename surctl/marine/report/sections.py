@@ -13,9 +13,8 @@ from surctl.assessment import Assessment
 from surctl.errors import InputError
 from surctl.export import ExportedFile, SilReport
 from surctl.marine.control import Gains
-from surctl.marine.report.goals import COLUMN_TITLES, axis_title, plot_heat_map, plot_parallel
+from surctl.marine.report.goals import COLUMN_TITLES, SHOWN
 from surctl.marine.simulation import Run
-from surctl.marine.tuning import SweepTable
 from surctl.marine.vehicle import Vehicle, parameter_spec
 from surctl.marine.verification.linear import LinearSide
 from surctl.report.document import (
@@ -31,9 +30,11 @@ from surctl.report.document import (
     picture,
 )
 from surctl.report.page_parts import plot_tightest
+from surctl.report.sweep_plots import axis_title, plot_heat_map, plot_parallel
 from surctl.report.system_page import disk_table, margins_table, sil_blocks
 from surctl.report.theme import file_size, number
 from surctl.system import LinearLoop
+from surctl.tuning import SweepTable
 from surctl.verification import Inapplicable, LoopMargins, Verdict
 
 
@@ -280,7 +281,7 @@ def _heat_picture(data: ReportData, sweep: SweepTable, name: str) -> Picture:
     one, other, *_ = sweep.axes
     title = COLUMN_TITLES.get(name, name)
     return picture(
-        plot_heat_map(sweep, name),
+        plot_heat_map(sweep, name, titles=COLUMN_TITLES),
         alt=f"Heat map over {one.name} and {other.name}: {title}",
         caption=f"{title[0].upper()}{title[1:]}. The frame marks the picked point; hatched cells are infeasible.",
         command=data.command,
@@ -289,7 +290,7 @@ def _heat_picture(data: ReportData, sweep: SweepTable, name: str) -> Picture:
 
 def _parallel_picture(data: ReportData, sweep: SweepTable) -> Picture:
     return picture(
-        plot_parallel(sweep),
+        plot_parallel(sweep, [name for name in SHOWN if name in sweep.columns], titles=COLUMN_TITLES),
         alt=f"Parallel coordinates of the sweep over {', '.join(axis.name for axis in sweep.axes)}",
         caption="Parallel coordinates: one line per point; each axis has its own scale.",
         command=data.command,
