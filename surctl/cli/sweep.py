@@ -195,7 +195,7 @@ def _pictures(
         from surctl.report import plot_heat_map, plot_parallel
         from surctl.report.theme import save_figure
 
-        figures = dict[tuple[str, ...], Callable[[], Figure | Axes]]()
+        figures: dict[tuple[str, ...], Callable[[], Figure | Axes]] = {}
         if sobol is not None:
             figures["sensitivity", sobol.column] = sobol.plot
         elif table.axes:
