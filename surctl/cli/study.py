@@ -260,13 +260,13 @@ def study_system(
     judged = not isinstance(loop, InputError)
     choices = {} if swept is None else chosen_points(swept, own.system, values, subject.ranges)
     best = {} if swept is None else best_points(swept, own.system, choices)
-    found = [best_line(swept, own.system, name, row, choices[name]) for name, row in best.items()] if swept else []
+    best_lines = [best_line(swept, own.system, name, row, choices[name]) for name, row in best.items()] if swept else []
     about = [word for word in others if not word.startswith("start.")]
     study = SystemStudy(
         title=f"Study of {own.system.title}", record=record, assessment=assessment,
         resting=resting(own.system, loop.nominal.at) if judged else {}, mode=mode_text(loop.nominal) if judged else "",
         swept=swept, sil=sil,
-        best=found,
+        best=best_lines,
         commands={
             "study": command_line("study", own, *own.settings, "--seconds", f"{duration:g}", "--out", str(out)),
             "run": command_line("simulate", own, *others, "--seconds", f"{duration:g}", "--out", "run"),

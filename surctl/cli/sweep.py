@@ -171,13 +171,13 @@ class _Summary:
 
 @dataclass(frozen=True)
 class _Job:
-    # what the command line asks for; `drawn` are the columns in pictures, `mapped` those of heat maps
+    # what the command line asks for; `plotted` are the columns in pictures, `mapped` those of heat maps
     subject: SweepSubject
     design: Design
     count: int
     counted: str
     file: str
-    drawn: Sequence[str]
+    plotted: Sequence[str]
     mapped: Sequence[str]
     titles: Mapping[str, str]
     summary: Callable[[SweepTable, SobolIndices | None, Path, bool], _Summary]
@@ -199,8 +199,8 @@ def _pictures(
         if sobol is not None:
             figures["sensitivity", sobol.column] = sobol.plot
         elif table.axes:
-            drawn = [name for name in job.drawn if name in table.columns]
-            figures["sweep", "parallel"] = partial(plot_parallel, table, drawn, titles=job.titles)
+            plotted = [name for name in job.plotted if name in table.columns]
+            figures["sweep", "parallel"] = partial(plot_parallel, table, plotted, titles=job.titles)
             names = [axis.name for axis in table.axes[:2]]
             for column in job.mapped if table.is_grid and len(names) > 1 else ():
                 figures["sweep", *names, column] = partial(plot_heat_map, table, column, titles=job.titles)
@@ -287,11 +287,11 @@ def _missions(
         _locus(cases, tuned.gains, locus, chosen.points[:, chosen.names.index(locus)], {})
     subject = MissionSweep(cases, tuple(range(seeds)), cruise=tuple(cruise or ()))
     head = [*why, *_vehicles(cases, vehicles), *tuned.lines]
-    said = partial(_said_of_missions, cases, law, sensing, locus, head)
-    return _Job(subject, chosen, len(chosen.points), "points", "sweep.nc", SHOWN, ["score"], COLUMN_TITLES, said)
+    summary = partial(_mission_summary, cases, law, sensing, locus, head)
+    return _Job(subject, chosen, len(chosen.points), "points", "sweep.nc", SHOWN, ["score"], COLUMN_TITLES, summary)
 
 
-def _said_of_missions(
+def _mission_summary(
     cases: Sequence[Case],
     law: str,
     sensing: str,
@@ -340,7 +340,7 @@ def _said_of_missions(
         "table": str(table.path),
     }
 
-    def drawn() -> Axes:
+    def locus_plot() -> Axes:
         [axis] = (axis for axis in table.axes if axis.name == locus)
         poles = _locus(cases, gains, axis.name, axis.values, best)
         return plot_locus(poles, unit=axis.unit, picked=best.get(axis.name))
@@ -348,7 +348,7 @@ def _said_of_missions(
     return _Summary(
         [*lines, "", where, *moved], brief, data,
         passed=bool(assessments) and all(one.accepted() for one in assessments), then=then,
-        files=files | {"table": Path(str(table.path))}, pictures={} if locus is None else {("locus", locus): drawn},
+        files=files | {"table": Path(str(table.path))}, pictures={} if locus is None else {("locus", locus): locus_plot},
     )  # fmt: skip
 
 
@@ -411,11 +411,11 @@ def _own(
     subject = SystemSweep(own.system, duration, draws, threads=threads, about=own.origin, source=own.word)
     count, costs = len(chosen.points) * max(map(len, draws.values()), default=1), list(own.system.costs)
     return _Job(
-        subject, chosen, count, "runs", "sweep.csv", costs, costs, {}, partial(_said_of_runs, own, duration)
+        subject, chosen, count, "runs", "sweep.csv", costs, costs, {}, partial(_run_summary, own, duration)
     )  # fmt: skip
 
 
-def _said_of_runs(
+def _run_summary(
     own: OwnSystem, duration: float, table: SweepTable, sobol: SobolIndices | None, out: Path, as_json: bool
 ) -> _Summary:
     from surctl.recorded_write import write_csv
@@ -435,8 +435,8 @@ def _said_of_runs(
     lost = [k for k, stopped in enumerate(runs.stopped) if stopped == LOST]
     head = f"{system.title}: {count} runs of {duration:g} s, control period {system.dt:g} s"
     lines = [head, *(_rows(table, list(system.costs), runs) if sobol is None else sobol.lines())]
-    found = [best_line(table, system, name, row, choices[name]) for name, row in best.items()]
-    for name, line in zip(best, found, strict=True):
+    best_lines = [best_line(table, system, name, row, choices[name]) for name, row in best.items()]
+    for name, line in zip(best, best_lines, strict=True):
         marked = [one for one in choices[name].assessment.lines if one.about]
         lines += [line, *(f"  {one.mark} {one.text}" for one in marked)]
     named = "; ".join(_numbers(_at(at, k)) for k in lost[:_NAMED]) + "; …" * (len(lost) > _NAMED)
@@ -462,7 +462,7 @@ def _said_of_runs(
         numbers = [f"{name}={value!r}" for name, value in (row["at"] | row["random"]).items()]
         then = [command_line("simulate", own, *numbers, "--seconds", f"{duration:g}")]
     return _Summary(
-        lines, [head, *found, *failures, *infinite], data,
+        lines, [head, *best_lines, *failures, *infinite], data,
         passed=bool(best) and all(choice.assessment.accepted() for choice in choices.values()), then=then, files=files,
         pictures={} if table.axes else {("sweep", "runs"): runs.plot},
     )  # fmt: skip
@@ -542,9 +542,9 @@ def best_points(table: SweepTable, system: System, choices: Mapping[str, Choice]
         worst = table.worst(name)
         finite = worst[np.isfinite(worst)]
         means = {other: float(table.mean(other).reshape(-1)[choice.point]) for other in system.costs}
-        at, drawn = run_at(table, choice.run)
+        at, random = run_at(table, choice.run)
         best[name] = _result(runs, choice.run) | {
-            "at": at, "random": drawn, "mean": means,
+            "at": at, "random": random, "mean": means,
             "least": float(finite.min()), "largest": float(finite.max()), "passed_over": choice.passed_over,
             "accepted": choice.assessment.accepted(), "assessment": choice.assessment.to_dict(),
         }  # fmt: skip

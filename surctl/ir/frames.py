@@ -59,7 +59,7 @@ def stack_of(text: str, entry: str, *, flags: Sequence[str] = ("-Os",), compiler
     counted. An inlined function is part of the stack frame of its caller.
 
     Example:
-        >>> from surctl.ir import stack_of
+        >>> from surctl.ir.frames import stack_of
         >>> text = "void fill(float *x);\nfloat mean(void) { float x[1000]; fill(x); return x[9]; }\n"
         >>> round(stack_of(text, "mean"), -3)  # 1000 floats
         4000

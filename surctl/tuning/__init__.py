@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from surctl.tuning.goals import LIBRARY, GoalTable, RunGoal, load_loop_goals
     from surctl.tuning.loop_frequency_goals import Effort, LoopShape, MaxGain, Rejection, SensitivityBound, Tracking
     from surctl.tuning.loop_goal_file import LOOP_GOAL_KEYS, LoopGoalTable, PointTable
-    from surctl.tuning.loop_goals import Judgement, LoopGoal, LoopView, Profile
+    from surctl.tuning.loop_goals import LoopGoal, LoopView
     from surctl.tuning.loop_scores import LoopScores, Score, judge_loops, operating_loops
     from surctl.tuning.loop_time_goals import Margins, Overshoot, Poles, Settling, StepRejection, StepTracking
     from surctl.tuning.montecarlo import Counterexample, MonteCarlo
@@ -53,7 +53,6 @@ __all__ = [
     "Executor",
     "Finals",
     "GoalTable",
-    "Judgement",
     "LocalExecutor",
     "LoopGoal",
     "LoopGoalTable",
@@ -68,7 +67,6 @@ __all__ = [
     "PointTable",
     "Poles",
     "Pool",
-    "Profile",
     "Rejection",
     "Round",
     "RunGoal",

@@ -180,8 +180,8 @@ def runs_of(table: SweepTable, system: System) -> Runs:
 def run_at(table: SweepTable, run: int) -> tuple[dict[str, float], dict[str, float]]:
     """Return the numbers of the point of a run, and its random numbers, by name."""
     point, k = divmod(run, table.each)
-    drawn = {name: float(values[k]) for name, values in table.draws.items()}
-    return table.at(table.index(point)), drawn
+    random = {name: float(values[k]) for name, values in table.draws.items()}
+    return table.at(table.index(point)), random
 
 
 _JUDGED = 16  # points of a cost whose linear loop is judged, the least cost first
@@ -225,8 +225,8 @@ def chosen_points(
 
     def assessed(run: int) -> Assessment:
         if run not in judged:
-            at, drawn = run_at(table, run)
-            loop = assess(ClosedLoop(system, {**values, **at, **drawn}, ranges), parts=["loop"])
+            at, random = run_at(table, run)
+            loop = assess(ClosedLoop(system, {**values, **at, **random}, ranges), parts=["loop"])
             lines, duration = list[Line](), float(durations[run])
             for name, cost in system.costs.items():
                 value = float(costs[name][run // table.each])

@@ -10,19 +10,8 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from surctl.ir import (
-    LIBM,
-    OPERATIONS,
-    Call,
-    Instruction,
-    Loop,
-    Program,
-    Routine,
-    emit_block,
-    emit_c99,
-    lower,
-    replay,
-)
+from surctl.ir import LIBM, OPERATIONS, Call, Instruction, Loop, Program, Routine, emit_block, lower, replay
+from surctl.ir.c99 import emit_c99
 from surctl.ir.c99_folded import emit_folded, preamble
 from tests.ir.expressions import EXACT, compiled, random_functions, whole
 from tests.ir.test_lanes import bench, drawn

@@ -12,7 +12,8 @@ from matplotlib.figure import Figure
 
 from surctl.assessment import Line
 from surctl.errors import InputError
-from surctl.export import Difference, ExportedFile, SilReport
+from surctl.export import ExportedFile, SilReport
+from surctl.export.sil import Difference
 from surctl.marine.control import write_gains
 from surctl.marine.report import ExportSummary, ReportData, plot_run, render_page
 from surctl.marine.report.evidence_sections import runs_section

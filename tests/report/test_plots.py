@@ -14,12 +14,8 @@ from matplotlib.patches import Circle, Rectangle, Wedge
 from surctl.errors import InputError
 from surctl.marine.control import build_law
 from surctl.marine.guidance import Path as Route
-from surctl.marine.report import (
-    plot_run,
-    plot_run_signals,
-    save_run,
-)
-from surctl.marine.report.signals import plot_force, spans
+from surctl.marine.report import plot_run, save_run
+from surctl.marine.report.signals import plot_force, plot_run_signals, spans
 from surctl.marine.simulation import Run, load_scenario, simulate
 from surctl.marine.vehicle import load_vehicle
 from surctl.marine.verification import law_loop

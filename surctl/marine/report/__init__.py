@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 from surctl.lazy import load_at_first_use
 
 if TYPE_CHECKING:
-    from surctl.marine.report.animation import moment_of, save_animation, save_film
+    from surctl.marine.report.animation import save_animation, save_film
     from surctl.marine.report.files import plot_region, save_run
     from surctl.marine.report.goals import GoalBars, plot_goal_bars
     from surctl.marine.report.margin_plots import plot_locus
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from surctl.marine.report.page import render_page
     from surctl.marine.report.plan_view import plot_run
     from surctl.marine.report.sections import ExportSummary, ReportData
-    from surctl.marine.report.signals import plot_priority, plot_run_signals
+    from surctl.marine.report.signals import plot_priority
     from surctl.marine.report.sonar_plots import plot_calibration, plot_sonar_replay
     from surctl.marine.report.vehicle_plots import plot_attainable, plot_prediction
 
@@ -21,7 +21,6 @@ __all__ = [
     "ExportSummary",
     "GoalBars",
     "ReportData",
-    "moment_of",
     "plot_attainable",
     "plot_calibration",
     "plot_goal_bars",
@@ -31,7 +30,6 @@ __all__ = [
     "plot_priority",
     "plot_region",
     "plot_run",
-    "plot_run_signals",
     "plot_sonar_replay",
     "render_page",
     "save_animation",

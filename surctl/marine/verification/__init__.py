@@ -6,21 +6,8 @@ from surctl.lazy import load_at_first_use
 
 if TYPE_CHECKING:
     from surctl.marine.verification.avoidance_claims import settling_intrusion
-    from surctl.marine.verification.cruise_loop import (
-        LINEAR_GAINS,
-        CruiseLoop,
-        closed_loop_poles,
-        cruise_loop,
-        loop_margins,
-    )
-    from surctl.marine.verification.law_loop import (
-        LawCorners,
-        LawLoop,
-        OperatingPoint,
-        law_corners,
-        law_loop,
-        steady_motion,
-    )
+    from surctl.marine.verification.cruise_loop import LINEAR_GAINS, CruiseLoop, cruise_loop, loop_margins
+    from surctl.marine.verification.law_loop import LawCorners, OperatingPoint, law_corners, law_loop, steady_motion
     from surctl.marine.verification.library import applicable_claims, claims
     from surctl.marine.verification.linear_table import (
         LINEAR_METRICS,
@@ -29,7 +16,7 @@ if TYPE_CHECKING:
         linear_table,
         sweep_locus,
     )
-    from surctl.marine.verification.sonar_margins import SonarMargins, sonar_margins
+    from surctl.marine.verification.sonar_margins import sonar_margins
     from surctl.marine.verification.speeds import (
         OverSpeeds,
         check_held,
@@ -45,15 +32,12 @@ __all__ = [
     "LINEAR_PARAMETERS",
     "CruiseLoop",
     "LawCorners",
-    "LawLoop",
     "Locus",
     "OperatingPoint",
     "OverSpeeds",
-    "SonarMargins",
     "applicable_claims",
     "check_held",
     "claims",
-    "closed_loop_poles",
     "cruise_loop",
     "cruise_speeds",
     "law_corners",
