@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 import click
 from click.core import ParameterSource
 
-from surctl.cli.output import as_json, collected, finish, finite, progress
+from surctl.cli.output import FILE, FOLDER, Count, as_json, collected, finish, finite, progress
 from surctl.cli.robot_options import (
     GAINS_HELP,
     MISSION,
@@ -162,29 +162,16 @@ class Compared(NamedTuple):
 @click.option("--real", default="float64", metavar="NAME", help="Number type: float64 (default) or float32.")
 @click.option("--constant-gains", is_flag=True, help="Compile gains and mission in; needs --sensing truth.")
 @click.option(
-    "--certificate",
-    "certificates",
-    multiple=True,
-    type=click.Path(path_type=Path),
-    metavar="FILE",
-    help="Certificate to add to the bundle; may be repeated.",
+    "--certificate", "certificates", multiple=True, type=FILE, help="Certificate to add to the bundle; may be repeated."
 )
 @click.option("--check", is_flag=True, help="Compare C code and Python for all --targets.")
 @click.option("--prove", is_flag=True, help="Prove that no run-time error occurs (Frama-C's Eva).")
 @click.option("--targets", metavar="A,B", help="Compilers, processors of --check (default: all).")
+@click.option("--steps", type=Count(1), help="Single steps that --check compares (default 100000).")
 @click.option(
-    "--steps", type=click.IntRange(min=1), metavar="N", help="Single steps that --check compares (default 100000)."
+    "--out", type=FOLDER, default=Path("surctl-out", "export"), help="Folder of the bundle (default surctl-out/export)."
 )
-@click.option(
-    "--out",
-    type=click.Path(path_type=Path),
-    default=Path("surctl-out", "export"),
-    metavar="DIR",
-    help="Folder of the bundle (default surctl-out/export).",
-)
-@click.option(
-    "--seed", type=click.IntRange(min=0), default=0, metavar="N", help="Seed of the replayed run (default 0)."
-)
+@click.option("--seed", type=Count(0), default=0, help="Seed of the replayed run (default 0).")
 @as_json
 @collected(robot=RobotOptions, sensors=SensorOptions, options=ExportOptions)
 def export(

@@ -12,7 +12,18 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from surctl.cli.claims import claim_line
-from surctl.cli.output import as_json, finish, progress, refusal_line, same_command, saving, stoppable, timed
+from surctl.cli.output import (
+    FOLDER,
+    Count,
+    as_json,
+    finish,
+    progress,
+    refusal_line,
+    same_command,
+    saving,
+    stoppable,
+    timed,
+)
 from surctl.cli.robot_options import at_hand, derive_words, law_words, margin_of_all, trust_option
 from surctl.cli.subject import (
     OwnSystem,
@@ -39,19 +50,9 @@ if TYPE_CHECKING:
 @click.command
 @click.argument("words", nargs=-1, metavar="[FILE | FILE.py:FUNCTION [WORD]...]")
 @click.option(
-    "--out",
-    type=click.Path(path_type=Path),
-    default=Path("surctl-out"),
-    metavar="DIR",
-    help="Folder for report, gains and code (default surctl-out).",
+    "--out", type=FOLDER, default=Path("surctl-out"), help="Folder for report, gains and code (default surctl-out)."
 )
-@click.option(
-    "--workers",
-    type=click.IntRange(min=1),
-    default=2,
-    metavar="N",
-    help="Number of processes of the sweep (default 2).",
-)
+@click.option("--workers", type=Count(1), default=2, help="Number of processes of the sweep (default 2).")
 @click.option(
     "--vehicle", metavar="FILE", help="Vehicle of the built-in study; its missions are scaled if the vehicle is large."
 )

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from surctl.cli.output import as_json, finish, progress, same_command, saving, stoppable
+from surctl.cli.output import FOLDER, Count, as_json, finish, progress, same_command, saving, stoppable
 from surctl.cli.robot_options import SPEEDS, at_hand, choose_law, choose_shared, law_option, law_words
 from surctl.cli.subject import OwnSystem, command_line, is_system, load_system, seconds_option
 from surctl.errors import InputError, nearest
@@ -81,7 +81,7 @@ _EXPLAINED = ("deviation_m", "path_error_m")  # columns whose meaning is printed
     metavar="NAME",
     help="Points: grid (default), or space-filling in the ranges: lhs, sobol.",
 )
-@click.option("--points", type=click.IntRange(min=1), metavar="N", help="Number of points for lhs and sobol.")
+@click.option("--points", type=Count(1), help="Number of points for lhs and sobol.")
 @click.option(
     "--sensitivity",
     metavar="COLUMN",
@@ -95,19 +95,14 @@ _EXPLAINED = ("deviation_m", "path_error_m")  # columns whose meaning is printed
     help="Cruise speeds [m/s] of the loop margins; the worst counts (default: the scenarios' speeds).",
 )
 @click.option(
-    "--seeds",
-    type=click.IntRange(1, 1_000_000),
-    default=1,
-    metavar="N",
-    help="Simulate every point with the seeds 0 to N-1 (default 1).",
+    "--seeds", type=Count(1, 1_000_000), default=1, help="Simulate every point with the seeds 0 to N-1 (default 1)."
 )
-@click.option("--workers", type=click.IntRange(min=1), metavar="N", help="Processes or threads (default 2).")
+@click.option("--workers", type=Count(1), help="Processes or threads (default 2).")
 @click.option("--dask", metavar="ADDRESS", help="Use a Dask scheduler instead of local processes.")
 @click.option(
     "--out",
-    type=click.Path(path_type=Path),
+    type=FOLDER,
     default=Path("surctl-out"),
-    metavar="DIR",
     help="Folder of sweep.nc (default surctl-out); an interrupted sweep resumes there.",
 )
 @as_json
@@ -348,7 +343,8 @@ def _mission_summary(
     return _Summary(
         [*lines, "", where, *moved], brief, data,
         passed=bool(assessments) and all(one.accepted() for one in assessments), then=then,
-        files=files | {"table": Path(str(table.path))}, pictures={} if locus is None else {("locus", locus): locus_plot},
+        files=files | {"table": Path(str(table.path))},
+        pictures={} if locus is None else {("locus", locus): locus_plot},
     )  # fmt: skip
 
 

@@ -14,6 +14,8 @@ import click
 
 from surctl.cli.claims import are_problems, claim_line, statement_lines, verify_motion
 from surctl.cli.output import (
+    FOLDER,
+    Count,
     FiniteRange,
     as_json,
     finish,
@@ -70,7 +72,7 @@ _SPEED = FiniteRange(min=0, max=100, min_open=True)
     "--stack", "stacks", multiple=True, metavar="LAW", help="Analyse the task stack of a law: guarded or paper."
 )
 @barrier_options
-@click.option("--seed", type=click.IntRange(min=0), default=0, metavar="N", help="Seed of the falsifier (default 0).")
+@click.option("--seed", type=Count(0), default=0, help="Seed of the falsifier (default 0).")
 @click.option(
     "--time-limit",
     type=FiniteRange(min=0, max=1e6, min_open=True),
@@ -79,12 +81,7 @@ _SPEED = FiniteRange(min=0, max=100, min_open=True)
     help="Processor time per claim [s] (default 20; 60 for dynamics).",
 )
 @click.option("--show", is_flag=True, help="Print the claims as claim files without checking them.")
-@click.option(
-    "--out",
-    type=click.Path(path_type=Path),
-    metavar="DIR",
-    help="Folder for certificates and plots (default: no files).",
-)
+@click.option("--out", type=FOLDER, help="Folder for certificates and plots (default: no files).")
 @as_json
 def verify(
     claims: tuple[str, ...],
