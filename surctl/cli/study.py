@@ -320,7 +320,7 @@ def _design(
     from surctl.tuning import parse_axis
     from surctl.tuning.system_sweep import choices_and_draws
 
-    if not axes:
+    if not axes or not own.costs:
         return None
     design, draws = choices_and_draws(own.system, [parse_axis(axis) for axis in axes])
     for name in (*design.names, *draws):

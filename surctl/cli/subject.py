@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from surctl.ir import Layout
     from surctl.lyapunov import Problem
-    from surctl.system import Operating, Record, System
+    from surctl.system import Cost, Operating, Record, System
     from surctl.verification.sampled_margins import LoopCorners, SystemLoop
 
 seconds_option = click.option(
@@ -89,6 +89,13 @@ class OwnSystem:
             remedy = f"give at most {_MOST_PERIODS * self.system.dt:g} s"
             raise InputError(f"is {steps} control periods", file=file, key=key, value=seconds, remedy=remedy)
         return seconds
+
+    @property
+    def costs(self) -> Mapping[str, Cost]:
+        """Return the costs of the system; InputError if it has none."""
+        if not self.system.costs:
+            raise InputError("has no costs", key="system", value=self.label, remedy="give System(..., costs={...})")
+        return self.system.costs
 
     def exported_name(self, name: str | None = None, *, reserved: Collection[str]) -> str:
         """Return the name of the bundle: `name`, or that of the controller.

@@ -332,7 +332,7 @@ def _mission_summary(
         "picked": None if picked is None else table.row(picked),
         "assessments": [one.to_dict() for one in assessments],
         "gains": None if picked is None else str(files["gains"]),
-        "table": str(table.path),
+        "table": str(out / Path(str(table.path)).name),
     }
 
     def locus_plot() -> Axes:
@@ -343,7 +343,7 @@ def _mission_summary(
     return _Summary(
         [*lines, "", where, *moved], brief, data,
         passed=bool(assessments) and all(one.accepted() for one in assessments), then=then,
-        files=files | {"table": Path(str(table.path))},
+        files=files | {"table": out / Path(str(table.path)).name},
         pictures={} if locus is None else {("locus", locus): locus_plot},
     )  # fmt: skip
 
@@ -394,9 +394,9 @@ def _own(
     from surctl.tuning.system_sweep import choices_and_draws
 
     own = load_system(words)
-    duration = own.seconds(seconds)
-    if sensitivity is not None and sensitivity not in own.system.costs:
-        remedy = nearest(sensitivity, own.system.costs)
+    duration, costs = own.seconds(seconds), list(own.costs)
+    if sensitivity is not None and sensitivity not in costs:
+        remedy = nearest(sensitivity, costs)
         raise InputError("is not a cost of the system", key="--sensitivity", value=sensitivity, remedy=remedy)
     axes = [parse_axis(text) for text in own.settings]
     chosen, draws = choices_and_draws(
@@ -405,10 +405,8 @@ def _own(
     if compiles:
         find_compiler()
     subject = SystemSweep(own.system, duration, draws, threads=threads, about=own.origin, source=own.word)
-    count, costs = len(chosen.points) * max(map(len, draws.values()), default=1), list(own.system.costs)
-    return _Job(
-        subject, chosen, count, "runs", "sweep.csv", costs, costs, {}, partial(_run_summary, own, duration)
-    )  # fmt: skip
+    count, summary = len(chosen.points) * max(map(len, draws.values()), default=1), partial(_run_summary, own, duration)
+    return _Job(subject, chosen, count, "runs", "sweep.csv", costs, costs, {}, summary)
 
 
 def _run_summary(
@@ -425,7 +423,7 @@ def _run_summary(
         columns |= {f"{name} [{c.unit}]": runs[name].tolist() for name, c in system.costs.items()}
         columns |= {"stopped": runs.stopped.tolist(), "duration [s]": runs.time.tolist()}
         files["table"] = write_csv(out / "sweep.csv", columns)
-    files["netCDF"] = Path(str(table.path))
+    files["netCDF"] = out / Path(str(table.path)).name
     choices = chosen_points(table, system)
     best = best_points(table, system, choices)
     lost = [k for k, stopped in enumerate(runs.stopped) if stopped == LOST]
@@ -451,7 +449,7 @@ def _run_summary(
         "best": best,
         "not_finite": [_at(at, k) for k in lost],
         "table": str(files["table"]) if "table" in files else None,
-        "netcdf": str(table.path),
+        "netcdf": str(files["netCDF"]),
     }
     then = []
     for row in list(best.values())[:1]:

@@ -150,8 +150,8 @@ def plot_parallel(
         >>> from surctl.tuning import SystemSweep, grid, parse_axis, sweep
         >>> design = grid([parse_axis("k=1,2"), parse_axis("start.speed=0.4,0.8,1.2")])
         >>> ax = plot_parallel(sweep(SystemSweep(cart_system(), 5.0), design), ["way"])
-        >>> ax.get_title("left"), [label.get_text() for label in ax.get_xticklabels()[:2]]
-        ('6 points, 6 feasible', ['k [1/s]', 'start.speed\n[m/s]'])
+        >>> ax.get_title("left"), [label.get_text().split() for label in ax.get_xticklabels()[:2]]
+        ('6 points, 6 feasible', [['k', '[1/s]'], ['start.speed', '[m/s]']])
     """
     scales, words = [], []
     for k, axis in enumerate(table.axes):

@@ -341,7 +341,7 @@ def load_sweep(path: Path | str) -> SweepTable:
         >>> _ = sweep(SystemSweep(cart_system(), 5.0), grid([parse_axis("k=1,2")]), out=Path("swept"))
         >>> table = load_sweep("swept/sweep.nc")
         >>> table.axes[0].values.tolist(), table.column("way").round(2).tolist(), table.units["way"]
-        ([1.0, 2.0], [0.95, 0.48], 'm')
+        ([1.0, 2.0], [0.99, 0.5], 'm')
     """
     import xarray as xr  # takes seconds to import
 

@@ -143,11 +143,9 @@ def choices_and_draws(
     unless it is that of a gain.
 
     Raises:
-        InputError: the system has no costs or nothing random, an axis is not valid, or its name is not that of one
+        InputError: the system has nothing random, an axis is not valid, or its name is not that of one
             number.
     """
-    if not system.costs:
-        raise InputError("has no costs", key="system", remedy="give System(..., costs={...})")
     for axis in axes:
         check_scalar(system, axis.name)
     listed = [axis for axis in axes if axis.name == SEED]

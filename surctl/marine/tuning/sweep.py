@@ -395,6 +395,16 @@ def picked_gains(table: SweepTable) -> Gains:
     """Return the gains of a sweep of missions with the values of its picked point.
 
     Without a choice of points, these are the gains that the cases had before the sweep varied them.
+
+    Example:
+        >>> from surctl.marine.control import load_gains
+        >>> from surctl.marine.simulation import load_scenario
+        >>> from surctl.marine.tuning import MissionSweep, build_cases, picked_gains
+        >>> from surctl.tuning import grid, parse_axis, sweep
+        >>> cases = build_cases([load_scenario("pool-behind")], gains=load_gains("default"), law="closed_form")
+        >>> table = sweep(MissionSweep(cases, linear=False), grid([parse_axis("k_v=1,2")]))
+        >>> picked_gains(table)["k_v"] == table.at(table.picked)["k_v"]
+        True
     """
     stored = json.loads(table.dataset.attrs["gains"])
     own = {name: GainSpec(**spec) for name, spec in stored.pop("own", {}).items()}
