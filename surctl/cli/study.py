@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
     from surctl.assessment import Assessment, Line
+    from surctl.export import ExportedFile
     from surctl.lyapunov import Solution
     from surctl.tuning.design import Design
     from surctl.verification import LoopMargins
@@ -231,7 +232,7 @@ def study_system(
     controller = own.system.controller
     progress("comparing C with Python")
     bundle = system_bundle(own, values, record)
-    files: Sequence[object] = ()
+    files: Sequence[ExportedFile] = ()
     with saving("code"):
         files = write_bundle(bundle, out / "export")
     with tempfile.TemporaryDirectory(prefix="surctl-sil-") as scratch:
@@ -252,7 +253,7 @@ def study_system(
     with stoppable(f"the code is in {out / 'export'}; not finished: margins, region, sweep", ran, as_json=as_json):
         assessment = assess(subject).with_lines([export_line(sil)])
         with saving("code"):
-            write_bundle(with_evidence(bundle, system_evidence(own, record, assessment, sil)), out / "export")
+            files = write_bundle(with_evidence(bundle, system_evidence(own, record, assessment, sil)), out / "export")
         if design is not None:
             progress(f"sweep of {len(design[0].points)} points")
             with saving("sweep"):
@@ -266,7 +267,7 @@ def study_system(
     study = SystemStudy(
         title=f"Study of {own.system.title}", record=record, assessment=assessment,
         resting=resting(own.system, loop.nominal.at) if judged else {}, mode=mode_text(loop.nominal) if judged else "",
-        swept=swept, sil=sil,
+        swept=swept, files=files, sil=sil,
         best=best_lines,
         commands={
             "study": command_line("study", own, *own.settings, "--seconds", f"{duration:g}", "--out", str(out)),

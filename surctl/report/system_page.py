@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from surctl.assessment import Assessment, Line
 from surctl.errors import InputError
-from surctl.export import SilReport
+from surctl.export import ExportedFile, SilReport
 from surctl.ir import Layout
 from surctl.report.document import (
     Block,
@@ -27,7 +27,7 @@ from surctl.report.motion_plots import plot_motion
 from surctl.report.page_parts import plot_loop
 from surctl.report.sweep_plots import plot_heat_map
 from surctl.report.system_plots import plot_dependence, plot_record
-from surctl.report.theme import number
+from surctl.report.theme import file_size, number
 from surctl.system import Record, Runs, entry_labels, entry_units
 from surctl.tuning import SweepTable
 from surctl.tuning.system_sweep import runs_of
@@ -47,6 +47,7 @@ class SystemStudy:
         mode: what the slowest mode does.
         swept: the sweep; None if nothing was swept.
         best: lines with the best point of each cost.
+        files: the exported files.
         sil: comparison of C and Python.
         commands: the command lines of the study, of the run, of the margins and claim, and of the sweep.
         version: version of surctl.
@@ -59,6 +60,7 @@ class SystemStudy:
     mode: str
     swept: SweepTable | None
     best: Sequence[str]
+    files: Sequence[ExportedFile]
     sil: SilReport
     commands: Mapping[str, str]
     version: str
@@ -71,13 +73,20 @@ def export_line(sil: SilReport) -> Line:
     return Line(sil.passed, text, "export")
 
 
-def sil_blocks(reports: Sequence[SilReport]) -> list[Block]:
-    """Return paragraphs about the comparison of C and Python in each replayed run."""
-    blocks: list[Block] = []
+def export_section(
+    text: str, files: Sequence[ExportedFile], reports: Sequence[SilReport], *, folded: bool = False
+) -> Section:
+    """Return a section with the exported files (size, SHA-256), and the comparison of C and Python in each run."""
+    rows = tuple(
+        (Cell(f.path.name, code=True), Cell(file_size(f.path), number=True), Cell(f.sha256, code=True)) for f in files
+    )
+    blocks: list[Block] = [Paragraph(text), Table("Exported files", ("file", "size [byte]", "SHA-256"), rows)]
     for report in reports:
         head, *others = (line.strip() for line in report.summary().splitlines())
         blocks += [Paragraph(head, "good" if report.conclusive else "bad"), *map(Paragraph, others)]
-    return blocks
+    if not reports:
+        blocks.append(Paragraph("The C was not compiled and not compared with Python.", "note"))
+    return Section("export", "Exported controller", tuple(blocks), folded)
 
 
 def figures_table(assessment: Assessment) -> Table:
@@ -158,7 +167,7 @@ def _sections(study: SystemStudy) -> list[Section]:
         Section("margins", "Equilibrium and margins", _margins(study)),
         Section("region", "Region of attraction", _region(study)),
         Section("sweep", "Sweep", _sweep(study)),
-        Section("export", "Export as C", tuple(sil_blocks([study.sil]))),
+        export_section("The step of the controller as C99.", study.files, [study.sil]),
         Section("signals", "Signals, parameters and gains", _ports(study.record)),
     ]
 

@@ -12,13 +12,12 @@ if TYPE_CHECKING:
     from surctl.marine.report.mission_plot import plot_mission
     from surctl.marine.report.page import render_page
     from surctl.marine.report.plan_view import plot_run
-    from surctl.marine.report.sections import ExportSummary, ReportData
+    from surctl.marine.report.sections import ReportData
     from surctl.marine.report.signals import plot_priority
     from surctl.marine.report.sonar_plots import plot_calibration, plot_sonar_replay
     from surctl.marine.report.vehicle_plots import plot_attainable, plot_prediction
 
 __all__ = [
-    "ExportSummary",
     "GoalBars",
     "ReportData",
     "plot_attainable",

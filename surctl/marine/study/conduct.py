@@ -41,7 +41,7 @@ from surctl.verification import Inapplicable, LoopMargins, Verdict, decide
 from surctl.verification.linear import short_margins
 
 if TYPE_CHECKING:
-    from surctl.marine.report import ExportSummary
+    from surctl.report.document import Section
 
 
 @dataclass(frozen=True)
@@ -474,7 +474,7 @@ def conduct(
     with clock("report"), saving("report"):
         data = replace(
             data,
-            export=_export_summary(plan, shipment, replayed, sil),
+            export=_export_section(plan, shipment, replayed, sil),
             seconds=dict(clock.seconds),
             assessment=assessment,
         )
@@ -546,18 +546,16 @@ def _sensing(plan: Plan) -> Literal["truth", "sonar"]:
     return "truth" if plan.unheard else "sonar"
 
 
-def _export_summary(
-    plan: Plan, shipment: _Shipment, replayed: Sequence[Run], sil: tuple[SilReport, ...]
-) -> ExportSummary:
-    from surctl.marine.report import ExportSummary
+def _export_section(plan: Plan, shipment: _Shipment, replayed: Sequence[Run], sil: tuple[SilReport, ...]) -> Section:
+    from surctl.report.system_page import export_section
 
-    status = "The exported law estimates its position and the obstacles from sonars, base station and IMU."
-    if plan.unheard:
-        status = f"The exported law takes the pose, the velocity and the obstacles as inputs, because {plan.unheard}."
-    status += " Replayed runs: "
-    status += "; ".join(f"{k}: {run.scenario.name} by {run.vehicle.name}" for k, run in enumerate(replayed, start=1))
     bundle = shipment.bundle
-    return ExportSummary(name=bundle.name, id=bundle.id, files=shipment.files, sil=sil, status=f"{status}.")
+    inputs = "estimates its position and the obstacles from sonars, base station and IMU"
+    if plan.unheard:
+        inputs = f"takes the pose, the velocity and the obstacles as inputs, because {plan.unheard}"
+    text = f"C99, double precision, prefix {bundle.name}, law {bundle.id}. The exported law {inputs}."
+    runs = "; ".join(f"{k}: {run.scenario.name} by {run.vehicle.name}" for k, run in enumerate(replayed, start=1))
+    return export_section(f"{text} Replayed runs: {runs}.", shipment.files, sil, folded=True)
 
 
 def _sweep(plan: Plan, out: Path, workers: int, progress: Progress) -> SweepTable:
