@@ -101,9 +101,8 @@ def measure(config: Config, runs: int, out: Path) -> Measured:
     design = spread("lhs", [Span(name, *ends) for name, ends in config.ranges.items()], count=runs)
     start, spent = time.perf_counter(), processors()
     subject, executor = MissionSweep((case,), linear=False), LocalExecutor(config.workers)
-    table = sweep(subject, design, executor=executor, out=out, progress=tell)
+    sweep(subject, design, executor=executor, out=out, progress=tell)
     seconds, cpu = time.perf_counter() - start, processors() - spent
-    table.dataset.close()
     own, workers = (resource.getrusage(w).ru_maxrss / 1024 for w in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
     return Measured(runs, seconds, cpu, own, workers, (out / "sweep.nc").stat().st_size / 2**20)
 

@@ -332,7 +332,7 @@ def _mission_summary(
         "picked": None if picked is None else table.row(picked),
         "assessments": [one.to_dict() for one in assessments],
         "gains": None if picked is None else str(files["gains"]),
-        "table": str(out / Path(str(table.path)).name),
+        "table": str(table.path),
     }
 
     def locus_plot() -> Axes:
@@ -343,7 +343,7 @@ def _mission_summary(
     return _Summary(
         [*lines, "", where, *moved], brief, data,
         passed=bool(assessments) and all(one.accepted() for one in assessments), then=then,
-        files=files | {"table": out / Path(str(table.path)).name},
+        files=files | {"table": Path(str(table.path))},
         pictures={} if locus is None else {("locus", locus): locus_plot},
     )  # fmt: skip
 
@@ -423,7 +423,7 @@ def _run_summary(
         columns |= {f"{name} [{c.unit}]": runs[name].tolist() for name, c in system.costs.items()}
         columns |= {"stopped": runs.stopped.tolist(), "duration [s]": runs.time.tolist()}
         files["table"] = write_csv(out / "sweep.csv", columns)
-    files["netCDF"] = out / Path(str(table.path)).name
+    files["netCDF"] = Path(str(table.path))
     choices = chosen_points(table, system)
     best = best_points(table, system, choices)
     lost = [k for k, stopped in enumerate(runs.stopped) if stopped == LOST]

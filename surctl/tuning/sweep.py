@@ -5,12 +5,12 @@ from __future__ import annotations
 import json
 import tempfile
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,9 +28,6 @@ from surctl.tuning.chunked import (
     finished_table,
 )
 from surctl.tuning.design import Axis, Design, Span
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 Floats = NDArray[np.float64]
 Index = tuple[int, ...]
@@ -52,33 +49,37 @@ class SweepTable:
 
     Random numbers such as seeds are no choice: where the runs of a point have columns of their own, the worst counts.
 
+    `sweep` and `load_sweep` return it; xarray reads its file as a dataset, `xarray.open_dataset(table.path)`, whose
+    dimensions are the axes of a grid, or `point` for other designs, and `seed` or `draw` if a point has several runs.
+
     Attributes:
-        dataset: xarray dataset; its dimensions are the axes of a grid, or `point` for other designs, and `seed` or
-            `draw` if a point has several runs. Every column of results is a data variable with the attributes `units`
-            and `long_name`. Columns whose name starts with `case_` hold the results of single cases and have `case` as
-            first dimension. Values are read from the file on access.
+        attributes: attributes of the file with the origin of the results.
+        about: unit, meaning and dimensions of each variable. Columns whose name starts with `case_` hold the results of
+            single cases and have `case` as first dimension.
+        values: function that returns the values of a variable at an index; those of a file are read when it is called.
+        path: the file; None for results in memory.
     """
 
-    dataset: xr.Dataset = field(repr=False)
+    attributes: Mapping[str, Any]
+    about: Mapping[str, tuple[str, str, tuple[str, ...]]]
+    values: Callable[[str, Any], NDArray[Any]] = field(repr=False)
+    path: Path | None = None
 
     @property
     def is_grid(self) -> bool:
         """Whether the design is a full grid: every combination of the axes' values was evaluated."""
-        return bool(self.dataset.attrs["design"] == "grid")
+        return bool(self.attributes["design"] == "grid")
 
     @cached_property
     def axes(self) -> tuple[SweptAxis, ...]:
         """The parameters that the sweep varies, in the order of the dimensions."""
-        axes = []
-        for name in json.loads(self.dataset.attrs["axes"]):
-            values = self.dataset[_netcdf_name(name)]
-            axes.append(SweptAxis(name, values.attrs["units"], values.attrs["long_name"], np.asarray(values.values)))
-        return tuple(axes)
+        names = {name: _netcdf_name(name) for name in json.loads(self.attributes["axes"])}
+        return tuple(SweptAxis(name, *self.about[own][:2], self.values(own, ...)) for name, own in names.items())
 
     @cached_property
     def draws(self) -> Mapping[str, Floats]:
         """Numbers (m,) in which the m runs of a point differ, by name, the same at all points; empty if m is 1."""
-        return {name: np.asarray(self.dataset[name].values) for name in json.loads(self.dataset.attrs["draws"])}
+        return {name: self.values(name, ...) for name in json.loads(self.attributes["draws"])}
 
     @cached_property
     def each(self) -> int:
@@ -95,30 +96,19 @@ class SweepTable:
     @cached_property
     def columns(self) -> tuple[str, ...]:
         """Names of the columns of results that cover all cases together."""
-        return tuple(n for n, dims in self._dimensions.items() if "case" not in dims and n not in self.draws)
-
-    @cached_property
-    def _dimensions(self) -> Mapping[str, tuple[str, ...]]:
-        # of every data variable; xarray builds an object each time that it is asked for one
-        return {str(name): tuple(map(str, v.dims)) for name, v in self.dataset.data_vars.items()}
+        others = {*self.draws, *(_netcdf_name(axis.name) for axis in self.axes)}
+        return tuple(name for name, (*_, dims) in self.about.items() if "case" not in dims and name not in others)
 
     @property
     def units(self) -> Mapping[str, str]:
         """Unit of every axis and column, and of every number in which runs differ."""
-        names = (*self.draws, *self.columns)
-        units = {name: str(self.dataset[name].attrs.get("units", "")) for name in names}
-        return {axis.name: axis.unit for axis in self.axes} | units
+        known = {axis.name: axis.unit for axis in self.axes}
+        return known | {name: self.about[name][0] for name in (*self.draws, *self.columns)}
 
     @cached_property
     def cases(self) -> tuple[str, ...]:
         """Names of the cases that were simulated at every point."""
-        return tuple(str(name) for name in self.dataset["case"].values)
-
-    @property
-    def path(self) -> Path | None:
-        """The file from which the results are read; None for results in memory."""
-        source = self.dataset.encoding.get("source")
-        return Path(source) if source else None
+        return tuple(map(str, self.values("case", ...)))
 
     def column(self, name: str, *, case: str | None = None) -> NDArray[Any]:
         """Return a column, over all cases or of one case, in the shape of the design, then of the runs of a point.
@@ -127,14 +117,14 @@ class SweepTable:
         """
         known = self.columns
         if case is not None:
-            known = tuple(v.removeprefix("case_") for v in self._dimensions if v.startswith("case_"))
+            known = tuple(name.removeprefix("case_") for name in self.about if name.startswith("case_"))
         if name not in known:
             raise InputError("no such column", key="column", value=name, remedy=nearest(name, known))
         if case is None:
-            return np.asarray(self.dataset.variables[name].values)
+            return self.values(name, ...)
         if case not in self.cases:
             raise InputError("no such case", key="case", value=case, remedy=nearest(case, self.cases))
-        return np.asarray(self.dataset.variables["case_" + name][self.cases.index(case)].values)
+        return self.values("case_" + name, self.cases.index(case))
 
     def worst(self, name: str) -> Floats:
         """Return the largest value of a column over the runs of each point; NaN if a run has no value."""
@@ -176,7 +166,7 @@ class SweepTable:
 
     def row(self, index: Index) -> dict[str, float]:
         """Return the values of the axes and of every column at a point with one run."""
-        return self.at(index) | {name: float(self.dataset.variables[name][index].values) for name in self.columns}
+        return self.at(index) | {name: float(self.values(name, index)) for name in self.columns}
 
     def numbers(self) -> dict[str, Floats]:
         """Return the axes and the numbers in which runs differ, for all runs, those of a point one after another."""
@@ -285,21 +275,28 @@ def sweep(
     with tempfile.TemporaryDirectory(prefix="surctl-sweep-") as scratch:
         folder = Path(scratch) if out is None else out
         path = finished_table(folder, request, progress=progress)
-        if path is None:
-            with evaluated_chunks(
-                function, stages, out=folder, request=request, executor=executor or LocalExecutor(), progress=progress
-            ) as stored:
-                path = _write(folder / TABLE, subject, design, stored, request)
-        table = load_sweep(path)
-        if out is not None:
-            return table
-        loaded = table.dataset.load()
-        table.dataset.close()
-    loaded.encoding.pop("source", None)
-    return SweepTable(loaded)
+        if path is not None:
+            return load_sweep(path)
+        with evaluated_chunks(
+            function, stages, out=folder, request=request, executor=executor or LocalExecutor(), progress=progress
+        ) as stored:
+            sizes, columns, attributes = _variables(subject, design, stored, request)
+            if out is not None:
+                write_netcdf(out / TABLE, columns, sizes=sizes, attributes=attributes, checksums=True)
+                return load_sweep(out / TABLE)
+            kept = dict(columns)
+    about = {name: (column.unit, column.meaning, column.dimensions or tuple(sizes)) for name, column in kept.items()}
+    return SweepTable(attributes, about, lambda name, at: _shaped(kept[name], about[name][2], sizes)[at])
 
 
-def _write(path: Path, subject: SweepSubject, design: Design, stored: Columns, request: str) -> Path:
+def _shaped(column: Column, dimensions: Sequence[str], sizes: Mapping[str, int]) -> NDArray[Any]:
+    return column.values.reshape([sizes[dimension] for dimension in dimensions])
+
+
+def _variables(
+    subject: SweepSubject, design: Design, stored: Columns, request: str
+) -> tuple[dict[str, int], Iterable[tuple[str, Column]], dict[str, Any]]:
+    """Return the dimensions, variables and attributes of a table."""
     is_grid, names = design.kind == "grid", [_netcdf_name(name) for name in design.names]
     sizes = dict(zip(names if is_grid else ["point"], design.shape, strict=True))
     known = dict[str, Column]()
@@ -324,8 +321,7 @@ def _write(path: Path, subject: SweepSubject, design: Design, stored: Columns, r
         "draws": json.dumps(list(draws)),
         **({} if is_grid else {"coordinates": " ".join(names)}),
     }
-    columns = chain(known.items(), labels.items(), results)
-    return write_netcdf(path, columns, sizes=sizes, attributes=attributes, checksums=True)
+    return sizes, chain(known.items(), labels.items(), results), attributes
 
 
 def load_sweep(path: Path | str) -> SweepTable:
@@ -343,23 +339,27 @@ def load_sweep(path: Path | str) -> SweepTable:
         >>> table.axes[0].values.tolist(), table.column("way").round(2).tolist(), table.units["way"]
         ([1.0, 2.0], [0.99, 0.5], 'm')
     """
-    import xarray as xr  # takes seconds to import
+    import netCDF4
 
     path = Path(path)
     if not path.is_file():
         raise InputError("no such file", file=path, remedy="give the sweep.nc of a finished sweep")
-    dataset: Any = None
     try:
-        dataset = xr.open_dataset(path.resolve(), engine="netcdf4", cache=False, decode_times=False)
-        missing = {"design", "axes", "draws", "request"} - set(dataset.attrs)
-    except (OSError, ValueError, RuntimeError) as error:
+        # stays open, because opening it takes longer than reading a column; closed with the table
+        file = netCDF4.Dataset(path, keepweakref=True)
+        file.set_auto_mask(False)
+        attributes = {name: file.getncattr(name) for name in file.ncattrs()}
+        about = {
+            name: (getattr(variable, "units", ""), variable.long_name, variable.dimensions)
+            for name, variable in file.variables.items()
+        }
+    except (OSError, RuntimeError, AttributeError) as error:
         raise InputError(
             f"is not a readable netCDF file ({type(error).__name__})", file=path, remedy="run the sweep again"
         ) from None
-    if missing:
-        dataset.close()
+    if not {"design", "axes", "draws", "request"} <= set(attributes):
         raise InputError("is not the table of a sweep", file=path, remedy="give the sweep.nc of a finished sweep")
-    return SweepTable(dataset)
+    return SweepTable(attributes, about, lambda name, at: np.asarray(file[name][at]), path)
 
 
 def _netcdf_name(name: str) -> str:

@@ -8,7 +8,6 @@ from dataclasses import asdict, replace
 from functools import cache
 
 import numpy as np
-import xarray as xr
 from numpy.typing import NDArray
 
 from surctl.assessment import Assessment, Line
@@ -67,19 +66,12 @@ def swept(
     """A sweep of these columns."""
     where = tuple(axes) if design == "grid" else ("point",)
     about = {"design": design, "axes": json.dumps(list(axes)), "draws": "[]", "gains": json.dumps(asdict(GAINS))}
-    return SweepTable(
-        xr.Dataset(
-            {name: (where, v, {"units": COLUMNS.get(name, "1"), "long_name": name}) for name, v in table.items()},
-            {
-                **{
-                    name: ((name,) if design == "grid" else where, list(v), {"units": unit, "long_name": name})
-                    for (name, v), unit in zip(axes.items(), ("m", "1/s", "kg", "s"), strict=False)
-                },
-                "case": ["pool-behind/sur400/truth"],
-            },
-            about,
-        )
-    )
+    texts = {name: (COLUMNS.get(name, "1"), name, where) for name in table}
+    for name, unit in zip(axes, ("m", "1/s", "kg", "s"), strict=False):
+        texts[name] = (unit, name, (name,) if design == "grid" else where)
+    texts["case"] = ("", "case", ("case",))
+    values = {**table, **axes, "case": ["pool-behind/sur400/truth"]}
+    return SweepTable(about, texts, lambda name, at: np.asarray(values[name])[at])
 
 
 def said(*lines: Line) -> Assessment:

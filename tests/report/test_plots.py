@@ -6,7 +6,6 @@ from pathlib import Path
 import matplotlib as mpl
 import numpy as np
 import pytest
-import xarray as xr
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Rectangle, Wedge
@@ -153,8 +152,8 @@ def test_the_heat_map_takes_what_is_not_a_number() -> None:
     assert "∞" in [t.get_text() for t in plot_heat_map(sweep(), "delay_margin_s").texts]
     nothing = sweep(picked=None)
     for value in (np.nan, 1.0):
-        flat = nothing.dataset.assign(score=xr.full_like(nothing.dataset["score"], value))
-        rendered(plot_heat_map(SweepTable(flat), "score"))
+        columns = {"score": np.full(nothing.shape, value), "feasible": nothing.column("feasible")}
+        rendered(plot_heat_map(swept({"lookahead": (0.6, 0.9, 1.2), "k_v": (1.0, 2.0)}, columns), "score"))
     with pytest.raises(InputError, match="score"):
         plot_heat_map(sweep(), "scores")
 

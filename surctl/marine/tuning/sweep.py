@@ -406,7 +406,7 @@ def picked_gains(table: SweepTable) -> Gains:
         >>> picked_gains(table)["k_v"] == table.at(table.picked)["k_v"]
         True
     """
-    stored = json.loads(table.dataset.attrs["gains"])
+    stored = json.loads(table.attributes["gains"])
     own = {name: GainSpec(**spec) for name, spec in stored.pop("own", {}).items()}
     base = Gains(**stored, own=own)
     if table.picked is None or np.prod(table.shape) == 1:
@@ -415,7 +415,7 @@ def picked_gains(table: SweepTable) -> Gains:
     what = ", ".join(f"{name} = {value:g}" for name, value in chosen.items())
     return base.with_values(
         {name: value for name, value in chosen.items() if name in base.values},
-        provenance=f"{base.provenance}; picked by a {table.dataset.attrs['design']} sweep: {what}",
+        provenance=f"{base.provenance}; picked by a {table.attributes['design']} sweep: {what}",
         how="picked",
     )
 
