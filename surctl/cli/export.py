@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 import tempfile
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from hashlib import sha256
 from pathlib import Path
@@ -198,10 +198,7 @@ def export(
     truth --constant-gains --check; surctl export my_system.py:build --seconds 5
     """
     if is_system(system, "seconds", "as_json", *(one.name for one in fields(ExportOptions))):
-        from surctl.marine.control.registry import LAWS
-
-        reserved = {*LAWS, *(source.name for source in LAWS.values())}
-        export_system(system, options, seconds=seconds, as_json=as_json, reserved=reserved)
+        export_system(system, options, seconds=seconds, as_json=as_json)
     if system:
         raise click.UsageError(f"Got unexpected extra argument ({system[0]})")
     import numpy as np
@@ -408,18 +405,11 @@ def system_evidence(
     return evidence | {"assessment": finite(assessment.to_dict())}
 
 
-def export_system(
-    words: Sequence[str],
-    options: ExportOptions,
-    *,
-    seconds: float | None,
-    as_json: bool,
-    reserved: Collection[str] = (),
-) -> None:
+def export_system(words: Sequence[str], options: ExportOptions, *, seconds: float | None, as_json: bool) -> None:
     """Write the controller as C, compare C and Python over a run; exit with status 1 if a number or a line fails.
 
     Raises:
-        InputError: an option is not available, `--check` is missing, or the name is one of `reserved`.
+        InputError: an option is not available, `--check` is missing, or the name is that of a built-in law.
     """
     from surctl.assessment import ClosedLoop, assess
     from surctl.export.bundle import check_folder, write_bundle
@@ -436,7 +426,7 @@ def export_system(
     real = REALS[REALS.index(options.real)]
     own = load_system(words)
     duration, values = own.seconds(seconds), assigned(own.settings)
-    name = own.exported_name(options.name, reserved=reserved)
+    name = own.exported_name(options.name)
     check_folder(options.out)
     controller = own.system.controller
     record = run_system(own.system, duration, values)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import shlex
 import tempfile
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -87,9 +87,7 @@ def study(
     study.json; surctl study my_system.py:build --seconds 5
     """
     if is_system(words, "words", "out", "workers", "seconds", "as_json"):
-        from surctl.marine.control import LAW_NAMES
-
-        study_system(words, seconds=seconds, workers=workers, out=out, as_json=as_json, reserved=LAW_NAMES)
+        study_system(words, seconds=seconds, workers=workers, out=out, as_json=as_json)
     if len(words) > 1:
         raise click.UsageError(f"Got unexpected extra argument ({words[1]})")
     from surctl.ir import find_compiler
@@ -189,15 +187,7 @@ _AXES, _POINTS = 2, 9  # of the sweep, if no axis is given
 _REGION = 60.0  # largest processor time of the region of a system [s]
 
 
-def study_system(
-    words: Sequence[str],
-    *,
-    seconds: float | None,
-    workers: int,
-    out: Path,
-    as_json: bool,
-    reserved: Collection[str] = (),
-) -> None:
+def study_system(words: Sequence[str], *, seconds: float | None, workers: int, out: Path, as_json: bool) -> None:
     """Write report.html and the C code of the controller; exit with status 1 if a check of the report fails."""
     from surctl import __version__
     from surctl.assessment import ClosedLoop, assess
@@ -218,7 +208,7 @@ def study_system(
 
     own = load_system(words)
     find_compiler()
-    own.exported_name(reserved=reserved)
+    own.exported_name()
     axes = stated = [word for word in own.settings if ".." in word and word.partition("..")[2].count(":")]
     others, region, uncertain = region_words([word for word in own.settings if word not in stated], own.system)
     duration, values = own.seconds(seconds), assigned(others)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 import shlex
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -97,17 +97,18 @@ class OwnSystem:
             raise InputError("has no costs", key="system", value=self.label, remedy="give System(..., costs={...})")
         return self.system.costs
 
-    def exported_name(self, name: str | None = None, *, reserved: Collection[str]) -> str:
+    def exported_name(self, name: str | None = None) -> str:
         """Return the name of the bundle: `name`, or that of the controller.
 
         Raises:
-            InputError: it cannot be the name of a bundle, or it is one of `reserved`.
+            InputError: it cannot be the name of a bundle, or it is that of a built-in law.
         """
         from surctl.export.contract import checked_name
+        from surctl.marine.control.registry import LAWS
 
         try:
             chosen = checked_name(self.system.controller, name)
-            if chosen in reserved:
+            if chosen in {*LAWS, *(source.name for source in LAWS.values())}:
                 problem, remedy = "is the name of a built-in law", "choose another name"
                 raise InputError(problem, key="name", value=chosen, remedy=remedy)
         except InputError as error:

@@ -154,10 +154,8 @@ def plot_parallel(
         ('6 points, 6 feasible', [['k', '[1/s]'], ['start.speed', '[m/s]']])
     """
     scales, words = [], []
-    for k, axis in enumerate(table.axes):
-        place = [1] * len(table.shape)
-        place[k if table.is_grid else 0] = len(axis.values)
-        scales.append(np.broadcast_to(axis.values.reshape(place), table.shape).reshape(-1))
+    for axis in table.axes:
+        scales.append(table.numbers()[axis.name][:: table.each])
         words.append(axis_title(axis))
     for name in columns:
         scales.append(table.worst(name).reshape(-1))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import tempfile
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -170,9 +171,10 @@ class SweepTable:
 
     def numbers(self) -> dict[str, Floats]:
         """Return the axes and the numbers in which runs differ, for all runs, those of a point one after another."""
-        points = [self.at(index) for index in np.ndindex(*self.shape)]
-        swept = {a.name: np.repeat([point[a.name] for point in points], self.each) for a in self.axes}
-        return swept | {name: np.tile(values, len(points)) for name, values in self.draws.items()}
+        values = [axis.values for axis in self.axes]
+        points = np.meshgrid(*values, indexing="ij") if self.is_grid else values
+        swept = {axis.name: np.repeat(one, self.each) for axis, one in zip(self.axes, points, strict=True)}
+        return swept | {name: np.tile(values, math.prod(self.shape)) for name, values in self.draws.items()}
 
     def rows(self) -> list[dict[str, Any]]:
         """Return the numbers and every column of every run, in C order, those of a point one after another."""
