@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     from surctl.marine.control import Gains
     from surctl.marine.simulation import Case
-    from surctl.marine.verification import Locus
+    from surctl.marine.verification.linear_table import Locus
     from surctl.system import Runs, System
     from surctl.tuning import Design, Executor, SobolIndices, SweepSubject, SweepTable
     from surctl.tuning.system_sweep import Choice
@@ -506,14 +506,14 @@ def _rows(table: SweepTable, columns: Iterable[str], runs: Runs | None = None) -
 
 
 def _ended(stopped: str, time: float) -> str:
-    from surctl.system import ENDED
+    from surctl.system.loop import ENDED
 
     return "" if stopped == ENDED else f"  ({stopped} at {time:.6g} s)"
 
 
 def _ends(stopped: NDArray[np.str_]) -> str:
     """Return how many runs of a point ended early, with an upper bound of the probability."""
-    from surctl.system import ENDED
+    from surctl.system.loop import ENDED
     from surctl.tuning.statistics import Share
 
     ends = Counter(stopped.tolist())

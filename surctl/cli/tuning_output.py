@@ -32,7 +32,8 @@ if TYPE_CHECKING:
     from surctl.marine.tuning import Goal, Request
     from surctl.marine.vehicle import Vehicle
     from surctl.report.design_bench import DesignBench
-    from surctl.tuning import Finals, Miss, RunGoal, SystemRequest, Tuning
+    from surctl.tuning import RunGoal, SystemRequest, Tuning
+    from surctl.tuning.outcome import Finals, Miss
 
 
 @dataclass(frozen=True)
@@ -407,7 +408,7 @@ def serve_page(
     from surctl.marine.tuning import load_goals
     from surctl.marine.tuning.goals import goals_at
     from surctl.marine.vehicle import load_vehicle
-    from surctl.marine.verification import check_held
+    from surctl.marine.verification.speeds import check_held
 
     plan = load_plan(study, trust=trust)
     if vehicles:

@@ -148,11 +148,12 @@ def verify(
     from surctl.marine.simulation import load_scenario
     from surctl.marine.tuning import derive_gains
     from surctl.marine.vehicle import load_vehicle
-    from surctl.marine.verification import check_held
     from surctl.marine.verification.braking_claims import NOT_RESTED_ON
     from surctl.marine.verification.region import write_region
+    from surctl.marine.verification.speeds import check_held
     from surctl.own_code import label
-    from surctl.verification import Inapplicable, decide, write_claim
+    from surctl.verification import Inapplicable, decide
+    from surctl.verification.claim_file import write_claim
 
     conditions = {name: _stack(name) for name in stacks}  # first, because it refuses unknown names
     # claims of one's own alone concern no vehicle, so nothing is said of one
@@ -381,7 +382,7 @@ def _chosen(
 ) -> tuple[list[Claim], Mapping[str, NotApplicable]]:
     # without names and files, the claims are those of the library; they do not concern the law `law`
     from surctl.marine.tuning.derived import has_tuned
-    from surctl.marine.verification import applicable_claims
+    from surctl.marine.verification.library import applicable_claims
     from surctl.verification import load_claim
 
     if not words:  # where the paper errs concerns its own robot

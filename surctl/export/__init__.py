@@ -2,30 +2,18 @@
 
 from surctl.export.bundle import Bundle, ExportedFile, check_folder, write_bundle
 from surctl.export.check import STEPS, CheckReport, check_builds
-from surctl.export.contract import STATUS, Exportable
-from surctl.export.emulated import (
-    TARGETS,
-    LineDown,
-    Reply,
-    SerialLine,
-    Target,
-    chosen_targets,
-    connect,
-    emulated,
-    emulated_target,
-)
-from surctl.export.envelope import Envelope, Rate, Records, as_records
-from surctl.export.evidence import evidence_of, with_evidence
+from surctl.export.contract import Exportable
+from surctl.export.emulated import TARGETS, SerialLine, Target, chosen_targets, connect, emulated, emulated_target
+from surctl.export.envelope import Envelope, Records, as_records
 from surctl.export.fmu import write_fmu
 from surctl.export.precision import REALS
 from surctl.export.process import Controller, ExportedController, build_controller
-from surctl.export.prove import ProofReport, gain_box, prove_bundle, with_proof
+from surctl.export.prove import ProofReport, gain_box, prove_bundle
 from surctl.export.sil import SilReport, compare_runs, software_in_the_loop
 from surctl.export.supplement import Supplement
 
 __all__ = [
     "REALS",
-    "STATUS",
     "STEPS",
     "TARGETS",
     "Bundle",
@@ -35,11 +23,8 @@ __all__ = [
     "Exportable",
     "ExportedController",
     "ExportedFile",
-    "LineDown",
     "ProofReport",
-    "Rate",
     "Records",
-    "Reply",
     "SerialLine",
     "SilReport",
     "Supplement",
@@ -53,12 +38,9 @@ __all__ = [
     "connect",
     "emulated",
     "emulated_target",
-    "evidence_of",
     "gain_box",
     "prove_bundle",
     "software_in_the_loop",
-    "with_evidence",
-    "with_proof",
     "write_bundle",
     "write_fmu",
 ]

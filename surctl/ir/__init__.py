@@ -1,7 +1,7 @@
 """Intermediate representation of symbolic functions (instruction lists with bounded loops), and its back ends."""
 
 from surctl.ir.batch import Batch, batch_source, compile_batch, compile_batch_source
-from surctl.ir.c99 import C_TYPE, Real, c_literal, identifier, rearranged
+from surctl.ir.c99 import Real, c_literal, identifier, rearranged
 from surctl.ir.c99_folded import Feed
 from surctl.ir.c99_routine import Parts, emit_block, emit_parts
 from surctl.ir.cache import (
@@ -9,17 +9,16 @@ from surctl.ir.cache import (
     compile_program,
     compiler_version,
     find_compiler,
-    packaged_compiler,
     shared_library,
     source_digest,
 )
 from surctl.ir.elementary import nearby_angles, without_libm
-from surctl.ir.folding import fused, shared_divisors, with_constants
-from surctl.ir.frames import stack_bytes, stack_from_report
-from surctl.ir.native import SlowerEngine, compile_block, runnable, warn_slower
+from surctl.ir.folding import fused, shared_divisors
+from surctl.ir.frames import stack_bytes
+from surctl.ir.native import compile_block, runnable, warn_slower
 from surctl.ir.places import memory, reads
 from surctl.ir.ports import Layout, Port
-from surctl.ir.program import LIBM, OPERATIONS, Instruction, Program
+from surctl.ir.program import Instruction, Program
 from surctl.ir.replay import replay
 from surctl.ir.routine import Block, Call, Gather, Loop, Routine, Step
 from surctl.ir.stored import read_block, write_block
@@ -27,9 +26,6 @@ from surctl.ir.symbolic import on_columns, on_vectors, to_casadi
 from surctl.ir.tracing import Recording, each, fold, lower, lower_named, only_if, picked, repeat, tabulated
 
 __all__ = [
-    "C_TYPE",
-    "LIBM",
-    "OPERATIONS",
     "Batch",
     "Block",
     "Call",
@@ -44,7 +40,6 @@ __all__ = [
     "Real",
     "Recording",
     "Routine",
-    "SlowerEngine",
     "Step",
     "batch_source",
     "c_literal",
@@ -68,7 +63,6 @@ __all__ = [
     "on_columns",
     "on_vectors",
     "only_if",
-    "packaged_compiler",
     "picked",
     "read_block",
     "reads",
@@ -80,11 +74,9 @@ __all__ = [
     "shared_library",
     "source_digest",
     "stack_bytes",
-    "stack_from_report",
     "tabulated",
     "to_casadi",
     "warn_slower",
-    "with_constants",
     "without_libm",
     "write_block",
 ]

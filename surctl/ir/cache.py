@@ -149,7 +149,7 @@ def packaged_compiler() -> str | None:
     """Return the command of the C compiler (clang) in the package `ziglang`; None if it is not installed.
 
     Example:
-        >>> from surctl.ir import packaged_compiler
+        >>> from surctl.ir.cache import packaged_compiler
         >>> "-m ziglang cc" in (packaged_compiler() or "python -m ziglang cc")
         True
     """

@@ -8,7 +8,6 @@ if TYPE_CHECKING:
     from surctl.tuning.cegis import Round, Tuning, tune
     from surctl.tuning.chunked import DaskExecutor, Executor, LocalExecutor
     from surctl.tuning.design import (
-        DESIGNS,
         ONE_POINT,
         SEED,
         Axis,
@@ -25,11 +24,11 @@ if TYPE_CHECKING:
     from surctl.tuning.goals import LIBRARY, GoalTable, RunGoal, load_loop_goals
     from surctl.tuning.loop_frequency_goals import Effort, LoopShape, MaxGain, Rejection, SensitivityBound, Tracking
     from surctl.tuning.loop_goal_file import LOOP_GOAL_KEYS, LoopGoalTable, PointTable
-    from surctl.tuning.loop_goals import LoopGoal, LoopView
-    from surctl.tuning.loop_scores import LoopScores, Score, judge_loops, operating_loops
+    from surctl.tuning.loop_goals import LoopGoal
+    from surctl.tuning.loop_scores import judge_loops, operating_loops
     from surctl.tuning.loop_time_goals import Margins, Overshoot, Poles, Settling, StepRejection, StepTracking
     from surctl.tuning.montecarlo import Counterexample, MonteCarlo
-    from surctl.tuning.outcome import Finals, Miss, Tuned, summary
+    from surctl.tuning.outcome import Tuned, summary
     from surctl.tuning.pool import Condition, Evaluation, Pool, SearchRequest
     from surctl.tuning.statistics import Share, SobolIndices, sobol_indices
     from surctl.tuning.sweep import SweepSubject, SweepTable, load_sweep, sweep
@@ -38,7 +37,6 @@ if TYPE_CHECKING:
 
 
 __all__ = [
-    "DESIGNS",
     "LIBRARY",
     "LOOP_GOAL_KEYS",
     "ONE_POINT",
@@ -51,17 +49,13 @@ __all__ = [
     "Effort",
     "Evaluation",
     "Executor",
-    "Finals",
     "GoalTable",
     "LocalExecutor",
     "LoopGoal",
     "LoopGoalTable",
-    "LoopScores",
     "LoopShape",
-    "LoopView",
     "Margins",
     "MaxGain",
-    "Miss",
     "MonteCarlo",
     "Overshoot",
     "PointTable",
@@ -70,7 +64,6 @@ __all__ = [
     "Rejection",
     "Round",
     "RunGoal",
-    "Score",
     "SearchRequest",
     "SensitivityBound",
     "Settling",

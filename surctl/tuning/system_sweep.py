@@ -15,17 +15,8 @@ from surctl import __version__
 from surctl.assessment import Assessment, ClosedLoop, Line, assess, cost_verdicts
 from surctl.errors import InputError, SurctlError
 from surctl.recorded_write import Column
-from surctl.system import (
-    ENDED,
-    LOST,
-    Runs,
-    System,
-    entry_labels,
-    entry_units,
-    every_combination,
-    periods,
-    simulate_system,
-)
+from surctl.system import LOST, Runs, System, entry_labels, entry_units, every_combination, periods, simulate_system
+from surctl.system.loop import ENDED
 from surctl.system.record import identity
 from surctl.system.runs import loop_program
 from surctl.system.subjects import load_subject

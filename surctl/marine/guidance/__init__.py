@@ -37,7 +37,7 @@ from surctl.marine.guidance.path import (
     path_target,
     wheel_over,
 )
-from surctl.marine.guidance.sectors import SAME_CONTACT, Choice, Sector, choose_velocity, round_unknown, slowed
+from surctl.marine.guidance.sectors import SAME_CONTACT, Sector, choose_velocity, round_unknown, slowed
 from surctl.marine.guidance.tracking import (
     GUIDANCE,
     Guidance,
@@ -66,7 +66,6 @@ __all__ = [
     "SKIPS",
     "VISIT",
     "AvoidanceForm",
-    "Choice",
     "Cone",
     "Contact",
     "Follower",

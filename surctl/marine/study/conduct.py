@@ -33,8 +33,10 @@ from surctl.marine.simulation import Run, Scenario, findings, law_numbers, simul
 from surctl.marine.study.plan import Leg, Plan
 from surctl.marine.tuning import MissionSweep, picked_gains
 from surctl.marine.tuning.derived import has_tuned
-from surctl.marine.verification import OverSpeeds, applicable_claims, law_loop, over_speeds, speeds_text
+from surctl.marine.verification import law_loop, over_speeds
+from surctl.marine.verification.library import applicable_claims
 from surctl.marine.verification.region import refused_regions
+from surctl.marine.verification.speeds import OverSpeeds, speeds_text
 from surctl.system import LinearLoop
 from surctl.tuning import LocalExecutor, SweepTable, grid, sweep
 from surctl.verification import Inapplicable, LoopMargins, Verdict, decide

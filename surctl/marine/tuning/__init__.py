@@ -7,13 +7,12 @@ from surctl.lazy import load_at_first_use
 if TYPE_CHECKING:
     from surctl.marine.tuning.derived import Derivation, default_cruise, derive_gains, derived_gains, gains_for
     from surctl.marine.tuning.evaluation import case_loop, conditions, evaluate, figures
-    from surctl.marine.tuning.goals import ASSESSED, Goal, load_goals
+    from surctl.marine.tuning.goals import Goal, load_goals
     from surctl.marine.tuning.request import TUNED, GainRange, Request, gain_ranges, tuned_gains
     from surctl.marine.tuning.sweep import MissionSweep, build_cases, picked_gains
 
 
 __all__ = [
-    "ASSESSED",
     "TUNED",
     "Derivation",
     "GainRange",

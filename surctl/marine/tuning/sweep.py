@@ -20,14 +20,10 @@ from surctl.marine.guidance import AvoidanceForm, Guidance, check_guidance
 from surctl.marine.simulation import METRICS, Case, Scenario, Sensing, case_parameters, simulate_batch
 from surctl.marine.simulation.batch.case import check_speeds
 from surctl.marine.vehicle import Vehicle, load_vehicle
-from surctl.marine.verification import (
-    LINEAR_METRICS,
-    LINEAR_PARAMETERS,
-    check_held,
-    cruise_speeds,
-    linear_table,
-)
+from surctl.marine.verification import LINEAR_METRICS, linear_table
 from surctl.marine.verification.cruise_loop import has_cruise_loop
+from surctl.marine.verification.linear_table import LINEAR_PARAMETERS
+from surctl.marine.verification.speeds import check_held, cruise_speeds
 from surctl.own_code import label
 from surctl.priority import Mode
 from surctl.recorded_write import Column
