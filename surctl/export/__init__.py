@@ -8,7 +8,7 @@ from surctl.export.envelope import Envelope, Records, as_records
 from surctl.export.fmu import write_fmu
 from surctl.export.precision import REALS
 from surctl.export.process import Controller, ExportedController, build_controller
-from surctl.export.prove import ProofReport, gain_box, prove_bundle
+from surctl.export.prove import ProofReport, gain_box, prove_bundle, with_proof
 from surctl.export.sil import SilReport, compare_runs, software_in_the_loop
 from surctl.export.supplement import Supplement
 
@@ -41,6 +41,7 @@ __all__ = [
     "gain_box",
     "prove_bundle",
     "software_in_the_loop",
+    "with_proof",
     "write_bundle",
     "write_fmu",
 ]

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 from surctl.lazy import load_at_first_use
 
 if TYPE_CHECKING:
-    from surctl.marine.report.animation import save_animation, save_film
+    from surctl.marine.report.animation import moment_of, save_animation, save_film
     from surctl.marine.report.files import plot_region, save_run
     from surctl.marine.report.goals import GoalBars, plot_goal_bars
     from surctl.marine.report.margin_plots import plot_locus
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 __all__ = [
     "GoalBars",
     "ReportData",
+    "moment_of",
     "plot_attainable",
     "plot_calibration",
     "plot_goal_bars",
