@@ -286,9 +286,11 @@ def sweep(
             if out is not None:
                 write_netcdf(out / TABLE, columns, sizes=sizes, attributes=attributes, checksums=True)
                 return load_sweep(out / TABLE)
-            kept = dict(columns)
-    about = {name: (column.unit, column.meaning, column.dimensions or tuple(sizes)) for name, column in kept.items()}
-    return SweepTable(attributes, about, lambda name, at: _shaped(kept[name], about[name][2], sizes)[at])
+            variables = dict(columns)
+    about = {
+        name: (column.unit, column.meaning, column.dimensions or tuple(sizes)) for name, column in variables.items()
+    }
+    return SweepTable(attributes, about, lambda name, at: _shaped(variables[name], about[name][2], sizes)[at])
 
 
 def _shaped(column: Column, dimensions: Sequence[str], sizes: Mapping[str, int]) -> NDArray[Any]:
