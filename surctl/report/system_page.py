@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from surctl.assessment import Assessment, Line
@@ -28,9 +30,8 @@ from surctl.report.page_parts import plot_loop
 from surctl.report.sweep_plots import plot_heat_map
 from surctl.report.system_plots import plot_dependence, plot_record
 from surctl.report.theme import file_size, number
-from surctl.system import Record, Runs, entry_labels, entry_units
+from surctl.system import Record, entry_labels, entry_units
 from surctl.tuning import SweepTable
-from surctl.tuning.system_sweep import runs_of
 from surctl.verification import Inapplicable, LoopMargins
 from surctl.verification.linear import DiskMargin
 
@@ -236,24 +237,25 @@ def _sweep(study: SystemStudy) -> tuple[Block, ...]:
     swept = study.swept
     if swept is None:
         return ()
-    runs = runs_of(swept, study.record.system)
-    figures = tuple(
-        picture(
-            _plot_cost(swept, runs, name),
-            alt=f"{name} over each number of the sweep",
-            caption=f"{name} [{cost.unit}]{f': {cost.meaning}' if cost.meaning else ''}.",
-            command=study.commands["sweep"],
-        )
-        for name, cost in study.record.system.costs.items()
-    )
-    return (Paragraph(f"{len(runs.time):,} runs."), *map(Paragraph, study.best), Pictures(figures))
+    titles = {name: cost.meaning or name for name, cost in study.record.system.costs.items()}
+    pictures = sweep_pictures(swept, titles, command=study.commands["sweep"])
+    count = math.prod(swept.shape) * swept.each
+    return (Paragraph(f"{count:,} runs."), *map(Paragraph, study.best), *pictures)
 
 
-def _plot_cost(swept: SweepTable, runs: Runs, name: str) -> Figure:
-    """Plot a cost over the sweep: as a map over a grid of two numbers, otherwise over each number alone."""
-    if swept.is_grid and len(swept.axes) == 2 and swept.each == 1:
-        return plot_heat_map(swept, name).figure.figure
-    return plot_dependence(swept.numbers(), runs, name)
+def sweep_pictures(table: SweepTable, titles: Mapping[str, str], *, command: str) -> tuple[Pictures, ...]:
+    """Return a map over a grid of each titled column, else the column over each number; none for one run."""
+    shown = []
+    for name, title in titles.items() if math.prod(table.shape) * table.each > 1 else ():
+        if table.is_grid and len(table.axes) > 1:
+            figure: Axes | Figure = plot_heat_map(table, name, titles=titles)
+            note = "A frame marks the chosen point or the least value; hatched cells are infeasible."
+        else:
+            figure = plot_dependence(table.numbers(), {name: table.column(name).reshape(-1)}, name)
+            note = "Each number alone, ordered by its rank correlation."
+        alt = f"{title} over {', '.join(table.numbers())}"
+        shown.append(picture(figure, alt=alt, caption=f"{title[0].upper()}{title[1:]}. {note}", command=command))
+    return (Pictures(tuple(shown)),) if shown else ()
 
 
 def _ports(record: Record) -> tuple[Block, ...]:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from surctl.assessment import Assessment
 from surctl.errors import InputError
 from surctl.marine.control import Gains
-from surctl.marine.report.goals import COLUMN_TITLES, SHOWN
+from surctl.marine.report.goals import COLUMN_TITLES
 from surctl.marine.simulation import Run
 from surctl.marine.vehicle import Vehicle, parameter_spec
 from surctl.marine.verification.linear import LinearSide
@@ -21,7 +21,6 @@ from surctl.report.document import (
     Cell,
     Heading,
     Paragraph,
-    Picture,
     Pictures,
     Section,
     Table,
@@ -29,8 +28,8 @@ from surctl.report.document import (
     picture,
 )
 from surctl.report.page_parts import plot_tightest
-from surctl.report.sweep_plots import axis_title, plot_heat_map, plot_parallel
-from surctl.report.system_page import disk_table, margins_table
+from surctl.report.sweep_plots import axis_title
+from surctl.report.system_page import disk_table, margins_table, sweep_pictures
 from surctl.report.theme import number
 from surctl.system import LinearLoop
 from surctl.tuning import SweepTable
@@ -233,11 +232,9 @@ def sweep_section(data: ReportData, sweep: SweepTable) -> Section:
         blocks.append(Paragraph("No point is feasible, so the gains of the file stay in use.", "bad"))
     else:
         blocks.append(_picked(sweep, sweep.picked))
-    if sweep.is_grid and len(sweep.axes) > 1:
-        maps = tuple(_heat_picture(data, sweep, name) for name in _SWEPT if name in sweep.columns)
-    else:
-        maps = (_parallel_picture(data, sweep),)
-    return Section("sweep", "Sweep of the gains", (*blocks, Pictures(maps)), folded=True)
+    titles = {name: COLUMN_TITLES.get(name, name) for name in _SWEPT if name in sweep.columns}
+    pictures = sweep_pictures(sweep, titles, command=data.command)
+    return Section("sweep", "Sweep of the gains", (*blocks, *pictures), folded=True)
 
 
 def _picked(sweep: SweepTable, at: tuple[int, ...]) -> Table:
@@ -249,26 +246,6 @@ def _picked(sweep: SweepTable, at: tuple[int, ...]) -> Table:
         if name in sweep.columns
     ]
     return Table("The picked point", ("quantity", "value", "unit"), tuple(rows))
-
-
-def _heat_picture(data: ReportData, sweep: SweepTable, name: str) -> Picture:
-    one, other, *_ = sweep.axes
-    title = COLUMN_TITLES.get(name, name)
-    return picture(
-        plot_heat_map(sweep, name, titles=COLUMN_TITLES),
-        alt=f"Heat map over {one.name} and {other.name}: {title}",
-        caption=f"{title[0].upper()}{title[1:]}. The frame marks the picked point; hatched cells are infeasible.",
-        command=data.command,
-    )
-
-
-def _parallel_picture(data: ReportData, sweep: SweepTable) -> Picture:
-    return picture(
-        plot_parallel(sweep, [name for name in SHOWN if name in sweep.columns], titles=COLUMN_TITLES),
-        alt=f"Parallel coordinates of the sweep over {', '.join(axis.name for axis in sweep.axes)}",
-        caption="Parallel coordinates: one line per point; each axis has its own scale.",
-        command=data.command,
-    )
 
 
 def time_section(data: ReportData) -> Section:
