@@ -151,7 +151,7 @@ def plot_parallel(
         >>> design = grid([parse_axis("k=1,2"), parse_axis("start.speed=0.4,0.8,1.2")])
         >>> ax = plot_parallel(sweep(SystemSweep(cart_system(), 5.0), design), ["way"])
         >>> ax.get_title("left"), [label.get_text().split() for label in ax.get_xticklabels()[:2]]
-        ('6 points, 6 feasible', [['k', '[1/s]'], ['start.speed', '[m/s]']])
+        ('6 points', [['k', '[1/s]'], ['start.speed', '[m/s]']])
     """
     scales, words = [], []
     for axis in table.axes:
@@ -166,7 +166,8 @@ def plot_parallel(
     feasible = _feasible(table).reshape(-1)
     shown = np.unique(np.linspace(0, len(lines) - 1, min(len(lines), _LINES)).astype(int))
     good, bad = shown[feasible[shown]], shown[~feasible[shown]]
-    dress(ax, title=f"{len(lines)} points, {int(feasible.sum())} feasible")
+    judged = "feasible" in table.columns
+    dress(ax, title=f"{len(lines)} points" + f", {int(feasible.sum())} feasible" * judged)
     ax.grid(visible=False)
     strength = float(np.clip(25 / max(len(shown), 1), 0.06, 0.8))
     for chosen, colour, width in ((bad, OBSTACLE, 0.6), (good, ROBOT, 1.0)):
@@ -178,7 +179,8 @@ def plot_parallel(
     handles = [Line2D([], [], color=ROBOT, label="feasible"), Line2D([], [], color=OBSTACLE, label="not feasible")]
     if table.picked is not None:
         handles.append(Line2D([], [], color=AVOIDING, linewidth=2.6, label="picked"))
-    legend_below(ax, columns=3, handles=handles)
+    if judged:
+        legend_below(ax, columns=3, handles=handles)
     return ax
 
 
