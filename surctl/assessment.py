@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from surctl.errors import InputError, NotApplicable
-from surctl.system import ENDED, LOST, Cost, Record, System, run_system
+from surctl.system import LOST, Cost, Record, System, run_system
 from surctl.system.linear import unresponsive
+from surctl.system.loop import ENDED
 from surctl.system.values import checked_ranges, run_numbers
 from surctl.verification.linear import LEAST_DISK_MARGIN, margin_text, short_margins
 from surctl.verification.loops import LEAST_DELAY_MARGIN, LeastDelay, LoopMargins

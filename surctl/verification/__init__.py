@@ -5,9 +5,9 @@ from typing import TYPE_CHECKING
 from surctl.lazy import load_at_first_use
 
 if TYPE_CHECKING:
-    from surctl.verification.claim import Claim, Motion, Variable, VerdictWord
-    from surctl.verification.claim_file import load_claim, write_claim
-    from surctl.verification.counterexample import Counterexample, Replay, evaluate, replay
+    from surctl.verification.claim import Claim, Motion, Variable
+    from surctl.verification.claim_file import load_claim
+    from surctl.verification.counterexample import Counterexample, evaluate, replay
     from surctl.verification.decide import decide
     from surctl.verification.falsifier import falsify
     from surctl.verification.loops import LoopMargins
@@ -24,11 +24,9 @@ __all__ = [
     "LoopMargins",
     "Motion",
     "Proof",
-    "Replay",
     "Setting",
     "Variable",
     "Verdict",
-    "VerdictWord",
     "decide",
     "evaluate",
     "falsify",
@@ -39,7 +37,6 @@ __all__ = [
     "system_corners",
     "system_disk_margin",
     "system_margins",
-    "write_claim",
 ]
 
 load_at_first_use(__name__)

@@ -13,7 +13,7 @@ from surctl.cli.app import app
 from surctl.errors import InputError
 from surctl.system import System
 from surctl.system.subjects import _registered, load_subject, registered_subjects
-from surctl.tuning import LocalExecutor, grid, parse_axis, sweep_system
+from surctl.tuning import LocalExecutor, SystemSweep, grid, parse_axis, sweep
 from tests.tools import need_compiler
 
 LOOPS = """
@@ -87,8 +87,8 @@ def test_other_processes_load_the_package(heron: Path) -> None:
     subject, design = load_subject("subject:heron"), grid([parse_axis("k=0.5..4:100")])
     assert isinstance(subject.system, System) and load_subject("subject:heron").system is subject.system
     spread = LocalExecutor(2, alone_s=0.0)
-    swept = sweep_system(subject.system, design, 1.0, source="subject:heron", executor=spread)
-    np.testing.assert_array_equal(swept.worst("final"), sweep_system(subject.system, design, 1.0).worst("final"))
+    swept = sweep(SystemSweep(subject.system, 1.0, source="subject:heron"), design, executor=spread)
+    np.testing.assert_array_equal(swept.worst("final"), sweep(SystemSweep(subject.system, 1.0), design).worst("final"))
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,6 @@ from surctl.marine.guidance.contacts import (
     Cone,
     Contact,
     collision_cone,
-    disc_contact,
     disc_contacts,
     inside,
     nearest_in_quadrants,
@@ -38,7 +37,7 @@ from surctl.marine.guidance.path import (
     path_target,
     wheel_over,
 )
-from surctl.marine.guidance.sectors import SAME_CONTACT, Choice, Sector, choose_velocity, round_unknown, slowed
+from surctl.marine.guidance.sectors import SAME_CONTACT, Sector, choose_velocity, round_unknown, slowed
 from surctl.marine.guidance.tracking import (
     GUIDANCE,
     Guidance,
@@ -67,7 +66,6 @@ __all__ = [
     "SKIPS",
     "VISIT",
     "AvoidanceForm",
-    "Choice",
     "Cone",
     "Contact",
     "Follower",
@@ -82,7 +80,6 @@ __all__ = [
     "collision_cone",
     "crosstrack_next",
     "crosstrack_shift",
-    "disc_contact",
     "disc_contacts",
     "encounter_side",
     "follow",
