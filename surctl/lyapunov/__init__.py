@@ -10,22 +10,7 @@ from surctl.lyapunov.search import find_stability
 from surctl.lyapunov.solve import Solution, solve
 
 __all__ = [
-    "Bound",
-    "Decision",
-    "DynamicClaim",
-    "Dynamics",
-    "Problem",
-    "Range",
-    "Safety",
-    "Solution",
-    "Stability",
-    "State",
-    "continuous_dynamics",
-    "decide_motion",
-    "find_barrier",
-    "find_stability",
-    "is_problem",
-    "load_problem",
-    "sampled_dynamics",
-    "solve",
-]
+    "Bound", "Decision", "DynamicClaim", "Dynamics", "Problem", "Range", "Safety", "Solution", "Stability", "State",
+    "continuous_dynamics", "decide_motion", "find_barrier", "find_stability", "is_problem", "load_problem",
+    "sampled_dynamics", "solve",
+]  # fmt: skip

@@ -19,19 +19,8 @@ if TYPE_CHECKING:
     )
 
 __all__ = [
-    "margin_slice",
-    "plot_attainable_rates",
-    "plot_counterexample",
-    "plot_dependence",
-    "plot_fan",
-    "plot_heat_map",
-    "plot_loops",
-    "plot_motion",
-    "plot_parallel",
-    "plot_phase_plane",
-    "plot_record",
-    "plot_runs",
-    "plot_slice",
-]
+    "margin_slice", "plot_attainable_rates", "plot_counterexample", "plot_dependence", "plot_fan", "plot_heat_map",
+    "plot_loops", "plot_motion", "plot_parallel", "plot_phase_plane", "plot_record", "plot_runs", "plot_slice",
+]  # fmt: skip
 
 load_at_first_use(__name__)

@@ -6,14 +6,6 @@ from surctl.testing.systems import cart_system, check_controller, check_plant
 from surctl.testing.tasks import TaskReport, check_limit, check_task
 
 __all__ = [
-    "CheckFailed",
-    "Parameter",
-    "TaskReport",
-    "cart_system",
-    "check_backend",
-    "check_controller",
-    "check_limit",
-    "check_plant",
-    "check_task",
-    "measure_backend",
-]
+    "CheckFailed", "Parameter", "TaskReport", "cart_system", "check_backend", "check_controller", "check_limit",
+    "check_plant", "check_task", "measure_backend",
+]  # fmt: skip

@@ -17,26 +17,9 @@ if TYPE_CHECKING:
     from surctl.verification.verdict import Inapplicable, Verdict
 
 __all__ = [
-    "Claim",
-    "Counterexample",
-    "Inapplicable",
-    "LoopCorners",
-    "LoopMargins",
-    "Motion",
-    "Proof",
-    "Setting",
-    "Variable",
-    "Verdict",
-    "decide",
-    "evaluate",
-    "falsify",
-    "load_claim",
-    "prove",
-    "replay",
-    "setting_from",
-    "system_corners",
-    "system_disk_margin",
-    "system_margins",
-]
+    "Claim", "Counterexample", "Inapplicable", "LoopCorners", "LoopMargins", "Motion", "Proof", "Setting", "Variable",
+    "Verdict", "decide", "evaluate", "falsify", "load_claim", "prove", "replay", "setting_from", "system_corners",
+    "system_disk_margin", "system_margins",
+]  # fmt: skip
 
 load_at_first_use(__name__)

@@ -6,11 +6,5 @@ from surctl.marine.export.origin import origin_of
 from surctl.marine.export.robot_bundle import build_bundle
 
 __all__ = [
-    "CompiledLaw",
-    "LinkFaults",
-    "LinkedLaw",
-    "build_bundle",
-    "closed_form",
-    "operating_envelope",
-    "origin_of",
-]
+    "CompiledLaw", "LinkFaults", "LinkedLaw", "build_bundle", "closed_form", "operating_envelope", "origin_of",
+]  # fmt: skip

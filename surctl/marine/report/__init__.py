@@ -18,23 +18,9 @@ if TYPE_CHECKING:
     from surctl.marine.report.vehicle_plots import plot_attainable, plot_prediction
 
 __all__ = [
-    "GoalBars",
-    "ReportData",
-    "moment_of",
-    "plot_attainable",
-    "plot_calibration",
-    "plot_goal_bars",
-    "plot_locus",
-    "plot_mission",
-    "plot_prediction",
-    "plot_priority",
-    "plot_region",
-    "plot_run",
-    "plot_sonar_replay",
-    "render_page",
-    "save_animation",
-    "save_film",
-    "save_run",
-]
+    "GoalBars", "ReportData", "moment_of", "plot_attainable", "plot_calibration", "plot_goal_bars", "plot_locus",
+    "plot_mission", "plot_prediction", "plot_priority", "plot_region", "plot_run", "plot_sonar_replay", "render_page",
+    "save_animation", "save_film", "save_run",
+]  # fmt: skip
 
 load_at_first_use(__name__)

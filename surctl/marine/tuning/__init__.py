@@ -13,25 +13,9 @@ if TYPE_CHECKING:
 
 
 __all__ = [
-    "TUNED",
-    "Derivation",
-    "GainRange",
-    "Goal",
-    "MissionSweep",
-    "Request",
-    "build_cases",
-    "case_loop",
-    "conditions",
-    "default_cruise",
-    "derive_gains",
-    "derived_gains",
-    "evaluate",
-    "figures",
-    "gain_ranges",
-    "gains_for",
-    "load_goals",
-    "picked_gains",
-    "tuned_gains",
-]
+    "TUNED", "Derivation", "GainRange", "Goal", "MissionSweep", "Request", "build_cases", "case_loop", "conditions",
+    "default_cruise", "derive_gains", "derived_gains", "evaluate", "figures", "gain_ranges", "gains_for", "load_goals",
+    "picked_gains", "tuned_gains",
+]  # fmt: skip
 
 load_at_first_use(__name__)

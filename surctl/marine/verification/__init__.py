@@ -14,18 +14,8 @@ if TYPE_CHECKING:
     from surctl.marine.verification.speeds import over_speeds
 
 __all__ = [
-    "LINEAR_METRICS",
-    "claims",
-    "cruise_loop",
-    "law_corners",
-    "law_loop",
-    "linear_table",
-    "loop_margins",
-    "over_speeds",
-    "settling_intrusion",
-    "sonar_margins",
-    "steady_motion",
-    "sweep_locus",
-]
+    "LINEAR_METRICS", "claims", "cruise_loop", "law_corners", "law_loop", "linear_table", "loop_margins", "over_speeds",
+    "settling_intrusion", "sonar_margins", "steady_motion", "sweep_locus",
+]  # fmt: skip
 
 load_at_first_use(__name__)
