@@ -57,7 +57,7 @@ from surctl.certcheck.turning_terms import (
     Turn,
     coupling_of,
     flow_gains,
-    flow_push,
+    flow_error,
     inverse_masses,
     outer_force,
     turn_points,
@@ -361,7 +361,7 @@ def heading_cells(claim: TurningClaim, trim: Trim, count: int) -> Cells:
     corners = triangle[None, :, :1] * ahead[:, None] + triangle[None, :, 1:] * aside[:, None]
     pushed = np.zeros(count)
     if claim.current:
-        pushed = flow_push(claim, trim.flow, (float(trim.omega[0]), float(trim.omega[1])), share)
+        pushed = flow_error(claim, trim.flow, (float(trim.omega[0]), float(trim.omega[1])), share)
     return Cells(share, corners, _lack(claim, trim, share), pushed)
 
 

@@ -35,7 +35,7 @@ from surctl.certcheck.region_claim import axis_pairs
 from surctl.certcheck.turning_claim import Pair, TurningClaim, drag_factors
 
 __all__ = [
-    "STILL", "UP", "Coupling", "Turn", "coupled_mass", "coupling_of", "flow_gains", "flow_push", "inverse_masses",
+    "STILL", "UP", "Coupling", "Turn", "coupled_mass", "coupling_of", "flow_gains", "flow_error", "inverse_masses",
     "other_forces", "other_moment", "outer_force", "turn_points",
 ]  # fmt: skip
 
@@ -173,7 +173,7 @@ def flow_gains(flow: tuple[Pair, Pair, Pair], f: tuple[Fraction, ...]) -> Pair:
     return along, across
 
 
-def flow_push(claim: TurningClaim, flow: tuple[Pair, Pair, Pair], omega: tuple[float, float], share: Array) -> Array:
+def flow_error(claim: TurningClaim, flow: tuple[Pair, Pair, Pair], omega: tuple[float, float], share: Array) -> Array:
     """Return the largest norm (cells,) [N] of the error by the current; arguments as in `turning_cells`.
 
     For given slopes and drag factors, the errors of both axes are E c with a matrix E that is affine in them, so that

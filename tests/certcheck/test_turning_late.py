@@ -12,13 +12,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from surctl.certcheck import check_document
+from surctl.certcheck import check_document, turning_cells
 from surctl.certcheck.document import Rejected
-from surctl.certcheck.turning_cells import heading_cells, steady
+from surctl.certcheck.turning_cells import Disturbed, decays, heading_cells, steady
 from surctl.certcheck.turning_claim import drag_factors, read_claim
-from surctl.certcheck.turning_form import Form
+from surctl.certcheck.turning_form import Form, Phase, axes_of
 from surctl.certcheck.turning_law import commanded, true_rate
-from surctl.certcheck.turning_terms import flow_push, other_forces
+from surctl.certcheck.turning_terms import flow_error, other_forces
 from surctl.marine.vehicle import PLANT_DISTURBANCE, PLANT_STATE, build_plant, load_vehicle, plant_parameters
 from tests.certcheck.altering import put, sealed
 from tests.certcheck.turning_samples import draw_vehicles
@@ -206,9 +206,92 @@ def test_the_command_in_a_current_moves_by_its_largest_gain() -> None:
     current, v, gain = 0.02, float(claim.cruise), 5.0
     pairs = (Fraction(5), Fraction(0)), (Fraction(0), Fraction(0)), (Fraction(0), Fraction(0))
     share = np.array([[[1.0, 1.0], [0.0, 0.0]]])
-    (bound,) = flow_push(claim, pairs, (0.0, 0.0), share)
+    (bound,) = flow_error(claim, pairs, (0.0, 0.0), share)
     linear, square = float(claim.linear[0]), float(claim.quadratic[0])
     law = (float(claim.mass[0] * claim.k_v) + linear) * gain * current + square * ((v + gain * current) ** 2 - v**2)
     drags = [float(f[0]) * linear * current + float(f[2]) * square * ((v + current) ** 2 - v**2)
              for f in drag_factors(claim)]  # fmt: skip
     assert max(abs(law - drag) for drag in drags) <= bound < 1.2 * abs(law)
+
+
+@pytest.mark.parametrize("moves", [(1, 1), (1, 0), (0, 0)])
+@pytest.mark.parametrize(("lag", "begins"), [(0.2, True), (0.2, False), (0.0, True), (0.0, False)])
+@pytest.mark.parametrize("disturbed_by", ["nothing", "late", "lack", "pushed"])
+def test_the_matrix_of_a_cell_is_that_of_the_equations(
+    monkeypatch: pytest.MonkeyPatch, moves: tuple[int, int], lag: float, begins: bool, disturbed_by: str
+) -> None:
+    rng, size = np.random.default_rng(1), 6 if lag else 4
+    root, weight, split, fall = rng.normal(size=(size, size)), 0.7, 1.3, 9.0
+    p = [[Fraction(round(n, 6)).limit_denominator(10**6) for n in row] for row in root @ root.T + np.eye(size)]
+    p = [[p[max(i, j)][min(i, j)] for j in range(size)] for i in range(size)]
+    claim = replace(read_claim(document("region-turning-20-sampled")["claim"]), lag=(Fraction(1, 5),) * 2)
+    form = Form(p, Fraction(7, 10), claim.k_v * begins)
+    psi, r, e1, e2, level, growth = 0.4, 0.3, -0.11, 0.13, 0.5, 0.05
+    light, spread, swing, most = np.array([1 / 20.0, 1 / 25.0]), 0.2, 0.1, 0.06
+    c, s = np.cos(psi), np.sin(psi)
+    n = np.array([[c, s], [-s, c]])
+    own = [np.outer(one, one) for one in n]
+    loops = [np.array([[30.0, 20.0, 3.0]]), np.array([[28.0, 25.0, 4.0]])]
+    plan = np.array([[0.3, 0.0], [0.02, 0.2]])
+    none = {"lack": np.zeros(2), "late": np.zeros(2), "pushed": 0.0}
+    more = {**none, **({} if disturbed_by == "nothing" else {
+        disturbed_by: most if disturbed_by == "pushed" else np.array([most, 0.0])
+    })}  # fmt: skip
+    phase = Phase(lag, split if begins else 0.0, fall, begins)
+    bounds = Disturbed(loose=0.0, stray=0.0, spread=spread, swing=swing, phase=phase, moves=moves, **more)
+    met: list[Any] = []
+    monkeypatch.setattr(turning_cells, "_positive", lambda entries: bool(met.append(entries)) or True)
+    z = np.array([[np.cos(2 * psi), np.sin(2 * psi)]])
+    resting = replace(claim, cruise=Fraction(0))  # the Coriolis force of the steady cruise is another disturbance
+    decays(
+        resting, form, axes_of(z), z, loops, [plan], [(r * e1, r * e2, 0.0, r)], [(*light, 0.0)], told, growth, level
+    )
+    masses, k_v, total = np.array([float(m) for m in claim.mass]), float(claim.k_v), size + 2
+    A = np.zeros((total, total))
+    A[:2, 2:4] = np.eye(2)
+    command, drag = np.zeros((2, total)), np.zeros((2, 2))
+    for i in (0, 1):
+        stiff, damped, slope = loops[i][0]
+        share = own[i] / masses[i] if lag else own[i] * light[i]
+        command[:, :2] -= stiff * share @ plan
+        command[:, 2:4] -= damped * share
+        drag += slope * light[i] * own[i]
+    A[2:4, 2:4] = -drag - r * (e1 * np.outer(n[0], n[1]) + e2 * np.outer(n[1], n[0]))
+    acts = sum(masses[i] * light[i] * own[i] for i in (0, 1))
+    if lag:
+        A[2:4, 4:6] = acts
+        A[4:6] = command / lag
+        A[4:6, 4:6] += -np.eye(2) / lag + r * np.array([[0.0, -1.0], [1.0, 0.0]])
+    else:
+        A[2:4] += command
+    if not begins:
+        A[4:6, 6:] += np.eye(2) / lag if lag else 0.0
+        A[2:4, size:] += 0.0 if lag else acts
+    moving = moves[0] * own[0] + moves[1] * own[1]
+    if begins:
+        J = np.outer(n[0], n[1]) - np.outer(n[1], n[0])
+        A[size:] = k_v * moving @ A[2:4]
+        A[size:, 2:4] += r * k_v * moving @ J
+        A[size:, :2] += r * k_v * moving @ J @ plan
+    A[size:, size:] -= (fall - (split if begins else 0.0)) / 2 * np.eye(2)
+    P = np.zeros((total, total))
+    P[:size, :size], P[size:, size:] = [[float(x) for x in row] for row in p], weight * np.eye(2)
+    whole = A.T @ P + P @ A + (float(claim.rate) + growth) * P
+    if begins:
+        whole[2:4, 2:4] += weight / split * spread**2 * np.eye(2)
+        whole[:2, :2] += weight / split * swing**2 * plan.T @ plan
+    entry = np.zeros((total, 2))
+    for i in (0, 1):
+        if disturbed_by == "pushed" or (disturbed_by != "nothing" and i == 0):
+            entry[:] = 0
+            if disturbed_by == "late":
+                entry[4:6] = np.eye(2) * bool(lag)
+                entry[size:] += moves[i] * begins * np.eye(2)
+            else:
+                entry[2:4], entry[size:] = light[i] * np.eye(2), light[i] * k_v * begins * moves[i] * np.eye(2)
+            pull = P @ entry @ n[i]
+            whole += most**2 / level * np.outer(pull, pull)
+    expected = -form.change @ whole @ form.change.T
+    [entries] = met
+    for (i, j), found in entries.items():
+        assert found.reshape(-1) == pytest.approx(expected[i, j], abs=2e-6 * np.abs(expected).max())

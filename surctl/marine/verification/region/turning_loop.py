@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.certcheck.region_claim import axis_pairs
-from surctl.certcheck.turning_terms import flow_push, other_forces, outer_force
+from surctl.certcheck.turning_terms import flow_error, other_forces, outer_force
 from surctl.marine.verification.region.turning import TurningClaim
 from surctl.marine.verification.region.turning_behind import Behind, behind_of
 
@@ -308,7 +308,7 @@ def steady_turning(claim: TurningClaim, *, cells: int) -> Cruise:
     if claim.current:
         rounded = tuple((Fraction(repr(a)), Fraction(repr(b))) for a, b in flow.tolist())
         ends = np.stack([np.pad(n, ((1, 1), (0, 0)), mode="edge")[k : len(n) + k : 2] for k in (0, 2)], 2)
-        pushed = flow_push(claim.stated, (rounded[0], rounded[1], rounded[2]), omega, np.sort(ends, axis=2))
+        pushed = flow_error(claim.stated, (rounded[0], rounded[1], rounded[2]), omega, np.sort(ends, axis=2))
     return Cruise(slopes, omega, psi[::2], lack, flow, moved, float(across), beside, pushed)
 
 
@@ -330,10 +330,10 @@ def vertices(claim: TurningClaim, cruise: Cruise, covariance: Array, high: float
     ])  # fmt: skip
     c, s = np.cos(cruise.headings), np.sin(cruise.headings)
     turn = np.stack([np.stack([c, -s], 1), np.stack([s, c], 1)], 1)  # (headings, 2, 2)
-    found = _loops(claim, cruise, covariance[:4, :4] * high * 1.002, turn, plans)
-    if found is None:
+    extremes = _loops(claim, cruise, covariance[:4, :4] * high * 1.002, turn, plans)
+    if extremes is None:
         return None
-    loops, limits = found
+    loops, limits = extremes
     loose, masses, turns = claim.vertex_numbers
     cross = np.array([[[0.0, a], [b, 0.0]] for a, b, *_ in turns])
     coriolis = turn[:, None] @ cross @ turn.swapaxes(-1, -2)[:, None]

@@ -292,14 +292,14 @@ def turning_search(claim: TurningClaim, *, attempts: int, seed: int = 0) -> Iter
 def _held(claim: TurningClaim, fine: Cruise, without: Iterator[TurningCandidate]) -> Iterator[TurningCandidate]:
     """Yield candidates for held commands with lag from those `without` held commands: the shape of V hardly changes."""
     for one in without:
-        size, found = len(one.P), []
+        size, candidates = len(one.P), []
         for weight in _WEIGHTS * np.sqrt(one.P[4, 4] * one.P[5, 5]):
             P = np.diag(np.full(size + 2, weight))
             P[:size, :size] = one.P
             candidate = fitted(claim, fine, P, one.growths[-1])
             if candidate is not None:
-                found.append(candidate)
-        yield from sorted(found, key=lambda one: -_score(claim, one))
+                candidates.append(candidate)
+        yield from sorted(candidates, key=lambda one: -_score(claim, one))
 
 
 def _region(claim: TurningClaim, cruise: Cruise, start: _Start, P: Array, growths: Array) -> _Region:
