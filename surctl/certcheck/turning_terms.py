@@ -35,8 +35,19 @@ from surctl.certcheck.region_claim import axis_pairs
 from surctl.certcheck.turning_claim import Pair, TurningClaim, drag_factors
 
 __all__ = [
-    "STILL", "UP", "Coupling", "Turn", "coupled_mass", "coupling_of", "flow_gains", "flow_error", "inverse_masses",
-    "other_forces", "other_moment", "outer_force", "turn_points",
+    "STILL",
+    "UP",
+    "Coupling",
+    "Turn",
+    "coupled_mass",
+    "coupling_of",
+    "flow_error",
+    "flow_gains",
+    "inverse_masses",
+    "other_forces",
+    "other_moment",
+    "outer_force",
+    "turn_points",
 ]  # fmt: skip
 
 _FORCES, _VELOCITIES = "XY", "uvwr"

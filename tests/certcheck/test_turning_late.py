@@ -244,7 +244,7 @@ def test_the_matrix_of_a_cell_is_that_of_the_equations(
     z = np.array([[np.cos(2 * psi), np.sin(2 * psi)]])
     resting = replace(claim, cruise=Fraction(0))  # the Coriolis force of the steady cruise is another disturbance
     decays(
-        resting, form, axes_of(z), z, loops, [plan], [(r * e1, r * e2, 0.0, r)], [(*light, 0.0)], told, growth, level
+        resting, form, axes_of(z), z, loops, [plan], [(r * e1, r * e2, 0.0, r)], [(*light, 0.0)], bounds, growth, level
     )
     masses, k_v, total = np.array([float(m) for m in claim.mass]), float(claim.k_v), size + 2
     A = np.zeros((total, total))
