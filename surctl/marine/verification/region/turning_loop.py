@@ -357,12 +357,12 @@ def vertices(claim: TurningClaim, cruise: Cruise, covariance: Array, high: float
 def _forces(bodies: Array, effect: Array, lack: Array, stray: float, pushed: Array, masses: Array) -> Array:
     """Return Q (headings, masses, terms, 2, 2) with w wᵀ ⪯ Q for all parts of w of `Vertices`."""
     light = masses[:, :2].max(axis=1)
-    size, push = np.linalg.norm(effect, axis=-1)[:, None], np.outer(pushed, light)[:, :, None]  # (h, 1, t), (h, m, 1)
-    total = size + push + lack.sum(axis=-1)[:, :, None] + stray
+    size, excess = np.linalg.norm(effect, axis=-1)[:, None], np.outer(pushed, light)[:, :, None]  # (h, 1, t), (h, m, 1)
+    total = size + excess + lack.sum(axis=-1)[:, :, None] + stray
     share = np.divide(total, size, out=np.zeros_like(total), where=size > 0)
     Q = share[..., None, None] * np.einsum("hti,htj->htij", effect, effect)[:, None]
     Q = Q + np.einsum("hmt,hmi,hijk->hmtjk", total, lack, bodies)
-    return np.asarray(Q + (total * (stray + push))[..., None, None] * np.eye(2))
+    return np.asarray(Q + (total * (stray + excess))[..., None, None] * np.eye(2))
 
 
 def _loops(
