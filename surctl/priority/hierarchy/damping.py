@@ -9,14 +9,26 @@ a level are those of its rank; in all others, the optimum is 0.
 from __future__ import annotations
 
 from surctl.ir.procedure import fabs, sqrt, within
-from surctl.priority.hierarchy.factors import Memory, eliminate_left, multipliers
+from surctl.priority.hierarchy.factors import Memory, along, enter, leave, multipliers, pivots, reflect_table
 from surctl.priority.hierarchy.judgement import at_v, bound_loss, remember
 
 
 def damp(s: Memory, level: int) -> None:
     """Begin a level: keep the rates of the last one, and set w² = c ‖x‖ + 1e-6."""
     if s.last > 2:
-        keep(s, s.last - 1)
+        if s.is_set[s.last - 1] != 0:
+            keep_set(s, s.last - 1)
+        else:
+            keep(s, s.last - 1)
+    s.skip = 0
+    for a in within(0, level, s.p):
+        if s.is_set[a] != 0 or s.on[s.first[a]] != 0:
+            break
+        s.skip = a + 1
+        s.rank[a] = 0
+        s.start[a + 1] = 0
+        s.used[a + 1] = 0
+    s.valid = s.skip
     square = 0.0
     for row in within(s.first[level], s.first[level + 1], s.b):
         if s.on[row] != 0:
@@ -25,8 +37,8 @@ def damp(s: Memory, level: int) -> None:
     s.last = level + 1
 
 
-def keep(s: Memory, level: int) -> None:
-    """Make the rates at v the right side of the rows; a set-based row may still move into its interval."""
+def keep_set(s: Memory, level: int) -> None:
+    """Make the rates at v the bounds of set-based rows outside their interval; they may still move into it."""
     for row in within(s.first[level], s.first[level + 1], s.b):
         s.lock_set[row] = 0
         if s.on[row] != 0:
@@ -36,9 +48,45 @@ def keep(s: Memory, level: int) -> None:
                 s.low[row] = value
             if s.on[row] > 0 and value > s.high[row]:
                 s.high[row] = value
-    if s.rank[level] > 0 and s.many[level] > s.rank[level]:
-        s.left[level] = 1
-        eliminate_left(s, level, s.rank[level])
+
+
+def keep(s: Memory, level: int) -> None:
+    """Put the rows of a level before those of W, and drop limits from W that depend on them."""
+    begin = s.first[level]
+    end = s.first[level + 1]
+    old = s.w
+    f = s.f
+    free = s.N - f
+    for i in within(f, old, s.x):
+        s.near[i - f] = (s.W[i] + 1) * s.side[i]
+        s.inside[s.W[i]] = 0
+    for row in within(begin, end, s.b):
+        s.pivot[row] = row
+        s.rhs[row] = at_v(s, row)
+        s.on[row] = 0
+        for j in within(0, free, s.x):
+            s.B[j * s.k + row] = s.T[(f + j) * s.r + row]
+    s.many[level] = end - begin
+    s.start[level] = 0
+    s.used[level] = 0
+    pivots(s, level, free, end)
+    for number in within(0, s.rank[level], s.x):
+        for j in within(number, free, s.x):
+            s.h[f + j] = s.V[number * s.x + j]
+        s.factor = s.tau[number]
+        reflect_table(s, f + number, s.N)
+    s.f += s.rank[level]
+    s.w = s.f
+    for j in range(s.x):
+        s.d[j] = 0.0
+    for j in within(0, s.N, s.x):
+        s.d[j] = s.v[j]
+    for j in within(f, s.f, s.x):
+        s.y[j] = along(s, j)
+    for i in within(0, old - f, s.x):
+        side = 1 if s.near[i] > 0 else -1
+        if enter(s, side * s.near[i] - 1, side) != 0 and not fabs(s.L[(s.w - 1) * s.x + s.w - 1]) > 1e-7:
+            leave(s, s.w - 1)
 
 
 def confirm(s: Memory, level: int) -> None:
@@ -54,7 +102,7 @@ def confirm(s: Memory, level: int) -> None:
         s.spread[a] = 0.0 if a > 1 else 2e-10 * s.size
         for row in within(s.first[a], s.first[a + 1], s.b):
             s.gap_set[row] = radius * s.scale[a]
-            if s.on[row] != 0:
+            if s.on[row] != 0 or (a > 1 and s.is_set[a] == 0):
                 s.rest[row] = s.rhs[row] - at_v(s, row)
                 if a == level:
                     square += s.rest[row] * s.rest[row]
@@ -71,7 +119,7 @@ def confirm(s: Memory, level: int) -> None:
     if value > 1e-7 * unit and not 2.0 * loss <= 1e-7 * value * (unit + value):
         s.sure = 0
     floor = 1e-11 * value * unit
-    for i in within(0, s.w, s.x):
+    for i in within(s.f, s.w, s.x):
         sign = s.lam[i] * s.side[i]
         if sign > floor:
             if level == 2:

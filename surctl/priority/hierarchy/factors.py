@@ -114,6 +114,8 @@ class Memory:
     ridge: list[float]  # squared weight of v in each level
     low: list[float]  # bounds of set-based rows, as the damped levels leave them
     high: list[float]
+    f: int  # columns of Q before those of W, along which the damped levels keep v
+    skip: int  # levels at the top that need no elimination
     last: int  # number of the damped levels so far, and of those above
     sure: int
     limited: int
@@ -193,7 +195,7 @@ def enter(s: Memory, i: int, side: int) -> int:
     s.L[s.w * s.x + s.w] = to
     s.h[s.w] = s.head
     reflect_table(s, s.w, s.N)
-    s.valid = 0
+    s.valid = s.skip if s.damped != 0 else 0
     s.W[s.w] = i
     s.side[s.w] = side
     s.inside[i] = side
@@ -203,7 +205,7 @@ def enter(s: Memory, i: int, side: int) -> int:
 
 def leave(s: Memory, place: int) -> None:
     """Drop entry `place` of W; rotations make L triangular again."""
-    s.valid = 0
+    s.valid = s.skip if s.damped != 0 else 0
     s.inside[s.W[place]] = 0
     for i in within(place + 1, s.w, s.x):
         for j in within(0, i + 1, s.x):
@@ -465,8 +467,8 @@ def optimum(s: Memory, top: int) -> None:
     free = s.N - s.w
     known = s.valid if s.valid < levels else levels
     begin = s.first[s.valid]
-    if s.valid == 0:
-        for i in within(0, s.w, s.x):
+    if s.valid == (s.skip if s.damped != 0 else 0):
+        for i in within(s.f if s.damped != 0 else 0, s.w, s.x):
             e = s.up[s.W[i]] if s.side[i] > 0 else s.lo[s.W[i]]
             for j in within(0, i, s.x):
                 e -= s.L[i * s.x + j] * s.y[j]
@@ -586,7 +588,7 @@ def multipliers(s: Memory, level: int) -> None:
             for i in within(0, cnt, s.b):
                 e += s.B[j * s.k + s.pivot[base + i]] * s.mu[s.pivot[base + i]]
             s.g[s.w + j] -= e
-    for c in back(0, s.w, s.x):
+    for c in back(s.f if s.damped != 0 else 0, s.w, s.x):
         e = s.g[c]
         for i in within(c + 1, s.w, s.x):
             e -= s.L[i * s.x + c] * s.lam[i]

@@ -14,7 +14,7 @@ whether a singular value near 1e-10·‖J‖ counts as 0. Then nothing is shown 
 from __future__ import annotations
 
 from surctl.ir.procedure import fabs, sqrt, within
-from surctl.priority.hierarchy.factors import Memory, multipliers
+from surctl.priority.hierarchy.factors import Memory, along, multipliers
 
 
 def at_goal(s: Memory, row: int) -> float:
@@ -76,7 +76,7 @@ def bound_loss(s: Memory, level: int, radius: float) -> float:
                 loss += sign * fabs(s.rest[row]) if sign > 0.0 else -sign * s.gap_set[row]
             else:
                 loss += fabs(e) * s.spread[a]
-    for i in within(0, s.w, s.x):
+    for i in within(s.f if s.damped != 0 else 0, s.w, s.x):
         e = s.lam[i]
         total += fabs(e)
         which = s.W[i]
@@ -91,6 +91,11 @@ def bound_loss(s: Memory, level: int, radius: float) -> float:
         sign = e * s.side[i]
         gap = s.up[which] + opened - value if s.side[i] > 0 else value - s.lo[which] + opened
         loss += sign * fabs(gap) if sign > 0.0 else -sign * s.gap[which]
+    if s.damped != 0:
+        for j in within(0, s.f, s.x):
+            e = along(s, j)
+            for i in range(s.x):
+                s.d[i] -= e * s.T[j * s.r + s.k + i]
     square = 0.0
     for j in within(0, s.N, s.x):
         square += s.d[j] * s.d[j]

@@ -98,6 +98,8 @@ def solution(s: Memory) -> None:
         s.reached = 1
         if s.damped != 0 or s.hard >= 0 or s.soft >= 0 or at_once(s) == 0:
             s.reached = descend(s)
+        if s.damped != 0 and s.reached == 0:
+            s.sure = 0
         restore(s)
         if s.damped == 0 and s.valid < s.p:
             optimum(s, s.p + 1)
@@ -144,7 +146,7 @@ _LOSS = (judgement.add_row, judgement.bound_loss, judgement.remember)
 _END = (judgement.judge, retreat, sound, solution)
 _STRICT = (*_FACTORS, *_POINTS, *_SEARCH, *_LOSS, *_END)
 _DAMPED = (
-    *_FACTORS, factors.solve_damped, *_POINTS, *_LOSS, damping.keep, damping.damp, damping.confirm, *_SEARCH, *_END,
+    *_FACTORS, factors.solve_damped, *_POINTS, *_LOSS, damping.keep_set, damping.keep, damping.damp, damping.confirm, *_SEARCH, *_END,
 )  # fmt: skip
 
 
@@ -188,7 +190,7 @@ def hierarchy(shape: StackShape, rows: int, precision: Precision = FLOAT64, *, d
             "side": x, "toward": rows, "near": rows, "toward_set": k,
             **dict.fromkeys(
                 ("N", "w", "valid", "hard", "soft", "top", "moved", "still", "bad", "reached", "block", "block_set",
-                 "block_side", "turns", "hits", *(("last", "sure", "limited", "place") if damped else ())), 0,
+                 "block_side", "turns", "hits", *(("f", "skip", "last", "sure", "limited", "place") if damped else ())), 0,
             ),
         },
     )  # fmt: skip
@@ -217,6 +219,7 @@ class _Undamped(ast.NodeTransformer):
     """Takes `s.damped` as 0, and drops what is never reached then."""
 
     def visit_Compare(self, node: ast.Compare) -> ast.expr:
+        self.generic_visit(node)
         text = ast.unparse(node)
         return ast.Constant(text == "s.damped == 0") if text.startswith("s.damped ") else node
 

@@ -72,6 +72,8 @@ def prepare(s: Memory) -> None:
         s.lock_set[row] = 0
         s.rhs[row] = 0.0
     if s.damped != 0:
+        s.f = 0
+        s.skip = 0
         s.last = 0
         s.sure = 1
         s.limited = 0
@@ -102,7 +104,7 @@ def prepare(s: Memory) -> None:
         if largest > 0.0:
             s.scale[level] = sqrt(largest)
     s.w = 0
-    s.valid = 0
+    s.valid = s.skip if s.damped != 0 else 0
     s.start[0] = 0
     s.used[0] = 0
     s.moved = 0
@@ -273,7 +275,7 @@ def move_limits(s: Memory) -> None:
         part = part - 1.0 if part >= 1.0 else part
         s.lo[i] -= 1e-10 * s.size * (1.0 + part)
         s.up[i] += 1e-10 * s.size * (1.0 + part)
-    s.valid = 0
+    s.valid = s.skip if s.damped != 0 else 0
 
 
 def advance(s: Memory) -> int:
@@ -288,7 +290,7 @@ def advance(s: Memory) -> int:
         s.size = fabs(s.goal[j]) if fabs(s.goal[j]) > s.size else s.size
     s.block = -1
     share = 1.0
-    if longest > 1e-15 * s.size:
+    if longest > 1e-15 * s.size and (s.damped == 0 or s.w < s.N):  # at a vertex, the step is rounding
         share = ratio(s, levels)
     if s.block < 0:
         for j in within(0, s.N, s.x):
@@ -302,7 +304,7 @@ def advance(s: Memory) -> int:
         s.still = 0
     else:
         s.still += 1
-        if s.still > 5:
+        if s.still > (s.n if s.damped != 0 else 5):
             move_limits(s)
     if s.block_set != 0:
         level = s.level_of[s.block]
@@ -319,7 +321,7 @@ def advance(s: Memory) -> int:
 
 def unlocked(s: Memory, level: int) -> int:
     """Return whether an active limit, or an active row of a set-based level above, is not locked."""
-    for i in within(0, s.w, s.x):
+    for i in within(s.f if s.damped != 0 else 0, s.w, s.x):
         if s.lock[s.W[i]] == 0:
             return 1
     for a in within(2, level, s.p):
@@ -372,7 +374,7 @@ def release(s: Memory) -> int:
         limit = 1e-11 * largest * unit
         if level < s.p and limit < 1e-14 * s.size * unit:
             limit = 1e-14 * s.size * unit
-        for i in within(0, s.w, s.x):
+        for i in within(s.f if s.damped != 0 else 0, s.w, s.x):
             if s.lock[s.W[i]] == 0:
                 e = s.lam[i] * s.side[i]
                 if e < -limit and e < worst:
@@ -390,7 +392,7 @@ def release(s: Memory) -> int:
         if s.damped != 0 and which < 0 and level > 1:
             return 0
         if which < 0:
-            for i in within(0, s.w, s.x):
+            for i in within(s.f if s.damped != 0 else 0, s.w, s.x):
                 if s.lam[i] * s.side[i] > limit:
                     s.lock[s.W[i]] = 1
             for a in within(2, level, s.p):
@@ -447,7 +449,7 @@ def restore(s: Memory) -> None:
     for i in range(s.m):
         s.lo[i] = s.lo_true[i]
         s.up[i] = s.up_true[i]
-    s.valid = 0
+    s.valid = s.skip if s.damped != 0 else 0
     if s.reached != 0:
         optimum(s, s.last if s.damped != 0 else s.p + 1)
         for j in within(0, s.N, s.x):
