@@ -14,12 +14,15 @@ from surctl.priority.hierarchy.judgement import at_v, bound_loss, remember
 
 
 def damp(s: Memory, level: int) -> None:
-    """Begin a level: keep the rates of the last one, and set w² = c ‖x‖ + 1e-6."""
-    if s.last > 2:
-        if s.is_set[s.last - 1] != 0:
-            keep_set(s, s.last - 1)
-        else:
-            keep(s, s.last - 1)
+    """Begin a level: keep the openings, or the rates of the last level, and set w² = c ‖x‖ + 1e-6."""
+    if s.last == 0:
+        for a in range(2):
+            if s.on[a] != 0:
+                keep(s, a)
+    elif s.is_set[s.last - 1] != 0:
+        keep_set(s, s.last - 1)
+    else:
+        keep(s, s.last - 1)
     s.skip = 0
     for a in within(0, level, s.p):
         if s.is_set[a] != 0 or s.on[s.first[a]] != 0:
@@ -95,11 +98,8 @@ def confirm(s: Memory, level: int) -> None:
     for j in within(0, s.n, s.n):
         s.size = fabs(s.v[j]) if fabs(s.v[j]) > s.size else s.size
     radius = 2.0 * (1.0 + s.size)
-    for i in range(s.m):
-        s.gap[i] = radius
     square = 0.0
     for a in within(0, level + 1, s.p):
-        s.spread[a] = 0.0 if a > 1 else 2e-10 * s.size
         for row in within(s.first[a], s.first[a + 1], s.b):
             s.gap_set[row] = radius * s.scale[a]
             if s.on[row] != 0 or (a > 1 and s.is_set[a] == 0):
@@ -112,6 +112,8 @@ def confirm(s: Memory, level: int) -> None:
         square += s.ridge[level] * s.v[j] * s.v[j]
     value = sqrt(square)
     unit = s.scale[level] if s.scale[level] > 1.0 else 1.0
+    if level < 2 and not value > 1e-10 * s.size:
+        s.spread[level] = 2.0 * value
     if not value > 1e-12 * s.size * unit:
         return
     multipliers(s, level)
@@ -124,7 +126,10 @@ def confirm(s: Memory, level: int) -> None:
         if sign > floor:
             if level == 2:
                 s.limited = 1
-            s.place = remember(s, (s.W[i] + 1) * s.side[i], sign, s.place)
+            if level > 1:
+                s.place = remember(s, (s.W[i] + 1) * s.side[i], sign, s.place)
+            elif loss / sign < s.gap[s.W[i]]:
+                s.gap[s.W[i]] = loss / sign
     number = s.m
     for a in within(2, level, s.p):
         if s.is_set[a] != 0:

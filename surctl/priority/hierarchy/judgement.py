@@ -90,7 +90,11 @@ def bound_loss(s: Memory, level: int, radius: float) -> float:
             opened = s.v[s.column[which]]
         sign = e * s.side[i]
         gap = s.up[which] + opened - value if s.side[i] > 0 else value - s.lo[which] + opened
-        loss += sign * fabs(gap) if sign > 0.0 else -sign * s.gap[which]
+        loss += (
+            sign * fabs(gap)
+            if sign > 0.0
+            else -sign * (radius if s.damped != 0 and radius < s.gap[which] else s.gap[which])
+        )
     if s.damped != 0:
         for j in within(0, s.f, s.x):
             e = along(s, j)

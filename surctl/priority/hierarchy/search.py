@@ -81,8 +81,11 @@ def prepare(s: Memory) -> None:
         for row in within(2, s.first[s.p], s.k):
             s.low[row] = s.lower[row - 2]
             s.high[row] = s.upper[row - 2]
+        for i in range(s.m):
+            s.gap[i] = 1e300
         for level in range(s.p):
             s.ridge[level] = 0.0
+            s.spread[level] = 0.0
     if s.hard >= 0:
         s.T[s.hard * s.r] = 1.0
         s.on[0] = 1
@@ -290,7 +293,7 @@ def advance(s: Memory) -> int:
         s.size = fabs(s.goal[j]) if fabs(s.goal[j]) > s.size else s.size
     s.block = -1
     share = 1.0
-    if longest > 1e-15 * s.size and (s.damped == 0 or s.w < s.N):  # at a vertex, the step is rounding
+    if longest > (1e-11 if s.damped != 0 else 1e-15) * s.size and (s.damped == 0 or s.w < s.N):
         share = ratio(s, levels)
     if s.block < 0:
         for j in within(0, s.N, s.x):
@@ -433,7 +436,7 @@ def descend(s: Memory) -> int:
         if done < 0:
             return 0
         if done > 0 and release(s) == 0:
-            if s.damped != 0 and s.top > 2:
+            if s.damped != 0:
                 confirm(s, s.top - 1)
             if s.top > s.p:
                 return 1
