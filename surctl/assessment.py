@@ -1,4 +1,4 @@
-"""Every figure and verdict about one subject, the banner with the worst line; and a user's system as a subject."""
+"""Assessment: figures, verdicts, worst line as banner, worst of several cases, before and after; of any system."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The exception classes of this package; each message states the mistake and the next step.
+"""Exception classes with their exit status; remedies for unknown names; files that cannot be written.
 
 ::
 

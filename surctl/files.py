@@ -1,4 +1,4 @@
-"""Read TOML files, write files, create folders; every mistake becomes one line with file, key, value and remedy."""
+"""TOML files: units, wrong keys and values; output files complete or not at all; names of files and folders."""
 
 from __future__ import annotations
 

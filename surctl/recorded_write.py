@@ -1,4 +1,4 @@
-"""Write named columns as a CSV, MATLAB .mat or netCDF file; `recorded` reads such files."""
+"""Write named columns as a CSV, .mat or netCDF file, and messages as an MCAP file for Foxglove, in chunks."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Reading and writing of certificate files: JSON that contains the hash of its own canonical text."""
+"""Certificate files: JSON with the hash of its text, numbers read exactly; size and form that are rejected."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`surctl check`: the independent checker of certificates."""
+"""`surctl check`: the independent checker of certificates; options --bundle, --gains-id and --time-limit."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`surctl export`: write the controller of the robot or of a system as C code or FMU, and compare it with Python."""
+"""`surctl export`: controller of robot or system as C, FMU or MuJoCo model; its replayed run, --check, --prove."""
 
 from __future__ import annotations
 

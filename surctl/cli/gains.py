@@ -1,4 +1,4 @@
-"""`surctl gains`: write a gain file that follows from a vehicle."""
+"""`surctl gains derive`: write a gain file that follows from a vehicle; lines about its margins and no contact."""
 
 from __future__ import annotations
 

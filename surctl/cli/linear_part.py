@@ -1,4 +1,4 @@
-"""The linear analysis of `surctl verify`: margins, poles, the slowest mode and the largest stable speed."""
+"""`surctl verify`, linear part: margins, poles, slowest mode, stable speeds; advice on gains, speed and cap."""
 
 from __future__ import annotations
 

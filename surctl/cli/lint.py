@@ -1,4 +1,4 @@
-"""`surctl lint`: find entries of an input file that cannot work."""
+"""`surctl lint`: findings by kind of file, margins that do not suffice, and the checks of a system of one's own."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`surctl scenario`: write a scenario file from a mission of another program."""
+"""`surctl scenario from-plan`: write a scenario file from a QGroundControl plan or a GPX file."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`surctl new`: write a commented file for the user to edit; no command writes a new file outside its folder."""
+"""`surctl new`: write a commented file from `templates`; new files of all commands: name, folder, --force."""
 
 from __future__ import annotations
 

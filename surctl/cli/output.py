@@ -1,4 +1,4 @@
-"""The output of all commands: text or one JSON object on stdout, progress and signs of life on stderr."""
+"""Output of all commands: summary of five lines, --json, progress, colours, Ctrl-C, files not saved, lost stdout."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`surctl reproduce`: compare our results with the results in the paper, one by one."""
+"""`surctl reproduce`: compare our results with the results in the paper, one by one; --independent, --webots."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Options that select vehicle, gains, law, speeds and barrier of the robot, and the commands that suggest them."""
+"""Options of the robot: default vehicle, gains, law, sensing and speeds, refusals, and commands to suggest."""
 
 from __future__ import annotations
 

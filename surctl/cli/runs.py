@@ -1,4 +1,4 @@
-"""The output of commands about closed-loop runs: one run, several runs, campaigns of random runs."""
+"""Output about runs: how they ended, metrics, weak loops; campaigns (--monte-carlo) and repeated runs (--from)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`surctl simulate`: simulate scenarios in closed loop."""
+"""`surctl simulate`: single runs of scenarios or of a system, --save, --explain; which runs fail the command."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`surctl sonar-replay`: run recorded readings through the sonar filter."""
+"""`surctl sonar-replay`: run recorded readings through the sonar filter; range, bound and health at each step."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`surctl study`: sweep, verify, simulate and export in one command."""
+"""`surctl study`: sweep, verify, simulate and export in one command; of a system, also the order of the steps."""
 
 from __future__ import annotations
 

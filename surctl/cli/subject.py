@@ -1,4 +1,4 @@
-"""A system as the first argument of a command, FILE.py:FUNCTION or subject:NAME, and what commands print of it."""
+"""A system as first argument of a command: words NAME=VALUE, ranges, region box; text of its costs and margins."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`surctl sweep`: closed-loop and linear metrics over gains and other parameters."""
+"""`surctl sweep`: results over gains and other parameters, of missions or of any system, and the best points."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`surctl tune`: find gains that meet goals, and verify them with new random runs."""
+"""`surctl tune`: search gains and test them; HARD GOALS NOT MET, files that it writes, exit status, next command."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What `surctl tune` tunes, missions or a system, and what it says about the result; its page with sliders."""
+"""`surctl tune` of missions and of systems: goals added or refused, gain file, lines about it, page with sliders."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`surctl vehicle`: write a vehicle file from dimensions, a log or a model; what its thrusters can do."""
+"""`surctl vehicle`: write a vehicle file from dimensions, a log or a Gazebo model; what its thrusters can do."""
 
 from __future__ import annotations
 

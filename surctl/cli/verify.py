@@ -1,4 +1,4 @@
-"""`surctl verify`: check claims, compute stability margins, and decide which results fail the command."""
+"""`surctl verify`: which claims and speeds, what fails the command, files; of a system, its margins and region."""
 
 from __future__ import annotations
 

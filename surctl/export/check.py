@@ -1,4 +1,4 @@
-"""Check that the exported C gives the same bytes as Python with every compiler and on every processor."""
+"""`export --check`: does C give Python's bytes with every compiler and processor; sizes, stack, instructions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Processor in the loop: connection to an exported controller in another process, also on an emulated processor."""
+"""Link to an exported controller in another process, also in QEMU: messages, compilers and processors (--targets)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""C text of the guard, the input check of the exported C, and of the example programs that call it."""
+"""C text of the guard: ranges, order of gains, jumps of inputs, limits of commands; values of example programs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Proof by abstract interpretation (Frama-C's Eva) that the exported C has no run-time error.
+"""`export --prove`: proof by abstract interpretation (Frama-C's Eva) that the exported C has no run-time error.
 
 The analysed program (`proof.c`) sets every state, input, gain and last accepted input to an arbitrary number in its
 range, sets an arbitrary sample number, and calls the step once. If Eva reports no alarm, then in every such step no

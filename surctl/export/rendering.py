@@ -1,4 +1,4 @@
-"""Rendering of the exported files: templates are filled in with the layouts, values and C text of a law."""
+"""Text of the exported files from `templates` (C, README, examples, FMU): C of the law, own names, stated RAM."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Software in the loop: compare the exported C, which computes its own state from step to step, with Python."""
+"""Software in the loop: C with a state of its own against Python over recorded runs, and with invalid inputs."""
 
 from __future__ import annotations
 

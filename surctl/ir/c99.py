@@ -1,4 +1,4 @@
-"""Writer of an instruction list as one C99 function."""
+"""Writer of an instruction list as one C99 function; names in C: reserved words and macros are refused."""
 
 from __future__ import annotations
 

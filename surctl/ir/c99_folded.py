@@ -1,4 +1,4 @@
-"""Writes an instruction list as short, readable C99, with nested expressions instead of a variable per operation.
+"""Writer of an instruction list as short, readable C99; also for SIMD lanes, and without branches.
 
 A value that is used once is written as an expression at its use, truth values are `int`, and one declaration covers
 several local variables. The C text performs the same operations as that of `emit_c99`, with equal results, if the

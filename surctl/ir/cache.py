@@ -1,4 +1,4 @@
-"""The C compiler with its flags, and a cache on disk of what it and other costly steps build, for later processes.
+"""The C compiler: search, flags, flags that are refused; a cache on disk, where one process builds and others wait.
 
 A cache entry is trusted only if it lies in a folder of this user to which nobody else may write, and if its digest
 equals the digest stored when the entry was built. Otherwise the entry is built again.

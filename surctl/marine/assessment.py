@@ -1,4 +1,4 @@
-"""The subject of an assessment of the robot: a vehicle with its law, gains, speeds and missions."""
+"""What is assessed of a vehicle in missions: margins, region, no contact, runs, and the defaults that decide."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The report of a study of a system of the user's own: run, margins, region, sweep, export and signals on one page."""
+"""The report of a study of a system of the user's own, on one page; tables of figures and margins of any report."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Pictures of many runs of any system: fans over time, phase planes, distributions and dependences of metrics."""
+"""Pictures of runs of any system: one run with limits, fans, phase planes, distributions, attainable rates."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A stack of tasks and limits of a robot as a controller: steps in Python, closed loops, and C."""
+"""A stack of tasks and limits of a robot as a controller: steps, damping, explanations, closed loops, C."""
 
 from __future__ import annotations
 
@@ -71,12 +71,12 @@ class StackController:
         mode: priority mode of `surctl.priority`.
         damping: c ≥ 0 [unit of a task · s], such as 0.05 m·s, for targets out of reach and singular configurations. For
             its desired rate x, each task in turn gets the v that minimises ‖J v − x‖² + c ‖x‖ ‖v‖² within the limits
-            and with the rates of the tasks above, to 1e-6 of their unit/s; so `mode` must be lexicographic. It adds at
-            most ‖J u − x‖²/(c ‖x‖) to ‖u‖², where u is the velocity of the tasks above (0 for the first task, if the
-            limits contain 0). The loss: for a singular value σ of the J that is left, that part of x is multiplied by
-            σ²/(σ² + c ‖x‖), which tends to 1 as the target is reached. With 0, the step is faster, but velocities may
-            chatter at such targets; with damping, those of the first task do not, but those that serve other tasks may,
-            because they are free at a singular configuration and bound next to it.
+            and with the rates of the tasks above (singular values of their J below 1e-8·‖J‖ count as 0); so `mode` must
+            be lexicographic. It adds at most ‖J u − x‖²/(c ‖x‖) to ‖u‖², where u is the velocity of the tasks above (0
+            for the first task, if the limits contain 0). The loss: for a singular value σ of the J that is left, that
+            part of x is multiplied by σ²/(σ² + c ‖x‖), which tends to 1 as the target is reached. With 0, velocities
+            may chatter at such targets; with damping, those of the first task do not, but those that serve other tasks
+            may, because they are free at a singular configuration and bound next to it.
 
     Raises:
         InputError: tasks or limits are of different robots, two inputs have the same name but differ, the period is not

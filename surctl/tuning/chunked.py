@@ -1,4 +1,4 @@
-"""Evaluate the points of a sweep in chunks; finished chunks are stored, so that an interrupted sweep resumes."""
+"""Evaluate a sweep in chunks: processes, Dask, resume, progress; its file `sweep.nc`, and that of another request."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Goals of a linear loop of any system, with the meaning that MATLAB's Control System Tuner (TuningGoal) gives them.
+"""Goals of a linear loop of any system, as in MATLAB's TuningGoal: profile, value, bound and its unit, signals.
 
 Each goal computes one number from a `LinearLoop`; its normalised value is at most 1 if the goal is met. An unstable
 loop meets no goal.

@@ -1,4 +1,4 @@
-"""Statistics of runs: shares with upper bounds, and Sobol' indices."""
+"""Statistics of runs: shares with upper bounds, and Sobol' indices with intervals and their warning."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Tuning of any system: its costs, bounds and goals about the loop as a request of the search that missions have."""
+"""Tuning of any system: costs, bounds, cases, goals, least margins of the search; `best-so-far.csv`."""
 
 from __future__ import annotations
 

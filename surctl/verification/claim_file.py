@@ -1,4 +1,4 @@
-"""Read a claim from a TOML file, and write any claim of the library as such a file."""
+"""Files of kind `claim`: read a claim from its keys, and write any claim of the library as such a file."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The disk margin of several loops at once: gain and phase errors that all loops tolerate in any combination.
+"""The disk margin of several loops at once, S and T, independent of units; the least margin, text of short ones.
 
 The signal of loop k is multiplied by (2 + δ_k)/(2 − δ_k), where δ_k is any stable complex dynamics with |δ_k| < α (the
 balanced disk margin of Seiler, Packard and Gahinet 2020). The largest α is 1/sup_ω μ(M(jω)) with M = (S − T)/2, where S

@@ -1,4 +1,4 @@
-"""A control law as C in this process, in place of the law in Python.
+"""The law in another form: constant gains, its C in a run (`--controller`), or behind a link with loss and delay.
 
 The robot applies the newest command that it received until this command is too old; then the robot applies zero thrust
 (fail-safe). Losses and delays are simulated: a seed determines the losses, and a delay is a whole number of control

@@ -1,4 +1,4 @@
-"""Origin of a bundle, as recorded in its manifest: law, gains, vehicle, claims about them, and certificates."""
+"""Origin of a bundle: vehicle, claims and sensors in its manifest; which certificates belong to its law."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Contacts around the robot: circles, the cones of directions that they occupy, and the side on which to pass them.
+"""Contacts around the robot: circles, points, walls; collision cones, and the side on which to pass a moving one.
 
 The method follows Fiorini and Shiller (1998). A barrier on the distance would make the robot retreat from an
 approaching contact. A collision cone forbids only the velocities that lead to a collision, so the robot can also

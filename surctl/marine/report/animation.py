@@ -1,4 +1,4 @@
-"""Animations of a run: GIF and MP4 in the plan view, films of MuJoCo's pictures, and the player of the report."""
+"""Animations of a run (`--animate`, `--film`): GIF and MP4, speed of the film, and the player of the report."""
 
 from __future__ import annotations
 

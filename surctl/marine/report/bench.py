@@ -1,4 +1,4 @@
-"""A law of the robot, built-in or of the user's own, on the design page."""
+"""The design page of a law of the robot: operating points, sliders, goals, runs, assessment, saved gains."""
 
 from __future__ import annotations
 

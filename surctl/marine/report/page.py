@@ -1,4 +1,4 @@
-"""Rendering of the report of a study as one self-contained HTML file."""
+"""The report of a study as one HTML file; its table of figures and claims, with claims that do not apply."""
 
 from __future__ import annotations
 

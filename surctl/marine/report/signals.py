@@ -1,4 +1,4 @@
-"""Plots of a run over time: its signals, and the decisions of the priorities."""
+"""Plots of a run over time: its signals with their limits, and the timeline of the priorities (`--explain`)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Conduct a study in one call: sweep, choice of gains, margins, claims, runs, export, SIL test, and report."""
+"""Conduct a study in one call: sweep, gains, margins, claims, runs, export, replay in C, report; summary lines."""
 
 from __future__ import annotations
 

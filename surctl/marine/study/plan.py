@@ -1,4 +1,4 @@
-"""The plan of a study, read from a study file or derived from a vehicle file."""
+"""The plan of a study and of `tune --vehicle`: keys of its file, missions scaled to a vehicle, those left out."""
 
 from __future__ import annotations
 
@@ -173,7 +173,7 @@ class Plan:
     `cruise` holds the speeds [m/s] at which the linear loops are judged; if it is empty, the largest cruise speed of
     the scenarios is used. `axes` is empty if the study file has no `[sweep]` table; such a study keeps its
     gains. `named` is false if the study names no gains; they are then the default gains of its vehicles
-    (`tuning.shared_gains`). `derivation` says how they were derived from the vehicle, if they were. `unheard` is the
+    (`tuning.derived`). `derivation` says how they were derived from the vehicle, if they were. `unheard` is the
     reason why the study simulates no sonars, and exports the law that takes obstacle positions; empty if it does.
     """
 

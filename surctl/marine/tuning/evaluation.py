@@ -1,4 +1,4 @@
-"""Evaluate goals for many gain sets, cases, seeds and plants in one batch of closed loops."""
+"""Goals evaluated in batches of runs and loops: corner plants, fresh runs; goals judged at the end, or not at all."""
 
 from __future__ import annotations
 

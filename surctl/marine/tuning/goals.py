@@ -1,4 +1,4 @@
-"""Goals of a tuning: bounds on metrics of the closed loop, with units, as control engineers state them.
+"""Goals of a tuning of missions: metrics and figures that they bound, cruise speeds, built-in goals on margins.
 
 The normalised value of a goal is defined as in MATLAB's Control System Tuner (systune, viewGoal): the goal is met if
 the value is at most 1.

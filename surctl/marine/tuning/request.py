@@ -1,4 +1,4 @@
-"""The request of a search for gains of missions: its space, its claims, and the provenance of its result."""
+"""The request of a search for gains: tuned gains and ranges, claims to hold, derived starts, provenance written."""
 
 from __future__ import annotations
 

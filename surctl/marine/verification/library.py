@@ -1,4 +1,4 @@
-"""The library of claims: the paper's claims about V1, V2 and the course, printed and corrected, and braking claims."""
+"""The library of claims: the paper's claims about V1, V2 and the course, and which claims apply to a vehicle."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Cruise speeds at which linear loops are evaluated: checks of the speeds, and metrics of the loop at every speed."""
+"""Several cruise speeds: which are refused, and linear metrics at every speed with the worst of them."""
 
 from __future__ import annotations
 

@@ -1,9 +1,10 @@
 """Damped levels of the priority kernel: each minimises ‖J v − x‖² + w² ‖v‖², with the rates J v of those above kept.
 
 With weight w > 0, a level has one optimum, so what is passed on to the levels below is not the set of its optima but
-its rates: `keep` makes them the right side of its rows, which the elimination then meets exactly, and no limit is
-locked. The factors of the rows do not change by that, nor does W. Behind the reflections from the right, the columns of
-a level are those of its rank; in all others, the optimum is 0.
+its rates, and no limit is locked. `keep` puts the rows of the level before those of W: the first f columns of Q span
+them, and v does not change along these columns any more. Singular values below 1e-8·‖J‖ count as 0. A limit of W that
+depends on the rows leaves W; otherwise limits and rows together would fix more than there are velocities, and the
+search would go round. A set-based level stays behind W, with the rate as its bound if it is outside (`keep_set`).
 """
 
 from __future__ import annotations

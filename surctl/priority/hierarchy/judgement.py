@@ -1,4 +1,4 @@
-"""The judgement of the priority kernel: is v optimal for every level?
+"""The test of the priority kernel that v is optimal for every level.
 
 `judge` shows it after the search. Let g be the negative gradient of half the squared objective of a
 level, λ and μ the multipliers of the active limits and of the levels above, and d = g − Σ λ a − Σ Jᵀ μ what they leave.

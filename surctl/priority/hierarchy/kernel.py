@@ -146,14 +146,15 @@ _LOSS = (judgement.add_row, judgement.bound_loss, judgement.remember)
 _END = (judgement.judge, retreat, sound, solution)
 _STRICT = (*_FACTORS, *_POINTS, *_SEARCH, *_LOSS, *_END)
 _DAMPED = (
-    *_FACTORS, factors.solve_damped, *_POINTS, *_LOSS, damping.keep_set, damping.keep, damping.damp, damping.confirm, *_SEARCH, *_END,
+    *_FACTORS, factors.solve_damped, *_POINTS, *_LOSS, damping.keep_set, damping.keep, damping.damp, damping.confirm,
+    *_SEARCH, *_END,
 )  # fmt: skip
 
 
 def hierarchy(shape: StackShape, rows: int, precision: Precision = FLOAT64, *, damped: bool = False) -> Procedure:
     """Return the kernel for levels of these shapes and a number of limits, with the ports of `priority_step`.
 
-    damped: levels are damped, see module `damping`; c ≥ 0 is a further input, `damping` (1,).
+    damped: whether levels are damped, see module `damping`. One more input is c, `damping` (1,): w² = c ‖x‖ + 1e-6.
     """
     functions = [_source(function, damped, precision) for function in (_DAMPED if damped else _STRICT)]
     n, starts = shape.n, (0, 1, *(2 + start for start in shape.starts), 2 + shape.rows)
@@ -180,9 +181,10 @@ def hierarchy(shape: StackShape, rows: int, precision: Precision = FLOAT64, *, d
             "At": n * rows, "lo": rows, "up": rows, "lo_true": rows, "up_true": rows, "T": x * r, "B": x * k,
             "L": x * x, "V": x * x, "tau": x, "h": x, "sums": r, "y": x, "z": x, "g": x, "QR": k * x,
             "diagonal": p * x, "weight": p * x, "side_d": k + more, "norms": k + more, "rhs": k, "rest": k, "scale": p,
-            "v": x, "goal": x, "step": x, "lam": x, "mu": k, "speed": rows, "value": rows, "margin": 2 * rows, "slack": rows,
-            "slack_set": k, "speed_set": k, "gap": rows, "gap_set": k, "spread": p, "d": x, "factor": 0, "head": 0,
-            "nearest": 0, "size": 0, **({"R": (k + x) * x, "ridge": p, "low": k, "high": k} if damped else {}),
+            "v": x, "goal": x, "step": x, "lam": x, "mu": k, "speed": rows, "value": rows, "margin": 2 * rows,
+            "slack": rows, "slack_set": k, "speed_set": k, "gap": rows, "gap_set": k, "spread": p, "d": x, "factor": 0,
+            "head": 0, "nearest": 0, "size": 0,
+            **({"R": (k + x) * x, "ridge": p, "low": k, "high": k} if damped else {}),
         },
         wholes={
             "first": p + 1, "is_set": p, "level_of": k, "column": rows, "pivot": k, "many": p, "start": p + 1,
@@ -190,7 +192,8 @@ def hierarchy(shape: StackShape, rows: int, precision: Precision = FLOAT64, *, d
             "side": x, "toward": rows, "near": rows, "toward_set": k,
             **dict.fromkeys(
                 ("N", "w", "valid", "hard", "soft", "top", "moved", "still", "bad", "reached", "block", "block_set",
-                 "block_side", "turns", "hits", *(("f", "skip", "last", "sure", "limited", "place") if damped else ())), 0,
+                 "block_side", "turns", "hits",
+                 *(("f", "skip", "last", "sure", "limited", "place") if damped else ())), 0,
             ),
         },
     )  # fmt: skip

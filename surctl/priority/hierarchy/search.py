@@ -1,4 +1,4 @@
-"""The search of the priority kernel: from the first v to the optimum, with one limit or one level at a time."""
+"""The search of the priority kernel, with one limit or one level at a time."""
 
 from __future__ import annotations
 
