@@ -37,7 +37,7 @@ def damp(s: Memory, level: int) -> None:
     for row in within(s.first[level], s.first[level + 1], s.b):
         if s.on[row] != 0:
             square += s.rhs[row] * s.rhs[row]
-    s.ridge[level] = s.damping[0] * sqrt(square) + 1e-6
+    s.ridge[level] = s.damping[0] * sqrt(square + 1e-18) + 1e-6  # smooth at rest
     s.last = level + 1
 
 
