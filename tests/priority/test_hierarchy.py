@@ -157,8 +157,8 @@ def damped_cascade(problem: PriorityProblem, c: float) -> Array:
 
 
 def test_damped_levels_are_those_of_one_programme_after_another() -> None:
-    c, procedure, seen = 0.1, hierarchy(SHAPE, ROWS, damped=True), set()
-    for k in range(60):
+    procedure, seen = hierarchy(SHAPE, ROWS, damped=True), set()
+    for k, c in [*((k, 0.1) for k in range(25)), *((k, 1.0) for k in range(120, 146))]:
         problem = drawn(np.random.default_rng(k), 3.0)
         out = dict(zip([name for name, _ in procedure.outputs], replay(procedure, *arrays(problem), [c]), strict=True))
         seen.add(int(out["status"][0]))
