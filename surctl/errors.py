@@ -17,19 +17,9 @@ import errno
 from collections.abc import Iterable
 
 __all__ = [
-    "LOSSES",
-    "LOST",
-    "EmptyDomain",
-    "InputError",
-    "NotApplicable",
-    "SolverError",
-    "SurctlError",
-    "ToolMissing",
-    "UnsupportedOperation",
-    "cannot_write",
-    "check_known",
-    "nearest",
-]
+    "LOSSES", "LOST", "EmptyDomain", "InputError", "NotApplicable", "SolverError", "SurctlError", "ToolMissing",
+    "UnsupportedOperation", "cannot_write", "check_known", "nearest",
+]  # fmt: skip
 
 
 LOST = 3

@@ -33,20 +33,9 @@ if TYPE_CHECKING:
     from pydantic_core import ErrorDetails, InitErrorDetails
 
 __all__ = [
-    "Mistakes",
-    "Quantity",
-    "Strict",
-    "file_name",
-    "load_model",
-    "opened",
-    "pick",
-    "prepare_folder",
-    "quoted",
-    "read_toml",
-    "require_doubles",
-    "validate",
-    "write_file",
-]
+    "Mistakes", "Quantity", "Strict", "file_name", "load_model", "opened", "pick", "prepare_folder", "quoted",
+    "read_toml", "require_doubles", "validate", "write_file",
+]  # fmt: skip
 
 
 class Strict(BaseModel):

@@ -25,15 +25,8 @@ from surctl.certcheck.interval import printable, variables_of
 from surctl.certcheck.patience import go_on
 
 __all__ = [
-    "Motion",
-    "Obligation",
-    "check_all",
-    "decimal_text",
-    "read_motion",
-    "require_defined",
-    "require_loop",
-    "rest_of",
-]
+    "Motion", "Obligation", "check_all", "decimal_text", "read_motion", "require_defined", "require_loop", "rest_of",
+]  # fmt: skip
 
 _MOST_DECIMALS = 400  # characters
 _LOOP = {

@@ -9,14 +9,12 @@ from typing import Any
 
 import click
 
-from surctl.cli.output import FiniteRange, as_json, finish, printable
+from surctl.cli.output import FOLDER, FiniteRange, as_json, finish, printable
 
 
 @click.command
 @click.argument("certificate", type=click.Path(path_type=Path))
-@click.option(
-    "--bundle", type=click.Path(path_type=Path), metavar="DIR", help="Compare with the exported controller in DIR."
-)
+@click.option("--bundle", type=FOLDER, help="Compare with the exported controller in DIR.")
 @click.option(
     "--gains-id",
     metavar="HEX",

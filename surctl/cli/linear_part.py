@@ -196,7 +196,7 @@ def over_speeds(parts: Sequence[LinearPart]) -> LinearPart:
     """Combine analyses at several cruise speeds (slowest first): a comparison, then the whole analysis of the last."""
     import numpy as np
 
-    from surctl.marine.verification import worst_text
+    from surctl.marine.verification.speeds import worst_text
     from surctl.verification.loops import worst_place
 
     *_, last = parts

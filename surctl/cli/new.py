@@ -9,7 +9,7 @@ from pathlib import Path
 
 import click
 
-from surctl.cli.output import as_json, finish
+from surctl.cli.output import FILE, as_json, finish
 from surctl.errors import InputError
 
 _TEMPLATES = Path(__file__).parent / "templates"
@@ -35,9 +35,7 @@ _IN_PYTHON = ("task", "law", "robot", "system")
 @click.command
 @click.argument("kind", type=click.Choice(list(_NEXT)))
 @click.argument("name")
-@click.option(
-    "--out", type=click.Path(path_type=Path), metavar="FILE", help="File to write (default NAME.toml or NAME.py)."
-)
+@click.option("--out", type=FILE, help="File to write (default NAME.toml or NAME.py).")
 @click.option("--force", is_flag=True, help="Overwrite an existing file.")
 @as_json
 def new(kind: str, name: str, out: Path | None, force: bool, as_json: bool) -> None:

@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 
 from surctl.errors import InputError, SurctlError, ToolMissing, nearest
 from surctl.export.bundle import Bundle, write_bundle
-from surctl.ir import compile_program, packaged_compiler
+from surctl.ir import compile_program
+from surctl.ir.cache import packaged_compiler
 
 # Compilers and processors on which the exported C is checked: this machine's, and emulated microcontrollers
 

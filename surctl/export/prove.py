@@ -288,7 +288,8 @@ def with_proof(bundle: Bundle, report: ProofReport) -> Bundle:
         >>> from json import loads
         >>> from surctl.marine.control import build_law, load_gains
         >>> from surctl.marine.export import build_bundle, closed_form, operating_envelope
-        >>> from surctl.export import prove_bundle, with_proof
+        >>> from surctl.export import prove_bundle
+        >>> from surctl.export.prove import with_proof
         >>> from surctl.marine.simulation import law_numbers, load_scenario
         >>> from surctl.marine.vehicle import load_vehicle
         >>> mission, vehicle, gains = load_scenario("pool-behind"), load_vehicle("sur400"), load_gains("default")

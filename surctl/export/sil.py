@@ -296,7 +296,8 @@ def software_in_the_loop_runs(
 
     Example:
         >>> from surctl.marine.control import build_law, load_gains
-        >>> from surctl.export import Records, software_in_the_loop_runs
+        >>> from surctl.export import Records
+        >>> from surctl.export.sil import software_in_the_loop_runs
         >>> from surctl.marine.simulation import law_numbers, load_scenario, simulate
         >>> from surctl.marine.vehicle import load_vehicle
         >>> mission, vehicle, gains = load_scenario("pool-behind"), load_vehicle("sur400"), load_gains("default")

@@ -334,7 +334,8 @@ def emit_lanes(
 
     Example:
         >>> import casadi as ca
-        >>> from surctl.ir import Feed, emit_lanes, lower
+        >>> from surctl.ir import Feed, lower
+        >>> from surctl.ir.c99_folded import emit_lanes
         >>> speed, drag = ca.SX.sym("speed"), ca.SX.sym("drag")
         >>> program = lower(ca.Function("coast", [speed, drag], [speed - drag * speed]))
         >>> print(emit_lanes(program, symbol="coast", lanes=4, feeds=(Feed(), Feed("shared")), folded=True), end="")

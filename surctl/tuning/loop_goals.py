@@ -35,7 +35,7 @@ class Profile:
 
     Example:
         >>> import numpy as np
-        >>> from surctl.tuning import Profile
+        >>> from surctl.tuning.loop_goals import Profile
         >>> Profile((0.1, 10.0), (100.0, 1.0))(np.array([0.1, 1.0, 20.0])).round(6)
         array([100.,  10.,  nan])
     """

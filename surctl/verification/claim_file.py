@@ -183,7 +183,7 @@ def write_claim(claim: Claim) -> str:
 
     Example:
         >>> from surctl.marine.verification import claims
-        >>> from surctl.verification import write_claim
+        >>> from surctl.verification.claim_file import write_claim
         >>> [claim] = claims(names=["m-norm-corrected"])
         >>> print(*write_claim(claim).splitlines()[1:5], sep="\n")
         name = "m-norm-corrected"

@@ -377,7 +377,7 @@ def moment_of(run: Run, step: int) -> Moment:
 
     Example:
         >>> from surctl.marine.control import build_law, load_gains
-        >>> from surctl.marine.report import moment_of
+        >>> from surctl.marine.report.animation import moment_of
         >>> from surctl.marine.simulation import load_scenario, simulate
         >>> from surctl.marine.vehicle import load_vehicle
         >>> gains, law = load_gains("default"), build_law("closed_form")

@@ -48,7 +48,7 @@ def plot_run_signals(run: Run, ax: Sequence[Axes] | None = None) -> Figure:
 
     Example:
         >>> from surctl.marine.control import build_law, load_gains
-        >>> from surctl.marine.report import plot_run_signals
+        >>> from surctl.marine.report.signals import plot_run_signals
         >>> from surctl.marine.simulation import load_scenario, simulate
         >>> from surctl.marine.vehicle import load_vehicle
         >>> law, gains = build_law("closed_form"), load_gains("default")

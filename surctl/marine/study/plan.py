@@ -32,7 +32,8 @@ from surctl.marine.tuning import Derivation, Goal, default_cruise, gains_for, lo
 from surctl.marine.tuning.derived import shared_gains
 from surctl.marine.tuning.goals import goals_from_tables
 from surctl.marine.vehicle import Vehicle, load_vehicle
-from surctl.marine.verification import applicable_claims, check_held, cruise_speeds
+from surctl.marine.verification.library import applicable_claims
+from surctl.marine.verification.speeds import check_held, cruise_speeds
 from surctl.tuning import Axis, GoalTable
 
 _TANK = "tank-static"

@@ -453,7 +453,7 @@ def closed_loop_poles(
     Example:
         >>> from surctl.marine.control import load_gains
         >>> from surctl.marine.vehicle import load_vehicle
-        >>> from surctl.marine.verification import closed_loop_poles
+        >>> from surctl.marine.verification.cruise_loop import closed_loop_poles
         >>> poles = closed_loop_poles(load_vehicle("sur400"), load_gains("default").values, cruise=0.15, dt=0.05)
         >>> poles.real[:3].round(2).tolist(), len(poles)
         ([-0.22, -0.38, -0.38], 16)

@@ -132,7 +132,7 @@ def applicable_claims(
 
     Example:
         >>> from surctl.marine.vehicle import load_vehicle
-        >>> from surctl.marine.verification import applicable_claims
+        >>> from surctl.marine.verification.library import applicable_claims
         >>> found, refused = applicable_claims(names=["course-corrected", "braking-mass"],
         ...                                    vehicle=load_vehicle("bluerov2-wu"))
         >>> [claim.name for claim in found], refused["braking-mass"].because[:40]
