@@ -500,6 +500,39 @@ def test_the_closed_loop_of_one_law_by_sonar(monkeypatch: pytest.MonkeyPatch) ->
     assert set(np.round(length, 9)) == {1.0, round(np.sqrt(2), 9)}
 
 
+@pytest.mark.parametrize("end", [-9.0, 1.5])
+def test_the_faces_of_one_law_by_sonar(monkeypatch: pytest.MonkeyPatch, end: float) -> None:
+    folder = ANALYSIS / "41_one_sonar_law"
+    monkeypatch.syspath_prepend(str(folder))
+    study, tracker = (runpy.run_path(str(folder / name)) for name in ("faces.py", "tracker.py"))
+    # the robot comes diagonally to the face x = 2.35 m, which answers near its normal only, above y = `end`
+    array = SonarArray()
+    faces, spread, arcs = study["Faces"](array), tracker["Arcs"](array), tracker["Arcs"](array, most=0.0)
+    for k in range(160):
+        here, heading = np.array([1.5, 1.9]) + 0.025 * k * np.array([0.1, -0.15]), 1.4 + 0.0025 * k
+        x, y, axis = array.apex(array.sensor_at(k), position=here, heading=heading)
+        off = max(abs(np.remainder(axis + np.pi, 2 * np.pi) - np.pi) - array.half_angle, 0)
+        heard = off < np.radians(22.5) and y > end
+        reading = (2.35 - x) / np.cos(off) if heard else 4.5
+        firing = study["Firing"](
+            0.025 * k, np.array([x, y]), axis, reading, not heard, False, False, np.zeros(0, dtype=int)
+        )
+        for one in (spread, arcs):
+            one.update(firing)
+        faces.add(firing)
+    places = faces.places()
+    assert np.max(np.abs(places[:, 0] - 2.35)) < 0.05
+    if end < 0:
+        assert np.min(np.hypot(*(places - [2.35, here[1] - 0.3]).T)) < 0.06, "the face goes on ahead of the foot"
+    else:
+        assert places[:, 1].min() > end - 0.1, "a firing that should have heard the face shows its end"
+    faces.add(firing._replace(time=99.0, blind=True))
+    assert np.array_equal(faces.places(), places), "a firing from within the blind range leaves the faces"
+    faces.add(firing._replace(time=99.0, silent=True))
+    assert len(faces.places()) == 0, "old echoes are forgotten"
+    assert np.ptp(spread.rest[:, 2:4], axis=1).max() > np.ptp(arcs.rest[:, 2:4], axis=1).max()
+
+
 def test_the_study_of_the_slope_rule() -> None:
     done = run(ANALYSIS / "46_slope_rule" / "run.py", "--quick")
     assert done.returncode == 0, done.stdout + done.stderr

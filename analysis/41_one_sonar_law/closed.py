@@ -14,6 +14,7 @@ The law takes pose, heave and yaw moment from the law of the library, and comput
 - of 72 courses at speeds from which the robot can brake, those that come least too near to a mover, and of these the
   one that comes farthest along the descent. The prediction includes the time in which the thrust changes the velocity.
   A speed above the cruise speed counts as the cruise speed, so only a mover makes the robot faster;
+- with `faces`, the faces of `faces.py` also bound the speed, and the yaw moment keeps what is reached first in a beam;
 - inner waypoints in order: each counts as passed within the hull radius of it, or, where the hull has no room in the
   map, of the first place of the path after it that has room.
 """
@@ -27,15 +28,17 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from faces import Faces
 from numpy.typing import NDArray
 from recorded import ECHOES, Array, Ears, Firing, Pose, distances, level_echo
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import KDTree
 from to_go import CELLS
-from tracker import Arcs, Elements, Map, Points, wrapped
+from tracker import DRIFT, Arcs, Elements, Map, Points, wrapped
 
 from surctl.marine.control import Law, LawStep, build_law, default_law, load_gains
+from surctl.marine.control.ports import YAW_SHARE
 from surctl.marine.sensing import SonarArray
 from surctl.marine.simulation import Run, Scenario, load_scenario, simulate
 from surctl.marine.vehicle import Vehicle, load_vehicle
@@ -47,6 +50,8 @@ SCENARIOS = (
 )  # fmt: skip
 MAPS: dict[str, Callable[[SonarArray], Map]] = {
     "drifting": lambda array: Drifting(array),
+    "faces": lambda array: Drifting(array),
+    "faces-strict": lambda array: Drifting(array, most=Arcs.BODY),
     "points": lambda array: Points(array, risk=RISK),
     "elements": lambda array: Elements(array, risk=RISK),
     "arcs-5": lambda array: Arcs(array, within=np.radians(5)),
@@ -71,6 +76,8 @@ STEPS = np.arange(0.5, 12.5, 0.5)  # s, prediction of movers; it ends `AFTER` th
 AFTER = 3.0  # s
 PASSING = 0.15  # m from a mover: the margin of the library's law and what it keeps beyond it
 SAME = 0.005  # m by which two velocities may come too near to a mover before the nearer one is worse
+LOOKS = 0.8  # m from the hull: places within it are kept in a beam; braking and a turn by 45 degrees need less
+TURNS_BACK = float(np.radians(15))  # rad from a beam's axis; 22 degrees are covered 0.2 m from the hull, 8 to turn back
 LAG = 0.1  # s, age of the position in the law's state
 
 _TURNS = 2 * np.pi * np.arange(COURSES) / COURSES
@@ -83,8 +90,8 @@ class Drifting(Arcs):
     The drift and `MARGIN` add as independent errors.
     """
 
-    def __init__(self, array: SonarArray) -> None:
-        super().__init__(array, within=np.radians(5))
+    def __init__(self, array: SonarArray, *, most: float = np.inf) -> None:
+        super().__init__(array, within=np.radians(5), most=most)
         self.now = 0.0
 
     def update(self, firing: Firing) -> None:
@@ -110,6 +117,8 @@ class SonarLaw:
         walls = site_walls(float(self.extent[1]), float(self.extent[0]))
         self.ears = Ears(self.array, [*walls], level_echo(scenario, self.array, echoes))
         self.map = MAPS[which](self.array)
+        self.faces = Faces(self.array) if which.startswith("faces") else None
+        self.side, self.vehicle = 1.0, vehicle
         self.latency = scenario.sensors.equipment.station.messages.latency
         self.way, self.leg, self.gain = scenario.path.waypoints, 0, load_gains("default").values
         self.cruise, self.cap, self.limit = scenario.cruise, scenario.cap, np.array(vehicle.thrust_limit)
@@ -137,6 +146,7 @@ class SonarLaw:
         here = own["position"][:2] + LAG * velocity
         self._listen(u, Pose(here, heading, velocity, float(own["turn"][1])))
         self.here = here
+        self.beside_heard = self.faces.places() if self.faces else np.zeros((0, 2))
         if self.k % EVERY == 0:
             self._plan()
         wanted = self.decide(here, velocity)
@@ -147,12 +157,33 @@ class SonarLaw:
         free = drag + self.gain["k_v"] * self.mass[:2] * error
         tau = inner.tau.copy()
         tau[:2] = np.clip(free, -self.limit[:2], self.limit[:2])
+        if self.faces:
+            tau[3] = self._moment(here, heading, velocity, float(own["turn"][1]))
         after[law.state.slice("last_thrust")] = tau
         after[law.state.slice("trapped")] = 0
         told = inner.telemetry.copy()
         told[law.telemetry_slice("trapped")] = 0
         self.k += 1
         return LawStep(tau, after, 0, told)
+
+    def _surface(self, here: Array) -> Array:
+        return np.concatenate([self.map.surface(here), self.beside_heard])
+
+    def _moment(self, here: Array, heading: float, velocity: Array, rate: float) -> float:
+        # turn on, but turn back before the place that the robot reaches first leaves its beam
+        away = self._surface(here) - here
+        far = np.maximum(np.hypot(*away.T), 1e-3)
+        gap = np.where(far - self.hull < LOOKS, np.maximum(far - self.hull, 0.01), np.inf)
+        when = gap / np.maximum(away @ velocity / far, DRIFT)
+        if when.min(initial=np.inf) < np.inf:
+            first = away[int(np.argmin(when))]
+            off = wrapped(np.arctan2(first[1], first[0]) - heading - np.array(self.array.azimuths))
+            nearest = off[int(np.argmin(np.abs(off)))]
+            self.side = float(np.sign(nearest)) if abs(nearest) > TURNS_BACK else self.side
+        vehicle, limit = self.vehicle, self.limit[3]
+        turning = self.side * min(self.gain["spin"], vehicle.steady_yaw(YAW_SHARE, self.cruise))
+        drag = vehicle.drag_at(self.cruise)[3] * turning + vehicle.quadratic_drag[3] * turning * abs(turning)
+        return float(np.clip(drag + self.gain["k_r"] * vehicle.mass[3] * (turning - rate), -limit, limit))
 
     def _listen(self, u: Array, pose: Pose) -> None:
         inputs = self.law.inputs
@@ -166,6 +197,8 @@ class SonarLaw:
         readings = np.sort(samples, axis=1)[:, 1:-1].mean(axis=1)
         for _, firing in self.ears.heard(self.k, pose, readings, u[inputs.slice("fresh")] > 0.5, shapes):
             self.map.update(firing)
+            if self.faces:
+                self.faces.add(firing)
             if not firing.blind:
                 self._see(firing)
         around = np.hypot(*np.moveaxis(self.centres - pose.position, -1, 0)) < self.hull + np.max(self.size)
@@ -177,7 +210,7 @@ class SonarLaw:
         self.seen |= (off < self.array.half_angle) & (np.hypot(away[..., 0], away[..., 1]) < firing.reading)
 
     def _plan(self) -> None:
-        places, keep = self.map.surface(self.here), self.hull + MARGIN
+        places, keep = self._surface(self.here), self.hull + MARGIN
         gap = np.minimum(self.centres, self.extent - self.centres).min(axis=-1)
         if len(places):
             gap = np.minimum(gap, KDTree(places).query(self.centres)[0])
@@ -236,7 +269,7 @@ class SonarLaw:
         # are at right angles, so that the last projections are exact
         walls = np.array([[1.0, 0], [0, 1], [-1, 0], [0, -1]])
         clear = np.concatenate([self.extent - here, here]) - self.hull
-        away = self.map.surface(here) - here
+        away = self._surface(here) - here
         far = np.hypot(*away.T)
         away, far = away[far < 2.0], far[far < 2.0]
         order = np.argsort(far)

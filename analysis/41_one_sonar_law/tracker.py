@@ -93,8 +93,15 @@ class Arcs:
     BODY = 0.12  # m around the point that explains an echo: its body
     STEP = 0.065  # rad between two points of a new arc
 
-    def __init__(self, array: SonarArray, *, within: float = np.pi) -> None:
-        self.array, self.half, self.within = array, array.half_angle, within
+    def __init__(self, array: SonarArray, *, within: float = np.pi, most: float = np.inf) -> None:
+        """Start without points.
+
+        Args:
+            array: the sonars.
+            within: angle [rad] beside the directions from which a point answered, within which silence counts.
+            most: width [m] of the points that may explain an echo, up to which it counts as from all their directions.
+        """
+        self.array, self.half, self.within, self.most = array, array.half_angle, within, most
         self.free = Free(self.half)
         self.places = np.zeros((0, 2))
         # score, time of the last echo, first and last direction towards the sonar, time of the last range
@@ -130,7 +137,8 @@ class Arcs:
             body = np.hypot(*(self.places - self.places[one]).T) < self.BODY
             self.places[body] += self.GAIN * (firing.reading - far[one]) * away[one] / max(far[one], 0.05)
         first = self.rest[fits, 2]
-        turned = first + wrapped(towards - first)
+        spread = firing.reading * np.ptp(wrapped(towards + np.pi - firing.axis))
+        turned = first + wrapped(towards - first) if spread <= self.most else first
         self.rest[fits] = np.stack(
             [
                 np.minimum(self.rest[fits, 0] + 1, 3),

@@ -25,11 +25,13 @@ from surctl.export import (
     write_bundle,
 )
 from surctl.export.bundle import build_bundle
-from surctl.ir import Block, Call, Layout, Loop, Port, Program, Routine, Step, lower, lower_named, without_libm
+from surctl.ir import Block, Call, Layout, Port, Routine, lower, lower_named, without_libm
+from surctl.ir.procedure import Procedure
 from surctl.priority import Assembly, Mode, PriorityProblem, PrioritySolution, assemble, priority_step
-from surctl.priority.compiled.step import Stage
-from surctl.priority.shapes import LevelShape, StackShape, SymbolicLevel
-from surctl.priority.solver.fallback import CLAMPED, LIMITED, RELAXED, UNCONFIRMED
+from surctl.priority.compiled.step import OUTPUTS, Stage
+from surctl.priority.hierarchy.kernel import hierarchy
+from surctl.priority.shapes import StackShape
+from surctl.priority.solver.fallback import CLAMPED, RELAXED, UNCONFIRMED
 from surctl.priority.solving import explained
 from surctl.robot.kinematics import Kinematics
 from surctl.robot.limits import JointLimits, SelfCollision
@@ -43,7 +45,6 @@ Array: TypeAlias = NDArray[np.float64]
 _BITS = {RELAXED: 1, UNCONFIRMED: 2, CLAMPED: 4}
 _STAGES = get_args(Stage)
 _PROBLEM = ("J", "lower", "upper", "rows")
-_TOLERANCE = 1e-6  # of the damped problems: change of a rate [unit of the task/s]; square of the least weight of v
 _CHECKED_SECONDS, _CHECKED_RUNS, _CHECKED_STEPS = 2.0, 3, 300
 
 
@@ -70,12 +71,12 @@ class StackController:
         mode: priority mode of `surctl.priority`.
         damping: c ≥ 0 [unit of a task · s], such as 0.05 m·s, for targets out of reach and singular configurations. For
             its desired rate x, each task in turn gets the v that minimises ‖J v − x‖² + c ‖x‖ ‖v‖² within the limits
-            and with the rates of the tasks above, to 1e-6 of their unit/s; so `mode` must be lexicographic. It adds at
-            most ‖J u − x‖²/(c ‖x‖) to ‖u‖², where u is the velocity of the tasks above (0 for the first task, if the
-            limits contain 0). The loss: for a singular value σ of the J that is left, that part of x is multiplied by
-            σ²/(σ² + c ‖x‖), which tends to 1 as the target is reached. With 0, the step is faster, but velocities may
-            chatter at such targets; with damping, those of the first task do not, but those that serve other tasks may,
-            because they are free at a singular configuration and bound next to it.
+            and with the rates of the tasks above (singular values of their J below 1e-8·‖J‖ count as 0); so `mode` must
+            be lexicographic. It adds at most ‖J u − x‖²/(c ‖x‖) to ‖u‖², where u is the velocity of the tasks above (0
+            for the first task, if the limits contain 0). The loss: for a singular value σ of the J that is left, that
+            part of x is multiplied by σ²/(σ² + c ‖x‖), which tends to 1 as the target is reached. With 0, velocities
+            may chatter at such targets; with damping, those of the first task do not, but those that serve other tasks
+            may, because they are free at a singular configuration and bound next to it.
 
     Raises:
         InputError: tasks or limits are of different robots, two inputs have the same name but differ, the period is not
@@ -290,100 +291,36 @@ class _Law(Controller):
         values = {**self.inputs.split(flat[1]), **self.gains.split(flat[2])}
         values |= {"v": flat[0] if self.state.size else ca.SX.zeros(n), "dt": ca.SX(self.dt)}
         problem = assembly.function.call([values[name] for name in assembly.sizes])
-        names = ("J", "lower", "upper", "rows", "box", "moved")
-        before = lower(ca.Function("tasks", flat, list(map(ca.densify, problem)), list(layouts), list(names)))
-        tasks = len(assembly.shapes) if self.damping else 1  # problems
+        names = ("J", "lower", "upper", "rows", "box", "moved", "damping")
+        outputs = [*map(ca.densify, problem), ca.SX(self.damping)][: len(names) if self.damping else -1]
+        before = lower(ca.Function("tasks", flat, outputs, list(layouts), list(names[: len(outputs)])))
         v, moved = ca.SX.sym("v", n), ca.SX.sym("moved", dict(before.outputs)["moved"])
-        active, codes = ca.SX.sym("active", tasks * n), ca.SX.sym("codes", tasks)
-        stage = codes[0]
-        for k in range(1, tasks):  # the codes rise with what is lost; tasks above limit each task but the first
-            stage = ca.fmax(stage, ca.if_else(codes[k] > LIMITED, codes[k], 0.0))
-        stage = ca.if_else(ca.logic_and(ca.mmax(moved) > 0, stage < RELAXED), RELAXED, stage)
+        active, code = ca.SX.sym("active", n), ca.SX.sym("code")
+        stage = ca.if_else(ca.logic_and(ca.mmax(moved) > 0, code < RELAXED), RELAXED, code)
         bits = sum((bit * (stage == code) for code, bit in _BITS.items()), ca.SX(0))
-        shown = active[-n:]
-        if self.damping:  # numbers above those of the limits are rows of tasks above
-            of_task = ca.logic_or(shown == 0, ca.fabs(shown) > len(assembly.limits))
-            shown = ca.if_else(of_task, active[:n], shown)
         after = lower_named(
             "result",
-            {"v": v, "active": active, "codes": codes, "moved": moved},
-            {"tau": v, "x_next": v[: self.state.size], "status": bits, "telemetry": ca.vertcat(stage, shown)},
+            {"v": v, "active": active, "code": code, "moved": moved},
+            {"tau": v, "x_next": v[: self.state.size], "status": bits, "telemetry": ca.vertcat(stage, active)},
         )
         results = ("tau", "x_next", "status", "telemetry")
         steps = (
-            Call(before, tuple(layouts), names),
-            *(self._damped() if self.damping else self._strict()),
+            Call(before, tuple(layouts), names[: len(outputs)]),
+            self._solution(),
             Call(after, ("step_v", "step_active", "step_status", "moved"), results),
         )
         sizes = tuple((name, layout.size) for name, layout in layouts.items())
         return without_libm(Routine(self.name, sizes, steps, results))
 
-    def _strict(self) -> tuple[Step, ...]:
+    def _solution(self) -> Call:
         """Return the call that solves the priority problem."""
-        shapes, rows = self.assembly.shapes, max(1, len(self.assembly.limits))
-        step = priority_step(self.mode, n=self.assembly.stack.velocities, levels=shapes, rows=rows)
-        return (Call(step, (*_PROBLEM, "box"), tuple(f"step_{name}" for name, _ in step.outputs)),)
-
-    def _damped(self) -> tuple[Step, ...]:
-        """Return the loop that solves one problem for each task; see `damping` of `StackController`."""
-        shape, limits = StackShape(self.assembly.stack.velocities, self.assembly.shapes), len(self.assembly.limits)
-        n, most, above = shape.n, max(level.rows for level in shape.levels), shape.starts[-1]
-        flat, levels = shape.symbols()
-        k, v, rows = ca.SX.sym("k"), ca.SX.sym("v", n), ca.SX.sym("rows", max(1, limits) * (n + 3))
-        J, x = ca.SX(most, n), ca.SX.zeros(most)
-        extended = [rows]
-        for i, level in enumerate(levels):
-            size = level.lower.numel()
-            J[:size, :] += (k == i) * level.J
-            x[:size] += ca.if_else(k == i, level.desired(v), 0.0)
-            if i < len(levels) - 1:
-                extended.append(ca.vec(_preserved(level, v, k > i).T))
-        weight = ca.sqrt(self.damping * ca.norm_2(x) + _TOLERANCE)
-        x = ca.vertcat(x, ca.SX.zeros(n))
-        problem = lower_named(
-            "task",
-            dict(zip(("k", "v", *_PROBLEM), (k, v, *flat, rows), strict=True)),
-            {"J_k": ca.vec(ca.vertcat(J, weight * ca.SX.eye(n)).T), "low": x, "high": x, "all": ca.vertcat(*extended)},
-        )
-        step = priority_step("lexicographic", n=n, levels=(LevelShape(most + n),), rows=max(1, limits) + above)
-        inputs, box = (
-            tuple((name, int(symbol.numel())) for name, symbol in zip(_PROBLEM, (*flat, rows), strict=True)),
-            2 * n,
-        )
-        solution = tuple(f"step_{name}" for name, _ in step.outputs)
-        one = Routine(
-            f"{self.name}_task",
-            (("k", 1), ("v", n), *inputs, ("box", box)),
-            (
-                Call(problem, ("k", "v", *_PROBLEM), ("J_k", "low", "high", "all")),
-                Call(step, ("J_k", "low", "high", "all", "box"), solution),
-                Call(_chosen(n), ("k", "v", "step_v", "step_status"), ("best", "code")),
-            ),
-            ("best", "step_active", "code"),
-        )
-        rest = lower_named("rest", {"J": flat[0]}, {"rest": ca.SX.zeros(n)})
-        loop = Loop(
-            one, len(levels), ("rest",), ("step_v", "step_active", "step_status"), fixed=(*_PROBLEM, "box"), index=True
-        )
-        return Call(rest, ("J",), ("rest",)), loop
-
-
-def _chosen(n: int) -> Program:
-    """Return what keeps the velocity v of the tasks above, which is within the limits, if a task has no solution."""
-    k, code, v, new = ca.SX.sym("k"), ca.SX.sym("code"), ca.SX.sym("v", n), ca.SX.sym("new", n)
-    lost = ca.logic_and(k > 0, code == CLAMPED)
-    best = {"best": ca.if_else(lost, v, new), "status": ca.if_else(lost, UNCONFIRMED, code)}
-    return lower_named("chosen", {"k": k, "v": v, "new": new, "code": code}, best)
-
-
-def _preserved(level: SymbolicLevel, v: ca.SX, used: ca.SX) -> ca.SX:
-    """Return limit rows (k, n + 3) that keep the rates of a task as they are in v, or within its range, if used."""
-    now = level.J @ v
-    low, high = now - _TOLERANCE, now + _TOLERANCE
-    if level.is_set:
-        low, high = ca.fmin(low, level.lower), ca.fmax(high, level.upper)
-    low, high = ca.if_else(used, low, -math.inf), ca.if_else(used, high, math.inf)
-    return ca.horzcat(used * level.J, low, high, ca.SX.zeros(now.numel()))
+        n, shapes, rows = self.assembly.stack.velocities, self.assembly.shapes, max(1, len(self.assembly.limits))
+        if self.damping:
+            step: Routine | Procedure = hierarchy(StackShape(n, shapes), rows, damped=True)
+        else:
+            step = priority_step(self.mode, n=n, levels=shapes, rows=rows)
+        inputs = (*_PROBLEM, "box", "damping")[: len(step.inputs)]
+        return Call(step, inputs, tuple(f"step_{name}" for name in OUTPUTS))
 
 
 def _no_expressions(*_: object) -> NoReturn:

@@ -507,7 +507,7 @@ def _functions(system: System) -> dict[str, ca.Function]:
 
 def law_function(controller: SampledController) -> ca.Function:
     """Return the function (x, u, p) → (command, next state, …) of a controller."""
-    if not isinstance(controller, Controller):
+    if not isinstance(controller, Controller) or not isinstance(controller.block, Program):  # a block with loops
         return to_casadi(controller.block)
     symbols = [
         ca.SX.sym(n, v.size)

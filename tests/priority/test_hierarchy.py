@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import cache
 from typing import Any
 
+import daqp
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -15,7 +16,7 @@ from surctl.priority.hierarchy.kernel import hierarchy
 from surctl.priority.optimality import is_least
 from surctl.priority.settings import Settings
 from surctl.priority.shapes import StackShape
-from surctl.priority.solver.fallback import CLAMPED, MET, RELAXED, UNCONFIRMED
+from surctl.priority.solver.fallback import CLAMPED, LIMITED, MET, RELAXED, UNCONFIRMED
 from tests.priority.test_optimum import drawn
 from tests.tools import need_compiler
 
@@ -133,3 +134,33 @@ def test_limits_that_leave_no_velocity_clip_it_to_the_box() -> None:
     rows = [*problem.rows[:-1], Row("away", "actuator", np.eye(N)[0], 2.0, 3.0)]
     got = solved(PriorityProblem(problem.levels, tuple(rows)))
     assert got["status"][0] == CLAMPED and (np.abs(got["velocity"]) <= 1.0).all() and not got["active"].any()
+
+
+def damped_cascade(problem: PriorityProblem, c: float) -> Array:
+    """One quadratic programme for each damped level, with the rates of the levels above as equalities, by DAQP."""
+    n, v = problem.width, np.zeros(problem.width)
+    rows = [(row.a, row.lower, row.upper) for row in problem.rows]
+    for level in problem.levels:
+        x = np.clip(level.J @ v, level.lower, level.high)
+        outside = level.is_goal or (abs(x - level.J @ v) > 1e-10).any()
+        if outside:
+            weight = c * np.linalg.norm(x) + 1e-6
+            H, f = 2.0 * (level.J.T @ level.J + weight * np.eye(n)), -2.0 * level.J.T @ x
+            A, low, high = (np.array(part) for part in zip(*rows, strict=True))
+            equal = np.where(low == high, 5, 0).astype(np.intc)
+            v, _, flag, _ = daqp.solve(H, f, A, np.minimum(high, 1e30), np.maximum(low, -1e30), equal, primal_tol=1e-10)
+            assert flag == 1
+        rate = level.J @ v
+        low, high = (rate, rate) if level.is_goal else (np.fmin(rate, level.lower), np.fmax(rate, level.high))
+        rows += list(zip(level.J, low, high, strict=True))
+    return np.asarray(v)
+
+
+def test_damped_levels_are_those_of_one_programme_after_another() -> None:
+    procedure, seen = hierarchy(SHAPE, ROWS, damped=True), set()
+    for k, c in [*((k, 0.1) for k in range(25)), *((k, 1.0) for k in range(120, 146))]:
+        problem = drawn(np.random.default_rng(k), 3.0)
+        out = dict(zip([name for name, _ in procedure.outputs], replay(procedure, *arrays(problem), [c]), strict=True))
+        seen.add(int(out["status"][0]))
+        assert out["velocity"] == pytest.approx(damped_cascade(problem, c), abs=2e-6)
+    assert seen == {MET, LIMITED}

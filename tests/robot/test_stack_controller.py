@@ -10,7 +10,8 @@ import pytest
 
 from surctl.errors import InputError
 from surctl.robot import Robot, StackController, load_urdf
-from surctl.system import NONFINITE, run_system
+from surctl.robot.robot import flat_pose
+from surctl.system import NONFINITE, linearise, run_system
 from surctl.tasks import SetTask, Task
 from tests.robot.robots import ARM, joint, link, written
 from tests.tools import need_compiler
@@ -145,6 +146,16 @@ def test_a_mistake_gives_one_line(arm: Robot, control: StackController) -> None:
         with pytest.raises(InputError) as caught:
             call()
         assert problem in str(caught.value) and "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("damping", [0.0, 0.05])
+def test_a_loop_with_it_is_linearised_through_the_loops_of_the_solver(arm: Robot, damping: float) -> None:
+    q, gain = [0.3, 0.8], 3.0
+    tool = arm.frame_task("link3", target="tool", gain=gain, max_speed=0.5).position
+    control = StackController([tool], limits=[arm.joint_limits(acceleration=ACCELERATION)], dt=DT, damping=damping)
+    pose = flat_pose(arm.pose("link3", q))
+    poles = linearise(control.system(), {"start.q": [q], "reference.tool": pose[None]}).poles()
+    assert sorted(abs(np.asarray(poles)))[-2:] == pytest.approx([1 - gain * DT] * 2, rel=1e-3)
 
 
 def test_it_is_the_controller_of_a_system(arm: Robot, control: StackController) -> None:

@@ -20,11 +20,13 @@ class Memory:
     b: int  # rows of the largest level
     r: int  # rows of the table T
     cap: int  # iterations
+    damped: int  # 1: module `damping`; else 0, and its branches are not part of the procedure
     J: list[float]
     lower: list[float]
     upper: list[float]
     rows: list[float]
     box: list[float]
+    damping: list[float]
     velocity: list[float]
     target: list[float]
     active: list[float]
@@ -108,6 +110,16 @@ class Memory:
     block_set: int
     block_side: int
     turns: int
+    R: list[float]  # of a damped level
+    ridge: list[float]  # squared weight of v in each level
+    low: list[float]  # bounds of set-based rows, as the damped levels leave them
+    high: list[float]
+    f: int  # columns of Q before those of W, along which the damped levels keep v
+    skip: int  # levels at the top that need no elimination
+    last: int  # number of the damped levels so far, and of those above
+    sure: int
+    limited: int
+    place: int
 
 
 def reflection(s: Memory, head: float, square: float) -> float:
@@ -183,7 +195,7 @@ def enter(s: Memory, i: int, side: int) -> int:
     s.L[s.w * s.x + s.w] = to
     s.h[s.w] = s.head
     reflect_table(s, s.w, s.N)
-    s.valid = 0
+    s.valid = s.skip if s.damped != 0 else 0
     s.W[s.w] = i
     s.side[s.w] = side
     s.inside[i] = side
@@ -193,7 +205,7 @@ def enter(s: Memory, i: int, side: int) -> int:
 
 def leave(s: Memory, place: int) -> None:
     """Drop entry `place` of W; rotations make L triangular again."""
-    s.valid = 0
+    s.valid = s.skip if s.damped != 0 else 0
     s.inside[s.W[place]] = 0
     for i in within(place + 1, s.w, s.x):
         for j in within(0, i + 1, s.x):
@@ -296,7 +308,7 @@ def pivots(s: Memory, level: int, free: int, end: int) -> None:
         s.sums[row] = total
     for i in within(0, cnt, s.b):
         s.norms[i] = s.sums[s.pivot[base + i]]
-    cut = 1e-10 * s.scale[level]
+    cut = (1e-8 if s.damped != 0 else 1e-10) * s.scale[level]
     number = s.used[level]
     column = s.start[level]
     for done in within(0, cnt, s.b):
@@ -348,6 +360,56 @@ def pivots(s: Memory, level: int, free: int, end: int) -> None:
     s.rank[level] = column - s.start[level]
 
 
+def solve_damped(s: Memory, level: int, cols: int) -> None:
+    """Find the part of y of a damped level by a QR of its rows in `cols` columns, with w I below them."""
+    base = s.first[level]
+    cnt = s.many[level]
+    at = s.w + s.start[level]
+    weight = sqrt(s.ridge[level])
+    for i in within(0, cnt, s.b):
+        row = s.pivot[base + i]
+        s.side_d[i] = s.rest[row]
+        for j in within(0, cols, s.x):
+            s.R[i * s.x + j] = s.B[(s.start[level] + j) * s.k + row]
+    for i in within(cnt, cnt + cols, s.x):
+        s.side_d[i] = 0.0
+        for j in within(0, cols, s.x):
+            s.R[i * s.x + j] = 0.0
+        s.R[i * s.x + i - cnt] = weight
+    for j in within(0, cols, s.x):
+        end = cnt + j + 1  # rows of w I below are still 0 in this column
+        square = 0.0
+        for i in within(j, end, s.b + 1):
+            e = s.R[i * s.x + j]
+            s.norms[i] = e
+            square += e * e
+        length = sqrt(square)
+        head = s.norms[j]
+        to = -length if head > 0.0 else length
+        s.norms[j] = head - to
+        s.R[j * s.x + j] = to
+        t = 1.0 / (length * fabs(head - to))
+        total = 0.0
+        for i in within(j, end, s.b + 1):
+            total += s.norms[i] * s.side_d[i]
+        total = total * t
+        for i in within(j, end, s.b + 1):
+            s.side_d[i] -= total * s.norms[i]
+        for q in within(j + 1, cols, s.x):
+            part = 0.0
+            for i in within(j, end, s.b + 1):
+                part += s.norms[i] * s.R[i * s.x + q]
+            part = part * t
+            for i in within(j, end, s.b + 1):
+                f = s.norms[i]
+                s.R[i * s.x + q] -= part * f
+    for j in back(0, cols, s.x):
+        e = s.side_d[j]
+        for q in within(j + 1, cols, s.x):
+            e -= s.R[j * s.x + q] * s.y[at + q]
+        s.y[at + j] = e / s.R[j * s.x + j]
+
+
 def solve_level(s: Memory, level: int, end: int) -> None:
     """Eliminate one level behind those above, and find its part of y."""
     base = s.first[level]
@@ -364,6 +426,12 @@ def solve_level(s: Memory, level: int, end: int) -> None:
     begin = s.start[level]
     s.start[level + 1] = begin
     if cnt == 0 or begin >= free:
+        return
+    if s.damped != 0 and level > 1 and level + 1 == s.last:
+        pivots(s, level, free, end)
+        s.start[level + 1] = begin + s.rank[level]
+        solve_damped(s, level, s.rank[level])
+        take_off(s, base, end, begin, begin + s.rank[level])
         return
     if cnt >= free - begin:
         s.rank[level] = free - begin
@@ -399,8 +467,8 @@ def optimum(s: Memory, top: int) -> None:
     free = s.N - s.w
     known = s.valid if s.valid < levels else levels
     begin = s.first[s.valid]
-    if s.valid == 0:
-        for i in within(0, s.w, s.x):
+    if s.valid == (s.skip if s.damped != 0 else 0):
+        for i in within(s.f if s.damped != 0 else 0, s.w, s.x):
             e = s.up[s.W[i]] if s.side[i] > 0 else s.lo[s.W[i]]
             for j in within(0, i, s.x):
                 e -= s.L[i * s.x + j] * s.y[j]
@@ -426,7 +494,7 @@ def optimum(s: Memory, top: int) -> None:
         s.z[j] = s.y[s.w + j]
     for j in within(rank, free, s.x):
         s.z[j] = 0.0
-    if top <= s.p and rank < free:
+    if top <= s.p and rank < free and (s.damped == 0 or top < 3):
         for j in range(s.x):
             s.d[j] = 0.0
         for j in within(0, s.N, s.x):
@@ -467,13 +535,13 @@ def multipliers(s: Memory, level: int) -> None:
             for row in within(s.first[level], s.first[level + 1], s.b):
                 if s.on[row] != 0:
                     e += s.T[j * s.r + row] * s.rest[row]
-            s.g[j] = e
+            s.g[j] = e - s.ridge[level] * s.y[j] if s.damped != 0 else e
         for j in within(0, above, s.x):
             e = 0.0
             for row in within(s.first[level], s.first[level + 1], s.b):
                 if s.on[row] != 0:
                     e += s.B[j * s.k + row] * s.rest[row]
-            s.g[s.w + j] = e
+            s.g[s.w + j] = e - s.ridge[level] * s.y[s.w + j] if s.damped != 0 else e
     else:
         for j in within(0, s.w + above, s.x):
             s.g[j] = -s.y[j]
@@ -520,7 +588,7 @@ def multipliers(s: Memory, level: int) -> None:
             for i in within(0, cnt, s.b):
                 e += s.B[j * s.k + s.pivot[base + i]] * s.mu[s.pivot[base + i]]
             s.g[s.w + j] -= e
-    for c in back(0, s.w, s.x):
+    for c in back(s.f if s.damped != 0 else 0, s.w, s.x):
         e = s.g[c]
         for i in within(c + 1, s.w, s.x):
             e -= s.L[i * s.x + c] * s.lam[i]

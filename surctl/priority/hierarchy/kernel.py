@@ -26,9 +26,10 @@ from collections.abc import Callable
 from typing import Any
 
 from surctl.ir.procedure import Procedure, fabs, source_of, within
-from surctl.priority.hierarchy import factors, search
+from surctl.priority.hierarchy import damping, factors, judgement, search
 from surctl.priority.hierarchy.factors import Memory, optimum
-from surctl.priority.hierarchy.search import at_once, descend, judge, prepare, restore
+from surctl.priority.hierarchy.judgement import judge
+from surctl.priority.hierarchy.search import at_once, descend, prepare, restore
 from surctl.priority.shapes import StackShape
 from surctl.priority.solver.elimination import FLOAT32, FLOAT64, Precision
 
@@ -95,10 +96,12 @@ def solution(s: Memory) -> None:
     if s.bad == 0 and sound(s) != 0:
         s.turns = 1
         s.reached = 1
-        if s.hard >= 0 or s.soft >= 0 or at_once(s) == 0:
+        if s.damped != 0 or s.hard >= 0 or s.soft >= 0 or at_once(s) == 0:
             s.reached = descend(s)
+        if s.damped != 0 and s.reached == 0:
+            s.sure = 0
         restore(s)
-        if s.valid < s.p:
+        if s.damped == 0 and s.valid < s.p:
             optimum(s, s.p + 1)
         outcome = judge(s)
         far = s.v[s.hard] if s.hard >= 0 else 0.0
@@ -130,22 +133,33 @@ def solution(s: Memory) -> None:
             s.multipliers[j] = 0.0
 
 
-_FUNCTIONS = (
+_FACTORS = (
     factors.reflection, factors.reflect_table, factors.reflect_levels, factors.along, factors.enter, factors.leave,
-    factors.eliminate_left, factors.solve_left, factors.take_off, factors.pivots, factors.solve_level,
-    factors.optimum, factors.multipliers, search.at_goal, search.at_v, search.prepare, search.switch_set,
-    search.at_once, search.approach, search.ratio, search.move_limits, search.advance, search.unlocked, search.release,
-    search.descend, search.restore, search.add_row, search.bound_loss, search.remember, search.judge, retreat, sound,
-    solution,
+    factors.eliminate_left, factors.solve_left, factors.take_off, factors.pivots,
+)  # fmt: skip
+_POINTS = (factors.solve_level, factors.optimum, factors.multipliers, judgement.at_goal, judgement.at_v)
+_SEARCH = (
+    search.prepare, search.switch_set, search.at_once, search.approach, search.ratio, search.move_limits,
+    search.advance, search.unlocked, search.release, search.descend, search.restore,
+)  # fmt: skip
+_LOSS = (judgement.add_row, judgement.bound_loss, judgement.remember)
+_END = (judgement.judge, retreat, sound, solution)
+_STRICT = (*_FACTORS, *_POINTS, *_SEARCH, *_LOSS, *_END)
+_DAMPED = (
+    *_FACTORS, factors.solve_damped, *_POINTS, *_LOSS, damping.keep_set, damping.keep, damping.damp, damping.confirm,
+    *_SEARCH, *_END,
 )  # fmt: skip
 
 
-def hierarchy(shape: StackShape, rows: int, precision: Precision = FLOAT64) -> Procedure:
-    """Return the kernel for levels of these shapes and a number of limits, with the ports of `priority_step`."""
-    functions = [_in_float(function) if precision == FLOAT32 else function for function in _FUNCTIONS]
+def hierarchy(shape: StackShape, rows: int, precision: Precision = FLOAT64, *, damped: bool = False) -> Procedure:
+    """Return the kernel for levels of these shapes and a number of limits, with the ports of `priority_step`.
+
+    damped: whether levels are damped, see module `damping`. One more input is c, `damping` (1,): w² = c ‖x‖ + 1e-6.
+    """
+    functions = [_source(function, damped, precision) for function in (_DAMPED if damped else _STRICT)]
     n, starts = shape.n, (0, 1, *(2 + start for start in shape.starts), 2 + shape.rows)
     p, x, k = len(shape.levels) + 2, _padded(n + 2), _padded(2 + shape.rows)
-    r, largest = k + x, max(level.rows for level in shape.levels)
+    r, largest, more = k + x, max(level.rows for level in shape.levels), x * damped
     arranged = ["def arrange(s):"]
     arranged += [f"    s.first[{level}] = {start}" for level, start in enumerate(starts)]
     for level in range(p):
@@ -154,22 +168,23 @@ def hierarchy(shape: StackShape, rows: int, precision: Precision = FLOAT64) -> P
     return Procedure.of(
         "hierarchy",
         ["\n".join(arranged), *functions],
-        inputs=(*shape.inputs, ("rows", rows * (n + 3)), ("box", 2 * n)),
+        inputs=(*shape.inputs, ("rows", rows * (n + 3)), ("box", 2 * n), *((("damping", 1),) if damped else ())),
         outputs=(
             ("velocity", n), ("active", n), ("multipliers", n), ("opening", 1), ("status", 1), ("count", 1),
             ("target", n),
         ),
         sizes={
             "n": n, "x": x, "quarter": x // 4, "m": rows, "k": k, "b": largest, "p": p, "r": r,
-            "cap": 2 * (n + rows) + p,
+            "cap": 2 * (n + rows) + p, **({"damped": 1} if damped else {}),
         },
         reals={
             "At": n * rows, "lo": rows, "up": rows, "lo_true": rows, "up_true": rows, "T": x * r, "B": x * k,
             "L": x * x, "V": x * x, "tau": x, "h": x, "sums": r, "y": x, "z": x, "g": x, "QR": k * x,
-            "diagonal": p * x, "weight": p * x, "side_d": k, "norms": k, "rhs": k, "rest": k, "scale": p, "v": x,
-            "goal": x, "step": x, "lam": x, "mu": k, "speed": rows, "value": rows, "margin": 2 * rows, "slack": rows,
-            "slack_set": k, "speed_set": k, "gap": rows, "gap_set": k, "spread": p, "d": x, "factor": 0, "head": 0,
-            "nearest": 0, "size": 0,
+            "diagonal": p * x, "weight": p * x, "side_d": k + more, "norms": k + more, "rhs": k, "rest": k, "scale": p,
+            "v": x, "goal": x, "step": x, "lam": x, "mu": k, "speed": rows, "value": rows, "margin": 2 * rows,
+            "slack": rows, "slack_set": k, "speed_set": k, "gap": rows, "gap_set": k, "spread": p, "d": x, "factor": 0,
+            "head": 0, "nearest": 0, "size": 0,
+            **({"R": (k + x) * x, "ridge": p, "low": k, "high": k} if damped else {}),
         },
         wholes={
             "first": p + 1, "is_set": p, "level_of": k, "column": rows, "pivot": k, "many": p, "start": p + 1,
@@ -177,7 +192,8 @@ def hierarchy(shape: StackShape, rows: int, precision: Precision = FLOAT64) -> P
             "side": x, "toward": rows, "near": rows, "toward_set": k,
             **dict.fromkeys(
                 ("N", "w", "valid", "hard", "soft", "top", "moved", "still", "bad", "reached", "block", "block_set",
-                 "block_side", "turns", "hits"), 0,
+                 "block_side", "turns", "hits",
+                 *(("f", "skip", "last", "sure", "limited", "place") if damped else ())), 0,
             ),
         },
     )  # fmt: skip
@@ -190,13 +206,42 @@ _FLOAT = {
 """The tolerances of the kernel for float, by those for double."""
 
 
-def _in_float(function: Callable[..., Any]) -> str:
-    """Return the source of a function with the tolerances for float."""
+def _source(function: Callable[..., Any], damped: bool, precision: Precision) -> str:
+    """Return the source of a function, with the branches for damped levels if `damped`, and with its tolerances."""
     tree = ast.parse(source_of(function))
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Constant) and type(node.value) is float and not 1e-4 <= abs(node.value) <= 10.0:
-            node.value = _FLOAT[node.value] if node.value else 0.0
+    if not damped:
+        tree = _Undamped().visit(tree)
+    if precision == FLOAT32:
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Constant) and type(node.value) is float and not 1e-4 <= abs(node.value) <= 10.0:
+                node.value = _FLOAT[node.value] if node.value else 0.0
     return ast.unparse(tree)
+
+
+class _Undamped(ast.NodeTransformer):
+    """Takes `s.damped` as 0, and drops what is never reached then."""
+
+    def visit_Compare(self, node: ast.Compare) -> ast.expr:
+        self.generic_visit(node)
+        text = ast.unparse(node)
+        return ast.Constant(text == "s.damped == 0") if text.startswith("s.damped ") else node
+
+    def visit_BoolOp(self, node: ast.BoolOp) -> ast.expr:
+        self.generic_visit(node)
+        neutral = isinstance(node.op, ast.And)
+        constants = [value.value for value in node.values if isinstance(value, ast.Constant)]
+        rest = [value for value in node.values if not isinstance(value, ast.Constant)]
+        if (not neutral) in constants:
+            return ast.Constant(not neutral)
+        return ast.BoolOp(node.op, rest) if len(rest) > 1 else rest[0]
+
+    def visit_IfExp(self, node: ast.IfExp) -> ast.expr:
+        self.generic_visit(node)
+        return node.orelse if isinstance(node.test, ast.Constant) else node
+
+    def visit_If(self, node: ast.If) -> ast.stmt | list[ast.stmt]:
+        self.generic_visit(node)
+        return node.orelse if isinstance(node.test, ast.Constant) else node
 
 
 def _padded(size: int) -> int:

@@ -1,39 +1,11 @@
-"""The search of the priority kernel, with one limit or one level at a time, and the test that v is optimal.
-
-The last step, `judge`, shows that v is optimal. Let g be the negative gradient of half the squared objective of a
-level, λ and μ the multipliers of the active limits and of the levels above, and d = g − Σ λ a − Σ Jᵀ μ what they leave.
-For every v + Δ that satisfies the limits, keeps J v of the levels above, and is at most D away, g·Δ ≤ |d| D + Σ λ gap.
-So half the squared objective is at most this much above its minimum, because it is convex. A limit with a multiplier λ'
-> 0 at a level above, whose own bound is e, has a gap of at most e/λ' at every optimum of that level, so a wrong sign of
-its λ costs at most |λ| e/λ'. The bound includes what rounding may change.
-
-A limit whose multiplier lies between 1e-11 and 3e-10 of the residual stops the levels below, or does not, depending on
-whether a singular value near 1e-10·‖J‖ counts as 0. Then nothing is shown for the levels below.
-"""
+"""The search of the priority kernel, with one limit or one level at a time."""
 
 from __future__ import annotations
 
 from surctl.ir.procedure import fabs, sqrt, within
+from surctl.priority.hierarchy.damping import confirm, damp
 from surctl.priority.hierarchy.factors import Memory, enter, leave, multipliers, optimum
-
-
-def at_goal(s: Memory, row: int) -> float:
-    """Return J·goal of a row."""
-    e = 0.0
-    for j in range(s.n):
-        e += s.J[(row - 2) * s.n + j] * s.goal[j]
-    return e
-
-
-def at_v(s: Memory, row: int) -> float:
-    """Return J·v of a row; of an opening, the opening."""
-    if row < 2:
-        place = s.hard if row == 0 else s.soft
-        return s.v[place] if place >= 0 else 0.0
-    e = 0.0
-    for j in range(s.n):
-        e += s.J[(row - 2) * s.n + j] * s.v[j]
-    return e
+from surctl.priority.hierarchy.judgement import at_goal, at_v
 
 
 def prepare(s: Memory) -> None:
@@ -99,6 +71,21 @@ def prepare(s: Memory) -> None:
         s.on[row] = 0
         s.lock_set[row] = 0
         s.rhs[row] = 0.0
+    if s.damped != 0:
+        s.f = 0
+        s.skip = 0
+        s.last = 0
+        s.sure = 1
+        s.limited = 0
+        s.place = 0
+        for row in within(2, s.first[s.p], s.k):
+            s.low[row] = s.lower[row - 2]
+            s.high[row] = s.upper[row - 2]
+        for i in range(s.m):
+            s.gap[i] = 1e300
+        for level in range(s.p):
+            s.ridge[level] = 0.0
+            s.spread[level] = 0.0
     if s.hard >= 0:
         s.T[s.hard * s.r] = 1.0
         s.on[0] = 1
@@ -120,7 +107,7 @@ def prepare(s: Memory) -> None:
         if largest > 0.0:
             s.scale[level] = sqrt(largest)
     s.w = 0
-    s.valid = 0
+    s.valid = s.skip if s.damped != 0 else 0
     s.start[0] = 0
     s.used[0] = 0
     s.moved = 0
@@ -237,10 +224,10 @@ def ratio(s: Memory, limit: int) -> float:
             distance = 0.0
             if change > tiny:
                 s.toward_set[row] = 1
-                distance = s.upper[row - 2] - now
+                distance = (s.high[row] if s.damped != 0 else s.upper[row - 2]) - now
             elif change < -tiny:
                 s.toward_set[row] = -1
-                distance = now - s.lower[row - 2]
+                distance = now - (s.low[row] if s.damped != 0 else s.lower[row - 2])
                 change = -change
             else:
                 continue
@@ -291,7 +278,7 @@ def move_limits(s: Memory) -> None:
         part = part - 1.0 if part >= 1.0 else part
         s.lo[i] -= 1e-10 * s.size * (1.0 + part)
         s.up[i] += 1e-10 * s.size * (1.0 + part)
-    s.valid = 0
+    s.valid = s.skip if s.damped != 0 else 0
 
 
 def advance(s: Memory) -> int:
@@ -306,7 +293,7 @@ def advance(s: Memory) -> int:
         s.size = fabs(s.goal[j]) if fabs(s.goal[j]) > s.size else s.size
     s.block = -1
     share = 1.0
-    if longest > 1e-15 * s.size:
+    if longest > (1e-11 if s.damped != 0 else 1e-15) * s.size and (s.damped == 0 or s.w < s.N):
         share = ratio(s, levels)
     if s.block < 0:
         for j in within(0, s.N, s.x):
@@ -320,20 +307,24 @@ def advance(s: Memory) -> int:
         s.still = 0
     else:
         s.still += 1
-        if s.still > 5:
+        if s.still > (s.n if s.damped != 0 else 5):
             move_limits(s)
     if s.block_set != 0:
         level = s.level_of[s.block]
         s.valid = s.valid if s.valid < level else level
         s.on[s.block] = s.block_side
-        s.rhs[s.block] = s.upper[s.block - 2] if s.block_side > 0 else s.lower[s.block - 2]
+        s.rhs[s.block] = (
+            (s.high[s.block] if s.damped != 0 else s.upper[s.block - 2])
+            if s.block_side > 0
+            else (s.low[s.block] if s.damped != 0 else s.lower[s.block - 2])
+        )
         return 0
     return 0 if enter(s, s.block, s.block_side) != 0 else -1
 
 
 def unlocked(s: Memory, level: int) -> int:
     """Return whether an active limit, or an active row of a set-based level above, is not locked."""
-    for i in within(0, s.w, s.x):
+    for i in within(s.f if s.damped != 0 else 0, s.w, s.x):
         if s.lock[s.W[i]] == 0:
             return 1
     for a in within(2, level, s.p):
@@ -356,6 +347,9 @@ def release(s: Memory) -> int:
         for row in within(s.first[level], s.first[level + 1], s.b):
             if s.on[row] != 0:
                 square += s.rest[row] * s.rest[row]
+        if s.damped != 0 and level > 1:
+            for j in within(0, s.N, s.x):
+                square += s.ridge[level] * s.v[j] * s.v[j]
         largest = sqrt(square)
         if s.is_set[level] != 0:
             for row in within(s.first[level], s.first[level + 1], s.b):
@@ -383,7 +377,7 @@ def release(s: Memory) -> int:
         limit = 1e-11 * largest * unit
         if level < s.p and limit < 1e-14 * s.size * unit:
             limit = 1e-14 * s.size * unit
-        for i in within(0, s.w, s.x):
+        for i in within(s.f if s.damped != 0 else 0, s.w, s.x):
             if s.lock[s.W[i]] == 0:
                 e = s.lam[i] * s.side[i]
                 if e < -limit and e < worst:
@@ -398,8 +392,10 @@ def release(s: Memory) -> int:
                             worst = e
                             which = row
                             from_set = 1
+        if s.damped != 0 and which < 0 and level > 1:
+            return 0
         if which < 0:
-            for i in within(0, s.w, s.x):
+            for i in within(s.f if s.damped != 0 else 0, s.w, s.x):
                 if s.lam[i] * s.side[i] > limit:
                     s.lock[s.W[i]] = 1
             for a in within(2, level, s.p):
@@ -432,10 +428,16 @@ def descend(s: Memory) -> int:
                 elif s.on[s.first[a]] != 0:
                     break
                 s.top += 1
+            if s.damped != 0 and s.top > s.p:
+                return 1
+            if s.damped != 0 and s.top > 2:
+                damp(s, s.top - 1)
         done = advance(s)
         if done < 0:
             return 0
         if done > 0 and release(s) == 0:
+            if s.damped != 0:
+                confirm(s, s.top - 1)
             if s.top > s.p:
                 return 1
             s.top += 1
@@ -450,148 +452,8 @@ def restore(s: Memory) -> None:
     for i in range(s.m):
         s.lo[i] = s.lo_true[i]
         s.up[i] = s.up_true[i]
-    s.valid = 0
+    s.valid = s.skip if s.damped != 0 else 0
     if s.reached != 0:
-        optimum(s, s.p + 1)
+        optimum(s, s.last if s.damped != 0 else s.p + 1)
         for j in within(0, s.N, s.x):
             s.v[j] = s.goal[j]
-
-
-def add_row(s: Memory, row: int, e: float) -> None:
-    """Add e times a row of the levels' Jacobian, openings included, to d."""
-    if row >= 2:
-        for j in range(s.n):
-            s.d[j] += s.J[(row - 2) * s.n + j] * e
-    else:
-        s.d[s.hard if row == 0 else s.soft] += e
-
-
-def bound_loss(s: Memory, level: int, radius: float) -> float:
-    """Return how much half the squared objective of a level may be above its least value, from lam and mu."""
-    for j in range(s.x):
-        s.d[j] = 0.0
-    total = 0.0
-    if level < s.p:
-        for row in within(s.first[level], s.first[level + 1], s.b):
-            if s.on[row] != 0:
-                e = s.rest[row]
-                total += fabs(e) * s.scale[level]
-                add_row(s, row, e)
-    else:
-        for j in within(0, s.N, s.x):
-            s.d[j] = -s.v[j]
-    loss = 0.0
-    for a in within(0, level, s.p):
-        for row in within(s.first[a], s.first[a + 1], s.b):
-            e = s.mu[row]
-            if s.on[row] == 0 or e == 0.0:
-                continue
-            total += fabs(e) * s.scale[a]
-            add_row(s, row, -e)
-            if s.is_set[a] != 0 and not fabs(s.rest[row]) > 1e-12 * s.size:
-                sign = e * s.on[row]
-                loss += sign * fabs(s.rest[row]) if sign > 0.0 else -sign * s.gap_set[row]
-            else:
-                loss += fabs(e) * s.spread[a]
-    for i in within(0, s.w, s.x):
-        e = s.lam[i]
-        total += fabs(e)
-        which = s.W[i]
-        value = 0.0
-        for j in range(s.n):
-            s.d[j] -= s.At[j * s.m + which] * e
-            value += s.At[j * s.m + which] * s.v[j]
-        opened = 0.0
-        if s.column[which] >= 0:
-            s.d[s.column[which]] += e * s.side[i]
-            opened = s.v[s.column[which]]
-        sign = e * s.side[i]
-        gap = s.up[which] + opened - value if s.side[i] > 0 else value - s.lo[which] + opened
-        loss += sign * fabs(gap) if sign > 0.0 else -sign * s.gap[which]
-    square = 0.0
-    for j in within(0, s.N, s.x):
-        square += s.d[j] * s.d[j]
-    return loss + sqrt(square) * radius + 1e-15 * total * radius
-
-
-def remember(s: Memory, number: int, weight: float, place: int) -> int:
-    """Report an active limit once; return the next free place."""
-    for i in within(0, place, s.n):
-        if fabs(s.active[i]) == fabs(1.0 * number):
-            return place
-    if place < s.n:
-        s.active[place] = 1.0 * number
-        s.multipliers[place] = fabs(weight)
-        return place + 1
-    return place
-
-
-def judge(s: Memory) -> int:
-    """Report the active limits, and return 1 if v is shown to be optimal, with 2 added if a limit stops level 1."""
-    place = 0
-    good = 1
-    limited = 0
-    vague = 0
-    s.size = 1.0
-    for j in within(0, s.n, s.n):
-        s.size = fabs(s.v[j]) if fabs(s.v[j]) > s.size else s.size
-    radius = 2.0 * (1.0 + s.size)
-    for i in range(s.m):
-        total = 0.0
-        for j in range(s.n):
-            total += s.At[j * s.m + i] * s.v[j]
-        s.value[i] = total
-    for i in range(s.m):
-        s.gap[i] = radius
-        value = s.value[i]
-        opened = s.v[s.column[i]] if s.column[i] >= 0 else 0.0
-        if not value - s.up[i] - opened <= 1e-9 * (1.0 + s.size) or not s.lo[i] - opened - value <= 1e-9 * (
-            1.0 + s.size
-        ):
-            good = 0
-    for row in within(0, s.first[s.p], s.k):
-        s.gap_set[row] = radius * s.scale[s.level_of[row]]
-        if s.on[row] != 0:
-            s.rest[row] = s.rhs[row] - at_v(s, row)
-    for level in within(0, s.p + 1, s.p + 1):
-        square = 0.0
-        if level < s.p:
-            for row in within(s.first[level], s.first[level + 1], s.b):
-                if s.on[row] != 0:
-                    square += s.rest[row] * s.rest[row]
-        else:
-            for j in within(0, s.N, s.x):
-                square += s.v[j] * s.v[j]
-        value = sqrt(square)
-        unit = 1.0
-        if level < s.p:
-            s.spread[level] = 2.0 * value if not value > 1e-10 * s.size * s.scale[level] else 0.0
-            unit = s.scale[level] if s.scale[level] > 1.0 else 1.0
-        if not value > 1e-12 * s.size * unit:
-            continue
-        multipliers(s, level)
-        loss = bound_loss(s, level, radius)
-        floor = 1e-11 * value * unit
-        if value > 1e-7 * unit and (vague != 0 or not 2.0 * loss <= 1e-7 * value * (unit + value)):
-            good = 0
-        for i in within(0, s.w, s.x):
-            sign = s.lam[i] * s.side[i]
-            if sign > floor:
-                if sign < 3e-10 * value * unit:
-                    vague = 1
-                if level == 2:
-                    limited = 1
-                if level >= 2:
-                    place = remember(s, (s.W[i] + 1) * s.side[i], sign, place)
-                gap = loss / sign
-                s.gap[s.W[i]] = gap if gap < s.gap[s.W[i]] else s.gap[s.W[i]]
-        number = s.m
-        for a in within(2, s.p, s.p):
-            if s.is_set[a] != 0:
-                number += 1
-                row = s.first[a]
-                if a < level and s.on[row] != 0 and s.mu[row] * s.on[row] > floor:
-                    place = remember(s, number * s.on[row], s.mu[row], place)
-                    gap = loss / (s.mu[row] * s.on[row])
-                    s.gap_set[row] = gap if gap < s.gap_set[row] else s.gap_set[row]
-    return good + 2 * limited

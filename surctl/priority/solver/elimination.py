@@ -132,14 +132,14 @@ def reflect(J: ca.SX, b: ca.SX, target: ca.SX, precision: Precision = FLOAT64) -
         size = ca.sqrt(ca.if_else(usable, square, 1))
         pivot = ca.if_else(y[k] < 0, size, -size)
         weights.append(1 / (size * (size + ca.fabs(y[k]))))
-        normals.append(ca.vertcat(ca.SX.zeros(k, 1), y[k] - pivot, y[k + 1 :]))
+        normals.append(ca.vertcat(ca.SX.zeros(k, 1), y[k] - pivot, y[k + 1 :, :]))
         solved.append((b[k] - sum((y[i] * solved[i] for i in range(k)), ca.SX(0))) / pivot)
     columns = [ca.vertcat(*solved, ca.SX.zeros(n - p, 1)), *(ca.SX.eye(n)[:, j] for j in range(p, n))]
     for normal, weight in zip(reversed(normals), reversed(weights), strict=True):
         columns = [_mirror(column, normal, weight) for column in columns]
     for normal, weight in zip(normals, weights, strict=True):
         target = _mirror(target, normal, weight)
-    return Reflection(columns[0], ca.horzcat(*columns[1:]), target[p:], full)
+    return Reflection(columns[0], ca.horzcat(*columns[1:]), target[p:, :], full)
 
 
 def _mirror(x: ca.SX, normal: ca.SX, weight: ca.SX) -> ca.SX:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -414,6 +416,19 @@ def test_without_a_compiler_the_replay_answers(monkeypatch: pytest.MonkeyPatch) 
     assert want.compiled and not tick.compiled
     for name in OUTPUTS:
         assert getattr(tick, name).tobytes() == getattr(want, name).tobytes()
+
+
+@pytest.mark.parametrize("shapes", [(LevelShape(1),), (LevelShape(2),), (LevelShape(1, True),), (LevelShape(1),) * 2])
+@pytest.mark.parametrize("options", [{}, {"sweeps": 3}, {"damping": 0.1}, {"fallback": "bounded"}])
+def test_one_velocity_under_mode_projected(shapes: tuple[LevelShape, ...], options: dict[str, Any]) -> None:
+    for bound, v in ((0.8, 0.5), (0.3, 0.3)):
+        step = PriorityStep("projected", n=1, levels=shapes, rows=1, **options)
+        step.J[:], step.lower[:], step.upper[:] = 2.0, 1.0, 1.0 + shapes[0].is_set
+        step.rows[0], step.box[:] = [1.0, -bound, bound, 0.0], [[-1.0], [1.0]]
+        step.solve()
+        if options != {"fallback": "bounded"}:
+            assert step.v[0] == pytest.approx(v, abs=0.01)
+        assert abs(step.v[0]) <= bound + 1e-12
 
 
 def test_one_velocity_and_more_rows_than_velocities() -> None:
