@@ -54,11 +54,9 @@ OTHERS = tuple(_others())
 _BOARD = ("arm-none-eabi-gcc", "qemu-system-arm")
 TOOLS = {  # beside a C compiler
     "export.check_builds": ("gcc",),
-    "export.chosen_targets": ("gcc",),
     "export.emulated": _BOARD,
     "export.emulated_target": _BOARD,
     "export.prove_bundle": ("frama-c",),
-    "export.with_proof": ("frama-c",),
 }
 
 

@@ -32,8 +32,8 @@ from surctl.marine.vehicle import (
     parameter_spec,
     predict,
     read_mapped_log,
-    velocity_notes,
 )
+from surctl.marine.vehicle.identification.identify import velocity_notes
 
 ROBOTS = FOLDER / "robots"
 MARK = "<!-- results: python analysis/32_public_logs/run.py --write -->"

@@ -10,7 +10,8 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from surctl.export import Records, as_records, build_controller
+from surctl.export import Records, build_controller
+from surctl.export.envelope import as_records
 from surctl.marine.control import TRAPPED, load_gains
 from surctl.marine.export import build_bundle, closed_form
 from surctl.marine.guidance import Guidance, Path

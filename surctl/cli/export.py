@@ -220,18 +220,14 @@ def export(
     import numpy as np
 
     from surctl.cli.runs import failure
-    from surctl.export import (
-        REALS,
-        Records,
-        as_records,
-        check_folder,
-        evidence_of,
-        gain_box,
-        with_evidence,
-        write_bundle,
-    )
+    from surctl.export import REALS, Records, write_bundle
+    from surctl.export.bundle import check_folder
+    from surctl.export.envelope import as_records
+    from surctl.export.evidence import evidence_of, with_evidence
+    from surctl.export.prove import gain_box
     from surctl.marine.control import law_source
-    from surctl.marine.export import build_bundle, closed_form, load_certificates, operating_envelope, origin_of
+    from surctl.marine.export import build_bundle, closed_form, operating_envelope
+    from surctl.marine.export.origin import load_certificates, origin_of
     from surctl.marine.guidance import MAX_WAYPOINTS
     from surctl.marine.simulation import law_numbers, load_scenario, simulate
     from surctl.marine.simulation.numbers import fed_ranges

@@ -104,7 +104,9 @@ def fly(
 
     from surctl.cli.robot_options import choose_vehicle
     from surctl.files import prepare_folder
-    from surctl.marine.bridge import Bridge, LinkQuality, Wire, mode_of, parse_address, parse_site, plan_session
+    from surctl.marine.bridge import Bridge, LinkQuality, Wire, parse_address, plan_session
+    from surctl.marine.bridge.inputs import parse_site
+    from surctl.marine.bridge.wire import mode_of
     from surctl.marine.control import law_source
     from surctl.marine.simulation import SENSING, load_scenario
     from surctl.marine.vehicle import load_vehicle

@@ -358,7 +358,7 @@ def export_command(
         sensing: "sonar" or "truth".
     """
     from surctl.marine.control import build_law, load_gains
-    from surctl.marine.export import fitting_certificates
+    from surctl.marine.export.origin import fitting_certificates
     from surctl.marine.simulation import law_numbers, load_scenario
     from surctl.marine.vehicle import load_vehicle
 

@@ -39,9 +39,10 @@ def thrusters(
     T2 --force 40 30 0 5
     """
     from surctl.marine.allocation import allocate, working_flags
-    from surctl.marine.simulation import held_share, thruster_findings
-    from surctl.marine.vehicle import axis_ends, load_vehicle
+    from surctl.marine.simulation.fit import held_share, thruster_findings
+    from surctl.marine.vehicle import load_vehicle
     from surctl.marine.vehicle.specs import AXES
+    from surctl.marine.vehicle.thruster_file import axis_ends
 
     if not 0 <= speed <= _FASTEST:
         problem = f"must be at least 0 and at most {_FASTEST:g}"
@@ -286,7 +287,8 @@ def from_log(
 
     Example: surctl vehicle from-log trial.csv --start my-vehicle.toml --name fitted
     """
-    from surctl.marine.vehicle import held_out_windows, identify, in_sequence, load_vehicle, read_recording, topic_lines
+    from surctl.marine.vehicle import held_out_windows, identify, in_sequence, load_vehicle, read_recording
+    from surctl.marine.vehicle.logs.read import topic_lines
 
     if topics:
         from surctl.marine.vehicle.logs.joining import load_log_map

@@ -1,6 +1,6 @@
 """Export of a controller as a C99 bundle, and checks by execution that C and Python compute the same numbers."""
 
-from surctl.export.bundle import Bundle, ExportedFile, check_folder, write_bundle
+from surctl.export.bundle import Bundle, ExportedFile, write_bundle
 from surctl.export.check import STEPS, BuildReport, CheckReport, check_builds
 from surctl.export.contract import STATUS, Exportable
 from surctl.export.emulated import (
@@ -10,18 +10,16 @@ from surctl.export.emulated import (
     Reply,
     SerialLine,
     Target,
-    chosen_targets,
     connect,
     emulated,
     emulated_target,
 )
-from surctl.export.envelope import Envelope, Rate, Records, as_records
-from surctl.export.evidence import evidence_of, with_evidence
+from surctl.export.envelope import Envelope, Rate, Records
 from surctl.export.fmu import write_fmu
 from surctl.export.precision import REALS
 from surctl.export.process import Controller, ExportedController, ExportedStep, build_controller
-from surctl.export.prove import Alarm, ProofReport, gain_box, prove_bundle, with_proof
-from surctl.export.sil import Difference, SilReport, compare_runs, software_in_the_loop, software_in_the_loop_runs
+from surctl.export.prove import Alarm, ProofReport, prove_bundle
+from surctl.export.sil import Difference, SilReport, compare_runs, software_in_the_loop
 from surctl.export.supplement import Supplement
 
 __all__ = [
@@ -50,22 +48,14 @@ __all__ = [
     "SilReport",
     "Supplement",
     "Target",
-    "as_records",
     "build_controller",
     "check_builds",
-    "check_folder",
-    "chosen_targets",
     "compare_runs",
     "connect",
     "emulated",
     "emulated_target",
-    "evidence_of",
-    "gain_box",
     "prove_bundle",
     "software_in_the_loop",
-    "software_in_the_loop_runs",
-    "with_evidence",
-    "with_proof",
     "write_bundle",
     "write_fmu",
 ]

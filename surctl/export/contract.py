@@ -12,7 +12,8 @@ from typing import TypeAlias
 import numpy as np
 
 from surctl.errors import InputError
-from surctl.ir import Layout, Port, identifier
+from surctl.ir import Layout, Port
+from surctl.ir.c99 import identifier
 from surctl.system import Controller, SampledController
 from surctl.system.controller import command_ports
 

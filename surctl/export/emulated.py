@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 
 from surctl.errors import InputError, SurctlError, ToolMissing, nearest
 from surctl.export.bundle import Bundle, write_bundle
-from surctl.ir import compile_program, packaged_compiler
+from surctl.ir import compile_program
+from surctl.ir.cache import packaged_compiler
 
 # Compilers and processors on which the exported C is checked: this machine's, and emulated microcontrollers
 
@@ -104,12 +105,6 @@ def chosen_targets(names: Sequence[str] = ()) -> tuple[list[Target], dict[str, t
     Raises:
         InputError: a name is not known.
         ToolMissing: a tool of a named target is not installed.
-
-    Example:
-        >>> from surctl.export import chosen_targets
-        >>> targets, lacking = chosen_targets(["gcc-O0", "gcc-O2"])
-        >>> [target.flags for target in targets], lacking
-        ([('-O0',), ('-O2',)], {})
     """
     for name in names:
         if name not in TARGETS:

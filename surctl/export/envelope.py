@@ -70,19 +70,6 @@ def as_records(law: Exportable, records: AnyRecord) -> Records:
 
     Raises:
         InputError: there is no step, or an array does not fit the law's layouts.
-
-    Example:
-        >>> from surctl.marine.control import build_law, load_gains
-        >>> from surctl.export import Records, as_records
-        >>> from surctl.marine.simulation import law_numbers, load_scenario, simulate
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> mission, vehicle, gains = load_scenario("pool-behind"), load_vehicle("sur400"), load_gains("default")
-        >>> law, p = build_law("closed_form"), law_numbers(mission, gains, vehicle)
-        >>> run = simulate(mission, vehicle, gains=gains, law=law)
-        >>> recording = Records(run.record.law_state, run.record.law_input, run.record.law_parameters)
-        >>> records = as_records(law, recording)  # one vector of gains becomes one row per step
-        >>> recording.P.shape, records.P.shape == (len(recording.X), law.gains.size)
-        ((70,), True)
     """
     if isinstance(records, Record):
         records = Records(*records.controller)

@@ -32,7 +32,8 @@ from surctl.export.bundle import Bundle, ExportedFile
 from surctl.export.contract import DATA, MISSION_FILES, Exportable, commands, is_robot_law, status_table
 from surctl.export.envelope import Envelope, anywhere
 from surctl.export.rendering import render_unit
-from surctl.ir import Port, compile_program, packaged_compiler
+from surctl.ir import Port, compile_program
+from surctl.ir.cache import packaged_compiler
 
 Vector = NDArray[np.float64]
 

@@ -52,8 +52,9 @@ from surctl.export.supplement import (
     longest_gap,
     wiring_values,
 )
-from surctl.ir import C_TYPE, Layout, Parts, Port, Program, Real, c_literal, emit_parts, memory
+from surctl.ir import C_TYPE, Layout, Parts, Port, Program, Real, c_literal, memory
 from surctl.ir.c99_folded import PRAGMA, folded_lines, inline_helpers, own_helpers
+from surctl.ir.c99_routine import emit_parts
 from surctl.ir.cache import FLAGS
 
 _FUNCTION = re.compile(r"^static (?:inline )?(?:const )?\w+ \*?(\w+)\(", re.MULTILINE)

@@ -386,16 +386,7 @@ def compile_batch(
 
 
 def compile_batch_source(source: str, *, flags: Sequence[str] = (), folder: Path | None = None) -> Batch:
-    """Compile the C text of `batch_source`, or load the compiled step from the cache; see `compile_batch`.
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.ir import batch_source, compile_batch_source, lower
-        >>> x, p = ca.SX.sym("x", 2), ca.SX.sym("p")  # stopped, speed; drag
-        >>> text = batch_source(lower(ca.Function("coast", [x, p], [ca.vertcat(x[1] < 0.1, x[1] - 0.05 * p * x[1])])))
-        >>> compile_batch_source(text).run([[0.0, 1.0]], [[2.0]], steps=1).tolist()
-        [[0.0, 0.9]]
-    """
+    """Compile the C text of `batch_source`, or load the compiled step from the cache; see `compile_batch`."""
     return Batch(shared_library(source, flags=flags, folder=folder, wide=True))
 
 
@@ -407,14 +398,6 @@ def batch_source(step: Block) -> str:
 
     Raises:
         InputError: the step has other inputs or outputs.
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.ir import batch_source, lower
-        >>> x, p = ca.SX.sym("x", 2), ca.SX.sym("p")
-        >>> text = batch_source(lower(ca.Function("coast", [x, p], [ca.vertcat(x[1] < 0.1, x[1] - p)])))
-        >>> [line for line in text.splitlines() if line.startswith(("#define STATE", "#define PARAMETERS"))]
-        ['#define STATE 2', '#define PARAMETERS 1']
     """
     sizes = [size for _, size in step.inputs]
     output_sizes = [size for _, size in step.outputs]

@@ -115,12 +115,6 @@ def rearranged(name: str, inputs: Mapping[str, int], outputs: Mapping[str, Seque
 
     Raises:
         InputError: a piece is not inside its input.
-
-    Example:
-        >>> from surctl.ir import rearranged, replay
-        >>> swapped = rearranged("swapped", {"x": 3}, {"y": [("x", 2, 3), ("x", 0, 2)]})
-        >>> replay(swapped, [1.0, 2.0, 3.0])[0].tolist()
-        [3.0, 1.0, 2.0]
     """
     code, which = Numbering(), {array: k for k, array in enumerate(inputs)}
     refs = [
@@ -259,15 +253,6 @@ def identifier(name: str) -> str:
     Raises:
         InputError: the name is not a C identifier (ASCII letters, digits and underscores, a letter first, at most 63
             characters), it is a keyword of C or C++, or a header of the exported files defines it.
-
-    Example:
-        >>> from surctl.ir import identifier
-        >>> identifier("depth_gain")
-        'depth_gain'
-        >>> identifier("double")
-        Traceback (most recent call last):
-            ...
-        surctl.errors.InputError: name = 'double': is a reserved word in C or C++; choose another name
     """
     if not isinstance(name, str) or not _IDENTIFIER.fullmatch(name) or "__" in name:
         remedy = "use letters, digits and single underscores, a letter first, at most 63"
@@ -364,13 +349,7 @@ def _array(name: str, size: int) -> str:
 
 
 def broken(start: str, items: Sequence[str], end: str, *, indent: str = "    ") -> list[str]:
-    """Return `start`, the items separated by commas, and `end`, as lines; all lines except the first are indented.
-
-    Example:
-        >>> from surctl.ir.c99 import broken
-        >>> broken("f(", ["x" * 60, "y" * 60], ");")[1][:8]
-        '    yyyy'
-    """
+    """Return `start`, the items separated by commas, and `end`, as lines; all lines except the first are indented."""
     lines = [start]
     for at, item in enumerate(items):
         text = f"{item}," if at + 1 < len(items) else f"{item}{end}"

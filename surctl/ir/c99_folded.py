@@ -331,20 +331,6 @@ def emit_lanes(
 
     Raises:
         InputError: `symbol` is not a valid C identifier.
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.ir import Feed, emit_lanes, lower
-        >>> speed, drag = ca.SX.sym("speed"), ca.SX.sym("drag")
-        >>> program = lower(ca.Function("coast", [speed, drag], [speed - drag * speed]))
-        >>> print(emit_lanes(program, symbol="coast", lanes=4, feeds=(Feed(), Feed("shared")), folded=True), end="")
-        /* 2 operations in each of 4 lanes; outputs may alias inputs that are not shared */
-        static void coast(const double *in0, const double *in1, double *out0)
-        {
-            for (int lane = 0; lane < 4; ++lane) {
-                out0[0 + lane] = in0[0 + lane] - in0[0 + lane] * in1[0];
-            }
-        }
     """
     kind = C_TYPE[real]
     arguments = [f"const {kind} *in{k}" for k in range(len(program.inputs))]

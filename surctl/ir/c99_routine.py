@@ -430,17 +430,6 @@ def emit_parts(block: Block, *, symbol: str, real: Real = "float64") -> Parts:
 
     Raises:
         InputError: `symbol` is not a valid C identifier.
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.ir import Loop, Routine, emit_parts, lower
-        >>> depth, rate = ca.SX.sym("depth"), ca.SX.sym("rate")
-        >>> sink = lower(ca.Function("sink", [depth, rate], [depth + 0.1 * rate]))
-        >>> sinking = Loop(sink, 5, ("depth",), ("last",), fixed=("rate",))
-        >>> dive = Routine("dive", (("depth", 1), ("rate", 1)), (sinking,), ("last",))
-        >>> parts = emit_parts(dive, symbol="robot_law")
-        >>> list(parts.files), parts.prototypes
-        ([''], ('void robot_law(const double in0[1], const double in1[1], double out0[1]);',))
     """
     nodes = _nodes(block)
     files = _parted(nodes, block.digest())

@@ -155,27 +155,6 @@ def emit_wide(block: Block, *, symbol: str) -> Wide:
 
     Raises:
         InputError: `symbol` is not a valid C identifier.
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.ir import emit_wide, lower
-        >>> v = ca.SX.sym("v", 2)
-        >>> wide = emit_wide(lower(ca.Function("speed", [v], [ca.norm_2(v)])), symbol="speed")
-        >>> print(wide.text, end="")
-        /* 4 operations; outputs may alias inputs */
-        static void speed(const double *in0, double *out0, double *work)
-        {
-            (void)work;
-            EACH_LANE {
-                const vec v0 = LOAD(in0, 0);
-                const vec v1 = SQ(v0);
-                const vec v2 = LOAD(in0, 1);
-                const vec v3 = SQ(v2);
-                const vec v4 = ADD(v1, v3);
-                vec v5 = v4; ROOT(v5);
-                STORE(out0, 0, v5);
-            }
-        }
     """
     writer = _Writer(identifier(symbol))
     short = shortened(block)

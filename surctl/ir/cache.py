@@ -57,11 +57,6 @@ def tuned_flags(*, wide: bool = False) -> tuple[str, ...]:
     eight numbers need AVX-512, but with vectors of four numbers the masks of AVX-512 make the QP solver a tenth slower
     than AVX2. For `wide`, the compiler also schedules instructions before register allocation, which saves an eighth of
     the run time of a closed loop.
-
-    Example:
-        >>> from surctl.ir import tuned_flags
-        >>> tuned_flags()[0], sorted(set(tuned_flags(wide=True)) - set(tuned_flags()))
-        ('-march=native', ['-Wno-ignored-optimization-argument', '-fsched-pressure', '-fschedule-insns'])
     """
     if wide:
         return ("-march=native", *_REORDERED, "-fno-math-errno")
@@ -146,13 +141,7 @@ def find_compiler() -> str:
 
 
 def packaged_compiler() -> str | None:
-    """Return the command of the C compiler (clang) in the package `ziglang`; None if it is not installed.
-
-    Example:
-        >>> from surctl.ir import packaged_compiler
-        >>> "-m ziglang cc" in (packaged_compiler() or "python -m ziglang cc")
-        True
-    """
+    """Return the command of the C compiler (clang) in the package `ziglang`; None if it is not installed."""
     return None if find_spec("ziglang") is None else f"{shlex.quote(sys.executable)} -m ziglang {_ZIG}"
 
 
@@ -227,13 +216,7 @@ def _first_error(text: str) -> str:
 
 
 def compiler_version(compiler: str | None = None) -> str:
-    """Return the first line of the compiler's `--version` output; None means the compiler of `find_compiler`.
-
-    Example:
-        >>> from surctl.ir import compiler_version
-        >>> compiler_version()  # for example "cc (Debian 12.2.0-14) 12.2.0"
-        '...c...'
-    """
+    """Return the first line of the compiler's `--version` output; None means the compiler of `find_compiler`."""
     command = tuple(_words(find_compiler() if compiler is None else compiler))
     executable = os.path.realpath(shutil.which(command[0]) or command[0])
     try:
@@ -269,11 +252,6 @@ def source_digest(*packages: str) -> str:
     Raises:
         SurctlError: a package is missing, a source file cannot be read, or a file was changed after this process began,
             so that the loaded code may be older than the file.
-
-    Example:
-        >>> from surctl.ir import source_digest
-        >>> len(source_digest("surctl.ir", "surctl.errors"))
-        64
     """
     total = hashlib.sha256()
     for part in (ca.CasadiMeta.version(), np.__version__, platform.python_version(), platform.platform()):
@@ -332,16 +310,7 @@ class CacheUnused(UserWarning):
 
 
 def cache_folder() -> Path:
-    """Return the cache folder: $SURCTL_CACHE, or $XDG_CACHE_HOME/surctl, or ~/.cache/surctl (XDG specification).
-
-    Example:
-        >>> import os
-        >>> from unittest.mock import patch
-        >>> from surctl.ir import cache_folder
-        >>> with patch.dict(os.environ, SURCTL_CACHE="compiled"):
-        ...     print(cache_folder())
-        compiled
-    """
+    """Return the cache folder: $SURCTL_CACHE, or $XDG_CACHE_HOME/surctl, or ~/.cache/surctl (XDG specification)."""
     own = os.environ.get("SURCTL_CACHE")
     if own:
         return Path(own)
@@ -361,14 +330,6 @@ def cached_bytes(key: str, suffix: str, build: Callable[[], bytes], *, folder: P
         build: function that is called if no cache entry can be trusted; its exceptions are passed on.
         folder: cache folder; `cache_folder()` if None. A folder is not used if this process cannot write to it or
             another user can; then the warning `CacheUnused` is issued.
-
-    Example:
-        >>> from pathlib import Path
-        >>> from surctl.ir import cached_bytes
-        >>> cached_bytes("00ff", ".txt", lambda: b"built", folder=Path("cache"))
-        b'built'
-        >>> cached_bytes("00ff", ".txt", lambda: b"built anew", folder=Path("cache"))
-        b'built'
     """
     place = cache_folder() if folder is None else folder
     path = place / f"{key}{suffix}"
@@ -410,15 +371,6 @@ def shared_library(
 
     Raises:
         ToolMissing, InputError, SurctlError: as in `compile_program`.
-
-    Example:
-        >>> import ctypes
-        >>> from pathlib import Path
-        >>> from surctl.ir import shared_library
-        >>> text = "int twice(int x); int twice(int x) { return 2 * x; }\n"
-        >>> _ = Path("twice.so").write_bytes(shared_library(text))
-        >>> ctypes.CDLL("./twice.so").twice(21)
-        42
     """
     tuned = tuned_flags(wide=wide)
     key = _key(identity or _text(source), (*tuned, *flags))

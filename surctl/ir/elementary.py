@@ -47,18 +47,6 @@ def nearby_angles(program: Program, source: int, entry: int) -> Program:
         program: the instruction list.
         source: index of the input vector that contains the reference angle a.
         entry: index of the angle a in this input vector.
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.ir import lower, nearby_angles, replay
-        >>> x = ca.SX.sym("x", 2)  # heading, turn within the step
-        >>> headings = [x[0], x[0] + 0.5 * x[1], x[0] + x[1]]
-        >>> plain = lower(ca.Function("ahead", [x], [ca.vertcat(*map(ca.cos, headings))]))
-        >>> near = nearby_angles(plain, 0, 0)
-        >>> [sum(i.op in ("sin", "cos") for i in block.instructions) for block in (plain, near)]
-        [3, 2]
-        >>> [replay(block, [1.0, 0.1])[0].round(6).tolist() for block in (plain, near)]
-        [[0.540302, 0.497571, 0.453596], [0.540302, 0.497571, 0.453596]]
     """
     text, moved = Numbering(), list[int]()
     near: dict[int, int | None] = {}  # position → position in `text` of the distance from a; None for a itself

@@ -28,16 +28,6 @@ def stack_bytes(block: Block, *, real: Real = "float64", flags: Sequence[str] = 
     Raises:
         ToolMissing: there is no compiler, or the compiler does not report stack frames (`-fstack-usage`).
         SurctlError: the compiler reports an error, or a frame has no fixed size.
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.ir import Loop, Routine, lower, stack_bytes
-        >>> x = ca.SX.sym("x", 200)
-        >>> sums = Loop(lower(ca.Function("sums", [x], [ca.cumsum(x)])), 9, ("x",), ("last",))
-        >>> block = Routine("mix", (("x", 200),), (sums,), ("last",))
-        >>> double, single = (stack_bytes(block, real=real) for real in ("float64", "float32"))
-        >>> single < double < 4096  # for example 624 and 1360
-        True
     """
     kind, at, places = C_TYPE[real], 0, []
     for _, size in (*block.inputs, *block.outputs):
@@ -57,12 +47,6 @@ def stack_of(text: str, entry: str, *, flags: Sequence[str] = ("-Os",), compiler
 
     The definition of every function must begin on a line of its own. The stack of libm functions such as sin is not
     counted. An inlined function is part of the stack frame of its caller.
-
-    Example:
-        >>> from surctl.ir import stack_of
-        >>> text = "void fill(float *x);\nfloat mean(void) { float x[1000]; fill(x); return x[9]; }\n"
-        >>> round(stack_of(text, "mean"), -3)  # 1000 floats
-        4000
     """
     with tempfile.TemporaryDirectory(prefix="surctl-") as name:
         source, report = Path(name) / "text.c", Path(name) / "text.su"
@@ -88,13 +72,6 @@ def stack_from_report(report: str, text: str, entry: str) -> int:
     Raises:
         InputError: the text has no such function.
         SurctlError: a frame has no fixed size.
-
-    Example:
-        >>> from surctl.ir import stack_from_report
-        >>> report = "text.c:1:7:half\t32\tstatic\ntext.c:2:7:mean\t96\tstatic\n"
-        >>> text = "float half(float x) { return x / 2; }\nfloat mean(float x) { return half(x + 1); }\n"
-        >>> stack_from_report(report, text, "mean")
-        128
     """
     # every file that includes a header reports the functions of the header again
     rows = [line.split("\t") for line in dict.fromkeys(report.splitlines())]

@@ -20,14 +20,14 @@ from surctl.marine.simulation import (
     SafetyClaim,
     Scenario,
     Sensing,
-    mission_size,
     safety_claim,
     simulate,
     stop_reason,
     straight_mission,
-    turn_rate,
 )
 from surctl.marine.simulation.echo_fit import detection_range
+from surctl.marine.simulation.safety import turn_rate
+from surctl.marine.simulation.scaling import mission_size
 from surctl.marine.vehicle import Vehicle
 from surctl.marine.vehicle.linearise import check_cruise
 from surctl.marine.vehicle.specs import DEFAULTED

@@ -14,7 +14,8 @@ import casadi as ca
 
 from surctl.errors import InputError, nearest
 from surctl.files import Mistakes
-from surctl.ir import Layout, Port, Recording, identifier
+from surctl.ir import Layout, Port, Recording
+from surctl.ir.c99 import identifier
 from surctl.system.controller import SampledController, command_ports, step_results
 from surctl.system.parts import Parts, called, joined
 from surctl.system.plant import Plant

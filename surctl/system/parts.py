@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from surctl.errors import InputError, nearest
-from surctl.ir import Layout, Port, identifier
+from surctl.ir import Layout, Port
+from surctl.ir.c99 import identifier
 from surctl.own_code import remedy_of
 
 Parts: TypeAlias = Mapping[str, ca.SX]

@@ -21,10 +21,10 @@ from surctl.ir import (
     Routine,
     compile_batch,
     fold,
-    fused,
     lower_named,
     without_libm,
 )
+from surctl.ir.folding import fused
 from surctl.noise import noise_states
 from surctl.plotted import Plotted
 from surctl.system.loop import ENDED, LOST, Cost, System, once_per_system

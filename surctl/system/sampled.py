@@ -11,7 +11,8 @@ from typing import Any, Literal
 import casadi as ca
 
 from surctl.errors import InputError
-from surctl.ir import Block, Layout, Port, Recording, identifier, without_libm
+from surctl.ir import Block, Layout, Port, Recording, without_libm
+from surctl.ir.c99 import identifier
 from surctl.noise import NOISE_STATE, draw_normals, draw_uniforms, remainder
 from surctl.system.parts import EMPTY, Parts, called, checked_layout, joined
 from surctl.units import is_number

@@ -19,7 +19,8 @@ from PIL import Image
 from surctl.cli.app import app
 from surctl.errors import InputError, ToolMissing
 from surctl.marine.control import build_law, load_gains
-from surctl.marine.engine import CAMERAS, EngineOptions, Moment, Scene, mujoco_physics, parse_plant, physics
+from surctl.marine.engine import CAMERAS, EngineOptions, Moment, Scene, mujoco_physics, physics
+from surctl.marine.engine.fluid import parse_plant
 from surctl.marine.engine.mjcf import mujoco_library
 from surctl.marine.export import CompiledLaw
 from surctl.marine.report import render_page, save_film

@@ -18,8 +18,8 @@ from surctl.marine.vehicle import (
     load_vehicle,
     predict,
     read_mapped_log,
-    velocity_notes,
 )
+from surctl.marine.vehicle.identification.identify import velocity_notes
 from surctl.marine.vehicle.identification.model import sections_of
 
 TANK = """

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surctl.errors import InputError
-from surctl.ir import runnable
+from surctl.ir.native import runnable
 from surctl.marine.allocation.program import allocation_block
 from surctl.marine.vehicle import Actuators
 

@@ -2,7 +2,7 @@
 
 from surctl.marine.bridge.autopilot import SimulatedSub
 from surctl.marine.bridge.bridge import Bridge, Moment, Plan, plan_session
-from surctl.marine.bridge.inputs import Site, parse_site
+from surctl.marine.bridge.inputs import Site
 from surctl.marine.bridge.live import Address, Ended, SessionLog, parse_address, run_session
 from surctl.marine.bridge.log import FrameLog, SessionRecord
 from surctl.marine.bridge.rehearsal import ACTIONS, Act, Channel, LinkQuality, Rehearsal, RehearsalResult, rehearse
@@ -22,8 +22,6 @@ from surctl.marine.bridge.wire import (
     Reply,
     Text,
     Wire,
-    dialect,
-    mode_of,
 )
 
 __all__ = [
@@ -60,10 +58,7 @@ __all__ = [
     "Site",
     "Text",
     "Wire",
-    "dialect",
-    "mode_of",
     "parse_address",
-    "parse_site",
     "plan_session",
     "rehearse",
     "run_session",

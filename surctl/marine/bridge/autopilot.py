@@ -52,14 +52,6 @@ class SimulatedSub:
         sonars: whether to send DISTANCE_SENSOR messages.
         target: system id of the autopilot.
         system: the system id from which it takes control, ArduSub's MAV_GCS_SYSID.
-
-    Example:
-        >>> from surctl.marine.bridge import SimulatedSub, Wire
-        >>> from surctl.marine.simulation import load_scenario
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> sub, wire = SimulatedSub(load_scenario("tank-speed-015"), load_vehicle("sur540-flooded")), Wire()
-        >>> [type(event).__name__ for frame in sub.advance(0.0) for event in wire.events(frame)]
-        ['Beat', 'Attitude', 'Position', 'Position']
     """
 
     def __init__(

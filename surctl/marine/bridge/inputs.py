@@ -17,7 +17,8 @@ from surctl.errors import InputError
 from surctl.marine.bridge.wire import Attitude, Odometry, Position, Ranges
 from surctl.marine.control import Law
 from surctl.marine.simulation import Scenario, build_world
-from surctl.marine.vehicle import Vehicle, heading_velocity
+from surctl.marine.vehicle import Vehicle
+from surctl.marine.vehicle.motion_log import heading_velocity
 from surctl.marine.world import Disc
 
 # The scenario's frame {E} and the autopilot's local frame NED
@@ -95,12 +96,6 @@ def parse_site(text: str, *, key: str = "--origin") -> Site:
 
     Raises:
         InputError: the text has another form.
-
-    Example:
-        >>> from surctl.marine.bridge import parse_site
-        >>> site = parse_site("0.5,2.5,0")  # the autopilot started at (0.5, 2.5), and the x axis points north
-        >>> site.pose([2.0, 0.0, 0.15, 0.0]).round(3).tolist()  # 2 m north of its start, heading north
-        [2.5, 2.5, -0.15, 0.0]
     """
     try:
         x, y, bearing = (float(word) for word in text.split(","))

@@ -57,13 +57,6 @@ class Channel:
         quality: loss, delay and damage.
         seed: seed of the random choices.
         cut: while True, nothing arrives that is sent.
-
-    Example:
-        >>> from surctl.marine.bridge import Channel, LinkQuality
-        >>> channel = Channel(LinkQuality(delay=0.3))
-        >>> channel.send(b"frame", 0.0)
-        >>> channel.arrived(0.2), channel.arrived(0.3)
-        ([], [b'frame'])
     """
 
     quality: LinkQuality = field(default_factory=LinkQuality)

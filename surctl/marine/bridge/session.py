@@ -114,13 +114,7 @@ class Limits:
             )
 
     def oldest(self, trip: float) -> float:
-        """Return the largest age [s] of an estimate when its command reaches the vehicle, for a round trip [s].
-
-        Example:
-            >>> from surctl.marine.bridge import Limits
-            >>> Limits().oldest(0.1), Limits().oldest(0.6)
-            (0.45, 0.75)
-        """
+        """Return the largest age [s] of an estimate when its command reaches the vehicle, for a round trip [s]."""
         return min(max(self.estimate, trip + self.slack), self.lost)
 
 

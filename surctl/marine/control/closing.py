@@ -128,26 +128,12 @@ CALM_GAINS: Mapping[str, GainSpec] = {
 
 
 def calm_parameters(p: Mapping[str, ca.SX]) -> dict[str, ca.SX]:
-    """Return the parameters with the shares of `reaction` and `k2` that the decision of a calm law uses.
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.marine.control.closing import calm_parameters
-        >>> float(calm_parameters({"prompt": ca.DM(0.8), "reaction": ca.DM(0.5), "k2": ca.DM(0.3)})["reaction"])
-        0.4
-    """
+    """Return the parameters with the shares of `reaction` and `k2` that the decision of a calm law uses."""
     return {**p, "reaction": p["prompt"] * p["reaction"], "k2": _DEPTH * p["k2"]}
 
 
 def soft_gain(p: Mapping[str, ca.SX]) -> ca.SX:
-    """Return the bandwidth (3, 1) of the velocity loops in surge, sway and heave [1/s].
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.marine.control.closing import soft_gain
-        >>> soft_gain({"k_v": ca.DM(1.5), "soft": ca.DM(0.5)})
-        DM([0.75, 0.75, 0.27])
-    """
+    """Return the bandwidth (3, 1) of the velocity loops in surge, sway and heave [1/s]."""
     return p["k_v"] * ca.vertcat(p["soft"], p["soft"], _HEAVE)
 
 
@@ -163,14 +149,6 @@ def beside_margin(normal: ca.SX, *, course: ca.SX, now: ca.SX, full: ca.SX, p: M
         now: velocity over ground (2, 1) in {E} [m/s]; a mark that the robot approaches is ahead, too.
         full: 1 where every mark needs `margin`.
         p: parameters by name: `margin`, `beside`.
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.marine.control.closing import beside_margin
-        >>> p, to_x = {"margin": ca.DM(0.05), "beside": ca.DM(0.2)}, ca.DM([0.15, 0])
-        >>> marks = (ca.DM([1, 0]), ca.DM([0, 1]), ca.DM([-1, 0]))
-        >>> [round(float(beside_margin(n, course=to_x, now=to_x, full=ca.DM(0), p=p)), 3) for n in marks]
-        [0.05, 0.01, 0.01]
     """
     cosine = ca.fmax(_cosine(normal, course, 1e-3), _cosine(normal, now, _SLOW))
     ahead = ca.fmin(ca.fmax((cosine - _BESIDE) / (_AHEAD - _BESIDE), 0), 1)
@@ -188,16 +166,6 @@ def calmed(free: ca.SX, held: ca.SX, acceleration: ca.SX, *, p: Mapping[str, ca.
         acceleration: acceleration of the reference (2, 1) in {B} [m/s²]; the share `feed_forward` of it is used.
         p: parameters by name: `mass`, `k_v`, `thrust_limit`, `soft`, `feed_forward`, `still`, `settle`.
         dt: control period [s].
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.marine.control.closing import calmed
-        >>> p = {"mass": ca.DM([95, 95, 95, 1.5]), "thrust_limit": ca.DM([5, 5, 5, 0.5])}
-        >>> p |= {"k_v": 1.5, "soft": 1.0, "feed_forward": 0.5, "still": 0.007, "settle": 0.95}
-        >>> rest = ca.DM.zeros(2)
-        >>> near, far = (calmed(ca.DM([f, 0, 0, 0]), ca.DM.zeros(4), rest, p=p, dt=0.05)[0] for f in (0.8, 3.0))
-        >>> round(float(near), 2), round(float(far), 2)  # the band is 1 N wide on either side
-        (0.04, 2.0)
     """
     free = free + p["feed_forward"] * p["mass"] * ca.vertcat(acceleration, 0, 0)
     width = ca.fmin(p["mass"][:3] * soft_gain(p) * p["still"], _WIDEST * p["thrust_limit"][:3])
@@ -226,15 +194,6 @@ def eased(
         time: time constant [s].
         fastest: largest acceleration of the reference [m/s²].
         dt: control period [s].
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.marine.control.closing import eased
-        >>> slow, still, how = ca.SX([0.2, 0.0]), ca.SX([0.0, 0.0]), {"time": 0.45, "fastest": 1.0, "dt": 0.05}
-        >>> free = eased(still, slow, [(ca.SX([0.0, 1.0]), ca.SX(1.0))], **how)
-        >>> wall = eased(still, slow, [(ca.SX([1.0, 0.0]), ca.SX(0.05))], **how)
-        >>> ca.DM(free).full().ravel().round(3).tolist(), ca.DM(wall).full().ravel().round(3).tolist()
-        ([0.18, 0.0], [0.05, 0.0])
     """
     step = velocity - before
 
@@ -255,27 +214,12 @@ def pushed(velocity: ca.SX, before: ca.SX, held: ca.SX, *, dt: float) -> ca.SX:
         before: velocity reference of the step before (2, 1) in {E} [m/s].
         held: result of the step before (2, 1) [m/s²].
         dt: control period [s].
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.marine.control.closing import pushed
-        >>> rest = ca.DM([0.0, 0.0])
-        >>> pushed(ca.DM([0.011, 0.0]), rest, rest, dt=0.05)
-        DM([0.0244444, 0])
     """
     return held + dt / (dt + _SMOOTH) * ((velocity - before) / dt - held)
 
 
 class AxisVector(ca.SX):
-    """A vector (4, 1) of surge, sway, heave and yaw whose entries also have names.
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.marine.control.closing import AxisVector
-        >>> nu = AxisVector(ca.SX([0.2, 0.0, 0.0, 0.1]))
-        >>> nu["r"], nu[3]
-        (SX(0.1), SX(0.1))
-    """
+    """A vector (4, 1) of surge, sway, heave and yaw whose entries also have names."""
 
     NAMES = ("u", "v", "w", "r")
 

@@ -10,7 +10,8 @@ import casadi as ca
 
 from surctl.ir import Port
 from surctl.marine.control.reference import DesiredMotion
-from surctl.marine.guidance import Contact, disc_contacts, point_contact, wall_contacts
+from surctl.marine.guidance import Contact
+from surctl.marine.guidance.contacts import disc_contacts, point_contact, wall_contacts
 from surctl.marine.sensing import SensorFilter, SonarArray
 from surctl.marine.sensing.mapping.contacts import ContactMemory, expected_range, sonar_contacts
 from surctl.tasks import HalfPlane, Task, depth_task, heading_task

@@ -22,7 +22,9 @@ from surctl.marine.control.decision import (
 )
 from surctl.marine.control.ports import DEFAULT_ARRAY
 from surctl.marine.control.reference import DesiredMotion
-from surctl.marine.guidance import FAR, AvoidanceForm, Contact, avoidance_course, encounter_side, nearest_in_quadrants
+from surctl.marine.guidance import FAR, AvoidanceForm, Contact, avoidance_course
+from surctl.marine.guidance.avoidance import encounter_side
+from surctl.marine.guidance.contacts import nearest_in_quadrants
 from surctl.marine.vehicle import planar_rotation
 from surctl.tasks import velocity_task
 

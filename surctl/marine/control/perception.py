@@ -25,19 +25,8 @@ from typing import NamedTuple
 import casadi as ca
 
 from surctl.errors import InputError
-from surctl.ir import (
-    Block,
-    Call,
-    Layout,
-    Port,
-    Program,
-    Recording,
-    Routine,
-    each,
-    lower_named,
-    rearranged,
-    without_libm,
-)
+from surctl.ir import Block, Call, Layout, Port, Program, Recording, Routine, each, lower_named, without_libm
+from surctl.ir.c99 import rearranged
 from surctl.marine.control.beams import (
     SILENT,
     StepState,

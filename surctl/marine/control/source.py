@@ -9,7 +9,8 @@ from typing import Any, cast, get_args
 import casadi as ca
 
 from surctl.errors import InputError, check_known, nearest
-from surctl.ir import Layout, Port, identifier
+from surctl.ir import Layout, Port
+from surctl.ir.c99 import identifier
 from surctl.marine.control.baselines import Situation
 from surctl.marine.control.closing import Thrust
 from surctl.marine.control.dead_end import DEAD_END_PORTS, LAYER_PORTS, SEARCH_PORT

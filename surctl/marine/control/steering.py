@@ -113,12 +113,6 @@ def turning_radius(vehicle: Vehicle, gains: Mapping[str, float], speed: float) -
         vehicle: the craft.
         gains: the gain `sideslip` by name; other gains are ignored.
         speed: surge speed u > 0 [m/s], taken as the cruise speed.
-
-    Example:
-        >>> from surctl.marine.control import turning_radius
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> round(turning_radius(load_vehicle("sur400"), {"sideslip": 0.2}, 0.15), 2)
-        13.0
     """
     vehicle = vehicle.at_speed(speed)
     model = {name: getattr(vehicle, name) for name in ("mass", "quadratic_drag", "thrust_limit")}

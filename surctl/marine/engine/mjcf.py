@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 
 from surctl.errors import ToolMissing
 from surctl.files import prepare_folder, write_file
-from surctl.ir import emit_block, shared_library
+from surctl.ir import emit_block
+from surctl.ir.cache import shared_library
 from surctl.ir.native import loaded
 from surctl.marine.engine.fluid import Body, EngineOptions, body_of, environment, fluid_program
 from surctl.marine.simulation import build_world

@@ -2,7 +2,7 @@
 
 from surctl.marine.export.compiled_law import ClosedForm, CompiledLaw, LinkedLaw, LinkFaults, LinkReport, closed_form
 from surctl.marine.export.operating_envelope import operating_envelope
-from surctl.marine.export.origin import Origin, fitting_certificates, load_certificates, origin_of
+from surctl.marine.export.origin import Origin
 from surctl.marine.export.robot_bundle import build_bundle
 
 __all__ = [
@@ -14,8 +14,5 @@ __all__ = [
     "Origin",
     "build_bundle",
     "closed_form",
-    "fitting_certificates",
-    "load_certificates",
     "operating_envelope",
-    "origin_of",
 ]

@@ -35,11 +35,12 @@ from surctl.ir import (
     lower,
     reads,
     replay,
-    with_constants,
     without_libm,
 )
+from surctl.ir.folding import with_constants
 from surctl.ir.procedure import Procedure
-from surctl.marine.control import NONFINITE, Law, LawStep, in_real
+from surctl.marine.control import NONFINITE, Law, LawStep
+from surctl.marine.control.build import in_real
 from surctl.marine.simulation.metrics import GONE, LATE
 from surctl.noise import NoiseStream
 

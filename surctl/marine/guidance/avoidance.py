@@ -91,13 +91,6 @@ def encounter_side(relative_velocity: ca.SX, normal: ca.SX, *, deadband: float =
         relative_velocity: velocity of the robot minus that of the obstacle (2, 1) in {E} [m/s].
         normal: unit vector from robot to obstacle (2, 1) in {E}.
         deadband: crosswise velocity [m/s] below which the encounter counts as head-on and the side is +1.
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.marine.guidance import encounter_side
-        >>> ahead = ca.SX([1, 0])
-        >>> float(encounter_side(ca.SX([0.1, 0.05]), ahead)), float(encounter_side(ca.SX([0.1, -0.05]), ahead))
-        (1.0, -1.0)
     """
     cross = normal[0] * relative_velocity[1] - normal[1] * relative_velocity[0]
     return ca.if_else(cross <= -deadband, -1, 1)

@@ -77,15 +77,7 @@ def disc_contact(position: ca.SX, hull: ca.SX, centre: ca.SX, radius: ca.SX, vel
 
 
 def disc_contacts(position: ca.SX, hull: ca.SX, discs: ca.SX) -> list[Contact]:
-    """Return the result of `disc_contact` for each disc (x, y, radius, vx, vy, valid) in an array (n, 6).
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.marine.guidance import disc_contacts
-        >>> discs = ca.SX([[2, 0, 0.5, 0, 0, 1], [0, 3, 0.5, 0, 0, 1]])
-        >>> [float(contact.clearance) for contact in disc_contacts(ca.SX([0, 0]), ca.SX(0.2), discs)]
-        [1.3, 2.3]
-    """
+    """Return the result of `disc_contact` for each disc (x, y, radius, vx, vy, valid) in an array (n, 6)."""
 
     def contact(disc: ca.SX) -> tuple[ca.SX, ...]:
         return (ca.vertcat(*disc_contact(position, hull, disc[:2], disc[2], disc[3:5], disc[5]).row),)
@@ -97,28 +89,12 @@ def disc_contacts(position: ca.SX, hull: ca.SX, discs: ca.SX) -> list[Contact]:
 
 
 def point_contact(position: ca.SX, hull: ca.SX, point: ca.SX, valid: ca.SX) -> Contact:
-    """Return the direction and clearance of a point at rest, for example of the point that caused an echo.
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.marine.guidance import point_contact
-        >>> contact = point_contact(ca.DM([0, 0]), ca.DM(0.2), ca.DM([0, 1]), ca.DM(1))
-        >>> round(float(contact.clearance), 3), ca.DM(contact.normal).full().ravel().tolist()
-        (0.8, [0.0, 1.0])
-    """
+    """Return the direction and clearance of a point at rest, for example of the point that caused an echo."""
     return disc_contact(position, hull, point, ca.SX(0), ca.SX.zeros(2), valid)
 
 
 def wall_contacts(position: ca.SX, hull: ca.SX, walls: ca.SX) -> list[Contact]:
-    """Return the direction and clearance of the four walls x_min, x_max, y_min, y_max [m] of a rectangular site.
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.marine.guidance import wall_contacts
-        >>> tank = ca.DM([0, 8, 0, 3])  # x_min, x_max, y_min, y_max
-        >>> [round(float(c.clearance), 2) for c in wall_contacts(ca.DM([1.0, 1.5]), ca.DM(0.27), tank)]
-        [0.73, 6.73, 1.23, 1.23]
-    """
+    """Return the direction and clearance of the four walls x_min, x_max, y_min, y_max [m] of a rectangular site."""
     x, y = position[0], position[1]
     sides = [
         (ca.SX([-1, 0]), x - walls[0]),
@@ -130,16 +106,7 @@ def wall_contacts(position: ca.SX, hull: ca.SX, walls: ca.SX) -> list[Contact]:
 
 
 def nearest_in_quadrants(contacts: Sequence[Contact], axes: Sequence[ca.SX]) -> list[Contact]:
-    """Return, for each sensor axis (2, 1), the nearest contact within ±45° of this axis.
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.marine.guidance import nearest_in_quadrants, point_contact
-        >>> hull, yes = ca.DM(0.2), ca.DM(1)
-        >>> contacts = [point_contact(ca.DM([0, 0]), hull, ca.DM(p), yes) for p in ([2, 0.1], [1, 0], [0, 3])]
-        >>> [float(c.clearance) for c in nearest_in_quadrants(contacts, [ca.DM([1, 0]), ca.DM([0, 1])])]
-        [0.8, 2.8]
-    """
+    """Return, for each sensor axis (2, 1), the nearest contact within ±45° of this axis."""
     chosen = []
     for axis in axes:
         best = Contact(axis, ca.SX(FAR), ca.SX.zeros(2), ca.SX(0.5))

@@ -137,14 +137,6 @@ def window_next(first: ca.SX, progress: ca.SX, rows: ca.SX, start: ca.SX, last: 
         rows: (3, k) waypoints from number `first` on; the columns begin with x, y [m].
         start: (2, 1) the path's first waypoint [m].
         last: largest number `first`, see `last_first`.
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.marine.guidance import window_next
-        >>> rows, start = ca.DM([[0, 1], [1, 1], [1, 2]]), ca.DM([0, 0])
-        >>> moved, shift = window_next(ca.DM(1), ca.DM(3.5), rows, start, ca.DM(9))
-        >>> float(moved), round(float(shift), 4)
-        (2.0, -0.5858)
     """
     one, two, three = (rows[k, :2].T for k in range(3))
     behind = _norm(one - start) + _norm(two - one)
@@ -161,14 +153,6 @@ def window_values(
         rows: (`MAX_WAYPOINTS`, 5) rows of the mission's table in the window.
         progress: arc length of the target point along the window [m].
         depth, cruise, visit: as for `Window`.
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.marine.guidance import Path, window_values
-        >>> table = Path([[0, 0], [2, 0], [2, 3]], rises=[0, -1, -1], speeds=[0, 0.3, 0]).table(visits=True)
-        >>> rows = ca.DM(table[[0, 1, 2, 2, 2, 2, 2, 2]])
-        >>> [float(v) for v in window_values(rows, ca.DM(1.0), depth=ca.DM(-2), cruise=ca.DM(0.2), visit=ca.DM(0.1))]
-        [-2.5, 0.3, 0.1]
     """
     passed, share, before, end = ca.SX(0), ca.SX(0), rows[0, :], rows[1, :]
     for k in range(MAX_WAYPOINTS - 1):
@@ -219,17 +203,6 @@ class Follower:
         along: largest arc length on the present path segment so far [m].
         missed: largest distance [m] at which a corner was passed so far; 0 before the first corner. The distance to a
             corner is the least distance while the robot is on one of the two segments that meet at the corner.
-
-    Example:
-        >>> from surctl.marine.guidance import Follower, Path
-        >>> there_and_back = Follower(Path([[1.0, 2.5], [6.0, 2.5], [1.0, 2.5]]))
-        >>> [there_and_back.move(x, 2.5) or there_and_back.leg for x in (1.0, 3.0, 5.9, 6.0, 5.5, 3.0)]
-        [0, 0, 0, 0, 1, 1]
-        >>> there_and_back.last
-        True
-        >>> square = Follower(Path([[0.0, 0.0], [2.0, 0.0], [2.0, 2.0], [0.0, 2.0], [0.0, 0.0]]))
-        >>> square.track([[0.2, 0.5], [1.0, 0.1]]).tolist()  # not the distance to the last leg, x = 0
-        [0.5, 0.1]
     """
 
     def __init__(self, path: Path, *, visit: float | None = None) -> None:
@@ -433,15 +406,6 @@ def follow_on(
 
     Returns:
         Value of each entry of `FOLLOWING` after the move, by name; number of segments by which the robot advanced.
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.marine.guidance import FOLLOWING, follow_on
-        >>> rows = ca.DM([[0, 0, 0, 0, 0], [1, 0, 0, 0, 0], [1, 0.1, 0, 0, 0], [2, 0.1, 0, 0, 0], [2, 0.1, 0, 0, 0]])
-        >>> old = {port.name: ca.DM(port.default) for port in FOLLOWING} | {"along": ca.DM(0.9)}
-        >>> after, advanced = follow_on(old, rows, ca.DM(3), ca.DM([1.3, 0.1]), visit=ca.DM(0))
-        >>> float(after["leg"]), round(float(after["along"]), 2), float(advanced)
-        (2.0, 0.3, 2.0)
     """
     leg, points = old["leg"], [rows[k, :2].T for k in range(SKIPS + 2)]
     length, ahead = _leg(points[0], points[1])

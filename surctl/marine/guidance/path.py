@@ -164,13 +164,6 @@ def leg_end(waypoints: ca.SX, s: ca.SX) -> ca.SX:
     Args:
         waypoints: (n, 2) positions [m] in {E}, as for `path_target`.
         s: arc length [m], at most the length of the path.
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.marine.guidance import leg_end
-        >>> corner = ca.SX([[0, 0], [2, 0], [2, 3]])
-        >>> [float(leg_end(corner, ca.SX(s))) for s in (1.0, 2.0, 2.1)]
-        [2.0, 2.0, 5.0]
     """
     travelled = end = ca.SX(0)
     for k in range(waypoints.shape[0] - 1):
@@ -198,13 +191,6 @@ def next_leg(waypoints: ca.SX, s: ca.SX, here: ca.SX, *, near: ca.SX) -> ca.SX:
         result is `s`, in four cases: the robot is nearer to the target's segment (prolonged backwards) than to the next
         segment; the robot is within 0.1 m of the target's segment; the corner is further away than `near`; or there is
         no next segment.
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.marine.guidance import next_leg
-        >>> corner = ca.SX([[0, 0], [2, 0], [2, 3]])
-        >>> [float(next_leg(corner, ca.SX(1.6), ca.SX(p), near=ca.SX(0.8))) for p in ((1.2, 0.2), (1.8, 0.5))]
-        [1.6, 2.5]
     """
     tangent, ends, corner, ahead, length = _corner(waypoints, s)
     offset = here - corner
@@ -228,13 +214,6 @@ def wheel_over(waypoints: ca.SX, s: ca.SX, here: ca.SX, *, radius: ca.SX, lead: 
         here: position of the robot (2, 1) [m] in {E}.
         radius: turning radius R [m].
         lead: distance [m] that the craft travels before it turns at its full yaw rate; it is added to the distance.
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.marine.guidance import wheel_over
-        >>> corner, turn = ca.SX([[0, 0], [20, 0], [20, 30]]), dict(radius=ca.SX(5), lead=ca.SX(0))
-        >>> [float(wheel_over(corner, ca.SX(x), ca.SX([x, 0]), **turn)) for x in (14.0, 16.0)]
-        [14.0, 20.0]
     """
     tangent, ends, corner, ahead, length = _corner(waypoints, s)
     cosine = ca.fmin(ca.fmax(ca.dot(tangent, ahead), -1), 1)

@@ -381,13 +381,6 @@ def slowed(velocity: ca.SX, bounds: Sequence[tuple[ca.SX, ca.SX]]) -> ca.SX:
     """Return a velocity (2, 1) [m/s] on the given velocity's course, slowed down to satisfy the bounds.
 
     Each bound consists of a unit vector and the largest speed [m/s], at least 0, along this vector.
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.marine.guidance import slowed
-        >>> wall = (ca.DM([1, 0]), ca.DM(0.05))  # no faster than 0.05 m/s in x
-        >>> ca.DM(slowed(ca.DM([0.2, 0.1]), [wall])).full().ravel().round(3).tolist()
-        [0.05, 0.025]
     """
 
     def slowest(share: ca.SX, row: ca.SX) -> ca.SX:
@@ -413,14 +406,6 @@ def round_unknown(
         bounds: for each unknown area, a unit vector towards the area and the largest speed [m/s], at least 0, along it.
         sectors: sectors of all contacts.
         cones: collision cones of moving contacts.
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.marine.guidance import round_unknown
-        >>> unknown = (ca.SX([1, 0]), ca.SX(0.02))  # unknown space ahead: at most 0.02 m/s
-        >>> beside = round_unknown(ca.SX([0.15, 0.02]), [unknown], [])
-        >>> ca.DM(beside).full().ravel().round(3).tolist()
-        [0.02, 0.15]
     """
     speed = ca.fmax(ca.sqrt(ca.sumsqr(velocity)), 1e-3)
     ahead = velocity / speed

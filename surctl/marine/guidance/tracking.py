@@ -36,16 +36,7 @@ _LEAST_GAIN = 1e-9  # m/s
 
 
 def check_guidance(name: str) -> None:
-    """Raise InputError, which suggests a similar known name, if the given name is not in `GUIDANCE`.
-
-    Example:
-        >>> from surctl.marine.guidance import check_guidance
-        >>> check_guidance("alos")
-        >>> check_guidance("elos")
-        Traceback (most recent call last):
-            ...
-        surctl.errors.InputError: guidance = 'elos': is not known; did you mean 'los'?
-    """
+    """Raise InputError, which suggests a similar known name, if the given name is not in `GUIDANCE`."""
     check_known(name, GUIDANCE, key="guidance")
 
 
@@ -57,12 +48,6 @@ def crosstrack_shift(method: Guidance, memory: ca.SX, *, lookahead: ca.SX, sigma
         memory: state of the method: y_int [s] for `ilos`, b [1] for `alos`.
         lookahead: look-ahead distance Δ_h [m].
         sigma: integral gain σ of `ilos` [m/s].
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.marine.guidance import crosstrack_shift
-        >>> float(crosstrack_shift("ilos", ca.SX(2.0), lookahead=ca.SX(0.8), sigma=ca.SX(0.05)))  # m added to y_e
-        0.1
     """
     return {"los": 0 * memory, "ilos": sigma * memory, "alos": lookahead * memory}[method]
 
@@ -91,17 +76,6 @@ def crosstrack_next(
         gamma: adaptation gain γ of `alos` [1/m²].
         held: 1 to leave the state unchanged, because the path error has another cause than a steady disturbance.
         dt: control period [s].
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.marine.guidance import crosstrack_next
-        >>> known = dict(along=0.15, lookahead=0.8, sigma=0.05, gamma=0.4, held=0)
-        >>> known = {name: ca.SX(value) for name, value in known.items()}
-        >>> memory = ca.SX(0)
-        >>> for _ in range(100):  # 5 s beside the path
-        ...     memory = crosstrack_next("ilos", memory, ca.SX(0.1), dt=0.05, **known)
-        >>> round(float(memory), 3)
-        0.612
     """
     shifted = y_e + crosstrack_shift(method, memory, lookahead=lookahead, sigma=sigma)
     rate = {
@@ -147,13 +121,6 @@ def along_command(
         maximum: largest horizontal speed U_h [m/s]; None: no limit, as in the paper.
         repaired: whether to limit U_h to at least 0; in the law as printed, a negative U_h reverses the sign of the y_e
             term (erratum E9).
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.marine.guidance import along_command
-        >>> known = dict(speed=ca.SX(0.15), k1=ca.SX(0.3), lookahead=ca.SX(0.8), maximum=ca.SX(0.22))
-        >>> [round(float(along_command(ca.SX(x_e), ca.SX(0), **known)), 3) for x_e in (-0.5, 0.0, 0.3)]
-        [0.22, 0.15, 0.06]
     """
     along = speed - k1 * x_e
     if repaired:
@@ -202,12 +169,5 @@ def progress_rate(x_e: ca.SX, *, speed: ca.SX, wait: ca.SX) -> ca.SX:
     The target's speed is U_d, and it decreases to 0 while the robot's distance behind the target grows from `wait`/2 to
     `wait` [m]. If the target did not slow down, a robot on a detour would fall far behind, and would then cut corners
     at full speed to catch up.
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.marine.guidance import progress_rate
-        >>> known = dict(speed=ca.SX(0.15), wait=ca.SX(0.8))
-        >>> [round(float(progress_rate(ca.SX(x_e), **known)), 3) for x_e in (0.0, -0.6, -0.8)]
-        [0.15, 0.075, 0.0]
     """
     return speed * ca.fmin(ca.fmax(2 * (1 + x_e / wait), 0), 1)

@@ -11,10 +11,6 @@ if TYPE_CHECKING:
         SensorCalibration,
         calibrate_file,
         calibrate_table_ii,
-        calibration_rows,
-        file_stems,
-        pick_calibration,
-        sonar_fragment,
         table_ii,
     )
     from surctl.marine.sensing.equipment import INCIDENCE_LIMITS, SURFACE_MODELS, Equipment
@@ -28,14 +24,13 @@ if TYPE_CHECKING:
         Recording,
         Replay,
         Tracked,
-        filtered_rows,
         read_readings,
         replay_readings,
         sonar_array,
         track,
     )
     from surctl.marine.sensing.sonar.array import Medium, SonarArray, speed_of_sound
-    from surctl.marine.sensing.sonar.faults import FAULT_KINDS, Fault, FaultChances, check_faults
+    from surctl.marine.sensing.sonar.faults import FAULT_KINDS, Fault, FaultChances
     from surctl.marine.sensing.sonar.returns import REFLECTORS, Reflector, Surfaces
 
 __all__ = [
@@ -69,15 +64,9 @@ __all__ = [
     "calibrate",
     "calibrate_file",
     "calibrate_table_ii",
-    "calibration_rows",
-    "check_faults",
-    "file_stems",
-    "filtered_rows",
-    "pick_calibration",
     "read_readings",
     "replay_readings",
     "sonar_array",
-    "sonar_fragment",
     "speed_of_sound",
     "table_ii",
     "track",

@@ -477,19 +477,6 @@ def filtered_rows(replayed: Replay) -> str:
     """Return CSV text with a line for each step and each sensor with readings.
 
     The column `reading_m` is empty if no reading arrived in the step.
-
-    Example:
-        >>> from pathlib import Path
-        >>> import numpy as np
-        >>> from surctl.marine.sensing import filtered_rows, read_readings, replay_readings, sonar_array
-        >>> k = np.arange(40)
-        >>> rows = np.column_stack((0.1 * k, 0 * k, 2.0 - 0.01 * k))  # closing speed 0.1 m/s
-        >>> np.savetxt("log.csv", rows, delimiter=",", header="time_s,sensor,range_m", comments="")
-        >>> lines = filtered_rows(replay_readings(read_readings(Path("log.csv"), sonar_array(1)).readings)).splitlines()
-        >>> for line in (lines[0], lines[-1]):
-        ...     print(line)
-        time_s,sensor,reading_m,range_m,bound_m,healthy,age_s
-        3.900000,0,1.60890,1.60890,0.05054,1,0.00000
     """
     r = replayed.readings
     out = io.StringIO()

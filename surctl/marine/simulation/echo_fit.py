@@ -33,12 +33,6 @@ def detection_range(scenario: Scenario) -> float:
     """Return the range [m] up to which a law with sonars takes an echo for an obstacle, at the deepest place.
 
     That is the longest range of the sonars, or the range from which the law takes echoes for those of the floor.
-
-    Example:
-        >>> from surctl.marine.simulation import load_scenario
-        >>> from surctl.marine.simulation.echo_fit import detection_range
-        >>> detection_range(load_scenario("tank-static"))
-        4.5
     """
     equipment = scenario.sensors.equipment
     floor = floor_range(equipment, scenario.deepest)
@@ -52,16 +46,7 @@ def _obstacle_reflectors(scenario: Scenario, array: SonarArray) -> tuple[Reflect
 
 
 def unanswered(scenario: Scenario) -> str:
-    """Return which obstacles answer otherwise than the law's surface model says, as text; empty if none does.
-
-    Example:
-        >>> from dataclasses import replace
-        >>> from surctl.marine.simulation import load_scenario
-        >>> from surctl.marine.simulation.echo_fit import unanswered
-        >>> pool = load_scenario("pool-static")
-        >>> unanswered(replace(pool, sensors=pool.sensors.hearing("webots")))
-        'Obstacle1, Obstacle2, Obstacle3 and Obstacle4 are silent beyond 22.5 deg of the normal'
-    """
+    """Return which obstacles answer otherwise than the law's surface model says, as text; empty if none does."""
     equipment = scenario.sensors.equipment
     within = INCIDENCE_LIMITS[equipment.surface_model]
     groups: dict[str, list[str]] = {}

@@ -134,16 +134,6 @@ def time_limit_reason(run: Run) -> str:
 
     The text says where the hull stayed at the end, or since when it moved without progress along the path, and what
     `findings` reports as an error of the scenario.
-
-    Example:
-        >>> from dataclasses import replace
-        >>> from surctl.marine.control import load_gains
-        >>> from surctl.marine.simulation import load_scenario, simulate, time_limit_reason
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> hurried = replace(load_scenario("pool-static"), time_limit=5.0)
-        >>> run = simulate(hurried, load_vehicle("sur400"), gains=load_gains("default"))
-        >>> print(time_limit_reason(run))
-        the path is 2.61 m long and takes 17.4 s at the cruise speed of 0.15 m/s; the run ends at 5 s
     """
     place, time, vehicle = run.record.eta[:, :2], run.record.time, run.vehicle
     away = np.flatnonzero(np.hypot(*(place - place[-1]).T) > _STILL * vehicle["radius"])

@@ -18,7 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError, SurctlError, nearest
-from surctl.ir import cached_bytes, on_vectors, to_casadi
+from surctl.ir import on_vectors, to_casadi
+from surctl.ir.cache import cached_bytes
 from surctl.marine.control import NONFINITE, WORKING, Gains, Law, LawStep, build_law, check_forces, default_law
 from surctl.marine.guidance import ROW
 from surctl.marine.simulation.batch.case import Case

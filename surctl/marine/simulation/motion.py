@@ -8,8 +8,9 @@ from math import acos, ceil, degrees, floor, inf, log10, sqrt, tan
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.marine.control import Gains, default_law, law_source, turning_radius
+from surctl.marine.control import Gains, default_law, law_source
 from surctl.marine.control.ports import YAW_SHARE
+from surctl.marine.control.steering import turning_radius
 from surctl.marine.guidance import BEND
 from surctl.marine.guidance.braking import Watch, brakes_of, fastest_obstacle, range_needed, stopping_distance_with_drag
 from surctl.marine.simulation.clearance import tightest_gap

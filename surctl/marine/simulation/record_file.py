@@ -21,8 +21,8 @@ from surctl.files import file_name, write_file
 from surctl.marine.simulation.run import Run
 from surctl.marine.simulation.scenario import Scenario
 from surctl.marine.simulation.world import Body
-from surctl.marine.vehicle import FRAME_TEXT, LOG_MOTION, LOG_THRUST, Frame, Vehicle, check_frame, swap_body, swap_pose
-from surctl.marine.vehicle.motion_log import quaternion
+from surctl.marine.vehicle import FRAME_TEXT, LOG_MOTION, LOG_THRUST, Frame, Vehicle
+from surctl.marine.vehicle.motion_log import check_frame, quaternion, swap_body, swap_pose
 from surctl.marine.world import Box, Disc
 from surctl.recorded import shown
 from surctl.recorded_write import RECORD_FORMATS, Column, McapFile, RecordFormat, stamp, write_mat, write_netcdf

@@ -34,7 +34,8 @@ from surctl.marine.simulation.echo_fit import unanswered
 from surctl.marine.simulation.scenario import Scenario
 from surctl.marine.simulation.toml_text import toml_text
 from surctl.marine.simulation.world import BAND, FOOTPRINT
-from surctl.marine.vehicle import Vehicle, check_equation_3
+from surctl.marine.vehicle import Vehicle
+from surctl.marine.vehicle.dynamics import check_equation_3
 
 _STEP = 0.002  # [m/s] between two examined speeds
 _NEAR = 0.95  # share of the fastest obstacle speed: beyond it the required range grows without bound
@@ -61,15 +62,6 @@ def margin_needed(
         believed: vehicle model that the law uses.
         actual: vehicle that brakes, with its true parameters.
         turning: yaw rate of the hull while it brakes [rad/s], see `turn_rate`.
-
-    Example:
-        >>> from surctl.marine.control import load_gains
-        >>> from surctl.marine.simulation import load_scenario, margin_needed
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> mission, vehicle, gains = load_scenario("pool-behind"), load_vehicle("sur400"), load_gains("default")
-        >>> weak = vehicle.with_values({"Fu_max": 2.5, "Fv_max": 2.5})  # half the thrust of the law's model
-        >>> gains["margin"], [round(margin_needed(mission, vehicle, gains, actual), 3) for actual in (vehicle, weak)]
-        (0.05, [0.047, 0.116])
     """
     d = scenario.disturbance
     brakes = brakes_of(
@@ -96,14 +88,6 @@ def turn_rate(
         gains: gains of the law.
         sonar: whether the law turns the hull to scan with its sonars.
         actual: vehicle that turns; default: the vehicle that turns fastest within the stated ranges.
-
-    Example:
-        >>> from surctl.marine.control import load_gains
-        >>> from surctl.marine.simulation import load_scenario, turn_rate
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> mission, vehicle = load_scenario("tank-slalom"), load_vehicle("sur540-flooded")
-        >>> [round(turn_rate(mission, vehicle, load_gains("default"), sonar=sonar), 3) for sonar in (True, False)]
-        [0.257, 1.575]
     """
     if sonar:
         desired = min(gains["spin"], believed.steady_yaw(YAW_SHARE, scenario.cruise))

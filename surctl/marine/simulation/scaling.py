@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from surctl.marine.control import Gains, turning_radius
+from surctl.marine.control import Gains
+from surctl.marine.control.steering import turning_radius
 from surctl.marine.guidance import Path
 from surctl.marine.simulation.obstacle import Obstacle
 from surctl.marine.simulation.scenario import Disturbance, PaperFigure, Scenario
@@ -29,14 +30,6 @@ def mission_size(vehicle: Vehicle, gains: Gains, *, cruise: float) -> float:
         vehicle: the vehicle.
         gains: gains of its law; only `sideslip` matters, and only without sway force.
         cruise: cruise speed [m/s].
-
-    Example:
-        >>> from surctl.marine.control import law_source, load_gains
-        >>> from surctl.marine.simulation import mission_size
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> gains = load_gains("default", own=law_source("steered").gains)
-        >>> [round(mission_size(load_vehicle(name), gains, cruise=0.5), 2) for name in ("girona500", "otter")]
-        [0.9, 1.14]
     """
     if vehicle["Fv_max"] > 0:
         return vehicle["radius"]
@@ -54,13 +47,6 @@ def scaled_scenario(scenario: Scenario, vehicle: Vehicle, *, cruise: float, size
         vehicle: the vehicle.
         cruise: its cruise speed [m/s].
         size: length of `mission_size` [m], which replaces the hull radius of the scenario's vehicle.
-
-    Example:
-        >>> from surctl.marine.simulation import load_scenario, scaled_scenario
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> tank = scaled_scenario(load_scenario("tank-static"), load_vehicle("girona500"), cruise=0.5, size=0.9)
-        >>> tank.name, tank.cruise, [round(side, 2) for side in tank.site]
-        ('tank-static-girona500', 0.5, [33.33, 16.67, 16.67])
     """
     length = size / load_vehicle(scenario.vehicle)["radius"]
     speed = cruise / scenario.cruise
@@ -146,14 +132,7 @@ def two_leg_mission(vehicle: Vehicle, *, cruise: float, size: float) -> Scenario
 
 
 def disturbed(scenario: Scenario, vehicle: Vehicle, *, share: float) -> Scenario:
-    """Return a scenario with waves, slow drift and thrust errors that the seed draws, as a share of the surge thrust.
-
-    Example:
-        >>> from surctl.marine.simulation import disturbed, load_scenario
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> disturbed(load_scenario("tank-static"), load_vehicle("sur400"), share=0.02).disturbance.wave_force_n
-        0.1
-    """
+    """Return a scenario with waves, slow drift and thrust errors, as a share of the surge thrust, drawn from the seed."""
     force = share * vehicle["Fu_max"]
     return replace(
         scenario,

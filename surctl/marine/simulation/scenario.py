@@ -471,11 +471,5 @@ class Finding:
 
 
 def escaped(name: str) -> str:
-    r"""Return a name with control and format characters escaped as in JSON, so that a text with it stays on one line.
-
-    Example:
-        >>> from surctl.marine.simulation.scenario import escaped
-        >>> print(escaped("two\nlines"))
-        two\nlines
-    """
+    r"""Return a name with control and format characters escaped as in JSON, so that a text with it is one line."""
     return "".join(c if c.isprintable() else json.dumps(c)[1:-1] for c in name)

@@ -22,9 +22,9 @@ from surctl.marine.sensing import (
     OwnState,
     Reflector,
     SonarArray,
-    check_faults,
 )
 from surctl.marine.sensing.equipment import SurfaceModel
+from surctl.marine.sensing.sonar.faults import check_faults
 from surctl.marine.simulation.reflectors import ECHOES
 
 T = TypeVar("T")
@@ -140,11 +140,6 @@ class Sensors:
 
         Raises:
             InputError: the name is unknown.
-
-        Example:
-            >>> from surctl.marine.simulation import Sensors
-            >>> Sensors().hearing("webots").equipment.array.incidence_limit == 0.125 * 3.141592653589793
-            True
         """
         check_known(echoes, ECHOES, key="echoes")
         simple, limit = _simple(echoes)

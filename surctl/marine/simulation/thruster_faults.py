@@ -11,11 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError
-from surctl.ir import runnable
-from surctl.marine.allocation import allocation_block, working_flags
+from surctl.ir.native import runnable
+from surctl.marine.allocation import working_flags
+from surctl.marine.allocation.program import allocation_block
 from surctl.marine.control import Law
 from surctl.marine.simulation.run import Run
-from surctl.marine.vehicle import Actuators, Vehicle, axis_limits
+from surctl.marine.vehicle import Actuators, Vehicle
+from surctl.marine.vehicle.thruster_file import axis_limits
 
 Array = NDArray[np.float64]
 
@@ -183,17 +185,7 @@ class ThrusterUse:
 
 
 def thruster_use(run: Run) -> ThrusterUse | None:
-    """Return the use of the thrusters over a run; None for a law without allocation.
-
-    Example:
-        >>> from surctl.marine.control import load_gains
-        >>> from surctl.marine.simulation import ThrusterFault, load_scenario, simulate, thruster_use
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> boat, faults = load_vehicle("bluerov2-heavy"), [ThrusterFault("T2"), ThrusterFault("T3")]
-        >>> run = simulate(load_scenario("pool-behind"), boat, gains=load_gains("default"), thruster_faults=faults)
-        >>> thruster_use(run).missed > 0.1
-        True
-    """
+    """Return the use of the thrusters over a run; None for a law without allocation."""
     actuators = run.law.actuators
     if actuators is None:
         return None

@@ -18,14 +18,12 @@ from surctl.marine.simulation import (
     Case,
     PaperFigure,
     Scenario,
-    disturbed,
     findings,
     load_scenario,
-    mission_size,
-    scaled_scenario,
     straight_mission,
     two_leg_mission,
 )
+from surctl.marine.simulation.scaling import disturbed, mission_size, scaled_scenario
 from surctl.marine.simulation.scenario_table import scenario_table
 from surctl.marine.simulation.toml_text import toml_text
 from surctl.marine.tuning import Derivation, Goal, default_cruise, gains_for, load_goals

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError, ToolMissing
-from surctl.ir import warn_slower
+from surctl.ir.native import warn_slower
 from surctl.marine.control import Gains
 from surctl.marine.simulation import Case, case_parameters, law_numbers, simulate, simulate_batch
 from surctl.marine.simulation.batch.engines import trace_batch

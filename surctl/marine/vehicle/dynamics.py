@@ -333,16 +333,6 @@ def check_equation_3(vehicle: Vehicle, *, reverse: bool = False) -> None:
     Args:
         vehicle: the vehicle for which the claim is to be checked.
         reverse: whether the claim covers less thrust astern than ahead.
-
-    Example:
-        >>> from surctl.errors import NotApplicable
-        >>> from surctl.marine.vehicle import check_equation_3, load_vehicle
-        >>> check_equation_3(load_vehicle("bluerov2-wu"))
-        >>> try:
-        ...     check_equation_3(load_vehicle("otter"))
-        ... except NotApplicable as reason:
-        ...     print(reason.because)
-        it has m24, Fu_reverse, and the claim assumes equation (3) of the paper, without them
     """
     form = vehicle.form
     terms = [name for name in form.terms if not (reverse and name in [limit for _, limit in form.reverse()])]

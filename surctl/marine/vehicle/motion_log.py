@@ -39,12 +39,6 @@ def swap_pose(eta: ArrayLike) -> NDArray[np.float64]:
     """Convert poses (…, 4) of x, y, z [m] and ψ [rad] from ENU to NED or back: (y, x, −z, π/2 − ψ).
 
     The conversion does not wrap headings to one turn. A NaN is converted to NaN.
-
-    Example:
-        >>> import numpy as np
-        >>> from surctl.marine.vehicle import swap_pose
-        >>> swap_pose([1.0, 2.0, -0.15, np.pi / 2]).tolist()  # heading north
-        [2.0, 1.0, 0.15, 0.0]
     """
     pose = _four("pose", eta)
     x, y, z, psi = np.moveaxis(pose, -1, 0)
@@ -55,11 +49,6 @@ def swap_body(vector: ArrayLike) -> NDArray[np.float64]:
     """Convert body vectors (…, 4) from FLU to FRD or back: (u, −v, −w, −r).
 
     A body vector is a velocity u, v, w [m/s], r [rad/s], or a thrust [N, N m].
-
-    Example:
-        >>> from surctl.marine.vehicle import swap_body
-        >>> swap_body([0.2, 0.1, 0.0, 0.3]).tolist()
-        [0.2, -0.1, 0.0, -0.3]
     """
     return _four("vector", vector) * [1.0, -1.0, -1.0, -1.0] + 0.0  # no −0
 
@@ -81,12 +70,6 @@ def heading_velocity(
 
     Raises:
         InputError: the arrays have the wrong shape, or the pitch is not within ±90°.
-
-    Example:
-        >>> import numpy as np
-        >>> from surctl.marine.vehicle import heading_velocity
-        >>> heading_velocity([0.2, 0.0, 0.0], [0.0, 0.0, 0.1], roll=0.0, pitch=np.radians(15)).round(4).tolist()
-        [0.1932, 0.0, -0.0518, 0.1035]
     """
     v, w = np.asarray(velocity, dtype=float), np.asarray(rates, dtype=float)
     for key, array in (("velocity", v), ("rates", w)):
@@ -102,14 +85,7 @@ def heading_velocity(
 
 
 def heading_frame(vector: ArrayLike, *, roll: ArrayLike, pitch: ArrayLike) -> NDArray[np.float64]:
-    """Return vectors (…, 3) in the heading frame from those in the frame of the hull, by roll and pitch (…) [rad].
-
-    Example:
-        >>> import numpy as np
-        >>> from surctl.marine.vehicle.motion_log import heading_frame
-        >>> heading_frame([1.0, 0.0, 0.0], roll=0.0, pitch=np.pi / 2).round(3).tolist()
-        [0.0, 0.0, -1.0]
-    """
+    """Return vectors (…, 3) in the heading frame from those in the frame of the hull, by roll and pitch (…) [rad]."""
     u, v, w = np.moveaxis(np.asarray(vector, dtype=float), -1, 0)
     across, up = v * np.cos(roll) - w * np.sin(roll), v * np.sin(roll) + w * np.cos(roll)
     ahead, up = u * np.cos(pitch) + up * np.sin(pitch), up * np.cos(pitch) - u * np.sin(pitch)
@@ -124,17 +100,7 @@ def quaternion(roll: float, pitch: float, yaw: float) -> NDArray[np.float64]:
 
 
 def check_frame(frame: object, *, key: str = "frame", file: object = None) -> Frame:
-    """Return the frame name if it is in `FRAMES`; otherwise raise InputError.
-
-    Example:
-        >>> from surctl.marine.vehicle import check_frame
-        >>> check_frame("ned")
-        'ned'
-        >>> check_frame("nde")
-        Traceback (most recent call last):
-            ...
-        surctl.errors.InputError: frame = 'nde': is not known; give enu (ENU/FLU) or ned (NED/FRD)
-    """
+    """Return the frame name if it is in `FRAMES`; otherwise raise InputError."""
     if frame not in FRAMES:
         raise InputError("is not known", key=key, value=frame, file=file, remedy="give enu (ENU/FLU) or ned (NED/FRD)")
     return frame

@@ -173,12 +173,6 @@ class Vehicle:
         """Return the linear drag (4,) at a forward speed [m/s], which the drag by |u| on each axis increases.
 
         A law whose model has no such terms uses this drag at its cruise speed.
-
-        Example:
-            >>> from surctl.marine.vehicle import load_vehicle
-            >>> craft = load_vehicle("eca-a9")
-            >>> craft.linear_drag[3], craft.drag_at(1.0)[3] > 0
-            (0.0, True)
         """
         linear = self.linear_drag
         for axis, name in self.form.ahead():
@@ -213,12 +207,6 @@ class Vehicle:
         """Return the vehicle with the thrust limits that hold at a forward speed [m/s]; without fins, the vehicle.
 
         The yaw moment of a rudder or another fin grows with the square of the speed.
-
-        Example:
-            >>> from surctl.marine.vehicle import load_vehicle
-            >>> craft = load_vehicle("remus100")
-            >>> [round(craft.at_speed(u)["Fr_max"], 3) for u in (0.5, 1.0, 2.0)]
-            [0.365, 1.46, 5.839]
         """
         if self.actuators is None or not self.actuators.fins or speed == self.speed:
             return self

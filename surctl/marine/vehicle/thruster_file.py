@@ -122,13 +122,7 @@ def common_lag(thrusters: Sequence[Any], *, known: float | None, source: str) ->
 
 
 def axis_limits(actuators: Actuators, speed: float) -> NDArray[np.float64]:
-    """Return the largest value (4,) [N, N m] on each axis alone, in both directions, at a forward speed [m/s].
-
-    Example:
-        >>> from surctl.marine.vehicle import axis_limits, load_vehicle
-        >>> axis_limits(load_vehicle("remus100").actuators, 0.5).round(3).tolist()
-        [10.1, 0.0, 0.0, 0.365]
-    """
+    """Return the largest value (4,) [N, N m] on each axis alone, in both directions, at a forward speed [m/s]."""
     ends = axis_ends(actuators, speed)
     return np.minimum(-ends[:, 0], ends[:, 1])
 
@@ -138,11 +132,6 @@ def axis_ends(actuators: Actuators, speed: float = 1.0, *, failed: Sequence[str]
 
     Fins count in yaw only: at rest they give no force. A rudder pushes sideways when it turns the craft, so yaw is the
     largest moment with 0 on the axes that other thrusters serve, whatever the force on the others.
-
-    Example:
-        >>> from surctl.marine.vehicle import axis_ends, load_vehicle
-        >>> axis_ends(load_vehicle("otter").actuators)[0].round(1).tolist()
-        [-133.4, 239.4]
     """
     on = np.array([float(name not in failed) for name in actuators.names])
     shares = on * actuators.shares(speed)

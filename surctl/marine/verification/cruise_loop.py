@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surctl.errors import InputError, nearest
-from surctl.ir import on_columns
+from surctl.ir.symbolic import on_columns
 from surctl.marine.control import CASCADE, Gains, Law, build_law, law_parameters, law_source, load_gains
 from surctl.marine.guidance import Path
 from surctl.marine.vehicle import PLANT_PARAMETERS, PlantForm, Vehicle, plant_jacobians, plant_parameters

@@ -141,13 +141,6 @@ class LocalMap:
 
         Raises:
             InputError: if an array does not have the stated size.
-
-        Example:
-            >>> from surctl.marine.sensing import LocalMap
-            >>> local_map = LocalMap(dt=0.05, blocks=1, block=3, sectors=4)
-            >>> values, x, y = local_map.view([0, 0, 1, -1, -1, 0, -1, -1, 0], [0, 0], edge=0.1)
-            >>> values.tolist(), x.round(2).tolist()
-            ([[0.0, 0.0, 1.0], [-1.0, -1.0, 0.0], [-1.0, -1.0, 0.0]], [0.05, 0.15, 0.25])
         """
         n, many, size = self.side, self.blocks, self.block
         stored, low = np.asarray(cells, dtype=float), np.asarray(corner, dtype=float)

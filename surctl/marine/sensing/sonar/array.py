@@ -248,12 +248,6 @@ class SonarArray:
 
         Args:
             incidence: largest angle of incidence [rad] at which a face answers; None: a face answers at any.
-
-        Example:
-            >>> from math import radians
-            >>> from surctl.marine.sensing import SonarArray
-            >>> [round(SonarArray().corner_range(radians(angle)), 3) for angle in (5, 15, 22.5, 30)]
-            [0.0, 0.059, 0.16, 0.365]
         """
         if incidence is None or incidence >= pi / 4:
             return self.maximum

@@ -103,15 +103,7 @@ class FaultChances(Strict):
 
 
 def check_faults(array: SonarArray, faults: Sequence[Fault], chances: FaultChances | None = None) -> None:
-    """Raise InputError if a fault is impossible: unknown sensor, too long a delay, or crosstalk with a single sensor.
-
-    Example:
-        >>> from surctl.marine.sensing import Fault, SonarArray, check_faults
-        >>> check_faults(SonarArray(), [Fault(sensor=4, kind="dead")])
-        Traceback (most recent call last):
-            ...
-        surctl.errors.InputError: faults.0.sensor = 4: no such sensor; give 0 to 3
-    """
+    """Raise InputError if a fault is impossible: unknown sensor, too long a delay, crosstalk with a single sensor."""
     if chances is not None and chances.crosstalk > 0 and array.size == 1:
         raise InputError("crosstalk needs at least two sensors", key="chances.crosstalk", value=chances.crosstalk)
     for k, fault in enumerate(faults):

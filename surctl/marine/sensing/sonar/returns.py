@@ -63,13 +63,6 @@ class Reflector:
         cylinder_range: range [m] at which a cylinder with a radius of 0.1 m on the axis is detected in half of the
             firings; it grows with the cube root of the radius. None: a cylinder answers as a face does.
         corners: whether a corner between two such walls answers from any direction.
-
-    Example:
-        >>> from surctl.marine.sensing import REFLECTORS, Reflector
-        >>> list(REFLECTORS)
-        ['ideal', 'webots', 'specular', 'specular-edges', 'diffuse', 'silent']
-        >>> Reflector(incidence_limit=0.2).faced(curved=True)  # cosine
-        0.9800665778412416
     """
 
     incidence_limit: float | None = None

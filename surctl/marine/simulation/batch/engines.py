@@ -12,17 +12,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surctl.errors import InputError, SurctlError, ToolMissing, check_known
-from surctl.ir import (
-    Batch,
-    batch_source,
-    cached_bytes,
-    compile_batch_source,
-    fused,
-    source_digest,
-    to_casadi,
-    warn_slower,
-    without_libm,
-)
+from surctl.ir import Batch, to_casadi, without_libm
+from surctl.ir.batch import batch_source, compile_batch_source
+from surctl.ir.cache import cached_bytes, source_digest
+from surctl.ir.folding import fused
+from surctl.ir.native import warn_slower
 from surctl.marine.control.build import LAW_SOURCES
 from surctl.marine.simulation.batch.case import Case, check_values
 from surctl.marine.simulation.batch.listening import VARIATIONS

@@ -12,20 +12,9 @@ from functools import cache, cached_property
 
 import casadi as ca
 
-from surctl.ir import (
-    Block,
-    Call,
-    Layout,
-    Port,
-    Program,
-    Recording,
-    Routine,
-    fold,
-    lower,
-    lower_named,
-    nearby_angles,
-    shared_divisors,
-)
+from surctl.ir import Block, Call, Layout, Port, Program, Recording, Routine, fold, lower, lower_named
+from surctl.ir.elementary import nearby_angles
+from surctl.ir.folding import shared_divisors
 from surctl.marine.control import WORKING, Law, build_law
 from surctl.marine.guidance import FOLLOWING, MAX_WAYPOINTS, ROW, follow
 from surctl.marine.simulation.batch.listening import SUMS, Listening, counted, flat, path_square, path_tangent, slots

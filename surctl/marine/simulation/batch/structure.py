@@ -16,17 +16,8 @@ from numpy.typing import NDArray
 
 from surctl.ir import Call, Gather, Layout, Port, Program, Step, lower_named
 from surctl.marine.control import ARC_LENGTHS, CONTACT_SLOTS, Barrier, Law, Movers
-from surctl.marine.guidance import (
-    AHEAD,
-    ROW,
-    SKIPS,
-    AvoidanceForm,
-    Guidance,
-    Path,
-    follow_on,
-    window_next,
-    window_values,
-)
+from surctl.marine.guidance import AHEAD, ROW, SKIPS, AvoidanceForm, Guidance, Path
+from surctl.marine.guidance.following import follow_on, window_next, window_values
 from surctl.marine.sensing import Equipment, Surfaces
 from surctl.marine.sensing.sonar.solids import Solid, SolidBox, SolidDisc
 from surctl.marine.simulation.obstacle import Obstacle

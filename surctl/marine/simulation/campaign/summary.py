@@ -24,7 +24,8 @@ from surctl.marine.simulation.metrics import METRICS, STOPS
 from surctl.marine.simulation.safety import margin_needed, turn_rate
 from surctl.marine.simulation.scenario import Scenario
 from surctl.marine.simulation.world import build_world
-from surctl.marine.vehicle import Vehicle, check_equation_3
+from surctl.marine.vehicle import Vehicle
+from surctl.marine.vehicle.dynamics import check_equation_3
 from surctl.tuning.statistics import Share
 
 _FIRST = ("collided", "reached")  # true or false

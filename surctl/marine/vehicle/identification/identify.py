@@ -122,14 +122,6 @@ def velocity_notes(log: MotionLog) -> tuple[str, ...]:
     The displacement over some seconds is compared with the integral of the velocity, turned by the heading. A wrong
     frame, sign or unit in the map of a log makes them differ, and so do a velocity through the water in a current, and
     clocks that differ.
-
-    Example:
-        >>> import numpy as np
-        >>> from surctl.marine.vehicle import MotionLog, velocity_notes
-        >>> t, motion = 0.1 * np.arange(200), np.zeros((200, 8))
-        >>> motion[:, 3], motion[:, 7] = 0.2 * t, -0.2  # the yaw rate has the wrong sign
-        >>> velocity_notes(MotionLog(t, motion, np.zeros((200, 4)), "log.csv"))[0].partition(":")[0]
-        'r_rad_per_s does not follow from psi_rad'
     """
     notes = []
     motion = log.motion

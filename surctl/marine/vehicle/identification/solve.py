@@ -25,16 +25,7 @@ Array = NDArray[np.float64]
 
 
 def outliers(values: Array) -> NDArray[np.bool_]:
-    """Return which of the values (n,) are outliers; NaN is none, and is skipped.
-
-    Example:
-        >>> import numpy as np
-        >>> from surctl.marine.vehicle.identification.solve import outliers
-        >>> values = np.sin(0.1 * np.arange(100)) + 0.01 * np.cos(40.0 * np.arange(100))
-        >>> values[[20, 60]] += 3.0, -2.0
-        >>> np.flatnonzero(outliers(values)).tolist()
-        [20, 60]
-    """
+    """Return which of the values (n,) are outliers; NaN is none, and is skipped."""
     outlying = np.zeros(len(values), dtype=bool)
     known = np.flatnonzero(np.isfinite(values))
     if len(known) < 4 * _HALF:
@@ -55,19 +46,7 @@ def outliers(values: Array) -> NDArray[np.bool_]:
 
 
 def without_outliers(log: MotionLog) -> MotionLog:
-    """Return the log with NaN in the place of outliers.
-
-    Example:
-        >>> import numpy as np
-        >>> from surctl.marine.vehicle import MotionLog
-        >>> from surctl.marine.vehicle.identification.solve import without_outliers
-        >>> motion = np.full((60, 8), np.nan)
-        >>> motion[:, 4] = 0.2 + 0.001 * (np.arange(60) % 2)
-        >>> motion[30, 4] = 5.0
-        >>> log = MotionLog(0.1 * np.arange(60), motion, np.zeros((60, 4)))
-        >>> int(np.isfinite(without_outliers(log).motion[:, 4]).sum())
-        59
-    """
+    """Return the log with NaN in the place of outliers."""
     outlying = np.column_stack([outliers(column) for column in log.motion.T])
     return replace(log, motion=np.where(outlying, np.nan, log.motion)) if outlying.any() else log
 

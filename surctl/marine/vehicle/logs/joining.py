@@ -187,14 +187,6 @@ def load_log_map(path: Path) -> LogMap:
 
     Raises:
         InputError: the file cannot be read, or a key is unknown, missing or wrong.
-
-    Example:
-        >>> from pathlib import Path
-        >>> from surctl.marine.vehicle.logs.joining import load_log_map
-        >>> text = 'kind = "log-map"\\n[log]\\nframe = "ned"\\n[rates]\\nfields = ["r"]\\n[thrust]\\n'
-        >>> _ = Path("map.toml").write_text(text + 'fields = ["Fx", "", "", "Mz"]\\n')
-        >>> load_log_map(Path("map.toml")).log.frame
-        'ned'
     """
     return validate(read_toml(path), LogMap, file=path)
 
@@ -210,12 +202,6 @@ def roll_pitch_heading(quaternion: Array) -> Array:
     """Return roll, pitch and heading (n, 3) [rad] of quaternions (n, 4) x, y, z, w from the body to the world frame.
 
     The angles are those of the order z, y, x (Fossen 2021, section 2.2). The quaternions need not have length 1.
-
-    Example:
-        >>> import numpy as np
-        >>> from surctl.marine.vehicle.logs.joining import roll_pitch_heading
-        >>> roll_pitch_heading(np.array([[0.0, 0.0, 2.0, 2.0]])).round(4).tolist()
-        [[0.0, 0.0, 1.5708]]
     """
     size = np.linalg.norm(quaternion, axis=1, keepdims=True)
     x, y, z, w = (quaternion / np.where(size > 0, size, np.nan)).T

@@ -387,15 +387,7 @@ def read_mapped_log(path: Path, map_path: Path) -> MotionLog:
 
 
 def topic_lines(recording: LogRecording) -> list[str]:
-    """Return one line per topic: name, number of messages, rate, and the names of its fields.
-
-    Example:
-        >>> from pathlib import Path
-        >>> from surctl.marine.vehicle import read_recording, topic_lines
-        >>> _ = Path("log.csv").write_text("t_s,speed,depth\\n0,0.1,2\\n0.5,0.2,2\\n")
-        >>> topic_lines(read_recording(Path("log.csv")))
-        ['(table): 2 messages, 2 Hz: speed, depth']
-    """
+    """Return one line per topic: name, number of messages, rate, and the names of its fields."""
     lines = []
     for name, topic in sorted(recording.topics.items()):
         span = float(topic.time[-1] - topic.time[0])

@@ -180,24 +180,12 @@ def recording_of(path: Path, topics: Mapping[Stream, Topic], notes: Iterable[str
 
 
 def bare_names(names: Collection[str] | None) -> list[str] | None:
-    """Return names without instance and source, each once; None is any name.
-
-    Example:
-        >>> from surctl.marine.vehicle.logs.recording import bare_names
-        >>> bare_names(["XKF1[1]", "XKF1", "ATT@1.1"])
-        ['ATT', 'XKF1']
-    """
+    """Return names without instance and source, each once; None is any name."""
     return None if names is None else sorted({re.split(r"[\[@]", name)[0] for name in names})
 
 
 def matches(topic: str, names: Collection[str] | None) -> bool:
-    """Return whether one of some names, with or without instance and source, is of a topic; None is any name.
-
-    Example:
-        >>> from surctl.marine.vehicle.logs.recording import matches
-        >>> matches("XKF1", ["XKF1[1]"]), matches("ATT", ["ATT@1.1"]), matches("ATT", ["ATTITUDE"])
-        (True, True, False)
-    """
+    """Return whether one of some names, with or without instance and source, is of a topic; None is any name."""
     return names is None or any(name == topic or name.startswith((f"{topic}[", f"{topic}@")) for name in names)
 
 
@@ -205,12 +193,6 @@ def step_back(time: NDArray[np.float64]) -> tuple[float, float] | None:
     """Return the latest time so far and the next time [s] where a clock (n,) first runs back by more than a second.
 
     Messages that are late by less are no such step, because a recorder may write the messages of its sources in turn.
-
-    Example:
-        >>> import numpy as np
-        >>> from surctl.marine.vehicle.logs.recording import step_back
-        >>> step_back(np.array([0.0, 0.2, 0.1, 0.3])), step_back(np.array([7.0, 8.0, 0.5]))
-        (None, (8.0, 0.5))
     """
     latest = np.maximum.accumulate(time) if len(time) else time
     back = np.flatnonzero(time < latest - _JITTER)
@@ -218,13 +200,7 @@ def step_back(time: NDArray[np.float64]) -> tuple[float, float] | None:
 
 
 def flattened(value: Any, name: str = "") -> Iterator[tuple[str, float]]:
-    """Yield the numbers of a nested message with their names: `pose.position.x`, `data[3]`; other values are skipped.
-
-    Example:
-        >>> from surctl.marine.vehicle.logs.recording import flattened
-        >>> dict(flattened({"header": {"frame": "map"}, "pose": {"x": 1.5}, "data": [2, 3]}))
-        {'pose.x': 1.5, 'data[0]': 2.0, 'data[1]': 3.0}
-    """
+    """Yield the numbers of a nested message with their names: `pose.position.x`, `data[3]`; skip other values."""
     if isinstance(value, bool | int | float | np.number | np.bool_):
         yield name, float(value)
     elif isinstance(value, Mapping):
