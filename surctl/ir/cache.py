@@ -237,7 +237,7 @@ def _reported_version(command: Sequence[str]) -> str:
     return (done.stdout or done.stderr or command[0]).splitlines()[0].strip()
 
 
-_SUFFIXES = (".py", ".toml")
+_SUFFIXES = (".py", ".toml", ".c", ".h")
 _STARTED = time.time_ns()
 
 
@@ -245,7 +245,7 @@ _STARTED = time.time_ns()
 def source_digest(*packages: str) -> str:
     """Return the SHA-256 of the source code of these packages and of the software versions with which they run.
 
-    The digest covers names and contents of all .py and .toml files of the packages, also in inner packages; the
+    The digest covers names and contents of all .py, .toml, .c and .h files of the packages, also in inner packages; the
     versions of CasADi, NumPy and Python; and the platform, because its libm functions such as sin compute constants.
     The digest is computed once per process.
 

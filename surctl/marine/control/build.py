@@ -113,9 +113,7 @@ def law_bytes(law: Law) -> bytes:
 def law_from(stored: bytes, other: Callable[[str], Block]) -> Law:
     """Load a law from the bytes of `law_bytes`; each part of the law is parsed when it is first used.
 
-    Args:
-        stored: the bytes.
-        other: function from the name of a stage that the bytes do not contain to this stage; called when it is needed.
+    `other` returns a stage by name that the bytes do not contain; it is called when that stage is needed.
     """
     first, _, rest = stored.decode().partition("\n")
     head = json.loads(first)

@@ -48,26 +48,20 @@ def velocity_control(
     dt: float,
     calm: Callable[[ca.SX], ca.SX] | None = None,
 ) -> tuple[ca.SX, ca.SX, ca.SX]:
-    """Return the limited thrust, the next integral ξ, and whether a limit is reached.
+    """Return the thrust (4, 1) [N, N m] within its limits, the next integral ξ (4, 1), and 1 if an axis is saturated.
 
     Before the limits, the thrust is D(ν_d)ν_d + M (K (ν_d − ν) + ξ) with the drag D, the mass matrix M and the gains K.
+    Each axis is limited separately, because a common scaling would allow a large sideways command to remove most of the
+    braking force.
 
     Args:
-        nu_reference: ν_d (4, 1) [m/s, rad/s] in {B}.
-        nu: measured velocity over ground (4, 1) in {B}.
+        nu_reference, nu: ν_d and measured velocity over ground (4, 1) [m/s, rad/s] in {B}.
         integral: ξ (4, 1) [m/s², rad/s²].
         model: `mass`, `linear_drag`, `quadratic_drag` and `thrust_limit` of the controller's model, each (4, 1).
         k_v: bandwidth in surge, sway and heave [1/s], one number or (3, 1).
-        k_r: bandwidth in yaw [1/s].
-        k_i: integral gain [1/s²]; the integral of an axis does not change while the thrust of this axis is saturated
+        k_r, k_i: bandwidth in yaw [1/s], and integral gain [1/s²]; the integral of a saturated axis does not change
             (conditional anti-windup).
-        dt: control period [s].
         calm: function that keeps measurement noise out of the thrust before its limits (`control.calm`), or None.
-
-    Returns:
-        The thrust (4, 1) [N, N m] within the limits, the next integral (4, 1), and 1 if the thrust of an axis is
-        saturated, otherwise 0. Each axis is limited separately, because a common scaling of the horizontal force would
-        allow a large sideways command to remove most of the braking force.
     """
     error = nu_reference - nu
     gain = ca.vertcat(ca.SX.ones(3) * k_v, k_r)
@@ -141,14 +135,9 @@ def beside_margin(normal: ca.SX, *, course: ca.SX, now: ca.SX, full: ca.SX, p: M
     """Return the margin [m] to a mark of the map: `margin` ahead, and its share `beside` beside the desired course.
 
     In a gap between two marks the robot passes both, and does not approach them. Ahead the margin covers an obstacle
-    that drifts towards the robot within the blind range of its sonars.
-
-    Args:
-        normal: unit vector (2, 1) from the robot to the mark, in {E}.
-        course: desired velocity (2, 1) in {E} [m/s].
-        now: velocity over ground (2, 1) in {E} [m/s]; a mark that the robot approaches is ahead, too.
-        full: 1 where every mark needs `margin`.
-        p: parameters by name: `margin`, `beside`.
+    that drifts towards the robot within the blind range of its sonars. `normal` is the unit vector (2, 1) to the mark;
+    a mark in the direction of the desired velocity `course` or of the velocity over ground `now` [m/s] is ahead. Where
+    `full` is 1, every mark needs `margin`.
     """
     cosine = ca.fmax(_cosine(normal, course, 1e-3), _cosine(normal, now, _SLOW))
     ahead = ca.fmin(ca.fmax((cosine - _BESIDE) / (_AHEAD - _BESIDE), 0), 1)
@@ -161,11 +150,9 @@ def calmed(free: ca.SX, held: ca.SX, acceleration: ca.SX, *, p: Mapping[str, ca.
     The yaw moment is the demand. The half width of the band is at most 30 % of the thrust limit.
 
     Args:
-        free: demanded thrust (4, 1) before the limits, without acceleration of the reference [N, N m].
-        held: thrust command of the step before (4, 1) [N, N m].
+        free, held: demanded thrust before the limits, without acceleration of the reference, and command of the step
+            before (4, 1) [N, N m].
         acceleration: acceleration of the reference (2, 1) in {B} [m/s²]; the share `feed_forward` of it is used.
-        p: parameters by name: `mass`, `k_v`, `thrust_limit`, `soft`, `feed_forward`, `still`, `settle`.
-        dt: control period [s].
     """
     free = free + p["feed_forward"] * p["mass"] * ca.vertcat(acceleration, 0, 0)
     width = ca.fmin(p["mass"][:3] * soft_gain(p) * p["still"], _WIDEST * p["thrust_limit"][:3])
@@ -185,15 +172,8 @@ def eased(
     """Return a velocity between the reference of the step before and the desired one, within the bounds.
 
     Where the reference would exceed a speed bound that the desired velocity respects, it follows faster, as far as the
-    bound requires.
-
-    Args:
-        velocity: desired velocity (2, 1) in {E} [m/s].
-        before: velocity reference of the step before (2, 1) in {E} [m/s].
-        bounds: speed bounds.
-        time: time constant [s].
-        fastest: largest acceleration of the reference [m/s²].
-        dt: control period [s].
+    bound requires. Both velocities are (2, 1) in {E} [m/s]; `time` is the time constant [s] and `fastest` the largest
+    acceleration of the reference [m/s²].
     """
     step = velocity - before
 
@@ -207,14 +187,7 @@ def eased(
 
 
 def pushed(velocity: ca.SX, before: ca.SX, held: ca.SX, *, dt: float) -> ca.SX:
-    """Return the low-pass filtered acceleration (2, 1) of the velocity reference in {E} [m/s²].
-
-    Args:
-        velocity: velocity reference (2, 1) in {E} [m/s].
-        before: velocity reference of the step before (2, 1) in {E} [m/s].
-        held: result of the step before (2, 1) [m/s²].
-        dt: control period [s].
-    """
+    """Return the low-pass filtered acceleration (2, 1) of the velocity reference in {E} [m/s²]; `held` is the last one."""
     return held + dt / (dt + _SMOOTH) * ((velocity - before) / dt - held)
 
 

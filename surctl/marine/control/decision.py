@@ -58,14 +58,8 @@ class Perception:
 def perceive(x: Mapping[str, ca.SX], u: Mapping[str, ca.SX], p: Mapping[str, ca.SX], *, dt: float) -> Perception:
     """Filter the sonar ranges, remove echoes that walls or known obstacles explain, and return all obstacle points.
 
-    Without input `contacts` no obstacle is known; without input `samples` the law has no sonars.
-
-    Args:
-        x: state entries by name, including those of `perception_ports`.
-        u: inputs of the law by name; the function uses `eta`, `contacts`, `samples` and `fresh`.
-        p: parameters by name; the function uses the gains `lambda1`, `lms_step` and `beta_max`, the model's `hull` and
-            the mission's `walls`.
-        dt: control period [s].
+    State `x` (see `perception_ports`), inputs `u` and parameters `p` are by name. Without input `contacts` no obstacle
+    is known; without input `samples` the law has no sonars.
     """
     position, hull, rows = u["eta"][:2], p["hull"], u.get("contacts", ca.SX.zeros(0, 6))
     known = disc_contacts(position, hull, rows)

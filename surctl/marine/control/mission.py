@@ -22,8 +22,6 @@ class Feeder:
 
     Args:
         table: (n, 5) one row for each waypoint, see `Path.table`.
-        state: layout of the law's state.
-        parameters: layout of the law's parameters.
         p: parameters of the mission; `depth`, `cruise` and `visit` are the mission's own, see `guidance.Window`.
 
     Example:

@@ -74,15 +74,7 @@ def known_obstacle(u: Mapping[str, ca.SX], p: Mapping[str, ca.SX]) -> Perception
 def closed_form_law(
     desired: DesiredMotion, perceived: Perception, x: Mapping[str, ca.SX], eta: ca.SX, p: Mapping[str, ca.SX]
 ) -> Decision:
-    """Return the decision of the law `closed_form`; its tasks are combined by a damped null-space projection.
-
-    Args:
-        desired: the motion along the path without obstacles.
-        perceived: the result of `known_obstacle`.
-        x: state, with the entry `side` (passing side).
-        eta: (4, 1) pose.
-        p: parameters; the function uses the gains `margin`, `kappa` and the mission's `cruise`, `cap`.
-    """
+    """Return the decision of the law `closed_form`; its tasks are combined by a damped null-space projection."""
     (contact,) = perceived.known
     n, left = contact.normal, ca.vertcat(-contact.normal[1], contact.normal[0])
     bound = p["kappa"] * (contact.clearance - p["margin"]) + contact.closing

@@ -113,13 +113,10 @@ def face_after(
     hull: ca.SX,
     deep: ca.SX,
 ) -> Face:
-    """Return the face beside the robot after the firings of one control period.
+    """Return the face beside the robot, by name as in `FACE_PORTS`, after the firings of one control period.
 
     Args:
-        x: state by name, see `FACE_PORTS`.
-        firings: the firings of all sensors.
         position: the robot's place (2, 1) in {E} [m].
-        dt: control period [s].
         blind: longest range that a sensor cannot measure [m].
         hull: radius of the hull [m].
         deep: distance [m] by which the point in `foot` lies behind the face, as the centre of a marked cell does.
@@ -244,14 +241,7 @@ def build_perception(
     model_noise: float = OwnStateFilter.model_noise,
     acceleration_noise: float = OwnStateFilter.acceleration_noise,
 ) -> PerceptionStage:
-    """Assemble the perception of a law for its sensors.
-
-    Args:
-        equipment: the sensors that the law assumes.
-        inputs: see `ports.sonar_inputs`.
-        outputs: see `ports.scan_inputs`.
-        dt: control period [s].
-        model_noise, acceleration_noise: see `OwnStateFilter`.
+    """Assemble the perception of a law for the sensors that it assumes.
 
     Raises:
         InputError: the hull divides the beam of a sonar into two parts.

@@ -88,13 +88,7 @@ INPUTS = law_inputs()
 
 
 def sonar_inputs(equipment: Equipment, *, contacts: int = CONTACT_SLOTS, depths: bool = False) -> Layout:
-    """Return the layout of the inputs in each control step, for a law with a sonar map.
-
-    Args:
-        equipment: the sensors of the robot.
-        contacts: largest number of moving obstacles in a message of the base station, 0 or more.
-        depths: see `law_inputs`.
-    """
+    """Return the layout of the inputs of a law with a sonar map; a message of the base station has `contacts` rows."""
     array, own = equipment.array, equipment.own
     pose: tuple[Port, ...] = _POSE
     if own is not None:
@@ -120,13 +114,7 @@ def sonar_inputs(equipment: Equipment, *, contacts: int = CONTACT_SLOTS, depths:
 
 
 def scan_inputs(contacts: int, *, sensors: int, depths: bool = False) -> Layout:
-    """Return the layout of perception's outputs, which are the inputs of the decision, for a law with a sonar map.
-
-    Args:
-        contacts: total number of obstacle points, from the base station and from the map.
-        sensors: number of sonars.
-        depths: see `law_inputs`.
-    """
+    """Return the layout of perception's outputs, the inputs of the decision, for `contacts` points of station and map."""
     return Layout(
         (
             *_POSE,

@@ -165,16 +165,7 @@ def _check_port(name: str, unit: str, *, where: str, reserved: frozenset[str]) -
 def state_layout(
     source: LawSource, dt: float, guidance: Guidance, *, sonar: bool, depths: bool, limited: bool
 ) -> Layout:
-    """Return the layout of the state of a law without perception.
-
-    Args:
-        source: the source of the law.
-        dt: control period [s].
-        guidance: path following.
-        sonar: whether the law uses sonars, without a map.
-        depths: whether the law may leave a dead end at another depth.
-        limited: whether the law has a search limit.
-    """
+    """Return the layout of the state of a law without perception; `limited` says whether the law has a search limit."""
     unit = {"ilos": "s", "alos": "1"}.get(guidance, "")
     memory = (Port("drift", (1,), unit, f"estimate of guidance {guidance} for a steady disturbance"),) if unit else ()
     return Layout(
@@ -219,13 +210,7 @@ def thrust_of(source: LawSource, reference: str) -> Thrust | None:
 
 
 def _checked_decision(decision: object, source: LawSource, *, file: object) -> Decision:
-    """Return the decision, as expressions, if it has the shapes, units and names of its law; else raise InputError.
-
-    Args:
-        decision: what the function `decide` returned.
-        source: the source of the law.
-        file: the file of the law, for error messages.
-    """
+    """Return the decision, as expressions, if it has the shapes, units and names of its law; else raise InputError."""
 
     def fail(problem: str, key: str, remedy: str) -> InputError:
         return InputError(problem, file=file, key=f"{source.name}.{key}", remedy=remedy)

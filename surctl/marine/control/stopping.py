@@ -85,13 +85,10 @@ def braked(
     sideways velocity, as far as the other bounds allow.
 
     Args:
-        velocity: desired velocity (2, 1) in {E} [m/s].
-        now: velocity over ground (2, 1) in {E} [m/s].
-        bounds: bounds on the speed along unit vectors (`Bounds`).
+        velocity, now: desired velocity, and velocity over ground (2, 1) in {E} [m/s].
         calm: 0 while the robot must evade a moving obstacle, so that braking does not change the sideways command;
             otherwise 1.
-        brake: see `BRAKE`.
-        hard: see `HARD` [m/s].
+        brake, hard: see `BRAKE` and `HARD`.
         yields: 1 if a retreat (a negative bound) yields to the other bounds: the robot brakes first for what it closes
             in on, and no retreat from one contact leads towards another one faster than this one's bound.
     """

@@ -84,13 +84,9 @@ def printed_side(phi: ca.SX) -> ca.SX:
 def encounter_side(relative_velocity: ca.SX, normal: ca.SX, *, deadband: float = 0.02) -> ca.SX:
     """Return the sign λ2 of the side on which the robot passes an obstacle, by erratum E10.
 
-    λ2 is +1 (obstacle on the robot's right) if the velocity relative to the obstacle points left of the obstacle, and
-    −1 (obstacle on the left) if this velocity points right of the obstacle.
-
-    Args:
-        relative_velocity: velocity of the robot minus that of the obstacle (2, 1) in {E} [m/s].
-        normal: unit vector from robot to obstacle (2, 1) in {E}.
-        deadband: crosswise velocity [m/s] below which the encounter counts as head-on and the side is +1.
+    λ2 is +1 (obstacle on the robot's right) if `relative_velocity`, of the robot minus that of the obstacle (2, 1) in
+    {E} [m/s], points left of the obstacle (`normal` (2, 1)), or if its crosswise part is below `deadband` [m/s]; else
+    −1.
     """
     cross = normal[0] * relative_velocity[1] - normal[1] * relative_velocity[0]
     return ca.if_else(cross <= -deadband, -1, 1)

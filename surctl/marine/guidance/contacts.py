@@ -173,7 +173,6 @@ def collision_cone(
     """Return the collision cone of a contact.
 
     Args:
-        contact: the moving contact.
         apart: least clearance with which the robot may pass the contact [m].
         standoff: clearance at or below which the robot and the contact count as having collided [m].
         horizon: prediction time; only collisions within this time count [s].
@@ -253,11 +252,7 @@ def side_costs(cone: Cone, desired: ca.SX, walls: Sequence[Contact]) -> tuple[ca
 
     In any other encounter both costs are 0. The robot keeps a head-on contact on its right (erratum E10), unless the
     path left of the contact is too close to a wall: near a wall the sonars detect little and the robot is slow.
-
-    Args:
-        cone: collision cone of the moving contact.
-        desired: desired velocity (2, 1) [m/s] in {E}.
-        walls: walls of the site.
+    `desired` is the desired velocity (2, 1) [m/s] in {E}.
     """
     n, across = cone.ahead, _left_of(cone.ahead)
     speed = ca.sqrt(ca.sumsqr(desired))
@@ -270,17 +265,14 @@ def side_costs(cone: Cone, desired: ca.SX, walls: Sequence[Contact]) -> tuple[ca
 def swap_costs(cone: Cone, now: ca.SX, speed: ca.SX, acceleration: ca.SX) -> tuple[ca.SX, ca.SX]:
     """Return the costs of passing a moving contact on its left and on its right that a reversal of motion causes.
 
-    To pass on one of the two sides, the robot may have to reverse its crosswise velocity relative to the contact. The
-    cost of this side grows with the velocity to be reversed. So the robot completes a manoeuvre that it has begun, and
-    from rest it passes behind a crossing contact and not in front of it. If the thrust cannot reverse this velocity in
-    half the time until the robot meets the contact, the remaining velocity counts as a violation of a bound. In a
-    head-on encounter both costs are 0, so that noise does not choose the side.
+    A cost grows with the crosswise velocity relative to the contact that the robot would have to reverse. So the robot
+    completes a manoeuvre that it has begun, and from rest it passes behind a crossing contact. What the thrust cannot
+    reverse in half the time until the encounter counts as a violation of a bound. In a head-on encounter both costs are
+    0, so that noise does not choose the side.
 
     Args:
-        cone: collision cone of the moving contact.
         now: velocity over ground (2, 1) [m/s] in {E}.
-        speed: commanded speed [m/s].
-        acceleration: available acceleration [m/s²].
+        speed, acceleration: commanded speed [m/s] and available acceleration [m/s²].
     """
     across = ca.dot(_left_of(cone.ahead), now) - cone.crossing
     nearing = ca.fmax(ca.dot(cone.ahead, now) - cone.closing, _STANDS)

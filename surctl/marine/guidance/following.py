@@ -1,32 +1,28 @@
 """Decide which segment of its path a robot is on, and which corners it has visited.
 
-The segment nearest to the robot is not always the right one, because a path may close, cross itself or fold back.
-
-The robot starts on the first path segment, and it can only advance to the next segment. The robot advances if two
-conditions hold: it is nearer to the next segment than to the rest of its present segment, and the part of the path that
-it would leave out at the corner is at most three times its distance to the present segment. So a robot that cuts the
-corner on a detour advances, but a robot that comes near the next segment far from the corner does not. If corners must
-be visited, the robot advances only if it is within the given distance of the corner.
-
-On a path that is fed to the law (`Path.fed`), the robot may also advance by up to `SKIPS` segments at once, under the
-same conditions. Such a path can have points so close together, for instance those of a recorded track, that a robot
-never comes near the segments between two of them; it would not advance otherwise.
+The nearest segment is not always the right one, because a path may close, cross itself or fold back. The robot starts
+on the first segment, and advances to the next one if it is nearer to that than to the rest of its present segment, and
+if the part of the path that it would leave out at the corner is at most three times its distance to the present
+segment: it may cut a corner on a detour, but not from far away. If corners must be visited, the robot advances only
+within the given distance of the corner. On a path that is fed to the law (`Path.fed`), it may advance by up to `SKIPS`
+segments at once, because points of a recorded track can be so close together that it comes near no segment between
+them.
 
 A law has a fixed array of `MAX_WAYPOINTS` waypoints, and one number each for depth, cruise speed and visits. Its host
 (the simulation, or the robot's computer) feeds it: before every control step, the host writes the waypoints around the
 target point, and the depth, speed and visit of the segment that the target point is on. All hosts follow one rule:
 
 - The window has the path's first waypoint, then six waypoints in a row from number `first` on, then the path's last
-  waypoint. First and last are always there because a law looks at its start and at its destination. The window's legs
-  before and after the six waypoints are not those of the path, but the target point is never on them.
+  waypoint, because a law looks at its start and at its destination. The target point is never on the legs before and
+  after the six, which are not those of the path.
 - When the target point has left the second of the six waypoints' segments behind (by `AT_CORNER`), the window moves on
-  by one waypoint, at most once in a control step. The law measures arc lengths along its window, so every arc length in
-  its state changes by the difference of the lengths of the leg from the path's first waypoint to the six.
+  by one waypoint, at most once in a control step. Every arc length in the law's state then changes by the difference of
+  the lengths of the leg from the path's first waypoint to the six.
 - Segment of the target point is the last one whose start is more than `AT_CORNER` behind. Its end says the speed and
   whether the law must visit it; the depth is linear between its ends.
 
-A path of `MAX_WAYPOINTS` points or fewer fits in the window, which then never moves. `Window` is the rule as numbers,
-`window_next` and `window_values` are the rule as CasADi expressions; `surctl.export.mission_files` writes it in C.
+`Window` is the rule as numbers, `window_next` and `window_values` are the rule as CasADi expressions;
+`surctl.export.mission_files` writes it in C.
 """
 
 from __future__ import annotations
@@ -132,7 +128,6 @@ def window_next(first: ca.SX, progress: ca.SX, rows: ca.SX, start: ca.SX, last: 
     """Return the window's next number `first`, and the change of every arc length in the law, as CasADi expressions.
 
     Args:
-        first: present number of the window's first waypoint in a row.
         progress: arc length of the target point along the window [m].
         rows: (3, k) waypoints from number `first` on; the columns begin with x, y [m].
         start: (2, 1) the path's first waypoint [m].
@@ -349,12 +344,7 @@ def follow(old: Mapping[str, ca.SX], waypoints: ca.SX, legs: ca.SX, place: ca.SX
     Args:
         old: value of each entry of `FOLLOWING` before the move, by name.
         waypoints: (n, 2) positions [m]; repetitions of the last waypoint are ignored.
-        legs: number of path segments.
-        place: new position of the robot (2, 1) [m] in {E}.
         visit: distance [m] to a corner within which the corner counts as visited; 0 or less: the robot may cut corners.
-
-    Returns:
-        Value of each entry of `FOLLOWING` after the move, by name.
 
     Example:
         >>> import casadi as ca
@@ -394,18 +384,13 @@ def follow(old: Mapping[str, ca.SX], waypoints: ca.SX, legs: ca.SX, place: ca.SX
 def follow_on(
     old: Mapping[str, ca.SX], rows: ca.SX, legs: ca.SX, place: ca.SX, *, visit: ca.SX
 ) -> tuple[dict[str, ca.SX], ca.SX]:
-    """Return the state of `Follower` on a fed path after one move, as CasADi expressions, and the segments advanced.
+    """Return the state of `Follower` on a fed path after one move, and the number of segments advanced.
 
     Args:
-        old: value of each entry of `FOLLOWING` before the move, by name.
+        old, legs, place: as for `follow`.
         rows: (`SKIPS` + 2, 5) rows of the path's table (see `Path.table`) from the start of the present segment on; the
             last row of the table fills the remaining rows.
-        legs: number of path segments.
-        place: new position of the robot (2, 1) [m] in {E}.
         visit: distance [m] to a corner `VISIT` within which the corner counts as visited.
-
-    Returns:
-        Value of each entry of `FOLLOWING` after the move, by name; number of segments by which the robot advanced.
     """
     leg, points = old["leg"], [rows[k, :2].T for k in range(SKIPS + 2)]
     length, ahead = _leg(points[0], points[1])

@@ -123,14 +123,9 @@ class Path:
 
 
 def path_target(waypoints: ca.SX, s: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
-    """Return the point and the tangent of the path at arc length s, and the length of the path, as CasADi expressions.
+    """Return the point (2, 1) [m] and unit tangent (2, 1) of the path at arc length s, and the path's length [m].
 
-    Args:
-        waypoints: (n, 2) CasADi SX [m] in {E}; repetitions of the last waypoint are ignored.
-        s: arc length [m]; it is clipped to [0, length].
-
-    Returns:
-        point (2, 1) [m]; unit tangent (2, 1) of the segment that contains s; total length [m].
+    `waypoints` are (n, 2) CasADi SX [m] in {E}; repetitions of the last one are ignored. `s` is clipped to [0, length].
 
     Example:
         >>> import casadi as ca
@@ -157,14 +152,7 @@ def path_target(waypoints: ca.SX, s: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
 
 
 def leg_end(waypoints: ca.SX, s: ca.SX) -> ca.SX:
-    """Return the arc length [m] at the end of the path segment that contains s.
-
-    If s is at a corner (within 0.1 mm), the result is the arc length of this corner.
-
-    Args:
-        waypoints: (n, 2) positions [m] in {E}, as for `path_target`.
-        s: arc length [m], at most the length of the path.
-    """
+    """Return the arc length [m] at the end of the path segment that contains `s` [m]; at a corner, that of the corner."""
     travelled = end = ca.SX(0)
     for k in range(waypoints.shape[0] - 1):
         past = s > travelled + AT_CORNER
@@ -176,21 +164,10 @@ def leg_end(waypoints: ca.SX, s: ca.SX) -> ca.SX:
 def next_leg(waypoints: ca.SX, s: ca.SX, here: ca.SX, *, near: ca.SX) -> ca.SX:
     """Return the arc length [m] of the target point, which advances to the next path segment after a detour.
 
-    The target advances if the detour led the robot nearer to the next segment. If the target did not advance, the robot
-    would return to the corner, approach the next segment crosswise at full speed, and overshoot it.
-
-    Args:
-        waypoints: (n, 2) positions [m] in {E}, as for `path_target`.
-        s: arc length of the target point [m].
-        here: position of the robot (2, 1) [m] in {E}.
-        near: distance from the target point to the corner [m] below which the robot may leave out the rest of a path
-            segment.
-
-    Returns:
-        Arc length [m] of the point of the next path segment nearest to the robot. The target does not advance, and the
-        result is `s`, in four cases: the robot is nearer to the target's segment (prolonged backwards) than to the next
-        segment; the robot is within 0.1 m of the target's segment; the corner is further away than `near`; or there is
-        no next segment.
+    The target advances to the nearest point of the next segment if the robot, at `here` (2, 1) [m], is nearer to that
+    than to the target's segment (prolonged backwards), more than 0.1 m off the latter, and the corner is at most `near`
+    [m] ahead of the target. Otherwise the result is `s`. Without this, the robot would return to the corner, approach
+    the next segment crosswise at full speed, and overshoot it.
     """
     tangent, ends, corner, ahead, length = _corner(waypoints, s)
     offset = here - corner
@@ -205,15 +182,9 @@ def next_leg(waypoints: ca.SX, s: ca.SX, here: ca.SX, *, near: ca.SX) -> ca.SX:
 def wheel_over(waypoints: ca.SX, s: ca.SX, here: ca.SX, *, radius: ca.SX, lead: ca.SX) -> ca.SX:
     """Return the arc length [m] of the target point: the corner ahead, once the turn onto the next segment must begin.
 
-    A craft that turns on a circle of radius R by the angle α must begin the turn at the distance R tan(α/2) before the
-    corner (the wheel-over point, Fossen 2021, section 12.4). The distance is at most half of either segment.
-
-    Args:
-        waypoints: (n, 2) positions [m] in {E}, as for `path_target`.
-        s: arc length of the target point [m].
-        here: position of the robot (2, 1) [m] in {E}.
-        radius: turning radius R [m].
-        lead: distance [m] that the craft travels before it turns at its full yaw rate; it is added to the distance.
+    A craft at `here` (2, 1) [m] that turns on a circle of radius R by the angle α must begin the turn R tan(α/2) before
+    the corner (the wheel-over point, Fossen 2021, section 12.4), and `lead` [m] earlier, in which it travels before it
+    turns at its full yaw rate. The distance is at most half of either segment.
     """
     tangent, ends, corner, ahead, length = _corner(waypoints, s)
     cosine = ca.fmin(ca.fmax(ca.dot(tangent, ahead), -1), 1)

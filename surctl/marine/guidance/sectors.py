@@ -228,15 +228,12 @@ def choose_velocity(
 
     Args:
         desired: desired velocity (2, 1) [m/s] in {E}.
-        sectors: sectors of all contacts.
         side: `Choice.side` of the previous step (−1, 0 or +1); the side does not change while the same contact blocks
             the course.
         blocker: `Choice.blocker` of the previous step.
         cruise: largest speed while the desired velocity is blocked [m/s].
-        cap: largest speed [m/s].
         same: if the position of the blocking contact moves further than this between two steps [m], the law assumes
             that another contact blocks the course.
-        cones: collision cones of moving contacts.
         walls: walls of the site; they influence on which side the robot passes a head-on contact, see `sides`.
         now: velocity over ground (2, 1) [m/s] in {E}; it determines the side on which the robot is already passing a
             contact; default: 0.
@@ -396,16 +393,11 @@ def round_unknown(
 ) -> ca.SX:
     """Return the given velocity, or a velocity around unknown water with which the robot advances faster.
 
-    The robot need not wait for a sonar scan of unknown water if it can go around this water. The candidates have the
-    given speed on the edges of the sectors that the unknown areas block. Each candidate is slowed down to satisfy all
-    bounds. Of the candidates on free courses, the function returns the one that then advances fastest along the given
-    course, if it is sufficiently faster than the given velocity.
-
-    Args:
-        velocity: chosen velocity (2, 1) [m/s] in {E}.
-        bounds: for each unknown area, a unit vector towards the area and the largest speed [m/s], at least 0, along it.
-        sectors: sectors of all contacts.
-        cones: collision cones of moving contacts.
+    The robot need not wait for a sonar scan of unknown water if it can go around it. The candidates have the given
+    speed on the edges of the sectors that the unknown areas block, and are slowed down to satisfy all bounds: a unit
+    vector towards each area and the largest speed [m/s] along it. Of the candidates on free courses, the function
+    returns the one that then advances fastest along the given course, if it is sufficiently faster than the given
+    velocity.
     """
     speed = ca.fmax(ca.sqrt(ca.sumsqr(velocity)), 1e-3)
     ahead = velocity / speed

@@ -43,11 +43,7 @@ def check_guidance(name: str) -> None:
 def crosstrack_shift(method: Guidance, memory: ca.SX, *, lookahead: ca.SX, sigma: ca.SX) -> ca.SX:
     """Return the shift [m] added to the cross-track error: σ y_int for `ilos`, Δ b for `alos`, 0 for `los`.
 
-    Args:
-        method: guidance method, one of `GUIDANCE`.
-        memory: state of the method: y_int [s] for `ilos`, b [1] for `alos`.
-        lookahead: look-ahead distance Δ_h [m].
-        sigma: integral gain σ of `ilos` [m/s].
+    `memory` is y_int [s] for `ilos` and b [1] for `alos`; `lookahead` is Δ_h [m] and `sigma` the gain σ [m/s].
     """
     return {"los": 0 * memory, "ilos": sigma * memory, "alos": lookahead * memory}[method]
 
@@ -67,15 +63,11 @@ def crosstrack_next(
     """Return the method's state (y_int or b) after one control period, limited to a slope of 45° (anti-windup).
 
     Args:
-        method: guidance method, one of `GUIDANCE`.
-        memory: state of the method: y_int [s] for `ilos`, b [1] for `alos`.
+        method, memory, lookahead, sigma: as for `crosstrack_shift`.
         y_e: cross-track error [m].
         along: commanded speed U_∥ along the path [m/s].
-        lookahead: look-ahead distance Δ_h > 0 [m].
-        sigma: integral gain σ of `ilos` [m/s].
         gamma: adaptation gain γ of `alos` [1/m²].
         held: 1 to leave the state unchanged, because the path error has another cause than a steady disturbance.
-        dt: control period [s].
     """
     shifted = y_e + crosstrack_shift(method, memory, lookahead=lookahead, sigma=sigma)
     rate = {
@@ -113,11 +105,9 @@ def along_command(
     """Return the component U_h Δ_h/√(y_e² + Δ_h²) of the commanded horizontal speed U_h along the path [m/s].
 
     Args:
-        x_e: along-track error [m].
-        y_e: cross-track error [m].
+        x_e, y_e: along-track and cross-track error [m].
         speed: speed U_d of the target point along the path [m/s].
-        k1: along-track gain [1/s].
-        lookahead: look-ahead distance Δ_h of the line-of-sight guidance [m].
+        k1, lookahead: along-track gain [1/s] and look-ahead distance Δ_h [m].
         maximum: largest horizontal speed U_h [m/s]; None: no limit, as in the paper.
         repaired: whether to limit U_h to at least 0; in the law as printed, a negative U_h reverses the sign of the y_e
             term (erratum E9).
@@ -149,15 +139,9 @@ def tracking_velocity(along: ca.SX, y_e: ca.SX, tangent: ca.SX, lookahead: ca.SX
 def tracking_rate(error: ca.SX, along: ca.SX, *, speed: ca.SX, lookahead: ca.SX, k2: ca.SX, turn: ca.SX) -> ca.SX:
     """Return the time derivatives of x_e, y_e, z_e [m/s] if the robot follows its commanded velocity exactly.
 
-    The derivatives are those of equation (9) of the paper with the commanded velocities.
-
-    Args:
-        error: (3, 1) along-track, cross-track and depth error x_e, y_e, z_e [m].
-        along: commanded speed along the path [m/s].
-        speed: speed U_d of the target point along the path [m/s].
-        lookahead: look-ahead distance Δ_h of the line-of-sight guidance [m].
-        k2: depth gain [1/s].
-        turn: turn rate γ̇_d of the path direction [rad/s]; it cancels in the derivative of the Lyapunov function V1.
+    They are those of equation (9) of the paper, for the errors `error` (3, 1) [m], the commanded speed `along` [m/s],
+    the speed U_d of the target point, the look-ahead distance Δ_h [m] and the depth gain k2 [1/s]. The turn rate γ̇_d
+    of the path direction [rad/s] cancels in the derivative of the Lyapunov function V1.
     """
     x_e, y_e, z_e = error[0], error[1], error[2]
     return ca.vertcat(along - speed + y_e * turn, -along * y_e / lookahead - x_e * turn, -k2 * z_e)
@@ -166,8 +150,7 @@ def tracking_rate(error: ca.SX, along: ca.SX, *, speed: ca.SX, lookahead: ca.SX,
 def progress_rate(x_e: ca.SX, *, speed: ca.SX, wait: ca.SX) -> ca.SX:
     """Return the speed of the target point along the path [m/s].
 
-    The target's speed is U_d, and it decreases to 0 while the robot's distance behind the target grows from `wait`/2 to
-    `wait` [m]. If the target did not slow down, a robot on a detour would fall far behind, and would then cut corners
-    at full speed to catch up.
+    It is U_d, and decreases to 0 while the robot's distance behind the target grows from `wait`/2 to `wait` [m]: else a
+    robot on a detour would fall far behind, and would then cut corners at full speed to catch up.
     """
     return speed * ca.fmin(ca.fmax(2 * (1 + x_e / wait), 0), 1)

@@ -132,7 +132,7 @@ def two_leg_mission(vehicle: Vehicle, *, cruise: float, size: float) -> Scenario
 
 
 def disturbed(scenario: Scenario, vehicle: Vehicle, *, share: float) -> Scenario:
-    """Return a scenario with waves, slow drift and thrust errors, as a share of the surge thrust, drawn from the seed."""
+    """Return a scenario with waves, slow drift and thrust errors, each a share of the surge thrust, drawn by the seed."""
     force = share * vehicle["Fu_max"]
     return replace(
         scenario,
