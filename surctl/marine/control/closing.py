@@ -187,7 +187,7 @@ def eased(
 
 
 def pushed(velocity: ca.SX, before: ca.SX, held: ca.SX, *, dt: float) -> ca.SX:
-    """Return the low-pass filtered acceleration (2, 1) of the velocity reference in {E} [m/s²]; `held` is the last one."""
+    """Return the low-pass filtered acceleration (2, 1) [m/s²] of the reference in {E}; `held` is the last one."""
     return held + dt / (dt + _SMOOTH) * ((velocity - before) / dt - held)
 
 

@@ -114,7 +114,7 @@ def sonar_inputs(equipment: Equipment, *, contacts: int = CONTACT_SLOTS, depths:
 
 
 def scan_inputs(contacts: int, *, sensors: int, depths: bool = False) -> Layout:
-    """Return the layout of perception's outputs, the inputs of the decision, for `contacts` points of station and map."""
+    """Return the layout of perception's outputs, the inputs of the decision; `contacts` points of station and map."""
     return Layout(
         (
             *_POSE,

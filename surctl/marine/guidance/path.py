@@ -152,7 +152,7 @@ def path_target(waypoints: ca.SX, s: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
 
 
 def leg_end(waypoints: ca.SX, s: ca.SX) -> ca.SX:
-    """Return the arc length [m] at the end of the path segment that contains `s` [m]; at a corner, that of the corner."""
+    """Return the arc length [m] at the end of the path segment that contains `s` [m]; at a corner, the corner's."""
     travelled = end = ca.SX(0)
     for k in range(waypoints.shape[0] - 1):
         past = s > travelled + AT_CORNER

@@ -33,10 +33,7 @@ _MOST_STEPS = 5_000_000
 def _usual_cycle(time: Array, sensor: NDArray[np.int64], *, file: str) -> float:
     """Return the usual time between two successive readings of a sensor [s].
 
-    Args:
-        time: (rows,) times [s], ascending.
-        sensor: (rows,) index of the sensor of each reading.
-        file: name of the file, for error messages.
+    Times are (rows,) [s], ascending, and `sensor` (rows,) is the index of each reading's sensor.
 
     Raises:
         InputError: no sensor has readings at two different times, or the cycle time is outside the filter's limits.
@@ -78,13 +75,8 @@ def _pace(time: Array, sensor: NDArray[np.int64], median: float) -> float:
 def _on_steps(time: Array, dt: float, *, file: str) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
     """Return the step of each reading, and the first step and start time [s] of each segment between long gaps.
 
-    The step boundaries are placed so that jitter rarely moves a reading into a neighbouring step. The first reading of
-    a segment lies in the segment's first step. `InputError` is raised if the recording would have too many steps.
-
-    Args:
-        time: (rows,) times [s], ascending.
-        dt: duration of a step [s].
-        file: name of the file, for error messages.
+    The boundaries of the steps of `dt` [s] are placed so that jitter rarely moves a reading into a neighbouring step.
+    The first reading of a segment lies in its first step. Too many steps raise `InputError`.
     """
     silence = max(_SILENCE, 20.0 * dt)
     breaks = np.flatnonzero(np.diff(time) > silence) + 1

@@ -15,9 +15,7 @@ from surctl.system.controller import lost_entry
 
 
 def priority_timeline(run: Run) -> PriorityTimeline:
-    """Return the priority timeline of a run.
-
-    The function solves the law's problem again at each control step, with a name for every constraint row.
+    """Return the priority timeline of a run, whose problem is solved again at each control step, with names of rows.
 
     Control steps whose input the law rejected are left out.
 
@@ -56,9 +54,8 @@ class Explanation:
 def explain(run: Run) -> list[Explanation]:
     """Return one explanation for each control step at which the set of binding or relaxed constraint rows changes.
 
-    The law's problem is solved again at each control step, with a name for every constraint row. Mode `nsb` ignores the
-    constraint rows, so for this mode the relaxed rows are those that the velocity violates. Control steps whose input
-    the law rejected because a number was not finite (status `NONFINITE`) are left out.
+    Mode `nsb` ignores the rows, so its relaxed rows are those that the velocity violates. Control steps with the status
+    `NONFINITE` are left out.
 
     Example:
         >>> from surctl.marine.control import build_law, load_gains

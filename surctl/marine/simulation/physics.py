@@ -28,11 +28,8 @@ _RK4_STEPS = (0.010, 0.010, 0.005)
 def advance(form: PlantForm = PAPER) -> ca.Function:
     """Return a CasADi function that integrates the plant over 25 ms by RK4, in steps of 10, 10 and 5 ms.
 
-    The function computes the new plant state from the plant state x, the commanded thrust, the disturbance d and the
-    plant parameters p.
-
-    Args:
-        form: the optional terms of the vehicle's dynamics, `Vehicle.form`.
+    From the plant state x, the commanded thrust, the disturbance d and the plant parameters p it computes the next
+    state; `form` says which optional terms the dynamics have.
     """
     return _advance(form)
 

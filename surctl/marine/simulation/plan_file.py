@@ -54,10 +54,7 @@ def _home_position(value: object) -> _Place | None:
 def _waypoint(frame: int, numbers: list[float], home: _Place | None) -> tuple[_Place, list[str]]:
     """Return latitude, longitude and height above the surface of a waypoint, and what of it is not known.
 
-    Args:
-        frame: frame of MAVLink.
-        numbers: latitude, longitude and height, or three coordinates in metres.
-        home: the home position, at the surface.
+    `numbers` are these three or, by the `frame` of MAVLink, coordinates in metres from `home`, which is at the surface.
 
     Raises:
         InputError: the frame is none of a waypoint, or metres from a home position that does not exist.

@@ -43,12 +43,7 @@ _INFO, _WARNING = 2, 3
 
 
 class SceneFile:
-    """Writes moments of a run or session to an MCAP file.
-
-    Attributes:
-        file: the MCAP file.
-        scenario, vehicle: mission and vehicle.
-    """
+    """Writes moments of a run or session to an MCAP file, with the mission and its vehicle."""
 
     def __init__(self, file: McapFile, scenario: Scenario, vehicle: Vehicle) -> None:
         self.file, self.scenario, self.vehicle = file, scenario, vehicle
@@ -84,16 +79,13 @@ class SceneFile:
         """Write one control step.
 
         Args:
-            time: time [s].
             eta: pose (4,) in {E}.
             nu: velocity (4,) in {B}.
             tau: thrust (4,) [N, N m] in {B}; None: the law made no step, and `/thrust` gets no message.
             status: status of the law; None: the law made no step.
             tilt: roll and pitch [rad].
             clearance: distance to the nearest obstacle [m]; NaN: unknown.
-            bodies: obstacles that are there now.
             ranges: (n,) measured distance of each sonar [m]; None: no sonars.
-            values: further values for `/status`.
         """
         at, write = self._at(time), self.file.write
         pose = {"position": _point(*eta[:3]), "orientation": _turned(float(eta[3]), *tilt)}
@@ -253,11 +245,9 @@ def save_scene(run: Run, folder: Path) -> Path:
 
 
 def write_layout(folder: Path, *, sonars: int = 0) -> Path:
-    """Write the layout file for Foxglove (Layouts, Import from file) to a folder and return its path.
+    """Write the layout file for Foxglove (Layouts, Import from file) to an existing folder and return its path.
 
-    Args:
-        folder: an existing folder.
-        sonars: number of sonars whose echoes the layout shows.
+    The layout shows the echoes of `sonars` sonars.
 
     Raises:
         InputError: the folder cannot be written.
@@ -376,8 +366,6 @@ def save_record(run: Run, folder: Path, *, kind: RecordFormat | str, frame: Fram
     messages for Foxglove, see `save_scene`.
 
     Args:
-        run: the run.
-        folder: an existing folder.
         kind: file format: csv, mat, nc or mcap.
         frame: coordinate frame: enu (ENU/FLU) or ned (NED/FRD).
 

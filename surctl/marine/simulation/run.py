@@ -53,14 +53,10 @@ class Attitude:
 
 
 def attitude_of(follower: Follower, cruise: float, time: Array, eta: Array, nu: Array) -> Attitude:
-    """Return crab angle, heading error and oscillation of a recorded motion.
+    """Return crab angle, heading error and oscillation of a motion recorded at evenly spaced times (n,) [s].
 
-    Args:
-        follower: path follower, which selects the current path segment; it must be at the start of its path.
-        cruise: cruise speed [m/s].
-        time: (n,) time [s], evenly spaced.
-        eta: (n, 4) position [m] and heading [rad] in the earth frame {E}.
-        nu: (n, 4) body velocity [m/s, rad/s].
+    `follower` must be at the start of its path. `eta` (n, 4) is in {E}, `nu` (n, 4) the body velocity [m/s, rad/s], and
+    `cruise` the cruise speed [m/s].
     """
     moving = np.hypot(nu[:, 0], nu[:, 1]) > MOVING * cruise
     swings, period, amplitude = _swing(time, nu[:, 1], cruise)

@@ -54,14 +54,9 @@ def margin_needed(
 ) -> float:
     """Return the distance [m] that the actual vehicle needs beyond the law's speed bound; inf if it cannot brake.
 
-    The margin is computed as in `safety_claim`, but with the exact parameters of the actual vehicle: its own masses m11
-    and m22, and its thrust limit minus the scenario's thrust error.
-
-    Args:
-        scenario, gains, barrier: same meaning as for `safety_claim`.
-        believed: vehicle model that the law uses.
-        actual: vehicle that brakes, with its true parameters.
-        turning: yaw rate of the hull while it brakes [rad/s], see `turn_rate`.
+    It is computed as in `safety_claim`, with the law's model `believed`, but with the exact parameters of the `actual`
+    vehicle: its own masses m11 and m22, and its thrust limit minus the scenario's thrust error. `turning` is the yaw
+    rate of the hull while it brakes [rad/s], see `turn_rate`.
     """
     d = scenario.disturbance
     brakes = brakes_of(
@@ -79,15 +74,8 @@ def turn_rate(
 ) -> float:
     """Return the steady yaw rate [rad/s] of the hull during a sonar scan, or without sonar in the sharpest path corner.
 
-    At the steady rate, the moment of the yaw loop equals the yaw drag. The steady rate differs from the desired rate if
-    the yaw drag differs from that of the law's model.
-
-    Args:
-        scenario: the mission.
-        believed: vehicle model that the law uses.
-        gains: gains of the law.
-        sonar: whether the law turns the hull to scan with its sonars.
-        actual: vehicle that turns; default: the vehicle that turns fastest within the stated ranges.
+    At this rate, the moment of the yaw loop equals the yaw drag of the `actual` vehicle; default: of the one that turns
+    fastest within the ranges of the law's model `believed`. With `sonar`, the law turns the hull to scan.
     """
     if sonar:
         desired = min(gains["spin"], believed.steady_yaw(YAW_SHARE, scenario.cruise))
@@ -112,12 +100,8 @@ def turn_rate(
 def mass_difference(vehicle: Vehicle, spread: float | None = None) -> float:
     """Return the largest difference |m11 - m22| [kg] of the surge and sway masses that the true vehicle may have.
 
-    If the file gives surge and sway the same mass and the same range, the function assumes that both true masses are
-    equal.
-
-    Args:
-        vehicle: vehicle model of the law.
-        spread: largest relative error of the masses, common to m11 and m22; None: the ranges of the vehicle file hold.
+    It follows from the relative error `spread`, common to both masses, or with None from the ranges of the vehicle
+    file. Equal values and ranges of both mean that both true masses are equal.
     """
     surge, sway = (vehicle.parameters[name] for name in ("m11", "m22"))
     if spread is not None:
@@ -374,9 +358,7 @@ def safety_claim(
     Args:
         scenario: the mission, with its speed cap, current and disturbance forces.
         vehicle: the actual vehicle, which is also the model of the law.
-        gains: gains of the law.
         barrier, movers: options of the law, as for `build_law`.
-        watch: timing and errors of the measurements; default: exact measurements every 0.05 s.
         detection: range at which the sensors certainly detect an obstacle [m].
         sideways: largest sideways speed when braking begins [m/s]; it causes a force, because drag acts on each axis
             separately.

@@ -24,12 +24,8 @@ def mission_size(vehicle: Vehicle, gains: Gains, *, cruise: float) -> float:
     """Return the length [m] by which missions are scaled: the hull radius, or more for a craft that cannot sway.
 
     The craft of `tank-static` can turn on a circle of 1.6 hull radii, at its cruise speed and its spin. A craft without
-    sway force needs as many of its own lengths, so its turning radius over 1.6 counts if it is larger than the hull.
-
-    Args:
-        vehicle: the vehicle.
-        gains: gains of its law; only `sideslip` matters, and only without sway force.
-        cruise: cruise speed [m/s].
+    sway force needs as many of its own lengths, so its turning radius over 1.6, by the gain `sideslip`, counts if it is
+    larger than the hull.
     """
     if vehicle["Fv_max"] > 0:
         return vehicle["radius"]
@@ -37,16 +33,11 @@ def mission_size(vehicle: Vehicle, gains: Gains, *, cruise: float) -> float:
 
 
 def scaled_scenario(scenario: Scenario, vehicle: Vehicle, *, cruise: float, size: float) -> Scenario:
-    """Return a scenario scaled to a vehicle.
+    """Return a scenario scaled to a vehicle and its cruise speed [m/s].
 
-    Lengths are multiplied by a factor, speeds by the ratio of the cruise speeds, and times by the ratio of the two
-    ratios; sonars, currents and forces stay as they are.
-
-    Args:
-        scenario: the scenario to scale.
-        vehicle: the vehicle.
-        cruise: its cruise speed [m/s].
-        size: length of `mission_size` [m], which replaces the hull radius of the scenario's vehicle.
+    Lengths are multiplied by the ratio of `size` (see `mission_size`) to the hull radius of the scenario's vehicle,
+    speeds by the ratio of the cruise speeds, and times by the ratio of the two; sonars, currents and forces stay as
+    they are.
     """
     length = size / load_vehicle(scenario.vehicle)["radius"]
     speed = cruise / scenario.cruise
@@ -74,15 +65,7 @@ def scaled_scenario(scenario: Scenario, vehicle: Vehicle, *, cruise: float, size
 
 
 def _mission(name: str, vehicle: Vehicle, corners: ArrayLike, *, cruise: float, size: float) -> Scenario:
-    """Return a mission in open water.
-
-    Args:
-        name: name of the mission.
-        vehicle: the vehicle.
-        corners: (n, 2) waypoints in hull lengths (twice the size); the site leaves four around them.
-        cruise: cruise speed [m/s].
-        size: length of `mission_size` [m].
-    """
+    """Return a mission in open water; `corners` are (n, 2) waypoints in hull lengths (twice the size)."""
     points = 2 * size * np.asarray(corners, dtype=float)
     points += 8 * size - points.min(axis=0)
     length = float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
@@ -132,7 +115,7 @@ def two_leg_mission(vehicle: Vehicle, *, cruise: float, size: float) -> Scenario
 
 
 def disturbed(scenario: Scenario, vehicle: Vehicle, *, share: float) -> Scenario:
-    """Return a scenario with waves, slow drift and thrust errors, each a share of the surge thrust, drawn by the seed."""
+    """Return a scenario with waves, slow drift and thrust errors by the seed, each a share of the surge thrust."""
     force = share * vehicle["Fu_max"]
     return replace(
         scenario,

@@ -96,17 +96,11 @@ class Thrusters:
         return working_flags(self.actuators, [fault.thruster for fault in self.faults if fault.acts(time)])
 
     def achieved(self, tau: Array, time: float, *, telemetry: Array | None, speed: float) -> tuple[Array, Array]:
-        """Return what the thrusters deliver for a command, before the thrust lag.
+        """Return force and yaw moment (4,) delivered for a command `tau` (4,), before the lag, and thruster forces.
 
-        The results are the force and yaw moment (4,), and the force components (N,) of all thrusters; none are known
-        without thrusters and without telemetry.
-
-        Args:
-            tau: the law's thrust command (4,).
-            time: time of the control step [s].
-            telemetry: the law's telemetry of the same step; None if this step has none, as when a link is lost.
-            speed: forward speed [m/s] through the water. A fin gives the force of its deflection at this speed, while
-                the law knows only the measured speed over ground.
+        The force components (N,) are unknown without thrusters or without the law's `telemetry` of the step. A fin
+        gives the force of its deflection at the forward `speed` [m/s] through the water, while the law knows only the
+        measured speed over ground.
         """
         if self.allocate is not None and self.actuators is not None:
             total, components, *_ = self.allocate(tau, self.working(time) * self.actuators.shares(speed))
@@ -127,12 +121,8 @@ class Thrusters:
 def fin_excess(actuators: Actuators, forces: Any, commands: Any, squared: Any) -> Any:
     """Return the force and yaw moment (4,) that fins give at a squared speed [m²/s²] beyond those that the law expects.
 
-    The arguments are numbers, or CasADi expressions.
-
-    Args:
-        actuators: thrusters with fins.
-        forces, commands: (n,) forces [N] and commands of all thrusters, as the law reports them.
-        squared: squared forward speed through the water; 0 astern.
+    The arguments are numbers, or CasADi expressions: `forces` (n,) [N] and `commands` (n,) of all thrusters as the law
+    reports them, and the squared forward speed through the water, 0 astern.
     """
     matrix, total = actuators.matrix, 0
     for k in actuators.fins:

@@ -65,7 +65,6 @@ def gazebo_vehicle(
 
     Args:
         path: an SDF, URDF or xacro file.
-        name: name of the vehicle.
         radius: radius of the hull [m].
         thrust: largest force in surge [N].
         yaw_thrust: largest moment about the vertical [N m].

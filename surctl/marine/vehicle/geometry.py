@@ -131,12 +131,7 @@ WATER = 1000.0
 
 
 def missing_buoyancy(radius: float, z: float) -> float:
-    """Return the weight [N] of the water that the part of a spherical hull above the surface does not displace.
-
-    Args:
-        radius: radius of the hull [m].
-        z: z of its centre [m]; the surface is at 0.
-    """
+    """Return the weight [N] of the water that a sphere with its centre at z [m] lacks, because a part is above 0."""
     height = min(max(z + radius, 0.0), 2 * radius)
     return WATER * GRAVITY * pi * height * height * (3 * radius - height) / 3
 

@@ -187,7 +187,6 @@ def read_motion_log(path: Path, *, frame: Frame | str | None = None) -> MotionLo
     Fu_kgf. Times in such a unit count from the first row.
 
     Args:
-        path: the file.
         frame: frame of the file; default: the frame in its comments (`# frame=ned`), otherwise enu. The returned log is
             in the frame enu.
 
@@ -198,8 +197,8 @@ def read_motion_log(path: Path, *, frame: Frame | str | None = None) -> MotionLo
     Example:
         >>> from pathlib import Path
         >>> from surctl.marine.vehicle import read_motion_log
-        >>> rows = "".join(f"{0.1 * k:g},{0.01 * k:g},1,0,0,0\\n" for k in range(60))
-        >>> _ = Path("log.csv").write_text("t_s,u_m_per_s,Fu_N,Fv_N,Fw_N,Fr_N_m\\n" + rows)
+        >>> rows = "".join(f"{0.1 * k:g},{0.01 * k:g},1,0,0,0\n" for k in range(60))
+        >>> _ = Path("log.csv").write_text("t_s,u_m_per_s,Fu_N,Fv_N,Fw_N,Fr_N_m\n" + rows)
         >>> log = read_motion_log(Path("log.csv"))
         >>> log.motion.shape, round(float(log.motion[-1, 4]), 2)
         ((60, 8), 0.59)
@@ -236,9 +235,6 @@ def in_sequence(logs: Sequence[MotionLog]) -> MotionLog:
 
     A fit gives each part between two gaps its own initial motion, so the runs need not have the same origin.
 
-    Args:
-        logs: the logs, in the order in which they are to follow each other.
-
     Example:
         >>> import numpy as np
         >>> from surctl.marine.vehicle import MotionLog, in_sequence
@@ -264,12 +260,7 @@ def in_sequence(logs: Sequence[MotionLog]) -> MotionLog:
 
 
 def _check_increasing(time: NDArray[np.float64], key: str, at: Callable[[int], str]) -> None:
-    """Check that times (n,) increase from row to row.
-
-    Args:
-        time: the times [s].
-        key: name of their column.
-        at: names the place of a row, from 0.
+    """Check that times (n,) [s] increase from row to row; `at` names the place of a row, from 0.
 
     Raises:
         InputError: two rows have the same time, or the time decreases; the message names the row.

@@ -33,15 +33,10 @@ _ARM = 1e-6  # [m] a shorter arm gives no yaw moment
 
 
 def _largest_forces(actuators: Actuators, *, stated: Container[str], source: str) -> Mapping[str, float]:
-    """Return `Fu_max`, `Fv_max`, `Fw_max` [N] and `Fr_max` [N m]: the largest value on each axis alone.
+    """Return `Fu_max`, `Fv_max`, `Fw_max` [N], `Fr_max` [N m], but not `stated`: the largest value on each axis alone.
 
     All other axes are 0 meanwhile, and the force is available in both directions; a craft without sway force has
     `Fu_reverse` beside `Fu_max` if it is weaker astern. Fins count in yaw only, with their forces at 1 m/s.
-
-    Args:
-        actuators: the thrusters.
-        stated: names of the limits that the file states, which are left out.
-        source: name of the file in error messages.
 
     Raises:
         InputError: the thrusters give no surge force or no yaw moment; the message names a thruster and the remedy.

@@ -25,12 +25,7 @@ MEDIA: tuple[Medium, ...] = ("air", "water")
 
 @dataclass(frozen=True)
 class MediumTest:
-    """The readings of a range test in one medium.
-
-    Attributes:
-        measured: (n,) readings [m].
-        printed_percent: (n,) relative errors as printed, with one decimal [%].
-    """
+    """The readings of a range test in one medium: (n,) measured [m], and (n,) printed relative errors [%]."""
 
     measured: NDArray[np.float64]
     printed_percent: NDArray[np.float64]
@@ -38,14 +33,7 @@ class MediumTest:
 
 @dataclass(frozen=True)
 class RangeTest:
-    """A range test in air and in water.
-
-    Attributes:
-        desired: (n,) true distances [m].
-        air: readings in air.
-        water: readings in water.
-        provenance: origin of the numbers.
-    """
+    """A range test in air and in water: true distances `desired` (n,) [m], readings, and origin of the numbers."""
 
     desired: NDArray[np.float64]
     air: MediumTest

@@ -1,13 +1,8 @@
-"""Measurements by the base station: moving obstacles, and the robot's own position.
+"""Measurements by the base station: moving obstacles, and the robot's own position, in CasADi symbols.
 
-`observe` and `measure` return measurements without delay or loss. `message` and `fix` return periodic measurements that
-arrive late or are lost. For these two methods, the caller passes the true state at the earlier time of measurement,
-which comes from a buffer (`delayed`) or from the known motion of an obstacle. The noise is white and Gaussian; the
-caller draws the standard normal numbers. A method whose name ends in `_symbols` returns the result of the method
-without this suffix, in CasADi symbols for a compiled loop.
-
-Whether a message arrives depends only on the number of the control period and on a random number. Each function exists
-in two versions: for the Python loop, and in CasADi symbols for the compiled loop.
+Messages and fixes are periodic, and arrive late or are lost. The caller passes the true state at the earlier time of
+measurement, and the standard normal numbers of the noise. Whether a message arrives depends only on the number of the
+control period and on a random number.
 """
 
 from __future__ import annotations
@@ -71,14 +66,10 @@ class Delivery:
         return whole_steps("delivery.period", self.period, dt=dt)
 
     def arrives_symbols(self, step: ca.SX, *, chance: ca.SX, dt: float) -> ca.SX:
-        """Return 1 if a message measured `late(dt)` control periods before arrives at period `step`, else 0.
+        """Return 1 if a message measured `late(dt)` control periods before arrives at period `step` (from 0), else 0.
 
-        The first measurement takes place at control period 0.
-
-        Args:
-            step: number of the control period, from 0.
-            chance: a standard normal number that decides the loss, drawn anew for each control period.
-            dt: control period [s].
+        The first measurement takes place at control period 0. `chance` is a standard normal number that decides the
+        loss.
 
         Raises:
             InputError: if period or latency is not a multiple of dt.
@@ -140,12 +131,9 @@ class BaseStation:
         Without a message, all numbers are 0.
 
         Args:
-            past: (K, 6) true states of the obstacles in {E} at the time of measurement, `messages.latency` earlier: x,
-                y, radius, vx, vy, valid.
-            step: number of the control period, from 0.
+            past: (K, 6) true states of the obstacles in {E}, `messages.latency` earlier: x, y, radius, vx, vy, valid.
             noise: (K, 4) standard normal numbers, for x, y, and both velocity components.
             chance: a standard normal number that decides whether the whole message is lost.
-            dt: control period [s].
         """
         arrived = self.messages.arrives_symbols(step, chance=chance, dt=dt)
         place, speed = past[:, :2] + self.position_sd * noise[:, :2], past[:, 3:5] + self.velocity_sd * noise[:, 2:]
@@ -177,15 +165,10 @@ class OwnState:
         _check("own_state.rate_sd", self.rate_sd, unit="rad/s")
 
     def fix_symbols(self, past: ca.SX, step: ca.SX, *, noise: ca.SX, dt: float) -> tuple[ca.SX, ca.SX]:
-        """Return the position fix (3,) [m] in {E}, and 1 if a fix arrives at a control period, else 0.
+        """Return the position fix (3,) [m] in {E}, and 1 if one arrives at a control period, else 0; without one, zeros.
 
-        Without a fix, the three numbers are 0.
-
-        Args:
-            past: (3,) true x, y, z of the robot [m] in {E} at the time of measurement, `fixes.latency` earlier.
-            step: number of the control period, from 0.
-            noise: (4,) standard normal numbers: three for x, y, z, and one that decides whether the fix is lost.
-            dt: control period [s].
+        `past` is the true x, y, z (3,) `fixes.latency` earlier; `noise` (4,) are standard normal numbers, three for x,
+        y, z, and one that decides whether the fix is lost.
         """
         arrived = self.fixes.arrives_symbols(step, chance=noise[3], dt=dt)
         return ca.if_else(arrived, past + self.position_sd * noise[:3], 0.0), arrived

@@ -92,11 +92,9 @@ class MoverTracker:
         """Return the moving obstacles after one control step.
 
         Args:
-            state: value of each entry of `ports(prefix)`, by name.
             message: (slots, 6) x, y, radius, vx, vy, valid of each obstacle, measured in {E} `latency` earlier; any
                 finite values if no message arrived.
             message_fresh: 1 if a message has arrived since the last step, else 0.
-            prefix: prefix of the names of the state's entries.
         """
         fresh = message_fresh > 0.5
 

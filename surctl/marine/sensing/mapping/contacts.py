@@ -35,22 +35,18 @@ def expected_range(
 ) -> ca.SX:
     """Return the range [m] that one sensor would measure if only known walls and obstacles existed; at most 2·maximum.
 
-    The function uses the closed form of `Solid.nearest_in_cone`: the nearest point of a wall or
-    disc in the cone is the foot point (the nearest point of the whole shape) if the cone contains it, otherwise a point
-    on an edge ray of the cone.
+    As in `Solid.nearest_in_cone`, the nearest point of a wall or disc is its foot point if the cone contains it,
+    otherwise a point on an edge ray of the cone.
 
     Args:
-        position: (2,) robot's centre in {E} [m].
-        heading: (2,) cos ψ, sin ψ.
+        position, heading: (2,) robot's centre in {E} [m]; (2,) cos ψ, sin ψ.
         walls: (4,) xmin, xmax, ymin, ymax of the tank in {E} [m].
-        discs: (K, 3) known obstacles: x, y, radius [m]; K may be 0.
-        valid: (K,) 1 for a disc that is present, else 0.
+        discs, valid: (K, 3) known obstacles, x, y, radius [m], and (K,) 1 for one that is present, else 0.
         azimuth: azimuth of the sensor in {B} [rad].
         hull_radius: distance from the robot's centre to the apex of the cone [m]; a symbol in a law for any vehicle.
         half_angle: half the opening angle of the cone [rad], 0 < half_angle < π/2.
-        maximum: longest range that the sensor measures [m].
         incidence: largest angle between a wall's normal and the direction to the sensor at which the wall answers
-            [rad]; None: a wall answers at every angle. Obstacles answer at every angle.
+            [rad]; None: any. Obstacles answer at every angle.
 
     Raises:
         InputError: if half_angle is out of range.
@@ -104,18 +100,8 @@ def sonar_contacts(
 ) -> Contacts:
     """Return one point per sensor, on the beam's axis at `range_hat`; the point is valid if the echo is unexplained.
 
-    A range is an echo if range_hat < maximum − margin. The known walls and obstacles explain the echo if
-    range_hat ≥ expected − tolerance.
-
-    Args:
-        array: the sonar array.
-        range_hat: (n,) filtered ranges [m].
-        position: (2,) robot's centre in {E} [m].
-        heading: (2,) cos ψ, sin ψ.
-        hull_radius: distance from the robot's centre to the apexes [m].
-        expected: (n,) expected ranges from `expected_range` [m].
-        margin: a range above `maximum` − `margin` counts as no echo [m].
-        tolerance: a range above `expected` − `tolerance` is explained by the known walls and obstacles [m].
+    A range is an echo if range_hat < maximum − margin. The known walls and obstacles explain it if range_hat ≥ expected
+    − tolerance. Ranges are (n,) [m]; `position` and `heading` are as for `expected_range`.
     """
     points = []
     for i, azimuth in enumerate(array.azimuths):
@@ -127,16 +113,9 @@ def sonar_contacts(
 
 @dataclass(frozen=True, kw_only=True)
 class ContactMemory:
-    """A memory of the last unexplained echo of each sensor; the echo is dropped after the time `hold`.
+    """A memory of the last unexplained echo of each sensor, fixed in {E}, for the time `hold` [s] (design choice).
 
-    The position of a stored echo in {E} is fixed.
-
-    Later readings without an echo do not remove a stored echo, because the beam may have turned away from the obstacle.
-
-    Attributes:
-        sensors: number of sensors n.
-        dt: period of the updates [s].
-        hold: longest age of a stored echo [s] (design choice).
+    Later readings without an echo do not remove it, because the beam may have turned away from the obstacle.
     """
 
     dt: float
@@ -164,11 +143,7 @@ class ContactMemory:
     ) -> tuple[dict[str, ca.SX], Contacts]:
         """Return the next state and the valid echoes: new echoes at age 0, and older echoes up to age `hold`.
 
-        Args:
-            state: value of each entry of `ports(prefix)`, by name.
-            contacts: obstacle points at this control step; only the points of fresh sensors are used.
-            fresh: (n,) 1 for a sensor that fired since the last update, else 0.
-            prefix: prefix of the names of the state's entries.
+        Only the points of sensors with `fresh` (n,) 1, which fired since the last update, are used.
         """
         echo, age = state[f"{prefix}echo"], state[f"{prefix}age"]
         new = ca.logic_and(fresh > 0.5, contacts.valid)

@@ -95,9 +95,8 @@ class LocalMap:
     def held(self) -> int:
         """Number of cells not known to be free below which the unknown cells of a block are ignored.
 
-        A disc two cells wide touches the cell of its centre and the four adjacent cells; at least three of these five
-        cells lie in one block. So no object of this size can hide in blocks with fewer cells that are not known to be
-        free.
+        Of the five cells that a disc two cells wide touches, the centre's and its neighbours, at least three lie in one
+        block. So no object of this size can hide in blocks with fewer such cells.
         """
         return min(_HOLDS, self.block * self.block)
 
@@ -136,7 +135,6 @@ class LocalMap:
 
         Args:
             cells: (N²,) values of the cells in the state of the map.
-            corner: (2,) lowest cell of the window in the state of the map.
             edge: edge length of a cell [m]; with 1 the coordinates of the centres are in cells.
 
         Raises:

@@ -71,9 +71,8 @@ class TrackerParameters:
     def repeats(self) -> int:
         """Number of repetitions of the same samples after which a sensor counts as stuck; 0 if the noise is too small.
 
-        Two successive firings of a working sensor give the same samples with a probability of at most p; the
-        probability is p if the range lies at the worst position between two conversion steps. The number r of
-        repetitions satisfies p^r < 1e-4.
+        Two successive firings of a working sensor give the same samples with a probability of at most p, at the worst
+        position between two conversion steps. The number r of repetitions satisfies p^r < 1e-4.
         """
         chance = _chance_of_equal_sets(self.array)
         needed = ceil(log(1e-4) / log(min(max(chance, 1e-12), 0.999)))

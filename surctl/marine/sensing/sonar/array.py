@@ -59,20 +59,12 @@ def _inside_hull(mount: tuple[float, float], hull_radius: float) -> bool:
 def open_cones(
     mount: tuple[float, float], azimuth: float, *, half_angle: float, hull_radius: float
 ) -> tuple[tuple[float, float], ...]:
-    """Return the parts of a beam that the hull does not hide, from right to left.
+    """Return the parts of a beam that the hull does not hide, from right to left: (offset, half angle) [rad].
 
-    Each part is given as (offset from the beam's axis, half angle) [rad].
-
-    Seen from an apex at distance ρ from the centre, the hull (a disc of radius R) hides the bearings within asin(R/ρ)
-    of the centre's bearing. Seen from an apex on the hull, the hull hides the half-plane behind the apex. No object can
-    lie between apex and hull. The result is the whole beam, one part of the beam, two parts (one on each side of the
-    hull), or empty.
-
-    Args:
-        mount: (2,) apex in {B} [m], not inside the hull.
-        azimuth: direction of the beam's axis in {B} [rad].
-        half_angle: half the opening angle of the beam [rad], below π/2.
-        hull_radius: radius R of the hull [m]; a hull of radius 0 hides nothing.
+    Seen from an apex (2,) in {B} at distance ρ from the centre, the hull (a disc of radius R) hides the bearings within
+    asin(R/ρ) of the centre's; from an apex on the hull, the half-plane behind it. No object can lie between apex and
+    hull. The result is the whole beam, one part of it, two parts (one on each side of the hull), or empty. A hull of
+    radius 0 hides nothing.
     """
     distance = hypot(*mount)
     if hull_radius <= 0.0:
@@ -241,13 +233,9 @@ class SonarArray:
         """Return the distance [m] from the hull at which a corner ahead is first heard; 0: the hull touches it first.
 
         The corner is a right angle whose edge is silent, and the hull moves straight along its bisector, at the heading
-        that hears most. Seen from there, each face lies at 45° to the course. A sensor hears a face once the end of the
-        face is within `incidence` of the sensor's view along the normal. A sensor with a beam of half angle β on a hull
-        of radius R does so at R (sin β / sin(45° − incidence) − 1) from the hull. Other courses hear one of the faces
-        earlier.
-
-        Args:
-            incidence: largest angle of incidence [rad] at which a face answers; None: a face answers at any.
+        that hears most. Each face then lies at 45° to the course, and a sensor hears it once the end of the face is
+        within `incidence` [rad] (None: any angle) of its normal: with a beam of half angle β on a hull of radius R, at
+        R (sin β / sin(45° − incidence) − 1) from the hull. Other courses hear one of the faces earlier.
         """
         if incidence is None or incidence >= pi / 4:
             return self.maximum

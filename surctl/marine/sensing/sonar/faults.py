@@ -196,10 +196,7 @@ def faulty_samples(
     """Return the samples that arrive from one firing, and the next fault state.
 
     Args:
-        array: the sonar array.
         state: value of each entry of `fault_ports`, by name.
-        sensor: index of the sensor that fires.
-        time: time of the firing [s].
         distance: range to the nearest reflecting point [m], from `echo_range`.
         noise: (samples, 1) standard normal numbers.
         slots: (k, SLOT) scheduled faults from `fault_slots`; k may be 0.
@@ -207,7 +204,6 @@ def faulty_samples(
         uniforms: (2, 1) uniform numbers in (0, 1): the first selects the random fault, the second gives the value of a
             spike.
         delays: whether the state holds the samples of earlier firings; if not, no scheduled fault may be a delay.
-        prefix: prefix of the names of the state's entries.
     """
     own = echo_samples(array, distance, noise=noise)
     last = state[f"{prefix}last"]

@@ -99,11 +99,9 @@ class CaseParameter:
     """A parameter (number) of the simulation setup that a batch can change.
 
     Attributes:
-        name: name of the parameter, for instance `k_v`, `vehicle.m11` (plant and model), `plant.m11` (plant only),
-            `scenario.cruise` or `obstacle.NAME.speed`.
-        unit: SI unit of the parameter.
-        meaning: description of the parameter.
-        value: value of the parameter before any change.
+        name: such as `k_v`, `vehicle.m11` (plant and model), `plant.m11` (plant only), `scenario.cruise` or
+            `obstacle.NAME.speed`.
+        unit, meaning, value: SI unit, description, and value before any change.
         low, high: bounds of the parameter; `low` itself is not allowed if `open_below` is true.
         range: range that the vehicle file states for the parameter, or None.
     """

@@ -32,12 +32,10 @@ _FINITE = 1e300
 
 @dataclass(frozen=True, eq=False)
 class Loop:
-    """The closed loop for one loop structure (the part of a setup that is fixed at compilation).
+    """The closed loop for one loop structure (the part of a setup that is fixed at compilation), with its law.
 
-    Attributes:
-        law: the law of the loop.
-        state: layout of a run's state vector; the run ends when the vector's first entry, `done`, becomes 1.
-        parameters: layout of a run's parameter vector.
+    `state` and `parameters` are layouts of a run's vectors; the run ends when the first entry of the state, `done`,
+    becomes 1.
     """
 
     structure: Structure

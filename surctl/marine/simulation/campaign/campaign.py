@@ -237,18 +237,10 @@ def run_campaign(
     store: ChunkStore | None = None,
     progress: Callable[[str], None] = lambda _: None,
 ) -> Campaign:
-    """Simulate the first `runs` runs of a plan.
+    """Simulate the first `runs` runs of a plan, in chunks of `chunk` runs by `threads` threads of the compiled loop.
 
-    The result does not depend on the number of threads, the chunk size, or the chunks that the store already holds.
-
-    Args:
-        plan: the plan of the runs.
-        runs: number of runs, at least 1.
-        threads: number of threads of the compiled loop.
-        chunk: number of runs that are simulated together.
-        store: open store with chunks of this size; the campaign reads finished chunks from it and writes new chunks to
-            it.
-        progress: function that receives one line of text after each chunk.
+    The result does not depend on threads and chunks. Finished chunks are read from the open `store`, and new ones
+    written to it. `progress` receives one line of text after each chunk.
 
     Raises:
         InputError: the number of runs is 0, a drawn number is out of its bounds, or a chunk of runs cannot be written.
@@ -306,22 +298,15 @@ class CampaignFolder:
     """A folder of campaigns; an interrupted campaign resumes from it, and a finished campaign does not run again.
 
     `campaign.json` describes the request, `campaign.chunks` holds finished runs, `NAME.csv` holds all runs, and `worst`
-    holds files of the worst runs for `load_replay`. The number of runs is not part of the request in `campaign.json`,
-    so that a later command may add runs.
-
-    Attributes:
-        path: the folder.
-        plans: plans of the campaigns, in their order.
+    holds files of the worst runs for `load_replay`. The number of runs is not part of the request, so a later command
+    may add runs.
     """
 
     path: Path
     plans: tuple[Plan, ...]
 
     def prepare(self, *, fresh: bool = False) -> None:
-        """Create the folder and write the description of the requested runs to `campaign.json`.
-
-        Args:
-            fresh: whether to delete all earlier campaigns in the folder first.
+        """Create the folder and write `campaign.json`; with `fresh`, delete all earlier campaigns in the folder first.
 
         Raises:
             InputError: the folder cannot be written, or it belongs to a different campaign; the error names the

@@ -28,13 +28,12 @@ Columns = Mapping[str, NDArray[np.float64]]
 
 @dataclass(frozen=True)
 class SampledRun:
-    """One random run of a campaign.
+    """One random run of a campaign, with the `seed` of all random choices except those in `draw`.
 
     Attributes:
         case: the setup with the scenario of this run; its vehicle is the law's model unless `case.model` is set.
-        seed: seed of all random choices except those in `draw`.
-        draw: parameters in which the simulated vehicle differs from the vehicle of `case`, by name, in the units of the
-            vehicle file.
+        draw: parameters in which the simulated vehicle differs from the vehicle of `case`, by name, in its file's
+            units.
     """
 
     case: Case
@@ -225,10 +224,6 @@ def random_world(vehicle: Vehicle, *, seed: int) -> Scenario:
     away from the target, and is removed at its end. Two moving obstacles always leave a gap that is 0.1 m wider than
     the hull. A moving obstacle may press the hull against a wall or a still obstacle. The function `findings` reports
     no error for such a world: the hull fits at the start, at the target, and in the tightest gap of the path.
-
-    Args:
-        vehicle: the vehicle that must fit into the world.
-        seed: seed of all random choices.
 
     Raises:
         SurctlError: no random world fits this vehicle.

@@ -120,7 +120,7 @@ def velocity_notes(log: MotionLog) -> tuple[str, ...]:
     """Return one text for each velocity that does not follow from the pose, with the change that would make it follow.
 
     The displacement over some seconds is compared with the integral of the velocity, turned by the heading. A wrong
-    frame, sign or unit in the map of a log makes them differ, and so do a velocity through the water in a current, and
+    frame, sign or unit in the map of a log makes them differ, as do a velocity through the water in a current, and
     clocks that differ.
     """
     notes = []
@@ -533,8 +533,6 @@ def held_out_windows(
     Lengths for which the log has no window are omitted.
 
     Args:
-        log: the log.
-        start: vehicle with the initial values of the fit.
         windows: lengths of the windows [s].
         share: share of the time that is predicted.
 

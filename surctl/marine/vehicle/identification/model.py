@@ -92,9 +92,9 @@ def _places(form: PlantForm, names: tuple[str, ...]) -> tuple[list[int], list[in
 def stepper(form: PlantForm, names: tuple[str, ...]) -> tuple[Repeated, Slope]:
     """Return one integration step (RK4) of the plant in still water, and the slopes of the rate.
 
-    The step has the arguments of a chain: the state x (s,), a flag and a new initial state (s,), which replaces x if
-    the flag is 1, thrust (4,), p and dt; it returns the next state. The vector p holds the parameters `names`, then the
-    other entries of the plant's parameter vector. The slopes are those by x and by the parameters `names`.
+    From the state x (s,), a flag and an initial state (s,) that replaces x if the flag is 1, thrust (4,), p and dt, the
+    step returns the next state. The vector p holds the parameters `names`, then the other entries of the plant's
+    parameter vector. The slopes are those by x and by the parameters `names`.
     """
     fitted, others = _places(form, names)
     order = plant_state(form).size
@@ -185,13 +185,7 @@ def axes_of(name: str) -> frozenset[str]:
 
 
 def _scale_of(vehicle: Vehicle, name: str, thrust: Array) -> float:
-    """Return the size of a change of a parameter, in its SI unit.
-
-    Args:
-        vehicle: the start vehicle with all offsets.
-        name: the parameter.
-        thrust: (4,) largest thrust on each axis.
-    """
+    """Return the size of a change of a parameter, in its SI unit; `thrust` (4,) is the largest on each axis."""
     value = abs(vehicle[name])
     if name in CONSTANT_FORCE:
         return float(thrust[CONSTANT_FORCE.index(name)])

@@ -72,8 +72,6 @@ def predict(log: MotionLog, vehicle: Vehicle, *, window: float = WINDOW) -> Pred
     vehicle.
 
     Args:
-        log: the log.
-        vehicle: the vehicle.
         window: length of the windows [s].
 
     Raises:
@@ -250,8 +248,6 @@ def drift_trial(log: MotionLog, start: Vehicle, parameters: Array, noise: Array)
     The predictions use the mean force of the fitted half, as a vehicle file does, and negative drag is excluded.
 
     Args:
-        log: the log.
-        start: vehicle with the initial values of the fit.
         parameters: (p,) scaled parameters of a fit of the whole log with a constant force, where the fits begin.
         noise: (c,) standard deviation of the residuals of that fit.
     """

@@ -175,10 +175,6 @@ def _read_table(
 
     Args:
         path: a file .csv, .mat or .nc; with `columns`, a text file of numbers without a header.
-        time: column of the time.
-        unit: unit of the time.
-        columns: names of the columns of a file without a header.
-        skip_lines: lines above its numbers.
         map_name: file that names the time, for errors; default: the table.
 
     Raises:
