@@ -97,10 +97,7 @@ TARGETS: dict[str, Target] = {target.name: target for target in _BUILT_IN}
 
 
 def chosen_targets(names: Sequence[str] = ()) -> tuple[list[Target], dict[str, tuple[str, ...]]]:
-    """Return the targets to try, and the missing tools of each target that cannot be tried on this machine.
-
-    Args:
-        names: names of targets; if empty, all targets whose tools are installed.
+    """Return the targets to try (without names: all), and the missing tools of each one that cannot be tried.
 
     Raises:
         InputError: a name is not known.
@@ -169,14 +166,9 @@ class Identity(NamedTuple):
 
 
 class Reply(NamedTuple):
-    """Reply of the controller to one step, with the bytes that were received.
+    """Reply of the controller to one step: status, thrust (n_tau,) [N, N m], next state (nx,), telemetry (k,).
 
-    Attributes:
-        status: status code of the step.
-        tau: thrust (n_tau,) [N, N m].
-        state: state after the step (nx,).
-        telemetry: telemetry (k,).
-        raw: received bytes of all these numbers; in a compact reply, of the thrust and the values of `glance`.
+    `raw` are the received bytes of these numbers; in a compact reply, of the thrust and the values of `glance`.
     """
 
     status: int
@@ -393,10 +385,7 @@ def emulated_target(name: str) -> Target:
 def emulated(bundle: Bundle, target: Target, folder: Path) -> EmulatedLine:
     """Compile the bundle for an emulated processor, start it in QEMU, and connect to its console.
 
-    Args:
-        bundle: the exported controller.
-        target: an emulated processor.
-        folder: folder for the sources and the program; do not delete the folder while the emulator runs.
+    Sources and program are in `folder`, which must stay while the emulator runs.
 
     Raises:
         SurctlError: the compiler reports an error.

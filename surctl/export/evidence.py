@@ -35,9 +35,6 @@ def evidence_of(
     Args:
         run: scenario, vehicle, sensing and seed of the simulated run, its result, and `failure` (None if it arrived
             without contact); of a system of the user's own, `system`, `text` and `failure`.
-        sil: comparison of the compiled controller with Python over this run.
-        check: comparison over several compilers and processors, or None.
-        proof: proof of the absence of run-time errors, or None.
         statuses: status (n,) of each step of the simulated run of a robot, or None.
         period: time between two steps [s].
     """
@@ -64,13 +61,7 @@ def _bits(statuses: NDArray[np.int_], period: float) -> dict[str, dict[str, floa
 def with_evidence(
     bundle: Bundle, evidence: Mapping[str, Any], *, binaries: Mapping[str, bytes] | None = None
 ) -> Bundle:
-    """Return the bundle with the evidence in its manifest and README, and with further files such as an FMU.
-
-    Args:
-        bundle: the exported files.
-        evidence: see `evidence_of`.
-        binaries: bytes of further files by name, whose hashes the manifest states too.
-    """
+    """Return the bundle with the evidence in its manifest and README, and with further files such as an FMU."""
     files = {name: text for name, text in bundle.files.items() if name != "manifest.json"}
     head, mark, _ = files["README.md"].rpartition(_MARK)
     files["README.md"] = head + mark + "\n".join(_lines(evidence)) + "\n"

@@ -258,13 +258,10 @@ def render_files(
     """Return the text of every file except the manifest, by file name.
 
     Args:
-        law: the law, whose names are already checked.
         gains: tuned gains (np,).
         within: ranges that the input check of the exported C accepts, rounded to `real`.
-        name: prefix of files and symbols.
         identity: id of the law (see `law_id`).
         tests: inputs and expected results of the built-in self-test.
-        real: precision of every number.
         supplement: what an application adds.
     """
     block = law.block

@@ -174,8 +174,6 @@ class SilReport:
     """Verdict of one software-in-the-loop run.
 
     Attributes:
-        name: the bundle's name.
-        id: the law's id.
         steps: number of steps T.
         resets: number of steps whose recorded state does not follow from the previous step; there, C continues from the
             recorded state. Steps at which the law's host moved the window of its waypoints do not count.
@@ -184,7 +182,6 @@ class SilReport:
         fault_cases: number of invalid inputs tried in C and in Python, see `faults`.
         fault_failures: invalid inputs that did not give zero thrust, a negative status and an unchanged state.
         self_test: whether the exported self-test passes.
-        compiler: the compiler's version line.
         code_bytes: size of code and constants, None when unknown.
         command: word for tau in the summary: "thrust", or "command" for a controller of another plant.
     """

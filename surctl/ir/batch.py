@@ -53,12 +53,6 @@ class Batch:
         Args:
             state: (runs, n); entry 0 of a run's state is the flag of this run, 0 while the run continues. If the flag
                 is not 0 at the start, no step is computed.
-            parameters: parameters of each run (runs, m).
-            steps: largest number of steps.
-            threads: number of threads; the final states do not depend on this number.
-
-        Returns:
-            The final states (runs, n).
 
         Raises:
             InputError: an array has another shape, `steps` is negative, or `threads` is below 1.
@@ -185,9 +179,6 @@ def compile_batch_source(source: str, *, flags: Sequence[str] = (), folder: Path
 
 def batch_source(step: Block) -> str:
     """Return the C text of a simulation step for many runs, which `compile_batch_source` compiles.
-
-    Args:
-        step: as in `compile_batch`.
 
     Raises:
         InputError: the step has other inputs or outputs.

@@ -106,12 +106,9 @@ class Move:
 
 
 def rearranged(name: str, inputs: Mapping[str, int], outputs: Mapping[str, Sequence[tuple[str, int, int]]]) -> Program:
-    """Return a program that copies pieces of its inputs; it is built much faster than from a CasADi function.
+    """Return a program that copies pieces of its inputs, faster to build than from a CasADi function.
 
-    Args:
-        name: name of the program.
-        inputs: number of entries of each input.
-        outputs: for each output, its pieces in order: name of the input, first entry, entry after the last.
+    `inputs` are sizes; each output has pieces in order: name of the input, first entry, entry after the last.
 
     Raises:
         InputError: a piece is not inside its input.

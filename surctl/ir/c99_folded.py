@@ -109,9 +109,6 @@ def emit_folded(
     """Return a C function `static void <symbol>(const double *in0, …, double *out0, …)`, to be preceded by `preamble`.
 
     Args:
-        program: the instruction list, without instructions whose value is not used.
-        symbol: name of the C function, checked by `identifier`.
-        real: type of the numbers.
         moves: pieces of inputs to copy as a whole, see `handed_on`; allowed only with `apart`.
         apart: whether it is certain that no output overlaps an input.
 
@@ -145,12 +142,9 @@ def folded_lines(
     """Return the C lines of an instruction list: declarations of local variables, then assignments to outputs.
 
     Args:
-        instructions: the instruction list.
         stores: the assignments to outputs, in order: (C text of the left-hand side, list position of the value).
         address: function of (index of the input, index of the entry) that returns the C text of the entry.
-        real: type of the numbers.
         apart: whether an assignment to an output may read inputs, because none of the assignments overwrites an input.
-        indent: indentation of every line.
     """
     folder = _Folder(instructions, stores, address, real, apart)
     folder.fold()
@@ -322,11 +316,7 @@ def emit_lanes(
     same array as an input of kind "lanes".
 
     Args:
-        program: the instruction list.
-        symbol: name of the C function.
-        lanes: number of runs in parallel, a power of 2.
         feeds: memory layout of each input.
-        real: type of the numbers.
         folded: whether to write a loop over the lanes in the style of `c99_folded`, instead of vectors.
 
     Raises:

@@ -47,7 +47,6 @@ def emit_block(block: Block, *, symbol: str, real: Real = "float64", folded: boo
     function. `memory` returns the size of the arrays along the deepest chain of calls.
 
     Args:
-        block: program or routine.
         symbol: name of the last function, and prefix of the other names.
         real: "float32" writes float instead of double.
         folded: True writes readable text with nested expressions for any C99 compiler (see `c99_folded`); it is a third
@@ -126,9 +125,6 @@ class Writer:
     """Collects the C functions of a program or routine by file, and the name of each function by its key (`_key_of`).
 
     Args:
-        symbol: name of the last function, and prefix of all others.
-        real: type of the numbers.
-        folded: see `emit_block`.
         files: name of the file of each function, by the function's key; a function without an entry is written to file
             "".
         shared: keys of the functions that are called from another file; these are not static.
@@ -422,11 +418,6 @@ def emit_parts(block: Block, *, symbol: str, real: Real = "float64") -> Parts:
 
     All names begin with `symbol`; functions that no other file calls are static.
     Each file must begin with <math.h>, the pragma FP_CONTRACT and the prototypes.
-
-    Args:
-        block: program or routine.
-        symbol: name of the last function.
-        real: type of the numbers.
 
     Raises:
         InputError: `symbol` is not a valid C identifier.

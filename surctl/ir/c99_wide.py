@@ -54,8 +54,6 @@ def _program_text(
     (`overlapping`), these pieces are copied through `work`, because the function must read them before it writes.
 
     Args:
-        program: the instruction list.
-        symbol: name of the function.
         strides: for a loop body that runs in inner SIMD lanes, the distance between two entries of each input, then of
             each output; nothing is then copied as a whole. If empty, all distances are 1.
         overlapping: whether the function is called with one array as both an input and an output.
@@ -148,10 +146,6 @@ class Wide:
 
 def emit_wide(block: Block, *, symbol: str) -> Wide:
     """Return C text of a program or routine and of all that it calls; blocks with equal text become one function.
-
-    Args:
-        block: program or routine.
-        symbol: name of the last function, and prefix of the other names.
 
     Raises:
         InputError: `symbol` is not a valid C identifier.

@@ -167,12 +167,8 @@ def compile_program(
 
     Args:
         sources: C sources or object files.
-        output: the file to write.
         flags: additional flags, after `FLAGS` and `further_flags`.
         compiler: command of the C compiler, which may include arguments; if None, that of `find_compiler`.
-
-    Returns:
-        `output`.
 
     Raises:
         ToolMissing: there is no compiler.
@@ -326,7 +322,6 @@ def cached_bytes(key: str, suffix: str, build: Callable[[], bytes], *, folder: P
 
     Args:
         key: hexadecimal digest of everything on which the bytes depend.
-        suffix: suffix of the entry's file, with the dot.
         build: function that is called if no cache entry can be trusted; its exceptions are passed on.
         folder: cache folder; `cache_folder()` if None. A folder is not used if this process cannot write to it or
             another user can; then the warning `CacheUnused` is issued.
@@ -500,7 +495,6 @@ def stored_numbers(
         sources: packages or modules that contain the code, as in `source_digest`.
         key: everything on which the numbers depend beside the code, with an exact `repr`; arrays as `tobytes()`.
         compute: returns the numbers as JSON can hold them; its exceptions are passed on.
-        suffix: suffix of the entry's file, with the dot.
     """
     try:
         digest = source_digest(*sources)

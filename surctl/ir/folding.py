@@ -230,11 +230,6 @@ def with_constants(program: Program, source: int, values: Sequence[float]) -> Pr
     becomes 0. Constant values are computed in double; if the program is evaluated in another precision, they are then
     rounded to it.
 
-    Args:
-        program: the instruction list, without libm functions such as sin.
-        source: index of the input.
-        values: one number for each entry.
-
     Raises:
         InputError: the number of values differs from the number of entries, a value is not finite, or the program uses
             libm functions such as sin, whose last bits depend on the machine.

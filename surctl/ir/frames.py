@@ -20,11 +20,6 @@ _CALL = re.compile(r"\b(\w+)\(")
 def stack_bytes(block: Block, *, real: Real = "float64", flags: Sequence[str] = ("-Os",)) -> int:
     """Return how many bytes of stack the C of a program or routine uses on this machine, including its calls.
 
-    Args:
-        block: program or routine.
-        real: type of the numbers.
-        flags: compiler flags in addition to those of `compile_program`.
-
     Raises:
         ToolMissing: there is no compiler, or the compiler does not report stack frames (`-fstack-usage`).
         SurctlError: the compiler reports an error, or a frame has no fixed size.
@@ -62,15 +57,13 @@ def stack_of(text: str, entry: str, *, flags: Sequence[str] = ("-Os",), compiler
 
 
 def stack_from_report(report: str, text: str, entry: str) -> int:
-    r"""Return the stack size as `stack_of` does, from the report of an earlier compilation with `-fstack-usage`.
+    r"""Return the stack size as `stack_of` does, from the report of a compilation with `-fstack-usage`.
 
-    Args:
-        report: text of the compiler's report for one object file, or the concatenated reports for several object files.
-        text: the C text, including the text of its own header files.
-        entry: name of the function.
+    `report` may be the concatenated reports of several object files; `text` is the C text, including its own header
+    files.
 
     Raises:
-        InputError: the text has no such function.
+        InputError: the text has no function `entry`.
         SurctlError: a frame has no fixed size.
     """
     # every file that includes a header reports the functions of the header again

@@ -125,9 +125,7 @@ def compile_block(
     """Compile a program or routine, or load the compiled library from the cache.
 
     Args:
-        block: program or routine.
         flags: additional compiler flags; flags that change numerical results are refused.
-        folder: cache folder (`surctl.ir.cache.cache_folder()` if None).
         real: "float32" computes in float and rounds the inputs to float.
 
     Raises:
@@ -156,13 +154,9 @@ def _identity(block: Block, real: Real) -> str:
 
 
 def runnable(block: Block, *, quick: bool = False) -> Callable[..., list[Array]]:
-    """Return the compiled program or routine; without a compiler, return a slower function with equal results.
+    """Return the compiled program or routine, with `quick_flags` if `quick`.
 
-    The slower function comes with a warning `SlowerEngine`.
-
-    Args:
-        block: program or routine.
-        quick: whether to compile with `quick_flags`.
+    Without a compiler, return a slower function with equal results, and warn (`SlowerEngine`).
     """
     try:
         return compile_block(block, flags=quick_flags() if quick else ())

@@ -232,10 +232,8 @@ def routine(name: str, program: Program, inputs: int, outputs: Mapping[str, Key]
     """Return the instruction list as a routine with loops, or as a program if there is no loop.
 
     Args:
-        name: name of the routine.
         program: the instruction list; its first `inputs` inputs are the inputs of the routine. Its other inputs
             represent the state of loops and the table rows that loops read.
-        inputs: number of inputs of the routine.
         outputs: for each output by name, the list positions of its entries.
         loops: the traced loops, in the order of tracing, so that each loop follows the loops on which it depends.
     """

@@ -43,7 +43,6 @@ class SimulatedSub:
 
     Args:
         scenario: mission; the vehicle begins at its start.
-        vehicle: the vehicle.
         site: place of the autopilot's NED frame in {E}.
         full_rate: yaw rate [rad/s] at full deflection.
         pilot_timeout: ArduSub's FS_PILOT_TIMEOUT [s].

@@ -148,13 +148,7 @@ class _Track:
 
 @dataclass
 class Inputs:
-    """Collects measurements, and builds the input vector of the law.
-
-    Attributes:
-        law: the law.
-        scenario, vehicle: mission and vehicle.
-        site: place of the autopilot's NED frame in {E}.
-    """
+    """Collects measurements, and builds the input vector of the law."""
 
     law: Law
     scenario: Scenario

@@ -91,7 +91,6 @@ def run_session(
     Args:
         bridge: the bridge, before its first period.
         address: where the autopilot, or its router, is.
-        log: records the session.
         said: is called with each line for the operator.
         limit: longest time [s]; None: no limit.
 

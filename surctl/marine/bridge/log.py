@@ -28,9 +28,6 @@ class FrameLog:
 
     A frame is handed to the operating system before the next one is taken: the end of the process loses nothing.
     `surctl vehicle from-log` and ground stations read the file.
-
-    Attributes:
-        path: the file.
     """
 
     def __init__(self, path: Path, *, epoch: float | None = None, new: bool = True) -> None:
@@ -75,15 +72,8 @@ def _frames(data: bytes) -> Iterator[bytes]:
 class SessionRecord:
     """The record of a session in a folder: `NAME.tlog` with every frame, and `NAME.mcap` for Foxglove.
 
-    Args:
-        folder: an existing folder.
-        name: name of the files.
-        bridge: the session.
-        epoch: time of the begin [s] of the Unix epoch; default: now.
-        new: whether the files must not exist yet.
-
-    Attributes:
-        files: paths of the two files.
+    `epoch` is the time of the begin [s] of the Unix epoch; default: now. With `new`, the files must not exist yet.
+    `files` are the paths of the two files.
 
     Raises:
         ToolMissing: the package mcap is not installed.

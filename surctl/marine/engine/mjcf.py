@@ -215,11 +215,6 @@ def mjcf(scenario: Scenario, vehicle: Vehicle, *, options: EngineOptions | None 
     force [N] of each thruster at its place; that of a swivelling thruster is two actuators, along `push` and, as
     `thruster/NAME/across`, at right angles to it. All actuators act together, so a program uses the ones or the others.
 
-    Args:
-        scenario: the scenario.
-        vehicle: the vehicle.
-        options: the options of the simulation.
-
     Raises:
         InputError: the options need what the vehicle file does not state.
 

@@ -68,13 +68,7 @@ def _renderer(model: Any, size: tuple[int, int]) -> Any:
 
 
 class Scene:
-    """The scene of a scenario, which can be rendered; use it in a `with` statement.
-
-    Args:
-        scenario: the scenario.
-        vehicle: the vehicle.
-        options: the options of the simulation.
-        size: width and height of the pictures [pixels].
+    """The scene of a scenario, which can be rendered at `size` (width, height) [pixels]; use it in a `with` statement.
 
     Raises:
         ToolMissing: MuJoCo, or a library that renders without a screen, is not installed.

@@ -167,13 +167,7 @@ def origin_entries(law: Exportable, p: Vector, origin: Origin) -> dict[str, Any]
 
 
 def check_belonging(manifest: Mapping[str, Any], files: Mapping[str, str], origin: Origin) -> None:
-    """Raise InputError with the differences if a certificate is not about the controller of the manifest.
-
-    Args:
-        manifest: the manifest, without the hashes of the files.
-        files: text of each file of the bundle by its name.
-        origin: the certificates.
-    """
+    """Raise InputError with the differences if a certificate is not about the controller of the manifest."""
     read_back = read_manifest(manifest, files)
     speeds = [f"--{name} {read_back.gains[name][0]:g}" for name in ("cruise", "cap") if name in read_back.gains]
     command = " ".join(["surctl verify", *speeds, "--gains FILE --vehicle FILE"])
@@ -189,12 +183,6 @@ def fitting_certificates(paths: Sequence[Path], law: Law, vehicle: Vehicle, p: V
     """Return the certificates that concern this law with these parameters; only these can be exported with the law.
 
     Their proofs are not checked here, but at the export.
-
-    Args:
-        paths: certificate files.
-        law: the law, with or without perception.
-        vehicle: the vehicle that the law controls.
-        p: parameters of the law, in the order of `law_numbers`.
 
     Raises:
         InputError: a file is not a certificate.

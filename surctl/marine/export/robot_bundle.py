@@ -296,7 +296,6 @@ def build_bundle(
     """Return the C bundle of a control law with tuned gains.
 
     Args:
-        law: the control law.
         gains: values of the gains by name; a gain without a value has its default.
         name: prefix of file names and C symbols; by default the name of the law.
         real: "float32" for a processor with a single-precision unit; every number in the C text is then a float.

@@ -165,7 +165,7 @@ class OwnState:
         _check("own_state.rate_sd", self.rate_sd, unit="rad/s")
 
     def fix_symbols(self, past: ca.SX, step: ca.SX, *, noise: ca.SX, dt: float) -> tuple[ca.SX, ca.SX]:
-        """Return the position fix (3,) [m] in {E}, and 1 if one arrives at a control period, else 0; without one, zeros.
+        """Return the position fix (3,) [m] in {E}, and 1 if one arrives at this period, else 0; without one, zeros.
 
         `past` is the true x, y, z (3,) `fixes.latency` earlier; `noise` (4,) are standard normal numbers, three for x,
         y, z, and one that decides whether the fix is lost.
