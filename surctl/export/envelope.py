@@ -40,7 +40,6 @@ class Records:
     P: Vector
 
     def __len__(self) -> int:
-        """Return the number of recorded steps T."""
         return len(self.X)
 
 

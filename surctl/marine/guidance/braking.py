@@ -113,7 +113,6 @@ class Brakes:
     current: float = 0.0
 
     def __post_init__(self) -> None:
-        """Check the values; raise an InputError that names an invalid value."""
         for name in ("masses", "linear", "quadratic"):
             low, high = getattr(self, name)
             positive = low > 0 if name == "masses" else low >= 0
@@ -165,7 +164,6 @@ class Watch:
     speed_error: float = 0.0
 
     def __post_init__(self) -> None:
-        """Check the values; raise an InputError that names an invalid value."""
         for name in ("period", "age", "range_error", "speed_error"):
             value = getattr(self, name)
             if not isfinite(value) or value < 0 or (name == "period" and value == 0):

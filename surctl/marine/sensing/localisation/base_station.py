@@ -13,7 +13,7 @@ from statistics import NormalDist
 
 import casadi as ca
 
-from surctl.errors import InputError
+from surctl.errors import InputError, check_number
 
 _ALWAYS = 1e300  # bound that no standard normal number reaches
 _ROUNDING = 1e-9  # [1] tolerance of a number of steps
@@ -37,11 +37,8 @@ class Delivery:
     gaps: tuple[tuple[float, float], ...] = ()
 
     def __post_init__(self) -> None:
-        """Check the values; raise an InputError that names an invalid value."""
-        if not (isfinite(self.period) and self.period > 0):
-            raise InputError("must be greater than 0", key="delivery.period", value=self.period, remedy="give s")
-        if not (isfinite(self.latency) and self.latency >= 0):
-            raise InputError("must be at least 0", key="delivery.latency", value=self.latency, remedy="give s")
+        check_number("delivery.period", self.period, unit="s")
+        check_number("delivery.latency", self.latency, unit="s", zero=True)
         if not 0 <= self.loss <= 1:
             raise InputError("must lie between 0 and 1", key="delivery.loss", value=self.loss, remedy="give 0 to 1")
         gaps = tuple(tuple(float(end) for end in gap) for gap in self.gaps)
@@ -119,9 +116,8 @@ class BaseStation:
     messages: Delivery = field(default_factory=Delivery)
 
     def __post_init__(self) -> None:
-        """Check the values; raise an InputError that names an invalid value."""
-        _check("base_station.position_sd", self.position_sd, unit="m")
-        _check("base_station.velocity_sd", self.velocity_sd, unit="m/s")
+        check_number("base_station.position_sd", self.position_sd, unit="m", zero=True)
+        check_number("base_station.velocity_sd", self.velocity_sd, unit="m/s", zero=True)
 
     def message_symbols(
         self, past: ca.SX, step: ca.SX, *, noise: ca.SX, chance: ca.SX, dt: float
@@ -159,10 +155,9 @@ class OwnState:
     fixes: Delivery = field(default_factory=Delivery)
 
     def __post_init__(self) -> None:
-        """Check the values; raise an InputError that names an invalid value."""
-        _check("own_state.position_sd", self.position_sd, unit="m")
-        _check("own_state.yaw_sd", self.yaw_sd, unit="rad")
-        _check("own_state.rate_sd", self.rate_sd, unit="rad/s")
+        check_number("own_state.position_sd", self.position_sd, unit="m", zero=True)
+        check_number("own_state.yaw_sd", self.yaw_sd, unit="rad", zero=True)
+        check_number("own_state.rate_sd", self.rate_sd, unit="rad/s", zero=True)
 
     def fix_symbols(self, past: ca.SX, step: ca.SX, *, noise: ca.SX, dt: float) -> tuple[ca.SX, ca.SX]:
         """Return the position fix (3,) [m] in {E}, and 1 if one arrives at this period, else 0; without one, zeros.
@@ -180,8 +175,3 @@ class OwnState:
         normal numbers.
         """
         return eta[3] + self.yaw_sd * noise[0], nu[3] + self.rate_sd * noise[1]
-
-
-def _check(key: str, value: float, *, unit: str) -> None:
-    if not (isfinite(value) and value >= 0):
-        raise InputError("must be at least 0", key=key, value=value, remedy=f"give {unit}")

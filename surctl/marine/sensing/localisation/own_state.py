@@ -15,14 +15,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from math import exp, isfinite, pi
+from math import exp, pi
 from typing import Generic, NamedTuple, TypeVar
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.errors import InputError
+from surctl.errors import InputError, check_number
 from surctl.ir import Port
 from surctl.marine.sensing.localisation.base_station import whole_steps
 
@@ -172,15 +172,10 @@ class OwnStateFilter:
     gate: float = 5.0
 
     def __post_init__(self) -> None:
-        """Check the values; raise an InputError that names an invalid value."""
         for name, unit in _POSITIVE.items():
-            value = getattr(self, name)
-            if not (isfinite(value) and value > 0):
-                raise InputError("must be greater than 0", key=f"own_state.{name}", value=value, remedy=f"give {unit}")
+            check_number(f"own_state.{name}", getattr(self, name), unit=unit)
         for name, unit in _AT_LEAST_ZERO.items():
-            value = getattr(self, name)
-            if not (isfinite(value) and value >= 0):
-                raise InputError("must be at least 0", key=f"own_state.{name}", value=value, remedy=f"give {unit}")
+            check_number(f"own_state.{name}", getattr(self, name), unit=unit, zero=True)
         if self.latency >= LONGEST_LATENCY:
             raise InputError(
                 f"must be less than {LONGEST_LATENCY:g} s", key="own_state.latency", value=self.latency, remedy="give s"

@@ -9,12 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from math import isfinite, pi
+from math import pi
 from typing import NamedTuple
 
 import casadi as ca
 
-from surctl.errors import InputError
+from surctl.errors import InputError, check_number
 from surctl.ir import Port, fold
 from surctl.marine.sensing.sonar.array import SonarArray
 from surctl.marine.sensing.sonar.solids import disc_range, turned, wall_range
@@ -123,11 +123,8 @@ class ContactMemory:
     hold: float = 0.5
 
     def __post_init__(self) -> None:
-        """Check the values; raise an InputError that names an invalid value."""
         for name in ("dt", "hold"):
-            value = getattr(self, name)
-            if not (isfinite(value) and value > 0):
-                raise InputError("must be greater than 0", key=f"contacts.{name}", value=value, remedy="give s")
+            check_number(f"contacts.{name}", getattr(self, name), unit="s")
         if self.sensors < 1:
             raise InputError("must be at least 1", key="contacts.sensors", value=self.sensors)
 

@@ -19,14 +19,13 @@ becomes 1 and fades to 0 within `mark_time`. When a cell is cleared, its number 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import isfinite
 from typing import TypeAlias
 
 import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from surctl.errors import InputError
+from surctl.errors import InputError, check_number
 from surctl.ir import Call, Gather, Loop, Port, Program, Routine, Step, lower
 from surctl.marine.sensing.mapping.firing import READING_SIZE
 from surctl.marine.sensing.mapping.programs import BASE, BEAM, NONE, MapPrograms
@@ -72,11 +71,8 @@ class LocalMap:
     specular: bool = False
 
     def __post_init__(self) -> None:
-        """Check the values; raise an InputError that names an invalid value."""
         for name in ("dt", "mark_time", "free_time"):
-            value = getattr(self, name)
-            if not (isfinite(value) and value > 0):
-                raise InputError("must be greater than 0", key=f"map.{name}", value=value, remedy="give s")
+            check_number(f"map.{name}", getattr(self, name), unit="s")
         for name in ("slots", "blocks", "block"):
             value = getattr(self, name)
             if not isinstance(value, int) or value < 1:

@@ -162,7 +162,6 @@ class SensorFilter:
     step: StepRule = "corrected"
 
     def __post_init__(self) -> None:
-        """Check the values; raise an InputError that names an invalid value."""
         for name, least in (("window", 2), ("taps", 1), ("memory", 1), ("refusals", 1)):
             value = getattr(self, name)
             if not isinstance(value, int) or value < least:

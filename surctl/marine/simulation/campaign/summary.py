@@ -48,7 +48,6 @@ class RunTable:
     broken: tuple[tuple[str, ...], ...]
 
     def __len__(self) -> int:
-        """Return the number of runs."""
         return len(self.seeds)
 
     def column(self, name: str) -> NDArray[np.float64]:
