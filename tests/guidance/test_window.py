@@ -6,9 +6,10 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from surctl.marine.guidance import AHEAD, MAX_WAYPOINTS, Path, Window, path_target
-from surctl.marine.guidance.following import last_first, window_next, window_values
+from surctl.marine.guidance import AHEAD, MAX_WAYPOINTS, Path, path_target
+from surctl.marine.guidance.following import window_next, window_values
 from surctl.marine.guidance.path import leg_end, next_leg
+from tests.oracles.mission_window import Window, last_first
 
 RNG = np.random.default_rng(4)
 POINTS = np.cumsum(RNG.uniform([-1.1, -1.5], [1.9, 1.5], (30, 2)), axis=0)

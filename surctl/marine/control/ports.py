@@ -19,6 +19,13 @@ from surctl.marine.vehicle import Vehicle
 from surctl.marine.vehicle.linearise import ahead_limit
 
 CONTACT_SLOTS = 8
+
+ARC_LENGTHS = ("progress", "furthest", "beyond")
+"""Entries of a law's state that are arc lengths of its path, and so change when the window of a mission moves."""
+
+FED = ("waypoints", "depth", "cruise", "visit")
+"""Parameters of a law that its host feeds during a mission, see `guidance.following`."""
+
 DEFAULT_ARRAY = SonarArray()
 YAW_SHARE = 0.85
 """Share of the largest yaw moment that a planned yaw rate may use."""

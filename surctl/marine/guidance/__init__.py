@@ -2,7 +2,7 @@
 
 from surctl.marine.guidance.avoidance import FORMS, AvoidanceForm, avoidance_course
 from surctl.marine.guidance.contacts import FAR, Cone, Contact, collision_cone, disc_contact, inside
-from surctl.marine.guidance.following import AHEAD, FOLLOWING, PASSED, ROW, SKIPS, Follower, Window, follow
+from surctl.marine.guidance.following import AHEAD, FOLLOWING, PASSED, ROW, SKIPS, Follower, follow
 from surctl.marine.guidance.path import AT_CORNER, BEND, MAX_WAYPOINTS, PASS, VISIT, Path, path_target
 from surctl.marine.guidance.sectors import SAME_CONTACT, Choice, Sector, choose_velocity
 from surctl.marine.guidance.tracking import GUIDANCE, Guidance, path_error, tracking_velocity
@@ -30,7 +30,6 @@ __all__ = [
     "Guidance",
     "Path",
     "Sector",
-    "Window",
     "avoidance_course",
     "choose_velocity",
     "collision_cone",

@@ -21,14 +21,12 @@ target point, and the depth, speed and visit of the segment that the target poin
 - Segment of the target point is the last one whose start is more than `AT_CORNER` behind. Its end says the speed and
   whether the law must visit it; the depth is linear between its ends.
 
-`Window` is the rule as numbers, `window_next` and `window_values` are the rule as CasADi expressions;
-`surctl.export.mission_files` writes it in C.
+`window_next` and `window_values` are the rule as CasADi expressions; `surctl.export.mission_files` writes it in C.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from itertools import pairwise
+from collections.abc import Callable, Mapping
 from math import atan2, hypot, inf, sqrt
 
 import casadi as ca
@@ -47,83 +45,6 @@ AHEAD = MAX_WAYPOINTS - 2
 SHORTEST = 1e-6  # [m] as in `path_target`
 
 
-def last_first(count: int) -> int:
-    """Return the largest number `first` of a path with `count` waypoints: the window then holds the path's end."""
-    return max(1, count - 1 - AHEAD)
-
-
-class Window:
-    """The window of one mission, as numbers; it moves with the target point.
-
-    Args:
-        table: (n, 5) one row for each waypoint, see `Path.table`.
-        depth: z of the mission [m], to which the rises are added.
-        cruise: speed [m/s] on segments without a speed of their own.
-        visit: distance [m] to a corner to visit that counts as a visit.
-
-    Attributes:
-        first: number of the first of the waypoints in a row, counted from 0.
-
-    Example:
-        >>> from surctl.marine.guidance import Path, Window
-        >>> stairs = Path([[k // 2, (k + 1) // 2] for k in range(12)])
-        >>> window = Window(stairs.table(), depth=-1.0, cruise=0.2, visit=0.05)
-        >>> window.move(3.5), window.first, window.waypoints()[[0, 1, 6, 7]].tolist()
-        (-0.5857864376269049, 2, [[0.0, 0.0], [1.0, 1.0], [3.0, 4.0], [5.0, 6.0]])
-        >>> window.values(3.5 - 0.5857864376269049)
-        (-1.0, 0.2, 0.0)
-    """
-
-    def __init__(self, table: NDArray[np.float64], *, depth: float, cruise: float, visit: float) -> None:
-        self._rows = [tuple(map(float, row)) for row in np.asarray(table, dtype=float)]
-        self._places = np.asarray(table, dtype=float)[:, :2]
-        self._depth, self._cruise, self._visit = float(depth), float(cruise), float(visit)
-        self.first = 1
-
-    def _numbers(self) -> list[int]:
-        last = len(self._rows) - 1
-        return [0, *(min(self.first + k, last) for k in range(AHEAD)), last]
-
-    def waypoints(self) -> NDArray[np.float64]:
-        """Return the waypoints in the window (`MAX_WAYPOINTS`, 2) [m]."""
-        return self._places[self._numbers()]
-
-    def move(self, progress: float) -> float:
-        """Move the window on if the target point is far enough; return the change of every arc length in the law [m].
-
-        `progress` is the arc length of the target point along the window [m].
-        """
-        if self.first >= last_first(len(self._rows)):
-            return 0.0
-        start = self._rows[0]
-        one, two, three = self._rows[self.first : self.first + 3]
-        behind = _distance(start, one) + _distance(one, two)
-        if not progress > behind + _distance(two, three) + AT_CORNER:
-            return 0.0
-        self.first += 1
-        return _distance(start, two) - behind
-
-    def values(self, progress: float) -> tuple[float, float, float]:
-        """Return the depth z [m], the cruise speed [m/s] and the visit distance [m] (0: none) at the target point."""
-        rows = [self._rows[k] for k in self._numbers()]
-        passed, at, here = 0.0, 0.0, (rows[0], rows[1])
-        length = chord = _distance(*here)
-        for k, pair in enumerate(pairwise(rows)):
-            chord = _distance(*pair)
-            if k == 0 or progress > passed + AT_CORNER:
-                here, at, length = pair, passed, chord
-            passed = passed + chord
-        share = min(max((progress - at) / max(length, SHORTEST), 0.0), 1.0)
-        before, end = here
-        rise = before[2] + (end[2] - before[2]) * share
-        return (self._depth + rise, end[3] if end[3] > 0.0 else self._cruise, self._visit if end[4] > 0.0 else 0.0)
-
-
-def _distance(a: Sequence[float], b: Sequence[float]) -> float:
-    x, y = b[0] - a[0], b[1] - a[1]
-    return sqrt(x * x + y * y)
-
-
 def window_next(first: ca.SX, progress: ca.SX, rows: ca.SX, start: ca.SX, last: ca.SX) -> tuple[ca.SX, ca.SX]:
     """Return the window's next number `first`, and the change of every arc length in the law, as CasADi expressions.
 
@@ -131,7 +52,7 @@ def window_next(first: ca.SX, progress: ca.SX, rows: ca.SX, start: ca.SX, last: 
         progress: arc length of the target point along the window [m].
         rows: (3, k) waypoints from number `first` on; the columns begin with x, y [m].
         start: (2, 1) the path's first waypoint [m].
-        last: largest number `first`, see `last_first`.
+        last: largest number `first`, with which the window holds the end of the path.
     """
     one, two, three = (rows[k, :2].T for k in range(3))
     behind = _norm(one - start) + _norm(two - one)
@@ -147,7 +68,8 @@ def window_values(
     Args:
         rows: (`MAX_WAYPOINTS`, 5) rows of the mission's table in the window.
         progress: arc length of the target point along the window [m].
-        depth, cruise, visit: as for `Window`.
+        depth, cruise, visit: z of the mission [m], speed [m/s] on segments without one, and distance [m] that counts
+            as a visit.
     """
     passed, share, before, end = ca.SX(0), ca.SX(0), rows[0, :], rows[1, :]
     for k in range(MAX_WAYPOINTS - 1):

@@ -19,8 +19,7 @@ The rest of the distance covers the error of that position.
 def law_numbers(scenario: Scenario, gains: Gains, model: Vehicle) -> NDArray[np.float64]:
     """Return the law's parameter vector, packed as in `PARAMETERS`, from a scenario, gains and the law's vehicle model.
 
-    If the path is fed (`Path.fed`), waypoints, depth, cruise speed and visits are those from which a
-    `control.Feeder` begins.
+    If the path is fed (`Path.fed`), waypoints, depth, cruise speed and visits are those of its first window.
 
     Example:
         >>> from surctl.marine.control import PARAMETERS, load_gains

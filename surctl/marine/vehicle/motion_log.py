@@ -197,8 +197,8 @@ def read_motion_log(path: Path, *, frame: Frame | str | None = None) -> MotionLo
     Example:
         >>> from pathlib import Path
         >>> from surctl.marine.vehicle import read_motion_log
-        >>> rows = "".join(f"{0.1 * k:g},{0.01 * k:g},1,0,0,0\n" for k in range(60))
-        >>> _ = Path("log.csv").write_text("t_s,u_m_per_s,Fu_N,Fv_N,Fw_N,Fr_N_m\n" + rows)
+        >>> rows = "".join(f"{0.1 * k:g},{0.01 * k:g},1,0,0,0\\n" for k in range(60))
+        >>> _ = Path("log.csv").write_text("t_s,u_m_per_s,Fu_N,Fv_N,Fw_N,Fr_N_m\\n" + rows)
         >>> log = read_motion_log(Path("log.csv"))
         >>> log.motion.shape, round(float(log.motion[-1, 4]), 2)
         ((60, 8), 0.59)
