@@ -8,6 +8,8 @@
     │   ├── ToolMissing         an external program (compiler, ...) that the job needs is not installed
     │   └── UnsupportedOperation  a symbolic operation that the instruction list does not support
     └── SolverError             a numerical solver failed (never raised for an infeasible problem)
+
+Every function may raise InputError for a wrong argument or file; the functions that a package exports say when.
 """
 
 from __future__ import annotations

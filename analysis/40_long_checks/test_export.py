@@ -10,10 +10,11 @@ from pathlib import Path
 
 import pytest
 
-from surctl.export import REALS, TARGETS, Records, check_builds, prove_bundle, write_bundle
+from surctl.export import REALS, TARGETS, Records, check_builds, write_bundle
 from surctl.export.check import step_stack
 from surctl.export.emulated import chosen_targets
 from surctl.export.process import compile_controller
+from surctl.export.prove import prove_bundle
 from surctl.export.rendering import with_own_names
 from surctl.ir import Call, Real, Routine, memory
 from surctl.ir.c99_routine import emit_parts

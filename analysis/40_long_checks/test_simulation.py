@@ -24,14 +24,14 @@ from surctl.marine.simulation import (
     Run,
     Sensors,
     ThrusterFault,
-    depth_changes,
     load_scenario,
     simulate,
     simulate_batch,
-    stop_reason,
 )
 from surctl.marine.simulation.batch.structure import NO_END
 from surctl.marine.simulation.batch.structure import Body as Symbols
+from surctl.marine.simulation.explanation import stop_reason
+from surctl.marine.simulation.run import depth_changes
 from surctl.marine.simulation.world import LONGEST, beside
 from surctl.marine.vehicle import load_vehicle
 from surctl.marine.world import Box, Disc, Prism

@@ -106,8 +106,7 @@ def _noise(one: SensorCalibration) -> list[str]:
 
 
 def _percentages() -> tuple[dict[str, Any], list[str]]:
-    from surctl.marine.sensing import table_ii
-    from surctl.marine.sensing.calibration.file import MEDIA
+    from surctl.marine.sensing.calibration.file import MEDIA, table_ii
 
     table = table_ii()
     wrong = []

@@ -136,8 +136,8 @@ def simulate(
     _check_fallback(robot.fallback, mode=robot.priority_mode, explained=explained, campaign=campaign.any)
     from surctl.files import prepare_folder
     from surctl.marine.control import law_source, load_gains
-    from surctl.marine.simulation import Case, law_numbers, load_scenario, save_record, stop_reason
-    from surctl.marine.simulation.explanation import time_limit_reason
+    from surctl.marine.simulation import Case, law_numbers, load_scenario, save_record
+    from surctl.marine.simulation.explanation import stop_reason, time_limit_reason
     from surctl.marine.vehicle import load_vehicle
 
     _check_save(save, frame, out=out, campaign=campaign.any)

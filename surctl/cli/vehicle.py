@@ -202,7 +202,7 @@ def from_gazebo(
 
     Example: surctl vehicle from-gazebo model.sdf --name auv --diameter 0.5 --thrust 40 --yaw-thrust 6
     """
-    from surctl.marine.vehicle import gazebo_vehicle
+    from surctl.marine.vehicle.gazebo import gazebo_vehicle
 
     robot = gazebo_vehicle(model, name, radius=diameter / 2, **numbers)
     _write(robot, out, force, _parameter_lines(robot), _summary(robot), as_json=as_json)
@@ -287,8 +287,10 @@ def from_log(
 
     Example: surctl vehicle from-log trial.csv --start my-vehicle.toml --name fitted
     """
-    from surctl.marine.vehicle import held_out_windows, identify, in_sequence, load_vehicle, read_recording
-    from surctl.marine.vehicle.logs.read import topic_lines
+    from surctl.marine.vehicle import identify, load_vehicle
+    from surctl.marine.vehicle.identification.identify import held_out_windows
+    from surctl.marine.vehicle.logs.read import read_recording, topic_lines
+    from surctl.marine.vehicle.motion_log import in_sequence
 
     if topics:
         from surctl.marine.vehicle.logs.joining import load_log_map
@@ -356,8 +358,8 @@ def from_log(
 
 
 def _read_log(log: Path, map_file: Path | None, frame: str | None) -> MotionLog:
-    from surctl.marine.vehicle import read_mapped_log, read_motion_log
-    from surctl.marine.vehicle.logs.read import READERS
+    from surctl.marine.vehicle.logs.read import READERS, read_mapped_log
+    from surctl.marine.vehicle.motion_log import read_motion_log
 
     if map_file is not None:
         if frame is not None:

@@ -18,7 +18,7 @@ from surctl.export.envelope import Envelope, Rate, Records
 from surctl.export.fmu import write_fmu
 from surctl.export.precision import REALS
 from surctl.export.process import Controller, ExportedController, ExportedStep, build_controller
-from surctl.export.prove import Alarm, ProofReport, prove_bundle
+from surctl.export.prove import Alarm, ProofReport
 from surctl.export.sil import Difference, SilReport, compare_runs, software_in_the_loop
 from surctl.export.supplement import Supplement
 
@@ -54,7 +54,6 @@ __all__ = [
     "connect",
     "emulated",
     "emulated_target",
-    "prove_bundle",
     "software_in_the_loop",
     "write_bundle",
     "write_fmu",

@@ -51,9 +51,6 @@ def as_records(law: Exportable, records: AnyRecord) -> Records:
 
     The run is triples (state, inputs, gains), `Records` whose gains P may be one vector (np,), or the `Record` of a
     system that `law` controls.
-
-    Raises:
-        InputError: there is no step, or an array does not fit the law's layouts.
     """
     if isinstance(records, Record):
         records = Records(*records.controller)

@@ -1,9 +1,9 @@
 """Intermediate representation of symbolic functions (instruction lists with bounded loops), and its back ends."""
 
-from surctl.ir.batch import Batch, compile_batch
+from surctl.ir.batch import Batch
 from surctl.ir.c99 import C_TYPE, Real, c_literal, emit_c99
 from surctl.ir.c99_folded import Feed
-from surctl.ir.c99_routine import Parts, emit_block
+from surctl.ir.c99_routine import Parts
 from surctl.ir.c99_wide import Wide
 from surctl.ir.cache import CacheUnused, compile_program, find_compiler
 from surctl.ir.elementary import without_libm
@@ -13,7 +13,6 @@ from surctl.ir.ports import Layout, Port
 from surctl.ir.program import LIBM, OPERATIONS, Instruction, Operation, Program
 from surctl.ir.replay import replay
 from surctl.ir.routine import Block, Call, Gather, Loop, Routine, Step
-from surctl.ir.stored import read_block, write_block
 from surctl.ir.symbolic import on_vectors, to_casadi
 from surctl.ir.tracing import Recording, each, fold, lower, lower_named, only_if, picked, repeat, tabulated
 
@@ -43,11 +42,9 @@ __all__ = [
     "Wide",
     "Workspace",
     "c_literal",
-    "compile_batch",
     "compile_block",
     "compile_program",
     "each",
-    "emit_block",
     "emit_c99",
     "find_compiler",
     "fold",
@@ -57,12 +54,10 @@ __all__ = [
     "on_vectors",
     "only_if",
     "picked",
-    "read_block",
     "reads",
     "repeat",
     "replay",
     "tabulated",
     "to_casadi",
     "without_libm",
-    "write_block",
 ]

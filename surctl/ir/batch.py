@@ -156,15 +156,6 @@ def compile_batch(
         InputError: the step has other inputs or outputs, `lanes` is invalid, or a flag changes results.
         ToolMissing: there is no compiler, or no folder from which a library can be loaded.
         SurctlError: the compiler reports an error.
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.ir import compile_batch, lower
-        >>> x, p = ca.SX.sym("x", 2), ca.SX.sym("p")  # stopped, speed; drag
-        >>> speed = x[1] - 0.05 * p * x[1]
-        >>> batch = compile_batch(lower(ca.Function("coast", [x, p], [ca.vertcat(speed < 0.1, speed)])))
-        >>> batch.run([[0.0, 1.0], [0.0, 1.0]], [[0.5], [2.0]], steps=60).round(4).tolist()
-        [[0.0, 0.2189], [1.0, 0.0985]]
     """
     if lanes not in (None, 1, 2, 4, 8):
         raise InputError("is not a lane count", key="lanes", value=lanes, remedy="use 1, 2, 4 or 8")
@@ -178,11 +169,7 @@ def compile_batch_source(source: str, *, flags: Sequence[str] = (), folder: Path
 
 
 def batch_source(step: Block) -> str:
-    """Return the C text of a simulation step for many runs, which `compile_batch_source` compiles.
-
-    Raises:
-        InputError: the step has other inputs or outputs.
-    """
+    """Return the C text of a simulation step for many runs, which `compile_batch_source` compiles."""
     sizes = [size for _, size in step.inputs]
     output_sizes = [size for _, size in step.outputs]
     if len(sizes) != 2 or output_sizes != sizes[:1] or sizes[0] < 1:

@@ -79,9 +79,6 @@ def rearranged(name: str, inputs: Mapping[str, int], outputs: Mapping[str, Seque
     """Return a program that copies pieces of its inputs, faster to build than from a CasADi function.
 
     `inputs` are sizes; each output has pieces in order: name of the input, first entry, entry after the last.
-
-    Raises:
-        InputError: a piece is not inside its input.
     """
     code, which = Numbering(), {array: k for k, array in enumerate(inputs)}
     refs = [
@@ -215,12 +212,7 @@ _IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,62}")
 
 
 def identifier(name: str) -> str:
-    """Return the name if it is permitted as an identifier in generated C.
-
-    Raises:
-        InputError: the name is not a C identifier (ASCII letters, digits and underscores, a letter first, at most 63
-            characters), it is a keyword of C or C++, or a header of the exported files defines it.
-    """
+    """Return the name if it is permitted as an identifier in generated C."""
     if not isinstance(name, str) or not _IDENTIFIER.fullmatch(name) or "__" in name:
         remedy = "use letters, digits and single underscores, a letter first, at most 63"
         raise InputError("is not a C identifier", key="name", value=name, remedy=remedy)

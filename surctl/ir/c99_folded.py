@@ -111,9 +111,6 @@ def emit_folded(
     Args:
         moves: pieces of inputs to copy as a whole, see `handed_on`; allowed only with `apart`.
         apart: whether it is certain that no output overlaps an input.
-
-    Raises:
-        InputError: `symbol` is not a valid C identifier.
     """
     lines = [*head(program, identifier(symbol), C_TYPE[real], apart=apart), "{"]
     instructions, stores = remaining(program, moves)
@@ -318,9 +315,6 @@ def emit_lanes(
     Args:
         feeds: memory layout of each input.
         folded: whether to write a loop over the lanes in the style of `c99_folded`, instead of vectors.
-
-    Raises:
-        InputError: `symbol` is not a valid C identifier.
     """
     kind = C_TYPE[real]
     arguments = [f"const {kind} *in{k}" for k in range(len(program.inputs))]

@@ -145,11 +145,7 @@ class Wide:
 
 
 def emit_wide(block: Block, *, symbol: str) -> Wide:
-    """Return C text of a program or routine and of all that it calls; blocks with equal text become one function.
-
-    Raises:
-        InputError: `symbol` is not a valid C identifier.
-    """
+    """Return C text of a program or routine and of all that it calls; blocks with equal text become one function."""
     writer = _Writer(identifier(symbol))
     short = shortened(block)
     alone = run_alone(short)

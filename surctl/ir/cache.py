@@ -73,11 +73,7 @@ def quick_flags() -> tuple[str, ...]:
 
 
 def further_flags() -> tuple[str, ...]:
-    """Return the compiler flags in $SURCTL_CFLAGS, which follow `FLAGS`; e.g. "-O1" compiles faster with equal results.
-
-    Raises:
-        InputError: a quote is not closed, or a flag changes results.
-    """
+    """Return the flags in $SURCTL_CFLAGS, which follow `FLAGS`; e.g. "-O1" compiles faster with equal results."""
     text = os.environ.get("SURCTL_CFLAGS", "")
     try:
         words = shlex.split(text)

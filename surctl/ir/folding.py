@@ -229,10 +229,6 @@ def with_constants(program: Program, source: int, values: Sequence[float]) -> Pr
     the original program with `values` as input, except for the sign of a zero, because x + 0 becomes x and 0 · x
     becomes 0. Constant values are computed in double; if the program is evaluated in another precision, they are then
     rounded to it.
-
-    Raises:
-        InputError: the number of values differs from the number of entries, a value is not finite, or the program uses
-            libm functions such as sin, whose last bits depend on the machine.
     """
     name, size = program.inputs[source]
     if len(values) != size or not all(math.isfinite(v) for v in values):

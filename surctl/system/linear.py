@@ -388,9 +388,6 @@ class _Rest:
         """Return (A, B, E, C, D) of plant and sampled blocks from one control instant to the next, by commands.
 
         `plant` are the matrices of the plant alone, in continuous time.
-
-        Raises:
-            InputError: a block is sampled less often than the controller.
         """
         system = self.system
         for name, periods in system.blocks.slow().items():

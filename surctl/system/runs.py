@@ -11,19 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surctl.errors import InputError, nearest
-from surctl.ir import (
-    Batch,
-    Block,
-    Call,
-    Layout,
-    Port,
-    Recording,
-    Routine,
-    compile_batch,
-    fold,
-    lower_named,
-    without_libm,
-)
+from surctl.ir import Batch, Block, Call, Layout, Port, Recording, Routine, fold, lower_named, without_libm
+from surctl.ir.batch import compile_batch
 from surctl.ir.folding import fused
 from surctl.noise import noise_states
 from surctl.plotted import Plotted

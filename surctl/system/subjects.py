@@ -55,9 +55,6 @@ def load_subject(word: str, *, key: str = "system") -> LoadedSystem:
         word: FILE.py:FUNCTION, or subject:NAME for a function that an installed package registers as NAME, an entry
             point of the group `SUBJECTS`. The function takes no argument and returns a `System`.
 
-    Raises:
-        InputError: the file, the function or the name does not exist, the function fails, or it returns another type.
-
     Example:
         >>> from surctl.system.subjects import load_subject
         >>> load_subject("subject:heron")

@@ -62,9 +62,6 @@ def run_numbers(system: System, values: Mapping[str, ArrayLike]) -> RunNumbers:
             `start.NAME`, `BLOCK.NAME` for a parameter of a sampled block, or `seed` for the noise; with `[i]`, the name
             denotes one entry of a port. A scalar holds for every run and entry; an array (n,) has one number for each
             run (for a port with one entry); an array (n, size) has one row for each run.
-
-    Raises:
-        InputError: a name is unknown, a number is not finite, or the arrays are for different numbers of runs.
     """
     layouts = _layouts(system)
     placed: list[tuple[str, slice, Array]] = []
@@ -148,11 +145,7 @@ def check_scalar(system: System, name: str) -> None:
 def checked_ranges(
     system: System, ranges: Mapping[str, tuple[float, float]], *, key: str = "ranges."
 ) -> dict[str, tuple[float, float]]:
-    """Return the ranges of uncertain numbers, lower and upper bound by name as in `run_numbers`, after a check.
-
-    Raises:
-        InputError: a name is unknown or denotes several numbers, a range is not valid, or there are too many.
-    """
+    """Return the ranges of uncertain numbers, lower and upper bound by name as in `run_numbers`, after a check."""
     checked = {}
     for name, ends in ranges.items():
         check_scalar(system, name)

@@ -9,21 +9,9 @@ import numpy as np
 import pytest
 
 from surctl.errors import InputError
-from surctl.marine.bridge import (
-    Attitude,
-    Axes,
-    Beat,
-    Gone,
-    Mapping,
-    Odometry,
-    Position,
-    Ranges,
-    Reply,
-    Site,
-    Wire,
-    parse_address,
-)
+from surctl.marine.bridge import Attitude, Axes, Beat, Gone, Mapping, Odometry, Position, Ranges, Reply, Site, Wire
 from surctl.marine.bridge.inputs import Inputs, body_velocity, parse_site, yaw_rate
+from surctl.marine.bridge.live import parse_address
 from surctl.marine.bridge.wire import mode_of
 from surctl.marine.control import build_law
 from surctl.marine.simulation import load_scenario

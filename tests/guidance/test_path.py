@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from surctl.errors import InputError
-from surctl.marine.guidance import MAX_WAYPOINTS, Path, path_target
-from surctl.marine.guidance.path import next_leg
+from surctl.marine.guidance import MAX_WAYPOINTS, Path
+from surctl.marine.guidance.path import next_leg, path_target
 
 Array = NDArray[np.float64]
 coordinates = st.integers(-60, 60).map(lambda k: k / 10)

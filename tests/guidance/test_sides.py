@@ -11,8 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from surctl.marine.guidance import Sector, choose_velocity, collision_cone, disc_contact, inside
-from surctl.marine.guidance.contacts import passes_left, side_costs, swap_costs, wall_contacts
+from surctl.marine.guidance import Sector, disc_contact, inside
+from surctl.marine.guidance.contacts import collision_cone, passes_left, side_costs, swap_costs, wall_contacts
+from surctl.marine.guidance.sectors import choose_velocity
 
 Array = NDArray[np.float64]
 HULL, RADIUS, CRUISE = 0.2, 0.2, 0.2

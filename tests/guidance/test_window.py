@@ -6,9 +6,9 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from surctl.marine.guidance import AHEAD, MAX_WAYPOINTS, Path, path_target
+from surctl.marine.guidance import AHEAD, MAX_WAYPOINTS, Path
 from surctl.marine.guidance.following import window_next, window_values
-from surctl.marine.guidance.path import leg_end, next_leg
+from surctl.marine.guidance.path import leg_end, next_leg, path_target
 from tests.oracles.mission_window import Window, last_first
 
 RNG = np.random.default_rng(4)

@@ -12,8 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from surctl.errors import InputError
-from surctl.ir import LIBM, OPERATIONS, Instruction, Operation, Program, c_literal, emit_block, emit_c99, lower, replay
+from surctl.ir import LIBM, OPERATIONS, Instruction, Operation, Program, c_literal, emit_c99, lower, replay
 from surctl.ir.c99 import identifier
+from surctl.ir.c99_routine import emit_block
 from surctl.ir.c99_wide import emit_wide
 from surctl.ir.folding import Numbering
 from tests.ir.expressions import EXACT, LIBM_MAKERS, compiled, random_functions, whole

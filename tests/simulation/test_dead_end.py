@@ -12,7 +12,8 @@ from surctl.ir import Layout
 from surctl.marine.control import TRAPPED, build_law, law_parameters, load_gains
 from surctl.marine.control.dead_end import SEARCH_PORT
 from surctl.marine.guidance import Path
-from surctl.marine.simulation import Case, Obstacle, Run, load_scenario, simulate, stop_reason
+from surctl.marine.simulation import Case, Obstacle, Run, load_scenario, simulate
+from surctl.marine.simulation.explanation import stop_reason
 from surctl.marine.simulation.metrics import STANDSTILL
 from surctl.marine.vehicle import load_vehicle
 

@@ -12,8 +12,8 @@ from scipy.signal import lfilter
 
 from surctl.cli.vehicle import vehicle as vehicle_command
 from surctl.errors import InputError
-from surctl.marine.vehicle import MotionLog, Vehicle, held_out_windows, identify, load_vehicle, predict, write_vehicle
-from surctl.marine.vehicle.identification.identify import velocity_notes
+from surctl.marine.vehicle import MotionLog, Vehicle, identify, load_vehicle, predict, write_vehicle
+from surctl.marine.vehicle.identification.identify import held_out_windows, velocity_notes
 from surctl.marine.vehicle.identification.intervals import spread_of
 from surctl.marine.vehicle.identification.model import sections_of
 from surctl.marine.vehicle.identification.prediction import predict_with

@@ -1,11 +1,11 @@
 """Sessions of the exported law with an ArduSub autopilot by MAVLink, and rehearsals of them (extra `field`)."""
 
 from surctl.marine.bridge.autopilot import SimulatedSub
-from surctl.marine.bridge.bridge import Bridge, Moment, Plan, plan_session
+from surctl.marine.bridge.bridge import Bridge, Moment, Plan
 from surctl.marine.bridge.inputs import Site
-from surctl.marine.bridge.live import Address, Ended, SessionLog, parse_address, run_session
+from surctl.marine.bridge.live import Address, Ended, SessionLog
 from surctl.marine.bridge.log import FrameLog, SessionRecord
-from surctl.marine.bridge.rehearsal import ACTIONS, Act, Channel, LinkQuality, Rehearsal, RehearsalResult, rehearse
+from surctl.marine.bridge.rehearsal import ACTIONS, Act, Channel, LinkQuality, Rehearsal, RehearsalResult
 from surctl.marine.bridge.session import Clock, Limits, Session, sending
 from surctl.marine.bridge.wire import (
     MODES,
@@ -58,9 +58,5 @@ __all__ = [
     "Site",
     "Text",
     "Wire",
-    "parse_address",
-    "plan_session",
-    "rehearse",
-    "run_session",
     "sending",
 ]

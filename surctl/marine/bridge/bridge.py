@@ -370,14 +370,6 @@ def plan_session(
     Raises:
         InputError: mission, mode and law do not fit.
         ToolMissing: there is no C compiler.
-
-    Example:
-        >>> from surctl.marine.bridge import plan_session
-        >>> from surctl.marine.simulation import load_scenario
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> plan = plan_session(load_scenario("pool-behind"), load_vehicle("sur400"), law="closed_form")
-        >>> plan.mapping.mode.name, plan.controller.bundle.name
-        ('alt_hold', 'surctl_closed_form')
     """
     reference = law or default_law(vehicle)
     built = build_law(

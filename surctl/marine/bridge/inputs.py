@@ -92,11 +92,7 @@ def body_velocity(velocity: ArrayLike, rates: ArrayLike, *, roll: float, pitch: 
 
 
 def parse_site(text: str, *, key: str = "--origin") -> Site:
-    """Return the site of a text "X,Y,DEG": origin of NED in {E} [m], compass direction of the x axis of {E} [deg].
-
-    Raises:
-        InputError: the text has another form.
-    """
+    """Return the site of a text "X,Y,DEG": origin of NED in {E} [m], compass direction of the x axis of {E} [deg]."""
     try:
         x, y, bearing = (float(word) for word in text.split(","))
     except ValueError:

@@ -225,16 +225,6 @@ def rehearse(
         seed: seed of the link's losses.
         acts: what happens when. If nobody arms, the operator arms after 3 s; he disarms 1 s after the arrival.
         limit: longest simulated time [s]; default: the scenario's time limit.
-
-    Example:
-        >>> from surctl.marine.bridge import Act, Bridge, SimulatedSub, Wire, plan_session, rehearse
-        >>> from surctl.marine.simulation import load_scenario
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> plan = plan_session(load_scenario("pool-behind"), load_vehicle("sur400"), law="closed_form")
-        >>> sub = SimulatedSub(plan.scenario, plan.vehicle)
-        >>> result = rehearse(Bridge(plan, Wire()), sub, acts=[Act(3.0, "arm"), Act(6.0, "cut")], limit=9.0)
-        >>> [after < 0.6 for act, after in result.neutral_after], result.begun
-        ([True], 1)
     """
     quality = link or LinkQuality()
     run = Rehearsal(bridge, sub, Channel(quality, 2 * seed), Channel(quality, 2 * seed + 1), log)

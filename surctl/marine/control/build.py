@@ -17,22 +17,10 @@ from typing import Any, cast, get_args
 import casadi as ca
 
 from surctl.errors import InputError, SurctlError, check_known
-from surctl.ir import (
-    Block,
-    Call,
-    Layout,
-    Port,
-    Real,
-    Recording,
-    Routine,
-    fold,
-    read_block,
-    tabulated,
-    without_libm,
-    write_block,
-)
+from surctl.ir import Block, Call, Layout, Port, Real, Recording, Routine, fold, tabulated, without_libm
 from surctl.ir.c99 import rearranged
 from surctl.ir.cache import cached_bytes, source_digest
+from surctl.ir.stored import read_block, write_block
 from surctl.marine.control.baselines import Situation
 from surctl.marine.control.closing import CLIMB, Closing, Memory, yaw_limit
 from surctl.marine.control.dead_end import aimed_depth, dead_end_next, forgetting, standing

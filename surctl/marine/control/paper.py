@@ -22,8 +22,8 @@ from surctl.marine.control.decision import (
 )
 from surctl.marine.control.ports import DEFAULT_ARRAY
 from surctl.marine.control.reference import DesiredMotion
-from surctl.marine.guidance import FAR, AvoidanceForm, Contact, avoidance_course
-from surctl.marine.guidance.avoidance import encounter_side
+from surctl.marine.guidance import FAR, AvoidanceForm, Contact
+from surctl.marine.guidance.avoidance import avoidance_course, encounter_side
 from surctl.marine.guidance.contacts import nearest_in_quadrants
 from surctl.marine.vehicle import planar_rotation
 from surctl.tasks import velocity_task
@@ -53,9 +53,6 @@ def known_obstacle(u: Mapping[str, ca.SX], p: Mapping[str, ca.SX]) -> Perception
     """Return a `Perception` that contains only the obstacle in input `contacts` (1, 6), and no walls.
 
     The components of the direction to the obstacle are clamped to [-1, 1], because rounding errors could exceed 1.
-
-    Raises:
-        InputError: the input does not hold exactly one obstacle.
     """
     slots = u["contacts"].shape[0] if "contacts" in u else 0
     if slots != 1:

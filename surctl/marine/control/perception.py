@@ -241,11 +241,7 @@ def build_perception(
     model_noise: float = OwnStateFilter.model_noise,
     acceleration_noise: float = OwnStateFilter.acceleration_noise,
 ) -> PerceptionStage:
-    """Assemble the perception of a law for the sensors that it assumes.
-
-    Raises:
-        InputError: the hull divides the beam of a sonar into two parts.
-    """
+    """Assemble the perception of a law for the sensors that it assumes."""
     return _Builder(equipment, inputs, outputs, dt, model_noise, acceleration_noise).build()
 
 

@@ -63,14 +63,6 @@ def law_inputs(contacts: int = CONTACT_SLOTS, *, sonar: bool = True, depths: boo
         sonar: whether the law uses the sonars.
         depths: whether the law may leave a dead end at another depth; then the robot needs echo sounders that look up
             and down.
-
-    Example:
-        >>> from surctl.marine.control import law_inputs
-        >>> inputs = law_inputs(3, sonar=False)
-        >>> [port.name for port in inputs.ports], inputs.port("contacts").shape
-        (['eta', 'nu', 'contacts'], (3, 6))
-        >>> [port.name for port in law_inputs(3, depths=True).ports]
-        ['eta', 'nu', 'contacts', 'samples', 'fresh', 'column']
     """
     known = Port(
         "contacts",

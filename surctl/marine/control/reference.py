@@ -8,9 +8,15 @@ from dataclasses import dataclass
 import casadi as ca
 
 from surctl.marine.control.steering import Steering
-from surctl.marine.guidance import AT_CORNER, Guidance, path_error, path_target, tracking_velocity
-from surctl.marine.guidance.path import leg_end, next_leg, wheel_over
-from surctl.marine.guidance.tracking import along_command, crosstrack_next, crosstrack_shift, progress_rate
+from surctl.marine.guidance import AT_CORNER, Guidance, path_error
+from surctl.marine.guidance.path import leg_end, next_leg, path_target, wheel_over
+from surctl.marine.guidance.tracking import (
+    along_command,
+    crosstrack_next,
+    crosstrack_shift,
+    progress_rate,
+    tracking_velocity,
+)
 from surctl.marine.vehicle import planar_rotation
 from surctl.tasks import allowed_closing_speed
 

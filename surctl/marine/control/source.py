@@ -256,11 +256,7 @@ def _symbolic(value: Any, source: LawSource, key: str, *, file: object) -> ca.SX
 
 
 def _checked_thrust(returned: object, source: LawSource, *, file: object) -> tuple[ca.SX, ca.SX]:
-    """Return `returned` (from a law's function `thrust`) if it is a thrust (4, 1) and a next state (4, 1).
-
-    Raises:
-        InputError: the function returned anything else.
-    """
+    """Return `returned` (from a law's function `thrust`) if it is a thrust (4, 1) and a next state (4, 1)."""
     remedy = "return (thrust (4, 1), next state (4, 1))"
     if not isinstance(returned, tuple) or len(returned) != 2:
         raise InputError(f"returned {type(returned).__name__}", file=file, key=f"{source.name}.thrust", remedy=remedy)

@@ -138,11 +138,7 @@ def _written(value: Any) -> str:
 
 
 def parse_plant(text: str) -> EngineOptions | None:
-    """Return the options of a plant on the command line: `mujoco`, `mujoco:KEY=VALUE,…`; None for `own`.
-
-    Raises:
-        InputError: the plant, a key or a value is unknown.
-    """
+    """Return the options of a plant on the command line: `mujoco`, `mujoco:KEY=VALUE,…`; None for `own`."""
     name, colon, rest = text.partition(":")
     if name not in _PLANTS:
         raise InputError("is not known", key="--plant", value=text, remedy=nearest(name, _PLANTS))

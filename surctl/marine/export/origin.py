@@ -103,11 +103,7 @@ def origin_of(
 
 
 def load_certificates(paths: Sequence[Path]) -> dict[str, Mapping[str, Any]]:
-    """Read certificates, and return each certificate by the file name that it gets in a bundle.
-
-    Raises:
-        InputError: a file is not a certificate, the checker rejects it, or two files have the same name.
-    """
+    """Read certificates, and return each certificate by the file name that it gets in a bundle."""
     certificates: dict[str, Mapping[str, Any]] = {}
     for path in paths:
         document = _read(path)
@@ -183,9 +179,6 @@ def fitting_certificates(paths: Sequence[Path], law: Law, vehicle: Vehicle, p: V
     """Return the certificates that concern this law with these parameters; only these can be exported with the law.
 
     Their proofs are not checked here, but at the export.
-
-    Raises:
-        InputError: a file is not a certificate.
     """
     manifest = manifest_of(law, p, origin_of(law, vehicle))
     return [path for path in paths if compare(_read(path), manifest).belongs]

@@ -44,11 +44,7 @@ def _mission_values(law: Exportable, real: Real) -> dict[str, Any]:
 
 
 def _data_rows(law: Exportable, table: NDArray[np.float64], real: Real) -> list[str]:
-    """Return the C initialisers of the waypoints (n, 5) of a mission, see `guidance.Path.table`.
-
-    Raises:
-        InputError: the law follows no path, or the table has another shape.
-    """
+    """Return the C initialisers of the waypoints (n, 5) of a mission, see `guidance.Path.table`."""
     if not _is_fed(law):
         raise InputError("takes no waypoints, so that it cannot be fed with a mission", key="mission", value=law.name)
     if table.ndim != 2 or table.shape[1] != ROW or len(table) < 2:

@@ -1,11 +1,11 @@
 """Guidance of the robot: path tracking, obstacle avoidance, and the choice of a course past several obstacles."""
 
-from surctl.marine.guidance.avoidance import FORMS, AvoidanceForm, avoidance_course
-from surctl.marine.guidance.contacts import FAR, Cone, Contact, collision_cone, disc_contact, inside
+from surctl.marine.guidance.avoidance import FORMS, AvoidanceForm
+from surctl.marine.guidance.contacts import FAR, Cone, Contact, disc_contact, inside
 from surctl.marine.guidance.following import AHEAD, FOLLOWING, PASSED, ROW, SKIPS, Follower, follow
-from surctl.marine.guidance.path import AT_CORNER, BEND, MAX_WAYPOINTS, PASS, VISIT, Path, path_target
-from surctl.marine.guidance.sectors import SAME_CONTACT, Choice, Sector, choose_velocity
-from surctl.marine.guidance.tracking import GUIDANCE, Guidance, path_error, tracking_velocity
+from surctl.marine.guidance.path import AT_CORNER, BEND, MAX_WAYPOINTS, PASS, VISIT, Path
+from surctl.marine.guidance.sectors import SAME_CONTACT, Choice, Sector
+from surctl.marine.guidance.tracking import GUIDANCE, Guidance, path_error
 
 __all__ = [
     "AHEAD",
@@ -30,13 +30,8 @@ __all__ = [
     "Guidance",
     "Path",
     "Sector",
-    "avoidance_course",
-    "choose_velocity",
-    "collision_cone",
     "disc_contact",
     "follow",
     "inside",
     "path_error",
-    "path_target",
-    "tracking_velocity",
 ]

@@ -51,16 +51,6 @@ def avoidance_course(
             the form `corrected` uses `closing`, `kappa` and `standoff`.
         kappa: gain κ [1/s].
         standoff: stand-off distance d_s ≥ 0 [m].
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.marine.guidance import avoidance_course
-        >>> def course(clearance):
-        ...     known = dict(radius=0.3, side=1, delta=0, k3=1, speed=0.15, closing=0, kappa=0.3, standoff=0.05)
-        ...     known = {name: ca.SX(value) for name, value in known.items()}
-        ...     return round(float(avoidance_course("corrected", ca.SX(0), ca.SX(clearance), **known)), 2)
-        >>> course(1.0), course(0.1), course(0.0)  # rad, obstacle dead ahead
-        (0.0, 1.47, 1.67)
     """
     if form == "corrected":
         ratio = (closing + kappa * (clearance - standoff)) / speed

@@ -98,9 +98,6 @@ class Brakes:
         quadratic: least and largest quadratic drag [N s²/m²].
         disturbance: f ≥ 0, other force towards the obstacle [N].
         current: c ≥ 0, speed of the water towards the obstacle [m/s].
-
-    Raises:
-        InputError: if a number violates one of the bounds above.
     """
 
     masses: tuple[float, float]
@@ -153,9 +150,6 @@ class Watch:
         age: age of a measured range when the law uses it [s], ≥ 0.
         range_error: ε ≥ 0, largest error of a measured range [m].
         speed_error: e_v ≥ 0, largest error of the robot's measured speed [m/s].
-
-    Raises:
-        InputError: if a number violates one of the bounds above.
     """
 
     period: float = 0.05

@@ -178,17 +178,6 @@ def collision_cone(
         horizon: prediction time; only collisions within this time count [s].
         there: 1 if the contact must be avoided; with 0, the cone is empty.
         point: (2, 1) [m] in {E}, position of the contact.
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.marine.guidance import collision_cone, disc_contact
-        >>> here, hull, centre, motion = ca.DM([0, 0]), ca.DM(0.2), ca.DM([2, 0]), ca.DM([-0.1, 0])
-        >>> contact = disc_contact(here, hull, centre, ca.DM(0.3), motion, ca.DM(1))  # approaches at 0.1 m/s
-        >>> known = dict(apart=0.05, standoff=0.0, horizon=10.0, there=1)
-        >>> known = {name: ca.DM(value) for name, value in known.items()}
-        >>> cone = collision_cone(contact, point=centre, **known)
-        >>> float(cone.closing), round(float(cone.clearance), 2), float(cone.distance)
-        (-0.1, 1.5, 2.0)
     """
     n, across = contact.normal, ca.vertcat(-contact.normal[1], contact.normal[0])
     distance = contact.clearance + contact.combined_radius

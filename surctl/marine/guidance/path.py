@@ -126,14 +126,6 @@ def path_target(waypoints: ca.SX, s: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
     """Return the point (2, 1) [m] and unit tangent (2, 1) of the path at arc length s, and the path's length [m].
 
     `waypoints` are (n, 2) CasADi SX [m] in {E}; repetitions of the last one are ignored. `s` is clipped to [0, length].
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.marine.guidance import path_target
-        >>> corner = ca.SX([[0, 0], [2, 0], [2, 3]])
-        >>> point, tangent, length = path_target(corner, ca.SX(2.5))
-        >>> ca.DM(point).full().ravel().tolist(), ca.DM(tangent).full().ravel().tolist()
-        ([2.0, 0.5], [0.0, 1.0])
     """
     travelled = ca.SX(0)
     point, tangent = waypoints[0, :].T, ca.SX([1, 0])

@@ -242,15 +242,6 @@ def choose_velocity(
         keeps: 1 if a course within 15° of straight back counts as on the side of the previous step. Back along an
             obstacle, a course that keeps off its nearest point passes straight back for a moment, which would end the
             encounter on this side; default: every course is left or right of the desired course.
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.marine.guidance import Sector, choose_velocity
-        >>> wall = Sector(ca.SX([1, 0]), ca.SX(0.05), ca.SX([1, 0]))  # no faster than 0.05 m/s in x
-        >>> known = dict(side=ca.SX(0), blocker=ca.SX([0, 0]), cruise=ca.SX(0.15), cap=ca.SX(0.22))
-        >>> choice = choose_velocity(ca.SX([0.15, 0.01]), [wall], **known)
-        >>> ca.DM(choice.velocity).full().ravel().round(3).tolist(), float(choice.side)  # left round it
-        ([0.05, 0.141], 1.0)
     """
     desired_speed = ca.fmax(ca.sqrt(ca.sumsqr(desired)), 1e-3)
     ahead = desired / desired_speed

@@ -124,14 +124,7 @@ def along_command(
 
 
 def tracking_velocity(along: ca.SX, y_e: ca.SX, tangent: ca.SX, lookahead: ca.SX) -> ca.SX:
-    """Return the commanded horizontal velocity (2, 1) in {E} [m/s] for a given along-track command.
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.marine.guidance import tracking_velocity
-        >>> tracking_velocity(ca.DM(0.15), ca.DM(0.4), ca.DM([1, 0]), ca.DM(0.8)).full().ravel().round(3).tolist()
-        [0.15, -0.075]
-    """
+    """Return the commanded horizontal velocity (2, 1) in {E} [m/s] for a given along-track command."""
     across = -along * y_e / lookahead
     return ca.vertcat(along * tangent[0] - across * tangent[1], along * tangent[1] + across * tangent[0])
 

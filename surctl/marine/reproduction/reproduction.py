@@ -404,9 +404,6 @@ def write_reproduction(done: Reproduction, path: Path, *, command: str) -> Path:
 
     If scenarios are among the comparisons, the page also shows figures of one run of each, with true positions and seed
     0.
-
-    Raises:
-        InputError: if the folder cannot be written.
     """
     failing = [row.item.id for row in done.rows if not row.as_expected]
     failing += [f"{name} (missing)" for name in done.missing]

@@ -6,13 +6,7 @@ from surctl.lazy import load_at_first_use
 
 if TYPE_CHECKING:
     from surctl.marine.sensing.calibration.estimation import OUTLIER_RULE, Calibration, Estimate, calibrate
-    from surctl.marine.sensing.calibration.file import (
-        RangeTest,
-        SensorCalibration,
-        calibrate_file,
-        calibrate_table_ii,
-        table_ii,
-    )
+    from surctl.marine.sensing.calibration.file import RangeTest, SensorCalibration, calibrate_file, calibrate_table_ii
     from surctl.marine.sensing.equipment import INCIDENCE_LIMITS, SURFACE_MODELS, Equipment
     from surctl.marine.sensing.localisation.base_station import BaseStation, Delivery, OwnState
     from surctl.marine.sensing.localisation.own_state import OwnStateFilter
@@ -68,7 +62,6 @@ __all__ = [
     "replay_readings",
     "sonar_array",
     "speed_of_sound",
-    "table_ii",
     "track",
 ]
 

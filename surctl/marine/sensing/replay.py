@@ -34,9 +34,6 @@ def _usual_cycle(time: Array, sensor: NDArray[np.int64], *, file: str) -> float:
     """Return the usual time between two successive readings of a sensor [s].
 
     Times are (rows,) [s], ascending, and `sensor` (rows,) is the index of each reading's sensor.
-
-    Raises:
-        InputError: no sensor has readings at two different times, or the cycle time is outside the filter's limits.
     """
     waits = np.concatenate([np.diff(time[sensor == i]) for i in np.unique(sensor)])
     waits = waits[waits > 0]

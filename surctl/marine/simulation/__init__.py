@@ -5,9 +5,9 @@ from typing import TYPE_CHECKING
 from surctl.lazy import load_at_first_use
 
 if TYPE_CHECKING:
-    from surctl.marine.simulation.batch.case import Case, case_parameters
+    from surctl.marine.simulation.batch.case import Case
     from surctl.marine.simulation.batch.engines import BatchResult, simulate_batch
-    from surctl.marine.simulation.explanation import explain, priority_timeline, stop_reason
+    from surctl.marine.simulation.explanation import explain, priority_timeline
     from surctl.marine.simulation.fit import findings
     from surctl.marine.simulation.loop import simulate
     from surctl.marine.simulation.metrics import METRICS, STOPS, Metrics
@@ -15,12 +15,11 @@ if TYPE_CHECKING:
     from surctl.marine.simulation.numbers import law_numbers
     from surctl.marine.simulation.obstacle import Obstacle
     from surctl.marine.simulation.physics import Contact, OwnPhysics, Physics
-    from surctl.marine.simulation.plan_file import Mission, mission_scenario, read_mission
+    from surctl.marine.simulation.plan_file import Mission
     from surctl.marine.simulation.record_file import RUN_FORMATS, save_record, save_scene
     from surctl.marine.simulation.reflectors import ECHOES, Reflectors
-    from surctl.marine.simulation.run import SENSING, Record, Run, Sensing, depth_changes
-    from surctl.marine.simulation.safety import SafetyClaim, safety_claim
-    from surctl.marine.simulation.scaling import straight_mission, two_leg_mission
+    from surctl.marine.simulation.run import SENSING, Record, Run, Sensing
+    from surctl.marine.simulation.safety import SafetyClaim
     from surctl.marine.simulation.scenario import (
         LIBRARY,
         Disturbance,
@@ -62,24 +61,16 @@ __all__ = [
     "ThrusterFault",
     "World",
     "build_world",
-    "case_parameters",
-    "depth_changes",
     "explain",
     "findings",
     "law_numbers",
     "load_scenario",
-    "mission_scenario",
     "mission_system",
     "priority_timeline",
-    "read_mission",
-    "safety_claim",
     "save_record",
     "save_scene",
     "simulate",
     "simulate_batch",
-    "stop_reason",
-    "straight_mission",
-    "two_leg_mission",
 ]
 
 load_at_first_use(__name__)

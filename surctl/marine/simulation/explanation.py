@@ -89,20 +89,6 @@ def stop_reason(run: Run) -> str:
 
     The sentence names the information that the law lacked, or the position where it gave up and the time without
     progress, or the number that is not finite.
-
-    Raises:
-        InputError: the run ended for another reason.
-
-    Example:
-        >>> from dataclasses import replace
-        >>> from surctl.marine.control import load_gains
-        >>> from surctl.marine.simulation import Obstacle, stop_reason, load_scenario, simulate
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> wall = Obstacle(name="wall", shape="box", centre_m=(2.0, 1.0), size_m=(0.2, 2.0))
-        >>> mission = replace(load_scenario("pool-behind"), obstacles=(wall,))
-        >>> run = simulate(mission, load_vehicle("sur400"), gains=load_gains("default").with_values({"patience": 5.0}))
-        >>> print(f"{run.metrics.stopped_because}: {stop_reason(run)}")
-        dead end: no progress for 5 s, search ended at (1.65, 0.79) m after 28 s; reached 0.9 m of the 2.0 m path
     """
     law, record, why = run.law, run.record, run.metrics.stopped_because
     if why == "dead end":

@@ -248,9 +248,6 @@ def write_layout(folder: Path, *, sonars: int = 0) -> Path:
     """Write the layout file for Foxglove (Layouts, Import from file) to an existing folder and return its path.
 
     The layout shows the echoes of `sonars` sonars.
-
-    Raises:
-        InputError: the folder cannot be written.
     """
     topics = {name: {"visible": True} for name in ("/pose", "/path", "/scene", *(f"/sonar/{k}" for k in range(sonars)))}
     lists = {
@@ -340,9 +337,6 @@ def record_columns(run: Run, *, frame: Frame | str = "enu") -> dict[str, NDArray
     """Return arrays (n,) by name in SI units: time, η, ν, commanded thrust, clearance, status.
 
     The command `from-log` reads these columns.
-
-    Raises:
-        InputError: the coordinate frame is unknown.
     """
     r = run.record
     eta, nu, tau = r.eta, r.nu, r.tau

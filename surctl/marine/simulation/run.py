@@ -202,19 +202,7 @@ class Run:
 
 
 def depth_changes(run: Run) -> list[DepthChange]:
-    """Return all depth changes of a run in order; the list is empty if the law stays at the path's depth.
-
-    Example:
-        >>> from dataclasses import replace
-        >>> from surctl.marine.control import load_gains
-        >>> from surctl.marine.simulation import Obstacle, depth_changes, load_scenario, simulate
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> sill = Obstacle(name="sill", shape="box", centre_m=(2.0, 1.0), size_m=(0.2, 2.0), top_m=-1.0)
-        >>> mission = replace(load_scenario("pool-behind"), obstacles=(sill,), depth=-1.1, depths=(-2.0, -0.2))
-        >>> run = simulate(mission, load_vehicle("sur400"), gains=load_gains("default").with_values({"patience": 2.0}))
-        >>> [(round(change.from_m, 2), round(change.to_m, 2), change.back) for change in depth_changes(run)]
-        [(-1.1, -0.65, False), (-0.65, -1.1, True)]
-    """
+    """Return all depth changes of a run in order; the list is empty if the law stays at the path's depth."""
     if "depth_reference" not in run.law.outputs:
         return []
     reference, record = run.telemetry("depth_reference").ravel(), run.record

@@ -370,17 +370,6 @@ def safety_claim(
 
     Raises:
         NotApplicable: the vehicle has terms beyond equation (3) of the paper.
-
-    Example:
-        >>> from surctl.marine.control import load_gains
-        >>> from surctl.marine.simulation import load_scenario, safety_claim
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> mission, vehicle, gains = load_scenario("pool-behind"), load_vehicle("sur400"), load_gains("default")
-        >>> for barrier in ("simple", "inertia"):
-        ...     claim = safety_claim(mission, vehicle, gains, barrier=barrier)
-        ...     print(f"{barrier}: {claim.holds}, needs {claim['margin needed']:.3f} m, has {claim['margin']} m")
-        simple: False, needs 0.053 m, has 0.05 m
-        inertia: True, needs 0.019 m, has 0.05 m
     """
     check_equation_3(vehicle, reverse=True)
     difference = mass_difference(vehicle, spread) if difference is None else difference

@@ -89,27 +89,12 @@ def _mission(name: str, vehicle: Vehicle, corners: ArrayLike, *, cruise: float, 
 
 
 def straight_mission(vehicle: Vehicle, *, cruise: float, size: float) -> Scenario:
-    """Return a straight mission of 20 hull lengths (twice the `mission_size`) in open water.
-
-    Example:
-        >>> from surctl.marine.simulation import straight_mission
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> mission = straight_mission(load_vehicle("girona500"), cruise=0.5, size=0.9)
-        >>> mission.name, round(float(mission.path.lengths.sum()), 1), mission.obstacles
-        ('straight-girona500', 36.0, ())
-    """
+    """Return a straight mission of 20 hull lengths (twice the `mission_size`) in open water."""
     return _mission("straight", vehicle, [(0, 0), (_HULLS, 0)], cruise=cruise, size=size)
 
 
 def two_leg_mission(vehicle: Vehicle, *, cruise: float, size: float) -> Scenario:
-    """Return a mission of two legs of 10 hull lengths each, with a corner of 90 degrees, in open water.
-
-    Example:
-        >>> from surctl.marine.simulation import two_leg_mission
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> two_leg_mission(load_vehicle("girona500"), cruise=0.5, size=0.9).path.lengths.round(1).tolist()
-        [18.0, 18.0]
-    """
+    """Return a mission of two legs of 10 hull lengths each, with a corner of 90 degrees, in open water."""
     half = _HULLS / 2
     return _mission("two-legs", vehicle, [(0, 0), (half, 0), (half, half)], cruise=cruise, size=size)
 

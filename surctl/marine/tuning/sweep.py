@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from surctl import __version__
 from surctl.errors import InputError, nearest
 from surctl.marine.control import Gains, GainSpec
-from surctl.marine.simulation import Case, case_parameters
+from surctl.marine.simulation import Case
+from surctl.marine.simulation.batch.case import case_parameters
 from surctl.marine.tuning.measure import (
     CASE_COLUMNS,
     LINEAR_COLUMNS,

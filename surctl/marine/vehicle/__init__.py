@@ -19,24 +19,12 @@ if TYPE_CHECKING:
         steady_speed,
         trim_thrust,
     )
-    from surctl.marine.vehicle.gazebo import gazebo_vehicle
     from surctl.marine.vehicle.geometry import GRAVITY, WATER, sphere
-    from surctl.marine.vehicle.identification.identify import HELD_OUT, Identified, held_out_windows, identify
+    from surctl.marine.vehicle.identification.identify import HELD_OUT, Identified, identify
     from surctl.marine.vehicle.identification.model import CONSTANT_FORCE, FITTED
     from surctl.marine.vehicle.identification.prediction import Prediction, predict
-    from surctl.marine.vehicle.linearise import linearise, plant_jacobians, plant_system
-    from surctl.marine.vehicle.logs.read import read_mapped_log, read_recording
-    from surctl.marine.vehicle.motion_log import (
-        FRAME_TEXT,
-        FRAMES,
-        LOG_MOTION,
-        LOG_THRUST,
-        LOG_TILT,
-        Frame,
-        MotionLog,
-        in_sequence,
-        read_motion_log,
-    )
+    from surctl.marine.vehicle.linearise import linearise, plant_system
+    from surctl.marine.vehicle.motion_log import FRAME_TEXT, FRAMES, LOG_MOTION, LOG_THRUST, LOG_TILT, Frame, MotionLog
     from surctl.marine.vehicle.parameters import LIBRARY, Parameter, Vehicle, load_vehicle, write_vehicle
     from surctl.marine.vehicle.specs import PARAMETERS, TERMS, ParameterSpec, PlantForm, parameter_spec
     from surctl.marine.vehicle.thrusters import DEFAULT_ORDER, Actuators, Attainable, Fin, Swivel, Thruster, attainable
@@ -75,25 +63,18 @@ __all__ = [
     "Vehicle",
     "attainable",
     "build_plant",
-    "gazebo_vehicle",
-    "held_out_windows",
     "identify",
-    "in_sequence",
     "jacobian",
     "linearise",
     "load_vehicle",
     "parameter_spec",
     "planar_rotation",
-    "plant_jacobians",
     "plant_layout",
     "plant_parameters",
     "plant_state",
     "plant_system",
     "plant_thrust_limit",
     "predict",
-    "read_mapped_log",
-    "read_motion_log",
-    "read_recording",
     "sphere",
     "steady_speed",
     "trim_thrust",

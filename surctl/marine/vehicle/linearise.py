@@ -208,14 +208,6 @@ def plant_jacobians(
         further states `TILT_NAMES` for vehicles that roll and pitch; B (n, 12, 4) or (n, 16, 4): input matrices
         ∂ẋ/∂τ, with columns in the order of `THRUST_NAMES`; trim thrust (n, 4) [N, N m]. If the trim thrust of a plant
         exceeds a thrust limit, its matrix B describes no possible motion.
-
-    Example:
-        >>> import numpy as np
-        >>> from surctl.marine.vehicle import load_vehicle, plant_jacobians, plant_parameters
-        >>> pair = np.array([plant_parameters(load_vehicle(name)) for name in ("sur400", "sur540-flooded")])
-        >>> a, b, tau = plant_jacobians(pair, np.tile([0.15, 0.0, 0.0, 0.0], (2, 1)))
-        >>> a.shape, a[:, 4, 4].round(4).tolist()
-        ((2, 12, 12), [-0.217, -0.2105])
     """
     count, (along, aside), (c, s) = len(nu), current, (np.cos(psi), np.sin(psi))
     through = nu - np.array([c * along + s * aside, c * aside - s * along, 0.0, 0.0])  # velocity through the water

@@ -67,9 +67,6 @@ def heading_velocity(
 
     Returns:
         ν (…, 4) [m/s, rad/s].
-
-    Raises:
-        InputError: the arrays have the wrong shape, or the pitch is not within ±90°.
     """
     v, w = np.asarray(velocity, dtype=float), np.asarray(rates, dtype=float)
     for key, array in (("velocity", v), ("rates", w)):
@@ -189,19 +186,6 @@ def read_motion_log(path: Path, *, frame: Frame | str | None = None) -> MotionLo
     Args:
         frame: frame of the file; default: the frame in its comments (`# frame=ned`), otherwise enu. The returned log is
             in the frame enu.
-
-    Raises:
-        InputError: the file cannot be read, a column is missing, a cell is not a number, or the time does not increase;
-            the frame is unknown, or differs from the frame that the file states.
-
-    Example:
-        >>> from pathlib import Path
-        >>> from surctl.marine.vehicle import read_motion_log
-        >>> rows = "".join(f"{0.1 * k:g},{0.01 * k:g},1,0,0,0\\n" for k in range(60))
-        >>> _ = Path("log.csv").write_text("t_s,u_m_per_s,Fu_N,Fv_N,Fw_N,Fr_N_m\\n" + rows)
-        >>> log = read_motion_log(Path("log.csv"))
-        >>> log.motion.shape, round(float(log.motion[-1, 4]), 2)
-        ((60, 8), 0.59)
     """
     try:
         table = read_recorded(path)
@@ -234,14 +218,6 @@ def in_sequence(logs: Sequence[MotionLog]) -> MotionLog:
     """Return several logs of one vehicle as one log: one after the other, with a gap in between.
 
     A fit gives each part between two gaps its own initial motion, so the runs need not have the same origin.
-
-    Example:
-        >>> import numpy as np
-        >>> from surctl.marine.vehicle import MotionLog, in_sequence
-        >>> run = MotionLog(0.1 * np.arange(60), np.zeros((60, 8)), np.zeros((60, 4)), "run.csv")
-        >>> both = in_sequence([run, run])
-        >>> len(both.time), round(float(both.time[60] - both.time[59]), 2), both.source
-        (120, 2.0, 'run.csv, run.csv')
     """
     if len(logs) == 1:
         return logs[0]
@@ -260,11 +236,7 @@ def in_sequence(logs: Sequence[MotionLog]) -> MotionLog:
 
 
 def _check_increasing(time: NDArray[np.float64], key: str, at: Callable[[int], str]) -> None:
-    """Check that times (n,) [s] increase from row to row; `at` names the place of a row, from 0.
-
-    Raises:
-        InputError: two rows have the same time, or the time decreases; the message names the row.
-    """
+    """Check that times (n,) [s] increase from row to row; `at` names the place of a row, from 0."""
     wrong = np.flatnonzero(~(np.diff(time) > 0))
     if not len(wrong):
         return

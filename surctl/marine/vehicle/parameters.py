@@ -37,9 +37,6 @@ def _largest_forces(actuators: Actuators, *, stated: Container[str], source: str
 
     All other axes are 0 meanwhile, and the force is available in both directions; a craft without sway force has
     `Fu_reverse` beside `Fu_max` if it is weaker astern. Fins count in yaw only, with their forces at 1 m/s.
-
-    Raises:
-        InputError: the thrusters give no surge force or no yaw moment; the message names a thruster and the remedy.
     """
     ends = axis_ends(actuators, 1.0)
     limits = dict(zip(_NAMES, np.minimum(-ends[:, 0], ends[:, 1]).tolist(), strict=True))

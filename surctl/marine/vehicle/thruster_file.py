@@ -67,11 +67,7 @@ class _Tables(Strict):
 
 
 def read_actuators(thrusters: Sequence[Any], allocation: Mapping[str, Any] | None, *, source: str) -> Actuators | None:
-    """Return the thrusters of a vehicle file, or None if it has none; `source` is the file's name in error messages.
-
-    Raises:
-        InputError: an entry is missing, unknown or impossible; the message names file, key and remedy.
-    """
+    """Return the thrusters of a vehicle file, or None if it has none; `source` is the file's name in error messages."""
     data = {"thruster": list(thrusters), **({} if allocation is None else {"allocation": dict(allocation)})}
     tables = validate(data, _Tables, file=source)
     if not tables.thruster:
@@ -95,11 +91,7 @@ def read_actuators(thrusters: Sequence[Any], allocation: Mapping[str, Any] | Non
 
 
 def common_lag(thrusters: Sequence[Any], *, known: float | None, source: str) -> float | None:
-    """Return the time constant [s] that the tables state for all thrusters, or None if no table states one.
-
-    Raises:
-        InputError: the thrusters have different lags, or a lag that differs from `thrust_lag` (`known`).
-    """
+    """Return the time constant [s] that the tables state for all thrusters, or None if no table states one."""
     lag = known
     for k, table in enumerate(validate({"thruster": list(thrusters)}, _Tables, file=source).thruster):
         if table.lag is None:

@@ -81,17 +81,7 @@ class _File(Strict):
 
 
 def table_ii() -> RangeTest:
-    """Return Table II: readings at 18 distances from 0.25 to 1.95 m.
-
-    Raises:
-        InputError: if the file in the package is damaged.
-
-    Example:
-        >>> from surctl.marine.sensing import table_ii
-        >>> table = table_ii()
-        >>> len(table.desired), table.errors("water")[:3].round(3).tolist(), table.disagreeing("water").tolist()
-        (18, [0.01, -0.01, 0.02], [6])
-    """
+    """Return Table II: readings at 18 distances from 0.25 to 1.95 m."""
     path = Path(__file__).with_name("table2.toml")
     model = load_model(path, _File)
     count = len(model.desired.values)
@@ -368,11 +358,7 @@ def file_stems(results: Sequence[SensorCalibration]) -> list[str]:
 
 
 def pick_calibration(name: str) -> list[SensorCalibration]:
-    """Return the calibrations for the command-line argument FILE: the name of the built-in table, or a file path.
-
-    Raises:
-        InputError: if the file does not exist, or `calibrate_file` raises InputError.
-    """
+    """Return the calibrations for the command-line argument FILE: the name of the built-in table, or a file path."""
     if name == BUILT_IN:
         return calibrate_table_ii()
     path = Path(name)

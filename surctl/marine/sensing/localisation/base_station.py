@@ -84,11 +84,7 @@ class Delivery:
 
 
 def whole_steps(key: str, time: float, *, dt: float) -> int:
-    """Return a time [s] as a number of control periods of `dt` [s].
-
-    Raises:
-        InputError: if the time is not a multiple of dt; `key` is the name of the time in the error message.
-    """
+    """Return a time [s] as a number of control periods of `dt` [s]."""
     count = round(time / dt)
     if abs(time / dt - count) > 1e-6:
         raise InputError(f"is not a multiple of the control period of {dt:g} s", key=key, value=time)

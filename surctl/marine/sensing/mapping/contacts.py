@@ -47,9 +47,6 @@ def expected_range(
         half_angle: half the opening angle of the cone [rad], 0 < half_angle < π/2.
         incidence: largest angle between a wall's normal and the direction to the sensor at which the wall answers
             [rad]; None: any. Obstacles answer at every angle.
-
-    Raises:
-        InputError: if half_angle is out of range.
     """
     if not 0.0 < half_angle < pi / 2:
         raise InputError("must lie between 0 and pi/2", key="half_angle", value=half_angle, remedy="give radians")

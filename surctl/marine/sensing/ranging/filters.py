@@ -104,9 +104,6 @@ def lms_step(
         relaxation: relaxation ρ, limited to [0, 1].
         beta_max: largest momentum β_max, limited to [0, 0.5].
         step: rule for the step size μ, "corrected" or "printed".
-
-    Raises:
-        InputError: if `step` is unknown.
     """
     check_known(step, get_args(StepRule), "unknown LMS step", key="step")
     n = errors.numel()

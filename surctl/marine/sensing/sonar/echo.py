@@ -44,9 +44,6 @@ def beam_of(
         position, heading: (2, 1) centre of the robot in {E} [m], and ψ [rad].
         hull_radius: used for an array without `mounts` [m]; a symbol if the loop is compiled for any vehicle; None: the
             array's.
-
-    Raises:
-        InputError: if `sensors` is empty or contains an index that the array does not have.
     """
     if not sensors or not all(0 <= i < array.size for i in sensors):
         raise InputError("no such sensor", key="sensors", value=sensors, remedy=f"give some of 0 to {array.size - 1}")

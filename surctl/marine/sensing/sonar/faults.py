@@ -148,11 +148,7 @@ class Arrival(NamedTuple):
 
 
 def fault_slots(array: SonarArray, faults: Sequence[Fault], count: int) -> NDArray[np.float64]:
-    """Return the faults as an array (count, SLOT), one fault per row in the given order; unused rows are 0.
-
-    Raises:
-        InputError: if there are more than `count` faults, or a fault is impossible for the array.
-    """
+    """Return the faults as an array (count, SLOT), one fault per row in the given order; unused rows are 0."""
     if len(faults) > count:
         raise InputError(
             f"{len(faults)} are given, but at most {count} are possible", key="faults", remedy="give fewer"

@@ -122,9 +122,6 @@ def assumptions(case: Case, draw: Mapping[str, float], *, detection: float, fast
         draw: randomly drawn vehicle parameters by name, in the units of the vehicle file.
         detection: range from the hull at which an obstacle is certainly detected [m].
         fastest: largest obstacle speed that the safety claim covers [m/s].
-
-    Raises:
-        InputError: the drawn parameters contain an unknown vehicle parameter.
     """
     scenario, believed = case.scenario, case.model or case.vehicle
     speeds = [
@@ -266,11 +263,7 @@ class Summary:
 
 
 def summarise(table: RunTable) -> Summary:
-    """Return the summary of a table of campaign runs.
-
-    Raises:
-        InputError: the table has no runs.
-    """
+    """Return the summary of a table of campaign runs."""
     ended = np.round(table.column("stopped"))
     stopped = {reason: Share(int(np.sum(ended == code)), len(table)) for code, reason in enumerate(STOPS)}
     arrived = table.column("reached") > 0.5

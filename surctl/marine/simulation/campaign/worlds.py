@@ -41,11 +41,7 @@ class SampledRun:
     draw: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
 
     def simulate(self) -> Run:
-        """Simulate the run with `simulate`, that is, without compiled code.
-
-        Raises:
-            InputError: the hull starts inside an obstacle, or a drawn number is outside the range in the vehicle file.
-        """
+        """Simulate the run with `simulate`, that is, without compiled code."""
         case = self.case
         return simulate(
             case.scenario,
@@ -289,9 +285,6 @@ class RandomWorlds(Plan):
 
     Attributes:
         plant: whether the parameters of the simulated vehicle are drawn too, see `draw_plant`.
-
-    Raises:
-        InputError: the scenario has waves, whose random numbers depend on the number of obstacles.
     """
 
     plant: bool = False

@@ -535,13 +535,6 @@ def held_out_windows(
     Args:
         windows: lengths of the windows [s].
         share: share of the time that is predicted.
-
-    Example:
-        >>> import numpy as np
-        >>> from surctl.marine.vehicle import MotionLog, held_out_windows, load_vehicle
-        >>> boat, t = load_vehicle("sur400"), 0.1 * np.arange(60)
-        >>> held_out_windows(MotionLog(t, np.zeros((60, 8)), np.zeros((60, 4))), boat, [1.0, 5.0])
-        ()
     """
     cut = int(np.searchsorted(log.time, log.time[0] + (1.0 - share) * (log.time[-1] - log.time[0])))
     results = []

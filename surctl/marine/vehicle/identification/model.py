@@ -244,11 +244,7 @@ class LogSection:
 
 
 def sections_of(log: MotionLog, *, longest: float = LONGEST) -> tuple[LogSection, ...]:
-    """Return the sections of a log that have enough rows with motion, each of at most `longest` seconds.
-
-    Raises:
-        InputError: no part of the log between its gaps is long enough.
-    """
+    """Return the sections of a log that have enough rows with motion, each of at most `longest` seconds."""
     step = np.diff(log.time)
     gap = step > max(_GAP, _GAP_FACTOR * float(np.median(step)))
     sections = []
@@ -272,11 +268,7 @@ def sections_of(log: MotionLog, *, longest: float = LONGEST) -> tuple[LogSection
 
 
 def drift_sections_of(log: MotionLog) -> tuple[LogSection, ...]:
-    """Return the sections of a log, each with a constant force of its own: of 20 s, or longer if they have few rows.
-
-    Raises:
-        InputError: no part of the log between its gaps is long enough.
-    """
+    """Return the sections of a log, each with a constant force of its own: of 20 s, or longer if they have few rows."""
     rows = 2 * _LEAST_ROWS  # a part that is a little longer than this is halved
     longest = max(_LONGEST_DRIFT, rows * float(np.median(np.diff(log.time))))
     return sections_of(log, longest=longest)

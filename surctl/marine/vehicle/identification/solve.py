@@ -179,9 +179,6 @@ def simulable(model: Model, theta: Array, noise: Array, sections: tuple[LogSecti
     """Return θ, if necessary nearer to the start vehicle, so that the simulated motion over the sections is finite.
 
     With a negative drag, as a fit to a short part of the log may give, the motion over a whole section can diverge.
-
-    Raises:
-        InputError: no simulated motion is finite, not even for the start vehicle, so motion and thrust do not match.
     """
     for share in (1.0, 0.5, 0.25, 0.0):
         tried = np.concatenate([share * theta[: model.size], theta[model.size :]])

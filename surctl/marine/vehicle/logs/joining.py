@@ -183,11 +183,7 @@ class LogMap(Strict):
 
 
 def load_log_map(path: Path) -> LogMap:
-    """Read the map of a log.
-
-    Raises:
-        InputError: the file cannot be read, or a key is unknown, missing or wrong.
-    """
+    """Read the map of a log."""
     return validate(read_toml(path), LogMap, file=path)
 
 
@@ -217,9 +213,6 @@ def joined(recording: LogRecording, log_map: LogMap, *, map_name: str) -> Motion
     The common times are those of the velocity, else of the position, else of the attitude, else of the rates; or a
     constant period. Motion is interpolated between its messages, but not across a gap. A command counts until the next
     one. An attitude of 3 or 4 fields gives roll and pitch too, and rates of 3 fields p and q.
-
-    Raises:
-        InputError: a topic or field is missing, a unit is wrong, or topics have no common time.
     """
     sources = _Sources(recording, log_map, map_name)
     time = sources.times()

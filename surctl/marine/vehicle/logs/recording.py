@@ -77,12 +77,7 @@ class LogRecording:
     notes: tuple[str, ...] = ()
 
     def topic(self, name: str, *, key: str) -> Topic:
-        """Return a topic by name.
-
-        Raises:
-            InputError: the recording has no such topic, and the message suggests the most similar one; or several
-                sources sent it, and the message lists them.
-        """
+        """Return a topic by name."""
         meant = (name,) if name in self.topics else self.also.get(name, ())
         if len(meant) > 1:
             problem = f"has several sources in {self.source}"
@@ -93,11 +88,7 @@ class LogRecording:
         return self.topics[meant[0]]
 
     def column(self, topic: str, name: str, *, key: str) -> NDArray[np.float64]:
-        """Return a field (n,) of a topic by name.
-
-        Raises:
-            InputError: the topic has no such field; the message suggests the most similar one.
-        """
+        """Return a field (n,) of a topic by name."""
         fields = self.topic(topic, key=key).fields
         where = f"topic {topic} of {self.source}" if topic else self.source
         check_known(name, fields, f"is not a numeric field of {where}", key=key)
@@ -216,11 +207,7 @@ def flattened(value: Any, name: str = "") -> Iterator[tuple[str, float]]:
 
 
 def optional_module(name: str, *, path: Path, extra: str) -> Any:
-    """Return a module of an optional package.
-
-    Raises:
-        InputError: the package is not installed; the message says how to install it.
-    """
+    """Return a module of an optional package."""
     try:
         return importlib.import_module(name)
     except ImportError:
