@@ -56,14 +56,13 @@ TOOLS = {  # beside a C compiler
     "export.check_builds": ("gcc",),
     "export.emulated": _BOARD,
     "export.emulated_target": _BOARD,
-    "export.prove_bundle": ("frama-c",),
 }
 
 
-MCAP = ("marine.simulation.SceneFile", "marine.simulation.save_scene")
+MCAP = ("marine.simulation.SceneFile",)
 MUJOCO = tuple(f"marine.report.{name}" for name in ("film_frames", "film_pictures", "moment_of", "save_film"))
 
-LONG = {"falsify", "prove_bundle", "prove_statement", "sensitivity", "simulate", "sweep", "tune"}
+LONG = {"falsify", "prove_statement", "sensitivity", "simulate", "sweep", "tune"}
 _KNOWN: dict[tuple[str, ...], Any] = {}
 
 

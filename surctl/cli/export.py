@@ -78,7 +78,7 @@ class ExportOptions:
             ToolMissing: there is no C compiler.
         """
         from surctl.export.emulated import chosen_targets
-        from surctl.ir import find_compiler
+        from surctl.ir.cache import find_compiler
 
         if not self.check and (self.targets or self.steps):
             raise InputError("needs --check", key="--targets" if self.targets else "--steps", remedy="add --check")
@@ -492,7 +492,8 @@ def export_scene(scenario: str, vehicle: str | None, *, out: Path, as_json: bool
         InputError: an option concerns the controller, which is not part of the model, or the hull starts inside an
             obstacle.
     """
-    from surctl.marine.engine import EngineOptions, write_mjcf
+    from surctl.marine.engine import EngineOptions
+    from surctl.marine.engine.mjcf import write_mjcf
     from surctl.marine.simulation import load_scenario
     from surctl.marine.vehicle import load_vehicle
 

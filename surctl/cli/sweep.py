@@ -348,7 +348,7 @@ def sweep_own_system(
 ) -> None:
     """Simulate the runs of all points in compiled code; print each cost's range and best point."""
     from surctl.files import prepare_folder
-    from surctl.ir import find_compiler
+    from surctl.ir.cache import find_compiler
     from surctl.recorded_write import write_csv
     from surctl.system import LOST
     from surctl.system.values import unit_of

@@ -15,7 +15,6 @@ from surctl.export.emulated import (
     emulated_target,
 )
 from surctl.export.envelope import Envelope, Rate, Records
-from surctl.export.fmu import write_fmu
 from surctl.export.precision import REALS
 from surctl.export.process import Controller, ExportedController, ExportedStep, build_controller
 from surctl.export.prove import Alarm, ProofReport
@@ -56,5 +55,4 @@ __all__ = [
     "emulated_target",
     "software_in_the_loop",
     "write_bundle",
-    "write_fmu",
 ]

@@ -23,8 +23,8 @@ from surctl.export.emulated import Target
 from surctl.export.envelope import Envelope, Records, Rows, as_records
 from surctl.export.precision import Guarded, Rounded, plain, replayed, rounded
 from surctl.export.process import Controller, code_bytes, compile_controller
-from surctl.ir import Real, compile_program
-from surctl.ir.cache import compiler_version
+from surctl.ir import Real
+from surctl.ir.cache import compile_program, compiler_version
 from surctl.ir.frames import stack_from_report
 
 Vector = NDArray[np.float64]

@@ -19,8 +19,7 @@ from numpy.typing import NDArray
 
 from surctl.errors import InputError, SurctlError, ToolMissing, nearest
 from surctl.export.bundle import Bundle, write_bundle
-from surctl.ir import compile_program
-from surctl.ir.cache import packaged_compiler
+from surctl.ir.cache import compile_program, packaged_compiler
 
 # Compilers and processors on which the exported C is checked: this machine's, and emulated microcontrollers
 
@@ -303,7 +302,7 @@ def connect(address: str, *, patience: float = 5.0) -> SerialLine:
         >>> from surctl.marine.control import build_law
         >>> from surctl.marine.export import build_bundle
         >>> from surctl.export import connect, write_bundle
-        >>> from surctl.ir import compile_program
+        >>> from surctl.ir.cache import compile_program
         >>> law, folder = build_law("closed_form"), Path("closed_form")
         >>> bundle = build_bundle(law, {})
         >>> _ = write_bundle(bundle, folder)

@@ -23,8 +23,7 @@ from surctl.export.bundle import Bundle, write_bundle
 from surctl.export.contract import Exportable, command_size
 from surctl.export.envelope import Records, Rows
 from surctl.export.precision import in_precision
-from surctl.ir import compile_program, find_compiler
-from surctl.ir.cache import FLAGS, cached_bytes, compiler_version, further_flags
+from surctl.ir.cache import FLAGS, cached_bytes, compile_program, compiler_version, find_compiler, further_flags
 from surctl.ir.native import loaded
 
 Vector = NDArray[np.float64]

@@ -5,7 +5,7 @@ from surctl.ir.c99 import C_TYPE, Real, c_literal, emit_c99
 from surctl.ir.c99_folded import Feed
 from surctl.ir.c99_routine import Parts
 from surctl.ir.c99_wide import Wide
-from surctl.ir.cache import CacheUnused, compile_program, find_compiler
+from surctl.ir.cache import CacheUnused
 from surctl.ir.elementary import without_libm
 from surctl.ir.native import Native, SlowerEngine, Workspace, compile_block
 from surctl.ir.places import memory, reads
@@ -43,10 +43,8 @@ __all__ = [
     "Workspace",
     "c_literal",
     "compile_block",
-    "compile_program",
     "each",
     "emit_c99",
-    "find_compiler",
     "fold",
     "lower",
     "lower_named",

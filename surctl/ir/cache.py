@@ -106,18 +106,6 @@ def find_compiler() -> str:
     Raises:
         ToolMissing: $CC does not name a program, or there is no compiler.
         InputError: $CC contains a flag that changes results.
-
-    Example:
-        >>> import os
-        >>> from unittest.mock import patch
-        >>> from surctl.ir import find_compiler
-        >>> find_compiler()  # usually cc
-        '...c...'
-        >>> with patch.dict(os.environ, CC="no-such-cc"):
-        ...     find_compiler()
-        Traceback (most recent call last):
-            ...
-        surctl.errors.ToolMissing: CC = 'no-such-cc': names no program; unset CC or set it to a C compiler
     """
     command = os.environ.get("CC", "").strip()
     if command:
@@ -170,16 +158,6 @@ def compile_program(
         ToolMissing: there is no compiler.
         InputError: `flags` or $SURCTL_CFLAGS contains a flag that changes results, such as -ffast-math.
         SurctlError: the compiler reports an error; the message contains the first line of the error.
-
-    Example:
-        >>> import subprocess
-        >>> from pathlib import Path
-        >>> from surctl.ir import compile_program
-        >>> source = Path("hello.c")
-        >>> _ = source.write_text('int puts(const char *); int main(void) { return puts("diving") < 0; }\n')
-        >>> program = compile_program([source], Path("hello").resolve())
-        >>> subprocess.run([program], capture_output=True, text=True).stdout.strip()
-        'diving'
     """
     _refuse(flags)
     link = [] if "-c" in flags else ["-lm"]

@@ -27,7 +27,8 @@ from surctl.marine.report import render_page, save_film
 from surctl.marine.report.animation import film_frames, film_pictures
 from surctl.marine.reproduction import Simulations
 from surctl.marine.reproduction.scenarios import _arrivals
-from surctl.marine.simulation import build_world, load_scenario, simulate
+from surctl.marine.simulation import load_scenario, simulate
+from surctl.marine.simulation.world import build_world
 from tests.engine.tools import load_vehicle
 from tests.pictures import blank_pictures
 from tests.report.test_page import bare

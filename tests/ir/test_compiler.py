@@ -8,8 +8,8 @@ import casadi as ca
 import pytest
 
 from surctl.errors import InputError, SurctlError, ToolMissing
-from surctl.ir import compile_program, emit_c99, find_compiler, lower
-from surctl.ir.cache import compiler_version, quick_flags, tuned_flags
+from surctl.ir import emit_c99, lower
+from surctl.ir.cache import compile_program, compiler_version, find_compiler, quick_flags, tuned_flags
 from tests.tools import need_compiler, need_module
 
 

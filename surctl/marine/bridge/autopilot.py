@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 
 from surctl.marine.bridge.inputs import Site
 from surctl.marine.bridge.wire import MODES, Axes, Mapping, Parser, dialect
-from surctl.marine.simulation import Body, OwnPhysics, Scenario, build_world
+from surctl.marine.simulation import Body, OwnPhysics, Scenario
 from surctl.marine.simulation.sensors import FIRING, firing_plan
+from surctl.marine.simulation.world import build_world
 from surctl.marine.vehicle import Vehicle
 from surctl.marine.world import Disc
 

@@ -16,7 +16,8 @@ from numpy.typing import ArrayLike, NDArray
 from surctl.errors import InputError
 from surctl.marine.bridge.wire import Attitude, Odometry, Position, Ranges
 from surctl.marine.control import Law
-from surctl.marine.simulation import Scenario, build_world
+from surctl.marine.simulation import Scenario
+from surctl.marine.simulation.world import build_world
 from surctl.marine.vehicle import Vehicle
 from surctl.marine.vehicle.motion_log import heading_velocity
 from surctl.marine.world import Disc

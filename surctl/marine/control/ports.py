@@ -226,22 +226,6 @@ def law_parameters(
         launch: distance from the hull within which the water is known to be free at the start [m].
         visit: distance to a corner of the path [m], at or below which the corner counts as visited; 0: corners may be
             cut.
-
-    Example:
-        >>> from surctl.marine.control import PARAMETERS, law_parameters, load_gains
-        >>> from surctl.marine.guidance import Path
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> p = law_parameters(
-        ...     load_gains("default"),
-        ...     load_vehicle("sur400"),
-        ...     path=Path([[0.5, 1.0], [2.5, 1.0]]),
-        ...     depth=-0.3,
-        ...     cruise=0.15,
-        ...     cap=0.2,
-        ...     walls=(0.0, 3.0, 0.0, 2.0),
-        ... )
-        >>> p.shape, p[PARAMETERS.slice("thrust_limit")].tolist(), p[PARAMETERS.slice("walls")].tolist()
-        ((70,), [5.0, 5.0, 5.0, 0.5], [0.0, 3.0, 0.0, 2.0])
     """
     vehicle = vehicle.at_speed(cruise)
     brakes = brakes_of(vehicle)

@@ -8,12 +8,13 @@ from dataclasses import dataclass
 import casadi as ca
 
 from surctl.marine.control.steering import Steering
-from surctl.marine.guidance import AT_CORNER, Guidance, path_error
+from surctl.marine.guidance import AT_CORNER, Guidance
 from surctl.marine.guidance.path import leg_end, next_leg, path_target, wheel_over
 from surctl.marine.guidance.tracking import (
     along_command,
     crosstrack_next,
     crosstrack_shift,
+    path_error,
     progress_rate,
     tracking_velocity,
 )

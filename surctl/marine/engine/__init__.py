@@ -6,8 +6,8 @@ from surctl.lazy import load_at_first_use
 
 if TYPE_CHECKING:
     from surctl.marine.engine.fluid import Body, EngineOptions
-    from surctl.marine.engine.mjcf import mjcf, write_mjcf
-    from surctl.marine.engine.physics import BatchCase, MujocoPhysics, mujoco_physics, simulate_seeds
+    from surctl.marine.engine.mjcf import mjcf
+    from surctl.marine.engine.physics import BatchCase, MujocoPhysics, mujoco_physics
     from surctl.marine.engine.pictures import CAMERAS, Moment, Scene
 
 __all__ = [
@@ -20,8 +20,6 @@ __all__ = [
     "Scene",
     "mjcf",
     "mujoco_physics",
-    "simulate_seeds",
-    "write_mjcf",
 ]
 
 load_at_first_use(__name__)

@@ -23,7 +23,7 @@ from surctl.ir.c99_routine import emit_block
 from surctl.ir.cache import shared_library
 from surctl.ir.native import loaded
 from surctl.marine.engine.fluid import Body, EngineOptions, body_of, environment, fluid_program
-from surctl.marine.simulation import build_world
+from surctl.marine.simulation.world import build_world
 from surctl.marine.vehicle import WATER
 from surctl.marine.vehicle.specs import AXES
 
@@ -336,21 +336,7 @@ _TEXT = files("surctl.marine.engine").joinpath("water.txt").read_text(encoding="
 def write_mjcf(
     scenario: Scenario, vehicle: Vehicle, folder: Path, *, options: EngineOptions | None = None
 ) -> list[Path]:
-    """Write the MuJoCo model `scene.xml` and the force of the water `water.c` to a folder, and return both paths.
-
-    Raises:
-        InputError: the options need what the vehicle file does not state, the hull starts inside an obstacle, or the
-            folder cannot be written.
-
-    Example:
-        >>> from pathlib import Path
-        >>> from surctl.marine.engine import write_mjcf
-        >>> from surctl.marine.simulation import load_scenario
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> files = write_mjcf(load_scenario("tank-static"), load_vehicle("sur540-tilting"), Path("model"))
-        >>> [file.name for file in files]
-        ['scene.xml', 'water.c']
-    """
+    """Write the MuJoCo model `scene.xml` and the force of the water `water.c` to a folder, and return both paths."""
     build_world(scenario, vehicle, seed=0)  # refuses a start inside an obstacle
     prepare_folder(folder)
     body = body_of(vehicle, options or EngineOptions())

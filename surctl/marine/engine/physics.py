@@ -366,16 +366,6 @@ def simulate_seeds(batch_case: BatchCase, seeds: Sequence[int], *, processes: in
     """Yield the runs of a case with the given seeds in their order; each process builds the law once.
 
     The runs do not depend on the number of processes.
-
-    Example:
-        >>> from surctl.marine.control import load_gains
-        >>> from surctl.marine.engine import BatchCase, mujoco_physics, simulate_seeds
-        >>> from surctl.marine.simulation import Case, load_scenario
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> case = Case(load_scenario("pool-behind"), load_vehicle("sur400"), load_gains("default"))
-        >>> runs = simulate_seeds(BatchCase(case, mujoco_physics()), [0, 1])
-        >>> [(run.seed, run.metrics.reached) for run in runs]
-        [(0, True), (1, True)]
     """
     return (run for run, _ in simulate_with_steppers(batch_case, seeds, processes=processes, compared=False))
 

@@ -5,7 +5,7 @@ from surctl.marine.guidance.contacts import FAR, Cone, Contact, disc_contact, in
 from surctl.marine.guidance.following import AHEAD, FOLLOWING, PASSED, ROW, SKIPS, Follower, follow
 from surctl.marine.guidance.path import AT_CORNER, BEND, MAX_WAYPOINTS, PASS, VISIT, Path
 from surctl.marine.guidance.sectors import SAME_CONTACT, Choice, Sector
-from surctl.marine.guidance.tracking import GUIDANCE, Guidance, path_error
+from surctl.marine.guidance.tracking import GUIDANCE, Guidance
 
 __all__ = [
     "AHEAD",
@@ -33,5 +33,4 @@ __all__ = [
     "disc_contact",
     "follow",
     "inside",
-    "path_error",
 ]

@@ -207,7 +207,8 @@ def inside(velocity: ca.SX, cone: Cone) -> ca.SX:
 
     Example:
         >>> import casadi as ca
-        >>> from surctl.marine.guidance import collision_cone, disc_contact, inside
+        >>> from surctl.marine.guidance import disc_contact, inside
+        >>> from surctl.marine.guidance.contacts import collision_cone
         >>> here, hull, centre, motion = ca.DM([0, 0]), ca.DM(0.2), ca.DM([2, 0]), ca.DM([-0.1, 0])
         >>> contact = disc_contact(here, hull, centre, ca.DM(0.3), motion, ca.DM(1))  # approaches at 0.1 m/s
         >>> known = dict(apart=0.05, standoff=0.0, horizon=10.0, there=1)

@@ -85,13 +85,6 @@ def path_error(position: ca.SX, target: ca.SX, tangent: ca.SX) -> tuple[ca.SX, c
     Equation (8) of the paper defines these errors.
 
     All vector arguments are (2, 1) in {E}.
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.marine.guidance import path_error
-        >>> x_e, y_e = path_error(ca.DM([1.0, 0.3]), ca.DM([1.2, 0.0]), ca.DM([1, 0]))
-        >>> round(float(x_e), 2), round(float(y_e), 2)  # 0.2 m behind, 0.3 m to the left
-        (-0.2, 0.3)
     """
     offset = position - target
     x_e = ca.dot(offset, tangent)

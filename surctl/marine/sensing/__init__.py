@@ -13,17 +13,8 @@ if TYPE_CHECKING:
     from surctl.marine.sensing.mapping.local_map import LocalMap
     from surctl.marine.sensing.ranging.filters import SensorFilter
     from surctl.marine.sensing.ranging.tracker import RangeTracker
-    from surctl.marine.sensing.replay import (
-        Readings,
-        Recording,
-        Replay,
-        Tracked,
-        read_readings,
-        replay_readings,
-        sonar_array,
-        track,
-    )
-    from surctl.marine.sensing.sonar.array import Medium, SonarArray, speed_of_sound
+    from surctl.marine.sensing.replay import Readings, Recording, Replay, Tracked, sonar_array, track
+    from surctl.marine.sensing.sonar.array import Medium, SonarArray
     from surctl.marine.sensing.sonar.faults import FAULT_KINDS, Fault, FaultChances
     from surctl.marine.sensing.sonar.returns import REFLECTORS, Reflector, Surfaces
 
@@ -58,10 +49,7 @@ __all__ = [
     "calibrate",
     "calibrate_file",
     "calibrate_table_ii",
-    "read_readings",
-    "replay_readings",
     "sonar_array",
-    "speed_of_sound",
     "track",
 ]
 

@@ -218,24 +218,7 @@ class Replay:
 
 
 def replay_readings(readings: Readings) -> Replay:
-    """Run the tracker over the readings, and return readings and results; no walls are known.
-
-    Example:
-        >>> from pathlib import Path
-        >>> import numpy as np
-        >>> from surctl.marine.sensing import read_readings, replay_readings, sonar_array
-        >>> k = np.arange(40)
-        >>> rows = np.column_stack((0.1 * k, 0 * k, np.where(k == 20, 0.5, 2.0 + 0.01 * (k % 2))))  # one is false
-        >>> np.savetxt("log.csv", rows, delimiter=",", header="time_s,sensor,range_m", comments="")
-        >>> replayed = replay_readings(read_readings(Path("log.csv"), sonar_array(1)).readings)
-        >>> tracked = replayed.tracked
-        >>> for k in (38, 40, 44):  # before, at and after the false reading
-        ...     distance, bound = tracked.range[k, 0], tracked.bound[k, 0]
-        ...     print(f"{distance:.3f} m within {bound:.3f} m, healthy: {tracked.healthy[k, 0]}")
-        2.005 m within 0.051 m, healthy: True
-        1.261 m within 0.802 m, healthy: False
-        2.004 m within 0.051 m, healthy: True
-    """
+    """Run the tracker over the readings, and return readings and results; no walls are known."""
     parts = np.split(np.arange(len(readings.time)), readings.first[1:])
     tracker = _tracker_of(readings)
     tracks = [
@@ -392,22 +375,6 @@ def read_readings(path: Path, array: SonarArray, *, scale: float = 1.0) -> Recor
         path: the file.
         array: the sonar array; the file replaces its `samples` and `firing_period`.
         scale: scale factor of the sensor; the readings are divided by this factor.
-
-    Raises:
-        InputError: if `read_recorded` raises InputError, a column is missing, a sensor does not exist, a sample is
-            below 0, time goes back in more than 5 % of the lines, there are too few lines, or the cycle time is
-            impossible.
-
-    Example:
-        >>> from pathlib import Path
-        >>> import numpy as np
-        >>> from surctl.marine.sensing import read_readings, sonar_array
-        >>> k = np.arange(40)
-        >>> rows = np.column_stack((0.1 * k, 0 * k, 2.0 - 0.01 * k))
-        >>> np.savetxt("log.csv", rows, delimiter=",", header="time_s,sensor,range_m", comments="")
-        >>> recording = read_readings(Path("log.csv"), sonar_array(1))
-        >>> recording.rows, round(recording.cycle, 3), recording.notes
-        (40, 0.1, ['no column closing_m_per_s: taken as 0', 'no column turn_rad_per_s: taken as 0'])
     """
     table = read_recorded(path)
     sample_columns = _sample_columns(table)

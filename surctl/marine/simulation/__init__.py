@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from surctl.marine.simulation.obstacle import Obstacle
     from surctl.marine.simulation.physics import Contact, OwnPhysics, Physics
     from surctl.marine.simulation.plan_file import Mission
-    from surctl.marine.simulation.record_file import RUN_FORMATS, save_record, save_scene
+    from surctl.marine.simulation.record_file import RUN_FORMATS, save_record
     from surctl.marine.simulation.reflectors import ECHOES, Reflectors
     from surctl.marine.simulation.run import SENSING, Record, Run, Sensing
     from surctl.marine.simulation.safety import SafetyClaim
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     )
     from surctl.marine.simulation.sensors import Sensors
     from surctl.marine.simulation.thruster_faults import ThrusterFault
-    from surctl.marine.simulation.world import Body, World, build_world
+    from surctl.marine.simulation.world import Body, World
 
 __all__ = [
     "ECHOES",
@@ -60,7 +60,6 @@ __all__ = [
     "Sensors",
     "ThrusterFault",
     "World",
-    "build_world",
     "explain",
     "findings",
     "law_numbers",
@@ -68,7 +67,6 @@ __all__ = [
     "mission_system",
     "priority_timeline",
     "save_record",
-    "save_scene",
     "simulate",
     "simulate_batch",
 ]

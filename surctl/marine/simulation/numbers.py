@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.marine.control import Gains, law_parameters
+from surctl.marine.control import Gains
+from surctl.marine.control.ports import law_parameters
 from surctl.marine.simulation.scenario import Scenario
 from surctl.marine.vehicle import Vehicle
 

@@ -120,7 +120,8 @@ class OwnPhysics:
     """surctl's own plant: the vehicle's equations of motion by RK4, and distances in the plane.
 
     Example:
-        >>> from surctl.marine.simulation import OwnPhysics, build_world, load_scenario
+        >>> from surctl.marine.simulation import OwnPhysics, load_scenario
+        >>> from surctl.marine.simulation.world import build_world
         >>> from surctl.marine.vehicle import load_vehicle
         >>> scenario, boat = load_scenario("pool-behind"), load_vehicle("sur400")
         >>> array = scenario.sensors.array_on(boat["radius"])

@@ -202,16 +202,6 @@ def save_scene(run: Run, folder: Path) -> Path:
     Raises:
         ToolMissing: the package mcap is not installed.
         InputError: the folder cannot be written.
-
-    Example:
-        >>> from pathlib import Path
-        >>> from surctl.marine.control import build_law, load_gains
-        >>> from surctl.marine.simulation import load_scenario, save_scene, simulate
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> law, gains = build_law("closed_form"), load_gains("default")
-        >>> run = simulate(load_scenario("pool-behind"), load_vehicle("sur400"), gains=gains, law=law)
-        >>> save_scene(run, Path()).name
-        'pool-behind-0.mcap'
     """
     record, path = run.record, folder / f"{file_name(run.scenario.name)}-{run.seed}.mcap"
     part = path.with_suffix(".part.mcap")

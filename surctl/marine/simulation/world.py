@@ -157,19 +157,7 @@ def draw_world(obstacles: int, *, seed: int) -> WorldDraw:
 
 
 def build_world(scenario: Scenario, vehicle: Vehicle, *, seed: int) -> World:
-    """Return the world of a scenario, with the random choices that a seed determines.
-
-    Raises:
-        InputError: the hull starts inside an obstacle (walls count only once the hull has been clear of them).
-
-    Example:
-        >>> from surctl.marine.simulation import build_world, load_scenario
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> world = build_world(load_scenario("pool-behind"), load_vehicle("sur400"), seed=0)
-        >>> [body] = world.bodies(5.0)  # 5 s after the start
-        >>> body.name, [round(x, 2) for x in body.shape.center], body.velocity.round(2).tolist()
-        ('OM1', [1.11, 0.76], [0.17, 0.1])
-    """
+    """Return the world of a scenario, with the random choices that a seed determines."""
     world = World(**vars(draw_world(len(scenario.obstacles), seed=seed)), scenario=scenario, hull=vehicle["radius"])
     _check_start(world, vehicle, world.bodies(0.0))
     return world

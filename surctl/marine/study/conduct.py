@@ -25,7 +25,7 @@ from surctl.export import (
     write_bundle,
 )
 from surctl.files import prepare_folder, write_file
-from surctl.ir import find_compiler
+from surctl.ir.cache import find_compiler
 from surctl.marine.assessment import LoopAnalysis, Mission
 from surctl.marine.control import Gains, Law, build_law, law_source, write_gains
 from surctl.marine.export import build_bundle

@@ -21,7 +21,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from surctl.errors import InputError, nearest
 from surctl.ir.symbolic import on_columns
-from surctl.marine.control import CASCADE, Gains, Law, build_law, law_parameters, law_source, load_gains
+from surctl.marine.control import CASCADE, Gains, Law, build_law, law_source, load_gains
+from surctl.marine.control.ports import law_parameters
 from surctl.marine.guidance import Path
 from surctl.marine.vehicle import PLANT_PARAMETERS, PlantForm, Vehicle, plant_parameters
 from surctl.marine.vehicle.linearise import STATE_NAMES, TILT_NAMES, check_cruise, plant_jacobians

@@ -25,14 +25,6 @@ def speed_of_sound(temperature: float, medium: Medium = "water") -> float:
 
     For pure water: Marczak 1997, "Water as a standard in the measurements of speed of sound in liquids", J. Acoust.
     Soc. Am. 102, 2776 (0 to 95 °C, within 0.02 m/s). For dry, ideal air: 331.3·sqrt(1 + T/273.15) (−20 to 50 °C).
-
-    Raises:
-        InputError: if the medium is unknown, or the temperature is outside the range of the formula.
-
-    Example:
-        >>> from surctl.marine.sensing import speed_of_sound
-        >>> round(speed_of_sound(20.0), 2), round(speed_of_sound(20.0, "air"), 2)
-        (1482.38, 343.21)
     """
     check_known(medium, get_args(Medium), key="medium")
     low, high = _RANGE[medium]
