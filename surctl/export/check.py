@@ -52,12 +52,8 @@ def trial_steps(
     all numbers (1) or about one number (2) replaced by the next larger or smaller float; (3) and (6) the step slightly
     perturbed; (4) the step widely perturbed; (5) some numbers replaced by 0, 1 or their negative; (7) one number NaN or
     infinite. In every second group of 256 steps, the gains change by up to 10 %.
-
-    Args:
-        runs: recorded runs of the law.
-        real: precision of the target, which defines the next float.
-        within: ranges that the input check accepts. Perturbed numbers stay inside these ranges, and widely perturbed
-            numbers cover the whole ranges, so that the steps test the law and not only the input check.
+    Perturbed numbers stay in the ranges `within` of the input check, and widely perturbed ones cover them whole, so
+    that the steps test the law and not only the check. `real` defines the next float.
     """
     rng = np.random.default_rng(seed)
     X = np.concatenate([run.X for run in runs])

@@ -150,8 +150,7 @@ class Identity(NamedTuple):
 
     Attributes:
         id: hash of what the controller computes, see `law_id`.
-        real: "float64" or "float32".
-        inputs, thrusts, states, telemetry: numbers of inputs, thrusts, states and telemetry values.
+        inputs, thrusts, states, telemetry: sizes of the vectors.
         glance: number of values after the thrust in a compact reply, see `contract.glance`.
     """
 

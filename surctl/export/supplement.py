@@ -200,7 +200,6 @@ class Listed:
     """An instruction list as a file of a bundle.
 
     Attributes:
-        block: the program or routine.
         vectors: layout of each vector that it reads or computes, by the name in the manifest.
         numbers: values by the name in the manifest: the name of the vector whose values they are, and these.
     """

@@ -108,9 +108,7 @@ def emit_folded(
 ) -> str:
     """Return a C function `static void <symbol>(const double *in0, …, double *out0, …)`, to be preceded by `preamble`.
 
-    Args:
-        moves: pieces of inputs to copy as a whole, see `handed_on`; allowed only with `apart`.
-        apart: whether it is certain that no output overlaps an input.
+    `moves` (see `handed_on`) are allowed only with `apart`, which says that no output overlaps an input.
     """
     lines = [*head(program, identifier(symbol), C_TYPE[real], apart=apart), "{"]
     instructions, stores = remaining(program, moves)
@@ -310,11 +308,7 @@ def emit_lanes(
     """Return a C function like that of `emit_c99`, but for `lanes` runs in parallel.
 
     An output contains the numbers of all lanes (runs) for entry 0, then for entry 1, and so on. An output may be the
-    same array as an input of kind "lanes".
-
-    Args:
-        feeds: memory layout of each input.
-        folded: whether to write a loop over the lanes in the style of `c99_folded`, instead of vectors.
+    same array as an input of kind "lanes". With `folded`, the text is a loop over the lanes, without vectors.
     """
     kind = C_TYPE[real]
     arguments = [f"const {kind} *in{k}" for k in range(len(program.inputs))]

@@ -48,7 +48,6 @@ def emit_block(block: Block, *, symbol: str, real: Real = "float64", folded: boo
 
     Args:
         symbol: name of the last function, and prefix of the other names.
-        real: "float32" writes float instead of double.
         folded: True writes readable text with nested expressions for any C99 compiler (see `c99_folded`); it is a third
             as long as the text for False, and a file can contain only one such text. False writes text for fast
             execution, with vectors if the compiler supports them.

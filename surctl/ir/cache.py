@@ -149,10 +149,7 @@ def compile_program(
 ) -> Path:
     r"""Compile and link `sources` to the file `output`; with "-c" in `flags`, compile one source to an object file.
 
-    Args:
-        sources: C sources or object files.
-        flags: additional flags, after `FLAGS` and `further_flags`.
-        compiler: command of the C compiler, which may include arguments; if None, that of `find_compiler`.
+    `flags` follow `FLAGS` and `further_flags`; `compiler` is a command like that of `find_compiler`, the default.
 
     Raises:
         ToolMissing: there is no compiler.
@@ -294,11 +291,8 @@ def cached_bytes(key: str, suffix: str, build: Callable[[], bytes], *, folder: P
     If several processes need one entry at the same time, one of them builds it and the others wait. Without locks (in a
     new folder, or on Windows) each uses the bytes that it built itself, and the bytes of the last one are stored.
 
-    Args:
-        key: hexadecimal digest of everything on which the bytes depend.
-        build: function that is called if no cache entry can be trusted; its exceptions are passed on.
-        folder: cache folder; `cache_folder()` if None. A folder is not used if this process cannot write to it or
-            another user can; then the warning `CacheUnused` is issued.
+    A folder (default: `cache_folder()`) is not used if this process cannot write to it or another user can; then the
+    warning `CacheUnused` is issued. `key` is a hexadecimal digest of everything on which the bytes depend.
     """
     place = cache_folder() if folder is None else folder
     path = place / f"{key}{suffix}"
@@ -325,18 +319,13 @@ def shared_library(
     wide: bool = False,
     identity: str = "",
 ) -> bytes:
-    r"""Return the shared library compiled from one C source.
+    r"""Return the shared library compiled from one C source: its bytes, so that the caller loads what was checked.
 
     Args:
         source: the C text, or a function that writes it.
-        flags: additional compiler flags, after `FLAGS`, `further_flags` and `tuned_flags`.
-        folder: cache folder, as in `cached_bytes`.
-        wide: whether to use the processor's widest vector instructions, see `tuned_flags`.
+        flags: additional compiler flags, after `FLAGS`, `further_flags` and `tuned_flags` (`wide`).
         identity: text that differs if the C text differs; a function `source` is then called only if no library with
             this identity is in the cache. Empty: the C text itself.
-
-    Returns:
-        The bytes of the library, so that the caller can load exactly the library that was checked.
 
     Raises:
         ToolMissing, InputError, SurctlError: as in `compile_program`.
@@ -466,7 +455,6 @@ def stored_numbers(
     """Return the numbers of `key`, from the cache on disk if a process with the same source code stored them.
 
     Args:
-        sources: packages or modules that contain the code, as in `source_digest`.
         key: everything on which the numbers depend beside the code, with an exact `repr`; arrays as `tobytes()`.
         compute: returns the numbers as JSON can hold them; its exceptions are passed on.
     """

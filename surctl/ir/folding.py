@@ -14,11 +14,7 @@ from surctl.ir.routine import Block, Call, Loop, Routine, Step, changed_programs
 
 
 class Numbering:
-    """Value numbering: an instruction that the list already contains is not added again. Finite results do not change.
-
-    Attributes:
-        instructions: the instructions added so far.
-    """
+    """Value numbering: an instruction that the list already contains is not added again; results do not change."""
 
     def __init__(self) -> None:
         self.instructions: list[Instruction] = []

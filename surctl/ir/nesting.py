@@ -64,12 +64,7 @@ class Traced:
 
 
 class _Regions:
-    """Assignment of every value to the region that computes it: a loop body, or the root (the code outside all loops).
-
-    Attributes:
-        region: for each value, the loop whose body computes it.
-        parent: for each loop, the outer loop whose body contains it.
-    """
+    """The region of each value (the loop body that computes it, or the root outside all loops), and each loop's parent."""
 
     def __init__(self, program: Program, inputs: int, outputs: Mapping[str, Key], loops: Sequence[Traced]) -> None:
         self.program, self.inputs, self.loops = program, inputs, loops

@@ -22,14 +22,7 @@ _PREFIX = "subject:"
 
 @dataclass(frozen=True)
 class LoadedSystem:
-    """A system with its origin.
-
-    Attributes:
-        system: the closed loop.
-        reference: text from which another process loads the same system.
-        label: the name without folder.
-        sha256: SHA-256 of the text of the file that defines it.
-    """
+    """A system, the text from which another process loads it, its name without folder, and the hash of its file."""
 
     system: System
     reference: str

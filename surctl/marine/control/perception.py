@@ -219,8 +219,7 @@ class PerceptionStage:
 
     Attributes:
         state: layout of the perception state, with `LAST_THRUST` first.
-        inputs: layout of the perception inputs.
-        outputs: layout of the perception outputs, which are the inputs of the decision.
+        outputs: layout of the inputs of the decision.
         block: instruction list or routine that maps (state, inputs, parameters) to (next state without `LAST_THRUST`,
             outputs). If other depths are allowed, it has a fourth input, which is 1 in a step in which the map is
             cleared.

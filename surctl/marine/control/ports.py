@@ -56,13 +56,9 @@ _COLUMN = Port(
 
 
 def law_inputs(contacts: int = CONTACT_SLOTS, *, sonar: bool = True, depths: bool = False) -> Layout:
-    """Return the layout of the inputs of a law in each control step.
+    """Return the layout of the inputs of a law in each control step, with room for `contacts` known obstacles.
 
-    Args:
-        contacts: number of known obstacles that the input can hold, 0 or more.
-        sonar: whether the law uses the sonars.
-        depths: whether the law may leave a dead end at another depth; then the robot needs echo sounders that look up
-            and down.
+    With `depths`, the law may leave a dead end at another depth, for which the robot has echo sounders up and down.
     """
     known = Port(
         "contacts",

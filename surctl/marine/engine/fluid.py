@@ -194,7 +194,6 @@ class Body:
     """A hull as MuJoCo has it: what of the inertia matrix is the rigid body's, and which water force remains.
 
     Attributes:
-        options: the options, with 4 or 6 degrees of freedom.
         form: the optional terms of the vehicle that act with these degrees of freedom.
         mass: mass of the rigid body [kg].
         inertia: its moments of inertia about x, y, z [kg m²].

@@ -176,7 +176,6 @@ def brakes_of(
     """Return the braking data of a vehicle in the worst case of its ranges; without sway force, of surge alone.
 
     Args:
-        vehicle: the vehicle.
         share: share of the vehicle's largest thrust that is guaranteed for braking, in (0, 1].
         spread: relative error of mass and drag; the thrust in the vehicle's file then counts as the largest thrust.
             None: use the ranges in the vehicle's file; a parameter without a range counts as exact.

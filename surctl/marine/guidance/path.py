@@ -112,15 +112,6 @@ class Path:
         speeds = np.zeros(len(self.waypoints)) if self.speeds is None else self.speeds
         return float((self.lengths / np.where(speeds[1:] > 0, speeds[1:], cruise)).sum())
 
-    def distance(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the distances (k,) [m] from k points (k, 2) to the path."""
-        points = np.atleast_2d(points)
-        best = np.full(len(points), np.inf)
-        for a, b in zip(self.waypoints[:-1], self.waypoints[1:], strict=True):
-            t = np.clip((points - a) @ (b - a) / ((b - a) @ (b - a)), 0, 1)
-            best = np.minimum(best, np.linalg.norm(points - a - t[:, None] * (b - a), axis=1))
-        return best
-
 
 def path_target(waypoints: ca.SX, s: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
     """Return the point (2, 1) [m] and unit tangent (2, 1) of the path at arc length s, and the path's length [m].

@@ -113,7 +113,6 @@ class Readings:
         closing: (steps, n) velocity of the robot along each beam's axis [m/s].
         turn: (steps,) yaw rate of the robot [rad/s].
         first: (segments,) steps at which the tracker restarts: step 0, and the first step after each long gap.
-        array: the sonar array.
         dt: time from step to step within a segment [s].
     """
 
@@ -154,7 +153,6 @@ class SensorSummary:
     """The summary of one sensor in a replay.
 
     Attributes:
-        sensor: index of the sensor.
         readings: number of readings that arrived.
         refused: number of readings that the tracker did not accept.
         healthy: share of steps with a reliable range among the steps from the first to the last reading of the sensor.
@@ -301,7 +299,6 @@ class Recording:
     """The readings of a recording, and how many lines of its file were skipped or changed.
 
     Attributes:
-        readings: the readings, each assigned to a step of the tracker.
         name: printable name of the file.
         rows: number of data lines in the file.
         incomplete: number of lines skipped because a number is missing, NaN or infinite.
@@ -370,11 +367,7 @@ def read_readings(path: Path, array: SonarArray, *, scale: float = 1.0) -> Recor
     Optional columns are `closing_m_per_s` (velocity of the robot along the sensor's beam) and `turn_rad_per_s` (yaw
     rate). The step is half the usual time between two readings of a sensor; each reading is assigned to the nearest
     step. Lines with a missing, NaN or infinite number, and lines whose time goes back, are skipped and counted.
-
-    Args:
-        path: the file.
-        array: the sonar array; the file replaces its `samples` and `firing_period`.
-        scale: scale factor of the sensor; the readings are divided by this factor.
+    The file replaces `samples` and `firing_period` of the array, and all readings are divided by `scale`.
     """
     table = read_recorded(path)
     sample_columns = _sample_columns(table)

@@ -238,12 +238,7 @@ def _programs(structure: Structure, law: Law, *, measured: bool) -> tuple[Loop, 
 
 
 class SingleRun:
-    """One run of the mission loop, stepped from outside; with `measured`, another physics measures the distances.
-
-    Attributes:
-        state, parameters: state and parameter vector of the run, with the layouts of `loop`.
-        law_state: state of the law.
-    """
+    """One run of the mission loop, stepped from outside; with `measured`, another physics measures the distances."""
 
     def __init__(self, case: Case, law: Law, *, seed: int, measured: bool = False) -> None:
         # the thrusters are no part of these programs

@@ -27,12 +27,7 @@ _WALLS = ("x0", "x1", "y0", "y1")
 
 @dataclass(frozen=True)
 class EchoModel:
-    """How all surfaces answer that have no reflector of their own.
-
-    Attributes:
-        upright: reflector of obstacles and walls, by name.
-        level: reflector of the water surface and of the floor, by name.
-    """
+    """Names of the reflectors of upright surfaces and of surface and floor, where they have none of their own."""
 
     upright: str
     level: str = "silent"

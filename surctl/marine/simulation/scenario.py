@@ -98,8 +98,7 @@ class Uncertainty(Strict):
     Attributes:
         vehicle: whether the simulated vehicle's parameters are drawn within the ranges of its file; the law keeps the
             file's values.
-        obstacle_size: largest relative error of an obstacle's size (design choice); both edges of a box have the same
-            error.
+        obstacle_size: largest relative error of an obstacle's size (design choice), the same for both edges of a box.
         obstacle_speed: largest relative error of a moving obstacle's speed (design choice).
     """
 

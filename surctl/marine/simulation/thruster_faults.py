@@ -58,11 +58,9 @@ class ThrusterFault:
 
 @dataclass(frozen=True, eq=False)
 class Thrusters:
-    """The thrusters of the simulated vehicle with their failures.
+    """The thrusters of the simulated vehicle, if its file describes them, with their failures.
 
     Attributes:
-        actuators: the thrusters, or None if the vehicle file describes none.
-        faults: the failures.
         allocate: allocates the command of a law without allocation; None if the law does it, or without thrusters.
         reported: entries of the law's telemetry with the forces and the commands of all thrusters, and with the angles
             of all joints; None if the law does not allocate.

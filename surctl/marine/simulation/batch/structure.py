@@ -316,16 +316,13 @@ class Structure:
     Attributes:
         equipment: the sensors; the hull radius matters only if the mounting points of the sonars are stated.
         faults: number of scheduled sonar faults that a run can hold.
-        chances: whether random sonar faults may occur.
         delays: whether one of the scheduled faults is a delay.
         optional: whether a run may leave obstacles out.
         heights: whether some obstacle ends above the floor or below the surface.
         depths: whether the mission allows other depths than the depth of the path.
         barrier, treats: the options `barrier` and `movers` of `build_law`.
-        form: the optional terms of the vehicle's dynamics.
         actuators: the thrusters to which the law allocates its thrust; None: each axis has its own limit.
         points: number of waypoints that a run can hold if the path is fed to the law (`Path.fed`); 0: it is not fed.
-        rises: whether the path changes its depth.
         surfaces: how each surface answers a sonar; None: all alike, as the `incidence_limit` of the sonars says.
     """
 

@@ -281,10 +281,7 @@ class RandomWorlds(Plan):
     """Plan of runs in random worlds, which one compiled loop simulates; the seed of a run determines its world.
 
     The simulation setup has the scenario of `world_template`, with sensors, time limit and other settings that all
-    worlds share.
-
-    Attributes:
-        plant: whether the parameters of the simulated vehicle are drawn too, see `draw_plant`.
+    worlds share. With `plant`, the parameters of the simulated vehicle are drawn too, see `draw_plant`.
     """
 
     plant: bool = False

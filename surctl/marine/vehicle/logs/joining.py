@@ -127,8 +127,7 @@ class ClockTable(Strict):
 
     Attributes:
         frame: world and body axes of all sources: enu (ENU/FLU) or ned (NED/FRD).
-        time: column of the time, in a table.
-        time_unit: its unit.
+        time, time_unit: column of the time, in a table, and its unit.
         columns: names of the columns of a table without a header, from the left.
         skip_lines: lines above the numbers of such a table.
         stamp: topics whose time is the field of this name instead of the recorder's (`header.stamp`).

@@ -286,13 +286,9 @@ def _quiet() -> Iterator[StringIO]:
 def read_recording(
     path: Path, topics: Collection[str] | None = None, *, log_map: LogMap | None = None, map_name: str = ""
 ) -> LogRecording:
-    """Read a recording; the format follows from the suffix.
+    """Read these topics (default: all) of a file or, for ROS 2, a folder; the format follows from the suffix.
 
-    Args:
-        path: a file or, for ROS 2, a folder.
-        topics: names of the topics to read; default: all.
-        log_map: names the time of a table; default: column t_s.
-        map_name: its file, for errors.
+    `log_map` names the time of a table, by default the column t_s; `map_name` is the name of its file, for errors.
     """
     if not path.exists():
         raise InputError("no such file", file=shown(path), remedy="check the path")

@@ -62,13 +62,9 @@ class Topic:
 
 @dataclass(frozen=True, eq=False)
 class LogRecording:
-    """Topics by name; a table of one clock has one topic with an empty name.
+    """Topics by name, and notes on what could not be read; a table of one clock has one topic with an empty name.
 
-    Attributes:
-        source: name of the file for messages.
-        topics: the topics by name.
-        also: other names of topics; a name that several topics share stands for none of them.
-        notes: what could not be read.
+    `also` has other names of topics; a name that several topics share stands for none of them.
     """
 
     source: str
