@@ -64,7 +64,7 @@ class Traced:
 
 
 class _Regions:
-    """The region of each value (the loop body that computes it, or the root outside all loops), and each loop's parent."""
+    """The region of each value (the loop body that computes it, or the root outside all loops); parents of loops."""
 
     def __init__(self, program: Program, inputs: int, outputs: Mapping[str, Key], loops: Sequence[Traced]) -> None:
         self.program, self.inputs, self.loops = program, inputs, loops
