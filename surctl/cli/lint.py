@@ -36,7 +36,8 @@ _NEXT = {
 
 def _file_findings(loaded: object) -> list[Finding]:
     # entries that cannot work
-    from surctl.marine.simulation import Finding, thruster_findings
+    from surctl.marine.simulation import Finding
+    from surctl.marine.simulation.fit import thruster_findings
     from surctl.marine.vehicle import Vehicle
     from surctl.marine.vehicle.specs import undamped
     from surctl.marine.verification.region import RegionStatement

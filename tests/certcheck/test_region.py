@@ -17,7 +17,8 @@ from surctl.certcheck.region_exact import inverse, is_positive_definite, product
 from surctl.certcheck.region_inclusion import _misled
 from surctl.certcheck.region_trim import steady_trim
 from surctl.certcheck.turning_terms import outer_force
-from surctl.marine.control import build_law, law_parameters, load_gains
+from surctl.marine.control import build_law, load_gains
+from surctl.marine.control.ports import law_parameters
 from surctl.marine.guidance import Path as Route
 from surctl.marine.vehicle import PLANT_DISTURBANCE, PLANT_PARAMETERS, PLANT_STATE, build_plant, load_vehicle
 from tests.certcheck.altering import altered, put, sealed

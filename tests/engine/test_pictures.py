@@ -19,14 +19,16 @@ from PIL import Image
 from surctl.cli.app import app
 from surctl.errors import InputError, ToolMissing
 from surctl.marine.control import build_law, load_gains
-from surctl.marine.engine import CAMERAS, EngineOptions, Moment, Scene, mujoco_physics, parse_plant, physics
+from surctl.marine.engine import CAMERAS, EngineOptions, Moment, Scene, mujoco_physics, physics
+from surctl.marine.engine.fluid import parse_plant
 from surctl.marine.engine.mjcf import mujoco_library
 from surctl.marine.export import CompiledLaw
 from surctl.marine.report import render_page, save_film
 from surctl.marine.report.animation import film_frames, film_pictures
 from surctl.marine.reproduction import Simulations
 from surctl.marine.reproduction.scenarios import _arrivals
-from surctl.marine.simulation import build_world, load_scenario, simulate
+from surctl.marine.simulation import load_scenario, simulate
+from surctl.marine.simulation.world import build_world
 from tests.engine.tools import load_vehicle
 from tests.pictures import blank_pictures
 from tests.report.test_page import bare

@@ -14,7 +14,8 @@ from matplotlib.patches import Circle, Patch, PathPatch, Polygon, Rectangle, Wed
 from matplotlib.path import Path as Outline
 from numpy.typing import NDArray
 
-from surctl.marine.simulation import Body, Run, depth_changes
+from surctl.marine.simulation import Body, Run
+from surctl.marine.simulation.run import depth_changes
 from surctl.marine.simulation.scenario import Shape
 from surctl.marine.world import Box, Disc, Heights, Wall
 from surctl.own_code import label

@@ -400,19 +400,10 @@ _SERIES = ("tank-speed", "pool-speed")
 
 
 def write_reproduction(done: Reproduction, path: Path, *, command: str) -> Path:
-    """Write an HTML page with one table for each group of comparisons.
+    """Write an HTML page with one table for each group of comparisons, made by the command line `command`.
 
-    If scenarios are among the comparisons, the page also shows figures of one run for each scenario.
-
-    The figures show runs with true positions and seed 0.
-
-    Args:
-        done: the computed comparisons.
-        path: path of the HTML page.
-        command: the command line that created the HTML page.
-
-    Raises:
-        InputError: if the folder cannot be written.
+    If scenarios are among the comparisons, the page also shows figures of one run of each, with true positions and seed
+    0.
     """
     failing = [row.item.id for row in done.rows if not row.as_expected]
     failing += [f"{name} (missing)" for name in done.missing]
