@@ -162,35 +162,11 @@ class Plant:
         return np.stack([along - law["cruise"] + bend * y_e, across - bend * x_e, r - bend, *turned, *late])
 
 
-def as_turning(document: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Return the document of a cruise with equal masses, with its claim as that of a turning cruise."""
-    claim, proof = document["claim"], document["proof"]
-    vehicle, law, both = claim["vehicle"], claim["law"], ("mass_kg", "linear_drag", "quadratic_drag")
-    factors = {key: [end / law[key] for end in vehicle[key]] for key in both}
-    v, linear, quadratic = law["cruise"], law["linear_drag"], 0.85 * law["quadratic_drag"]
-    stiffness = law["mass_kg"] * law["k_v"] + linear + 2 * quadratic * v
-    own = {
-        "mass_factor": factors["mass_kg"], "mass_asymmetry": 0.0,
-        "drag_factor": [pick(factors[key][k] for key in both[1:]) for k, pick in enumerate((min, max))],
-        "drag_asymmetry": vehicle["asymmetry"], "thrust_n": [vehicle["thrust_n"]] * 2, "terms": {},
-        "yaw_rate_rad_per_s": vehicle["yaw_rate_rad_per_s"],
-        "heave_m_per_s": 0.0, "heave_m_per_s2": 0.0, "yaw_rad_per_s2": 0.0,
-    }  # fmt: skip
-    return {
-        "claim": {
-            "vehicle": own, "law": {**law, **{key: [law[key]] * 2 for key in both}},
-            "motion": {**claim["motion"], "curvature_per_m": 0.0},
-        },
-        "proof": {**proof, "trim": [linear * v / stiffness, quadratic * v * v / stiffness]},
-    }  # fmt: skip
-
-
 def simulated(document: Mapping[str, Any], count: int, seconds: float, *, seed: int = 1) -> Motions:
     """Simulate motions from the boundary V = 1 with a greedy (half of them) or a random yaw rate within its limit."""
-    if document["kind"] == "region":
-        document = as_turning(document)
     claim, proof, rng = document["claim"], document["proof"], np.random.default_rng(seed)
-    P = np.array([[proof["P"][max(i, j)][min(i, j)] for j in range(4)] for i in range(4)])
+    size = len(proof["P"])
+    P = np.array([[proof["P"][max(i, j)][min(i, j)] for j in range(size)] for i in range(size)])
     plant, law, most = Plant(claim, count, rng), claim["law"], claim["vehicle"]["yaw_rate_rad_per_s"]
     vehicle = claim["vehicle"]
     omega = sum(slope * mean for slope, mean in zip(proof["trim"], plant.means, strict=True))
@@ -198,8 +174,6 @@ def simulated(document: Mapping[str, Any], count: int, seconds: float, *, seed: 
     drawn = -gains.T * plant.flow  # the steady command shifts with the current
     omega = omega + drawn[0]
     aside = -law["lookahead"] * drawn[1] / (law["cruise"] + omega)
-    if plant.lag:
-        P = np.block([[P, np.zeros((4, 2))], [np.zeros((2, 4)), proof["thrust"]["weight"] * np.eye(2)]])
     xi = rng.normal(size=(count, len(P))) @ np.linalg.inv(np.linalg.cholesky(P))
     xi /= np.sqrt(np.einsum("ni,ij,nj->n", xi, P, xi))[:, None]
     psi = rng.uniform(-np.pi, np.pi, size=count)
@@ -208,23 +182,31 @@ def simulated(document: Mapping[str, Any], count: int, seconds: float, *, seed: 
     state = np.stack(
         [xi[:, 0] - omega / law["k1"], xi[:, 1] + aside, psi, c * along + s * across, c * across - s * along]
     )
-    state = np.concatenate([state, plant.commanded(state)])
-    masses = np.array(law["mass_kg"])[:, None]
-    if plant.lag:  # the last two entries of ξ are the thrust minus its command, over the mass in the law's model
-        state[5:] += masses * xi[:, 4:].T
-    shift, hold = omega / law["k1"], law.get("period_s", 0.0)
+    masses, shift, hold = np.array(law["mass_kg"])[:, None], omega / law["k1"], law.get("period_s", 0.0)
+
+    def trim(psi: Array) -> Array:
+        c, s = np.cos(psi), np.sin(psi)
+        at = [-shift, aside + 0 * psi, psi, c * law["cruise"], -s * law["cruise"]]
+        return plant.commanded(np.stack(at))
+
+    if plant.lag:  # the last two entries of ξ are the thrust minus that of the steady cruise, over the mass in the law
+        force = np.stack([c * xi[:, 4] + s * xi[:, 5], c * xi[:, 5] - s * xi[:, 4]])
+        state = np.concatenate([state, trim(psi) + masses * force])
+    else:
+        state = np.concatenate([state, plant.commanded(state)])
     step = hold / 3 if hold else STEP
 
     def level(at: Array, phase: float = 0.0) -> Array:
-        # with held commands, V = ξᵀ P ξ + q (1 − σ)/σ |E|² at the share σ of a period
+        # with held commands, V = ξᵀ P ξ + q (1 − σ)/σ |D|² at the share σ of a period
         c, s = np.cos(at[2]), np.sin(at[2])
         z = np.stack(
             [at[0] + shift, at[1] - aside, c * at[3] - s * at[4] - law["cruise"], s * at[3] + c * at[4]], axis=1
         )
         if plant.lag:
-            z = np.hstack([z, ((at[5:] - plant.commanded(at)) / masses).T])
+            f_x, f_y = (at[5:] - trim(at[2])) / masses
+            z = np.hstack([z, np.stack([c * f_x - s * f_y, s * f_x + c * f_y], axis=1)])
         value = np.asarray(np.einsum("ni,ij,nj->n", z, P, z))
-        if held is not None and phase and not plant.lag:
+        if held is not None and phase:
             late = np.square((held - plant.commanded(at)) / masses).sum(axis=0)
             value = value + proof["thrust"]["weight"] * (1 - phase) / phase * late
         return value

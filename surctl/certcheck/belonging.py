@@ -28,7 +28,6 @@ from surctl.certcheck.elementary import Undefined
 from surctl.certcheck.law_points import Law, compare_braking, compare_following
 from surctl.certcheck.loop_dynamics import compare_dynamics
 from surctl.certcheck.patience import PATIENCE, patient
-from surctl.certcheck.region_claim import read_claim as read_region
 from surctl.certcheck.steering import STEERED, STEERED_EXCLUDES, compare_steering
 from surctl.certcheck.turning_claim import read_claim as read_turning
 from surctl.certcheck.turning_law import Follower
@@ -67,6 +66,11 @@ _FORCE = re.compile("([YN][uvr]?[vru]|m12|m14|Y0|N0)")  # parameters of a vehicl
 _VECTORS = ("plant_state", "controller_state", "gains", "parameters", "reference", "disturbance")
 _PROVED = {"function", "level", "rate", "equilibrium", "inner", "gains", "initial", "unsafe", "multiplier", "stays"}
 """Entries of a claim about dynamics that the certificate itself proves."""
+_DISTURBED = (
+    "current_m_per_s", "force_n", "place_error_m", "velocity_error_m_per_s", "heave_m_per_s", "heave_m_per_s2",
+    "yaw_rad_per_s2",
+)  # fmt: skip
+"""Entries of a claim about a cruise that are conditions about things outside the exported code."""
 _ENDS = ("lower", "upper")
 _SAMPLED = ("next", "commands", "period_s")
 """Entries of a claim about a sampled loop that are compared with the bundle."""
@@ -112,7 +116,7 @@ def compare(document: Mapping[str, Any], manifest: Manifest) -> Belonging:
         return replace(inner, excludes=(_PATH, *inner.excludes))
     comparison = _Comparison(document["claim"], manifest)
     kinds = {
-        "region": comparison.region, "braking": comparison.braking, "heading": comparison.heading,
+        "braking": comparison.braking, "heading": comparison.heading,
         "turning": comparison.turning, "lyapunov": comparison.motion,
         "barrier": comparison.motion, "interval": comparison.inequality,
     }  # fmt: skip
@@ -216,23 +220,6 @@ class _Comparison(Comparison):
             "law: the certificate covers the paper's law, which steers by heading; the exported law steers by velocity"
         )
 
-    def region(self) -> None:
-        claim = read_region(self.claim)  # raises Rejected unless every number is valid
-        vehicle, law = self.of("vehicle"), self.of("law")
-        self.hashes()
-        for name in ("k1", "lookahead", "k_v", "k_i", "wait", "cruise", "cap"):
-            self.gain(name, law[name])
-        self.believed(law)
-        self.vehicle(vehicle)
-        self.alike(vehicle["asymmetry"])
-        self.at_least("thrust_limit", vehicle["thrust_n"], "N", self.limits())
-        self.at_most("yaw rate", vehicle["yaw_rate_rad_per_s"], "rad/s", self.gains("spin"))
-        self.lower_ends("thrust", self.claim["vehicle"]["thrust_n"], "N")
-        self.late(vehicle["lag_s"], law["period_s"])
-        self.conditions("vehicle", "current_m_per_s", "force_n", "place_error_m", "velocity_error_m_per_s")
-        self.take("motion")  # what the certificate proves
-        self._follows(claim, *((n, n) for n in (claim.mass_model, claim.linear_model, claim.quadratic_model)))
-
     def turning(self) -> None:
         claim = read_turning(self.claim)
         vehicle, law = self.of("vehicle"), self.of("law")
@@ -256,7 +243,7 @@ class _Comparison(Comparison):
         self.at_most("yaw rate", vehicle["yaw_rate_rad_per_s"], "rad/s", self.gains("spin"))
         self.at_least("thrust_limit of yaw", vehicle["munk_moment_nm"], "N m", self.yaw_limits())
         self.late(vehicle["lag_s"], law["period_s"])
-        self.conditions("vehicle", "current_m_per_s", "heave_m_per_s", "heave_m_per_s2", "yaw_rad_per_s2")
+        self.conditions("vehicle", *_DISTURBED)
         self.conditions("motion", "curvature_per_m")
         self.take("motion")
         self._follows(claim, claim.mass, claim.linear, claim.quadratic)

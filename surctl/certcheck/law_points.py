@@ -1,6 +1,6 @@
 """Comparison of the exported law with what a certificate states about it, by evaluation of the law's instructions.
 
-A certificate of kind `region`, `turning` or `braking` contains a model of the law, and one of kind `lyapunov` about the
+A certificate of kind `turning` or `braking` contains a model of the law, and one of kind `lyapunov` about the
 law `steered` the dynamics of its heading loop. Here, the instruction
 list of the bundle is evaluated with the gains of the bundle at some hundreds of points, which are drawn once with a
 fixed seed: on one straight leg in open water, or before one obstacle or wall. At each point the command must be that of

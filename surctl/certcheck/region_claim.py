@@ -1,87 +1,24 @@
-"""Reader of the claim of a region certificate; it rejects missing or unknown keys and numbers that are not decimal."""
+"""Readers of what certificates of regions share; they reject wrong keys and numbers that are not decimal."""
 
 from __future__ import annotations
 
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any, TypeVar
 
 from surctl.certcheck.document import Rejected, record
 
 __all__ = [
-    "EXCLUDES", "LAW", "CruiseClaim", "Pair", "axis_pairs", "lag_range", "law_gains", "number", "ordered", "read_claim",
-    "read_shells", "read_top", "triangle", "two",
+    "LAW", "Pair", "axis_pairs", "lag_range", "law_gains", "number", "ordered", "read_shells", "read_top", "triangle",
+    "two",
 ]  # fmt: skip
 
 Pair = tuple[Fraction, Fraction]
 Number = TypeVar("Number", float, Fraction)
 
 _LARGEST = 10**9
-
-EXCLUDES = (
-    "the path is one straight leg, and its target moves along it at the cruise speed",
-    "surge and sway have the same mass; their drag coefficients differ by no more than the stated asymmetry",
-    "no obstacle, wall or unknown area bounds the velocity; no inequality constraint of the priority problem is active",
-    "measured position and velocity are off by at most place_error_m and velocity_error_m_per_s; the heading is exact",
-    "the depth and heading loops are not covered: the heading may turn in any way up to yaw_rate_rad_per_s",
-    "waves and thrust errors act as a horizontal force of at most force_n; the current is the same everywhere and at "
-    "all times, and at most current_m_per_s",
-)
-"""Restrictions of the claim; a certificate repeats the restrictions word for word."""
-
-
-@dataclass(frozen=True)
-class CruiseClaim:
-    """Claim about the cruise along a straight path; SI units, pairs are (least, largest).
-
-    Attributes:
-        mass: true m11 = m22 [kg].
-        linear, quadratic: range of the true drag of surge and of sway [N s/m, N s²/m²].
-        asymmetry: largest difference of the drag coefficients of surge and sway, divided by their mean; the bound holds
-            for the linear and for the quadratic coefficients.
-        thrust: least thrust limit among the horizontal axes of the vehicle and of the law [N].
-        lag: time constant of the thrust [s]; (0, 0) for thrust without lag.
-        mass_model, linear_model, quadratic_model: mass and drag in the law's model.
-        k1, lookahead, k_v, wait: the law's gains of these names [1/s, m, 1/s, m].
-        cruise, cap: speed of the path's target and largest commanded speed [m/s].
-        period: time for which a command is held [s]; 0 for continuous commands.
-        yaw_rate: largest yaw rate |r| [rad/s].
-        current: largest speed of a constant current in any direction [m/s].
-        force: largest horizontal disturbance force, which may vary arbitrarily [N].
-        place_error, velocity_error: largest error of the measured position [m] and of the measured velocity [m/s]; the
-            errors vary arbitrarily.
-        rate: decay rate a of V̇ ≤ −a V [1/s].
-        offset: the region contains the points with x_e = 0, |y_e| = offset [m] and the target's velocity.
-        ultimate_bound: largest |x_e| and |y_e| [m] in the set that every motion reaches and then does not leave.
-    """
-
-    mass: Pair
-    linear: Pair
-    quadratic: Pair
-    asymmetry: Fraction
-    thrust: Fraction
-    lag: Pair
-    mass_model: Fraction
-    linear_model: Fraction
-    quadratic_model: Fraction
-    k1: Fraction
-    lookahead: Fraction
-    k_v: Fraction
-    wait: Fraction
-    cruise: Fraction
-    cap: Fraction
-    period: Fraction
-    yaw_rate: Fraction
-    current: Fraction
-    force: Fraction
-    place_error: Fraction
-    velocity_error: Fraction
-    rate: Fraction
-    offset: Fraction
-    ultimate_bound: tuple[Fraction, Fraction]
 
 
 def number(value: Any, where: str, *, least: Fraction | int = 0, above: bool = False) -> Fraction:
@@ -183,58 +120,3 @@ def read_top(claim: Any, system: str, excludes: Sequence[str]) -> Mapping[str, A
         if not isinstance(top[key], str) or not re.fullmatch("[0-9a-f]{64}", top[key]):
             raise Rejected(f"claim.{key} is not a SHA-256")
     return top
-
-
-def read_claim(claim: Any) -> CruiseClaim:
-    """Return the claim of a certificate.
-
-    Raises:
-        Rejected: a key is missing or unknown, a number has the wrong type or sign, or the stated restrictions are not
-            those of this kind of claim.
-    """
-    top = read_top(claim, "cruise", EXCLUDES)
-    vehicle = record(
-        top["vehicle"],
-        (
-            "mass_kg",
-            "linear_drag",
-            "quadratic_drag",
-            "asymmetry",
-            "thrust_n",
-            "lag_s",
-            "yaw_rate_rad_per_s",
-            "current_m_per_s",
-            "force_n",
-            "place_error_m",
-            "velocity_error_m_per_s",
-        ),
-        "claim.vehicle",
-    )
-    law = record(top["law"], LAW, "claim.law")
-    motion = record(top["motion"], ("rate_per_s", "offset_m", "ultimate_bound_m"), "claim.motion")
-    lag = lag_range(vehicle["lag_s"])
-    current = number(vehicle["current_m_per_s"], "claim.vehicle.current_m_per_s")
-    gains = law_gains(law)
-    if current and (lag[1] or gains["period"]):
-        raise Rejected("claim.vehicle.current_m_per_s: a current with lag or with held commands is not supported")
-
-    return CruiseClaim(
-        mass=ordered(vehicle["mass_kg"], "claim.vehicle.mass_kg", above=True),
-        linear=ordered(vehicle["linear_drag"], "claim.vehicle.linear_drag"),
-        quadratic=ordered(vehicle["quadratic_drag"], "claim.vehicle.quadratic_drag"),
-        asymmetry=number(vehicle["asymmetry"], "claim.vehicle.asymmetry"),
-        thrust=number(vehicle["thrust_n"], "claim.vehicle.thrust_n", above=True),
-        lag=lag,
-        mass_model=number(law["mass_kg"], "claim.law.mass_kg", above=True),
-        linear_model=number(law["linear_drag"], "claim.law.linear_drag"),
-        quadratic_model=number(law["quadratic_drag"], "claim.law.quadratic_drag"),
-        **gains,
-        yaw_rate=number(vehicle["yaw_rate_rad_per_s"], "claim.vehicle.yaw_rate_rad_per_s"),
-        current=current,
-        force=number(vehicle["force_n"], "claim.vehicle.force_n"),
-        place_error=number(vehicle["place_error_m"], "claim.vehicle.place_error_m"),
-        velocity_error=number(vehicle["velocity_error_m_per_s"], "claim.vehicle.velocity_error_m_per_s"),
-        rate=number(motion["rate_per_s"], "claim.motion.rate_per_s", above=True),
-        offset=number(motion["offset_m"], "claim.motion.offset_m", above=True),
-        ultimate_bound=two(motion["ultimate_bound_m"], "claim.motion.ultimate_bound_m", above=True),
-    )

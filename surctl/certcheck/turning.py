@@ -4,10 +4,10 @@ The claim states that, for all constant true parameters in their ranges, there i
 x_e* = −ω/k1 along the path, and in a current with one across it (`turning_terms`). With V = (ξ − ξ*)ᵀ P (ξ − ξ*) and ξ
 = (x_e, y_e, U_x, U_y), every motion that starts in V ≤ 1 satisfies V(t) ≤ max(e^(−a t) V(0), floor) for all t ≥ 0,
 however the heading moves with |r| ≤ yaw_rate_rad_per_s and on any curve with |curvature| ≤ curvature_per_m, and in any
-constant current of at most current_m_per_s. With thrust lag, q |E|² is added to V; with commands that are held for a
-period that begins at t = 0, a term that vanishes at each control instant (`turning_form`). The levels floor = ℓ_0 <
-ℓ_1 < … < 1 divide the region into shells, and `turning_cells` proves the decay in every shell and every cell of
-headings. P > 0, the offsets, the ultimate bound and the Munk moment are checked in exact rational arithmetic.
+constant current of at most current_m_per_s. With thrust lag, V is a form in ξ and the thrust; with commands that are
+held for a period that begins at t = 0, it has a term that vanishes at each control instant (`turning_form`). The levels
+floor = ℓ_0 < ℓ_1 < … < 1 divide the region into shells, and `turning_cells` proves the decay in every shell and every
+cell of headings. P > 0, the offsets, the ultimate bound and the Munk moment are checked in exact rational arithmetic.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from itertools import pairwise
 from typing import Any
 
 from surctl.certcheck.document import Rejected, listed, record
-from surctl.certcheck.region_claim import CruiseClaim, axis_pairs, number, read_shells, triangle, two
+from surctl.certcheck.region_claim import axis_pairs, number, read_shells, triangle, two
 from surctl.certcheck.region_exact import (
     Matrix,
     inverse,
@@ -28,16 +28,15 @@ from surctl.certcheck.region_exact import (
     quadratic,
     root_up,
 )
-from surctl.certcheck.turning_cells import Trim, check_shell, heading_cells, lateness, steady
+from surctl.certcheck.turning_cells import Trim, check_shell, heading_cells, steady
 from surctl.certcheck.turning_claim import Pair, TurningClaim, read_claim
 from surctl.certcheck.turning_form import Form, Phase
 from surctl.certcheck.turning_terms import STILL, coupled_mass, other_forces, other_moment
 
-__all__ = ["check", "check_cells", "cruise_of", "require_bound", "require_starts"]
+__all__ = ["check", "cruise_of", "require_bound", "require_starts"]
 
 _MOST_SHELLS = 24
 _CELLS = (4, 96)  # least and largest number of cells of headings
-_UNMIRRORED = {(0, 1), (0, 3), (2, 1), (2, 3)}  # the reflection in the path changes the sign of y and U_y only
 
 
 def check(document: Mapping[str, Any]) -> None:
@@ -48,31 +47,15 @@ def check(document: Mapping[str, Any]) -> None:
     """
     record(document, ("format", "version", "kind", "claim", "proof", "sha256"), "the certificate")
     claim = read_claim(document.get("claim"))
-    keys = ("P", "floor", "trim", "cells", "shells") + (("thrust",) if claim.behind else ())
+    keys = ("P", "floor", "trim", "cells", "shells") + (("thrust",) if claim.period else ())
     keys += ("flow",) if claim.current else ()
     proof = record(document.get("proof"), keys, "proof")
-    check_cells(claim, proof, *_coefficients(claim, proof))
-
-
-def check_cells(
-    claim: TurningClaim,
-    proof: Mapping[str, Any],
-    slopes: tuple[Fraction, Fraction],
-    flow: tuple[Pair, Pair, Pair] = STILL,
-) -> None:
-    """Check the P, floor, cells and shells of a proof for the steady cruise with ω = slopes · (mean factors − 1).
-
-    `flow` holds the coefficients of the gains of the current, see `turning_cells`.
-
-    Raises:
-        Rejected: the proof does not prove the claim; the message names the first failure.
-    """
-    p = triangle(proof["P"], 4, "proof.P")
+    p = triangle(proof["P"], 6 if claim.lag[1] else 4, "proof.P")
     if not is_positive_definite(p):
         raise Rejected("P is not positive definite")
-    if any(p[i][j] for i, j in _UNMIRRORED):
+    if any(p[i][j] for i in range(len(p)) for j in range(1 - i % 2, i, 2)):  # y, U_y and F_y alone change their sign
         raise Rejected("P is not symmetric under reflection in the path")
-    trim, cells = steady(claim, slopes, flow), proof["cells"]
+    trim, cells = cruise_of(claim, proof), proof["cells"]
     if type(cells) is not int or not _CELLS[0] <= cells <= _CELLS[1]:
         raise Rejected(f"proof.cells must be a whole number from {_CELLS[0]} to {_CELLS[1]}")
     levels, stated = read_shells(proof, "growth", _MOST_SHELLS)
@@ -80,34 +63,36 @@ def check_cells(
     covariance = inverse(p)
     require_starts(claim, p, trim.moved, trim.beside, claim.rest_offset)
     require_bound(claim, covariance, trim.moved, trim.beside, levels[0])
-    fastest = claim.cruise + claim.current + root_up(largest_eigenvalue([row[2:] for row in covariance[2:]]))
+    fastest = claim.cruise + claim.current + root_up(largest_eigenvalue([row[2:4] for row in covariance[2:4]]))
     _check_munk_moment(claim, fastest)
     forces = other_forces(claim, fastest)
     divided = heading_cells(claim, trim, cells)
-    weight, phases = _thrust(claim, proof["thrust"]) if claim.behind else (None, (Phase(),))
+    weight, phases = _phases(claim, proof)
     for phase in phases:
-        form, late = Form(p, weight, claim.k_v * phase.drive), None
-        if claim.lag[1] and claim.period:
-            late = lateness(claim, trim, divided, form, forces)
+        form = Form(p, weight, claim.k_v * phase.begins)
         for (low, high), growth in zip(pairwise(levels), growths, strict=True):
-            check_shell(claim, trim, divided, form, low, high, growth, forces, late, phase)
+            check_shell(claim, trim, divided, form, low, high, growth, forces, phase)
 
 
-def _thrust(claim: TurningClaim, value: Any) -> tuple[Fraction, tuple[Phase, ...]]:
-    """Return the weight q, and the forms of `turning_form` that decide.
+def _phases(claim: TurningClaim, proof: Mapping[str, Any]) -> tuple[Fraction | None, list[Phase]]:
+    """Return the weight q, None for commands that are not held, and the forms of `turning_form` that decide.
 
     Raises:
-        Rejected: the proof has other numbers, or the claim is about a curved path or an inertia with m12.
+        Rejected: the proof has other numbers, or the claim has thrust lag or held commands and is about a curved path,
+            an inertia with m12, disturbance forces or errors of measurement.
     """
-    if claim.curvature or coupled_mass(claim):
-        raise Rejected("thrust lag and held commands are not covered together with m12 or a curved path")
-    thrust = record(value, ("weight", "split"), "proof.thrust")
+    more = (claim.curvature, coupled_mass(claim), claim.force, claim.place_error, claim.velocity_error)
+    if claim.behind and any(more):
+        raise Rejected("thrust lag and held commands are not covered together with m12, a curved path, a force or "
+                       "errors of measurement")  # fmt: skip
+    lags = [float(lag) for lag in sorted(set(claim.lag))]
+    if not claim.period:
+        return None, [Phase(lag) for lag in lags]
+    thrust = record(proof["thrust"], ("weight", "split"), "proof.thrust")
     weight, split = (number(thrust[key], f"proof.thrust.{key}", above=True) for key in ("weight", "split"))
-    if claim.lag[1]:
-        return weight, (Phase(float(split), 2 / float(claim.lag[1])),)
     # the matrices take off a + η, of which a quarter is enough
     fall = float(1 / claim.period - claim.k_v / claim.mass_factor[0] / 2)
-    return weight, (Phase(float(split), fall, acts=False), Phase(0.0, fall, drive=False))
+    return weight, [one for lag in lags for one in (Phase(lag, float(split), fall), Phase(lag, 0.0, fall, False))]
 
 
 def _flow(claim: TurningClaim, value: Any) -> tuple[Pair, Pair, Pair]:
@@ -134,9 +119,7 @@ def cruise_of(claim: TurningClaim, proof: Mapping[str, Any]) -> Trim:
     return steady(claim, *_coefficients(claim, proof))
 
 
-def require_starts(
-    claim: CruiseClaim | TurningClaim, p: Matrix, moved: Pair, beside: Fraction, rest: Fraction | None = None
-) -> None:
+def require_starts(claim: TurningClaim, p: Matrix, moved: Pair, beside: Fraction, rest: Fraction | None = None) -> None:
     """Raise Rejected unless the starts with x_e = 0, |y_e| = offset lie in V ≤ 1 for all steady cruises.
 
     Args:
@@ -157,9 +140,7 @@ def require_starts(
                     raise Rejected(f"a start {how} {float(offset):g} m beside the path is not in the region")
 
 
-def require_bound(
-    claim: CruiseClaim | TurningClaim, covariance: Matrix, moved: Pair, beside: Fraction, floor: Fraction
-) -> None:
+def require_bound(claim: TurningClaim, covariance: Matrix, moved: Pair, beside: Fraction, floor: Fraction) -> None:
     """Raise Rejected unless |x_e| and |y_e| in V ≤ floor are within the ultimate bound; see `require_starts`."""
     away = max(map(abs, moved)) / claim.k1
     x, y = (root_up(covariance[k][k] * floor) + shift for k, shift in enumerate((away, beside)))

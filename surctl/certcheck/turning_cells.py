@@ -5,8 +5,9 @@ r, M ν̇ = τ − D − C(ν)ν gives U̇ = R M⁻¹ (τ − D) − r R [[0, e1
 − 1; the Coriolis term vanishes for equal masses. Let n_1, n_2 be the axes of the body in the path frame, and ξ = (x, y,
 δU) the deviation from the steady cruise, at which x_e* = −ω/k1 and U* = (v, 0). On axis i,
 
-    thrust − drag = φ_i ((g_i + h_i) n_iᵀ δW − g_i n_iᵀ δU) − t_i n_iᵀ δU + l_i.
+    thrust − drag = φ_i ((g_i + h_i) n_iᵀ δW − g_i n_iᵀ δU) − t_i n_iᵀ δU + l_i
 
+for thrust that is the present command (`turning_form` has the others).
 δW = −(κ x, s y/Δ) is the deviation of the commanded velocity, g_i = m_i k_v the velocity gain, h_i and t_i are secant
 slopes of the feedforward and of the true drag, φ_i is the share of the deviation that the thrust limit leaves, and l_i
 is the error of the trim force and of the forces in `turning_terms`. So ξ̇ = A ξ + B w, where B selects the velocities.
@@ -38,8 +39,9 @@ subtracted before the test for positive definiteness (Rump 2006).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,20 +50,20 @@ from surctl.certcheck.document import Rejected
 from surctl.certcheck.patience import go_on
 from surctl.certcheck.region_exact import root_up
 from surctl.certcheck.turning_claim import Pair, TurningClaim, drag_factors
-from surctl.certcheck.turning_form import Form, Late, Phase, axes_of, held, lipschitz, stir
+from surctl.certcheck.turning_form import Form, Phase, axes_of, lipschitz, stir
 from surctl.certcheck.turning_terms import (
     STILL,
     UP,
     Turn,
     coupling_of,
+    flow_error,
     flow_gains,
-    flow_lack,
     inverse_masses,
     outer_force,
     turn_points,
 )
 
-__all__ = ["Cells", "Disturbed", "Trim", "check_shell", "decays", "heading_cells", "lateness", "steady"]
+__all__ = ["Cells", "Disturbed", "Trim", "check_shell", "decays", "heading_cells", "steady"]
 
 Array = NDArray[np.float64]
 
@@ -76,21 +78,25 @@ class Disturbed:
 
     Attributes:
         lack: largest |l_i| (2,) [N].
+        pushed: largest norm of a further error of both axes [N].
         loose: norm of the Coriolis terms that m12 adds [1/s].
         stray: largest acceleration by these terms, by the Coriolis term of the current, and by disturbance forces and
             errors of measurement [m/s²].
         late: bounds (2,) [m/s³] on w_2 along each axis (`turning_form`); 0 for thrust that is the present command.
         spread, swing: the numbers that multiply |δU| and |δW| in the bound on |w_1 + w_3| [1/s²].
         phase: which form it is, if the thrust differs from the present command.
+        moves: s_1 and s_2, whether the command of each axis moves.
     """
 
     lack: Array
+    pushed: float
     loose: float
     stray: float
     late: Array
     spread: float
     swing: float
     phase: Phase
+    moves: tuple[int, ...] = (1, 1)
 
 
 def decays(
@@ -107,7 +113,9 @@ def decays(
     floor: float,
 ) -> bool:
     """Return whether V̇ < −a V holds in one cell; the arrays have the axes (1/m, turn, z, loop 1, loop 2, plan)."""
-    t, side, v = form.change, form.lever, float(claim.cruise)
+    t, v, phase = form.change, float(claim.cruise), disturbed.phase
+    sides = [form.levers[0] + move * form.levers[1] for move in disturbed.moves]
+    pulls = [form.thrust + move * form.pulled for move in disturbed.moves]
     lack, loose, n = disturbed.lack, disturbed.loose, len(form.p)
     decay = (float(claim.rate) + growth) * UP
     kinematic = t @ form.p[:, :2] @ form.speed.T
@@ -119,31 +127,35 @@ def decays(
     parts = []
     for i in (0, 1):
         hull = np.einsum("mk,kzij->mzij", heavy[:, [i, 2]], np.array([axes[i], crossed[i]]))
-        led = side @ (hull[:, :, None] @ np.array(plans)) @ form.place.T  # (m, z, plan, n, n)
-        slowed = side @ hull @ form.speed.T  # (m, z, n, n)
-        led, slowed = led + led.swapaxes(-1, -2), slowed + slowed.swapaxes(-1, -2)
+        driven = command = sides[i] @ hull  # (m, z, n, 2); no m12 with held commands
+        if phase.lag:
+            command = np.broadcast_to(form.thrust @ axes[i] / (phase.lag * float(claim.mass[i])), driven.shape)
+        led = command[:, :, None] @ np.array(plans) @ form.place.T  # (m, z, plan, n, n)
+        slowed, eased = driven @ form.speed.T, command @ form.speed.T  # (m, z, n, n)
+        led, slowed, eased = (part + part.swapaxes(-1, -2) for part in (led, slowed, eased))
         whole = np.einsum("a,mzpij->mzapij", loops[i][:, 0], led)
-        parts.append(whole + np.einsum("a,mzij->mzaij", loops[i][:, 1], slowed)[:, :, :, None])
+        whole += np.einsum("a,mzij->mzaij", loops[i][:, 1], eased)[:, :, :, None]
+        parts.append(whole + np.einsum("a,mzij->mzaij", loops[i][:, 2], slowed)[:, :, :, None])
     # Coriolis term r (e1 n_1 n_2ᵀ + e2 n_2 n_1ᵀ), and the turning path frame: −σ S = σ J
     curved = t @ form.p @ np.kron(np.eye(n // 2), -TWIST) @ t.T  # no curves if n = 6
     rests, sizes = [], []
     for a, b, bend, _ in turns:
         for k in range(len(z)):
-            c = (a + b) / 2 * mirror[k] + (a - b) / 2 * TWIST
-            own = side @ c @ form.speed.T + bend * curved
-            effect = side @ (c[:, 0] + [0, bend]) * v
+            c = a * sides[0] @ crossed[1][k] + b * sides[1] @ crossed[0][k]
+            own = c @ form.speed.T + bend * curved
+            effect = (c[:, 0] + bend * form.levers[0][:, 1]) * v
             rests.append((own + own.T, effect))
             sizes.append(float(np.linalg.norm(effect)))
     turned = np.array([r[0] for r in rests]).reshape(len(turns), len(z), n, n)
     effects = np.array([r[1] for r in rests]).reshape(len(turns), len(z), n)
     weights = [max(sizes)]
     for i in (0, 1):
-        most = max(float(np.trace(side @ n @ side.T)) for n in axes[i])
+        most = max(float(np.trace(sides[i] @ n @ sides[i].T)) for n in axes[i])
         weights.append(lack[i] * heavy[:, i].max() * np.sqrt(max(most, 0.0)))
-    spread = float(np.linalg.norm(side)) * UP
+    spread = float(np.linalg.norm(form.lever)) * UP
     weights.append(disturbed.stray * spread)
-    pull = t @ form.p[:, 4:]  # of V by a change of E
-    weights += [late * float(np.linalg.norm(pull)) for late in disturbed.late]
+    weights += [late * float(np.linalg.norm(pull)) for late, pull in zip(disturbed.late, pulls, strict=True)]
+    weights.append(disturbed.pushed * heavy[:, :2].max() * spread)
     total = sum(weights)
     forced, force = np.zeros((len(heavy), len(turns), len(z), n, n)), 0.0
     if total > 0:
@@ -156,26 +168,28 @@ def decays(
             force += (size * 3.3 * v * float(np.abs(turns).max())) ** 2 * scale
         for i in (0, 1):
             scale = lack[i] ** 2 * (total / weights[1 + i] / floor) if lack[i] > 0 else 0.0
+            if disturbed.pushed > 0:  # ‖M⁻¹ l‖² is that of both axes
+                scale += disturbed.pushed**2 * (total / weights[6] / floor)
             if scale > 0:
                 # w = l_i (n_i/m_i + β n_j) on axis i
                 share, other = heavy[:, i], heavy[:, 2]
                 mixed = np.stack([share**2, other**2, share * other], 1)
                 outer = np.array([axes[i], axes[1 - i], mirror])
-                along = side @ np.einsum("mk,kzij->mzij", mixed, outer) @ side.T
+                along = sides[i] @ np.einsum("mk,kzij->mzij", mixed, outer) @ sides[i].T
                 forced += (scale * along)[:, None]
                 force += 1.1 * size**2 * float(scale * np.square(share + np.abs(other)).max())
-            if disturbed.late[i] > 0:
+            if weights[4 + i] > 0:
                 scale = disturbed.late[i] ** 2 * (total / weights[4 + i] / floor)
-                forced += scale * (pull @ axes[i] @ pull.T)
-                force += 2.2 * float(np.abs(pull).sum()) ** 2 * scale
+                forced += scale * (pulls[i] @ axes[i] @ pulls[i].T)
+                force += 2.2 * float(np.abs(pulls[i]).sum()) ** 2 * scale
         if disturbed.stray > 0:
             scale = disturbed.stray**2 * (total / weights[3] / floor)
-            forced += scale * (side @ side.T)
+            forced += scale * sum(side @ axis @ side.T for side, axis in zip(sides, axes, strict=True))
             force += size**2 * scale
     base = fixed + turned[None] - forced * UP  # (m, turn, z, n, n)
-    rear, away = _behind(claim, form, axes, heavy, turns, plans, disturbed, pull)
+    rear, away = _behind(claim, form, axes, crossed, heavy, turns, plans, disturbed, sides)
     base = base - rear[:, None]
-    error = _error(form, decay, heavy, loops, plans, turns) + _ROUNDING * force
+    error = _error(claim, form, decay, heavy, loops, plans, turns, phase.lag) + _ROUNDING * force
     error += 2 * loose * spread * float(np.linalg.norm(form.speed)) * UP
     if n > 4:
         error += 20 * _ROUNDING * float(np.abs(rear).sum(axis=(-1, -2)).max() + np.abs(away).sum(axis=(-1, -2)).max())
@@ -183,7 +197,7 @@ def decays(
     for i, j in [(row, column) for row in range(n) for column in range(row + 1)]:
         one, two = parts[0][..., i, j], parts[1][..., i, j]
         whole = base[..., i, j][:, :, :, None, None, None] + (
-            one[:, :, :, None] + two[:, :, None, :])[:, None] - away[None, :, None, None, None, :, i, j]  # fmt: skip
+            one[:, :, :, None] + two[:, :, None, :])[:, None] - away[None, :, :, None, None, :, i, j]  # fmt: skip
         entries[i, j] = whole.reshape(-1) - (error if i == j else 0.0)
     return _positive(entries)
 
@@ -192,40 +206,52 @@ def _behind(
     claim: TurningClaim,
     form: Form,
     axes: tuple[Array, Array],
+    crossed: tuple[Array, Array],
     heavy: Array,
     turns: list[Turn],
     plans: list[Array],
     disturbed: Disturbed,
-    pull: Array,
+    sides: list[Array],
 ) -> tuple[Array, Array]:
-    """Return what E adds to V̇ (m, z, n, n), and what the turning commands add to it (turn, plan, n, n)."""
-    n, count = len(form.p), len(axes[0])
+    """Return what F and ε add to V̇ (m, z, n, n), and what the turning heading adds to it (turn, z, plan, n, n)."""
+    n, phase = len(form.p), disturbed.phase
+    rear, away = np.zeros((len(heavy), len(axes[0]), n, n)), np.zeros((len(turns), len(axes[0]), len(plans), n, n))
     if n == 4:
-        return np.zeros((len(heavy), count, 4, 4)), np.zeros((len(turns), len(plans), 4, 4))
-    # n_i · E m_i of the model is the force error, which accelerates the true mass
-    light, phase = heavy[:, :2] * [float(m) for m in claim.mass] * disturbed.phase.acts, disturbed.phase
-    rear = form.lever @ np.einsum("mi,izjk->mzjk", light, np.array(axes)) @ form.error.T
+        return rear, away
+    # n_i · F m_i of the model is a force, which accelerates the true mass
+    light, rates = heavy[:, :2] * [float(m) for m in claim.mass], np.array(turns)[:, 3]
+    acting = sum(np.einsum("m,zij->mzij", light[:, i], sides[i] @ axes[i]) for i in (0, 1))
+    if phase.lag:
+        rear += acting @ form.force.T - form.thrust @ form.force.T / phase.lag
+        turned = form.thrust @ TWIST @ form.force.T  # r S F = −r J F
+        away -= rates[:, None, None, None, None] * (turned + turned.T)
+    if claim.period and not phase.begins:
+        rear += form.thrust @ form.error.T / phase.lag if phase.lag else acting @ form.error.T
     rear = rear + rear.swapaxes(-1, -2)
-    q = float(form.p[4, 4])
-    rear = rear - (phase.fall / UP - phase.split * UP) * q * (form.error @ form.error.T)
-    if not phase.drive:
-        return rear, np.zeros((len(turns), len(plans), n, n))
-    each = q / phase.split * UP
-    rear = rear + each * disturbed.spread**2 * (form.speed @ form.speed.T)
-    k_v, rates = float(claim.k_v), np.array(turns)[:, 3]
-    swung = np.array([pull @ TWIST @ (form.speed.T + plan @ form.place.T) * k_v for plan in plans])
-    swung = swung + swung.swapaxes(-1, -2)
-    led = np.array([form.place @ plan.T @ plan @ form.place.T for plan in plans]) * (each * disturbed.swing**2)
-    return rear, rates[:, None, None, None] * swung + led
+    if not claim.period:
+        return rear, away
+    q = float(form.p[-1, -1])
+    rear -= (phase.fall / UP - phase.split * UP) * q * (form.error @ form.error.T)
+    if phase.begins:
+        each, (first, second) = q / phase.split * UP, disturbed.moves
+        rear += each * disturbed.spread**2 * (form.speed @ form.speed.T)
+        swung = form.levers[1] @ (first * crossed[1] - second * crossed[0])  # (z, n, 2)
+        inner = np.array([form.speed.T + plan @ form.place.T for plan in plans])
+        swung = swung[:, None] @ inner
+        led = np.array([form.place @ plan.T @ plan @ form.place.T for plan in plans]) * (each * disturbed.swing**2)
+        away += rates[:, None, None, None, None] * (swung + swung.swapaxes(-1, -2)) + led
+    return rear, away
 
 
 def _error(
+    claim: TurningClaim,
     form: Form,
     decay: float,
     heavy: Array,
     loops: list[Array],
     plans: list[Array],
     turns: list[Turn],
+    lag: float,
 ) -> float:
     """Return a bound on the rounding errors of the terms of a matrix in `_decays` without disturbance."""
     t, p = np.abs(form.change), np.abs(form.p)
@@ -235,11 +261,14 @@ def _error(
     own, inner = np.zeros((2, n)), np.zeros((n, n))  # acceleration, and the rates of position and curves
     inner[:2, 2:4] = np.eye(2)
     for i in (0, 1):
-        stiff, damped = np.abs(loops[i]).max(axis=0) * (heavy[:, i] + np.abs(heavy[:, 2])).max()
+        per = (heavy[:, i] + np.abs(heavy[:, 2])).max() + (1 / (lag * float(claim.mass[i])) if lag else 0.0)
+        stiff, damped, dragged = np.abs(loops[i]).max(axis=0) * per
         own[:, :2] += stiff * block @ plan
-        own[:, 2:4] += damped * block
+        own[:, 2:4] += (damped + dragged) * block
     own[:, 2:4] += 2 * np.max(np.abs(turns)) * block
     inner += form.entry @ own + np.max(np.abs(turns)) * np.kron(np.eye(n // 2), block)
+    if lag:
+        inner[4:6] += own
     size = 2 * t @ p @ inner @ t.T + decay * t @ p @ t.T
     return float(_ROUNDING * size.sum())
 
@@ -306,12 +335,14 @@ class Cells:
     """Cells of headings ψ in [0, 90°].
 
     `share` (cells, 2, 2) holds the least and largest |cosine| between the path and each axis of the body, `corners`
-    (cells, 3, 2) the triangles that contain (cos 2ψ, sin 2ψ), and `lack` (cells, 2) the largest |l_i| [N].
+    (cells, 3, 2) the triangles that contain (cos 2ψ, sin 2ψ), `lack` (cells, 2) the largest |l_i| [N], and `pushed`
+    (cells,) the largest norm of what a current leaves of the trim force [N].
     """
 
     share: Array
     corners: Array
     lack: Array
+    pushed: Array
 
 
 def heading_cells(claim: TurningClaim, trim: Trim, count: int) -> Cells:
@@ -328,10 +359,10 @@ def heading_cells(claim: TurningClaim, trim: Trim, count: int) -> Cells:
     centre = triangle.mean(axis=0)
     triangle = centre + (triangle - centre) * (1 + 1e-6)  # its edges are rounded
     corners = triangle[None, :, :1] * ahead[:, None] + triangle[None, :, 1:] * aside[:, None]
-    lack = _lack(claim, trim, share)
+    pushed = np.zeros(count)
     if claim.current:
-        lack = lack + flow_lack(claim, trim.flow, (float(trim.omega[0]), float(trim.omega[1])), share)
-    return Cells(share, corners, lack)
+        pushed = flow_error(claim, trim.flow, (float(trim.omega[0]), float(trim.omega[1])), share)
+    return Cells(share, corners, _lack(claim, trim, share), pushed)
 
 
 def _lack(claim: TurningClaim, trim: Trim, share: Array) -> Array:
@@ -391,12 +422,11 @@ def check_shell(
     high: Fraction,
     growth: Fraction,
     forces: tuple[Fraction, Fraction],
-    late: Late | None,
     phase: Phase,
 ) -> None:
     """Prove V̇ < −a V for low ≤ V ≤ high at every heading; `forces` bounds the body forces beside equation (3) [N].
 
-    `late` is the bound on held commands behind a lag, else None, and `phase` is a form of `turning_form`.
+    `phase` is a form of `turning_form`.
 
     Raises:
         Rejected: the proof fails in a cell, the law has another form in a part of the region, or the steady cruise
@@ -420,44 +450,24 @@ def check_shell(
         loops = [_axis(claim, trim, form, i, axes[i], cells.share[k, i], plans, float(high)) for i in (0, 1)]
         rate, spread, swing = np.zeros(2), 0.0, 0.0
         if claim.behind:
-            if max(map(len, loops)) > 4:
-                raise Rejected("a thrust limit is active in the region, and the claim has thrust lag or held commands")
             led = np.array([_led(form, plans, axes[i], float(high)) for i in (0, 1)])
             at = stir(claim, omega, fast, limit, cells.share[k, :, 1], led)
-            if phase.drive and claim.lag[1]:
-                rate, spread = at.turned * UP, at.spread
-            elif phase.drive:
-                rate, spread, swing = at.ahead * UP, np.sqrt(2) * UP * at.spread, np.sqrt(2) * UP * at.swing
-            if late is not None:
-                rate = rate + late.at(float(low)) / float(claim.lag[0]) * UP
-        disturbed = Disturbed(lack[k], loose, stray, rate, spread, swing, phase)
-        if not decays(claim, form, axes, z, loops, plans, turns, per_mass, disturbed, float(growth), floor):
-            degrees = 90 * (k + 0.5) / len(cells.corners)
-            raise Rejected(f"V does not decay at the claimed rate between levels {float(low):g} and {float(high):g} "
-                           f"near a heading of {degrees:.3g} degrees to the path")  # fmt: skip
-
-
-def lateness(claim: TurningClaim, trim: Trim, cells: Cells, form: Form, forces: tuple[Fraction, Fraction]) -> Late:
-    """Return the bound on the change of the held commands in the region V ≤ 1, for thrust that lags behind them.
-
-    Raises:
-        Rejected: the period is too long.
-    """
-    high = Fraction(1)
-    steer, catch = _commanded(claim, trim, form, high)
-    plans = _plans(claim, trim, steer, catch)
-    lack = (cells.lack + np.array([float(force) for force in forces])) * UP
-    limit, (omega, fast) = _limit(claim, form, steer[1], high), _fastest(trim)
-    every = []
-    for k, z in enumerate(cells.corners):
-        go_on()
-        axes = axes_of(z)
-        loops = [_axis(claim, trim, form, i, axes[i], cells.share[k, i], plans, 1.0) for i in (0, 1)]
-        led = np.array([_led(form, plans, axes[i], 1.0) for i in (0, 1)])
-        every.append((stir(claim, omega, fast, limit, cells.share[k, :, 1], led), loops, axes, lack[k]))
-    return held(
-        claim, form, every, plans, np.array(inverse_masses(claim, coupling_of(claim))), turn_points(claim), limit
-    )
+            rate = at.ahead * UP
+            if claim.period and phase.begins:
+                spread, swing = np.sqrt(2) * UP * at.spread, np.sqrt(2) * UP * at.swing
+        disturbed = Disturbed(lack[k], float(cells.pushed[k]), loose, stray, rate, spread, swing, phase)
+        modes = list(product((1, 0), repeat=2))
+        if not phase.begins:  # s_i does not count, and the pairs of a limited command include the others
+            modes = [tuple(int(loop[:, 3].min()) for loop in loops)]
+        for moves in modes:
+            pairs = [loop[loop[:, 3] == move, :3] for loop, move in zip(loops, moves, strict=True)]
+            one = replace(disturbed, moves=moves)
+            if all(map(len, pairs)) and not decays(
+                claim, form, axes, z, pairs, plans, turns, per_mass, one, float(growth), floor
+            ):
+                degrees = 90 * (k + 0.5) / len(cells.corners)
+                raise Rejected(f"V does not decay at the claimed rate between levels {float(low):g} and "
+                               f"{float(high):g} near a heading of {degrees:.3g} degrees to the path")  # fmt: skip
 
 
 def _fastest(trim: Trim) -> tuple[float, float]:
@@ -478,7 +488,10 @@ def _led(form: Form, plans: list[Array], axes: Array, high: float) -> float:
 def _axis(
     claim: TurningClaim, trim: Trim, form: Form, i: int, axes: Array, share: Array, plans: list[Array], high: float
 ) -> Array:
-    """Return the extreme pairs (k, 2) of stiffness φ (g + h) and damping φ g + t of axis i in a cell [N s/m]."""
+    """Return the extremes (k, 4) of axis i in a cell: φ (g + h), φ g and t [N s/m], and s_i.
+
+    If a thrust limit may be active and the commands are held, s_i is 1 with φ = 1, and 0 with φ ≤ 1; else it is 1.
+    """
     still = form.rows(np.zeros((2, 2)), np.eye(2))
     gain, linear, square = (float(n) for n in (claim.mass[i] * claim.k_v, claim.linear[i], claim.quadratic[i]))
     v, (slow, fast), cap = float(claim.cruise), (float(w) for w in trim.command), float(claim.cap)
@@ -510,8 +523,11 @@ def _axis(
     stiff = np.reshape(gain + np.array(h), (2, 1, 1, 1)) * np.array(plans)
     most_force = form.largest(form.rows(stiff, gain * np.eye(2)), axes, high)
     part = min(1.0, left / most_force / UP)
-    if part == 1:
-        return np.array([(gain + slope, gain + t) for slope in h for t in (low, top)])
-    # φ moves the rectangle of (h, t): its inner corners for the two ends of φ lie in the hull of the other six
-    pairs = [(part, h[0], low), (part, h[0], top), (part, h[1], low), (1, h[0], top), (1, h[1], low), (1, h[1], top)]
-    return np.array([(q * (gain + slope), q * gain + t) for q, slope, t in pairs])
+    whole = [(1.0, slope, t, 1.0) for slope in h for t in (low, top)]
+    if part < 1:
+        limited = [(q, slope, t) for q in (part, 1.0) for slope in h for t in (low, top)]
+        if not claim.lag[1]:
+            # φ moves the rectangle of (h, t): its inner corners for the two ends of φ lie in the hull of the other six
+            limited = [one for one in limited if one not in {(part, h[1], top), (1.0, h[0], low)}]
+        whole = [*(whole if claim.period else []), *((*one, 0.0 if claim.period else 1.0) for one in limited)]
+    return np.array([(q * (gain + slope), q * gain, t, move) for q, slope, t, move in whole])

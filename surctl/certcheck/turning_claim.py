@@ -30,15 +30,17 @@ _EQUATION_3 = {
     *(force + axis * count for force, axis in zip("XYZN", "uvwr", strict=True) for count in (1, 2)),
 }  # entries on and below the diagonal, and terms of equation (3)
 _MOST_TERMS = 60
+_ERRORS = (("force", "n"), ("place_error", "m"), ("velocity_error", "m_per_s"))
 
 EXCLUDES = (
     "the path is a smooth curve with a curvature of at most curvature_per_m (0: one straight leg), and its target "
     "moves along it at the cruise speed; a path of short straight legs is not such a curve",
     "no obstacle, wall or unknown area bounds the velocity; no inequality constraint of the priority problem is active",
-    "measured position, velocity and heading are exact, and the command is computed from them without delay; there is "
-    "no wave and no thrust error; the current is the same everywhere and at all times, and at most current_m_per_s",
-    "the thrust lags behind its command with a time constant of lag_s (0: no lag), and equals its command at the "
-    "stated starts; a command is held for period_s (0: not at all), and time begins at a control instant",
+    "measured position and velocity are off by at most place_error_m and velocity_error_m_per_s; the heading is exact, "
+    "and the command is computed without delay; waves and thrust errors act as a horizontal force of at most force_n; "
+    "the current is the same everywhere and at all times, and at most current_m_per_s",
+    "the thrust lags behind its command with a time constant of lag_s (0: no lag), and is that of the steady cruise at "
+    "the stated starts; a command is held for period_s (0: not at all), and time begins at a control instant",
     "the depth and heading loops are not covered: the heading may turn in any way up to yaw_rate_rad_per_s, with a yaw "
     "acceleration of at most yaw_rad_per_s2 and a heave of at most heave_m_per_s and heave_m_per_s2; the heading loop "
     "must hold its limits against a Munk moment of up to munk_moment_nm",
@@ -136,7 +138,7 @@ def read_claim(claim: Any) -> TurningClaim:
         top["vehicle"],
         ("mass_factor", "drag_factor", "mass_asymmetry", "drag_asymmetry", "thrust_n",
          "yaw_rate_rad_per_s", "munk_moment_nm", "terms", "heave_m_per_s", "heave_m_per_s2", "yaw_rad_per_s2",
-         "current_m_per_s", "lag_s"),
+         "current_m_per_s", "force_n", "place_error_m", "velocity_error_m_per_s", "lag_s"),
         "claim.vehicle",
     )  # fmt: skip
     law = record(top["law"], LAW, "claim.law")
@@ -171,6 +173,7 @@ def read_claim(claim: Any) -> TurningClaim:
         curvature=number(motion["curvature_per_m"], "claim.motion.curvature_per_m"),
         current=number(vehicle["current_m_per_s"], "claim.vehicle.current_m_per_s"),
         lag=lag_range(vehicle["lag_s"]),
+        **{key: number(vehicle[f"{key}_{unit}"], f"claim.vehicle.{key}_{unit}") for key, unit in _ERRORS},
     )
 
 

@@ -1,42 +1,42 @@
 """The form V of a turning cruise in double precision, with thrust that follows the law late.
 
-If the thrust is the present command, V = ξᵀ P ξ. With lag, V = ξᵀ P ξ + q |E|². On axis i, E = n_i · E is the thrust
-minus its command, divided by the mass in the law's model. With held commands, V = ξᵀ P ξ + q σ (1 − σ) |E/σ|² at the
-share σ of a period.
+With thrust lag, the state has the entries F beside ξ; with held commands, the entries ε. Without ε, V = zᵀ P z with z =
+ξ or z = (ξ, F). Let f_i be the command that the law computes at present for axis i, limited as the law limits it, u_i
+the command of the last control instant, and m_i the mass in the law's model.
 
-Let F_i be the thrust on axis i, f_i the command that the law computes at present, and u_i the command of the last
-control instant: T Ḟ_i = u_i − F_i, or F_i = u_i without lag. With m_i of the law's model and E = Σ n_i (F_i − f_i)/m_i,
+With lag, F = Σ n_i F_i/m_i, where F_i is the thrust minus the trim force f_i* at the present heading. T times the rate
+of the thrust is u_i minus the thrust. With the quarter turn S and D = Σ n_i (u_i − f_i)/m_i,
 
-    Ė = −E/T + k_v U̇ + r J (k_v δU − k_v δW) + w_1 + w_2 + r J' E,    J = n_1 n_2ᵀ − n_2 n_1ᵀ,
+    Ḟ = Σ n_i φ_i ((g_i + h_i) n_iᵀ δW − g_i n_iᵀ δU)/(T m_i) − F/T + r S F + D/T + w_2.
 
-because f_i/m_i = k_v (n_i W − n_i U) + feedforward, if no thrust limit is active in the region. J' E does not change
-|E|. With h_i the slope of the feedforward divided by m_i, w_1 = −Σ n_i (k_v + h_i) n_i Ẇ, and |Ẇ| ≤ L |δU| with the
-Lipschitz constant L of the commanded velocity. So 2 q Eᵀ w_1 ≤ λ q |E|² + (c²/λ) q |δU|², where c is the largest
-(k_v + h_i) L. On each axis, w_2 holds the commands that turn with the heading, r (k_v ω + h_i W) on the other axis, and
-(u_i − f_i)/(T m_i).
+w_2 is −r ∂f_i*/∂ψ/m_i on axis i, and F accelerates the vehicle: thrust − drag = m_i n_iᵀ F − t_i n_iᵀ δU + l_i.
 
-Without lag, a command that is held for the period p is a constant F_i: the equation holds without −E/T, and E is 0 at
-each control instant. At the time σ p after it, E = σ ε, and ε is bounded by the largest rate of the commands since.
-With V = W + q σ (1 − σ) |ε|², W = ξᵀ P ξ, V is continuous, and V = W at the control instants (a looped functional:
-Fridman 2010, Seuret 2012). As d(σ (1 − σ) |ε|²)/dt = 2 (1 − σ) εᵀ Ė − |ε|²/p,
+A command that is held for the period p is constant, and D is 0 at each control instant. D changes only by the present
+command: Ḋ = −Σ n_i ḟ_i/m_i + r J' D, where J' D does not change |D|. A command at its limit does not move. So on each
+axis ḟ_i is either 0, or that of a command without a limit, and with s_i = 0 or 1, and J = n_1 n_2ᵀ − n_2 n_1ᵀ,
 
-    V̇ + (a + η) V = Ẇ + (a + η) W − q |ε|²/p + 2 q (1 − σ) εᵀ Ė + (a + η) q σ (1 − σ) |ε|².
+    Ḋ = Σ s_i n_i n_iᵀ (k_v U̇ + r J (k_v δU − k_v δW) + w_1 + w_2 + w_3) + r J' D,
 
-Ẇ is affine in E = σ ε, and Ė in σ ε as well, by the term k_v Σ n_i μ_i n_i E of k_v U̇, with μ_i the mass in the model
-over the true one. For given ξ, ε and w, all this is affine in σ but for σ (1 − σ) q εᵀ (2 k_v Σ n_i μ_i n_i + a + η) ε,
-which is at most q (k_v max μ_i/2 + (a + η)/4) |ε|². So the two ends decide: at σ = 0, E does not act, and at σ = 1, Ė
-does not count. The matrices of `turning_cells` prove V̇ + (a + η) V < η low at both, and so between.
+because f_i/m_i = k_v (n_i W − n_i U) + feedforward without a limit. If s_i = 1, no limit is active, and φ_i = 1. With
+h_i the slope of the feedforward divided by m_i, w_1 = −Σ n_i (k_v + h_i) n_i Ẇ, and |Ẇ| ≤ L |δU| with the Lipschitz
+constant L of the commanded velocity. w_3 is the part r h_i of δW on the other axis. With c the largest (k_v + h_i) L,
+2 q εᵀ (w_1 + w_3) ≤ λ q |ε|² + (2/λ) q (c² |δU|² + (r h)² |δW|²).
 
-The part r h_i of δW in w_2 is w_3 here: 2 q εᵀ (w_1 + w_3) ≤ λ q |ε|² + (2/λ) q (c² |δU|² + (r h)² |δW|²).
+At the time σ p after a control instant, D = σ ε, and ε is bounded by the largest rate of the commands since. With V = W
++ q σ (1 − σ) |ε|², W = zᵀ P z, V is continuous, and V = W at the control instants (a looped functional: Fridman 2010,
+Seuret 2012). As d(σ (1 − σ) |ε|²)/dt = 2 (1 − σ) εᵀ Ḋ − |ε|²/p,
 
-With lag and held commands: if V(t) is the first to exceed max(e^(−a t), floor), then V(t − s) ≤ e^(a s) V(t)
-for all s before. |ḟ_i|/m_i ≤ G_i √V + g_i holds in the whole region, so that |u_i − f_i|/m_i ≤ p (e^(a p/2) G_i √V +
-g_i).
+    V̇ + (a + η) V = Ẇ + (a + η) W − q |ε|²/p + 2 q (1 − σ) εᵀ Ḋ + (a + η) q σ (1 − σ) |ε|².
+
+With lag, D acts on Ḟ. Without lag, thrust − drag has m_i n_iᵀ D in place of m_i n_iᵀ F, and so has U̇ in Ḋ. Ẇ is affine
+in D = σ ε. For given z, ε and w, all this is affine in σ but for σ (1 − σ) q εᵀ (2 k_v Σ n_i μ_i n_i + a + η) ε, with
+μ_i the mass in the model over the true one, which is at most q (k_v max μ_i/2 + (a + η)/4) |ε|². So the two ends
+decide: at σ = 0, D does not act, and at σ = 1, Ḋ does not count. The matrices of `turning_cells` prove V̇ + (a + η) V <
+η low at both, and so between.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from fractions import Fraction
 from typing import NamedTuple
 
@@ -46,9 +46,9 @@ from numpy.typing import NDArray
 from surctl.certcheck.document import Rejected
 from surctl.certcheck.region_exact import Matrix, inverse
 from surctl.certcheck.turning_claim import TurningClaim
-from surctl.certcheck.turning_terms import UP, Turn
+from surctl.certcheck.turning_terms import UP
 
-__all__ = ["Form", "Late", "Phase", "Stir", "axes_of", "held", "stir"]
+__all__ = ["Form", "Phase", "Stir", "axes_of", "stir"]
 
 Array = NDArray[np.float64]
 
@@ -59,31 +59,34 @@ class Form:
     """V in double precision, with the exact P⁻¹ rounded to doubles.
 
     Args:
-        p: matrix P (4, 4).
-        weight: the weight q [s⁴/m²]; None for thrust that is the present command.
-        k_v: the law's gain k_v [1/s], by which an acceleration changes the command.
+        p: matrix P (4, 4), or (6, 6) with thrust lag.
+        weight: the weight q [s⁴/m²]; None for commands that are not held.
+        k_v: the law's gain k_v [1/s], by which an acceleration changes the command; 0 at σ = 1.
     """
 
     def __init__(self, p: Matrix, weight: Fraction | None = None, k_v: Fraction = Fraction(0)) -> None:
         self.exact = inverse(p)
-        size = 4 if weight is None else 6
+        own = len(p)
+        size = own + (0 if weight is None else 2)
         self.p, self.covariance, self.change = np.zeros((3, size, size))
         for whole, part in ((self.p, p), (self.covariance, self.exact)):
-            whole[:4, :4] = [[float(entry) for entry in row] for row in part]
-        self.change[:4, :4] = np.tril(np.linalg.inv(np.linalg.cholesky(self.p[:4, :4])))  # T with T P Tᵀ ≈ I
-        for k in range(4, size):
+            whole[:own, :own] = [[float(entry) for entry in row] for row in part]
+        self.change[:own, :own] = np.tril(np.linalg.inv(np.linalg.cholesky(self.p[:own, :own])))  # T P Tᵀ ≈ I
+        for k in range(own, size):
             self.p[k, k], self.covariance[k, k] = float(weight or 0), 1 / float(weight or 0)
             self.change[k, k] = 1 / np.sqrt(self.p[k, k])
         scale = np.abs(self.change) @ np.abs(self.p) @ np.abs(self.change).T
         if not (scale.max() <= _WORST and np.all(np.diag(self.change) > 0)):  # a NaN fails this test too
             raise Rejected("P is too ill-conditioned for double precision")
-        entry = np.zeros((size, 2))  # what an acceleration of the vehicle changes: velocity, and thrust behind command
-        entry[2:4] = np.eye(2)
-        entry[4:] = float(k_v) * np.eye(2)[: size - 4]
-        self.entry = entry
-        self.lever = self.change @ self.p @ entry
+        velocity, held = np.eye(2, size, 2).T, np.eye(2, size, own).T * float(k_v)
+        self.entry = velocity + held  # what an acceleration of the vehicle changes, and ε with it
+        whole = self.change @ self.p
+        self.levers = whole @ velocity, whole @ held
+        self.lever, self.pulled = whole @ self.entry, whole @ np.eye(2, size, own).T * (k_v > 0)
+        self.thrust = whole[:, 4:6] if own > 4 else np.zeros((size, 2))
         self._at = np.eye(4, size)[:2], np.eye(4, size)[2:]
-        self.place, self.speed, self.error = self.change[:, :2], self.change[:, 2:4], self.change[:, 4:]
+        self.place, self.speed = self.change[:, :2], self.change[:, 2:4]
+        self.force, self.error = self.change[:, 4:own], self.change[:, own:]
 
     def rows(self, place: Array, speed: Array) -> Array:
         """Return the matrices (…, 2, n) of functions of position and velocity from their blocks (…, 2, 2)."""
@@ -108,47 +111,27 @@ def axes_of(z: Array) -> tuple[Array, Array]:
 
 
 class Phase(NamedTuple):
-    """One of the forms that decide: λ and φ [1/s], whether Ė counts, and whether E acts on the vehicle.
+    """One of the forms that decide: the time constant T [s] (0 without lag), λ and φ [1/s], and whether σ is 0.
 
-    φ is 2/T with lag, and with held commands what remains of 1/p. There is one form with lag, and two for held
-    commands.
+    φ is what remains of 1/p. There are two forms for held commands, else one.
     """
 
+    lag: float = 0.0
     split: float = 0.0
     fall: float = 0.0
-    drive: bool = True
-    acts: bool = True
+    begins: bool = True
 
 
-@dataclass(frozen=True)
-class Stir:
+class Stir(NamedTuple):
     """What moves the commands in a cell of headings and a level of V.
 
-    `share` (2,) is the largest |cosine| between the path and each axis, `led` (2,) the largest |n_i δW| [m/s], `slope`
-    (2,) the largest h_i [1/s], `spread` c [1/s²], and `turned` (2,) the rate at which the heading turns the command of
-    the steady cruise and of δW [m/s³]; `ahead` (2,) is the part of the steady cruise, and `swing` the largest |r h_i|
-    [1/s²].
+    `spread` is c [1/s²], `ahead` (2,) the rate at which the heading turns the command of the steady cruise [m/s³], and
+    `swing` the largest |r h_i| [1/s²].
     """
 
-    share: Array
-    led: Array
-    slope: Array
     spread: float
-    turned: Array
     ahead: Array
     swing: float
-
-
-@dataclass(frozen=True)
-class Late:
-    """The bound p (e^(a p/2) G_i √V + g_i) on |u_i − f_i|/m_i: its two parts (2,) [m/s²]."""
-
-    growing: Array
-    fixed: Array
-
-    def at(self, level: float) -> Array:
-        """Return the bound (2,) [m/s²], divided by √(V/level), for V ≥ level."""
-        return np.asarray((self.growing * np.sqrt(level) + self.fixed) * UP)
 
 
 def lipschitz(claim: TurningClaim, fast: float, beside: float) -> float:
@@ -164,61 +147,5 @@ def stir(claim: TurningClaim, omega: float, fast: float, limit: float, share: Ar
     model = np.array([[float(n) for n in pair] for pair in (claim.mass, claim.linear, claim.quadratic)])
     reached = np.minimum(fast * share + led, cap)
     slope = (model[1] + 2 * model[2] * reached) / model[0]
-    turned = r * (k_v * omega * share[::-1] + slope * reached[::-1])
     ahead = r * (k_v * omega + slope * fast) * share[::-1]
-    return Stir(
-        share,
-        led,
-        slope * UP,
-        float((k_v + slope.max()) * limit * UP),
-        turned * UP,
-        ahead * UP,
-        float(r * slope.max()) * UP,
-    )
-
-
-def held(
-    claim: TurningClaim,
-    form: Form,
-    cells: list[tuple[Stir, list[Array], tuple[Array, Array], Array]],
-    plans: list[Array],
-    heavy: Array,
-    turns: list[Turn],
-    limit: float,
-) -> Late:
-    """Return the bound on the change of the commands in a period, over all cells of headings, with thrust lag.
-
-    Args:
-        claim: the claim.
-        form: V.
-        cells: of each cell at level 1, what moves the commands, the pairs of stiffness and damping (k, 2) of each axis,
-            the axes (k, 2, 2), and the largest |l_i| (2,) [N].
-        plans: the slopes of the commanded velocity.
-        heavy: vertices of 1/m (k, 3).
-        turns: vertices of the Coriolis terms.
-        limit: L [1/s].
-
-    Raises:
-        Rejected: the period is too long for the claimed rate.
-    """
-    period, k_v, r = float(claim.period), float(claim.k_v), float(claim.yaw_rate)
-    late = 1 - float(claim.rate) * period / 2
-    if late <= 0:
-        raise Rejected("the control period is too long for the claimed rate")
-    eye, none, slopes = np.eye(2), np.zeros((2, 2)), np.array(plans)
-    crossed, v = float(np.abs(np.array(turns)[:, :2]).max()), float(claim.cruise)
-    fastest = np.sqrt(np.linalg.eigvalsh(form.covariance[2:4, 2:4])[-1]) * UP
-    growing, fixed = np.zeros(2), np.zeros(2)
-    for at, loops, axes, lack in cells:
-        for i, j in ((0, 1), (1, 0)):
-            per, mass = heavy[:, i].max(), float(claim.mass[i])
-            stiff, damped = loops[i].T[:, :, None, None, None]
-            pushed = form.largest(per * form.rows(stiff * slopes, damped * eye), axes[i], 1.0)
-            behind = per * mass / np.sqrt(form.p[4, 4])  # F_i − f_i is a state
-            moved = form.largest(form.rows(none, eye), axes[j], 1.0)
-            swung = form.largest(form.rows(k_v * slopes, k_v * eye), axes[j], 1.0)
-            growth = (k_v + at.slope[i]) * limit * fastest + k_v * (pushed + behind + crossed * moved)
-            growth += r * (swung + at.slope[i] * at.led[j])
-            own = k_v * (lack[i] * per + crossed * (v * at.share[j] + float(claim.current))) + at.ahead[i]
-            growing[i], fixed[i] = max(growing[i], growth), max(fixed[i], own)
-    return Late(growing * period / late * UP, fixed * period * UP)
+    return Stir(float((k_v + slope.max()) * limit * UP), ahead * UP, float(r * slope.max()) * UP)

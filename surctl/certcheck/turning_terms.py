@@ -15,15 +15,17 @@ the body in the path frame, and δ = −n_i G c the shift of the steady command 
 m_i k_v δ and the change of its feedforward, and the drag at the target's velocity changes by the current. With α =
 m_i k_v + â + b̂ S_w and β = f a + g b S_u, the error on axis i changes by n_i (β − α G) c. S_w is the secant slope of
 |w| w from w = n_i (v + ω, 0) to w + δ, and S_u that of |u| u from u = n_i (v, 0) to u − n_i c, both between
-max(2 (√2 − 1) |u|, 2 |u| − change) and 2 |u| + change. For given slopes, β − α g_k is affine in the drag factors, so
-that their vertices decide.
+max(2 (√2 − 1) |u|, 2 |u| − change) and 2 |u| + change. For given slopes, β − α g_k is affine in the drag factors, and
+for given factors in the slopes, so that their vertices decide.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from fractions import Fraction
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,8 +35,19 @@ from surctl.certcheck.region_claim import axis_pairs
 from surctl.certcheck.turning_claim import Pair, TurningClaim, drag_factors
 
 __all__ = [
-    "STILL", "UP", "Coupling", "Turn", "coupled_mass", "coupling_of", "flow_gains", "flow_lack", "inverse_masses",
-    "other_forces", "other_moment", "outer_force", "turn_points",
+    "STILL",
+    "UP",
+    "Coupling",
+    "Turn",
+    "coupled_mass",
+    "coupling_of",
+    "flow_error",
+    "flow_gains",
+    "inverse_masses",
+    "other_forces",
+    "other_moment",
+    "outer_force",
+    "turn_points",
 ]  # fmt: skip
 
 _FORCES, _VELOCITIES = "XY", "uvwr"
@@ -74,10 +87,7 @@ def other_forces(claim: TurningClaim, fastest: Fraction) -> tuple[Fraction, Frac
         force += _size(claim, f"m{axis + 1}3") * claim.heave_rate + _size(claim, f"m{axis + 1}4") * claim.turn_rate
         for name in claim.terms:
             if name[0] == letter and name[1] in _VELOCITIES:
-                product = Fraction(1)
-                for velocity in name[1:]:
-                    product *= most[velocity]
-                force += _size(claim, name) * product
+                force += _size(claim, name) * math.prod((most[velocity] for velocity in name[1:]), start=Fraction(1))
         bounds.append(force)
     return bounds[0], bounds[1]
 
@@ -174,29 +184,33 @@ def flow_gains(flow: tuple[Pair, Pair, Pair], f: tuple[Fraction, ...]) -> Pair:
     return along, across
 
 
-def flow_lack(claim: TurningClaim, flow: tuple[Pair, Pair, Pair], omega: tuple[float, float], share: Array) -> Array:
-    """Return the largest error [N] (cells, 2) on each axis by the current; arguments as in `turning_cells`."""
+def flow_error(claim: TurningClaim, flow: tuple[Pair, Pair, Pair], omega: tuple[float, float], share: Array) -> Array:
+    """Return the largest norm (cells,) [N] of the error by the current; arguments as in `turning_cells`.
+
+    For given slopes and drag factors, the errors of both axes are E c with a matrix E that is affine in them, so that
+    its norm is largest at a vertex; the heading is that of the middle of the cell, up to a bound.
+    """
     v, current = float(claim.cruise), float(claim.current) * UP
     moved = current * max(abs(float(g)) for f in drag_factors(claim) for g in flow_gains(flow, f))
-    lack = np.zeros(share.shape[:2])
+    sides = []  # α and β of each axis (ends, cells)
     for axis in (0, 1):
-        gain, linear, square = (float(n) for n in (claim.mass[axis] * claim.k_v, claim.linear[axis],
-                                                   claim.quadratic[axis]))  # fmt: skip
+        gain, square = float(claim.mass[axis] * claim.k_v), float(claim.quadratic[axis])
         low, high = share[:, axis, 0], share[:, axis, 1]
-        most = np.stack([high, np.sqrt(np.clip(1 - low**2, 0, 1))], 1)  # |n_i| along and across the path
-        for f in drag_factors(claim):
-            gains = [float(g) for g in flow_gains(flow, f)]
-            law = [gain + linear + square * s for s in _slopes((v + omega[0]) * low, (v + omega[1]) * high, moved)]
-            drag = [float(f[axis]) * linear + float(f[2 + axis]) * square * s
-                    for s in _slopes(v * low, v * high, current)]  # fmt: skip
-            left = np.stack([
-                np.max([np.abs(beta - alpha * g) for alpha in law for beta in drag], axis=0) for g in gains
-            ], 1)  # fmt: skip
-            size = sum(map(abs, gains)) * law[1] + drag[1]
-            lack[:, axis] = np.maximum(
-                lack[:, axis], current * (np.linalg.norm(left * most, axis=1) + 1e-12 * size) * UP
-            )
-    return lack
+        law = np.array(_slopes((v + omega[0]) * low, (v + omega[1]) * high, moved))
+        sides.append((gain + float(claim.linear[axis]) + square * law, np.array(_slopes(v * low, v * high, current))))
+    middle, half = share.mean(axis=2), (share[:, :, 1] - share[:, :, 0]) / 2 + 1e-12
+    most = np.zeros(len(share))
+    for f in drag_factors(claim):
+        gains, rows = np.array([float(g) for g in flow_gains(flow, f)]), []
+        for axis, (law, drag) in enumerate(sides):
+            pulled = float(f[axis] * claim.linear[axis]) + float(f[2 + axis] * claim.quadratic[axis]) * drag
+            left = pulled[:, None, :, None] - law[None, :, :, None] * gains  # (β, α, cells, c)
+            rows.append(left.reshape(4, len(share), 2))
+        for one, two in product(*rows):
+            error = np.stack([one * middle, two * middle[:, ::-1] * [-1.0, 1.0]], 1)  # n_1 = (cos, sin)
+            off = np.hypot(np.linalg.norm(one * half, axis=1), np.linalg.norm(two * half[:, ::-1], axis=1))
+            most = np.maximum(most, np.linalg.norm(error, 2, axis=(1, 2)) * UP + off)
+    return np.asarray(most * current * UP)
 
 
 def _slopes(low: Array, high: Array, change: float) -> tuple[Array, Array]:

@@ -12,14 +12,13 @@ from typing import Any
 
 import pytest
 
-from surctl.certcheck import braking_claim, check_document, heading_claim, region_claim, turning_claim
+from surctl.certcheck import braking_claim, check_document, heading_claim, turning_claim
 from surctl.certcheck.document import Rejected, seal
 from surctl.certcheck.region_claim import axis_pairs, number
 from surctl.certcheck.turning_claim import read_terms
 from tests.certcheck.altering import put, value_of
 
 READERS: dict[str, tuple[Callable[[Any], Any], str]] = {
-    "region": (region_claim.read_claim, "region-cruise-ranges"),
     "turning": (turning_claim.read_claim, "region-turning-20"),
     "heading": (heading_claim.read_claim, "region-heading-ranges"),
     "braking": (braking_claim.read_claim, "braking-inertia-ranges"),
@@ -55,7 +54,6 @@ def test_every_list_of_a_claim_has_its_length(kind: str) -> None:
 
 
 RANGES = [
-    *(("region", key) for key in ("mass_kg", "linear_drag", "quadratic_drag", "lag_s")),
     *(("braking", key) for key in ("mass_kg", "linear_drag", "quadratic_drag")),
     *(("turning", key) for key in ("mass_factor", "drag_factor", "lag_s")),
     *(("heading", key) for key in heading_claim._RANGES),
@@ -77,11 +75,10 @@ def test_a_range_is_least_then_largest(kind: str, key: str) -> None:
           for key in ("sha256_vehicle", "sha256_law") for value in (3, None, "A" * 64, "0" * 63)
           if (kind, key) != ("heading", "sha256_law")),
         *((kind, ("law", key), 0.1, "must be 0: the certified loop has no integral action")
-          for kind, key in (("region", "k_i"), ("turning", "k_i"), ("braking", "k_i_per_s2"))),
-        ("region", ("vehicle", "lag_s"), [0.0, 0.1], "lag_s must be a range above 0"),
-        ("region", ("motion", "ultimate_bound_m"), [0.1], "ultimate_bound_m must have two entries"),
+          for kind, key in (("turning", "k_i"), ("braking", "k_i_per_s2"))),
         ("turning", ("vehicle", "mass_asymmetry"), 2.0, "an asymmetry must be below 2"),
         ("turning", ("vehicle", "drag_asymmetry"), 2.0, "an asymmetry must be below 2"),
+        ("turning", ("motion", "ultimate_bound_m"), [0.1], "ultimate_bound_m must have two entries"),
         ("turning", ("vehicle", "lag_s"), [0.0, 0.1], "lag_s must be a range above 0"),
         ("braking", ("vehicle", "drag"), "other", "claim.vehicle.drag must be along or axes"),
         ("braking", ("vehicle", "mass_ratio"), 0.9, "must be at least 1"),
@@ -96,16 +93,6 @@ def test_a_range_is_least_then_largest(kind: str, key: str) -> None:
 )  # fmt: skip
 def test_an_entry_of_another_form_is_named(kind: str, path: tuple[Any, ...], value: Any, says: str) -> None:
     refuses(kind, path, value, says)
-
-
-def test_a_current_does_not_go_with_lag_or_held_commands() -> None:
-    claim = copy.deepcopy(stored("region"))
-    claim["vehicle"].update(current_m_per_s=0.01, lag_s=[0.0, 0.0])
-    claim["law"].update(period_s=0.0)
-    region_claim.read_claim(claim)
-    for part, key, value in (("vehicle", "lag_s", [0.1, 0.1]), ("law", "period_s", 0.05)):
-        with pytest.raises(Rejected, match="a current with lag or with held commands is not supported"):
-            region_claim.read_claim(put(copy.deepcopy(claim), (part, key), value))
 
 
 @pytest.mark.parametrize("name", ["closed_m", "distance_m", "needed_m"])

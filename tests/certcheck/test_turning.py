@@ -13,17 +13,16 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from surctl.certcheck import check_document, region, turning
+from surctl.certcheck import check_document
 from surctl.certcheck.document import Rejected
 from surctl.certcheck.region_claim import axis_pairs, triangle
-from surctl.certcheck.region_claim import read_claim as read_cruise
 from surctl.certcheck.region_exact import quadratic, root_up
-from surctl.certcheck.turning import _check_munk_moment, require_starts
+from surctl.certcheck.turning import _check_munk_moment, cruise_of, require_starts
 from surctl.certcheck.turning_cells import Trim, _axis, _commanded, _lack, heading_cells, steady
 from surctl.certcheck.turning_claim import drag_factors, read_claim
 from surctl.certcheck.turning_form import Form, axes_of
 from surctl.certcheck.turning_law import true_rate
-from surctl.certcheck.turning_terms import STILL, coupling_of, inverse_masses, other_forces, other_moment, turn_points
+from surctl.certcheck.turning_terms import coupling_of, inverse_masses, other_forces, other_moment, turn_points
 from surctl.marine.control import build_law, load_gains
 from surctl.marine.control.ports import law_parameters
 from surctl.marine.guidance import Path as Route
@@ -75,21 +74,13 @@ def worst(whole: dict[str, Any], *, low: float, high: float, count: int = 20_000
     return float(np.max(change / np.einsum("ni,ij,nj->n", xi, P, xi))) + float(claim.rate)
 
 
-@pytest.mark.parametrize(
-    "name", [*(path.stem for path in sorted(HERE.glob("region-turning*.json"))), "region-cruise-20"]
-)
+@pytest.mark.parametrize("name", [path.stem for path in sorted(HERE.glob("region-[ct]*.json"))])
 def test_the_true_loop_decays_as_each_certificate_claims(name: str) -> None:
     whole = document(name)
-    proof, flow = whole["proof"], STILL
-    if whole["kind"] == "region":  # a proof by cells of headings
-        cruise = read_cruise(whole["claim"])
-        claim, slopes = region._turning(cruise), region._slopes(cruise)
-    else:
-        claim, slopes = read_claim(whole["claim"]), turning._slopes(proof["trim"])
-        flow = turning._flow(claim, proof["flow"]) if claim.current else STILL
-    weight = Fraction(repr(proof["thrust"]["weight"])) if claim.behind else None
-    form = Form(triangle(proof["P"], 4, "proof.P"), weight, claim.k_v)
-    check_samples(claim, steady(claim, slopes, flow), form.p, proof["floor"])
+    claim, proof = read_claim(whole["claim"]), whole["proof"]
+    weight = Fraction(repr(proof["thrust"]["weight"])) if claim.period else None
+    form = Form(triangle(proof["P"], 6 if claim.lag[1] else 4, "proof.P"), weight, claim.k_v)
+    check_samples(claim, cruise_of(claim, proof), form.p, proof["floor"])
 
 
 @pytest.mark.parametrize("name", ["region-turning"])
@@ -216,9 +207,8 @@ def test_the_vertices_of_factors_enclose_every_allowed_vehicle() -> None:
 
 def test_the_waiting_of_the_target_counts_the_error_of_the_place() -> None:
     whole = document("region-cruise-20-noise")
-    cruise = read_cruise(whole["claim"])
-    claim, p = region._turning(cruise), triangle(whole["proof"]["P"], 4, "proof.P")
-    trim, form = steady(claim, region._slopes(cruise)), Form(p)
+    claim, p = read_claim(whole["claim"]), triangle(whole["proof"]["P"], 4, "proof.P")
+    trim, form = cruise_of(claim, whole["proof"]), Form(p)
     reach = 2 * (root_up(form.exact[0][0]) + max(map(abs, trim.moved)) / claim.k1 + claim.place_error)
     _commanded(replace(claim, wait=reach), trim, form, Fraction(1))
     with pytest.raises(Rejected, match="target waits"):
@@ -287,10 +277,11 @@ def test_the_corners_that_are_left_out_lie_between_the_others() -> None:
         for i, axis in enumerate(axes_of(cells.corners[k])):
             kept = _axis(claim, trim, form, i, axis, cells.share[k, i], [np.diag([0.3, 0.2])], 9.0)
             gain = float(claim.mass[i] * claim.k_v)
-            h1, low, top = kept[5, 0] - gain, kept[4, 1] - gain, kept[5, 1] - gain
-            part = (kept[0, 1] - low) / gain
-            h0 = kept[0, 0] / part - gain
-            assert len(kept) == 6 and 0 < part < 1 and 0 <= h0 < h1 and 0 <= low < top
+            assert len(kept) == 6 and np.all(kept[:, 3] == 1)
+            part, (low, top) = kept[:, 1].min() / gain, (kept[:, 2].min(), kept[:, 2].max())
+            h0, h1 = (kept[:, 0] / kept[:, 1] - 1).min() * gain, (kept[:, 0] / kept[:, 1] - 1).max() * gain
+            kept = np.stack([kept[:, 0], kept[:, 1] + kept[:, 2]], 1)
+            assert 0 < part < 1 and 0 <= h0 < h1 and 0 <= low < top
             corners = [(q * (gain + h), q * gain + t) for q in (part, 1) for h in (h0, h1) for t in (low, top)]
             assert np.all((np.array(corners) @ ahead).max(axis=0) <= (kept @ ahead).max(axis=0) + 1e-9)
     kept = np.array(inverse_masses(claim, coupling_of(claim)))[:, :2] * np.array([float(m) for m in claim.mass])

@@ -106,7 +106,7 @@ def shell(monkeypatch: pytest.MonkeyPatch, claim: TurningClaim = CLAIM, **patche
     monkeypatch.setattr(turning_cells, "decays", lambda *words: met.append(words[8]) or True)
     for name, value in patches.items():
         monkeypatch.setattr(turning_cells, name, value)
-    check_shell(claim, trim, cells, form, F(1, 2), F(1), F(0), NONE, None, Phase())
+    check_shell(claim, trim, cells, form, F(1, 2), F(1), F(0), NONE, Phase())
     return met
 
 
@@ -117,7 +117,7 @@ def test_every_cell_decides(monkeypatch: pytest.MonkeyPatch) -> None:
         left = iter(range(4))
         monkeypatch.setattr(turning_cells, "decays", lambda *_, k=k, left=left: next(left) != k)
         with pytest.raises(Rejected, match="near a heading of"):
-            check_shell(CLAIM, trim, cells, form, F(1, 2), F(1), F(0), NONE, None, Phase())
+            check_shell(CLAIM, trim, cells, form, F(1, 2), F(1), F(0), NONE, Phase())
 
 
 def test_a_force_accelerates_the_lightest_mass_most(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -126,8 +126,28 @@ def test_a_force_accelerates_the_lightest_mass_most(monkeypatch: pytest.MonkeyPa
     assert met[0].stray == pytest.approx(4.0)
 
 
-def test_late_thrust_needs_a_thrust_limit_that_is_not_active(monkeypatch: pytest.MonkeyPatch) -> None:
-    late, sizes = replace(CLAIM, lag=(F(1), F(1))), iter((6, 4))
-    assert late.behind
-    with pytest.raises(Rejected, match="a thrust limit is active in the region"):
-        shell(monkeypatch, late, _axis=lambda *_: np.ones((next(sizes), 2)))
+def test_with_held_commands_each_axis_is_free_or_at_its_limit(monkeypatch: pytest.MonkeyPatch) -> None:
+    both = np.array([[1.0, 1.0, 1.0, 1.0], [0.5, 0.5, 1.0, 0.0]])
+    held = replace(CLAIM, period=F(1, 20))
+    met = shell(monkeypatch, held, _axis=lambda *_: both.copy())
+    assert [one.moves for one in met] == 4 * [(1, 1), (1, 0), (0, 1), (0, 0)]
+    trim, cells, form = setting()
+    weak = replace(held, thrust=(F(30),) * 2)
+    rows = _axis(weak, trim, form, 0, axes_of(cells.corners[1])[0], cells.share[1, 0], [np.eye(2)], 1.0)
+    free = rows[rows[:, 3] == 1]
+    gain = float(weak.mass[0] * weak.k_v)
+    assert len(rows) == 10 and len(free) == 4 and np.all(free[:, 1] == gain)
+    assert rows[:, 1].min() < gain and np.all(rows[rows[:, 1] < gain, 3] == 0)
+    assert len(_axis(replace(weak, lag=(F(1), F(1))), trim, form, 0, axes_of(cells.corners[1])[0], cells.share[1, 0],
+                     [np.eye(2)], 1.0)) == 12  # fmt: skip
+
+
+def test_a_limited_command_acts_at_the_end_of_a_period(monkeypatch: pytest.MonkeyPatch) -> None:
+    trim, cells, form = setting()
+    met: list[Any] = []
+    both = np.array([[1.0, 1.0, 1.0, 1.0], [0.5, 0.5, 1.0, 0.0]])
+    monkeypatch.setattr(turning_cells, "_axis", lambda *_: both.copy())
+    monkeypatch.setattr(turning_cells, "_commanded", lambda *_: ([0.1, 0.2], [0.1, 0.2]))
+    monkeypatch.setattr(turning_cells, "decays", lambda *words: met.append(words[4]) or True)
+    check_shell(replace(CLAIM, period=F(1, 20)), trim, cells, form, F(1, 2), F(1), F(0), NONE, Phase(begins=False))
+    assert len(met) == 4 and all(pair.tolist() == [[0.5, 0.5, 1.0]] for pairs in met for pair in pairs)

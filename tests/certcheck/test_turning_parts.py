@@ -14,12 +14,12 @@ import pytest
 
 from surctl.certcheck import check_document
 from surctl.certcheck.document import Rejected
-from surctl.certcheck.turning import _flow, _slopes, _thrust, check_cells, require_bound, require_starts
+from surctl.certcheck.turning import _flow, _phases, _slopes, require_bound, require_starts
 from surctl.certcheck.turning_claim import TurningClaim, read_claim
 from tests.certcheck.altering import put, sealed
 
 HERE = Path(__file__).parent
-STORED: dict[str, Any] = json.loads((HERE / "region-turning-20-lag.json").read_text())
+STORED: dict[str, Any] = json.loads((HERE / "region-turning-20-sampled.json").read_text())
 CLAIM: TurningClaim = read_claim(STORED["claim"])
 TWO = (Fraction(1), Fraction(2))
 
@@ -37,16 +37,24 @@ def test_a_certificate_has_no_further_entry() -> None:
     ],
 )
 def test_the_matrix_and_the_number_of_cells_are_checked(path: tuple[Any, ...], value: Any, says: str) -> None:
-    proof = put(copy.deepcopy(STORED["proof"]), path, value)
-    with pytest.raises(Rejected, match=says):
-        check_cells(CLAIM, proof, (Fraction(0), Fraction(0)))
+    found = check_document(sealed(put(copy.deepcopy(STORED), ("proof", *path), value)))
+    assert not found.accepted and says in found.reason
 
 
-@pytest.mark.parametrize("changes", [{"curvature": Fraction(1, 100)}, {"terms": {"m12": Fraction(1, 100)}}])
+@pytest.mark.parametrize("changes", [
+    {"curvature": Fraction(1, 100)}, {"terms": {"m12": Fraction(1, 100)}}, {"force": Fraction(1, 100)},
+    {"place_error": Fraction(1, 100)}, {"velocity_error": Fraction(1, 100)},
+])  # fmt: skip
 def test_late_thrust_is_not_covered_on_a_curve_or_with_coupled_inertia(changes: dict[str, Any]) -> None:
-    _thrust(CLAIM, STORED["proof"]["thrust"])
+    assert len(_phases(CLAIM, STORED["proof"])[1]) == 2
     with pytest.raises(Rejected, match="not covered together"):
-        _thrust(replace(CLAIM, **changes), STORED["proof"]["thrust"])
+        _phases(replace(CLAIM, **changes), STORED["proof"])
+
+
+def test_every_time_constant_of_the_thrust_is_decided_at_its_ends() -> None:
+    lags = Fraction(1, 10), Fraction(1, 5)
+    assert [one.lag for one in _phases(replace(CLAIM, lag=lags, period=Fraction(0)), {})[1]] == [0.1, 0.2]
+    assert [one.lag for one in _phases(replace(CLAIM, lag=lags), STORED["proof"])[1]] == [0.1, 0.1, 0.2, 0.2]
 
 
 GOOD = [[1.0, 2.0], [0.0, 0.0], [0.0, 0.0]]

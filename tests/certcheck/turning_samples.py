@@ -48,10 +48,11 @@ def check_samples(claim: TurningClaim, trim: Trim, p: Array, floor: float) -> No
     boat = draw_vehicles(claim, _SAMPLES, rng)
     shares = (boat[name].mean(axis=1) - 1 for name in ("linear", "quadratic"))
     omega = sum(float(slope) * share for slope, share in zip(trim.slopes, shares, strict=True))
-    xi = rng.normal(size=(_SAMPLES, len(p))) @ np.linalg.inv(np.linalg.cholesky(p))
+    z = rng.normal(size=(_SAMPLES, len(p))) @ np.linalg.inv(np.linalg.cholesky(p))
     level = np.where(rng.uniform(size=_SAMPLES) < 0.5, rng.choice([floor, 1.0], size=_SAMPLES),
                      rng.uniform(floor, 1, size=_SAMPLES))  # fmt: skip
-    xi *= np.sqrt(level / np.einsum("ni,ij,nj->n", xi, p, xi))[:, None]
+    z *= np.sqrt(level / np.einsum("ni,ij,nj->n", z, p, z))[:, None]
+    xi, own = z[:, :4], 6 if claim.lag[1] else 4
     r = float(claim.yaw_rate) * rng.choice([-1.0, 1.0], size=_SAMPLES)
     psi = rng.uniform(0, 2 * np.pi, size=_SAMPLES)
     motions, angle = draw_motions(claim, _SAMPLES, rng), rng.uniform(0, 2 * np.pi, size=_SAMPLES)
@@ -60,21 +61,28 @@ def check_samples(claim: TurningClaim, trim: Trim, p: Array, floor: float) -> No
     shift = -(means @ np.array([[float(g) for g in row] for row in trim.flow])) * flow  # of the steady command
     omega, cruise = omega + shift[:, 0], np.full(_SAMPLES, float(claim.cruise))
     aside = -float(claim.lookahead) * shift[:, 1] / (cruise + omega)
-    state = xi[:, :4] + np.stack([-omega / float(claim.k1), aside, cruise, np.zeros(_SAMPLES)], 1)
-    masses = np.array([float(m) for m in claim.mass])
-    sigma, behind = rng.uniform(0.01, 0.99, size=(_SAMPLES, 1)), xi[:, 4:]
-    if claim.period and not claim.lag[1]:  # V weighs |ε|² by q σ (1 − σ), and E is σ ε
-        behind = behind * np.sqrt(sigma / (1 - sigma))
-    error = behind * masses if claim.behind else None
+    rest = np.stack([-omega / float(claim.k1), aside, cruise, np.zeros(_SAMPLES)], 1)
+    state, masses = xi + rest, np.array([float(m) for m in claim.mass])
+    command, trim_force = commanded(claim, state, psi), commanded(claim, rest, psi)
+    sigma = rng.uniform(0.01, 0.99, size=(_SAMPLES, 1))
+    changed = z[:, own:] * np.sqrt(sigma / (1 - sigma)) if claim.period else np.zeros((_SAMPLES, 2))  # D = σ ε
+    axes = np.stack([np.stack([np.cos(psi), np.sin(psi)], 1), np.stack([-np.sin(psi), np.cos(psi)], 1)], 1)
+    away = rng.normal(size=(3, _SAMPLES, 2))
+    away = away / np.linalg.norm(away, axis=2, keepdims=True)
+    push = np.hstack([float(claim.place_error) * away[0], float(claim.velocity_error) * away[1]])
+    error = changed * masses + commanded(claim, state + push, psi) - command + float(claim.force) * away[2]
+    if claim.lag[1]:
+        force = np.einsum("nij,nj->ni", axes, z[:, 4:6])
+        error = trim_force + force * masses - command
     rate = true_rate(claim, boat, state, psi, r, motions, flow=flow, error=error)
-    change = 2 * np.einsum("ni,ij,nj->n", xi[:, :4], p[:4, :4], rate)
-    if claim.behind:
-        later = commanded(claim, state + _STEP * rate, psi + _STEP * r)
-        moving = (later - commanded(claim, state, psi)) / _STEP / masses
-        if claim.lag[1]:
-            fall = -2 * behind * (behind / float(claim.lag[1]) + moving)
-        else:
-            late = behind / sigma
-            fall = -late * (late / float(claim.period) + 2 * (1 - sigma) * moving)
-        change += p[4, 4] * fall.sum(axis=1)
+    rates = [rate]
+    if claim.lag[1]:
+        turned = (commanded(claim, rest, psi + _STEP * r) - trim_force) / _STEP / masses
+        lagging = (command / masses + changed - trim_force / masses - force) / float(claim.lag[1]) - turned
+        rates.append(np.einsum("nij,ni->nj", axes, lagging) + r[:, None] * np.stack([-z[:, 5], z[:, 4]], 1))
+    change = 2 * np.einsum("ni,ij,nj->n", z[:, :own], p[:own, :own], np.hstack(rates))
+    if claim.period:
+        moving = (commanded(claim, state + _STEP * rate, psi + _STEP * r) - command) / _STEP / masses
+        late = changed / sigma
+        change -= p[-1, -1] * (late * (late / float(claim.period) + 2 * (1 - sigma) * moving)).sum(axis=1)
     assert np.all(change <= -float(claim.rate) * level * (1 - 1e-4 * claim.behind - 1e-9) + 1e-12)

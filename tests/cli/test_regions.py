@@ -67,7 +67,7 @@ def test_a_region_of_the_loop_steered_by_heading_does_not_travel(tmp_path) -> No
         ('loop = "heading"\n[gains]\nk_v = 1.0', "gains.k_v: is not a gain of the heading-steered loop"),
         ('loop = "heading"\n[gains]\nk1 = -1.0', "gains.k1 = -1"),
         ("[gains]\nk_w = 1.0", "gains.k_w: no such gain"),
-        ("current_m_per_s = 0.05\nsampled = true", "current = 0.05"),
+        ("force_n = 0.05\nsampled = true", "force = 0.05"),
         ("cruise_m_per_s = 0.3", "cruise = 0.3"),
     ],
 )

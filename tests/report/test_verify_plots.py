@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from surctl.certcheck.turning_claim import read_claim
+from surctl.certcheck.turning_law import true_rate
 from surctl.errors import InputError
 from surctl.marine.control import build_law, load_gains
 from surctl.marine.report.files import plot_region, save_margins, save_verdicts
@@ -17,7 +19,6 @@ from surctl.marine.verification.portrait import CRUISE_PLANES, HEADING_PLANES, p
 from surctl.report.evidence import plot_cells, plot_open_boxes
 from surctl.verification import decide, falsify, prove
 from surctl.verification.proving.search import cells_of
-from tests.certcheck import cruise
 from tests.certcheck.test_heading import RANGES, rate
 
 CERTIFICATES = Path(__file__).parents[1] / "certcheck"
@@ -61,12 +62,11 @@ def test_the_flow_is_that_of_the_loop_written_for_the_checkers_tests() -> None:
     document = certificate("region-cruise-20")
     seen, claim = portrait(document, "across"), document["claim"]
     y, velocity = (grid.ravel() for grid in np.meshgrid(seen.x, seen.y))
-    law = claim["law"]
-    state = np.stack([0 * y, y, 0 * y + law["cruise"], velocity], axis=1)
-    drag = {k: np.full((len(y), 2), law[f"{k}_drag"]) for k in ("linear", "quadratic")}
-    still = dict.fromkeys(("current", "push", "place", "speed"), np.zeros((len(y), 2)))
-    boat = {"mass": np.full(len(y), law["mass_kg"]), **still, **drag}
-    rates = cruise.rate(claim, boat, state, np.zeros(len(y)))
+    stated, n = read_claim(claim), len(y)
+    state = np.stack([0 * y, y, 0 * y + claim["law"]["cruise"], velocity], axis=1)
+    ones = {key: np.ones((n, 2)) for key in ("mass", "linear", "quadratic")}
+    ones |= {"term_mass": np.ones(n), "term": np.ones(n)}
+    rates = true_rate(stated, ones, state, np.zeros(n), np.zeros(n))
     assert seen.flow[0].ravel() == pytest.approx(rates[:, 1], abs=1e-12)
     assert seen.flow[1].ravel() == pytest.approx(rates[:, 3], abs=1e-12)
 

@@ -92,9 +92,10 @@ def test_no_claim_is_offered_whose_assumptions_an_independent_look_finds_violate
     assert 50 < refused < 220  # claims are both offered and refused
 
 
+_CRUISE = {"offset": 1.0, "rest_offset": 1.0, "ultimate_bound": (1.0, 1.0), "munk_moment": 1.0}
 _PLACES = {
-    "cruise": {"offset": 1.0, "ultimate_bound": (1.0, 1.0)},
-    "turning": {"offset": 1.0, "rest_offset": 1.0, "ultimate_bound": (1.0, 1.0), "munk_moment": 1.0},
+    "cruise": _CRUISE,
+    "turning": _CRUISE,
     "heading": {"offset": 1.0, "beside": 1.0, "extent": (1.0, 1.0, 1.0), "depth": 1.0, "ultimate_bound": 1.0},
 }
 

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from fractions import Fraction
 from itertools import product
 from typing import Any
 
@@ -19,14 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.certcheck.region_claim import axis_pairs
-from surctl.certcheck.region_claim import read_claim as read_region
-from surctl.certcheck.region_trim import offset_speed
 from surctl.certcheck.turning_claim import read_claim
-from surctl.certcheck.turning_law import Follower, true_rate
+from surctl.certcheck.turning_law import true_rate
 from surctl.errors import InputError, nearest
 from surctl.lyapunov.slope_search import form_of
 from surctl.marine.verification.region.heading import HeadingClaim
-from surctl.marine.verification.region.rates import cruise_rate, heading_loop
+from surctl.marine.verification.region.rates import heading_loop
 from surctl.verification.formula import parse, values_of, variable
 
 Array = NDArray[np.float64]
@@ -99,9 +96,7 @@ def planes_of(document: Mapping[str, Any]) -> Mapping[str, tuple[int, int]]:
         return HEADING_PLANES
     if document.get("kind") == "lyapunov" and (document["claim"]["about"] or {}).get("system") == "steered":
         return _STEERED_PLANES
-    if document.get("kind") == "turning" or (
-        document.get("kind") == "region" and document["claim"].get("system") == "cruise"
-    ):
+    if document.get("kind") == "turning":
         return CRUISE_PLANES
     raise InputError(
         "has no level sets", key="certificate", value=document.get("kind"), remedy="give a region certificate"
@@ -112,7 +107,7 @@ def portrait(document: Mapping[str, Any], plane: str, *, extent: float = 1.9, po
     """Compute the phase portrait of a region certificate.
 
     Args:
-        document: a certificate of kind `region`, `turning` or `heading`, or about the law `steered`.
+        document: a certificate of kind `turning` or `heading`, or about the law `steered`.
         plane: name of the plane, one of `planes_of`.
         extent: half-width of the plotted area, as a multiple of the half-axes of the ellipse V = 1.
         points: number of grid points along each axis.
@@ -123,7 +118,7 @@ def portrait(document: Mapping[str, Any], plane: str, *, extent: float = 1.9, po
     planes = planes_of(document)
     if plane not in planes:
         raise InputError("is not known", key="plane", value=plane, remedy=nearest(plane, planes))
-    loop = {"heading": _heading, "turning": _turning, "lyapunov": _steering}.get(document["kind"], _cruise)(document)
+    loop = {"heading": _heading, "turning": _turning, "lyapunov": _steering}[document["kind"]](document)
     first, second = planes[plane]
     # half-axes of the section of V = 1 through 0, not of its projection
     section = np.linalg.inv(loop.P[np.ix_((first, second), (first, second))])
@@ -145,31 +140,6 @@ def portrait(document: Mapping[str, Any], plane: str, *, extent: float = 1.9, po
         plane, x, y, flow.T.reshape(2, *shape), loop.whose, value.reshape(shape), excess.reshape(shape), loop.levels,
         loop.lagged,
     )  # fmt: skip
-
-
-def _cruise(document: Mapping[str, Any]) -> _Loop:
-    claim, proof = read_region(document["claim"]), document["proof"]
-    model = claim.mass_model, claim.linear_model, claim.quadratic_model
-    law = Follower.of(claim, *((number,) * 2 for number in (*model, claim.thrust)))
-
-    def rates(mass: float, linear: Sequence[float], quadratic: Sequence[float], psi: float) -> _Rates:
-        # if the true drag differs from the model, the vehicle in steady cruise has an offset from its target
-        drag = np.array(linear), np.array(quadratic)
-        omega = float(offset_speed(claim, Fraction(drag[0].mean()), Fraction(drag[1].mean())))
-        start = np.array([-omega / law.k1, 0.0, law.cruise, 0.0])
-        return lambda xi: cruise_rate(law, mass, drag, xi + start, np.full(len(xi), psi))[0]
-
-    linear, quadratic = (
-        [(float(a), float(b)) for a, b in axis_pairs(ends, claim.asymmetry)] for ends in (claim.linear, claim.quadratic)
-    )
-    return _Loop(
-        P=_matrix(proof["P"])[:4, :4],
-        shown=rates(law.mass[0], law.linear, law.quadratic, 0.0),
-        whose="nominal",
-        tried=(rates(float(m), a, b, psi) for m, a, b, psi in product(claim.mass, linear, quadratic, _HEADINGS)),
-        levels=(proof["floor"], *(shell["level"] for shell in proof["shells"])),
-        lagged=claim.lag[1] > 0,
-    )
 
 
 def _turning(document: Mapping[str, Any]) -> _Loop:
@@ -194,14 +164,14 @@ def _turning(document: Mapping[str, Any]) -> _Loop:
     drags = [[[float(end)] * 2] * 2 for end in sorted(set(claim.drag_factor))]
     turns = {float(claim.yaw_rate), -float(claim.yaw_rate)}
     return _Loop(
-        P=_matrix(proof["P"]),
+        P=_matrix(proof["P"])[:4, :4],
         shown=rates([[1.0, 1.0]] * 3, 0.0, 0.0),
         whose="nominal",
         tried=(
             rates([mass, *drag], psi, r) for mass in masses for drag in drags for psi in _HEADINGS[:8] for r in turns
         ),
         levels=(proof["floor"], *(shell["level"] for shell in proof["shells"])),
-        lagged=False,
+        lagged=claim.behind,
     )
 
 

@@ -1,6 +1,7 @@
 import hashlib
 import json
 from dataclasses import replace
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -8,6 +9,8 @@ import numpy as np
 import pytest
 
 from surctl.certcheck import check_document, check_file
+from surctl.certcheck.turning_claim import read_claim
+from surctl.certcheck.turning_law import commanded, true_rate
 from surctl.errors import InputError
 from surctl.marine.control import load_gains
 from surctl.marine.tuning import derived_gains
@@ -15,33 +18,30 @@ from surctl.marine.vehicle import load_vehicle
 from surctl.marine.verification.region import (
     REGION_CLAIMS,
     HeadingClaim,
-    RegionClaim,
     RegionProof,
     SteeringClaim,
     TurningClaim,
     heading_claim,
     prove_heading,
-    prove_region,
     prove_steering,
     prove_turning,
     refused_regions,
-    region_claim,
     region_statement,
     turning_claim,
 )
-from surctl.marine.verification.region.loop import force_gain, steady_cruise
-from surctl.marine.verification.region.rates import level_ratios
+from surctl.marine.verification.region.rates import cruise_loop, level_ratios
 from surctl.marine.verification.region.turning_loop import steady_turning, vertices
 from surctl.marine.verification.region.turning_shells import violated, worst_rate
 from surctl.verification.conic import minimise, symmetric_basis
 from surctl.verification.formula import text_of
-from tests.certcheck.cruise import boats, matrix, rate, rest, thrust
+from tests.certcheck.turning_samples import draw_vehicles
 
 KEPT = Path(__file__).parents[2] / "certcheck"
 
 
-def claimed(**changes: Any) -> RegionClaim:
-    claim = region_claim("test", load_vehicle("sur540-flooded"), load_gains("default"))
+def claimed(**changes: Any) -> TurningClaim:
+    claim = REGION_CLAIMS["region-cruise-20"].claim(load_vehicle("sur540-flooded"), load_gains("default"))
+    assert isinstance(claim, TurningClaim)
     return replace(claim, **changes)
 
 
@@ -51,7 +51,7 @@ def searched(tmp_path_factory: pytest.TempPathFactory) -> tuple[RegionProof, Pat
     folder = tmp_path_factory.mktemp("searched")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("SURCTL_CACHE", str(folder))
-        return prove_region(claimed(), attempts=1), folder
+        return prove_turning(claimed(), attempts=1), folder
 
 
 def test_a_region_is_proved_and_its_certificate_stands_alone(
@@ -72,23 +72,22 @@ def test_a_stored_search_is_only_a_proposal_that_is_checked_again(
 ) -> None:
     first, folder = searched
     monkeypatch.setenv("SURCTL_CACHE", str(folder))
-    monkeypatch.setattr("surctl.marine.verification.region.proof.search", None)
     monkeypatch.setattr(
         "surctl.marine.verification.region.proof.turning_search", None
     )  # from here on nothing is searched
-    again = prove_region(claimed(name="another"), attempts=1)
+    again = prove_turning(claimed(name="another"), attempts=1)
     assert first.verdict == again.verdict == "proved" and again.ratios == first.ratios
     assert again.certificate()["claim"] == first.certificate()["claim"]
     [entry] = folder.glob("*.region")
     found = json.loads(entry.read_bytes()[32:])
-    body = json.dumps(found | {"offset": 1.1 * found["offset"]}).encode()
+    body = json.dumps(found | {"stated": found["stated"] | {"offset": 1.1 * found["stated"]["offset"]}}).encode()
     entry.write_bytes(hashlib.sha256(body).digest() + body)
-    forged = prove_region(claimed(), attempts=1)
+    forged = prove_turning(claimed(), attempts=1)
     assert forged.verdict == "unknown" and "is not in the region" in forged.reason and not forged.certificate()
 
 
 def test_what_cannot_be_is_unknown_and_says_so() -> None:
-    proof = prove_region(claimed(rate=5.0), attempts=1)
+    proof = prove_turning(claimed(rate=5.0), attempts=1)
     assert proof.verdict == "unknown" and not proof.certificate()
     assert "found no" in proof.to_dict()["remaining"] and "unknown" in proof.sentence
 
@@ -96,15 +95,15 @@ def test_what_cannot_be_is_unknown_and_says_so() -> None:
 def test_claims_that_do_not_fit_are_the_users_mistake() -> None:
     vehicle, gains = load_vehicle("sur540-flooded"), load_gains("default")
     with pytest.raises(InputError, match="k_i"):
-        region_claim("test", vehicle, gains.with_values({"k_i": 0.1}))
+        REGION_CLAIMS["region-cruise-20"].claim(vehicle, gains.with_values({"k_i": 0.1}))
     with pytest.raises(InputError, match="m22"):
-        region_claim("test", vehicle.with_values({"m22": 80.0}), gains)
+        REGION_CLAIMS["region-cruise-20"].claim(vehicle.with_values({"m22": 80.0}), gains)
     with pytest.raises(InputError, match="cap"):
         claimed(cruise=0.3)
-    with pytest.raises(InputError, match="current"):
-        claimed(current=0.05, period=0.05)
-    with pytest.raises(InputError, match="range"):
-        claimed(mass=(2.0, 1.0))
+    with pytest.raises(InputError, match="force"):
+        claimed(force=0.05, period=0.05)
+    with pytest.raises(InputError, match="velocity_error"):
+        claimed(velocity_error=-0.1)
     with pytest.raises(InputError, match="region-cruise-20"):
         region_statement("region-cruise-21")
 
@@ -137,19 +136,17 @@ def test_the_library_builds_what_it_says(name: str) -> None:
             offset=motion["offset_m"], beside=motion["beside_m"], extent=tuple(motion["extent"]),
             depth=motion["depth_m"], ultimate_bound=motion["ultimate_bound_m"],
         )  # fmt: skip
-    elif isinstance(claim, TurningClaim):
+    else:
+        assert isinstance(claim, TurningClaim)
+        assert (claim.period > 0, claim.lag > 0) == (
+            name.endswith("-sampled") or name in ("region-cruise-20-lag", "region-cruise-20-spin"),
+            name.endswith(("-lag", "-spin")),
+        )
         assert claim.mass == ((95.0, 95.0) if equal else (19.8567, 20.6206))
         own = claim.document(
             offset=motion["offset_m"], rest_offset=motion["rest_offset_m"],
             ultimate_bound=tuple(motion["ultimate_bound_m"]), munk_moment=stated["vehicle"]["munk_moment_nm"],
         )  # fmt: skip
-    else:
-        assert claim.mass == ((50, 125) if name == "region-cruise-ranges" else (76, 114))
-        assert (claim.period > 0, claim.lag[1] > 0) == (
-            name[17:] in ("sampled", "lag", "spin"),
-            name[17:] in ("lag", "spin"),
-        )
-        own = claim.document(offset=motion["offset_m"], ultimate_bound=tuple(motion["ultimate_bound_m"]))
     own = json.loads(json.dumps(own))
     assert {k: v for k, v in stated.items() if k != "sha256_law"} == {k: v for k, v in own.items() if k != "sha256_law"}
 
@@ -176,71 +173,61 @@ def test_the_ratio_to_the_falsifier_is_that_of_a_loop_with_a_known_level() -> No
     assert np.isclose(told.falsifier, 1 / 9, rtol=0.1) and np.isclose(told.thrust, 1 / 4, rtol=0.1)
 
 
-@pytest.mark.parametrize("name", ["region-cruise-20"])  # the least of a loop; the most of one: study 40
-def test_flights_from_the_edge_stay_below_the_envelope(name: str) -> None:
+@pytest.mark.parametrize("name", ["region-cruise-20", "region-cruise-20-sampled", "region-cruise-20-spin"])
+def test_simulated_motions_from_the_edge_stay_below_the_envelope(name: str) -> None:
     whole = json.loads((KEPT / f"{name}.json").read_text())
-    claim, P, floor = whole["claim"], matrix(whole), whole["proof"]["floor"]
-    n, steps, rng = 24, 3, np.random.default_rng(1)
-    boat = boats(claim, n, rng)
-    vehicle, law, a = claim["vehicle"], claim["law"], claim["motion"]["rate_per_s"]
-    settled = rest(claim, boat)
+    claim, proof, n, steps, rng = read_claim(whole["claim"]), whole["proof"], 24, 4, np.random.default_rng(1)
+    P = np.array([[proof["P"][max(i, j)][min(i, j)] for j in range(len(proof["P"]))] for i in range(len(proof["P"]))])
+    boat, masses, v = draw_vehicles(claim, n, rng), np.array([float(m) for m in claim.mass]), float(claim.cruise)
+    omega = sum(s * (boat[k].mean(axis=1) - 1) for s, k in zip(proof["trim"], ("linear", "quadratic"), strict=True))
+    rest = np.stack([-omega / float(claim.k1), 0 * omega, v + 0 * omega, 0 * omega], 1)
     xi = rng.normal(size=(n, len(P))) @ np.linalg.inv(np.linalg.cholesky(P))
     xi /= np.sqrt(np.einsum("ni,ij,nj->n", xi, P, xi))[:, None]
-    psi = rng.uniform(0, 2 * np.pi, size=n)
-    turn = rng.uniform(-1, 1, size=n) * vehicle["yaw_rate_rad_per_s"]
-    h = law["period_s"] or 0.05
-
-    def trim() -> np.ndarray:
-        mean = np.zeros((n, 4))
-        mean[:, :2], mean[:, 2] = settled, law["cruise"]
-        return thrust(claim, mean, psi)
+    psi, turn = rng.uniform(0, 2 * np.pi, size=n), float(claim.yaw_rate) * rng.choice([-1.0, 1.0], size=n)
+    period, lag, floor = float(claim.period) or 0.05, float(claim.lag[1]), proof["floor"]
 
     def body(vector: np.ndarray, back: int) -> np.ndarray:
         c, s = np.cos(psi), back * np.sin(psi)
         return np.stack([c * vector[:, 0] + s * vector[:, 1], -s * vector[:, 0] + c * vector[:, 1]], axis=1)
 
-    state = xi[:, :4].copy()
-    state[:, :2] += settled
-    state[:, 2] += law["cruise"]
-    if len(P) == 6:
-        state = np.hstack([state, trim() + body(xi[:, 4:], 1)])
-    for k in range(int(40 / h)):
-        command = thrust(claim, state, psi) if law["period_s"] else None
+    state = xi[:, :4] + rest
+    thrust = commanded(claim, rest, psi) + (body(xi[:, 4:], 1) * masses if lag else 0.0)
+    for k in range(int(40 / period)):
+        held = commanded(claim, state, psi)
         for _ in range(steps):
-            middle = state + h / steps / 2 * rate(claim, boat, state, psi, command)
-            psi = psi + turn * h / steps
-            state = state + h / steps * rate(claim, boat, middle, psi - turn * h / steps / 2, command)
-        xi[:, :4] = state[:, :4]
-        xi[:, :2] -= settled
-        xi[:, 2] -= law["cruise"]
-        if len(P) == 6:
-            xi[:, 4:] = body(state[:, 4:] - trim(), -1)
+            now = commanded(claim, state, psi)
+            if not claim.period:
+                held = now
+            applied = thrust if lag else held
+            h = period / steps
+            rate = true_rate(claim, boat, state, psi, turn, error=applied - now)
+            middle = commanded(claim, state + h / 2 * rate, psi + h / 2 * turn)
+            applied = thrust + h / 2 / lag * (held - thrust) if lag else held if claim.period else middle
+            state = state + h * true_rate(
+                claim, boat, state + h / 2 * rate, psi + h / 2 * turn, turn, error=applied - middle
+            )
+            thrust = held + (thrust - held) * np.exp(-h / lag) if lag else thrust
+            psi = psi + h * turn
+        xi[:, :4] = state - rest
+        if lag:
+            xi[:, 4:] = body((thrust - commanded(claim, rest, psi)) / masses, -1)
         value = np.einsum("ni,ij,nj->n", xi, P, xi)
-        assert np.all(value <= np.maximum(np.exp(-a * (k + 1) * h), floor) + 1e-9)
+        fall = np.exp(-whole["claim"]["motion"]["rate_per_s"] * (k + 1) * period)
+        assert np.all(value <= np.maximum(fall, floor) + 1e-9)
         turn = np.where(rng.uniform(size=n) < 0.05, -turn, turn)
     assert value.max() < floor
 
 
-def test_the_steady_cruise_is_that_of_the_checker() -> None:
-    from surctl.certcheck.region_claim import read_claim
-    from surctl.certcheck.region_trim import trim
-
-    claim = claimed()
-    own, exact = steady_cruise(claim), trim(read_claim(claim.document(offset=0.1, ultimate_bound=(0.1, 0.1))))
-    assert np.allclose(own.omega, [float(w) for w in exact.omega], rtol=1e-12)
-    assert float(exact.total) <= own.total * 1.005 and own.total <= 1.02 * float(exact.total)
-
-
-def test_the_commanded_velocity_leads_back_to_the_robots_place_on_the_path() -> None:
-    claim, steer, catch, aside = claimed(), 0.2, 0.3, 0.05
-    ahead, gain = claim.gains["lookahead"], claim.model[0] * claim.gains["k_v"]
-    desired, force = force_gain(claim, 2.0, steer, catch, aside)
-    x, y, u_x, u_y = 0.1, -0.04, 0.02, -0.03  # ahead of its place, and to the right of the path
-    wished = [-catch * x, catch * x * aside / ahead - steer * y / ahead]
-    xi = np.array([x, y, u_x, u_y, *np.zeros(claim.size - 4)])
-    assert desired @ xi == pytest.approx(wished)
-    # the velocity loop, and the drag fed forward, with slope 2 N s/m
-    assert force @ xi == pytest.approx([gain * (w - u) + 2.0 * w for w, u in zip(wished, (u_x, u_y), strict=True)])
+def test_the_loop_of_the_falsifier_is_that_of_the_certificate() -> None:
+    claim, slopes, draws = claimed(), (0.002, 0.007), np.full((1, 10), 0.5)
+    xi = np.array([[0.1, -0.2, 0.02, 0.03]])
+    rate, share = cruise_loop(claim, slopes)(xi, draws)
+    nominal = {key: np.ones((1, 2)) for key in ("mass", "linear", "quadratic")}
+    nominal |= {"term_mass": np.ones(1), "term": np.ones(1)}
+    state, psi = xi + np.array([0, 0, claim.cruise, 0]), np.array([np.pi])
+    assert rate == pytest.approx(true_rate(claim.stated, nominal, state, psi, np.zeros(1)))
+    strong = replace(claim.stated, thrust=(Fraction(10**6),) * 2)
+    assert share == pytest.approx(np.abs(commanded(strong, state, psi)).max() / claim.thrust[0])
 
 
 def test_the_conic_solver_finds_the_largest_eigenvalue() -> None:

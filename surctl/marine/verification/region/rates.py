@@ -8,15 +8,14 @@ the largest ratio of a commanded thrust to its limit (n,). No proof uses these f
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.certcheck.turning_law import Follower, followed
-from surctl.marine.verification.region.claim import RegionClaim
+from surctl.certcheck.turning_law import Follower, followed, true_rate
 from surctl.marine.verification.region.heading import HeadingClaim
+from surctl.marine.verification.region.turning import TurningClaim
 
 Array = NDArray[np.float64]
 Loop = Callable[[Array, Array], tuple[Array, Array]]
@@ -62,52 +61,34 @@ def heading_loop(claim: HeadingClaim) -> Loop:
     return rate
 
 
-def cruise_rate(
-    law: Follower, mass: Array | float, drag: tuple[Array, Array], state: Array, psi: Array
-) -> tuple[Array, Array]:
-    """Return d/dt of (x_e, y_e, U_x, U_y) (n, 4), and the largest ratio of a commanded thrust to its limit (n,).
+def cruise_loop(claim: TurningClaim, slopes: tuple[float, float]) -> Loop:
+    """Return the function that computes ξ̇ of the cruise loop with thrust limits, without thrust lag or sampling.
 
     Args:
-        law: the numbers of the law, with the thrust limits of the vehicle.
-        mass: true mass m11 = m22 [kg].
-        drag: true linear and quadratic drag of surge and sway, (2,) or (2, n).
-        state: the state (n, 4), with the velocity in the path frame.
-        psi: angle (n,) from the path to the heading.
+        claim: a claim about equal masses.
+        slopes: those of ω in the mean drag factors.
     """
-    forces = followed(replace(law, thrust=(np.inf, np.inf)), state, psi)
-    c, s = np.cos(psi), np.sin(psi)
-    parts = []
-    for k, n in enumerate((c * state[:, 2] + s * state[:, 3], c * state[:, 3] - s * state[:, 2])):
-        thrust = np.clip(forces[:, k], -law.thrust[k], law.thrust[k])
-        parts.append((thrust - drag[0][k] * n - drag[1][k] * n * np.abs(n)) / mass)
-    rate = np.stack(
-        [state[:, 2] - law.cruise, state[:, 3], c * parts[0] - s * parts[1], s * parts[0] + c * parts[1]], axis=1
-    )
-    return rate, np.max(np.abs(forces) / law.thrust, axis=1)
-
-
-def cruise_loop(claim: RegionClaim) -> Loop:
-    """Return the function that computes ξ̇ of the cruise loop with thrust limits, without thrust lag or sampling."""
-    mass, hat, hat2 = claim.model
-    gains, v = claim.gains, claim.cruise
-    ratio = np.inf if claim.asymmetry >= 2 else (2 + claim.asymmetry) / (2 - claim.asymmetry)
-    law = Follower(
-        gains["k1"], gains["lookahead"], v, claim.cap, gains["k_v"], (mass,) * 2, (hat,) * 2, (hat2,) * 2,
-        (claim.thrust,) * 2,
-    )  # fmt: skip
+    stated, v = claim.stated, claim.cruise
+    law = Follower.of(stated, claim.mass, claim.linear, claim.quadratic, (np.inf, np.inf))
+    ratio = (2 + claim.drag_asymmetry) / (2 - claim.drag_asymmetry)
 
     def rate(xi: Array, draws: Array) -> tuple[Array, Array]:
-        linear, quadratic = (
-            np.array([
-                first := _between(pair, draws[:, k]),
-                np.clip(_between(pair, draws[:, k + 1]), first / ratio, first * ratio),
-            ])
-            for k, pair in ((1, claim.linear), (3, claim.quadratic))
-        )  # fmt: skip
-        missing = (linear.mean(axis=0) - hat) * v + 0.85 * (quadratic.mean(axis=0) - hat2) * v * v
-        state = xi + np.array([0.0, 0.0, v, 0.0])
-        state[:, 0] -= missing / (mass * gains["k_v"] + hat + 1.7 * hat2 * v) / gains["k1"]
-        return cruise_rate(law, _between(claim.mass, draws[:, 0]), (linear, quadratic), state, 2 * np.pi * draws[:, 5])
+        factors = [
+            np.stack([
+                first := _between(claim.drag_factor, draws[:, k]),
+                np.clip(_between(claim.drag_factor, draws[:, k + 1]), first / ratio, first * ratio),
+            ], 1)
+            for k in (1, 3)
+        ]  # fmt: skip
+        omega = sum(slope * (pair.mean(axis=1) - 1) for slope, pair in zip(slopes, factors, strict=True))
+        state, psi, ones = xi + np.array([0.0, 0.0, v, 0.0]), 2 * np.pi * draws[:, 5], np.ones(len(xi))
+        state[:, 0] -= omega / claim.gains["k1"]
+        boat = {
+            "mass": np.repeat(_between(claim.mass_factor, draws[:, 0])[:, None], 2, axis=1), "linear": factors[0],
+            "quadratic": factors[1], "term_mass": ones, "term": ones,
+        }  # fmt: skip
+        thrust = np.max(np.abs(followed(law, state, psi)) / claim.thrust, axis=1)
+        return true_rate(stated, boat, state, psi, 0 * ones), thrust
 
     return rate
 

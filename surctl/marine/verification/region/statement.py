@@ -14,8 +14,8 @@ from surctl.files import Strict, load_model, quoted, require_doubles
 from surctl.marine.control import Gains, law_source
 from surctl.marine.guidance import Guidance
 from surctl.marine.vehicle import Vehicle
+from surctl.marine.verification.assumptions import check_alike
 from surctl.marine.verification.cruise_loop import has_cruise_loop
-from surctl.marine.verification.region.claim import RegionClaim, region_claim
 from surctl.marine.verification.region.heading import HEADING_GAINS, HeadingClaim, heading_claim
 from surctl.marine.verification.region.steering import SteeringClaim, steering_claim
 from surctl.marine.verification.region.turning import TurningClaim, turning_claim
@@ -28,7 +28,8 @@ _TURNING_KNOWS = frozenset(
     {
         "kind", "name", "statement", "loop", "share", "mass_share", "asymmetry", "mass_asymmetry", "thrust_share",
         "yaw_rate_rad_per_s", "spinning", "cruise_m_per_s", "cap_m_per_s", "rate_per_s", "at_rest", "curvature_per_m",
-        "gains", "attempts", "current_m_per_s", "lagged", "sampled",
+        "gains", "attempts", "current_m_per_s", "lagged", "sampled", "force_n", "place_error_m",
+        "velocity_error_m_per_s",
     }
 )  # fmt: skip
 _STEERED_KNOWS = frozenset(
@@ -115,7 +116,7 @@ class RegionStatement(Strict):
 
     def claim(
         self, vehicle: Vehicle, gains: Gains, *, cruise: float | None = None, cap: float | None = None
-    ) -> RegionClaim | HeadingClaim | TurningClaim | SteeringClaim:
+    ) -> HeadingClaim | TurningClaim | SteeringClaim:
         """Return the claim for a vehicle and its gains; `cruise` and `cap` [m/s] replace the default speeds.
 
         If the claim file sets one of the two speeds, both remain as the file states them.
@@ -145,19 +146,19 @@ class RegionStatement(Strict):
             )  # fmt: skip
         law_gains = replace(gains, source="").with_values(self.gains)  # a message must not name the gain file
         turn = law_gains["spin"] if self.spinning else self.yaw_rate_rad_per_s
-        if self.loop == "turning":
-            self._used(_TURNING_KNOWS, "the turning loop")
-            return turning_claim(
-                self.name, vehicle, law_gains, share=self.share, mass_share=self.mass_share, asymmetry=self.asymmetry,
-                mass_asymmetry=self.mass_asymmetry, thrust_share=self.thrust_share, yaw_rate=turn, cruise=cruise,
-                cap=cap, rate=self.rate_per_s, rest=self.at_rest, curvature=self.curvature_per_m,
-                current=self.current_m_per_s, lagged=self.lagged, sampled=self.sampled,
-            )  # fmt: skip
-        self._used(type(self).model_fields.keys() - _TURNING_ALONE, "the cruise with equal masses")
-        return region_claim(
-            self.name, vehicle, law_gains, share=share, thrust_share=self.thrust_share, asymmetry=self.asymmetry,
-            sampled=self.sampled, lagged=self.lagged, yaw_rate=turn, cruise=cruise, cap=cap,
-            rate=self.rate_per_s, current=self.current_m_per_s, force=self.force_n, place_error=self.place_error_m,
+        masses: dict[str, float | None] = {"mass_share": self.mass_share, "mass_asymmetry": self.mass_asymmetry}
+        if self.loop == "cruise":  # surge and sway are alike, and both masses are off by the same factor
+            check_alike(vehicle, ranges=self.ranges)
+            masses = {"mass_share": share, "mass_asymmetry": 0.0}
+        self._used(
+            _TURNING_KNOWS if self.loop == "turning" else type(self).model_fields.keys() - _TURNING_ALONE,
+            "the turning loop" if self.loop == "turning" else "the cruise with equal masses",
+        )
+        return turning_claim(
+            self.name, vehicle, law_gains, share=share, **masses, asymmetry=self.asymmetry,
+            thrust_share=self.thrust_share, yaw_rate=turn, cruise=cruise, cap=cap, rate=self.rate_per_s,
+            rest=self.at_rest, curvature=self.curvature_per_m, current=self.current_m_per_s, lagged=self.lagged,
+            sampled=self.sampled, force=self.force_n, place_error=self.place_error_m,
             velocity_error=self.velocity_error_m_per_s,
         )  # fmt: skip
 

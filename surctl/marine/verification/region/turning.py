@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
-from fractions import Fraction
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -99,6 +98,14 @@ class TurningClaim:
             raise NotApplicable(why, to="these speeds")
         if self.behind and (self.curvature or self.terms.get("m12")):
             raise NotApplicable("thrust lag and held commands are not covered together with m12 or a curved path")
+        for key in ("force", "place_error", "velocity_error"):
+            if not getattr(self, key) >= 0:
+                raise InputError("must be at least 0", key=key, value=getattr(self, key), remedy="correct it")
+            if self.behind and getattr(self, key):
+                raise InputError(
+                    "is not supported together with thrust lag or held commands", key=key, value=getattr(self, key),
+                    remedy="leave out sampled and lagged",
+                )  # fmt: skip
 
     def document(
         self, *, offset: float, rest_offset: float | None, ultimate_bound: Pair, munk_moment: float
@@ -120,6 +127,9 @@ class TurningClaim:
                 "heave_m_per_s2": self.heave[1],
                 "yaw_rad_per_s2": self.turn_rate,
                 "current_m_per_s": self.current,
+                "force_n": self.force,
+                "place_error_m": self.place_error,
+                "velocity_error_m_per_s": self.velocity_error,
                 "lag_s": [self.lag, self.lag],
             },
             "law": {
@@ -147,12 +157,21 @@ class TurningClaim:
         """Whether the thrust may differ from the present command: by a lag, or because a command is held."""
         return bool(self.lag or self.period)
 
+    @property
+    def late_parts(self) -> int:
+        """Number of pairs of states that thrust lag and held commands add."""
+        return (self.lag > 0) + (self.period > 0)
+
+    @property
+    def ideal(self) -> bool:
+        """Whether the masses are equal, and there is no lag, held command, current, curve, force or error."""
+        more = (self.mass_asymmetry, self.lag, self.period, self.current, self.curvature, self.terms)
+        return self.mass[0] == self.mass[1] and not any((*more, self.force, self.place_error, self.velocity_error))
+
     @cached_property
     def stated(self) -> Stated:
         """Return the claim as the checker reads it, with a region that is not yet known."""
-        stated = read_claim(self.document(offset=1.0, rest_offset=None, ultimate_bound=(1.0, 1.0), munk_moment=0.0))
-        force, place, speed = (Fraction(repr(n)) for n in (self.force, self.place_error, self.velocity_error))
-        return replace(stated, force=force, place_error=place, velocity_error=speed)
+        return read_claim(self.document(offset=1.0, rest_offset=None, ultimate_bound=(1.0, 1.0), munk_moment=0.0))
 
     @cached_property
     def vertex_numbers(self) -> tuple[float, NDArray[np.float64], NDArray[np.float64]]:
@@ -170,8 +189,8 @@ def turning_claim(
     vehicle: Vehicle,
     gains: Gains,
     *,
-    share: float = 0.2,
-    mass_share: float = 0.05,
+    share: float | None = 0.2,
+    mass_share: float | None = 0.05,
     asymmetry: float = 0.05,
     mass_asymmetry: float | None = None,
     thrust_share: float = 0.0,
@@ -184,6 +203,9 @@ def turning_claim(
     current: float = 0.0,
     lagged: bool = False,
     sampled: bool = False,
+    force: float = 0.0,
+    place_error: float = 0.0,
+    velocity_error: float = 0.0,
 ) -> TurningClaim:
     """Return the claim about the cruise of a vehicle under the exported law; surge and sway may differ.
 
@@ -191,8 +213,8 @@ def turning_claim(
         name: name of the claim.
         vehicle: the vehicle that the law's model describes.
         gains: gains of the law.
-        share: relative error of the drag coefficients.
-        mass_share: relative error of the masses m11 and m22.
+        share: relative error of the drag coefficients; None takes the ranges of the vehicle file.
+        mass_share: relative error of the masses m11 and m22; None takes the ranges of the vehicle file.
         asymmetry: largest difference of the factors of the two linear or the two quadratic drag coefficients, divided
             by their mean.
         mass_asymmetry: the same for the factors of the two masses; None for the value of `asymmetry`.
@@ -204,6 +226,8 @@ def turning_claim(
         curvature: largest curvature of the path [1/m].
         current: largest speed of a constant current [m/s].
         lagged, sampled: whether the vehicle's thrust lag and the control period are part of the claim.
+        force: largest force of waves and thrust errors [N].
+        place_error, velocity_error: largest error of the measured position [m] and of the measured velocity [m/s].
 
     Raises:
         NotApplicable: the vehicle has no sway force, or rolls and pitches, or has sway drag that grows with the surge
@@ -214,15 +238,19 @@ def turning_claim(
     check_no_integral(gains)
     limits, law = vehicle.thrust_limit * (1 - thrust_share), build_law()
 
-    def factors(error: float) -> Pair:
-        return round(1 - error, 9), round(1 + error, 9)
+    def factors(error: float | None, *names: str) -> Pair:
+        if error is not None:
+            return round(1 - error, 9), round(1 + error, 9)
+        stated = [(vehicle[name], vehicle.parameters[name].range) for name in names if vehicle[name]]
+        ends = [end / value for value, known in stated for end in (known or (value, value))]
+        return float(np.floor(1e9 * min(ends)) / 1e9), float(np.ceil(1e9 * max(ends)) / 1e9)
 
     return TurningClaim(
         name=name,
-        mass_factor=factors(mass_share),
-        drag_factor=factors(share),
-        mass_asymmetry=(asymmetry if mass_asymmetry is None else mass_asymmetry) if mass_share else 0.0,
-        drag_asymmetry=asymmetry if share else 0.0,
+        mass_factor=factors(mass_share, "m11", "m22"),
+        drag_factor=factors(share, "Xu", "Yv", "Xuu", "Yvv"),
+        mass_asymmetry=(asymmetry if mass_asymmetry is None else mass_asymmetry) if mass_share != 0 else 0.0,
+        drag_asymmetry=asymmetry if share != 0 else 0.0,
         thrust=(round(float(limits[0]), 9), round(float(limits[1]), 9)),
         yaw_limit=float(limits[3]),
         yaw_rate=yaw_rate,
@@ -240,6 +268,9 @@ def turning_claim(
         current=current,
         lag=vehicle["thrust_lag"] if lagged else 0.0,
         period=law.dt if sampled else 0.0,
+        force=force,
+        place_error=place_error,
+        velocity_error=velocity_error,
     )
 
 

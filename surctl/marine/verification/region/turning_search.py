@@ -23,6 +23,7 @@ Array = NDArray[np.float64]
 
 _USUAL = np.array([0.3, 0.8, 0.15])  # k1 [1/s], look-ahead [m] and cruise speed [m/s] of the first start values
 _ENTRIES = ((0, 0), (2, 0), (2, 2), (1, 1), (3, 1), (3, 3))
+_OF_THRUST = ((4, 0), (4, 2), (4, 4), (5, 1), (5, 3), (5, 5))
 _SHELLS = 3  # shells of the search
 _CELLS, _FINE = 28, 4  # cells of headings, and the number of them that one cell of the search covers
 _ROUNDS, _CUTS, _TIGHT = 25, 6, 8
@@ -47,6 +48,7 @@ _PRICE, _FREE = 0.8, 0.2  # a floor above 0.2 counts as a smaller region
 _TRIED = 3  # number of candidates that the checker sees at most
 _ERROR = 0.5  # first E, divided by k_v times the first velocity deviation
 _LOOSE = 4.0  # reserve of the decay rate for each 1/s of the Coriolis terms that m12 adds
+_WEIGHTS = np.array([0.6, 1.0, 1.5])  # of held commands, in units of that of the thrust
 _MARGIN = 0.006  # [1/s] reserve of the decay rate, for points between the grid points
 
 
@@ -85,7 +87,7 @@ class _Part:
 class _Active:
     """Numbers of the vertices that mattered in the shells of earlier programs."""
 
-    known: list[set[int]]
+    known: dict[int, set[int]]
 
 
 def _improve(
@@ -111,14 +113,14 @@ def _improve(
     cost[3] += (start.beside / units[1]) ** 2
     if extent is not None:
         fixed += _extents(extent / units, basis)
-    units = np.append(units, units[2:] * claim.gains["k_v"] if claim.behind else [])
+    units = np.append(units, np.tile(units[2:] * claim.gains["k_v"], claim.late_parts))
     if extent is None:
         fixed += _within(np.linalg.inv(bound) * units[:, None] * units, basis)
     rng = np.random.default_rng(0)
     chosen = []
-    for part, some in zip(parts, active.known, strict=False):
+    for number, part in enumerate(parts):
         count = int(np.prod(part.shell.shape))
-        earlier = {k for k in some if k < count}
+        earlier = {k for k in active.known.get(number, ()) if k < count}
         chosen.append(earlier or set(rng.integers(count, size=_TIGHT).tolist()))
     for _ in range(_ROUNDS):
         own = [
@@ -156,11 +158,13 @@ def _sizes(claim: TurningClaim) -> Array:
 
 def _basis(claim: TurningClaim) -> Array:
     """Return a basis (k, n, n) of the matrices of V: the last one is |E|², with thrust lag or held commands."""
-    size = 6 if claim.behind else 4
-    basis = np.zeros((len(_ENTRIES) + (size > 4), size, size))
-    for k, (i, j) in enumerate(_ENTRIES):
+    size = 4 + 2 * claim.late_parts
+    entries = _ENTRIES + (_OF_THRUST if claim.lag else ())
+    basis = np.zeros((len(entries) + (claim.period > 0), size, size))
+    for k, (i, j) in enumerate(entries):
         basis[k, i, j] = basis[k, j, i] = 1
-    basis[-1, range(4, size), range(4, size)] = 1
+    if claim.period:
+        basis[-1, (-2, -1), (-2, -1)] = 1
     return basis
 
 
@@ -198,7 +202,7 @@ def _decay(
     half = np.einsum("kij,njl->nkil", basis, A * units / units[:, None])
     whole = np.zeros((len(A), count + 1, n + inner, n + inner))
     whole[:, :-1, :n, :n] = -(half + half.swapaxes(-1, -2) + (rate + growth + _MARGIN + _LOOSE * shell.loose) * basis)
-    for k in range(4):  # the last entry of V is in units of |E|²
+    for k in range(4):  # the last entry of V is in units of |ε|²
         whole[:, count - 1, k, k] -= weights[:, k] * (units[k] / units[-1]) ** 2
     side = np.einsum("kij,njl->nkil", basis, factor / units[:, None])
     whole[:, :-1, :n, n:], whole[:, :-1, n:, :n] = side, side.swapaxes(-1, -2)
@@ -223,38 +227,37 @@ def _remember(P: Array, parts: list[_Part], chosen: list[set[int]], active: _Act
     return np.array([growths[k][int(np.argmin(worst[k]))] for k in sorted(worst)])
 
 
-def _first(
-    claim: TurningClaim, away: float, rng: np.random.Generator, k: int, *, smaller: bool
-) -> tuple[_Start, Array]:
+def _first(claim: TurningClaim, away: float, rng: np.random.Generator, k: int, *, smaller: int) -> tuple[_Start, Array]:
     """Return the start values number k and the extent (4,) of the region."""
     along, beside, fast, _ = _sizes(claim)
     speed = claim.cruise * (_REST if claim.rest else 1)
     start = _FIRST[k % len(_FIRST)] * (along, beside, speed, fast / beside, 1, 1, beside)
     start = start * np.exp(rng.normal(scale=_SPREAD) * (k >= len(_FIRST)))
     start[0] += away
-    start = start * (_SMALLER if smaller else 1.0)
+    start = start * _SMALLER ** (min(smaller, 2) * (_SMALLER > 1) + smaller * (_SMALLER <= 1))
     levels = np.geomspace(min(start[4], _HIGHEST), 1.0, _SHELLS + 1)
     return _Start(levels, start[5] * levels[1:] ** -0.15, start[6]), start[:4] * (1, 1, 1, start[1])
 
 
-def turning_search(
-    claim: TurningClaim, *, attempts: int, seed: int = 0, slopes: tuple[float, float] | None = None
-) -> Iterator[TurningCandidate]:
+def turning_search(claim: TurningClaim, *, attempts: int, seed: int = 0) -> Iterator[TurningCandidate]:
     """Yield candidates, the largest region first.
 
     The size of a region is that of its start beside the path, and also that of its start at rest if the claim asks for
     it. `attempts` is the number of convex programs, or half of it if the first start values yield no V; equal seeds
-    give equal candidates. `slopes` are those of ω in the mean drag factors; by default those with the least error of
-    the trim force.
+    give equal candidates.
     """
-    fine = steady_turning(claim, cells=_CELLS, slopes=slopes)
-    cruise = replace(fine, headings=fine.headings[::_FINE], lack=fine.lack[::_FINE])
+    fine = steady_turning(claim, cells=_CELLS)
+    if claim.lag and claim.period:
+        yield from _held(claim, fine, turning_search(replace(claim, period=0.0), attempts=attempts, seed=seed))
+        return
+    some = slice(None, None, _FINE)
+    cruise = replace(fine, headings=fine.headings[some], lack=fine.lack[some], pushed=fine.pushed[some])
     away = max(map(abs, cruise.moved)) / claim.gains["k1"]
     rng = np.random.default_rng(seed)
-    active = _Active([set() for _ in range(2 * _SHELLS)])
+    active = _Active({})
     first: list[_Region] = []
     grown: list[_Region] = []
-    for smaller in (False, True):
+    for smaller in (0, 1, 3, 5):
         left, k = attempts, 0
         while left > 0:
             if first and (len(first) + len(grown) >= _ENOUGH or 4 * (attempts - left) >= attempts):
@@ -264,7 +267,7 @@ def turning_search(
                 left -= used
                 continue
             start, extent = _first(claim, away, rng, k, smaller=smaller)
-            behind = _ERROR * claim.gains["k_v"] * extent[2:] if claim.behind else np.zeros(0)
+            behind = np.tile(_ERROR * claim.gains["k_v"] * extent[2:], claim.late_parts)
             bound = np.diag(np.append(extent, behind) ** 2)
             improved = _improve(claim, cruise, bound, start, active, extent)
             k, left = k + 1, left - 1
@@ -284,6 +287,19 @@ def turning_search(
     for _, candidate in further:  # the checker accepts none of the others
         if candidate is not None:
             yield candidate
+
+
+def _held(claim: TurningClaim, fine: Cruise, without: Iterator[TurningCandidate]) -> Iterator[TurningCandidate]:
+    """Yield candidates for held commands with lag from those `without` held commands: the shape of V hardly changes."""
+    for one in without:
+        size, candidates = len(one.P), []
+        for weight in _WEIGHTS * np.sqrt(one.P[4, 4] * one.P[5, 5]):
+            P = np.diag(np.full(size + 2, weight))
+            P[:size, :size] = one.P
+            candidate = fitted(claim, fine, P, one.growths[-1])
+            if candidate is not None:
+                candidates.append(candidate)
+        yield from sorted(candidates, key=lambda one: -_score(claim, one))
 
 
 def _region(claim: TurningClaim, cruise: Cruise, start: _Start, P: Array, growths: Array) -> _Region:

@@ -28,7 +28,7 @@ _RATIO = 0.82  # of the two levels of the outermost shell
 _THICKEST, _THINNEST = 0.4, 0.96  # ratios of the two levels of a shell
 _MOST = 20  # largest number of shells
 _MARGIN = 0.005  # [1/s] reserve of the decay rate, for points between the headings of the grid
-_LEVELS = (1.0, 0.7, 0.5)  # levels of V that the search tries first
+_LEVELS = (1.0, 0.7, 0.5, 0.35, 0.25)  # levels of V that the search tries first
 _WIDEST, _STEPS = 1.5, 6  # a region is enlarged up to this multiple of its level, which is bisected
 _SOME = 150  # number of matrices whose eigenvalues are compared at a time
 _LEAST_GROWTH, _LARGEST_GROWTH = 3e-3, 4.0  # [1/s]
@@ -104,7 +104,7 @@ def transformed(P: Array, at: Vertices, chosen: Numbers | list[int]) -> tuple[Ar
     half, side = (change @ P) @ A @ change.T, (change @ P) @ factor
     half = half + half.swapaxes(-1, -2)
     if len(P) > 4:
-        half = half + P[4, 4] * (change[:, :4] * weights[:, None]) @ change[:, :4].T
+        half = half + P[-1, -1] * (change[:, :4] * weights[:, None]) @ change[:, :4].T
     return half, side @ side.swapaxes(-1, -2)
 
 
@@ -202,7 +202,7 @@ def region_of(claim: TurningClaim, candidate: TurningCandidate) -> Region:
     fastest = claim.cruise + claim.current + np.sqrt(np.linalg.eigvalsh(covariance[2:4, 2:4])[-1])
     start, still = (_down(rounded.start(claim, speed)) for speed in (0.0, -claim.cruise))
     proof = {
-        "P": [[float(P[i, j]) for j in range(i + 1)] for i in range(4)],
+        "P": [[float(P[i, j]) for j in range(i + 1)] for i in range(6 if claim.lag else 4)],
         "floor": candidate.levels[0],
         "cells": _HELD if claim.period else _CELLS,
         "shells": [
@@ -212,8 +212,8 @@ def region_of(claim: TurningClaim, candidate: TurningCandidate) -> Region:
     }
     if claim.current:
         proof["flow"] = cruise.flow.tolist()
-    if claim.behind:
-        proof["thrust"] = {"weight": float(P[4, 4]), "split": split_of(claim)}
+    if claim.period:
+        proof["thrust"] = {"weight": float(P[-1, -1]), "split": split_of(claim)}
     return Region(
         start,
         still if still > 0 else None,
