@@ -63,6 +63,7 @@ NAMES = {
     "tutorials/firmware",
     "tutorials/index",
     "tutorials/own-claim",
+    "tutorials/own-system",
     "tutorials/own-vehicle",
     "verify",
     "what-is-proved",
@@ -247,7 +248,7 @@ def test_the_architecture_has_the_packages_in_their_order() -> None:
     page = (ROOT / "notebooks" / "guides" / "architecture.md").read_text(encoding="utf-8")
     for storey in ("core", "application"):
         (layers,) = [c["layers"] for c in config if c["name"] == f"one direction through the packages of the {storey}"]
-        table = page.partition(f"## Rooms of the {storey}")[2].partition("\n#")[0]
+        table = page.partition(f"## Packages of the {storey}")[2].partition("\n#")[0]
         rows = [re.findall(r"`(\w+)`", line.split("|")[1]) for line in table.splitlines() if line.startswith("| `")]
         names = [name.strip().removeprefix("surctl.") for layer in layers for name in layer.split("|")]
         assert [name for row in rows for name in row] == names
