@@ -137,7 +137,8 @@ def on_page_content(html: str, page: Any, config: Any, files: Files) -> str:
     uri = page.file.src_uri
     html = with_mathml(html)
     html = re.sub(r"<img (?![^>]*class=)(?=[^>]*\.(?:png|svg))", '<img class="plot" loading="lazy" ', html)
-    html = re.sub(r'(<img class="plot"[^>]* src="([^"]+)"[^>]*>)(?!</?strong)', r'<a href="\2">\1</a>', html)  # full size
+    # a click shows a picture in its full size
+    html = re.sub(r'(<img class="plot"[^>]* src="([^"]+)"[^>]*>)(?!</?strong)', r'<a href="\2">\1</a>', html)
     up = "../" * uri.count("/")
     if uri.startswith("reference/python/"):
         html = mark_formulas(html, lambda formula: as_mathml(as_tex(formula)))
@@ -176,7 +177,7 @@ def on_post_page(output: str, page: Any, config: Any) -> str:
 
 
 def on_post_build(config: Any) -> None:
-    """Mend lunr, which searches the site: its name of a node joins digits, so that it mixes up nodes and finds nothing."""
+    """Mend the search (lunr): the names of its nodes join digits, so that it confuses nodes and then fails."""
     for worker in Path(config.site_dir).glob("assets/javascripts/workers/search.*.js"):
         text = worker.read_text(encoding="utf-8")
         worker.write_text(_NODE.sub(r"\1+','}\3", text), encoding="utf-8")
