@@ -288,8 +288,8 @@ class Reproduction:
     @property
     def counts(self) -> str:
         """How many comparisons have which verdict, and how many are as expected."""
-        found = Counter(row.result.word for row in self.rows)
-        words = ", ".join(f"{found[word]} {word}" for word in WORDS if found[word])
+        by_word = Counter(row.result.word for row in self.rows)
+        words = ", ".join(f"{by_word[word]} {word}" for word in WORDS if by_word[word])
         return f"{words}; {sum(row.as_expected for row in self.rows)} of {len(self.rows)} rows as expected"
 
     def to_dict(self) -> dict[str, Any]:
