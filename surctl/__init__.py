@@ -1,5 +1,7 @@
-"""Write a control law once, then simulate, tune and prove it, and export it as C: a toolkit in Python, with an
-underwater robot as its reference application.
+"""The package `surctl`: its version, and the way from and to systems of python-control.
+
+Write a control law once, then simulate, tune and prove it, and export it as C: a toolkit in Python, with an underwater
+robot as its reference application.
 """
 
 from importlib import import_module

@@ -1,4 +1,4 @@
-"""Every figure and verdict about one subject, the banner with the worst line; and a user's system as a subject."""
+"""Assessment: figures, verdicts, worst line as banner, worst of several cases, before and after; of any system."""
 
 from __future__ import annotations
 
@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from surctl.errors import InputError, NotApplicable
-from surctl.system import ENDED, LOST, Cost, Record, System, run_system
+from surctl.system import LOST, Cost, Record, System, run_system
 from surctl.system.linear import unresponsive
+from surctl.system.loop import ENDED
 from surctl.system.values import checked_ranges, run_numbers
 from surctl.verification.linear import LEAST_DISK_MARGIN, margin_text, short_margins
 from surctl.verification.loops import LEAST_DELAY_MARGIN, LeastDelay, LoopMargins
@@ -21,19 +22,9 @@ from surctl.verification.sampled_margins import LoopCorners, SystemLoop, system_
 from surctl.verification.verdict import Inapplicable
 
 __all__ = [
-    "SATURATED",
-    "Assessment",
-    "Assumption",
-    "ClosedLoop",
-    "Comparison",
-    "Figure",
-    "Line",
-    "Part",
-    "Region",
-    "Subject",
-    "assess",
-    "cost_verdicts",
-]
+    "SATURATED", "Assessment", "Assumption", "ClosedLoop", "Comparison", "Figure", "Line", "Part", "Region", "Subject",
+    "assess", "cost_verdicts",
+]  # fmt: skip
 
 # An assessment: every figure and verdict about one subject, in the form that every page, command and status reads
 

@@ -1,4 +1,4 @@
-"""The exception classes of this package; each message states the mistake and the next step.
+"""Exception classes with their exit status; remedies for unknown names; files that cannot be written.
 
 ::
 
@@ -17,19 +17,9 @@ import errno
 from collections.abc import Iterable
 
 __all__ = [
-    "LOSSES",
-    "LOST",
-    "EmptyDomain",
-    "InputError",
-    "NotApplicable",
-    "SolverError",
-    "SurctlError",
-    "ToolMissing",
-    "UnsupportedOperation",
-    "cannot_write",
-    "check_known",
-    "nearest",
-]
+    "LOSSES", "LOST", "EmptyDomain", "InputError", "NotApplicable", "SolverError", "SurctlError", "ToolMissing",
+    "UnsupportedOperation", "cannot_write", "check_known", "nearest",
+]  # fmt: skip
 
 
 LOST = 3

@@ -1,4 +1,4 @@
-"""Read TOML files, write files, create folders; every mistake becomes one line with file, key, value and remedy."""
+"""TOML files: units, wrong keys and values; output files complete or not at all; names of files and folders."""
 
 from __future__ import annotations
 
@@ -33,20 +33,9 @@ if TYPE_CHECKING:
     from pydantic_core import ErrorDetails, InitErrorDetails
 
 __all__ = [
-    "Mistakes",
-    "Quantity",
-    "Strict",
-    "file_name",
-    "load_model",
-    "opened",
-    "pick",
-    "prepare_folder",
-    "quoted",
-    "read_toml",
-    "require_doubles",
-    "validate",
-    "write_file",
-]
+    "Mistakes", "Quantity", "Strict", "file_name", "load_model", "opened", "pick", "prepare_folder", "quoted",
+    "read_toml", "require_doubles", "validate", "write_file",
+]  # fmt: skip
 
 
 class Strict(BaseModel):

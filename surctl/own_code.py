@@ -1,4 +1,4 @@
-"""Functions in a user's Python file, named FILE.py:FUNCTION and pinned to the SHA-256 of the file's text.
+"""Functions in a user's file, FILE.py:FUNCTION: --trust, SHA-256, imports from its folder, errors with line, remedy.
 
 A pinned reference is one text, `FILE.py:FUNCTION#SHA256` with the absolute path, so that cases, caches, recordings and
 worker processes can store this text like the name of a built-in object. Before the function runs, the file is compared

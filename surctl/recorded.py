@@ -1,4 +1,4 @@
-"""Read a recording: a CSV file with a header and rows, a .mat or a netCDF file; read XML; errors name file and line."""
+"""Read recordings: CSV (any line end, also with `sep=,` or no header), .mat, netCDF; XML; errors name file and line."""
 
 from __future__ import annotations
 

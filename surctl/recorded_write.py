@@ -1,4 +1,4 @@
-"""Write named columns as a CSV, MATLAB .mat or netCDF file; `recorded` reads such files."""
+"""Write named columns as a CSV, .mat or netCDF file, and messages as an MCAP file for Foxglove, in chunks."""
 
 from __future__ import annotations
 
@@ -23,16 +23,9 @@ from surctl.errors import ToolMissing, cannot_write
 from surctl.files import opened, write_file
 
 __all__ = [
-    "RECORD_FORMATS",
-    "SCHEMAS",
-    "Column",
-    "McapFile",
-    "RecordFormat",
-    "stamp",
-    "write_csv",
-    "write_mat",
+    "RECORD_FORMATS", "SCHEMAS", "Column", "McapFile", "RecordFormat", "stamp", "write_csv", "write_mat",
     "write_netcdf",
-]
+]  # fmt: skip
 
 RecordFormat = Literal["csv", "mat", "nc"]
 RECORD_FORMATS: tuple[RecordFormat, ...] = get_args(RecordFormat)

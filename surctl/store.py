@@ -1,4 +1,4 @@
-"""Store finished chunks of runs on disk, so that an interrupted process can resume without repeating them."""
+"""Finished chunks of runs on disk for a resume: damaged chunks, full disk, lock against a second process."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Convert quantities in files, such as "0.54 m", "12 kgf" or "5 cm", to SI units and radians."""
+"""Quantities in files, such as "0.54 m", "12 kgf" or "5 cm", converted to SI units and radians."""
 
 from __future__ import annotations
 

@@ -29,8 +29,8 @@ from surctl.tasks import (
     position_task,
     velocity_task,
 )
-from surctl.testing import BACKEND_FAMILIES, CheckFailed, check_backend, check_limit, check_task, measure_backend
-from surctl.testing.backends import Known, _compared, draw_known
+from surctl.testing import CheckFailed, check_backend, check_limit, check_task, measure_backend
+from surctl.testing.backends import BACKEND_FAMILIES, Known, _compared, draw_known
 
 ETA = ca.SX.sym("eta", 4)
 NU = ca.SX.sym("nu", 4)

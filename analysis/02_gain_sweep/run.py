@@ -23,10 +23,10 @@ from surctl.files import Strict, load_model, prepare_folder
 from surctl.marine.control import Gains, build_law, load_gains
 from surctl.marine.simulation import Case, Run, load_scenario, simulate
 from surctl.marine.simulation.metrics import avoidance_intervals
-from surctl.marine.tuning import SweepTable, sweep
+from surctl.marine.tuning import MissionSweep, picked_gains
 from surctl.marine.vehicle import load_vehicle
 from surctl.marine.verification import loop_margins
-from surctl.tuning import Axis, LocalExecutor, grid
+from surctl.tuning import Axis, LocalExecutor, SweepTable, grid, sweep
 from surctl.verification.linear import LEAST_DISK_MARGIN
 from surctl.verification.loops import LEAST_DELAY_MARGIN
 
@@ -108,7 +108,7 @@ def study(config: Config, grid: Grid, out: Path) -> int:
     swept = run_sweep(config, grid, gains)
     print_table(swept)
     print_pick(swept, "The sweep", {"gain file": gains})
-    watched = {"gain file": gains, "first pick": swept.gains}
+    watched = {"gain file": gains, "first pick": picked_gains(swept)}
     if grid.other_seeds:
         again = run_sweep(config, grid.model_copy(update={"seeds": grid.other_seeds}), gains)
         print_pick(again, f"With seeds {list(grid.other_seeds)}", watched)
@@ -129,7 +129,9 @@ def run_sweep(config: Config, points: Grid, gains: Gains) -> SweepTable:
     axes = (Axis("lookahead", points.lookahead), Axis("k_v", points.k_v))
     scenarios = [load_scenario(name) for name in points.scenarios]
     cases = [Case(s, load_vehicle(s.vehicle), gains) for s in scenarios]
-    return sweep(cases, grid(axes), seeds=points.seeds, executor=LocalExecutor(config.workers), progress=tell)
+    return sweep(
+        MissionSweep(tuple(cases), points.seeds), grid(axes), executor=LocalExecutor(config.workers), progress=tell
+    )
 
 
 def tell(line: str) -> None:

@@ -21,9 +21,9 @@ from surctl.errors import InputError
 from surctl.files import Strict, load_model, prepare_folder
 from surctl.marine.control import load_gains
 from surctl.marine.simulation import Case, load_scenario
-from surctl.marine.tuning import sweep
+from surctl.marine.tuning import MissionSweep
 from surctl.marine.vehicle import load_vehicle
-from surctl.tuning import LocalExecutor, Span, spread
+from surctl.tuning import LocalExecutor, Span, spread, sweep
 
 CONFIG = Path(__file__).with_name("config.toml")
 
@@ -100,9 +100,9 @@ def measure(config: Config, runs: int, out: Path) -> Measured:
     case = Case(scenario, load_vehicle(scenario.vehicle), load_gains("default"))
     design = spread("lhs", [Span(name, *ends) for name, ends in config.ranges.items()], count=runs)
     start, spent = time.perf_counter(), processors()
-    table = sweep([case], design, linear=False, executor=LocalExecutor(config.workers), out=out, progress=tell)
+    subject, executor = MissionSweep((case,), linear=False), LocalExecutor(config.workers)
+    sweep(subject, design, executor=executor, out=out, progress=tell)
     seconds, cpu = time.perf_counter() - start, processors() - spent
-    table.dataset.close()
     own, workers = (resource.getrusage(w).ru_maxrss / 1024 for w in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
     return Measured(runs, seconds, cpu, own, workers, (out / "sweep.nc").stat().st_size / 2**20)
 

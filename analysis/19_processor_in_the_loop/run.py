@@ -23,7 +23,8 @@ from surctl.export import REALS, SerialLine, connect, emulated, emulated_target,
 from surctl.export.precision import Rounded
 from surctl.ir import Real, compile_program
 from surctl.marine.control import Gains, Law, build_law, load_gains
-from surctl.marine.export import LinkedLaw, LinkFaults, LinkReport, build_bundle, closed_form
+from surctl.marine.export import LinkedLaw, LinkFaults, build_bundle, closed_form
+from surctl.marine.export.compiled_law import LinkReport
 from surctl.marine.simulation import Run, Scenario, Sensing, law_numbers, load_scenario, simulate
 from surctl.marine.simulation.loop import Stepper
 from surctl.marine.vehicle import Vehicle, load_vehicle

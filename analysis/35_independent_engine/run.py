@@ -294,7 +294,7 @@ def picture() -> None:
     from PIL import Image
 
     from surctl.marine.engine import Scene
-    from surctl.marine.report import moment_of
+    from surctl.marine.report.animation import moment_of
 
     scenario = load_scenario("tank-static")
     run = simulated(scenario, six(scenario), mujoco_physics(), sensing="sonar")[0]

@@ -7,9 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from surctl.lyapunov import find_stability, least_level
+from surctl.lyapunov import find_stability
 from surctl.lyapunov.candidates import candidates
 from surctl.lyapunov.equilibrium import linearisation
+from surctl.lyapunov.falsified import least_level
 from surctl.verification.formula import parse, variable
 from tests.lyapunov import test_decide
 from tests.lyapunov.test_search import TRUE_AREA, dynamics, leavers, van_der_pol

@@ -10,8 +10,9 @@ import pytest
 from surctl.certcheck import check_document
 from surctl.marine.control import load_gains
 from surctl.marine.vehicle import load_vehicle
-from surctl.marine.verification import claims, closed_loop_poles, cruise_loop
+from surctl.marine.verification import claims, cruise_loop
 from surctl.marine.verification.braking import BRAKING_CLAIMS
+from surctl.marine.verification.cruise_loop import closed_loop_poles
 from surctl.marine.verification.linear import corners, linear_side, margin_speed, open_loop, worst_linear_side
 from surctl.marine.verification.region import prove_turning, turning_claim
 from surctl.verification import prove

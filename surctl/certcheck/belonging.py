@@ -1,4 +1,4 @@
-"""Decide whether an accepted certificate applies to an exported controller, number by number.
+"""`check --bundle`: whether a certificate applies to an exported controller; units, entries not bound or not covered.
 
 It is not enough that hashes are equal. Each vehicle parameter must lie in its certified range, each gain must equal the
 certified gain, each certified bound must hold for the exported controller, and the dynamics of a loop must be those

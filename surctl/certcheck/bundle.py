@@ -1,4 +1,4 @@
-"""Reader of the folder of an exported controller; it verifies every entry of the manifest that it can recompute.
+"""Reader of the folder of an exported controller; it verifies each hash and entry of the manifest that it can.
 
 The export writes `manifest.json`, which lists the content of the bundle: every gain, the vehicle's parameters, the
 instruction lists of the law (and of the plant of a user) with the names and units of their vectors, and the hashes of

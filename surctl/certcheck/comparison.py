@@ -1,4 +1,4 @@
-"""Comparison of the numbers of a claim with those of an exported controller; each comparison adds what differs."""
+"""Comparison of numbers of a claim (gains, vehicle, limits, hashes, period) with those of an exported controller."""
 
 from __future__ import annotations
 

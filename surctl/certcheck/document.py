@@ -1,4 +1,4 @@
-"""Reading and writing of certificate files: JSON that contains the hash of its own canonical text."""
+"""Certificate files: JSON with the hash of its text, numbers read exactly; size and form that are rejected."""
 
 from __future__ import annotations
 
@@ -16,20 +16,9 @@ from typing import Any
 from surctl.errors import InputError
 
 __all__ = [
-    "FORMAT",
-    "LARGEST",
-    "MALFORMED",
-    "VERSION",
-    "Rejected",
-    "canonical",
-    "listed",
-    "number",
-    "parse",
-    "read",
-    "read_bytes",
-    "record",
-    "seal",
-]
+    "FORMAT", "LARGEST", "MALFORMED", "VERSION", "Rejected", "canonical", "listed", "number", "parse", "read",
+    "read_bytes", "record", "seal",
+]  # fmt: skip
 
 FORMAT, VERSION = "surctl-certificate", 2
 LARGEST = 8_000_000

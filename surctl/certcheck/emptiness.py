@@ -1,4 +1,4 @@
-"""Whether a claim says nothing, because no point of its box satisfies its constraints."""
+"""Whether a claim says nothing (is vacuous), because no point of its box satisfies its constraints."""
 
 from __future__ import annotations
 

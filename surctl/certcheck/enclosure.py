@@ -21,20 +21,9 @@ from surctl.certcheck.expressions import ExpressionTable
 from surctl.certcheck.patience import afford, go_on
 
 __all__ = [
-    "Interval",
-    "Jet",
-    "Undefined",
-    "above",
-    "decimal",
-    "enclose",
-    "exact",
-    "greatest",
-    "is_zero",
-    "least",
-    "middle",
-    "rational",
-    "span",
-]
+    "Interval", "Jet", "Undefined", "above", "decimal", "enclose", "exact", "greatest", "is_zero", "least", "middle",
+    "rational", "span",
+]  # fmt: skip
 
 Slopes = list[Any]
 """The derivative with respect to each variable; None means 0."""

@@ -1,4 +1,4 @@
-"""Comparison of the dynamics of a certificate with the loop of an exported controller and its plant.
+"""Comparison of a certificate's dynamics with those derived from controller and plant of a bundle; `not shown`.
 
 A certificate of kind `lyapunov` or `barrier` states its dynamics as text. Here, the expressions of the loop are derived
 from the instruction lists of plant and controller, one after the other: measurement, command, rate of the plant state,

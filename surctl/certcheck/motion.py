@@ -1,4 +1,4 @@
-"""Dynamics that a certificate is about, and the change of a function along them, computed anew from the claim.
+"""Dynamics that a certificate is about: change of a function along them, jumps, box, equilibrium, period.
 
 The solutions are those of x' = f(x, w) (`time` is "continuous") or of x⁺ = f(x, w) ("discrete"). The parameters w may
 take any value of their ranges, and may vary in time. All texts are expressions of the claim grammar.
@@ -25,15 +25,8 @@ from surctl.certcheck.interval import printable, variables_of
 from surctl.certcheck.patience import go_on
 
 __all__ = [
-    "Motion",
-    "Obligation",
-    "check_all",
-    "decimal_text",
-    "read_motion",
-    "require_defined",
-    "require_loop",
-    "rest_of",
-]
+    "Motion", "Obligation", "check_all", "decimal_text", "read_motion", "require_defined", "require_loop", "rest_of",
+]  # fmt: skip
 
 _MOST_DECIMALS = 400  # characters
 _LOOP = {

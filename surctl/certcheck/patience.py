@@ -1,4 +1,4 @@
-"""Limits of a check: the processor time of its thread, and the memory of its intermediate results.
+"""Limits of a check: processor time of its thread (--time-limit), memory of its intermediate results.
 
 A busy machine does not change a verdict: the time is that of the thread, and the memory is counted from the numbers and
 lengths of what is stored, at sizes of CPython.

@@ -9,23 +9,9 @@ from math import isqrt, lcm
 from surctl.certcheck.patience import go_on
 
 __all__ = [
-    "Matrix",
-    "add",
-    "congruence",
-    "identity",
-    "inverse",
-    "is_positive_definite",
-    "largest_eigenvalue",
-    "middle",
-    "product",
-    "quadratic",
-    "root_down",
-    "root_up",
-    "rounded_up",
-    "scaled",
-    "transpose",
-    "zeros",
-]
+    "Matrix", "add", "congruence", "identity", "inverse", "is_positive_definite", "largest_eigenvalue", "middle",
+    "product", "quadratic", "root_down", "root_up", "rounded_up", "scaled", "transpose", "zeros",
+]  # fmt: skip
 
 Matrix = list[list[Fraction]]
 

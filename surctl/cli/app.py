@@ -1,4 +1,4 @@
-"""The command-line application, which registers the commands and turns every error into a line and an exit status."""
+"""Start of the command line: commands, completion, errors to exit status, streams, threads of BLAS, MPLBACKEND."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`surctl calibrate`: bias, scale and noise of range sensors."""
+"""`surctl calibrate`: bias, scale and noise of range sensors from a CSV file of measured distances."""
 
 from __future__ import annotations
 

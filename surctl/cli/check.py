@@ -1,4 +1,4 @@
-"""`surctl check`: the independent checker of certificates."""
+"""`surctl check`: the independent checker of certificates; options --bundle, --gains-id and --time-limit."""
 
 from __future__ import annotations
 
@@ -9,14 +9,12 @@ from typing import Any
 
 import click
 
-from surctl.cli.output import FiniteRange, as_json, finish, printable
+from surctl.cli.output import FOLDER, FiniteRange, as_json, finish, printable
 
 
 @click.command
 @click.argument("certificate", type=click.Path(path_type=Path))
-@click.option(
-    "--bundle", type=click.Path(path_type=Path), metavar="DIR", help="Compare with the exported controller in DIR."
-)
+@click.option("--bundle", type=FOLDER, help="Compare with the exported controller in DIR.")
 @click.option(
     "--gains-id",
     metavar="HEX",

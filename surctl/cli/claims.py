@@ -1,4 +1,4 @@
-"""The claims of `surctl verify`: inequalities, regions, braking, and solutions of any dynamics."""
+"""`surctl verify`, claims by word: region, mission, braking, dynamics; line and certificate of each claim."""
 
 from __future__ import annotations
 

@@ -1,10 +1,10 @@
-"""`surctl export`: write the controller of the robot or of a system as C code or FMU, and compare it with Python."""
+"""`surctl export`: controller of robot or system as C, FMU or MuJoCo model; its replayed run, --check, --prove."""
 
 from __future__ import annotations
 
 import shlex
 import tempfile
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from hashlib import sha256
 from pathlib import Path
@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 import click
 from click.core import ParameterSource
 
-from surctl.cli.output import as_json, collected, finish, finite, progress
+from surctl.cli.output import FILE, FOLDER, Count, as_json, collected, finish, finite, progress
 from surctl.cli.robot_options import (
     GAINS_HELP,
     MISSION,
@@ -162,29 +162,16 @@ class Compared(NamedTuple):
 @click.option("--real", default="float64", metavar="NAME", help="Number type: float64 (default) or float32.")
 @click.option("--constant-gains", is_flag=True, help="Compile gains and mission in; needs --sensing truth.")
 @click.option(
-    "--certificate",
-    "certificates",
-    multiple=True,
-    type=click.Path(path_type=Path),
-    metavar="FILE",
-    help="Certificate to add to the bundle; may be repeated.",
+    "--certificate", "certificates", multiple=True, type=FILE, help="Certificate to add to the bundle; may be repeated."
 )
 @click.option("--check", is_flag=True, help="Compare C code and Python for all --targets.")
 @click.option("--prove", is_flag=True, help="Prove that no run-time error occurs (Frama-C's Eva).")
 @click.option("--targets", metavar="A,B", help="Compilers, processors of --check (default: all).")
+@click.option("--steps", type=Count(1), help="Single steps that --check compares (default 100000).")
 @click.option(
-    "--steps", type=click.IntRange(min=1), metavar="N", help="Single steps that --check compares (default 100000)."
+    "--out", type=FOLDER, default=Path("surctl-out", "export"), help="Folder of the bundle (default surctl-out/export)."
 )
-@click.option(
-    "--out",
-    type=click.Path(path_type=Path),
-    default=Path("surctl-out", "export"),
-    metavar="DIR",
-    help="Folder of the bundle (default surctl-out/export).",
-)
-@click.option(
-    "--seed", type=click.IntRange(min=0), default=0, metavar="N", help="Seed of the replayed run (default 0)."
-)
+@click.option("--seed", type=Count(0), default=0, help="Seed of the replayed run (default 0).")
 @as_json
 @collected(robot=RobotOptions, sensors=SensorOptions, options=ExportOptions)
 def export(
@@ -211,27 +198,17 @@ def export(
     truth --constant-gains --check; surctl export my_system.py:build --seconds 5
     """
     if is_system(system, "seconds", "as_json", *(one.name for one in fields(ExportOptions))):
-        from surctl.marine.control.registry import LAWS
-
-        reserved = {*LAWS, *(source.name for source in LAWS.values())}
-        export_system(system, options, seconds=seconds, as_json=as_json, reserved=reserved)
+        export_system(system, options, seconds=seconds, as_json=as_json)
     if system:
         raise click.UsageError(f"Got unexpected extra argument ({system[0]})")
     import numpy as np
 
     from surctl.cli.runs import failure
-    from surctl.export import (
-        REALS,
-        Records,
-        as_records,
-        check_folder,
-        evidence_of,
-        gain_box,
-        with_evidence,
-        write_bundle,
-    )
+    from surctl.export import REALS, Records, as_records, check_folder, gain_box, write_bundle
+    from surctl.export.evidence import evidence_of, with_evidence
     from surctl.marine.control import law_source
-    from surctl.marine.export import build_bundle, closed_form, load_certificates, operating_envelope, origin_of
+    from surctl.marine.export import build_bundle, closed_form, operating_envelope, origin_of
+    from surctl.marine.export.origin import load_certificates
     from surctl.marine.guidance import MAX_WAYPOINTS
     from surctl.marine.simulation import law_numbers, load_scenario, simulate
     from surctl.marine.simulation.numbers import fed_ranges
@@ -421,18 +398,11 @@ def system_evidence(
     return evidence | {"assessment": finite(assessment.to_dict())}
 
 
-def export_system(
-    words: Sequence[str],
-    options: ExportOptions,
-    *,
-    seconds: float | None,
-    as_json: bool,
-    reserved: Collection[str] = (),
-) -> None:
+def export_system(words: Sequence[str], options: ExportOptions, *, seconds: float | None, as_json: bool) -> None:
     """Write the controller as C, compare C and Python over a run; exit with status 1 if a number or a line fails.
 
     Raises:
-        InputError: an option is not available, `--check` is missing, or the name is one of `reserved`.
+        InputError: an option is not available, `--check` is missing, or the name is that of a built-in law.
     """
     from surctl.assessment import ClosedLoop, assess
     from surctl.export.bundle import check_folder, write_bundle
@@ -449,7 +419,7 @@ def export_system(
     real = REALS[REALS.index(options.real)]
     own = load_system(words)
     duration, values = own.seconds(seconds), assigned(own.settings)
-    name = own.exported_name(options.name, reserved=reserved)
+    name = own.exported_name(options.name)
     check_folder(options.out)
     controller = own.system.controller
     record = run_system(own.system, duration, values)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from surctl.cli.output import FiniteRange, Stopped, as_json, finish, progress, waiting
+from surctl.cli.output import FOLDER, Count, FiniteRange, Stopped, as_json, finish, progress, waiting
 from surctl.cli.robot_options import GAINS_HELP, choose_gains, choose_law, law_option
 from surctl.errors import InputError, SurctlError, check_known
 
@@ -60,15 +60,8 @@ _SYSTEM = click.IntRange(1, 255)
     help="Rehearsal: event at S [s]: arm, disarm, a mode, reboot (of the autopilot), cut (the link), blind (no pose), "
     "join (ends cut and blind) or quit (the bridge is killed).",
 )
-@click.option(
-    "--seed", type=click.IntRange(min=0), default=0, metavar="N", help="Rehearsal: seed of lost frames (default 0)."
-)
-@click.option(
-    "--out",
-    type=click.Path(path_type=Path),
-    metavar="DIR",
-    help="Folder of the record (default surctl-out/fly; rehearsal: no record).",
-)
+@click.option("--seed", type=Count(0), default=0, help="Rehearsal: seed of lost frames (default 0).")
+@click.option("--out", type=FOLDER, help="Folder of the record (default surctl-out/fly; rehearsal: no record).")
 @as_json
 def fly(
     scenario: str,

@@ -1,4 +1,4 @@
-"""`surctl gains`: write a gain file that follows from a vehicle."""
+"""`surctl gains derive`: write a gain file that follows from a vehicle; lines about its margins and no contact."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import click
 
 from surctl.cli.new import write_new
-from surctl.cli.output import FiniteRange, as_json, finish
+from surctl.cli.output import FILE, FiniteRange, as_json, finish
 from surctl.cli.robot_options import derive_words, margin_short
 from surctl.errors import InputError
 
@@ -41,7 +41,7 @@ def gains() -> None:
 @click.option(
     "--margin", type=FiniteRange(min=0), metavar="D", help="Gain margin, a distance [m] (default: 0.2 radii, ≥ 0.05)."
 )
-@click.option("--out", type=click.Path(path_type=Path), metavar="FILE", help="Gain file to write (default: none).")
+@click.option("--out", type=FILE, help="Gain file to write (default: none).")
 @click.option("--force", is_flag=True, help="Overwrite an existing file.")
 @as_json
 def derive(

@@ -1,4 +1,4 @@
-"""The linear analysis of `surctl verify`: margins, poles, the slowest mode and the largest stable speed."""
+"""`surctl verify`, linear part: margins, poles, slowest mode, stable speeds; advice on gains, speed and cap."""
 
 from __future__ import annotations
 
@@ -196,7 +196,7 @@ def over_speeds(parts: Sequence[LinearPart]) -> LinearPart:
     """Combine analyses at several cruise speeds (slowest first): a comparison, then the whole analysis of the last."""
     import numpy as np
 
-    from surctl.marine.verification import worst_text
+    from surctl.marine.verification.speeds import worst_text
     from surctl.verification.loops import worst_place
 
     *_, last = parts

@@ -1,4 +1,4 @@
-"""`surctl lint`: find entries of an input file that cannot work."""
+"""`surctl lint`: findings by kind of file, margins that do not suffice, and the checks of a system of one's own."""
 
 from __future__ import annotations
 
@@ -102,23 +102,28 @@ def _goal_findings(plan: Plan) -> list[Finding]:
     return [Finding("error" if goal.kind == "hard" else "warning", f"goals.{goal.name}", why) for goal in left]
 
 
+class _Problem(NamedTuple):
+    level: str
+    key: str
+    text: str
+
+
 def _lint_system(word: str) -> _Linted:
     """Return the findings of a system of the user's own: entries that cannot work, and margins that do not suffice."""
     from surctl.assessment import ClosedLoop, assess
     from surctl.cli.subject import RegionWords, command_line, load_system
-    from surctl.marine.simulation import Finding
     from surctl.system import entry_labels
     from surctl.system.values import checked_ranges
 
     own = load_system([word])
-    system, problems = own.system, list[Finding]()
+    system, problems = own.system, list[_Problem]()
 
     def check(work: Callable[[], object]) -> None:
         try:
             work()
         except InputError as error:
             key = error.key or "system"
-            problems.append(Finding("error", key, error.problem + (f"; {error.remedy}" if error.remedy else "")))
+            problems.append(_Problem("error", key, error.problem + (f"; {error.remedy}" if error.remedy else "")))
 
     if system.duration is not None:
         check(lambda: own.seconds(None))
@@ -127,7 +132,7 @@ def _lint_system(word: str) -> _Linted:
     labels = entry_labels(system.plant.state) + entry_labels(system.controller.state, "controller.")
     strange = [name for name in system.within if name not in labels]
     problems += [
-        Finding("error", f"within.{n}", f"is not a state of the system; {nearest(n, labels)}") for n in strange
+        _Problem("error", f"within.{n}", f"is not a state of the system; {nearest(n, labels)}") for n in strange
     ]
     if not problems:
         check(lambda: checked_ranges(system, system.ranges))
@@ -135,13 +140,13 @@ def _lint_system(word: str) -> _Linted:
         check(lambda: RegionWords(system.within, {}, {}).problem(system, {}))
     absent = {"duration": system.duration is None, "costs": not system.costs, "ranges": not system.ranges}
     absent["within"] = not system.within
-    problems += [Finding("info", key, f"is not given, so {_ABSENT[key]}") for key, none in absent.items() if none]
+    problems += [_Problem("info", key, f"is not given, so {_ABSENT[key]}") for key, none in absent.items() if none]
     works = all(one.level != "error" for one in problems)
     if works:
         judged = assess(ClosedLoop(system), parts=["loop"]).lines
-        problems += [Finding("warning", "gains", line.text) for line in judged if line.passed is False]
+        problems += [_Problem("warning", "gains", line.text) for line in judged if line.passed is False]
     lines = [f"{one.level}: {one.key}: {one.text}" for one in problems] or [f"{word}: nothing found"]
-    data = {"file": word, "kind": "system", "findings": [one.to_dict() for one in problems]}
+    data = {"file": word, "kind": "system", "findings": [one._asdict() for one in problems]}
     then = [command_line("study", own), command_line("verify", own)] if works else []
     return _Linted(data, printable(lines), works, then)
 

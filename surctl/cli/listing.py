@@ -1,4 +1,4 @@
-"""`surctl list`: list the built-in files and claims."""
+"""`surctl list`: list the built-in files and claims, and systems of installed packages; --show prints a file."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`surctl scenario`: write a scenario file from a mission of another program."""
+"""`surctl scenario from-plan`: write a scenario file from a QGroundControl plan or a GPX file."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 
 import click
 
-from surctl.cli.output import FiniteRange, as_json, finish
+from surctl.cli.output import FILE, FiniteRange, as_json, finish
 
 _SPEED = 0.15  # m/s, if neither the command nor the file gives a speed
 
@@ -35,7 +35,7 @@ def scenario() -> None:
 @click.option(
     "--margin", type=FiniteRange(min=0, min_open=True), default=5.0, help="Free water around the path [m] (default 5)."
 )
-@click.option("--out", type=click.Path(path_type=Path), metavar="FILE", help="File to write (default NAME.toml).")
+@click.option("--out", type=FILE, help="File to write (default NAME.toml).")
 @click.option("--force", is_flag=True, help="Overwrite an existing file.")
 @as_json
 def from_plan(

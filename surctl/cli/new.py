@@ -1,4 +1,4 @@
-"""`surctl new`: write a commented file for the user to edit; no command writes a new file outside its folder."""
+"""`surctl new`: write a commented file from `templates`; new files of all commands: name, folder, --force."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 
 import click
 
-from surctl.cli.output import as_json, finish
+from surctl.cli.output import FILE, as_json, finish
 from surctl.errors import InputError
 
 _TEMPLATES = Path(__file__).parent / "templates"
@@ -35,9 +35,7 @@ _IN_PYTHON = ("task", "law", "robot", "system")
 @click.command
 @click.argument("kind", type=click.Choice(list(_NEXT)))
 @click.argument("name")
-@click.option(
-    "--out", type=click.Path(path_type=Path), metavar="FILE", help="File to write (default NAME.toml or NAME.py)."
-)
+@click.option("--out", type=FILE, help="File to write (default NAME.toml or NAME.py).")
 @click.option("--force", is_flag=True, help="Overwrite an existing file.")
 @as_json
 def new(kind: str, name: str, out: Path | None, force: bool, as_json: bool) -> None:

@@ -1,4 +1,4 @@
-"""The output of all commands: text or one JSON object on stdout, progress and signs of life on stderr."""
+"""Output of all commands: summary of five lines, --json, progress, colours, Ctrl-C, files not saved, lost stdout."""
 
 from __future__ import annotations
 
@@ -279,9 +279,27 @@ as_json = together(
     ),
 )
 """A decorator that adds the options of the output, `--json` and `--verbose`, to a command that ends with `finish`."""
-out_folder = click.option(
-    "--out", type=click.Path(path_type=Path), metavar="DIR", help="Folder for plots and files (default: no files)."
-)
+
+
+class Count(click.IntRange):
+    """A whole number in a range."""
+
+    def get_metavar(self, param: click.Parameter, ctx: click.Context) -> str:
+        """Return the word for the number in the help."""
+        return "N"
+
+
+class _PathTo(click.Path):
+    def __init__(self, metavar: str) -> None:
+        super().__init__(path_type=Path)
+        self.metavar = metavar
+
+    def get_metavar(self, param: click.Parameter, ctx: click.Context) -> str:
+        return self.metavar
+
+
+FOLDER, FILE = _PathTo("DIR"), _PathTo("FILE")
+out_folder = click.option("--out", type=FOLDER, help="Folder for plots and files (default: no files).")
 
 
 def finite(value: Any) -> Any:

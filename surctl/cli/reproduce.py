@@ -1,4 +1,4 @@
-"""`surctl reproduce`: compare our results with the results in the paper, one by one."""
+"""`surctl reproduce`: compare our results with the results in the paper, one by one; --independent, --webots."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from surctl.cli.output import as_json, finish, out_folder, progress, saving, stoppable
+from surctl.cli.output import Count, as_json, finish, out_folder, progress, saving, stoppable
 
 if TYPE_CHECKING:
     from surctl.marine.reproduction import Row
@@ -16,9 +16,7 @@ if TYPE_CHECKING:
 @click.command
 @click.argument("rows", nargs=-1)
 @click.option("--quick", is_flag=True, help="Use 3 seeds for each scenario and fewer samples.")
-@click.option(
-    "--seeds", type=click.IntRange(min=1), metavar="N", help="Number of seeds for each scenario (default 20)."
-)
+@click.option("--seeds", type=Count(1), help="Number of seeds for each scenario (default 20).")
 @click.option("--independent", is_flag=True, help="Simulate each scenario in MuJoCo, too (adds a column).")
 @click.option("--webots", is_flag=True, help="Simulate with sonars and Webots' echoes, too (adds a column).")
 @out_folder

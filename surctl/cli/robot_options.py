@@ -1,4 +1,4 @@
-"""Options that select vehicle, gains, law, speeds and barrier of the robot, and the commands that suggest them."""
+"""Options of the robot: default vehicle, gains, law, sensing and speeds, refusals, and commands to suggest."""
 
 from __future__ import annotations
 
@@ -293,7 +293,7 @@ class Speeds(click.ParamType):  # type: ignore[type-arg]  # generic since click 
 
     def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> tuple[float, ...]:
         """Return the cruise speeds, slowest first; InputError if the text is not a list or range of speeds."""
-        from surctl.marine.verification import cruise_speeds
+        from surctl.marine.verification.speeds import cruise_speeds
         from surctl.tuning import Span, parse_axis
 
         key, text = "--cruise", str(value)
@@ -358,7 +358,7 @@ def export_command(
         sensing: "sonar" or "truth".
     """
     from surctl.marine.control import build_law, load_gains
-    from surctl.marine.export import fitting_certificates
+    from surctl.marine.export.origin import fitting_certificates
     from surctl.marine.simulation import law_numbers, load_scenario
     from surctl.marine.vehicle import load_vehicle
 

@@ -1,4 +1,4 @@
-"""Options of `surctl simulate` for what surrounds the law: animation, physics, a controller in its own process."""
+"""`surctl simulate`, options around the law: --animate, --film, --plant, --controller, --link-…; their conflicts."""
 
 from __future__ import annotations
 

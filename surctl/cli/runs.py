@@ -1,4 +1,4 @@
-"""The output of commands about closed-loop runs: one run, several runs, campaigns of random runs."""
+"""Output about runs: how they ended, metrics, weak loops; campaigns (--monte-carlo) and repeated runs (--from)."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from surctl.cli.output import finish, progress, same_command, saving, stoppable, together
+from surctl.cli.output import FILE, Count, finish, progress, same_command, saving, stoppable, together
 from surctl.cli.robot_options import RobotOptions, choose_gains, choose_vehicle
 from surctl.errors import InputError
 
@@ -214,17 +214,11 @@ MOST_ROWS = 100  # largest number of runs printed as JSON; the files in the outp
 
 campaign_options = together(
     click.option("--monte-carlo", is_flag=True, help="Sample vehicle and obstacles of each run at random."),
-    click.option(
-        "--random-worlds", "worlds", type=click.IntRange(1, 1_000_000), metavar="N", help="Simulate N random worlds."
-    ),
-    click.option(
-        "--worst", type=click.IntRange(0, 1000), metavar="N", help="Number of worst runs to save (default 5)."
-    ),
-    click.option("--threads", type=click.IntRange(1, 1024), metavar="N", help="Parallel runs (default 2; MuJoCo 1)."),
+    click.option("--random-worlds", "worlds", type=Count(1, 1_000_000), help="Simulate N random worlds."),
+    click.option("--worst", type=Count(0, 1000), help="Number of worst runs to save (default 5)."),
+    click.option("--threads", type=Count(1, 1024), help="Parallel runs (default 2; MuJoCo 1)."),
     click.option("--fresh", is_flag=True, help="Start the campaign again instead of resuming it."),
-    click.option(
-        "--from", "replayed", type=click.Path(path_type=Path), metavar="FILE", help="Repeat a run saved in DIR/worst."
-    ),
+    click.option("--from", "replayed", type=FILE, help="Repeat a run saved in DIR/worst."),
 )
 """A decorator that adds these options to a command.
 

@@ -1,4 +1,4 @@
-"""The options for sensors and failures of `surctl simulate` and `surctl export`, which override a scenario's tables."""
+"""Options of sensors and failures (--fault, --chance, --beam, --echoes) of `simulate` and `export`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`surctl simulate`: simulate scenarios in closed loop."""
+"""`surctl simulate`: single runs of scenarios or of a system, --save, --explain; which runs fail the command."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from surctl.cli.output import as_json, collected, finish, out_folder, progress, saving, stoppable
+from surctl.cli.output import Count, as_json, collected, finish, out_folder, progress, saving, stoppable
 from surctl.cli.robot_options import (
     GAINS_HELP,
     RobotOptions,
@@ -78,10 +78,8 @@ if TYPE_CHECKING:
 @simulated_echoes
 @controller_options
 @plant_options
-@click.option("--seed", type=click.IntRange(min=0), default=0, metavar="N", help="First seed (default 0).")
-@click.option(
-    "--runs", type=click.IntRange(min=1), default=1, metavar="N", help="Runs per scenario, one seed each (default 1)."
-)
+@click.option("--seed", type=Count(0), default=0, help="First seed (default 0).")
+@click.option("--runs", type=Count(1), default=1, help="Runs per scenario, one seed each (default 1).")
 @click.option("--explain", "explained", is_flag=True, help="Print which limits override which tasks.")
 @animate_option
 @click.option("--save", metavar="FORMAT", help="Save each run in DIR as csv, mat, nc or mcap.")

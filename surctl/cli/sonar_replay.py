@@ -1,4 +1,4 @@
-"""`surctl sonar-replay`: run recorded readings through the sonar filter."""
+"""`surctl sonar-replay`: run recorded readings through the sonar filter; range, bound and health at each step."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from surctl.cli.output import FiniteRange, as_json, finish, saving
+from surctl.cli.output import FOLDER, Count, FiniteRange, as_json, finish, saving
 from surctl.errors import InputError
 
 _METRES = FiniteRange(min=0.0, min_open=True)
@@ -15,9 +15,7 @@ _METRES = FiniteRange(min=0.0, min_open=True)
 
 @click.command("sonar-replay")
 @click.argument("file")
-@click.option(
-    "--sensors", type=click.IntRange(1, 16), default=4, metavar="N", help="Number of sensors in the array (default 4)."
-)
+@click.option("--sensors", type=Count(1, 16), default=4, help="Number of sensors in the array (default 4).")
 @click.option("--minimum", type=_METRES, default=0.2, metavar="M", help="Shortest range of a sensor [m] (default 0.2).")
 @click.option(
     "--maximum",
@@ -26,13 +24,7 @@ _METRES = FiniteRange(min=0.0, min_open=True)
     metavar="M",
     help="Longest range of a sensor [m] (default 4.5); the reading if no echo is received.",
 )
-@click.option(
-    "--bits",
-    type=click.IntRange(1, 24),
-    default=8,
-    metavar="N",
-    help="Resolution of the A/D converter in bits (default 8).",
-)
+@click.option("--bits", type=Count(1, 24), default=8, help="Resolution of the A/D converter in bits (default 8).")
 @click.option(
     "--bias", type=float, default=0.0, metavar="M", help="Bias of a reading [m], from surctl calibrate (default 0)."
 )
@@ -48,9 +40,8 @@ _METRES = FiniteRange(min=0.0, min_open=True)
 )
 @click.option(
     "--out",
-    type=click.Path(path_type=Path),
+    type=FOLDER,
     default=Path("surctl-out", "sonar-replay"),
-    metavar="DIR",
     help="Folder of the files (default surctl-out/sonar-replay).",
 )
 @as_json

@@ -1,18 +1,29 @@
-"""`surctl study`: sweep, verify, simulate and export in one command."""
+"""`surctl study`: sweep, verify, simulate and export in one command; of a system, also the order of the steps."""
 
 from __future__ import annotations
 
 import math
 import shlex
 import tempfile
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from surctl.cli.claims import claim_line
-from surctl.cli.output import as_json, finish, progress, refusal_line, same_command, saving, stoppable, timed
+from surctl.cli.output import (
+    FOLDER,
+    Count,
+    as_json,
+    finish,
+    progress,
+    refusal_line,
+    same_command,
+    saving,
+    stoppable,
+    timed,
+)
 from surctl.cli.robot_options import at_hand, derive_words, law_words, margin_of_all, trust_option
 from surctl.cli.subject import (
     OwnSystem,
@@ -31,6 +42,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
     from surctl.assessment import Assessment, Line
+    from surctl.export import ExportedFile
     from surctl.lyapunov import Solution
     from surctl.tuning.design import Design
     from surctl.verification import LoopMargins
@@ -39,19 +51,9 @@ if TYPE_CHECKING:
 @click.command
 @click.argument("words", nargs=-1, metavar="[FILE | FILE.py:FUNCTION [WORD]...]")
 @click.option(
-    "--out",
-    type=click.Path(path_type=Path),
-    default=Path("surctl-out"),
-    metavar="DIR",
-    help="Folder for report, gains and code (default surctl-out).",
+    "--out", type=FOLDER, default=Path("surctl-out"), help="Folder for report, gains and code (default surctl-out)."
 )
-@click.option(
-    "--workers",
-    type=click.IntRange(min=1),
-    default=2,
-    metavar="N",
-    help="Number of processes of the sweep (default 2).",
-)
+@click.option("--workers", type=Count(1), default=2, help="Number of processes of the sweep (default 2).")
 @click.option(
     "--vehicle", metavar="FILE", help="Vehicle of the built-in study; its missions are scaled if the vehicle is large."
 )
@@ -85,9 +87,7 @@ def study(
     study.json; surctl study my_system.py:build --seconds 5
     """
     if is_system(words, "words", "out", "workers", "seconds", "as_json"):
-        from surctl.marine.control import LAW_NAMES
-
-        study_system(words, seconds=seconds, workers=workers, out=out, as_json=as_json, reserved=LAW_NAMES)
+        study_system(words, seconds=seconds, workers=workers, out=out, as_json=as_json)
     if len(words) > 1:
         raise click.UsageError(f"Got unexpected extra argument ({words[1]})")
     from surctl.ir import find_compiler
@@ -187,15 +187,7 @@ _AXES, _POINTS = 2, 9  # of the sweep, if no axis is given
 _REGION = 60.0  # largest processor time of the region of a system [s]
 
 
-def study_system(
-    words: Sequence[str],
-    *,
-    seconds: float | None,
-    workers: int,
-    out: Path,
-    as_json: bool,
-    reserved: Collection[str] = (),
-) -> None:
+def study_system(words: Sequence[str], *, seconds: float | None, workers: int, out: Path, as_json: bool) -> None:
     """Write report.html and the C code of the controller; exit with status 1 if a check of the report fails."""
     from surctl import __version__
     from surctl.assessment import ClosedLoop, assess
@@ -211,12 +203,12 @@ def study_system(
     from surctl.lyapunov import solve
     from surctl.report.system_page import SystemStudy, export_line, render_system_page
     from surctl.system import run_system
-    from surctl.tuning import sweep_system
+    from surctl.tuning import SystemSweep, sweep
     from surctl.tuning.system_sweep import chosen_points
 
     own = load_system(words)
     find_compiler()
-    own.exported_name(reserved=reserved)
+    own.exported_name()
     axes = stated = [word for word in own.settings if ".." in word and word.partition("..")[2].count(":")]
     others, region, uncertain = region_words([word for word in own.settings if word not in stated], own.system)
     duration, values = own.seconds(seconds), assigned(others)
@@ -230,7 +222,7 @@ def study_system(
     controller = own.system.controller
     progress("comparing C with Python")
     bundle = system_bundle(own, values, record)
-    files: Sequence[object] = ()
+    files: Sequence[ExportedFile] = ()
     with saving("code"):
         files = write_bundle(bundle, out / "export")
     with tempfile.TemporaryDirectory(prefix="surctl-sil-") as scratch:
@@ -251,21 +243,22 @@ def study_system(
     with stoppable(f"the code is in {out / 'export'}; not finished: margins, region, sweep", ran, as_json=as_json):
         assessment = assess(subject).with_lines([export_line(sil)])
         with saving("code"):
-            write_bundle(with_evidence(bundle, system_evidence(own, record, assessment, sil)), out / "export")
+            files = write_bundle(with_evidence(bundle, system_evidence(own, record, assessment, sil)), out / "export")
         if design is not None:
             progress(f"sweep of {len(design[0].points)} points")
             with saving("sweep"):
-                swept = sweep_system(own.system, design[0], duration, draws=design[1], values=values, threads=workers)
+                swept = sweep(SystemSweep(own.system, duration, design[1], values, workers), design[0])
     loop, solution = assessment.sources["loop"], assessment.sources.get("region")
     judged = not isinstance(loop, InputError)
-    choices = {} if swept is None else chosen_points(swept, values, subject.ranges)
-    best = {} if swept is None else best_points(swept, choices)
+    choices = {} if swept is None else chosen_points(swept, own.system, values, subject.ranges)
+    best = {} if swept is None else best_points(swept, own.system, choices)
+    best_lines = [best_line(swept, own.system, name, row, choices[name]) for name, row in best.items()] if swept else []
     about = [word for word in others if not word.startswith("start.")]
     study = SystemStudy(
         title=f"Study of {own.system.title}", record=record, assessment=assessment,
         resting=resting(own.system, loop.nominal.at) if judged else {}, mode=mode_text(loop.nominal) if judged else "",
-        swept=swept, sil=sil,
-        best=[] if swept is None else [best_line(swept, name, row, choices[name]) for name, row in best.items()],
+        swept=swept, files=files, sil=sil,
+        best=best_lines,
         commands={
             "study": command_line("study", own, *own.settings, "--seconds", f"{duration:g}", "--out", str(out)),
             "run": command_line("simulate", own, *others, "--seconds", f"{duration:g}", "--out", "run"),
@@ -315,12 +308,12 @@ def _design(
     own: OwnSystem, axes: Sequence[str], values: Mapping[str, object]
 ) -> tuple[Design, Mapping[str, ArrayLike]] | None:
     """Return the grid of the sweep, and the numbers of the runs at each point; None without axes."""
-    from surctl.cli.sweep import choices_and_draws
     from surctl.tuning import parse_axis
+    from surctl.tuning.system_sweep import choices_and_draws
 
-    if not axes:
+    if not axes or not own.costs:
         return None
-    design, draws = choices_and_draws(own, [parse_axis(axis) for axis in axes])
+    design, draws = choices_and_draws(own.system, [parse_axis(axis) for axis in axes])
     for name in (*design.names, *draws):
         if name in values:
             raise InputError("is given twice", key=name, remedy="give a value or an axis")

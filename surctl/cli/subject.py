@@ -1,11 +1,11 @@
-"""A system as the first argument of a command, FILE.py:FUNCTION or subject:NAME, and what commands print of it."""
+"""A system as first argument of a command: words NAME=VALUE, ranges, region box; text of its costs and margins."""
 
 from __future__ import annotations
 
 import math
 import re
 import shlex
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from surctl.ir import Layout
     from surctl.lyapunov import Problem
-    from surctl.system import Operating, Record, System
+    from surctl.system import Cost, Operating, Record, System
     from surctl.verification.sampled_margins import LoopCorners, SystemLoop
 
 seconds_option = click.option(
@@ -90,17 +90,25 @@ class OwnSystem:
             raise InputError(f"is {steps} control periods", file=file, key=key, value=seconds, remedy=remedy)
         return seconds
 
-    def exported_name(self, name: str | None = None, *, reserved: Collection[str]) -> str:
+    @property
+    def costs(self) -> Mapping[str, Cost]:
+        """Return the costs of the system; InputError if it has none."""
+        if not self.system.costs:
+            raise InputError("has no costs", key="system", value=self.label, remedy="give System(..., costs={...})")
+        return self.system.costs
+
+    def exported_name(self, name: str | None = None) -> str:
         """Return the name of the bundle: `name`, or that of the controller.
 
         Raises:
-            InputError: it cannot be the name of a bundle, or it is one of `reserved`.
+            InputError: it cannot be the name of a bundle, or it is that of a built-in law.
         """
         from surctl.export.contract import checked_name
+        from surctl.marine.control.registry import LAWS
 
         try:
             chosen = checked_name(self.system.controller, name)
-            if chosen in reserved:
+            if chosen in {*LAWS, *(source.name for source in LAWS.values())}:
                 problem, remedy = "is the name of a built-in law", "choose another name"
                 raise InputError(problem, key="name", value=chosen, remedy=remedy)
         except InputError as error:

@@ -1,4 +1,4 @@
-"""`surctl tune`: find gains that meet goals, and verify them with new random runs."""
+"""`surctl tune`: search gains and test them; HARD GOALS NOT MET, files that it writes, exit status, next command."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from surctl.cli.output import as_json, finish, finite, progress, same_command, saving, stoppable
+from surctl.cli.output import FOLDER, Count, as_json, finish, finite, progress, same_command, saving, stoppable
 from surctl.cli.robot_options import SPEEDS, trust_option
 from surctl.cli.subject import is_system, seconds_option
 from surctl.cli.tuning_output import mission_plan, missions_tuned, serve_page, serve_system_page, system_tuned
@@ -28,60 +28,39 @@ if TYPE_CHECKING:
 @click.option("--cruise", type=SPEEDS, metavar="U1,U2,...", help="Cruise speeds [m/s] of loop goals that name none.")
 @click.option(
     "--trials",
-    type=click.IntRange(min=1),
+    type=Count(1),
     default=256,
-    metavar="N",
     help="Gain sets per round, each simulated in all scenarios (default 256; multiple of 32).",
 )
-@click.option(
-    "--seed",
-    type=click.IntRange(min=0),
-    default=0,
-    metavar="N",
-    help="Seed of the search and of the new runs (default 0).",
-)
-@click.option(
-    "--seeds",
-    type=click.IntRange(1, 1_000_000),
-    default=4,
-    metavar="N",
-    help="Simulate with the seeds 0 to N-1 (default 4).",
-)
+@click.option("--seed", type=Count(0), default=0, help="Seed of the search and of the new runs (default 0).")
+@click.option("--seeds", type=Count(1, 1_000_000), default=4, help="Simulate with the seeds 0 to N-1 (default 4).")
 @click.option(
     "--vehicle", "vehicles", multiple=True, metavar="FILE", help="Vehicle (name or file) of the runs; may be repeated."
 )
 @click.option(
-    "--guidance",
-    metavar="NAME",
-    help="Path guidance: los, ilos or alos (default: STUDY). Loop margins always use los.",
+    "--guidance", metavar="NAME", help="Path guidance: los, ilos or alos (default: STUDY). Loop margins always use los."
 )
 @click.option(
-    "--rounds",
-    type=click.IntRange(min=1),
-    default=3,
-    metavar="N",
-    help="Largest number of rounds of tuning and verifying (default 3).",
+    "--rounds", type=Count(1), default=3, help="Largest number of rounds of tuning and verifying (default 3)."
 )
 @click.option(
     "--monte-carlo",
     "runs",
-    type=click.IntRange(min=0),
-    metavar="N",
+    type=Count(0),
     help="Random runs that test the gains after each round (default 2000; of a system 0).",
 )
-@click.option("--workers", type=click.IntRange(min=1), default=2, metavar="N", help="Number of threads (default 2).")
+@click.option("--workers", type=Count(1), default=2, help="Number of threads (default 2).")
 @click.option(
     "--out",
-    type=click.Path(path_type=Path),
+    type=FOLDER,
     default=Path("surctl-out"),
-    metavar="DIR",
     help="Output folder (default surctl-out); an interrupted search resumes there.",
 )
 @click.option("--page", is_flag=True, help="Open a page with sliders instead of a search.")
 @click.option("--law", metavar="NAME", help="Law: NAME or FILE.py:FUNCTION (default: STUDY).")
 @click.option("--scenario", metavar="FILE", help="Scenario of --page (default: the study's first).")
 @click.option("--gains", "gains_file", metavar="FILE", help="Gain set at the start: name or file (default: STUDY).")
-@click.option("--port", type=click.IntRange(1, 65535), metavar="N", help="Port of --page (default: a free port).")
+@click.option("--port", type=Count(1, 65535), help="Port of --page (default: a free port).")
 @click.option("--no-browser", is_flag=True, help="Print the address of --page, but do not open it.")
 @trust_option
 @seconds_option

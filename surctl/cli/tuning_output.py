@@ -1,4 +1,4 @@
-"""What `surctl tune` tunes, missions or a system, and what it says about the result; its page with sliders."""
+"""`surctl tune` of missions and of systems: goals added or refused, gain file, lines about it, page with sliders."""
 
 from __future__ import annotations
 
@@ -32,7 +32,8 @@ if TYPE_CHECKING:
     from surctl.marine.tuning import Goal, Request
     from surctl.marine.vehicle import Vehicle
     from surctl.report.design_bench import DesignBench
-    from surctl.tuning import Finals, Miss, RunGoal, SystemRequest, Tuning
+    from surctl.tuning import RunGoal, SystemRequest, Tuning
+    from surctl.tuning.outcome import Finals, Miss
 
 
 @dataclass(frozen=True)
@@ -328,6 +329,8 @@ def floor_lines(tuning: Tuning, finals: Finals, plan: Plan, *, trials: int) -> l
 
 
 def _missed(figure: Figure, tuning: Tuning, finals: Finals, *, trials: int) -> str:
+    from surctl.verification.linear import short_margin
+
     names = [goal.name for goal in (*tuning.request.goals, *finals.goals) if goal.metric == figure.name]
     clash = tuning.conflict
     if any(goal.name in names for goal in finals.goals):
@@ -338,9 +341,7 @@ def _missed(figure: Figure, tuning: Tuning, finals: Finals, *, trials: int) -> s
     else:
         limits = ", ".join(f"{g.limit:g}" for g in tuning.request.goals if g.name in names)
         outcome = f"the goals ask for {limits or 'none'}"
-    word, unit = ("disk margin", "") if figure.unit == "1" else ("delay margin", f" {figure.unit}")
-    at = f"{figure.value:.3g}{unit} at the worst corner ({figure.where})"
-    return f"{word} {at}, required {figure.least:g}{unit}: {outcome}"
+    return f"{short_margin(figure.unit, figure.least or 0.0, figure.value, f'at {figure.where}')}: {outcome}"
 
 
 def _why(plan: Plan, after: Assessment, missed: Figure) -> str:
@@ -407,7 +408,7 @@ def serve_page(
     from surctl.marine.tuning import load_goals
     from surctl.marine.tuning.goals import goals_at
     from surctl.marine.vehicle import load_vehicle
-    from surctl.marine.verification import check_held
+    from surctl.marine.verification.speeds import check_held
 
     plan = load_plan(study, trust=trust)
     if vehicles:

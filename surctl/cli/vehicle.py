@@ -1,4 +1,4 @@
-"""`surctl vehicle`: write a vehicle file from dimensions, a log or a model; what its thrusters can do."""
+"""`surctl vehicle`: write a vehicle file from dimensions, a log or a Gazebo model; what its thrusters can do."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from surctl.cli.output import FiniteRange, as_json, finish, out_folder, saving
+from surctl.cli.output import FILE, FiniteRange, as_json, finish, out_folder, saving
 from surctl.errors import InputError
 
 if TYPE_CHECKING:
@@ -119,9 +119,7 @@ class _Measured(click.ParamType):  # type: ignore[type-arg]  # generic since cli
             raise InputError(error.problem, key=key, value=value, remedy=error.remedy) from None
 
 
-_out = click.option(
-    "--out", type=click.Path(path_type=Path), metavar="FILE", help="Vehicle file to write (default NAME.toml)."
-)
+_out = click.option("--out", type=FILE, help="Vehicle file to write (default NAME.toml).")
 _over = click.option("--force", is_flag=True, help="Overwrite an existing file.")
 _name = click.option("--name", default="my-vehicle", metavar="TEXT", help="Name of the vehicle (default my-vehicle).")
 
@@ -218,8 +216,7 @@ def from_gazebo(
 @click.option(
     "--map",
     "map_file",
-    type=click.Path(path_type=Path),
-    metavar="FILE",
+    type=FILE,
     help="Map (TOML) from the topics and fields of the log to motion and thrust; needed for all but tables.",
 )
 @click.option("--topics", is_flag=True, help="Print the topics and fields of the log, and fit nothing.")
@@ -245,9 +242,7 @@ def from_gazebo(
     metavar="S",
     help="Length of predictions [s]; each begins at the measured motion (default 5; repeat for several).",
 )
-@click.option(
-    "--picture", type=click.Path(path_type=Path), metavar="FILE", help="PNG of the prediction (default: no picture)."
-)
+@click.option("--picture", type=FILE, help="PNG of the prediction (default: no picture).")
 @_name
 @_out
 @_over

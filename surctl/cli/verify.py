@@ -1,4 +1,4 @@
-"""`surctl verify`: check claims, compute stability margins, and decide which results fail the command."""
+"""`surctl verify`: which claims and speeds, what fails the command, files; of a system, its margins and region."""
 
 from __future__ import annotations
 
@@ -14,6 +14,8 @@ import click
 
 from surctl.cli.claims import are_problems, claim_line, statement_lines, verify_motion
 from surctl.cli.output import (
+    FOLDER,
+    Count,
     FiniteRange,
     as_json,
     finish,
@@ -70,7 +72,7 @@ _SPEED = FiniteRange(min=0, max=100, min_open=True)
     "--stack", "stacks", multiple=True, metavar="LAW", help="Analyse the task stack of a law: guarded or paper."
 )
 @barrier_options
-@click.option("--seed", type=click.IntRange(min=0), default=0, metavar="N", help="Seed of the falsifier (default 0).")
+@click.option("--seed", type=Count(0), default=0, help="Seed of the falsifier (default 0).")
 @click.option(
     "--time-limit",
     type=FiniteRange(min=0, max=1e6, min_open=True),
@@ -79,12 +81,7 @@ _SPEED = FiniteRange(min=0, max=100, min_open=True)
     help="Processor time per claim [s] (default 20; 60 for dynamics).",
 )
 @click.option("--show", is_flag=True, help="Print the claims as claim files without checking them.")
-@click.option(
-    "--out",
-    type=click.Path(path_type=Path),
-    metavar="DIR",
-    help="Folder for certificates and plots (default: no files).",
-)
+@click.option("--out", type=FOLDER, help="Folder for certificates and plots (default: no files).")
 @as_json
 def verify(
     claims: tuple[str, ...],
@@ -151,11 +148,12 @@ def verify(
     from surctl.marine.simulation import load_scenario
     from surctl.marine.tuning import derive_gains
     from surctl.marine.vehicle import load_vehicle
-    from surctl.marine.verification import check_held
     from surctl.marine.verification.braking_claims import NOT_RESTED_ON
     from surctl.marine.verification.region import write_region
+    from surctl.marine.verification.speeds import check_held
     from surctl.own_code import label
-    from surctl.verification import Inapplicable, decide, write_claim
+    from surctl.verification import Inapplicable, decide
+    from surctl.verification.claim_file import write_claim
 
     conditions = {name: _stack(name) for name in stacks}  # first, because it refuses unknown names
     # claims of one's own alone concern no vehicle, so nothing is said of one
@@ -384,7 +382,7 @@ def _chosen(
 ) -> tuple[list[Claim], Mapping[str, NotApplicable]]:
     # without names and files, the claims are those of the library; they do not concern the law `law`
     from surctl.marine.tuning.derived import has_tuned
-    from surctl.marine.verification import applicable_claims
+    from surctl.marine.verification.library import applicable_claims
     from surctl.verification import load_claim
 
     if not words:  # where the paper errs concerns its own robot

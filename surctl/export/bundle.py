@@ -1,4 +1,4 @@
-"""The exported controller as files: header, C sources, program for software in the loop, Makefile, README, manifest."""
+"""The exported controller as files, complete or not at all: manifest with its seal, id of law and gains."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Check that the exported C gives the same bytes as Python with every compiler and on every processor."""
+"""`export --check`: does C give Python's bytes with every compiler and processor; sizes, stack, instructions."""
 
 from __future__ import annotations
 
@@ -23,7 +23,8 @@ from surctl.export.emulated import Target
 from surctl.export.envelope import Envelope, Records, Rows, as_records
 from surctl.export.precision import Guarded, Rounded, plain, replayed, rounded
 from surctl.export.process import Controller, code_bytes, compile_controller
-from surctl.ir import Real, compile_program, compiler_version, stack_from_report
+from surctl.ir import Real, compile_program, compiler_version
+from surctl.ir.frames import stack_from_report
 
 Vector = NDArray[np.float64]
 

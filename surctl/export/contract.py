@@ -1,4 +1,4 @@
-"""Interface that a law needs for export: names and sizes of its inputs and outputs, instruction list, and one step."""
+"""What a law needs for export: ports, step, status codes (RANGE, STALE, ITER); names refused for a bundle or a port."""
 
 from __future__ import annotations
 

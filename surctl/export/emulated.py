@@ -1,4 +1,4 @@
-"""Processor in the loop: connection to an exported controller in another process, also on an emulated processor."""
+"""Link to an exported controller in another process, also in QEMU: messages, compilers and processors (--targets)."""
 
 from __future__ import annotations
 
@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 
 from surctl.errors import InputError, SurctlError, ToolMissing, nearest
 from surctl.export.bundle import Bundle, write_bundle
-from surctl.ir import compile_program, packaged_compiler
+from surctl.ir import compile_program
+from surctl.ir.cache import packaged_compiler
 
 # Compilers and processors on which the exported C is checked: this machine's, and emulated microcontrollers
 

@@ -1,4 +1,4 @@
-"""Ranges and rates of change that the guard (the input check of the exported C) accepts."""
+"""The guard in Python: ranges of inputs and gains, rates, limited commands; values of the self-test."""
 
 from __future__ import annotations
 

@@ -44,7 +44,8 @@ def evidence_of(
     Example:
         >>> from pathlib import Path
         >>> from surctl.marine.control import build_law, load_gains
-        >>> from surctl.export import Records, build_controller, compare_runs, evidence_of, with_evidence
+        >>> from surctl.export import Records, build_controller, compare_runs
+        >>> from surctl.export.evidence import evidence_of, with_evidence
         >>> from surctl.marine.export import build_bundle
         >>> from surctl.marine.simulation import law_numbers, load_scenario, simulate
         >>> from surctl.marine.vehicle import load_vehicle
@@ -93,7 +94,7 @@ def with_evidence(
         >>> import json
         >>> from surctl.marine.control import build_law
         >>> from surctl.marine.export import build_bundle
-        >>> from surctl.export import with_evidence
+        >>> from surctl.export.evidence import with_evidence
         >>> sil = {"steps": 100, "tau": 0.0, "status_mismatches": 0, "fault_cases": 9, "fault_failures": []}
         >>> sil |= {"passed": True, "compiler": "gcc"}
         >>> flight = {"scenario": "mine", "vehicle": "mine", "sensing": "truth", "seed": 0, "failure": "it collides"}

@@ -1,4 +1,4 @@
-"""Export of a controller as a functional mock-up unit (FMI 2.0 or 3.0, co-simulation), built from the bundle's C files.
+"""Export as a functional mock-up unit (FMI 2.0 or 3.0): description of its variables, C sources, compiled libraries.
 
 Standards: FMI 2.0.4 (2022) and FMI 3.0.2 (2024) of the Modelica Association. Existing libraries put a language
 interpreter into the unit, so this module writes the model description and the C functions itself. The tests validate
@@ -32,7 +32,8 @@ from surctl.export.bundle import Bundle, ExportedFile
 from surctl.export.contract import DATA, MISSION_FILES, Exportable, commands, is_robot_law, status_table
 from surctl.export.envelope import Envelope, anywhere
 from surctl.export.rendering import render_unit
-from surctl.ir import Port, compile_program, packaged_compiler
+from surctl.ir import Port, compile_program
+from surctl.ir.cache import packaged_compiler
 
 Vector = NDArray[np.float64]
 

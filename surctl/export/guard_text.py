@@ -1,4 +1,4 @@
-"""C text of the guard, the input check of the exported C, and of the example programs that call it."""
+"""C text of the guard: ranges, order of gains, jumps of inputs, limits of commands; values of example programs."""
 
 from __future__ import annotations
 
@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from surctl.export.contract import Exportable, commands, entries, is_robot_law, transfers
 from surctl.export.envelope import Envelope, Rate
-from surctl.ir import C_TYPE, Layout, Port, Real, c_literal
+from surctl.ir import Layout, Port, Real, c_literal
+from surctl.ir.c99 import C_TYPE
 
 Vector = NDArray[np.float64]
 

@@ -1,4 +1,4 @@
-"""Python reference of the exported C: NumPy rounds every operation of a law to the target's precision."""
+"""The exported step in Python: rounded to float32, behind the guard, with refused and missing samples."""
 
 from __future__ import annotations
 

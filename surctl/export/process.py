@@ -1,4 +1,4 @@
-"""Build the exported bundle with the system's compiler, and run it as a process."""
+"""Compile the bundle here and run it as a process, or call its C in this process (`ExportedController`)."""
 
 from __future__ import annotations
 

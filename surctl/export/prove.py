@@ -1,4 +1,4 @@
-"""Proof by abstract interpretation (Frama-C's Eva) that the exported C has no run-time error.
+"""`export --prove`: proof by abstract interpretation (Frama-C's Eva) that the exported C has no run-time error.
 
 The analysed program (`proof.c`) sets every state, input, gain and last accepted input to an arbitrary number in its
 range, sets an arbitrary sample number, and calls the step once. If Eva reports no alarm, then in every such step no
@@ -288,7 +288,8 @@ def with_proof(bundle: Bundle, report: ProofReport) -> Bundle:
         >>> from json import loads
         >>> from surctl.marine.control import build_law, load_gains
         >>> from surctl.marine.export import build_bundle, closed_form, operating_envelope
-        >>> from surctl.export import prove_bundle, with_proof
+        >>> from surctl.export import prove_bundle
+        >>> from surctl.export.prove import with_proof
         >>> from surctl.marine.simulation import law_numbers, load_scenario
         >>> from surctl.marine.vehicle import load_vehicle
         >>> mission, vehicle, gains = load_scenario("pool-behind"), load_vehicle("sur400"), load_gains("default")

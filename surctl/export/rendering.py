@@ -1,4 +1,4 @@
-"""Rendering of the exported files: templates are filled in with the layouts, values and C text of a law."""
+"""Text of the exported files from `templates` (C, README, examples, FMU): C of the law, own names, stated RAM."""
 
 from __future__ import annotations
 
@@ -52,7 +52,8 @@ from surctl.export.supplement import (
     longest_gap,
     wiring_values,
 )
-from surctl.ir import C_TYPE, Layout, Parts, Port, Program, Real, c_literal, emit_parts, memory
+from surctl.ir import Layout, Parts, Port, Program, Real, c_literal, emit_parts, memory
+from surctl.ir.c99 import C_TYPE
 from surctl.ir.c99_folded import PRAGMA, folded_lines, inline_helpers, own_helpers
 from surctl.ir.cache import FLAGS
 

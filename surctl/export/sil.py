@@ -1,4 +1,4 @@
-"""Software in the loop: compare the exported C, which computes its own state from step to step, with Python."""
+"""Software in the loop: C with a state of its own against Python over recorded runs, and with invalid inputs."""
 
 from __future__ import annotations
 
@@ -296,7 +296,8 @@ def software_in_the_loop_runs(
 
     Example:
         >>> from surctl.marine.control import build_law, load_gains
-        >>> from surctl.export import Records, software_in_the_loop_runs
+        >>> from surctl.export import Records
+        >>> from surctl.export.sil import software_in_the_loop_runs
         >>> from surctl.marine.simulation import law_numbers, load_scenario, simulate
         >>> from surctl.marine.vehicle import load_vehicle
         >>> mission, vehicle, gains = load_scenario("pool-behind"), load_vehicle("sur400"), load_gains("default")

@@ -1,4 +1,4 @@
-"""What an application adds to the bundle of its controller (files, texts, manifest); time in the exported step."""
+"""What an application adds to a bundle; ageing of the state after missed samples, restarts; gains, README, statuses."""
 
 from __future__ import annotations
 

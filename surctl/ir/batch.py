@@ -1,4 +1,4 @@
-"""Repeated evaluation of a compiled simulation step for many runs in parallel."""
+"""Many runs of a compiled simulation step in parallel, with lanes and threads; when a run ends; its C text."""
 
 from __future__ import annotations
 

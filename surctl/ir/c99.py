@@ -1,4 +1,4 @@
-"""Writer of an instruction list as one C99 function."""
+"""Writer of an instruction list as one C99 function; names in C: reserved words and macros are refused."""
 
 from __future__ import annotations
 
@@ -320,7 +320,8 @@ def emit_c99(program: Program, *, symbol: str, real: Real = "float64", moves: Se
 
     Example:
         >>> import casadi as ca
-        >>> from surctl.ir import emit_c99, lower
+        >>> from surctl.ir import lower
+        >>> from surctl.ir.c99 import emit_c99
         >>> v = ca.SX.sym("v", 2)
         >>> print(emit_c99(lower(ca.Function("speed", [v], [ca.norm_2(v)])), symbol="speed"), end="")
         /* 4 operations; outputs may alias inputs */

@@ -1,4 +1,4 @@
-"""Writes an instruction list as short, readable C99, with nested expressions instead of a variable per operation.
+"""Writer of an instruction list as short, readable C99; also for SIMD lanes, and without branches.
 
 A value that is used once is written as an expression at its use, truth values are `int`, and one declaration covers
 several local variables. The C text performs the same operations as that of `emit_c99`, with equal results, if the
@@ -334,7 +334,8 @@ def emit_lanes(
 
     Example:
         >>> import casadi as ca
-        >>> from surctl.ir import Feed, emit_lanes, lower
+        >>> from surctl.ir import Feed, lower
+        >>> from surctl.ir.c99_folded import emit_lanes
         >>> speed, drag = ca.SX.sym("speed"), ca.SX.sym("drag")
         >>> program = lower(ca.Function("coast", [speed, drag], [speed - drag * speed]))
         >>> print(emit_lanes(program, symbol="coast", lanes=4, feeds=(Feed(), Feed("shared")), folded=True), end="")

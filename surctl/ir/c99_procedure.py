@@ -1,4 +1,4 @@
-"""Writer of a procedure as C99: a struct for its memory, and a static function for each of its functions."""
+"""Writer of a procedure as C99: a struct for its memory, static functions, iterations that are computed together."""
 
 from __future__ import annotations
 

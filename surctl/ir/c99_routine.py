@@ -1,4 +1,4 @@
-"""Writer of a routine as C99: a static function for each inner program or routine, `for` loops over local arrays."""
+"""Writer of a routine as C99: functions and `for` loops; division of a large law into several C files."""
 
 from __future__ import annotations
 

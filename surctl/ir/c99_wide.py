@@ -158,7 +158,8 @@ def emit_wide(block: Block, *, symbol: str) -> Wide:
 
     Example:
         >>> import casadi as ca
-        >>> from surctl.ir import emit_wide, lower
+        >>> from surctl.ir import lower
+        >>> from surctl.ir.c99_wide import emit_wide
         >>> v = ca.SX.sym("v", 2)
         >>> wide = emit_wide(lower(ca.Function("speed", [v], [ca.norm_2(v)])), symbol="speed")
         >>> print(wide.text, end="")

@@ -1,4 +1,4 @@
-"""The C compiler with its flags, and a cache on disk of what it and other costly steps build, for later processes.
+"""The C compiler: search, flags, flags that are refused; a cache on disk, where one process builds and others wait.
 
 A cache entry is trusted only if it lies in a folder of this user to which nobody else may write, and if its digest
 equals the digest stored when the entry was built. Otherwise the entry is built again.
@@ -59,7 +59,7 @@ def tuned_flags(*, wide: bool = False) -> tuple[str, ...]:
     the run time of a closed loop.
 
     Example:
-        >>> from surctl.ir import tuned_flags
+        >>> from surctl.ir.cache import tuned_flags
         >>> tuned_flags()[0], sorted(set(tuned_flags(wide=True)) - set(tuned_flags()))
         ('-march=native', ['-Wno-ignored-optimization-argument', '-fsched-pressure', '-fschedule-insns'])
     """
@@ -149,7 +149,7 @@ def packaged_compiler() -> str | None:
     """Return the command of the C compiler (clang) in the package `ziglang`; None if it is not installed.
 
     Example:
-        >>> from surctl.ir import packaged_compiler
+        >>> from surctl.ir.cache import packaged_compiler
         >>> "-m ziglang cc" in (packaged_compiler() or "python -m ziglang cc")
         True
     """
@@ -337,7 +337,7 @@ def cache_folder() -> Path:
     Example:
         >>> import os
         >>> from unittest.mock import patch
-        >>> from surctl.ir import cache_folder
+        >>> from surctl.ir.cache import cache_folder
         >>> with patch.dict(os.environ, SURCTL_CACHE="compiled"):
         ...     print(cache_folder())
         compiled

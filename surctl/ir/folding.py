@@ -257,7 +257,8 @@ def with_constants(program: Program, source: int, values: Sequence[float]) -> Pr
 
     Example:
         >>> import casadi as ca
-        >>> from surctl.ir import lower, replay, with_constants
+        >>> from surctl.ir import lower, replay
+        >>> from surctl.ir.folding import with_constants
         >>> error, gains = ca.SX.sym("error", 2), ca.SX.sym("gains", 2)
         >>> program = lower(ca.Function("pd", [error, gains], [gains[0] * error[0] + gains[1] * error[1]]))
         >>> tuned = with_constants(program, 1, [1.0, 0.0])

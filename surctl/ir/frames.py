@@ -59,7 +59,7 @@ def stack_of(text: str, entry: str, *, flags: Sequence[str] = ("-Os",), compiler
     counted. An inlined function is part of the stack frame of its caller.
 
     Example:
-        >>> from surctl.ir import stack_of
+        >>> from surctl.ir.frames import stack_of
         >>> text = "void fill(float *x);\nfloat mean(void) { float x[1000]; fill(x); return x[9]; }\n"
         >>> round(stack_of(text, "mean"), -3)  # 1000 floats
         4000
@@ -90,7 +90,7 @@ def stack_from_report(report: str, text: str, entry: str) -> int:
         SurctlError: a frame has no fixed size.
 
     Example:
-        >>> from surctl.ir import stack_from_report
+        >>> from surctl.ir.frames import stack_from_report
         >>> report = "text.c:1:7:half\t32\tstatic\ntext.c:2:7:mean\t96\tstatic\n"
         >>> text = "float half(float x) { return x / 2; }\nfloat mean(float x) { return half(x + 1); }\n"
         >>> stack_from_report(report, text, "mean")

@@ -1,4 +1,4 @@
-"""Compiled programs and routines that Python can call with little overhead."""
+"""Compiled programs and routines that Python can call; without a compiler a slower function, and a warning."""
 
 from __future__ import annotations
 

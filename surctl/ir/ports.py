@@ -1,4 +1,4 @@
-"""Named entries of a flat vector; the law, the simulation and the exported C header use equal names."""
+"""Ports: named parts of a flat vector with unit, default and rule for gaps; values by name, wrong names and sizes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The instruction list: a function as plain data, a sequence of assignments.
+"""The instruction list: a function as plain data; its operations, text and digest.
 
 IEEE 754 defines the value of every operation to the last bit, except for the operations in `LIBM`. So every back end
 computes the same bytes. `fma` is a product and a sum with one rounding. Operations return 1 for true and 0 for false,

@@ -1,4 +1,4 @@
-"""Conversion of a program or routine to a CasADi function, for derivatives and for evaluation by CasADi."""
+"""Programs and routines as CasADi functions, for derivatives; fast calls of CasADi functions on NumPy vectors."""
 
 from __future__ import annotations
 

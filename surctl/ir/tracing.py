@@ -1,4 +1,4 @@
-"""Loops in symbolic functions: a Python function for one table row is evaluated once and becomes a bounded loop.
+"""CasADi expressions to instruction lists, with loops: `fold`, `each`, `repeat`, `only_if`, `picked`.
 
 CasADi's SX has no loops: a Python loop that builds expressions is unrolled, so the generated code grows with the number
 of iterations. While a `Recording` is open, `repeat`, `fold`, `each` and `only_if` call the loop body once, on new

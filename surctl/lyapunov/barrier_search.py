@@ -1,4 +1,4 @@
-"""Find a barrier function by linear programs over samples and counterexamples, and prove it."""
+"""Find a barrier function by linear programs over samples, and prove it, also that solutions stay in the box."""
 
 from __future__ import annotations
 

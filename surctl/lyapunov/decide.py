@@ -1,4 +1,4 @@
-"""Decide a claim about solutions: choose the bounds of the proof, try to refute, prove every inequality, and check."""
+"""Decide a claim about solutions: bounds of the proof, refutation, proof of each inequality, by which rule."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Equilibria of dynamics, their linearisation, and quadratic Lyapunov functions of it."""
+"""Equilibria in a box: found, made exact, or refused; their linearisation, and quadratic Lyapunov functions."""
 
 from __future__ import annotations
 

@@ -110,7 +110,8 @@ def least_level(dynamics: Dynamics, function: Node, rate: float | None = None, *
         seed: seed of the directions of the rays.
 
     Example:
-        >>> from surctl.lyapunov import Dynamics, State, least_level
+        >>> from surctl.lyapunov import Dynamics, State
+        >>> from surctl.lyapunov.falsified import least_level
         >>> from surctl.verification.formula import parse, variable
         >>> x = {"x": variable("x")}
         >>> cubic = Dynamics("cubic", "continuous", (State("x", -2.0, 2.0),), (parse("-x + x^3", x),))

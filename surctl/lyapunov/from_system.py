@@ -1,4 +1,4 @@
-"""Dynamics of a closed loop of `surctl.system`, with its controller as a law in continuous time."""
+"""Dynamics of a `System`, continuous or sampled, for its region: what rests without bounds, what is not covered."""
 
 from __future__ import annotations
 

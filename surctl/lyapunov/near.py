@@ -1,4 +1,4 @@
-"""Why a stated function fails arbitrarily close to the equilibrium: its quadratic part, or the slowest eigenvalue."""
+"""Close to the equilibrium: where a stated V fails, too fast rates, V that does not change; speeds on faces."""
 
 from __future__ import annotations
 

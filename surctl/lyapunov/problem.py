@@ -1,4 +1,4 @@
-"""Read dynamics, and a claim about their solutions, from a TOML file."""
+"""Files of kind `lyapunov` and `barrier`: their keys, read as dynamics and a claim about their solutions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A grid of points on rays from the equilibrium, on which many functions of a template are compared at once."""
+"""A grid of points on rays from the equilibrium, to compare functions; the smallest box around a region."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Find a Lyapunov function and a large region of attraction, and prove them."""
+"""Find a Lyapunov function and a large region, and prove them; why none can be proved (jumps), another V instead."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Decide a problem: prove or refute its claim, after finding the function, level or barrier that it leaves open."""
+"""Solve a problem: what its file leaves open, the time limit, a weaker claim instead, limits that never act."""
 
 from __future__ import annotations
 

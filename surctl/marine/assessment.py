@@ -1,4 +1,4 @@
-"""The subject of an assessment of the robot: a vehicle with its law, gains, speeds and missions."""
+"""What is assessed of a vehicle in missions: margins, region, no contact, runs, and the defaults that decide."""
 
 from __future__ import annotations
 
@@ -31,9 +31,10 @@ from surctl.marine.simulation.echo_fit import detection_range
 from surctl.marine.vehicle import Vehicle
 from surctl.marine.vehicle.linearise import check_cruise
 from surctl.marine.vehicle.specs import DEFAULTED
-from surctl.marine.verification import LawCorners, law_corners, loop_margins, steady_motion
+from surctl.marine.verification import law_corners, loop_margins, steady_motion
 from surctl.marine.verification.corners import DRAG_SPREAD, MASS_SPREAD
 from surctl.marine.verification.cruise_loop import TRACKING_LAW, has_cruise_loop
+from surctl.marine.verification.law_loop import LawCorners
 from surctl.marine.verification.linear import (
     LinearSide,
     Mode,

@@ -1,6 +1,6 @@
-"""Convex shapes and their exact distances, in the horizontal plane at the robot's depth.
+"""Convex shapes (disc, box, wall) in the plane, upright prisms, and their exact distances from a point.
 
-All geometry here is planar: a shape is the section of a body at the robot's depth, and `prism.Heights` defines the
+All geometry here is planar: a shape is the section of a body at the robot's depth, and `Heights` defines the
 depths that the body occupies. Coordinates are in {E}, with x along the tank and y to the left, in metres and radians.
 
 The z axis points up, so z is negative below the water surface. A prism is the product of a planar set and an interval

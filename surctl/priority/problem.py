@@ -1,4 +1,4 @@
-"""The priority problem of one control period, with numeric tasks and limits; the problem can be printed and saved."""
+"""The priority problem of one control period, in numbers: checks, limits that cross are moved, saved problems."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Settings of the priority law: mode, number of sweeps and damping."""
+"""Settings of the priority law: mode, number of sweeps, damping and fallback, and which do not go together."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The function `solve`, its result with an explanation, and the timeline of such results."""
+"""The function `solve`: its status (`unconfirmed`), what gave up how much for which limit, timeline of results."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the design page needs of a closed loop, and this for a system of the user's own."""
+"""What the design page needs of a closed loop: sliders, runs, assessment; gain files that it saves and reads."""
 
 from __future__ import annotations
 

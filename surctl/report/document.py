@@ -1,4 +1,4 @@
-"""Contents of an HTML report as data: sections of paragraphs, tables and pictures."""
+"""Contents of an HTML report as data: paragraphs, tables, pictures; its page with banner and lines below it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Plots of a counterexample: its replay over time, and the claim's margin near the counterexample in two variables."""
+"""Plots about one claim: counterexample and replay, boxes of a proof, boxes left open; claims in words."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""HTML parts of the design page, computed for a request of the page."""
+"""Plots of linear loops and of goals about them (Bode, Nyquist, steps, poles); replies of the design page."""
 
 from __future__ import annotations
 

@@ -1,20 +1,19 @@
-"""The report of a study of a system of the user's own: run, margins, region, sweep, export and signals on one page."""
+"""The report of a study of a system of the user's own, on one page; tables of figures and margins of any report."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import ArrayLike
 
 from surctl.assessment import Assessment, Line
 from surctl.errors import InputError
-from surctl.export import SilReport
+from surctl.export import ExportedFile, SilReport
 from surctl.ir import Layout
-from surctl.report.cost_map import plot_cost_map
 from surctl.report.document import (
     Block,
     Cell,
@@ -28,10 +27,11 @@ from surctl.report.document import (
 )
 from surctl.report.motion_plots import plot_motion
 from surctl.report.page_parts import plot_loop
+from surctl.report.sweep_plots import plot_heat_map
 from surctl.report.system_plots import plot_dependence, plot_record
-from surctl.report.theme import number
-from surctl.system import Record, Runs, entry_labels, entry_units
-from surctl.tuning import SystemSweep
+from surctl.report.theme import file_size, number
+from surctl.system import Record, entry_labels, entry_units
+from surctl.tuning import SweepTable
 from surctl.verification import Inapplicable, LoopMargins
 from surctl.verification.linear import DiskMargin
 
@@ -48,6 +48,7 @@ class SystemStudy:
         mode: what the slowest mode does.
         swept: the sweep; None if nothing was swept.
         best: lines with the best point of each cost.
+        files: the exported files.
         sil: comparison of C and Python.
         commands: the command lines of the study, of the run, of the margins and claim, and of the sweep.
         version: version of surctl.
@@ -58,8 +59,9 @@ class SystemStudy:
     assessment: Assessment
     resting: Mapping[str, Sequence[tuple[str, float, str]]]
     mode: str
-    swept: SystemSweep | None
+    swept: SweepTable | None
     best: Sequence[str]
+    files: Sequence[ExportedFile]
     sil: SilReport
     commands: Mapping[str, str]
     version: str
@@ -72,13 +74,20 @@ def export_line(sil: SilReport) -> Line:
     return Line(sil.passed, text, "export")
 
 
-def sil_blocks(reports: Sequence[SilReport]) -> list[Block]:
-    """Return paragraphs about the comparison of C and Python in each replayed run."""
-    blocks: list[Block] = []
+def export_section(
+    text: str, files: Sequence[ExportedFile], reports: Sequence[SilReport], *, folded: bool = False
+) -> Section:
+    """Return a section with the exported files (size, SHA-256), and the comparison of C and Python in each run."""
+    rows = tuple(
+        (Cell(f.path.name, code=True), Cell(file_size(f.path), number=True), Cell(f.sha256, code=True)) for f in files
+    )
+    blocks: list[Block] = [Paragraph(text), Table("Exported files", ("file", "size [byte]", "SHA-256"), rows)]
     for report in reports:
         head, *others = (line.strip() for line in report.summary().splitlines())
         blocks += [Paragraph(head, "good" if report.conclusive else "bad"), *map(Paragraph, others)]
-    return blocks
+    if not reports:
+        blocks.append(Paragraph("The C was not compiled and not compared with Python.", "note"))
+    return Section("export", "Exported controller", tuple(blocks), folded)
 
 
 def figures_table(assessment: Assessment) -> Table:
@@ -159,7 +168,7 @@ def _sections(study: SystemStudy) -> list[Section]:
         Section("margins", "Equilibrium and margins", _margins(study)),
         Section("region", "Region of attraction", _region(study)),
         Section("sweep", "Sweep", _sweep(study)),
-        Section("export", "Export as C", tuple(sil_blocks([study.sil]))),
+        export_section("The step of the controller as C99.", study.files, [study.sil]),
         Section("signals", "Signals, parameters and gains", _ports(study.record)),
     ]
 
@@ -228,28 +237,25 @@ def _sweep(study: SystemStudy) -> tuple[Block, ...]:
     swept = study.swept
     if swept is None:
         return ()
-    figures = tuple(
-        picture(
-            _plot_cost(swept.swept, swept.runs, name, cost.unit),
-            alt=f"{name} over each number of the sweep",
-            caption=f"{name} [{cost.unit}]{f': {cost.meaning}' if cost.meaning else ''}.",
-            command=study.commands["sweep"],
-        )
-        for name, cost in study.record.system.costs.items()
-    )
-    return (Paragraph(f"{len(swept.runs.time):,} runs."), *map(Paragraph, study.best), Pictures(figures))
+    titles = {name: cost.meaning or name for name, cost in study.record.system.costs.items()}
+    pictures = sweep_pictures(swept, titles, command=study.commands["sweep"])
+    count = math.prod(swept.shape) * swept.each
+    return (Paragraph(f"{count:,} runs."), *map(Paragraph, study.best), *pictures)
 
 
-def _plot_cost(swept: Mapping[str, ArrayLike], runs: Runs, name: str, unit: str) -> Figure:
-    """Plot a cost over the sweep: as a map over a grid of two numbers, otherwise over each number alone."""
-    values = [np.asarray(one, dtype=float) for one in swept.values()]
-    axes = [np.unique(one) for one in values]
-    cost = np.asarray(runs[name], dtype=float)
-    if len(axes) != 2 or len(axes[0]) * len(axes[1]) != len(cost):
-        return plot_dependence(swept, runs, name)
-    order = np.lexsort((values[1], values[0]))
-    table = cost[order].reshape(len(axes[0]), len(axes[1]))
-    return plot_cost_map(dict(zip(swept, axes, strict=True)), table, f"{name} [{unit}]").figure.figure
+def sweep_pictures(table: SweepTable, titles: Mapping[str, str], *, command: str) -> tuple[Pictures, ...]:
+    """Return a map over a grid of each titled column, else the column over each number; none for one run."""
+    shown = []
+    for name, title in titles.items() if math.prod(table.shape) * table.each > 1 else ():
+        if table.is_grid and len(table.axes) > 1:
+            figure: Axes | Figure = plot_heat_map(table, name, titles=titles)
+            note = "A frame marks the chosen point or the least value; hatched cells are infeasible."
+        else:
+            figure = plot_dependence(table.numbers(), {name: table.column(name).reshape(-1)}, name)
+            note = "Each number alone, ordered by its rank correlation."
+        alt = f"{title} over {', '.join(table.numbers())}"
+        shown.append(picture(figure, alt=alt, caption=f"{title[0].upper()}{title[1:]}. {note}", command=command))
+    return (Pictures(tuple(shown)),) if shown else ()
 
 
 def _ports(record: Record) -> tuple[Block, ...]:

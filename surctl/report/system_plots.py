@@ -1,4 +1,4 @@
-"""Pictures of many runs of any system: fans over time, phase planes, distributions and dependences of metrics."""
+"""Pictures of runs of any system: one run with limits, fans, phase planes, distributions, attainable rates."""
 
 from __future__ import annotations
 
@@ -300,12 +300,12 @@ def plot_runs(runs: Runs, names: Sequence[str] = ()) -> Figure:
     return figure
 
 
-def plot_dependence(values: Mapping[str, ArrayLike], runs: Runs, name: str) -> Figure:
+def plot_dependence(values: Mapping[str, ArrayLike], runs: Runs | Mapping[str, Array], name: str) -> Figure:
     """Plot one metric of many runs over each varied number, ordered by the size of the rank correlation.
 
     Args:
         values: the numbers (n,) of the runs by name, as given to `simulate_system`; scalars are left out.
-        runs: the runs.
+        runs: the runs, or metrics (n,) by name.
         name: name of the metric.
 
     Raises:

@@ -1,4 +1,4 @@
-"""The style of all plots: colours that colour-blind readers can distinguish, and figures outside of pyplot's state."""
+"""The style of all plots: colours, titles, numbers as text; names of picture files, and metadata with the command."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A robot from its URDF file, with the tasks and limits that a `StackController` takes."""
+"""A robot from its URDF file: tasks for frames, posture, centre of mass and view, limits, locked joints."""
 
 from __future__ import annotations
 

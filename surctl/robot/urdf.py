@@ -1,4 +1,4 @@
-"""URDF files: links, joints, masses and collision geometry of a robot, checked while they are read."""
+"""URDF files: links, joints, masses and collision geometry of a robot; what is refused, which shapes are left out."""
 
 from __future__ import annotations
 

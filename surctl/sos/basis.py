@@ -36,7 +36,8 @@ def parity_classes(basis: Sequence[Monomial], polynomials: Iterable[Polynomial])
     Gram matrix with one block for each class.
 
     Example:
-        >>> from surctl.sos import Polynomial, monomials, parity_classes
+        >>> from surctl.sos import Polynomial, monomials
+        >>> from surctl.sos.basis import parity_classes
         >>> x, y = Polynomial.variables(2)
         >>> parity_classes(monomials([0, 1], 1), [x**2 + x * y])
         [[()], [((0, 1),), ((1, 1),)]]

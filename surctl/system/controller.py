@@ -1,4 +1,4 @@
-"""A sampled controller, defined by one symbolic step with explicit state, and the checked evaluation of the step."""
+"""A sampled controller: one symbolic step with explicit state; refused names, and numbers that are not finite."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Systems of python-control as plants, controllers and closed loops of surctl; `to_control` is the way back."""
+"""Systems of python-control as plants, controllers and closed loops, or why they are refused; the way back."""
 
 from __future__ import annotations
 

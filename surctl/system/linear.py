@@ -1,4 +1,4 @@
-"""Equilibria of a sampled closed loop, and linearisation of the loop at an equilibrium with exact Jacobians."""
+"""Equilibria of a sampled loop, or why none is found; exact linearisation; share of time of commands at a limit."""
 
 from __future__ import annotations
 

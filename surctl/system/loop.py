@@ -1,4 +1,4 @@
-"""The closed loop of a plant and a sampled controller, described once for simulation, sweeps and linearisation."""
+"""The closed loop (`System`): connection by names and units, costs, stops, and mistakes refused at its creation."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Named parts (ports) of vectors as arguments and results of a user's functions, and their checks."""
+"""Arguments and results of a user's functions by port names, and mistakes in them, such as `math.sin`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Recording of all signals of one run of a system."""
+"""One run of a system in Python: all signals, the number that is not finite, files as CSV, .mat, netCDF."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Compiled simulation of many runs of a system at once."""
+"""Many runs of a system in compiled code: integration, costs, why and when each run ends."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Sampled sensors and actuators of a closed loop: blocks with memory, noise and a sampling period of their own."""
+"""Sampled sensors and actuators of a loop: memory, noise, own period; messages that are late or lost."""
 
 from __future__ import annotations
 

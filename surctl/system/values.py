@@ -1,4 +1,4 @@
-"""Numbers of runs by name: gains, plant parameters, references, disturbances, and the state at the start."""
+"""Numbers of runs by name: gains, plant parameters, references, start, seeds; ranges and their corners."""
 
 from __future__ import annotations
 

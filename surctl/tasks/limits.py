@@ -1,4 +1,4 @@
-"""Limits on the commanded velocity: `VelocityBox` and `HalfPlane`."""
+"""Limits on the commanded velocity: box, acceleration, thrust, barriers, braking; widened if they conflict."""
 
 from __future__ import annotations
 

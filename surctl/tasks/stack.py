@@ -1,4 +1,4 @@
-"""Stack of tasks in order of priority."""
+"""Stack of tasks in order of priority; tasks that keep σ between bounds; limits of the rate of σ."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Task of equations (13)–(15) of the paper: a quantity σ of the configuration, its desired value, and a gain."""
+"""Task of equations (13)–(15): a quantity σ, its desired value, a gain; kinematics; shapes and names of limits."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The symbols of an expression, and the ranges from which a check takes their values."""
+"""The symbols of an expression and the ranges from which a check takes their values; a failed check."""
 
 from __future__ import annotations
 

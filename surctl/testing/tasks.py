@@ -1,4 +1,4 @@
-"""Check whether the Jacobian, the reference and the angle wrap of a task are consistent with its task function σ."""
+"""Check tasks (Jacobian, reference, angle wrap) and limits (names, finite rows, bounds that leave a velocity)."""
 
 from __future__ import annotations
 

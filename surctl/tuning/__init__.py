@@ -8,7 +8,6 @@ if TYPE_CHECKING:
     from surctl.tuning.cegis import Round, Tuning, tune
     from surctl.tuning.chunked import DaskExecutor, Executor, LocalExecutor
     from surctl.tuning.design import (
-        DESIGNS,
         ONE_POINT,
         SEED,
         Axis,
@@ -25,81 +24,26 @@ if TYPE_CHECKING:
     from surctl.tuning.goals import LIBRARY, GoalTable, RunGoal, load_loop_goals
     from surctl.tuning.loop_frequency_goals import Effort, LoopShape, MaxGain, Rejection, SensitivityBound, Tracking
     from surctl.tuning.loop_goal_file import LOOP_GOAL_KEYS, LoopGoalTable, PointTable
-    from surctl.tuning.loop_goals import Judgement, LoopGoal, LoopView, Profile
-    from surctl.tuning.loop_scores import LoopScores, Score, judge_loops, operating_loops
+    from surctl.tuning.loop_goals import LoopGoal
+    from surctl.tuning.loop_scores import judge_loops, operating_loops
     from surctl.tuning.loop_time_goals import Margins, Overshoot, Poles, Settling, StepRejection, StepTracking
     from surctl.tuning.montecarlo import Counterexample, MonteCarlo
-    from surctl.tuning.outcome import Finals, Miss, Tuned, summary
+    from surctl.tuning.outcome import Tuned, summary
     from surctl.tuning.pool import Condition, Evaluation, Pool, SearchRequest
     from surctl.tuning.statistics import Share, SobolIndices, sobol_indices
-    from surctl.tuning.system_sweep import SystemSweep, sweep_system
+    from surctl.tuning.sweep import SweepSubject, SweepTable, load_sweep, sweep
+    from surctl.tuning.system_sweep import SystemSweep
     from surctl.tuning.systems import SystemRequest, tune_system
 
 
 __all__ = [
-    "DESIGNS",
-    "LIBRARY",
-    "LOOP_GOAL_KEYS",
-    "ONE_POINT",
-    "SEED",
-    "Axis",
-    "Condition",
-    "Counterexample",
-    "DaskExecutor",
-    "Design",
-    "Effort",
-    "Evaluation",
-    "Executor",
-    "Finals",
-    "GoalTable",
-    "Judgement",
-    "LocalExecutor",
-    "LoopGoal",
-    "LoopGoalTable",
-    "LoopScores",
-    "LoopShape",
-    "LoopView",
-    "Margins",
-    "MaxGain",
-    "Miss",
-    "MonteCarlo",
-    "Overshoot",
-    "PointTable",
-    "Poles",
-    "Pool",
-    "Profile",
-    "Rejection",
-    "Round",
-    "RunGoal",
-    "Score",
-    "SearchRequest",
-    "SensitivityBound",
-    "Settling",
-    "Share",
-    "SobolIndices",
-    "Span",
-    "StepRejection",
-    "StepTracking",
-    "SystemRequest",
-    "SystemSweep",
-    "Tracking",
-    "Tuned",
-    "Tuning",
-    "grid",
-    "judge_loops",
-    "load_loop_goals",
-    "make_design",
-    "operating_loops",
-    "parse_axis",
-    "random_draws",
-    "saltelli",
-    "search",
-    "sobol_indices",
-    "spread",
-    "summary",
-    "sweep_system",
-    "tune",
-    "tune_system",
-]
+    "LIBRARY", "LOOP_GOAL_KEYS", "ONE_POINT", "SEED", "Axis", "Condition", "Counterexample", "DaskExecutor", "Design",
+    "Effort", "Evaluation", "Executor", "GoalTable", "LocalExecutor", "LoopGoal", "LoopGoalTable", "LoopShape",
+    "Margins", "MaxGain", "MonteCarlo", "Overshoot", "PointTable", "Poles", "Pool", "Rejection", "Round", "RunGoal",
+    "SearchRequest", "SensitivityBound", "Settling", "Share", "SobolIndices", "Span", "StepRejection", "StepTracking",
+    "SweepSubject", "SweepTable", "SystemRequest", "SystemSweep", "Tracking", "Tuned", "Tuning", "grid", "judge_loops",
+    "load_loop_goals", "load_sweep", "make_design", "operating_loops", "parse_axis", "random_draws", "saltelli",
+    "search", "sobol_indices", "spread", "summary", "sweep", "tune", "tune_system",
+]  # fmt: skip
 
 load_at_first_use(__name__)

@@ -1,4 +1,4 @@
-"""Tuning by counterexamples: tune, search for runs that miss a goal, add these runs to the tuning, and tune again."""
+"""Tuning by counterexamples: rounds of search and test, when they end, which round wins, `rounds.json`."""
 
 from __future__ import annotations
 

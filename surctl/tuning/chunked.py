@@ -1,16 +1,15 @@
-"""Evaluate the points of a sweep in chunks; finished chunks are stored, so that an interrupted sweep resumes."""
+"""Evaluate a sweep in chunks: processes, Dask, resume, progress; its file `sweep.nc`, and that of another request."""
 
 from __future__ import annotations
 
 import logging
 import os
 import signal
-import tempfile
 import threading
 import time
 import warnings
 from collections import deque
-from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import CancelledError, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import closing, contextmanager
@@ -24,9 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError, SurctlError, cannot_write
-from surctl.recorded_write import Column, write_netcdf
 from surctl.store import RESUME, ChunkStore
-from surctl.tuning.design import Axis, Design, Span
 
 Chunk = tuple[int, NDArray[np.float64]]
 """Index of a chunk, and the points (rows, axes) of the chunk."""
@@ -179,9 +176,6 @@ Progress = Callable[[str], None]
 Columns = Callable[[int, int], Floats]
 """Function (index of the stage, index of the column) → values (rows of the stage,), read from the stored chunks."""
 
-Variables = tuple[Mapping[str, int], Mapping[str, Column] | Iterable[tuple[str, Column]], Mapping[str, Any]]
-"""Dimensions, variables and attributes of the file of a sweep."""
-
 TABLE = "sweep.nc"
 """Name of the file of a finished sweep."""
 _MOST_CHUNKS = 64  # chunks of a small sweep, so that an interruption loses little and every worker has work
@@ -192,7 +186,8 @@ class SweepStage:
     """Rows that a sweep evaluates in chunks.
 
     Attributes:
-        rows: (n, axes) values of the parameters.
+        names: names of the parameters.
+        rows: (n, parameters) values.
         size: rows in a chunk.
         width: number of columns of results.
         name: what is computed, for the progress.
@@ -201,6 +196,7 @@ class SweepStage:
         counted: what the rows are, for the progress.
     """
 
+    names: tuple[str, ...]
     rows: Floats = field(repr=False)
     size: int
     width: int
@@ -216,63 +212,6 @@ def chunk_size(count: int, *, most: int) -> int:
     It does not depend on the executor, so that any executor can resume a sweep.
     """
     return max(1, min(most, -(-count // _MOST_CHUNKS)))
-
-
-@contextmanager
-def swept_file(
-    function: Evaluator,
-    stages: Sequence[SweepStage],
-    variables: Callable[[Columns], Variables],
-    *,
-    out: Path | None,
-    request: str,
-    executor: Executor | None,
-    progress: Progress,
-) -> Iterator[Path]:
-    """Yield the netCDF file of a finished sweep, which is evaluated unless the folder `out` has it.
-
-    Without a folder, the file exists inside the `with` statement only.
-
-    Args:
-        function, stages, request, executor, progress: as for `evaluated_chunks`; the executor is by default the calling
-            process.
-        variables: function from the stored columns to what the file holds.
-        out: folder of the sweep.
-    """
-    with tempfile.TemporaryDirectory(prefix="surctl-sweep-") as scratch:
-        folder = Path(scratch) if out is None else out
-        path = finished_table(folder, request, progress=progress)
-        if path is None:
-            executor = executor or LocalExecutor()
-            with evaluated_chunks(
-                function, stages, out=folder, request=request, executor=executor, progress=progress
-            ) as stored:
-                sizes, columns, attributes = variables(stored)
-                path = write_netcdf(folder / TABLE, columns, sizes=sizes, attributes=attributes, checksums=True)
-        yield path
-
-
-def axis_columns(
-    design: Design, quantity: Callable[[str], tuple[str, str]]
-) -> tuple[dict[str, int], dict[str, Column]]:
-    """Return the dimensions of a design (the axes of a grid, else `point`), and a column for each of its axes.
-
-    `quantity` returns unit and meaning of a number by its name.
-    """
-    grid = design.kind == "grid"
-    names = [netcdf_name(name) for name in design.names]
-    sizes = dict(zip(names if grid else ["point"], design.shape, strict=True))
-    columns = {}
-    axes: tuple[Axis | Span, ...] = design.axes
-    for k, (name, axis) in enumerate(zip(names, axes, strict=True)):
-        values = np.array(axis.values) if isinstance(axis, Axis) else design.points[:, k]
-        columns[name] = Column(values, *quantity(axis.name), (name if grid else "point",))
-    return sizes, columns
-
-
-def netcdf_name(name: str) -> str:
-    """Return the name of a parameter without slashes, because netCDF reads a slash as the separator of a path."""
-    return name.replace("/", "|")
 
 
 @contextmanager

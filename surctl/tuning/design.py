@@ -1,4 +1,4 @@
-"""Axes of a parameter sweep, and designs that choose its points."""
+"""Axes of a sweep as text, designs that choose its points, random draws, default range of a gain."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One search for gains: differential evolution by batches of compiled runs, then a descent from the best gain sets.
+"""One search for gains: differential evolution, then a descent; and the goals that cannot be met together.
 
 The search minimises the score. As in MATLAB's systune, the score is the largest normalised value of a soft goal. If the
 start gains meet a goal, its normalised value is first divided by the value with the start gains. An unmet hard goal or

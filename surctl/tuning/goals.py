@@ -1,4 +1,4 @@
-"""Goals files, and goals about the loop and the runs of a system as bounds and objective of a search over gains."""
+"""Goals files; goals on costs of a system's runs; which linear goals do not describe a run at a limit."""
 
 from __future__ import annotations
 

@@ -32,7 +32,8 @@ class LoopShape(Opened):
     Example:
         >>> from surctl.system import linearise
         >>> from surctl.testing import cart_system
-        >>> from surctl.tuning import LoopShape, Profile
+        >>> from surctl.tuning import LoopShape
+        >>> from surctl.tuning.loop_goals import Profile
         >>> goal = LoopShape(name="integrator", at=("force",), target=Profile((0.01, 1.0), (200.0, 2.0)), band_db=1.0)
         >>> goal.judge(linearise(cart_system(2.0))).met
         True
@@ -99,7 +100,8 @@ class Rejection(Opened):
     Example:
         >>> from surctl.system import linearise
         >>> from surctl.testing import cart_system
-        >>> from surctl.tuning import Profile, Rejection
+        >>> from surctl.tuning import Rejection
+        >>> from surctl.tuning.loop_goals import Profile
         >>> goal = Rejection(name="waves", at=("force",), attenuation=Profile((0.02, 0.2), (100.0, 10.0)))
         >>> round(goal.judge(linearise(cart_system(2.0))).normalised, 2)
         1.0

@@ -1,4 +1,4 @@
-"""Goals about the loop in goals files: `[[goals]]` with `type`, and `[[points]]` with operating points."""
+"""Keys of goals about the loop in goals files: `[[goals]]` with `type`, and `[[points]]` with operating points."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Goals of a linear loop of any system, with the meaning that MATLAB's Control System Tuner (TuningGoal) gives them.
+"""Goals of a linear loop of any system, as in MATLAB's TuningGoal: profile, value, bound and its unit, signals.
 
 Each goal computes one number from a `LinearLoop`; its normalised value is at most 1 if the goal is met. An unstable
 loop meets no goal.
@@ -35,7 +35,7 @@ class Profile:
 
     Example:
         >>> import numpy as np
-        >>> from surctl.tuning import Profile
+        >>> from surctl.tuning.loop_goals import Profile
         >>> Profile((0.1, 10.0), (100.0, 1.0))(np.array([0.1, 1.0, 20.0])).round(6)
         array([100.,  10.,  nan])
     """

@@ -1,4 +1,4 @@
-"""Frequency and step responses of a sampled loop as arrays, for goals and pictures."""
+"""Frequency responses (dense near resonances and notches) and step responses of a sampled loop as arrays."""
 
 from __future__ import annotations
 

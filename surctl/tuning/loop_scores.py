@@ -1,4 +1,4 @@
-"""Goals of a loop judged at several operating points of a system."""
+"""Goals of a loop judged at several operating points of a system; the worst point decides."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Goals about step responses, poles and margins of a linear loop of any system."""
+"""Goals about step responses (overshoot, settling, tracking, rejection), poles and margins of a linear loop."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Fresh runs that verify one gain set, and training runs that screen the gain sets of a search."""
+"""Random runs that test gains: training runs screen a search, fresh runs verify one set; their seeds."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The result of a tuning: what it misses, its table of goals, its data, and the origin of its gains."""
+"""End of a tuning: which gain set is taken, also the start gains; missed goals, advice, tables, `tuning.json`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The request of a search for gains, the runs and goals that it judges by, and the pool of simulated gain sets."""
+"""The request of a search for gains, the runs and goals that it judges by; score and order of gain sets."""
 
 from __future__ import annotations
 

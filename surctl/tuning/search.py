@@ -1,4 +1,4 @@
-"""The search over gains: differential evolution in batches, whose finished batches a journal stores for a resume."""
+"""Differential evolution over ranges in batches; journal for a resume, lock of the folder, best gains so far."""
 
 from __future__ import annotations
 

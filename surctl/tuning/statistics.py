@@ -1,4 +1,4 @@
-"""Statistics of runs: shares with upper bounds, and Sobol' indices."""
+"""Statistics of runs: shares with upper bounds, and Sobol' indices with intervals and their warning."""
 
 from __future__ import annotations
 
@@ -128,10 +128,9 @@ def sobol_indices(design: Design, values: NDArray[np.float64], column: str, *, s
 
     Example:
         >>> from surctl.testing import cart_system
-        >>> from surctl.tuning import parse_axis, saltelli, sobol_indices, sweep_system
-        >>> system = cart_system()
+        >>> from surctl.tuning import SystemSweep, parse_axis, saltelli, sobol_indices, sweep
         >>> design = saltelli([parse_axis("k=1..2"), parse_axis("start.speed=0.9..1.1")], base=16)
-        >>> way = sweep_system(system, design, 5.0).mean("way")
+        >>> way = sweep(SystemSweep(cart_system(), 5.0), design).mean("way")
         >>> [round(share, 2) for share in sobol_indices(design, way, "way").total]
         [0.91, 0.06]
     """

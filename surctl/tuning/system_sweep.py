@@ -1,12 +1,10 @@
-"""Sweep of any system: its costs at every point of a design, each over the same random runs, with resume."""
+"""A system as the subject of a sweep: its costs at every point, each over the same random runs, and the best points."""
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
-from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
@@ -17,107 +15,162 @@ from surctl import __version__
 from surctl.assessment import Assessment, ClosedLoop, Line, assess, cost_verdicts
 from surctl.errors import InputError, SurctlError
 from surctl.recorded_write import Column
-from surctl.system import (
-    ENDED,
-    LOST,
-    Runs,
-    System,
-    entry_labels,
-    entry_units,
-    every_combination,
-    periods,
-    simulate_system,
-)
+from surctl.system import LOST, Runs, System, entry_labels, entry_units, every_combination, periods, simulate_system
+from surctl.system.loop import ENDED
 from surctl.system.record import identity
 from surctl.system.runs import loop_program
 from surctl.system.subjects import load_subject
 from surctl.system.values import check_scalar, run_numbers, unit_of
-from surctl.tuning.chunked import (
-    Columns,
-    Executor,
-    Progress,
-    SweepStage,
-    Variables,
-    axis_columns,
-    chunk_size,
-    swept_file,
-)
-from surctl.tuning.design import MOST_POINTS, SEED, Design
+from surctl.tuning.chunked import Columns, SweepStage, chunk_size
+from surctl.tuning.design import MOST_POINTS, ONE_POINT, SEED, Axis, Design, Span, make_design, random_draws, saltelli
+from surctl.tuning.sweep import SweepSubject, SweepTable
 
 Array = NDArray[np.float64]
 
 _NONE: Mapping[str, Any] = MappingProxyType({})
 _LEAST, _MOST = 64, 4096  # runs in a chunk
+_STOPPED, _DURATION, _END = "run.stopped", "run.duration", "run.end."
 
 
 @dataclass(frozen=True, eq=False)
-class SystemSweep:
-    """A finished sweep of a system: n points, and m runs at each point.
-
-    Random numbers such as seeds are no choice: a point is judged by the worst of its m runs.
+class SystemSweep(SweepSubject):
+    """Runs of a system, as the subject of `sweep`: the costs, how each run ends, and the state at its end.
 
     Attributes:
         system: the closed loop.
-        design: the n points.
-        draws: (m,) numbers in which the runs of a point differ, by name, the same at all points; empty if m is 1.
-        runs: the n·m runs, those of a point one after another.
-        path: the netCDF file; None if nothing was stored.
+        seconds: duration [s] of a run that no stop ends earlier.
+        random: (m,) numbers of the m runs at each point, by name, such as seeds; see also `random_draws`.
+        values: numbers of all runs by name, see `run_numbers`.
+        threads: number of threads that share the runs of a chunk.
+        about: further texts of the file by name, such as the origin of the system.
+        source: FILE.py:FUNCTION or subject:NAME that returns the system, for an executor with other processes.
+
+    Raises:
+        InputError: when it is swept, if the system has no costs, a name is unknown or not that of one number, there are
+            too many runs, or other processes need `source`.
+        ToolMissing: when it is swept, if there is no C compiler.
     """
 
     system: System
-    design: Design
-    draws: Mapping[str, Array]
-    runs: Runs = field(repr=False)
-    path: Path | None = None
+    seconds: float
+    random: Mapping[str, ArrayLike] = field(default_factory=dict)
+    values: Mapping[str, ArrayLike] = field(default_factory=dict)
+    threads: int = 1
+    about: Mapping[str, str] = field(default_factory=dict)
+    source: str = ""
 
-    @cached_property
-    def each(self) -> int:
-        """Number m of runs at each point."""
-        return len(self.runs.time) // len(self.design.points)
+    def draws(self) -> dict[str, Array]:
+        """Return the numbers (m,) in which the m runs of a point differ, by name."""
+        return {name: np.asarray(value, dtype=float) for name, value in self.random.items()}
 
-    def over_runs(self, name: str) -> Array:
-        """Return a cost (n, m); InputError if there is no such cost."""
-        return self.runs[name].reshape(-1, self.each)
+    def stages(self, design: Design) -> list[SweepStage]:
+        """Return the runs of all points, after a check of their numbers; nothing is compiled."""
+        names = (*design.names, *self.random)
+        _check(self.system, names, design, self.draws())
+        periods(self.system, self.seconds)
+        combined = self._combined(design)
+        rows = np.column_stack([combined[name] for name in names])
+        width = len(self.system.costs) + 2 + self.system.plant.state.size
+        return [SweepStage(names, rows, max(_LEAST, chunk_size(len(rows), most=_MOST)), width, counted="runs")]
 
-    def worst(self, name: str) -> Array:
-        """Return the largest value (n,) of a cost over the runs of each point; NaN if a run has no value."""
-        return np.asarray(self.over_runs(name).max(axis=1))
+    def _combined(self, design: Design) -> dict[str, Array]:
+        return every_combination({name: design.points[:, k] for k, name in enumerate(design.names)}, self.draws())
 
-    def mean(self, name: str) -> Array:
-        """Return the mean (n,) of a cost over the runs of each point; NaN if a run has no value."""
-        return np.asarray(self.over_runs(name).mean(axis=1))
+    def evaluate(self, stage: int, index: int, values: Mapping[str, Array]) -> Array:
+        """Return costs, reason of the end as its index, duration, and state at the end of each run."""
+        runs = simulate_system(self.system, self.seconds, {**self.values, **values}, threads=self.threads)
+        reasons = _reasons(self.system)
+        code = [reasons.index(reason) for reason in runs.stopped.tolist()]
+        return np.column_stack([*runs.figures.values(), code, runs.time, runs.state])
 
-    def best(self, name: str) -> int | None:
-        """Return the index of the point whose worst run has the least cost; None if no point has a value.
+    def request(self, design: Design, stages: Sequence[SweepStage]) -> str:
+        """Return the SHA-256 of everything that the results depend on."""
+        numbers = run_numbers(self.system, {**self.values, **self._combined(design)})
+        about = f"{stages[-1].names} {design.kind} {design.shape} {numbers.digest()}"
+        return request_digest(self.system, self.seconds, about)
 
-        The margins there are not judged: see `chosen_points`.
-        """
-        worst = self.worst(name)
-        return int(np.nanargmin(worst)) if np.isfinite(worst).any() else None
+    def quantity(self, name: str) -> tuple[str, str]:
+        """Return unit and meaning of a number."""
+        return unit_of(self.system, name), name
 
-    def worst_run(self, name: str, point: int) -> int:
-        """Return the index of the run with the largest value of a cost at a point; a run without a value is larger."""
-        return point * self.each + int(np.argmax(self.over_runs(name)[point]))
+    def columns(self, design: Design, stored: Columns, dimensions: Sequence[str]) -> Iterator[tuple[str, Column]]:
+        """Yield costs, how each run ends, and the state at its end."""
+        count = len(self.system.costs)
+        for k, (name, cost) in enumerate(self.system.costs.items()):
+            yield name, Column(stored(0, k), cost.unit, cost.meaning or name)
+        yield _STOPPED, Column(np.array(_reasons(self.system))[stored(0, count).astype(int)], "", "why the run ended")
+        yield _DURATION, Column(stored(0, count + 1), "s", "duration of the run")
+        state = self.system.plant.state
+        for k, (label, unit) in enumerate(zip(entry_labels(state, _END), entry_units(state), strict=True)):
+            yield label, Column(stored(0, count + 2 + k), unit, "state at the end of the run")
 
-    @cached_property
-    def swept(self) -> dict[str, Array]:
-        """Numbers (n·m,) of all runs by name."""
-        return _combined(self.design, self.draws)
+    def origin(self, design: Design) -> dict[str, Any]:
+        """Return names, digests and duration."""
+        return {**identity(self.system), **self.about, "seconds": self.seconds}
 
-    def at(self, point: int) -> dict[str, float]:
-        """Return the numbers of a point by name."""
-        return dict(zip(self.design.names, self.design.points[point].tolist(), strict=True))
+    def __reduce__(self) -> tuple[Any, ...]:
+        if not self.source:
+            problem = "is known to this process alone"
+            raise InputError(problem, key="system", remedy="give source, FILE.py:FUNCTION, for other processes")
+        source = load_subject(self.source, key="source").reference
+        digest = loop_program(self.system).digest()
+        return _elsewhere, (source, self.seconds, dict(self.values), self.threads, digest)
 
-    def random_of(self, run: int) -> dict[str, float]:
-        """Return the random numbers of a run by name."""
-        return {name: float(values[run % self.each]) for name, values in self.draws.items()}
 
-    def table(self) -> dict[str, list[Any]]:
-        """Return the columns of a table with one row for each run: numbers, costs with units, end and duration."""
-        columns: dict[str, list[Any]] = {name: values.tolist() for name, values in self.swept.items()}
-        for name, cost in self.system.costs.items():
-            columns[f"{name} [{cost.unit}]"] = self.runs[name].tolist()
-        return columns | {"stopped": self.runs.stopped.tolist(), "duration [s]": self.runs.time.tolist()}
+def _elsewhere(source: str, seconds: float, values: Mapping[str, ArrayLike], threads: int, digest: str) -> SystemSweep:
+    """Return the subject in another process, which builds the system itself."""
+    system = load_subject(source, key="source").system
+    if loop_program(system).digest() != digest:
+        raise SurctlError(f"{source.partition('#')[0]} returns another system than the one that is swept")
+    return SystemSweep(system, seconds, values=values, threads=threads, source=source)
+
+
+def choices_and_draws(
+    system: System, axes: Sequence[Axis | Span], *, design: str = "grid", points: int | None = None, seeds: int = 1
+) -> tuple[Design, dict[str, Array]]:
+    """Return the points of a sweep, and the numbers of the runs at each point.
+
+    Seeds are numbers of runs. If a grid has several runs at each point, a range without a count is random as well,
+    unless it is that of a gain.
+
+    Raises:
+        InputError: the system has nothing random, an axis is not valid, or its name is not that of one
+            number.
+    """
+    for axis in axes:
+        check_scalar(system, axis.name)
+    listed = [axis for axis in axes if axis.name == SEED]
+    if listed and (seeds > 1 or not isinstance(listed[0], Axis)):
+        problem = "is given twice" if seeds > 1 else "is a range without a count"
+        raise InputError(problem, key="axis seed", remedy="write --seeds N for the seeds 0 to N-1")
+    numbers = np.array(listed[0].values if listed and isinstance(listed[0], Axis) else range(seeds), dtype=float)
+    random = [a for a in axes if isinstance(a, Span) and design == "grid" and len(numbers) > 1 and "." in a.name]
+    others = [axis for axis in axes if axis not in random and axis not in listed]
+    draws = {SEED: numbers} if system.blocks.noise and (listed or seeds > 1) else {}
+    draws |= random_draws(random, count=len(numbers)) if random else {}
+    if seeds > 1 and not draws:
+        problem, remedy = "has no noise", "draw a number as well: plant.NAME=LOW..HIGH or start.NAME=LOW..HIGH"
+        raise InputError(problem, key="--seeds", value=seeds, remedy=remedy)
+    if design == "saltelli":
+        return saltelli(others, base=64 if points is None else points), draws
+    if draws and not others and points is None:
+        return ONE_POINT, draws
+    return make_design(design, others, count=points), draws
+
+
+def runs_of(table: SweepTable, system: System) -> Runs:
+    """Return all runs of a sweep of a system, those of a point one after another."""
+    columns = {name: np.ravel(table.column(name)) for name in table.columns}
+    state = np.column_stack([columns[label] for label in entry_labels(system.plant.state, _END)])
+    figures = {name: columns[name] for name in system.costs}
+    return Runs(figures, columns[_STOPPED].astype(str), columns[_DURATION], state)
+
+
+def run_at(table: SweepTable, run: int) -> tuple[dict[str, float], dict[str, float]]:
+    """Return the numbers of the point of a run, and its random numbers, by name."""
+    point, k = divmod(run, table.each)
+    random = {name: float(values[k]) for name, values in table.draws.items()}
+    return table.at(table.index(point)), random
 
 
 _JUDGED = 16  # points of a cost whose linear loop is judged, the least cost first
@@ -141,135 +194,47 @@ class Choice:
 
 
 def chosen_points(
-    swept: SystemSweep, values: Mapping[str, ArrayLike] = _NONE, ranges: Mapping[str, tuple[float, float]] | None = None
+    table: SweepTable,
+    system: System,
+    values: Mapping[str, ArrayLike] = _NONE,
+    ranges: Mapping[str, tuple[float, float]] | None = None,
 ) -> dict[str, Choice]:
     """Return for each cost the point with its least value at which the bounds of all costs and the margins hold.
 
     The margins of at most 16 points per cost are judged, the least cost first.
 
     Args:
-        swept: the sweep.
-        values, ranges: as in `ClosedLoop`; the numbers of a point take the place of `values`.
+        table: the sweep.
+        system, values, ranges: as in `ClosedLoop`; the numbers of a point take the place of `values`.
     """
-    system, judged = swept.system, dict[tuple[int, int], Assessment]()
-    bounded = np.all([swept.worst(n) <= c.at_most for n, c in system.costs.items() if c.at_most is not None], axis=0)
-    bounded = np.broadcast_to(bounded, len(swept.design.points))
+    judged, durations = dict[int, Assessment](), table.column(_DURATION).reshape(-1)
+    costs = {name: table.worst(name).reshape(-1) for name in system.costs}
+    bounded = np.all([costs[n] <= c.at_most for n, c in system.costs.items() if c.at_most is not None], axis=0)
+    bounded = np.broadcast_to(bounded, len(durations) // table.each)
 
-    def assessed(point: int, run: int) -> Assessment:
-        if (point, run) not in judged:
-            numbers = {**values, **swept.at(point), **swept.random_of(run)}
-            loop = assess(ClosedLoop(system, numbers, ranges), parts=["loop"])
-            lines, duration = list[Line](), float(swept.runs.time[run])
+    def assessed(run: int) -> Assessment:
+        if run not in judged:
+            at, random = run_at(table, run)
+            loop = assess(ClosedLoop(system, {**values, **at, **random}, ranges), parts=["loop"])
+            lines, duration = list[Line](), float(durations[run])
             for name, cost in system.costs.items():
-                value = float(swept.worst(name)[point])
+                value = float(costs[name][run // table.each])
                 lines += cost_verdicts(name, cost, value, duration=duration, dt=system.dt)
-            judged[point, run] = loop.with_lines(lines)
-        return judged[point, run]
+            judged[run] = loop.with_lines(lines)
+        return judged[run]
 
     choices = {}
-    for name in system.costs:
-        worst = swept.worst(name)
+    for name, worst in costs.items():
         order = [k for k in np.argsort(worst, kind="stable").tolist() if np.isfinite(worst[k])]
         if not order:
             continue
-        runs = {k: swept.worst_run(name, k) for k in order}
+        # of the run with the largest value; a run without a value is larger
+        worst_runs = table.column(name).reshape(-1, table.each).argmax(axis=1)
+        runs = {k: k * table.each + int(worst_runs[k]) for k in order}
         tried = [k for k in order if bounded[k]][:_JUDGED]
-        point = next((k for k in tried if assessed(k, runs[k]).accepted()), order[0])
-        choices[name] = Choice(point, runs[point], assessed(point, runs[point]), order.index(point))
+        point = next((k for k in tried if assessed(runs[k]).accepted()), order[0])
+        choices[name] = Choice(point, runs[point], assessed(runs[point]), order.index(point))
     return choices
-
-
-def sweep_system(
-    system: System,
-    design: Design,
-    seconds: float,
-    *,
-    draws: Mapping[str, ArrayLike] = _NONE,
-    values: Mapping[str, ArrayLike] = _NONE,
-    threads: int = 1,
-    out: Path | None = None,
-    about: Mapping[str, str] = _NONE,
-    source: str = "",
-    executor: Executor | None = None,
-    progress: Progress = lambda _: None,
-) -> SystemSweep:
-    """Simulate a system at every point of a design, with the same random runs at each point; a sweep can resume.
-
-    Args:
-        system: the closed loop.
-        design: the points; see `grid`, `spread`, `saltelli`, `make_design`, and `ONE_POINT` for random runs alone.
-        seconds: duration [s] of a run that no stop ends earlier.
-        draws: (m,) numbers of the m runs at each point, by name, such as seeds; see also `random_draws`.
-        values: numbers of all runs by name, see `run_numbers`.
-        threads: number of threads that share the runs of a chunk.
-        out: folder of `sweep.nc`; None stores no file. Until the file is complete, finished chunks are stored beside
-            it, and an identical request resumes from them, also after a crash. A finished `sweep.nc` of another request
-            is renamed.
-        about: further texts of the file by name, such as the origin of the system.
-        source: FILE.py:FUNCTION or subject:NAME that returns the system, for an executor with other processes.
-        executor: executor of the chunks; by default the calling process. The results do not depend on it.
-        progress: function that receives one line of text at each step of the work.
-
-    Raises:
-        InputError: the system has no costs, a name is unknown or not that of one number, there are too many runs, the
-            folder cannot be written, or other processes need `source`. Finished chunks remain.
-        ToolMissing: there is no C compiler.
-
-    Example:
-        >>> from surctl.testing import cart_system
-        >>> from surctl.tuning import Span, grid, parse_axis, random_draws, sweep_system
-        >>> system = cart_system()
-        >>> draws = random_draws([Span("start.speed", 0.5, 1.5)], count=20)
-        >>> swept = sweep_system(system, grid([parse_axis("k=1,2")]), 5.0, draws=draws)
-        >>> swept.worst("way").round(2).tolist(), swept.mean("way").round(2).tolist(), swept.at(swept.best("way"))
-        ([1.43, 0.72], [1.01, 0.51], {'k': 2.0})
-    """
-    fixed = {name: np.asarray(value, dtype=float) for name, value in values.items()}
-    random = {name: np.asarray(value, dtype=float) for name, value in draws.items()}
-    names = (*design.names, *random)
-    _check(system, names, design, random)
-    periods(system, seconds)
-    combined = _combined(design, random)
-    rows = np.column_stack([combined[name] for name in names])
-    request = _request(system, design, seconds, names, {**fixed, **combined})
-    size, width = max(_LEAST, chunk_size(len(rows), most=_MOST)), len(system.costs) + 2 + system.plant.state.size
-    stage = SweepStage(rows, size, width, counted="runs")
-    function = _Evaluator(system, names, seconds, fixed, threads, source, loop_program(system).digest())
-
-    def variables(stored: Columns) -> Variables:
-        origin = {**identity(system), **about, "seconds": seconds, "request": request}
-        return *_columns(system, design, random, stored), origin
-
-    with swept_file(
-        function, [stage], variables, out=out, request=request, executor=executor, progress=progress
-    ) as path:
-        runs = _loaded(system, path)
-    return SystemSweep(system, design, random, runs, None if out is None else path)
-
-
-def _columns(
-    system: System, design: Design, random: Mapping[str, Array], stored: Columns
-) -> tuple[dict[str, int], dict[str, Column]]:
-    """Return the dimensions and variables of the file."""
-    count = len(system.costs)
-    sizes, columns = axis_columns(design, lambda name: (unit_of(system, name), name))
-    if random:
-        run = SEED if SEED in random else "draw"
-        sizes[run] = len(next(iter(random.values())))
-        for name, values in random.items():
-            columns[name] = Column(values, unit_of(system, name), name, (run,))
-    for k, (name, cost) in enumerate(system.costs.items()):
-        columns[name] = Column(stored(0, k), cost.unit, cost.meaning or name)
-    stopped = np.array(_reasons(system))[stored(0, count).astype(int)]
-    columns["run.stopped"] = Column(stopped, "", "why the run ended")
-    columns["run.duration"] = Column(stored(0, count + 1), "s", "duration of the run")
-    for k, (label, unit) in enumerate(zip(*_states(system), strict=True)):
-        columns[label] = Column(stored(0, count + 2 + k), unit, "state at the end of the run")
-    return sizes, columns
-
-
-def _combined(design: Design, draws: Mapping[str, Array]) -> dict[str, Array]:
-    return every_combination({name: design.points[:, k] for k, name in enumerate(design.names)}, draws)
 
 
 def _check(system: System, names: tuple[str, ...], design: Design, random: Mapping[str, Array]) -> None:
@@ -292,14 +257,6 @@ def _check(system: System, names: tuple[str, ...], design: Design, random: Mappi
         raise InputError("are too many", key="runs", value=count, remedy=f"use at most {MOST_POINTS} in one sweep")
 
 
-def _request(
-    system: System, design: Design, seconds: float, names: tuple[str, ...], values: Mapping[str, Array]
-) -> str:
-    return request_digest(
-        system, seconds, f"{names} {design.kind} {design.shape} {run_numbers(system, values).digest()}"
-    )
-
-
 def request_digest(system: System, seconds: float, about: str) -> str:
     """Return the SHA-256 of a system's computations and costs, of the duration of runs [s], and of further text."""
     costs = {name: (cost.how, cost.unit, cost.meaning, cost.at_most) for name, cost in system.costs.items()}
@@ -307,57 +264,5 @@ def request_digest(system: System, seconds: float, about: str) -> str:
     return hashlib.sha256(f"{head} {costs} {list(system.stops)} {about}".encode()).hexdigest()
 
 
-@dataclass(frozen=True, eq=False)
-class _Evaluator:
-    """Evaluator of a chunk: costs, reason of the end as its index, duration, and state at the end of each run."""
-
-    system: System
-    names: tuple[str, ...]
-    seconds: float
-    values: Mapping[str, Array]
-    threads: int
-    source: str
-    digest: str
-
-    def __call__(self, index: int, points: Array) -> Array:
-        swept = {name: points[:, k] for k, name in enumerate(self.names)}
-        runs = simulate_system(self.system, self.seconds, {**self.values, **swept}, threads=self.threads)
-        reasons = _reasons(self.system)
-        code = [reasons.index(reason) for reason in runs.stopped.tolist()]
-        return np.column_stack([*runs.figures.values(), code, runs.time, runs.state])
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        if not self.source:
-            problem = "is known to this process alone"
-            raise InputError(problem, key="system", remedy="give source, FILE.py:FUNCTION, for other processes")
-        source = load_subject(self.source, key="source").reference
-        return _elsewhere, (source, self.names, self.seconds, dict(self.values), self.threads, self.digest)
-
-
-def _elsewhere(
-    source: str, names: tuple[str, ...], seconds: float, values: Mapping[str, Array], threads: int, digest: str
-) -> _Evaluator:
-    """Return the evaluator in another process, which builds the system itself."""
-    system = load_subject(source, key="source").system
-    if loop_program(system).digest() != digest:
-        raise SurctlError(f"{source.partition('#')[0]} returns another system than the one that is swept")
-    return _Evaluator(system, names, seconds, values, threads, source, digest)
-
-
 def _reasons(system: System) -> list[str]:
     return [ENDED, *system.stops, LOST]
-
-
-def _states(system: System) -> tuple[list[str], list[str]]:
-    return entry_labels(system.plant.state, "run.end."), entry_units(system.plant.state)
-
-
-def _loaded(system: System, path: Path) -> Runs:
-    import netCDF4
-
-    with netCDF4.Dataset(path) as file:
-        file.set_auto_mask(False)
-        figures = {name: np.ravel(file[name][:]) for name in system.costs}
-        state = np.column_stack([np.ravel(file[label][:]) for label in _states(system)[0]])
-        stopped = np.ravel(file["run.stopped"][:]).astype(str)
-        return Runs(figures, stopped, np.ravel(file["run.duration"][:]), state)

@@ -1,4 +1,4 @@
-"""Tuning of any system: its costs, bounds and goals about the loop as a request of the search that missions have."""
+"""Tuning of any system: costs, bounds, cases, goals, least margins of the search; `best-so-far.csv`."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 from surctl.assessment import Assessment, ClosedLoop, Line, Part, assess, worst_of
 from surctl.errors import InputError, nearest
 from surctl.ir import find_compiler
-from surctl.system import ENDED, LinearLoop, System, every_combination, linearise, simulate_system
+from surctl.system import LinearLoop, System, every_combination, linearise, simulate_system
+from surctl.system.loop import ENDED
 from surctl.system.values import check_scalar, default_of, run_numbers
 from surctl.tuning.cegis import tune
 from surctl.tuning.chunked import Progress

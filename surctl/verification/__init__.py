@@ -5,9 +5,9 @@ from typing import TYPE_CHECKING
 from surctl.lazy import load_at_first_use
 
 if TYPE_CHECKING:
-    from surctl.verification.claim import Claim, Motion, Variable, VerdictWord
-    from surctl.verification.claim_file import load_claim, write_claim
-    from surctl.verification.counterexample import Counterexample, Replay, evaluate, replay
+    from surctl.verification.claim import Claim, Motion, Variable
+    from surctl.verification.claim_file import load_claim
+    from surctl.verification.counterexample import Counterexample, evaluate, replay
     from surctl.verification.decide import decide
     from surctl.verification.falsifier import falsify
     from surctl.verification.loops import LoopMargins
@@ -17,29 +17,9 @@ if TYPE_CHECKING:
     from surctl.verification.verdict import Inapplicable, Verdict
 
 __all__ = [
-    "Claim",
-    "Counterexample",
-    "Inapplicable",
-    "LoopCorners",
-    "LoopMargins",
-    "Motion",
-    "Proof",
-    "Replay",
-    "Setting",
-    "Variable",
-    "Verdict",
-    "VerdictWord",
-    "decide",
-    "evaluate",
-    "falsify",
-    "load_claim",
-    "prove",
-    "replay",
-    "setting_from",
-    "system_corners",
-    "system_disk_margin",
-    "system_margins",
-    "write_claim",
-]
+    "Claim", "Counterexample", "Inapplicable", "LoopCorners", "LoopMargins", "Motion", "Proof", "Setting", "Variable",
+    "Verdict", "decide", "evaluate", "falsify", "load_claim", "prove", "replay", "setting_from", "system_corners",
+    "system_disk_margin", "system_margins",
+]  # fmt: skip
 
 load_at_first_use(__name__)

@@ -1,4 +1,4 @@
-"""Read a claim from a TOML file, and write any claim of the library as such a file."""
+"""Files of kind `claim`: read a claim from its keys, and write any claim of the library as such a file."""
 
 from __future__ import annotations
 
@@ -183,7 +183,7 @@ def write_claim(claim: Claim) -> str:
 
     Example:
         >>> from surctl.marine.verification import claims
-        >>> from surctl.verification import write_claim
+        >>> from surctl.verification.claim_file import write_claim
         >>> [claim] = claims(names=["m-norm-corrected"])
         >>> print(*write_claim(claim).splitlines()[1:5], sep="\n")
         name = "m-norm-corrected"

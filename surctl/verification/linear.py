@@ -1,4 +1,4 @@
-"""The disk margin of several loops at once: gain and phase errors that all loops tolerate in any combination.
+"""The disk margin of several loops at once, S and T, independent of units; the least margin, text of short ones.
 
 The signal of loop k is multiplied by (2 + δ_k)/(2 − δ_k), where δ_k is any stable complex dynamics with |δ_k| < α (the
 balanced disk margin of Seiler, Packard and Gahinet 2020). The largest α is 1/sup_ω μ(M(jω)) with M = (S − T)/2, where S
@@ -212,12 +212,14 @@ def short_margins(disk: tuple[float, str], delay: tuple[float, str], *, least_de
 
     The arguments are the disk margin and the least delay margin [s] of one loop alone, each with the place where it is.
     """
-    rows = (("disk", LEAST_DISK_MARGIN, "", *disk), ("delay", least_delay, " s", *delay))
-    return " and ".join(
-        f"a {word} margin of {margin_text(value, least)}{unit} {where} (at least {least:g}{unit})"
-        for word, least, unit, value, where in rows
-        if not value >= least
-    )
+    rows = (("1", LEAST_DISK_MARGIN, disk), ("s", least_delay, delay))
+    return " and ".join(short_margin(unit, least, *one) for unit, least, one in rows if not one[0] >= least)
+
+
+def short_margin(unit: str, least: float, value: float, where: str) -> str:
+    """Return a disk margin (unit 1) or delay margin (unit s) below the least sufficient one as text."""
+    word, unit = ("disk", "") if unit == "1" else ("delay", f" {unit}")
+    return f"a {word} margin of {margin_text(value, least)}{unit} {where} (at least {least:g}{unit})"
 
 
 Complex = NDArray[np.complex128]

@@ -1,4 +1,4 @@
-"""Frequency responses and margins of one loop of many systems at once; they are computed from eigenvalues.
+"""Frequency responses and margins of one loop of many systems at once, from eigenvalues; least delay margin.
 
 Let A_o be the system matrix with a loop open and A_c the matrix with this loop closed. The loop transfer function is
 l(s) = det(sI − A_c)/det(sI − A_o) − 1, and the same in z for a sampled loop. Its frequency response is therefore a

@@ -1,4 +1,4 @@
-"""Margins of any sampled linear system: margins of one loop at a time, and disk margins of several loops at once."""
+"""Margins of sampled linear systems: one loop at a time, all loops at once, and the worst corner of ranges."""
 
 from __future__ import annotations
 

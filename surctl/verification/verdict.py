@@ -1,4 +1,4 @@
-"""Verdicts as data: a claim, the result of its check, and the evidence for the result."""
+"""Verdicts as data: proved, refuted, unknown or not applicable; whether as expected, and on which evidence."""
 
 from __future__ import annotations
 

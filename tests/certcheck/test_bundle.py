@@ -35,8 +35,8 @@ from surctl.ir import Layout, Port
 from surctl.lyapunov import continuous_dynamics
 from surctl.lyapunov.claims import _plain
 from surctl.marine.control import Law, build_law, law_source, load_gains
-from surctl.marine.export import Origin, build_bundle, load_certificates
-from surctl.marine.export.origin import manifest_of
+from surctl.marine.export import build_bundle
+from surctl.marine.export.origin import Origin, load_certificates, manifest_of
 from surctl.marine.simulation import law_numbers, load_scenario
 from surctl.marine.tuning import derived_gains
 from surctl.marine.vehicle import load_vehicle

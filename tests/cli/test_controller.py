@@ -17,7 +17,8 @@ import pytest
 from surctl.export import write_bundle
 from surctl.ir import compile_program
 from surctl.marine.control import build_law, load_gains
-from surctl.marine.export import Origin, build_bundle, closed_form
+from surctl.marine.export import build_bundle, closed_form
+from surctl.marine.export.origin import Origin
 from surctl.marine.simulation import law_numbers, load_scenario
 from surctl.marine.vehicle import load_vehicle
 from tests.cli.process import LIBRARY, surctl, surctl_here

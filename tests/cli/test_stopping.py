@@ -90,7 +90,7 @@ def test_a_stopped_sweep_of_a_system_resumes(sent: signal.Signals, tmp_path: Pat
         assert f"sweep {4096 * stored}/1000000 runs" in running.err
 
 
-@pytest.mark.parametrize("part", ["surctl.assessment.assess", "surctl.tuning.sweep_system"])
+@pytest.mark.parametrize("part", ["surctl.assessment.assess", "surctl.tuning.sweep"])
 def test_a_stopped_study_of_a_system_prints_its_run_and_names_its_code(
     part: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

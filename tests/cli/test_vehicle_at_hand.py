@@ -18,7 +18,7 @@ from surctl.marine.control import build_law, load_gains
 from surctl.marine.simulation import LIBRARY as SCENARIOS
 from surctl.marine.simulation import load_scenario, simulate
 from surctl.marine.vehicle import load_vehicle
-from surctl.marine.verification import check_held
+from surctl.marine.verification.speeds import check_held
 from tests.cli.process import surctl
 from tests.tools import need_compiler
 

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.ir import Native, compile_block
+from surctl.ir import compile_block
+from surctl.ir.native import Native
 from surctl.marine.control import Gains, load_gains
 from surctl.marine.control.perception import PerceptionStage, build_perception
 from surctl.marine.control.ports import SECTORS, law_parameters, scan_inputs, sonar_inputs

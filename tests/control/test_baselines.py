@@ -27,7 +27,8 @@ from surctl.marine.control import (
 )
 from surctl.marine.control.baselines import apf, cbf, dwa, vo
 from surctl.marine.control.baselines.situation import NEVER, time_to_contact
-from surctl.marine.guidance import Path, disc_contact, wall_contacts
+from surctl.marine.guidance import Path, wall_contacts
+from surctl.marine.guidance.contacts import disc_contact
 from surctl.marine.vehicle import load_vehicle
 
 Array = NDArray[np.float64]

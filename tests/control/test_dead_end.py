@@ -17,7 +17,8 @@ from surctl.ir import Layout, Port
 from surctl.marine.control import PARAMETERS, law_parameters, load_gains
 from surctl.marine.control.dead_end import DEAD_END_PORTS, SEARCH_PORT, dead_end_next, standing
 from surctl.marine.control.reference import path_following
-from surctl.marine.guidance import Path, disc_contact
+from surctl.marine.guidance import Path
+from surctl.marine.guidance.contacts import disc_contact
 from surctl.marine.vehicle import load_vehicle
 
 Array = NDArray[np.float64]

@@ -21,7 +21,8 @@ from surctl.marine.control.dead_end import (
     standing,
 )
 from surctl.marine.control.reference import path_following
-from surctl.marine.guidance import Path, disc_contact
+from surctl.marine.guidance import Path
+from surctl.marine.guidance.contacts import disc_contact
 from surctl.marine.vehicle import load_vehicle
 from tests.oracles.dead_end_numbers import DeadEnd, Mission, Mover, Place, aim, dead_end_step
 

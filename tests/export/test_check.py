@@ -29,7 +29,8 @@ from surctl.export import (
 )
 from surctl.export.check import trial_steps
 from surctl.export.precision import Rounded
-from surctl.ir import Block, Layout, Port, Real, lower, stack_of, without_libm
+from surctl.ir import Block, Layout, Port, Real, lower, without_libm
+from surctl.ir.frames import stack_of
 from surctl.marine.export import build_bundle
 from tests.export.altered import altered
 from tests.export.closed_form import exported

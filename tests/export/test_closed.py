@@ -8,7 +8,8 @@ import pytest
 from surctl.errors import InputError
 from surctl.ir import Routine, replay
 from surctl.marine.control import build_law, load_gains
-from surctl.marine.export import ClosedForm, closed_form
+from surctl.marine.export import closed_form
+from surctl.marine.export.compiled_law import ClosedForm
 from surctl.marine.simulation import law_numbers, load_scenario
 from surctl.marine.vehicle import load_vehicle
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from surctl.errors import InputError
-from surctl.export import REALS, TARGETS, Envelope, Rate, build_controller, check_builds, compare_runs, write_bundle
-from surctl.export.envelope import ITER, RANGE, anywhere
+from surctl.export import REALS, TARGETS, Envelope, build_controller, check_builds, compare_runs, write_bundle
+from surctl.export.envelope import ITER, RANGE, Rate, anywhere
 from surctl.export.precision import Guarded, evaluated, in_precision, replayed
 from surctl.export.process import compile_controller
 from surctl.export.sil import fault_cases

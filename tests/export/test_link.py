@@ -21,8 +21,8 @@ import pytest
 from numpy.typing import NDArray
 
 from surctl.errors import InputError
-from surctl.export import TARGETS, Bundle, LineDown, Reply, SerialLine, connect, emulated, emulated_target, write_bundle
-from surctl.export.emulated import VERSION, Identity
+from surctl.export import TARGETS, Bundle, SerialLine, connect, emulated, emulated_target, write_bundle
+from surctl.export.emulated import VERSION, Identity, LineDown, Reply
 from surctl.export.precision import Rounded
 from surctl.ir import Layout, Port, Real, compile_program
 from surctl.marine.control import Law, LawStep, build_law, load_gains

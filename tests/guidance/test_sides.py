@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from surctl.marine.guidance import Sector, choose_velocity, collision_cone, disc_contact, inside, wall_contacts
-from surctl.marine.guidance.contacts import passes_left, side_costs, swap_costs
+from surctl.marine.guidance import Sector, choose_velocity, collision_cone, inside, wall_contacts
+from surctl.marine.guidance.contacts import disc_contact, passes_left, side_costs, swap_costs
 
 Array = NDArray[np.float64]
 HULL, RADIUS, CRUISE = 0.2, 0.2, 0.2

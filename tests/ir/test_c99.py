@@ -12,21 +12,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from surctl.errors import InputError
-from surctl.ir import (
-    LIBM,
-    OPERATIONS,
-    Instruction,
-    Operation,
-    Program,
-    c_literal,
-    emit_block,
-    emit_c99,
-    emit_wide,
-    identifier,
-    lower,
-    replay,
-)
+from surctl.ir import Instruction, Program, c_literal, emit_block, identifier, lower, replay
+from surctl.ir.c99 import emit_c99
+from surctl.ir.c99_wide import emit_wide
 from surctl.ir.folding import Numbering
+from surctl.ir.program import LIBM, OPERATIONS, Operation
 from tests.ir.expressions import EXACT, LIBM_MAKERS, compiled, random_functions, whole
 from tests.tools import need_compiler
 

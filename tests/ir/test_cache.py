@@ -14,8 +14,10 @@ import casadi as ca
 import pytest
 
 from surctl.errors import SurctlError, ToolMissing
-from surctl.ir import CacheUnused, Native, cache_folder, cached_bytes, compile_block, lower, native, shared_library
 from surctl.ir import cache as module
+from surctl.ir import cached_bytes, compile_block, lower, native, shared_library
+from surctl.ir.cache import CacheUnused, cache_folder
+from surctl.ir.native import Native
 from tests.tools import need_compiler
 
 PROCESSES = multiprocessing.get_context("forkserver")  # loads this module once, and not once a process

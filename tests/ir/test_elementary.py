@@ -12,7 +12,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from surctl.ir import LIBM, Loop, Program, Routine, compile_block, lower, replay, without_libm
+from surctl.ir import Loop, Program, Routine, compile_block, lower, replay, without_libm
+from surctl.ir.program import LIBM
 from tests.ir.expressions import LIBM_MAKERS, whole
 from tests.tools import need_compiler
 

@@ -10,20 +10,10 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from surctl.ir import (
-    LIBM,
-    OPERATIONS,
-    Call,
-    Instruction,
-    Loop,
-    Program,
-    Routine,
-    emit_block,
-    emit_c99,
-    lower,
-    replay,
-)
+from surctl.ir import Call, Instruction, Loop, Program, Routine, emit_block, lower, replay
+from surctl.ir.c99 import emit_c99
 from surctl.ir.c99_folded import emit_folded, preamble
+from surctl.ir.program import LIBM, OPERATIONS
 from tests.ir.expressions import EXACT, compiled, random_functions, whole
 from tests.ir.test_lanes import bench, drawn
 from tests.tools import need_compiler

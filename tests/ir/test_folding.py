@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from surctl.errors import InputError
-from surctl.ir import Instruction, Program, lower, replay, with_constants
+from surctl.ir import Instruction, Program, lower, replay
+from surctl.ir.folding import with_constants
 from surctl.marine.control import build_law, load_gains
 from surctl.marine.simulation import law_numbers, load_scenario
 from surctl.marine.vehicle import load_vehicle

@@ -16,7 +16,6 @@ from hypothesis import strategies as st
 
 from surctl.errors import InputError
 from surctl.ir import (
-    OPERATIONS,
     Block,
     Call,
     Gather,
@@ -29,6 +28,7 @@ from surctl.ir import (
     read_block,
     write_block,
 )
+from surctl.ir.program import OPERATIONS
 from surctl.ir.routine import nested
 from surctl.marine.control import build_law
 from tests.ir.expressions import EXACT, grown, picks

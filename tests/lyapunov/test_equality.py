@@ -10,10 +10,12 @@ import numpy as np
 import pytest
 
 from surctl.certcheck import check_document
-from surctl.lyapunov import Dynamics, Power, Stability, State, decide_motion, least_level
+from surctl.lyapunov import Dynamics, Stability, State, decide_motion
 from surctl.lyapunov.candidates import candidates, invariant, sign_symmetries
+from surctl.lyapunov.claims import Power
 from surctl.lyapunov.decide import prove_motion
 from surctl.lyapunov.equilibrium import linearisation
+from surctl.lyapunov.falsified import least_level
 from surctl.lyapunov.template import polynomials
 from surctl.verification.formula import Node, parse, text_of, variable
 from surctl.verification.proving.forms import cases_of, forms_of, statement_of

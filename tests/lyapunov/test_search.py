@@ -12,11 +12,12 @@ import pytest
 
 from surctl.errors import InputError
 from surctl.ir import Layout, Port
-from surctl.lyapunov import Dynamics, Range, State, continuous_dynamics, find_barrier, find_stability, least_level
+from surctl.lyapunov import Dynamics, Range, State, continuous_dynamics, find_barrier, find_stability
 from surctl.lyapunov.candidates import candidates
 from surctl.lyapunov.claims import Stability
 from surctl.lyapunov.decide import Decision, prove_motion
 from surctl.lyapunov.equilibrium import at_equilibrium, common_quadratic, linearisation
+from surctl.lyapunov.falsified import least_level
 from surctl.lyapunov.from_system import NOT_COVERED
 from surctl.lyapunov.near import short
 from surctl.system import Action, Controller, Plant, System

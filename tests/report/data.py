@@ -8,17 +8,16 @@ from dataclasses import asdict, replace
 from functools import cache
 
 import numpy as np
-import xarray as xr
 from numpy.typing import NDArray
 
 from surctl.assessment import Assessment, Line
 from surctl.marine.control import build_law, load_gains
 from surctl.marine.report import ReportData
 from surctl.marine.simulation import Run, load_scenario, simulate
-from surctl.marine.tuning import SweepTable
 from surctl.marine.vehicle import Vehicle, load_vehicle
 from surctl.marine.verification import claims, law_loop, loop_margins
 from surctl.marine.verification.linear import linear_side
+from surctl.tuning import SweepTable
 from surctl.verification import Verdict, falsify
 
 COLUMNS = {
@@ -66,20 +65,13 @@ def swept(
 ) -> SweepTable:
     """A sweep of these columns."""
     where = tuple(axes) if design == "grid" else ("point",)
-    about = {"design": design, "axes": json.dumps(list(axes)), "gains": json.dumps(asdict(GAINS))}
-    return SweepTable(
-        xr.Dataset(
-            {name: (where, v, {"units": COLUMNS.get(name, "1"), "long_name": name}) for name, v in table.items()},
-            {
-                **{
-                    name: ((name,) if design == "grid" else where, list(v), {"units": unit, "long_name": name})
-                    for (name, v), unit in zip(axes.items(), ("m", "1/s", "kg", "s"), strict=False)
-                },
-                "case": ["pool-behind/sur400/truth"],
-            },
-            about,
-        )
-    )
+    about = {"design": design, "axes": json.dumps(list(axes)), "draws": "[]", "gains": json.dumps(asdict(GAINS))}
+    texts = {name: (COLUMNS.get(name, "1"), name, where) for name in table}
+    for name, unit in zip(axes, ("m", "1/s", "kg", "s"), strict=False):
+        texts[name] = (unit, name, (name,) if design == "grid" else where)
+    texts["case"] = ("", "case", ("case",))
+    values = {**table, **axes, "case": ["pool-behind/sur400/truth"]}
+    return SweepTable(about, texts, lambda name, at: np.asarray(values[name])[at])
 
 
 def said(*lines: Line) -> Assessment:

@@ -5,7 +5,7 @@ import pytest
 from matplotlib.collections import LineCollection
 
 from surctl.marine.report.margin_plots import plot_locus
-from surctl.marine.verification import Locus
+from surctl.marine.verification.linear_table import Locus
 
 VALUES = np.array([1.0, 2.0, 3.0])
 

@@ -12,12 +12,14 @@ from matplotlib.figure import Figure
 
 from surctl.assessment import Line
 from surctl.errors import InputError
-from surctl.export import Difference, ExportedFile, SilReport
+from surctl.export import ExportedFile, SilReport
+from surctl.export.sil import Difference
 from surctl.marine.control import write_gains
-from surctl.marine.report import ExportSummary, ReportData, plot_run, render_page
+from surctl.marine.report import ReportData, plot_run, render_page
 from surctl.marine.report.evidence_sections import runs_section
 from surctl.marine.report.page import write_page
 from surctl.report.document import Heading, Section, picture, render_sections
+from surctl.report.system_page import export_section
 from surctl.report.theme import png
 from tests.pictures import blank_pictures
 from tests.report.data import GAINS, report, run, said, sweep, vehicle
@@ -139,7 +141,7 @@ def test_names_are_escaped_and_never_run() -> None:
     data = bare(
         title=evil, command=evil, version=evil, vehicle=car, gains=replace(GAINS, name=evil, provenance=evil),
         runs=(replace(base, scenario=leg, vehicle=car),), assessment=said(Line(True, evil)), seconds={evil: 1.0},
-        export=ExportSummary(name=evil, id=evil, files=(ExportedFile(Path("a<b>.c"), evil),), status=evil),
+        export=export_section(evil, [ExportedFile(Path("a<b>.c"), evil)], []),
     )  # fmt: skip
     page = render_page(data)
     read = Reader(page)
@@ -290,15 +292,14 @@ def test_the_export_says_what_was_compared(tmp_path: Path, changes: dict[str, ob
     file = tmp_path / "c.c"
     file.write_bytes(b"x" * 12345)
     gone = ExportedFile(tmp_path / "gone.h", "ef")
-    export = ExportSummary(name="c", id="1f", files=(ExportedFile(file, "ab12"), gone), sil=(sil(**changes),))
-    text = Reader(render_page(bare(export=export))).text
-    assert said in text and "c.c 12 345 ab12" in text and "gone.h – ef" in text
-    assert export.passed is passed
+    export = export_section("C.", (ExportedFile(file, "ab12"), gone), (sil(**changes),))
+    page = Reader(render_page(bare(export=export)))
+    assert said in page.text and "c.c 12 345 ab12" in page.text and "gone.h – ef" in page.text
+    assert [block.mark for block in export.blocks if getattr(block, "mark", "")] == ["good" if passed else "bad"]
 
 
 def test_an_export_that_was_not_compiled_says_so() -> None:
-    export = ExportSummary(name="c", id="1f", files=(), status="No compiler.")
-    assert export.passed is None
+    export = export_section("No compiler.", (), ())
     text = Reader(render_page(bare(export=export))).text
     assert "No compiler." in text and "not compiled and not compared" in text
 

@@ -6,7 +6,6 @@ from pathlib import Path
 import matplotlib as mpl
 import numpy as np
 import pytest
-import xarray as xr
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Rectangle, Wedge
@@ -14,24 +13,17 @@ from matplotlib.patches import Circle, Rectangle, Wedge
 from surctl.errors import InputError
 from surctl.marine.control import build_law
 from surctl.marine.guidance import Path as Route
-from surctl.marine.report import (
-    plot_heat_map,
-    plot_parallel,
-    plot_run,
-    plot_run_signals,
-    save_run,
-)
-from surctl.marine.report.signals import plot_force, spans
+from surctl.marine.report import plot_run, save_run
+from surctl.marine.report.signals import plot_force, plot_run_signals, spans
 from surctl.marine.simulation import Run, load_scenario, simulate
-from surctl.marine.tuning import SweepTable
 from surctl.marine.vehicle import load_vehicle
 from surctl.marine.verification import law_loop
-from surctl.report import margin_slice, plot_counterexample, plot_slice
+from surctl.report import margin_slice, plot_counterexample, plot_heat_map, plot_parallel, plot_slice
 from surctl.report.evidence import _sense, plot_replay
 from surctl.report.page_parts import plot_tightest
 from surctl.report.system_plots import plot_sobol_indices
 from surctl.report.theme import BAD, printable, save_figure
-from surctl.tuning import SobolIndices
+from surctl.tuning import SobolIndices, SweepTable
 from surctl.verification import evaluate, replay, system_margins
 from tests.pictures import rendered
 from tests.report.data import GAINS, report, run, sweep, swept, vehicle, verdict
@@ -162,8 +154,8 @@ def test_the_heat_map_takes_what_is_not_a_number() -> None:
     assert "∞" in [t.get_text() for t in plot_heat_map(sweep(), "delay_margin_s").texts]
     nothing = sweep(picked=None)
     for value in (np.nan, 1.0):
-        flat = nothing.dataset.assign(score=xr.full_like(nothing.dataset["score"], value))
-        rendered(plot_heat_map(SweepTable(flat), "score"))
+        columns = {"score": np.full(nothing.shape, value), "feasible": nothing.column("feasible")}
+        rendered(plot_heat_map(swept({"lookahead": (0.6, 0.9, 1.2), "k_v": (1.0, 2.0)}, columns), "score"))
     with pytest.raises(InputError, match="score"):
         plot_heat_map(sweep(), "scores")
 
@@ -174,6 +166,17 @@ def cube() -> SweepTable:
     score = np.arange(24.0).reshape(3, 2, 4) + 1
     score[1, 0, 2] = 0.5
     return swept(axes, {"score": score, "feasible": np.ones((3, 2, 4))})
+
+
+def test_the_heat_map_of_a_cost_frames_the_least() -> None:
+    cost = np.array([[3.0, np.inf], [1.0, 2.0], [np.nan, 4.0]])
+    ax = plot_heat_map(swept({"k_p": (1, 2, 4), "k_d": (0.5, 1.5)}, {"settling": cost}), "settling")
+    drawn = ax.images[0].get_array()
+    assert drawn.shape == (2, 3) and [drawn[0, 0], drawn[1, 2]] == [3.0, 4.0] and bool(drawn.mask[0, 2])
+    assert [text.get_text() for text in ax.texts] == ["3", "1", "–", "∞", "2", "4"]
+    assert {patch.get_xy() for patch in ax.patches} == {(0.5, -0.5)}
+    nothing = swept({"k_p": (1,), "k_d": (1,)}, {"settling": np.array([[np.nan]])})
+    assert not plot_heat_map(nothing, "settling").patches
 
 
 def test_the_heat_map_cuts_a_grid_of_three_axes_at_the_picked_value() -> None:
@@ -202,7 +205,7 @@ def test_parallel_coordinates_are_the_points() -> None:
     np.testing.assert_allclose(bad.get_segments()[0], [[0, 0.5], [1, 0.5]])  # a line ends where there is not a number
     texts = [t.get_text() for t in ax.get_xticklabels()]
     assert texts[0].split() == ["lookahead", "[m]"] and texts[1].split() == ["k_v", "[1/s]"]
-    whole = plot_parallel(cube())
+    whole = plot_parallel(cube(), ["score"])
     assert sum(len(c.get_paths()) for c in whole.collections) == 25
     with pytest.raises(InputError, match="heat map"):
         plot_heat_map(table, "score")

@@ -20,7 +20,6 @@ from surctl.ir import Layout, Port
 from surctl.plotted import Plotted
 from surctl.report import (
     plot_attainable_rates,
-    plot_cost_map,
     plot_dependence,
     plot_fan,
     plot_phase_plane,
@@ -170,15 +169,3 @@ def test_a_picture_names_the_function_that_plotted_it(tmp_path: Path) -> None:
     figure.savefig(tmp_path / "c.png", metadata={"Software": None})
     with Image.open(tmp_path / "c.png") as picture:
         assert "Software" not in picture.info
-
-
-def test_a_cost_map_has_a_cell_for_each_pair_and_frames_the_least() -> None:
-    cost = np.array([[3.0, np.inf], [1.0, 2.0], [np.nan, 4.0]])
-    ax = plot_cost_map({"k_p [1/s]": [1, 2, 4], "k_d [1]": [0.5, 1.5]}, cost, "settling [s]")
-    drawn = ax.images[0].get_array()
-    assert drawn.shape == (2, 3) and [drawn[0, 0], drawn[1, 2]] == [3.0, 4.0] and bool(drawn.mask[0, 2])
-    assert [text.get_text() for text in ax.texts] == ["3", "1", "–", "∞", "2", "4"]
-    assert {patch.get_xy() for patch in ax.patches} == {(0.5, -0.5)}
-    with pytest.raises(InputError, match=r"cost: has shape \(3, 2\) over parameters of 2 and 3 values"):
-        plot_cost_map({"k_d": [0.5, 1.5], "k_p": [1, 2, 4]}, cost, "")
-    assert not plot_cost_map({"a": [1], "b": [1]}, [[np.nan]], "").patches

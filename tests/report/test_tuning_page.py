@@ -26,7 +26,8 @@ from surctl.report.page_parts import page, respond
 from surctl.report.panel import Curve, Panel, Shade, draw_panel, panel_svg
 from surctl.report.theme import new_axes
 from surctl.system import Controller, Cost, Plant, System
-from surctl.tuning import Overshoot, Profile, Rejection, Settling
+from surctl.tuning import Overshoot, Rejection, Settling
+from surctl.tuning.loop_goals import Profile
 from surctl.verification import system_margins
 from tests.browser import open_page
 from tests.cli.process import surctl_here

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from surctl.errors import InputError, ToolMissing
-from surctl.ir import SlowerEngine
+from surctl.ir.native import SlowerEngine
 from surctl.marine.control import Gains, load_gains
 from surctl.marine.simulation import METRICS, STOPS, Case, Scenario, case_parameters, load_scenario, simulate_batch
 from surctl.marine.simulation.batch import engines

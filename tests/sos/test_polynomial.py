@@ -5,7 +5,8 @@ from fractions import Fraction
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
-from surctl.sos import Polynomial, monomials, parity_classes
+from surctl.sos import Polynomial, monomials
+from surctl.sos.basis import parity_classes
 
 COUNT = 3
 NUMBERS = st.fractions(min_value=-4, max_value=4, max_denominator=6)

@@ -17,8 +17,8 @@ from surctl.marine.simulation import simulate
 from surctl.marine.study import conduct, load_plan
 from surctl.marine.study.conduct import Loops, _speed_notes, assessed, claims_of, loops_of, summary, with_perception
 from surctl.marine.vehicle import LIBRARY, load_vehicle
-from surctl.marine.verification import OverSpeeds
 from surctl.marine.verification.linear import slowest_mode
+from surctl.marine.verification.speeds import OverSpeeds
 from tests.cli.process import surctl
 from tests.report.data import swept
 from tests.tools import need_compiler

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -13,8 +16,8 @@ from surctl.cli.app import app
 from surctl.errors import InputError
 from surctl.system import System
 from surctl.system.subjects import _registered, load_subject, registered_subjects
-from surctl.tuning import LocalExecutor, grid, parse_axis, sweep_system
-from tests.tools import need_compiler
+from surctl.tuning import LocalExecutor, SystemSweep, grid, parse_axis, sweep
+from tests.tools import PATIENCE, need_compiler
 
 LOOPS = """
 from surctl.ir import Layout, Port
@@ -87,8 +90,8 @@ def test_other_processes_load_the_package(heron: Path) -> None:
     subject, design = load_subject("subject:heron"), grid([parse_axis("k=0.5..4:100")])
     assert isinstance(subject.system, System) and load_subject("subject:heron").system is subject.system
     spread = LocalExecutor(2, alone_s=0.0)
-    swept = sweep_system(subject.system, design, 1.0, source="subject:heron", executor=spread)
-    np.testing.assert_array_equal(swept.worst("final"), sweep_system(subject.system, design, 1.0).worst("final"))
+    swept = sweep(SystemSweep(subject.system, 1.0, source="subject:heron"), design, executor=spread)
+    np.testing.assert_array_equal(swept.worst("final"), sweep(SystemSweep(subject.system, 1.0), design).worst("final"))
 
 
 @pytest.mark.parametrize(
@@ -105,3 +108,30 @@ def test_a_wrong_name_or_package_is_one_line(heron: Path, name: str, text: str) 
     done = CliRunner().invoke(app, ["simulate", f"subject:{name}", "--seconds", "1"])
     assert isinstance(done.exception, InputError) and done.stdout == ""
     assert text in str(done.exception) and "\n" not in str(done.exception)
+
+
+COMMANDS = """
+import sys
+sys.path.insert(0, "site")
+from click.testing import CliRunner
+from surctl.cli.app import app
+for line in (
+    "lint subject:heron", "simulate subject:heron --seconds 1", "verify subject:heron",
+    "sweep subject:heron k=1,2 --seconds 1", "tune subject:heron --seconds 1 --gain k=1..2 --trials 5 --rounds 1",
+):
+    done = CliRunner().invoke(app, line.split())
+    assert done.exit_code == 0, (line, done.output, done.exception)
+print([name for name in sys.modules if name.startswith("surctl.marine")])
+"""
+
+
+def test_commands_about_a_robot_of_a_package_load_no_other_application(heron: Path) -> None:
+    need_compiler()
+    script = heron.parents[1] / "commands.py"
+    script.write_text(COMMANDS)
+    environment = os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])}
+    done = subprocess.run(
+        [sys.executable, str(script)], cwd=heron.parents[1], env=environment, capture_output=True, text=True,
+        check=False, timeout=PATIENCE,
+    )  # fmt: skip
+    assert done.returncode == 0 and done.stdout.splitlines()[-1] == "[]", (done.stdout, done.stderr)

@@ -9,10 +9,10 @@ import numpy as np
 
 from surctl.marine.control import load_gains
 from surctl.marine.simulation import METRICS, Case, load_scenario
-from surctl.marine.tuning import measure
 from surctl.marine.vehicle import load_vehicle
 
 GAINS = load_gains("default")
+SWEEP = import_module("surctl.marine.tuning.sweep")
 
 
 def case(name="pool-behind", sensing="truth"):
@@ -50,13 +50,12 @@ def linear(vehicle, values, *, base, cruise, dt, model=None, law=None):
     n = len(next(iter(values.values())))
     CALLS.append(n)
     k_v = np.broadcast_to(values.get("k_v", base["k_v"]), n)
-    return {name: 1.0 / k_v + k for k, name in enumerate(measure.LINEAR_METRICS)}
+    return {name: 1.0 / k_v + k for k, name in enumerate(SWEEP.LINEAR_METRICS)}
 
 
 def install(monkeypatch):
-    monkeypatch.setattr(measure, "simulate_batch", fly)
-    monkeypatch.setattr(measure, "linear_table", linear)
-    monkeypatch.setattr(measure, "law_digest", lambda case: "stub")
-    monkeypatch.setattr(import_module("surctl.marine.tuning.sweep"), "law_digest", lambda case: "stub")
-    monkeypatch.setattr(measure, "build_law", lambda law: SimpleNamespace(dt=0.05))
+    monkeypatch.setattr(SWEEP, "simulate_batch", fly)
+    monkeypatch.setattr(SWEEP, "linear_table", linear)
+    monkeypatch.setattr(SWEEP, "law_digest", lambda case: "stub")
+    monkeypatch.setattr(SWEEP, "build_law", lambda law: SimpleNamespace(dt=0.05))
     CALLS.clear()

@@ -15,8 +15,8 @@ from surctl.marine.simulation import findings
 from surctl.marine.tuning import default_cruise, derive_gains, derived_gains, gains_for
 from surctl.marine.tuning.derived import REQUIRED, held_speed, inner_start, munk_rate, rule, shared_gains
 from surctl.marine.vehicle import Vehicle, load_vehicle
-from surctl.marine.verification import check_held
 from surctl.marine.verification.linear import corner_margin, corners, worst_linear_side
+from surctl.marine.verification.speeds import check_held
 from surctl.verification.linear import LEAST_DISK_MARGIN
 from tests.craft import mission
 

@@ -13,8 +13,8 @@ from surctl.errors import InputError
 from surctl.marine.assessment import Mission
 from surctl.marine.control import load_gains
 from surctl.marine.simulation import METRICS, load_scenario
-from surctl.marine.tuning import ASSESSED, Goal, load_goals
-from surctl.marine.tuning.goals import PART_OF, goals_from_tables, with_floor
+from surctl.marine.tuning import Goal, load_goals
+from surctl.marine.tuning.goals import ASSESSED, PART_OF, goals_from_tables, with_floor
 from surctl.marine.vehicle import load_vehicle
 from surctl.marine.verification import LINEAR_METRICS
 from surctl.tuning import Tuned, Tuning, tune

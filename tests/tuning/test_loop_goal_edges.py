@@ -14,7 +14,6 @@ from surctl.tuning import (
     Effort,
     LoopShape,
     Poles,
-    Profile,
     SensitivityBound,
     Settling,
     StepRejection,
@@ -22,6 +21,7 @@ from surctl.tuning import (
     load_loop_goals,
     tune_system,
 )
+from surctl.tuning.loop_goals import Profile
 from tests.tuning.test_loop_goals import SYSTEM
 
 

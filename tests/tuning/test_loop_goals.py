@@ -23,7 +23,6 @@ from surctl.tuning import (
     MaxGain,
     Overshoot,
     Poles,
-    Profile,
     Rejection,
     SensitivityBound,
     Settling,
@@ -35,6 +34,7 @@ from surctl.tuning import (
     operating_loops,
     tune_system,
 )
+from surctl.tuning.loop_goals import Profile
 from surctl.tuning.outcome import goal_rows
 from tests.cli.test_systems import complaint, run
 

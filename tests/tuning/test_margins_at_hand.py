@@ -5,9 +5,8 @@ import pytest
 
 from surctl.marine.control import load_gains
 from surctl.marine.simulation import load_scenario
-from surctl.marine.tuning import build_cases
-from surctl.marine.tuning.measure import LINEAR_COLUMNS, SweepEvaluation
-from surctl.marine.tuning.sweep import judged
+from surctl.marine.tuning import MissionSweep, build_cases
+from surctl.marine.tuning.sweep import LINEAR_COLUMNS, judged
 
 GAINS = load_gains("default")
 
@@ -15,8 +14,8 @@ GAINS = load_gains("default")
 @pytest.mark.parametrize(("kind", "has"), [({}, True), ({"guidance": "ilos"}, False), ({"law": "dwa"}, False)])
 def test_a_law_without_a_linear_loop_has_no_margins_and_never_another_law_s(kind: dict[str, str], has: bool) -> None:
     cases = build_cases([load_scenario("pool-behind")], gains=GAINS, **kind)
-    evaluation = SweepEvaluation(cases, ("k_v",), (0,), linear_chunks=1)
-    table = evaluation(0, np.array([[1.5], [2.0]]))
+    evaluation = MissionSweep(cases)
+    table = evaluation.evaluate(0, 0, {"k_v": np.array([1.5, 2.0])})
     assert evaluation.has_margins is has and table.shape == (2, len(LINEAR_COLUMNS))
     assert np.isnan(table).all() == (not has)
 

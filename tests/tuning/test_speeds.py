@@ -11,7 +11,7 @@ from surctl.marine.simulation import load_scenario
 from surctl.marine.tuning import Goal, build_cases, evaluate, figures, load_goals, tuned_gains
 from surctl.marine.tuning.evaluation import check_goals
 from surctl.marine.tuning.goals import goals_at
-from surctl.marine.tuning.measure import SweepEvaluation, check_request
+from surctl.marine.tuning.sweep import MissionSweep, check_request
 from surctl.marine.verification import LINEAR_METRICS, linear_table
 from surctl.tuning import Condition, grid, parse_axis, summary, tune
 from surctl.tuning.gain_search import _functions
@@ -166,9 +166,8 @@ def test_a_goal_above_the_cap_of_what_is_flown_is_a_mistake(speed, told):
 def test_a_sweep_takes_the_worst_of_its_speeds_and_names_it():
     cases = build_cases([load_scenario("pool-behind")], gains=GAINS)
     points, names = np.array([[1.0, 0.4], [1.5, 0.8]]), ("k_v", "lookahead")
-    several = SweepEvaluation(cases, names, (0,), 1, SPEEDS)
-    table = dict(zip(several.linear_columns, several(0, points).T, strict=True))
-    values = dict(zip(names, points.T, strict=True))
+    several, values = MissionSweep(cases, cruise=SPEEDS), dict(zip(names, points.T, strict=True))
+    table = dict(zip(several.linear_columns, several.evaluate(0, 0, values).T, strict=True))
     at = {
         u: linear_table(cases[0].vehicle, values, base=GAINS.values, cruise=u, dt=cases[0].build().dt) for u in SPEEDS
     }
@@ -178,8 +177,8 @@ def test_a_sweep_takes_the_worst_of_its_speeds_and_names_it():
     margins = np.array([at[u]["disk_margin"] for u in SPEEDS])
     assert margins[:, 0].max() - margins[:, 0].min() > 0.01, "the first point depends on the speed"
     assert table["disk_margin_at_m_per_s"][0] == SPEEDS[int(margins[:, 0].argmin())]
-    one = SweepEvaluation(cases, names, (0,), 1, (cases[0].scenario.cruise,))(0, points)
-    assert one[:, :-1].tolist() == SweepEvaluation(cases, names, (0,), 1)(0, points).tolist()
+    one = MissionSweep(cases, cruise=(cases[0].scenario.cruise,)).evaluate(0, 0, values)
+    assert one[:, :-1].tolist() == MissionSweep(cases).evaluate(0, 0, values).tolist()
 
 
 def test_speeds_of_a_sweep_are_checked_before_it_flies():

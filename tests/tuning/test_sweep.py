@@ -17,10 +17,22 @@ from hypothesis import strategies as st
 from surctl.errors import InputError
 from surctl.marine.control import load_gains
 from surctl.marine.simulation import METRICS, load_scenario
-from surctl.marine.tuning import build_cases, load_sweep, measure, sweep
+from surctl.marine.tuning import MissionSweep, build_cases, picked_gains
 from surctl.marine.tuning.sweep import judged
 from surctl.store import ChunkStore
-from surctl.tuning import Axis, LocalExecutor, Span, grid, make_design, parse_axis, saltelli, sobol_indices, spread
+from surctl.tuning import (
+    Axis,
+    LocalExecutor,
+    Span,
+    grid,
+    load_sweep,
+    make_design,
+    parse_axis,
+    saltelli,
+    sobol_indices,
+    spread,
+)
+from surctl.tuning import sweep as sweep_any
 from surctl.tuning.chunked import DaskExecutor, run_chunks
 from surctl.verification.linear import LEAST_DISK_MARGIN
 from tests.processes import run_python
@@ -29,6 +41,7 @@ from tests.tuning import stub
 from tests.tuning.chunk_work import CHUNKS, own_number, slow_squares, slow_to_start
 
 ROOT = Path(__file__).parents[2]
+measured = stub.SWEEP
 GRID = grid([Axis("k_v", (0.5, 1.0, 2.0)), Axis("lookahead", (0.6, 1.0))])
 
 
@@ -37,9 +50,15 @@ def cheap(monkeypatch):
     stub.install(monkeypatch)
 
 
+def sweep(cases, design, *, seeds=(0,), linear=True, cruise=(), **how):
+    return sweep_any(MissionSweep(tuple(cases), tuple(seeds), linear, cruise), design, **how)
+
+
 def data(table):
     """Digest of the data: every variable's bytes, by name."""
-    return {name: hashlib.sha256(v.values.tobytes()).hexdigest() for name, v in table.dataset.data_vars.items()}
+    return {
+        name: hashlib.sha256(table.values(name, ...).tobytes()).hexdigest() for name in table.about if name != "case"
+    }
 
 
 # --- axes and designs
@@ -171,9 +190,9 @@ def test_an_axis_that_only_one_case_knows_is_for_that_case(cheap, monkeypatch):
         seen[case.name] = set(values)
         return stub.fly(case, values, seeds=seeds)
 
-    monkeypatch.setattr(measure, "simulate_batch", fly)
+    monkeypatch.setattr(measured, "simulate_batch", fly)
     cases = [stub.case("tank-speed-015"), stub.case("tank-static")]
-    names = [set(measure.case_parameters(c)) for c in cases]
+    names = [set(measured.case_parameters(c)) for c in cases]
     (own,) = [n for n in names[0] - names[1] if n.endswith(".speed")]
     sweep(cases, grid([Axis(own, (0.1, 0.2))]))
     assert [own in seen[c.name] for c in cases] == [True, False]
@@ -203,7 +222,7 @@ def test_columns_are_what_the_batch_measures(cheap, tmp_path):
         np.testing.assert_allclose(table.column(name, case="pool-static/sur400/sonar"), one, rtol=1e-14)
         assert table.units[name] == spec.unit
     np.testing.assert_allclose(table.column("strayed"), table.column("deviation_m") / cases[0].vehicle["radius"])
-    place = list(measure.LINEAR_METRICS).index("delay_margin_s")
+    place = list(measured.LINEAR_METRICS).index("delay_margin_s")
     assert np.array_equal(table.column("delay_margin_s"), 1 / k_v + place)
     with pytest.raises(InputError, match="score"):
         table.column("scor")
@@ -218,7 +237,7 @@ def test_a_run_that_went_wrong_shows(cheap, monkeypatch):
         done.columns["path_error_m"][:] = np.nan
         return done
 
-    monkeypatch.setattr(measure, "simulate_batch", fly)
+    monkeypatch.setattr(measured, "simulate_batch", fly)
     table = sweep([stub.case()], grid([Axis("k_v", (1, 2))]), linear=False)
     assert np.isnan(table.column("deviation_m")).any() and np.isnan(table.column("deviation_m_worst")).any()
     assert np.isnan(table.column("path_error_m")).all()
@@ -230,19 +249,19 @@ def test_linear_metrics_once_for_each_combination_that_matters(cheap):
     assert stub.CALLS == [2]  # together
     assert np.array_equal(
         table.column("disk_margin")[:, 1, 2],
-        1 / np.array([1.0, 2.0]) + list(measure.LINEAR_METRICS).index("disk_margin"),
+        1 / np.array([1.0, 2.0]) + list(measured.LINEAR_METRICS).index("disk_margin"),
     )
 
 
 def test_the_file_says_what_it_holds(cheap, tmp_path):
     made = sweep([stub.case()], GRID, out=tmp_path)
     table = load_sweep(tmp_path / "sweep.nc")
-    assert table.dataset.attrs["Conventions"].startswith("CF-")
-    assert json.loads(table.dataset.attrs["axes"]) == ["k_v", "lookahead"]
-    for variable in (*table.dataset.data_vars.values(), table.dataset["k_v"]):
-        assert variable.attrs["units"] and variable.attrs["long_name"]
+    assert table.attributes["Conventions"].startswith("CF-")
+    assert json.loads(table.attributes["axes"]) == ["k_v", "lookahead"]
+    for name, (unit, meaning, _) in table.about.items():
+        assert (unit or name == "case") and meaning
     assert data(table) == data(made)
-    assert table.base.values == stub.GAINS.values
+    assert picked_gains(table).name == f"{stub.GAINS.name}-picked"
     assert {axis.name: axis.unit for axis in table.axes} == {"k_v": "1/s", "lookahead": "m"}
     assert not (tmp_path / "sweep.chunks").exists()
     for rubbish in ("no.nc", "text.nc"):
@@ -257,8 +276,8 @@ def test_points_that_fill_have_one_dimension(cheap, tmp_path):
     assert table.shape == (10,) and table.column("score").shape == (10,)
     assert np.array_equal(np.stack([axis.values for axis in table.axes], axis=1), design.points)
     picked = table.picked
-    assert picked is not None and table.gains["k_v"] == table.at(picked)["k_v"]
-    assert "vehicle.m11" in table.gains.provenance
+    assert picked is not None and picked_gains(table)["k_v"] == table.at(picked)["k_v"]
+    assert "vehicle.m11" in picked_gains(table).provenance
 
 
 def test_the_least_score_among_the_feasible_is_picked(cheap):
@@ -266,11 +285,11 @@ def test_the_least_score_among_the_feasible_is_picked(cheap):
     score = np.where(table.column("feasible") > 0.5, table.column("score"), np.inf)
     assert not table.column("feasible")[0].any()  # k_v = 0.5 does not arrive
     assert table.column("score")[table.picked] == score.min()
-    assert table.gains["k_v"] == table.at(table.picked)["k_v"]
-    assert "picked by a grid sweep" in table.gains.provenance
+    assert picked_gains(table)["k_v"] == table.at(table.picked)["k_v"]
+    assert "picked by a grid sweep" in picked_gains(table).provenance
     nothing = sweep([stub.case()], grid([Axis("k_v", (0.2, 0.3))]), linear=False)
-    assert nothing.picked is None and nothing.gains == stub.GAINS
-    assert table.gains.name == f"{stub.GAINS.name}-picked"
+    assert nothing.picked is None and picked_gains(nothing) == stub.GAINS
+    assert picked_gains(table).name == f"{stub.GAINS.name}-picked"
 
 
 def test_feasible_takes_arrival_clearance_and_margins():
@@ -483,10 +502,9 @@ def test_a_slow_first_chunk_starts_no_workers():
 
 def test_a_case_that_no_seed_changes_is_flown_once():
     cases = (stub.case("tank-static"), stub.case("pool-static"), stub.case("tank-static", "sonar"))
-    flown = measure.SweepEvaluation(cases, ("k_v", "plant.m11"), (0, 1, 2))
-    assert [len(flown.seeds_of(case)) for case in cases] == [1, 3, 3]
-    waves = measure.SweepEvaluation(cases, ("scenario.wave_force",), (0, 1, 2))
-    assert waves.runs_per_point == 9
+    flown = MissionSweep(cases, (0, 1, 2))
+    assert [len(flown.seeds_of(case, ("k_v", "plant.m11"))) for case in cases] == [1, 3, 3]
+    assert flown.runs_per_point(("scenario.wave_force",)) == 9
 
 
 # --- sensitivity
@@ -496,7 +514,7 @@ def test_indices_of_a_known_function(cheap, monkeypatch):
     """Ishigami's function with a = 7, b = 0.1 has closed-form indices."""
 
     one = stub.case("pool-static")
-    third = next(n for n in measure.case_parameters(one) if n.startswith("obstacle.") and n.endswith(".x"))
+    third = next(n for n in measured.case_parameters(one) if n.startswith("obstacle.") and n.endswith(".x"))
     names = ("scenario.current_x", "scenario.current_y", third)
 
     def fly(case, values, *, seeds):
@@ -505,7 +523,7 @@ def test_indices_of_a_known_function(cheap, monkeypatch):
         done.columns["deviation_m"] = np.sin(x) + 7 * np.sin(y) ** 2 + 0.1 * z**4 * np.sin(x)
         return done
 
-    monkeypatch.setattr(measure, "simulate_batch", fly)
+    monkeypatch.setattr(measured, "simulate_batch", fly)
     design = saltelli([Span(n, -np.pi, np.pi) for n in names], base=1024)
     table = sweep([one], design, linear=False)
     found = sobol_indices(design, table.column("deviation_m"), "deviation_m")
@@ -557,6 +575,6 @@ def test_guidance_is_part_of_a_case_and_of_the_request_that_a_folder_keeps():
     scenario, gains = load_scenario("pool-behind"), load_gains("default")
     los, ilos = (build_cases([scenario], gains=gains, guidance=name) for name in ("los", "ilos"))
     assert (los[0].guidance, ilos[0].guidance) == ("los", "ilos")
-    assert measure.law_digest(los[0]) != measure.law_digest(ilos[0])
+    assert measured.law_digest(los[0]) != measured.law_digest(ilos[0])
     with pytest.raises(InputError, match="did you mean 'ilos'"):
         build_cases([scenario], gains=gains, guidance="ilo")

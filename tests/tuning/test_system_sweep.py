@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import pickle
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 import casadi as ca
 import numpy as np
 import pytest
 import xarray
+from numpy.typing import ArrayLike
 
 from surctl.errors import InputError, SurctlError
 from surctl.ir import Layout, Port
@@ -17,17 +19,19 @@ from surctl.own_code import pinned
 from surctl.system import Controller, Cost, Plant, Sampled, System, simulate_system
 from surctl.tuning import (
     ONE_POINT,
+    Design,
     LocalExecutor,
     Span,
+    SweepTable,
     SystemSweep,
     grid,
     parse_axis,
     random_draws,
     spread,
-    sweep_system,
+    sweep,
 )
 from surctl.tuning.chunked import Chunk, Evaluator, SweepStage, evaluated_chunks
-from surctl.tuning.system_sweep import _Evaluator
+from surctl.tuning.system_sweep import chosen_points, run_at, runs_of
 from tests.tools import need_compiler
 
 X, U, Z = Port("x", (1,), "m", "", 1.0), Port("u", (1,), "m/s", ""), Port("z", (1,), "m", "")
@@ -56,10 +60,18 @@ DESIGN = grid([parse_axis("k=1..5:5")])
 DRAWS = {"seed": np.arange(40.0), **random_draws([Span("plant.a", 0.8, 1.2)], count=40)}
 
 
-def alike(one: SystemSweep, other: SystemSweep) -> bool:
-    pairs = [*zip(one.runs.figures.values(), other.runs.figures.values(), strict=True)]
-    pairs += [(one.runs.time, other.runs.time), (one.runs.state, other.runs.state)]
-    stopped = one.runs.stopped.tolist() == other.runs.stopped.tolist()
+def sweep_system(
+    system: System, design: Design, seconds: float, *, draws: Mapping[str, ArrayLike] = {}, source: str = "",
+    values: Mapping[str, ArrayLike] = {}, **how: Any,
+) -> SweepTable:  # fmt: skip
+    return sweep(SystemSweep(system, seconds, draws, values, source=source), design, **how)
+
+
+def alike(first: SweepTable, second: SweepTable) -> bool:
+    one, other = (runs_of(table, build()) for table in (first, second))
+    pairs = [*zip(one.figures.values(), other.figures.values(), strict=True)]
+    pairs += [(one.time, other.time), (one.state, other.state)]
+    stopped = one.stopped.tolist() == other.stopped.tolist()
     return stopped and all(np.array_equal(a, b, equal_nan=True) for a, b in pairs)
 
 
@@ -72,20 +84,21 @@ def test_a_point_is_judged_by_its_worst_run_and_not_by_its_luckiest() -> None:
     np.testing.assert_array_equal(swept.worst("final"), table.max(axis=1))
     np.testing.assert_array_equal(swept.mean("final"), table.mean(axis=1))
     best = swept.best("final")
-    assert best == int(table.max(axis=1).argmin()) != int(table.min(axis=1).argmin())
-    k = swept.worst_run("final", best)
-    assert runs["final"][k] == table[best].max()
-    assert swept.random_of(k) == {name: values[k % 40] for name, values in DRAWS.items()}
-    assert {"far", "time"} == set(swept.runs.stopped)
-    rows = swept.table()
-    assert rows["seed"][:41] == [*range(40), 0] and rows["k"][39:41] == [1.0, 2.0]
+    assert best == (int(table.max(axis=1).argmin()),) != (int(table.min(axis=1).argmin()),)
+    k = chosen_points(swept, build())["final"].run
+    assert runs["final"][k] == table[k // 40].max()
+    assert run_at(swept, k) == (swept.at((k // 40,)), {name: values[k % 40] for name, values in DRAWS.items()})
+    assert {"far", "time"} == set(runs_of(swept, build()).stopped)
+    rows = swept.rows()
+    assert [row["seed"] for row in rows[:41]] == [*range(40), 0] and [row["k"] for row in rows[39:41]] == [1.0, 2.0]
+    assert rows[40]["final"] == runs["final"][40]
 
 
 def test_a_point_with_a_run_without_a_value_is_never_the_best() -> None:
     need_compiler()
     swept = sweep_system(build(), DESIGN, 3.0, draws={"start.x": [1.0, -1.0], "seed": [0.0, 0.0]})
     assert np.isnan(swept.worst("final")).all() and swept.best("final") is None  # each second run ends at its start
-    assert swept.worst_run("final", 2) == 5 and np.isfinite(swept.over_runs("final")[:, 0]).all()
+    assert np.isfinite(swept.column("final")[:, 0]).all() and not chosen_points(swept, build())
 
 
 class Few:
@@ -117,7 +130,7 @@ def test_an_interrupted_sweep_resumes_with_the_same_numbers(tmp_path: Path) -> N
     assert alike(again, whole) and again.path == tmp_path / "parts" / "sweep.nc"
     with xarray.open_dataset(again.path) as read:
         assert read["final"].dims == ("k", "seed") and read["plant.a"].dims == ("seed",)
-        np.testing.assert_array_equal(read["final"].values, whole.over_runs("final"))
+        np.testing.assert_array_equal(read["final"].values, whole.column("final"))
 
 
 @pytest.mark.parametrize(
@@ -148,7 +161,7 @@ def test_other_processes_build_the_system_of_the_file(tmp_path: Path, monkeypatc
     with pytest.raises(InputError, match="known to this process alone; give source"):
         sweep_system(build(), DESIGN, 1.0, draws=DRAWS, executor=LocalExecutor(2, alone_s=0.0))
     with pytest.raises(SurctlError, match=r"noisy\.py:build returns another system"):
-        pickle.loads(pickle.dumps(_Evaluator(build(2.0), ("k",), 1.0, {}, 1, f"{source}:build", "another digest")))
+        pickle.loads(pickle.dumps(SystemSweep(build(2.0), 1.0, source=f"{source}:build")))
     assert pinned(f"{source}:build", key="source").startswith(str(source))
 
 
@@ -160,7 +173,7 @@ def test_points_that_fill_ranges_and_random_runs_alone(tmp_path: Path) -> None:
     assert swept.each == 1 and swept.worst("final").shape == (6,)
     alone = sweep_system(build(), ONE_POINT, 1.0, draws=DRAWS, out=tmp_path)
     with xarray.open_dataset(tmp_path / "sweep.nc") as read:
-        assert read["final"].dims == ("seed",) and float(read["final"].max()) == alone.worst("final")[0]
+        assert read["final"].dims == ("seed",) and float(read["final"].max()) == alone.worst("final")
 
 
 @pytest.mark.parametrize(
@@ -184,7 +197,7 @@ def test_an_error_in_the_file_keeps_the_chunks(tmp_path: Path) -> None:
     def double(index: int, points: np.ndarray) -> np.ndarray:
         return 2 * points
 
-    stage = SweepStage(np.arange(6.0)[:, None], 2, 1)
+    stage = SweepStage(("x",), np.arange(6.0)[:, None], 2, 1)
     executor, lines = LocalExecutor(), list[str]()
     for writes in (False, True):
         store = evaluated_chunks(

@@ -10,8 +10,9 @@ from surctl.marine.control import load_gains
 from surctl.marine.simulation import load_scenario, safety_claim, turn_rate
 from surctl.marine.simulation.safety import mass_difference
 from surctl.marine.vehicle import Vehicle, load_vehicle
-from surctl.marine.verification import applicable_claims, claims
+from surctl.marine.verification import claims
 from surctl.marine.verification.braking import BRAKING_CLAIMS, braking_claim_named
+from surctl.marine.verification.library import applicable_claims
 from surctl.marine.verification.region import REGION_CLAIMS, region_statement
 
 GAINS = load_gains("default")

@@ -5,7 +5,8 @@ import pytest
 
 from surctl.errors import InputError
 from surctl.marine.verification import claims
-from surctl.verification import decide, evaluate, load_claim, replay, write_claim
+from surctl.verification import decide, evaluate, load_claim, replay
+from surctl.verification.claim_file import write_claim
 
 TEXT = """
 kind = "claim"

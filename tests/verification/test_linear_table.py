@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from surctl.errors import InputError
 from surctl.marine.vehicle import load_vehicle
-from surctl.marine.verification import LINEAR_METRICS, LINEAR_PARAMETERS, cruise_loop, linear_table, loop_margins
+from surctl.marine.verification import LINEAR_METRICS, cruise_loop, linear_table, loop_margins
 from surctl.marine.verification.cruise_loop import LOOP_NAMES
-from surctl.marine.verification.linear_table import STEP_NAMES, step_system
+from surctl.marine.verification.linear_table import LINEAR_PARAMETERS, STEP_NAMES, step_system
 
 GAINS = {"k1": 0.3, "k2": 0.3, "k_psi": 0.6, "k_r": 1.5, "k_v": 1.5, "lookahead": 1.2}
 VEHICLE = load_vehicle("sur540-flooded")

@@ -5,7 +5,8 @@ import pytest
 
 from surctl.errors import InputError
 from surctl.marine.vehicle import load_vehicle
-from surctl.marine.verification import closed_loop_poles, sweep_locus
+from surctl.marine.verification import sweep_locus
+from surctl.marine.verification.cruise_loop import closed_loop_poles
 
 GAINS = {"k1": 0.3, "k2": 0.3, "k_psi": 0.6, "k_r": 1.5, "k_v": 1.5, "lookahead": 1.2}
 VEHICLE = load_vehicle("sur540-flooded")

@@ -11,7 +11,8 @@ from surctl.marine.control.closing import velocity_control
 from surctl.marine.control.paper import DAMPING
 from surctl.marine.guidance.tracking import along_command, tracking_velocity
 from surctl.marine.vehicle import load_vehicle, planar_rotation
-from surctl.marine.verification import closed_loop_poles, cruise_loop, law_loop, loop_margins
+from surctl.marine.verification import cruise_loop, law_loop, loop_margins
+from surctl.marine.verification.cruise_loop import closed_loop_poles
 from surctl.marine.verification.linear import corner_margin, corners
 from surctl.verification.loops import BrokenLoop, LoopMargins, crossings_of, margins_from
 

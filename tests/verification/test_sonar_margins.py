@@ -8,8 +8,8 @@ from surctl.errors import InputError
 from surctl.marine.control import build_law, load_gains
 from surctl.marine.sensing import Delivery, OwnState
 from surctl.marine.vehicle import load_vehicle
-from surctl.marine.verification import SonarMargins, law_loop
-from surctl.marine.verification.sonar_margins import sonar_loop
+from surctl.marine.verification import law_loop
+from surctl.marine.verification.sonar_margins import SonarMargins, sonar_loop
 
 VEHICLE, GAINS = load_vehicle("sur540-flooded"), load_gains("default")
 

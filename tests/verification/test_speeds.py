@@ -6,7 +6,8 @@ import pytest
 from surctl.errors import InputError
 from surctl.marine.control import load_gains
 from surctl.marine.vehicle import load_vehicle
-from surctl.marine.verification import check_held, cruise_speeds, linear_table, over_speeds, speeds_text
+from surctl.marine.verification import linear_table, over_speeds
+from surctl.marine.verification.speeds import check_held, cruise_speeds, speeds_text
 from surctl.verification.loops import worst_place
 
 GAINS = load_gains("default").values

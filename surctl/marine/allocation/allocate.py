@@ -1,4 +1,4 @@
-"""Allocate one force and yaw moment to the thrusters, and say which level gave up what, and which thrusters bind."""
+"""Allocation of one force and yaw moment, explained: which level lacks what, which thrusters bind or failed."""
 
 from __future__ import annotations
 

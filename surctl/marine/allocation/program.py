@@ -1,4 +1,4 @@
-"""The allocation as an instruction list, which simulation, batches and exported C share.
+"""The allocation as one program for runs, batches and exported C: level by level, then thruster commands.
 
 If the smallest forces for the desired force and yaw moment are within all limits, they are the solution. Otherwise, and
 after a thruster has failed, each level is solved in turn by the least-distance solver of `priority.solver`.

@@ -1,4 +1,4 @@
-"""Sessions of the exported law with an ArduSub autopilot by MAVLink, and rehearsals of them (extra `field`)."""
+"""Sessions of `surctl fly`: the exported law with an ArduSub by MAVLink, and rehearsals (extra `field`)."""
 
 from surctl.marine.bridge.autopilot import SimulatedSub
 from surctl.marine.bridge.bridge import Bridge, Moment, Plan, plan_session

@@ -1,4 +1,4 @@
-"""A simulated ArduSub that speaks MAVLink frames, with surctl's plant behind it; on simulated time, without sockets.
+"""A simulated ArduSub for rehearsals: modes, arming, failsafe and telemetry, with surctl's plant behind it.
 
 It is for rehearsals of a session and for tests. It models what the bridge depends on: heartbeats, clock, streams,
 modes, arming, the pilot-input failsafe, and the response to sticks and velocity targets. It is not ArduSub: loops for

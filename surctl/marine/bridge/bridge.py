@@ -1,4 +1,4 @@
-"""The bridge between the exported law and an autopilot, without sockets: bytes in, bytes out, one call each period."""
+"""The bridge, one call each period: when the law steps, arrival, restarts of the autopilot, refused missions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The inputs of the law in each control period, from what the bridge has received.
+"""The law's inputs from received messages: place of the NED frame (`--origin`), pose moved on, sonars, obstacles.
 
 Every measurement carries the time at which it was made. Pose and position are moved on to the present by the measured
 velocity; a flag of arrival is 1 once for each measurement, and an old measurement never counts as a new one.

@@ -1,4 +1,4 @@
-"""A session over UDP in real time: the only part of the bridge that knows sockets, signals and the clock."""
+"""A session over UDP in real time: address of `--mavlink`, sockets, clock, and the end by arrival or signals."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A session with the simulated autopilot, on simulated time."""
+"""Rehearsals (`--dry-run`): lost and late frames, acts of operator and link, and what the vehicle then did."""
 
 from __future__ import annotations
 

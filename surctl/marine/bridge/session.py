@@ -1,4 +1,4 @@
-"""The state machine of a session: events from the autopilot and the law, states, and what is sent in each state.
+"""The state machine of a session: when the law may steer, time-outs, clock offset, and what each state sends.
 
 | phase | meaning | sent each control period |
 |---|---|---|

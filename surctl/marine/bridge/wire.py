@@ -1,4 +1,4 @@
-"""MAVLink 2 frames in and out, without sockets (needs pymavlink): bytes to events, commands to stick axes and bytes.
+"""MAVLink frames: messages that count or are ignored, modes, thrust to stick axes (needs pymavlink).
 
 Thrust is sent as RC_CHANNELS_OVERRIDE by default. ArduSub multiplies the axes of MANUAL_CONTROL by the pilot's gain,
 which a button changes while the vehicle swims, so that a thrust in newtons would have no fixed deflection; an override

@@ -1,4 +1,4 @@
-"""The law's symbolic model of its sonars: beam geometry, expected ranges, and plausibility of measurements."""
+"""The sonars in the law's model: beams past the hull, expected ranges, and firings that may change the map."""
 
 from __future__ import annotations
 

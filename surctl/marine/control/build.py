@@ -1,8 +1,8 @@
-"""Function `build_law`, which assembles a law from perception, guidance, tasks, priority and velocity control.
+"""Function `build_law`: a law assembled or from the cache, options that it refuses, its form for 32-bit numbers.
 
-The first line is JSON that describes the law and gives the length of each routine's text. The texts of the routines
-follow. The cache checks a digest of all bytes, and each text contains a digest of its routine, so an altered file is
-not loaded.
+Of the bytes of a cached law, the first line is JSON that describes the law and gives the length of each routine's text.
+The texts of the routines follow. The cache checks a digest of all bytes, and each text contains a digest of its
+routine, so an altered file is not loaded.
 """
 
 from __future__ import annotations
@@ -299,7 +299,7 @@ def build_law(
         equipment: the sensors that a law with sonars assumes; the law `paper` always uses the paper's four sonars.
         moving: whether known obstacles may move; if no obstacle moves, the commands are equal with True and False.
         guidance: path following: `los`, `ilos` or `alos`; `ilos` and `alos` adapt to a steady disturbance (see
-            `guidance.crosstrack`).
+            `guidance.tracking`).
         barrier: bound of law `guarded` on its closing speed s. `simple` uses the braking distance s²/(2a) + s t with
             the deceleration a and the reaction time t. `inertia` uses the closed form of `guidance.braking` for the
             worst case of the vehicle's parameter ranges. With sonars and `inertia`, the robot cannot pass through the
@@ -307,13 +307,13 @@ def build_law(
         movers: how law `guarded` avoids moving obstacles. `predict` predicts their paths and evades sideways; `barrier`
             only limits the closing speed.
         depths: whether law `guarded` may leave a dead end at another depth; if so, its input `column` must give the
-            free water above and below the hull (see `control.layers`). All other laws always stay at the path's depth.
+            free water above and below the hull (see `control.dead_end`). All other laws stay at the path's depth.
         fallback: how modes `filter` and `projected` proceed if they cannot satisfy all limits and task 1: `exact` or
             `bounded`. `bounded` computes a safe command in a fixed number of operations and sets `DEGRADED` in the
             status.
         actuators: the vehicle's thrusters (`vehicle.actuators`). The law then allocates its thrust to them: `tau` is
             the force that they achieve together, and the outputs contain their forces and commands (see
-            `control.allocated`). None: `tau` is the commanded force, limited on each axis.
+            `control.law`). None: `tau` is the commanded force, limited on each axis.
 
     Raises:
         InputError: a name is unknown, or the law does not support the chosen option.

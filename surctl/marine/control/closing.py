@@ -1,4 +1,4 @@
-"""The last part of every law: it computes thrust, status and telemetry from the priority solver's velocity ν.
+"""The last part of every law: velocity loop, limits of the thrust, status; the smooth thrust of law `calm`.
 
 The controller cancels neither Coriolis forces nor the true drag. A body that turns while it translates needs no force
 to hold its inertial velocity. To cancel the Coriolis force m u r, the thrusters would have to provide 9–14 N, but only
@@ -62,7 +62,7 @@ def velocity_control(
         k_i: integral gain [1/s²]; the integral of an axis does not change while the thrust of this axis is saturated
             (conditional anti-windup).
         dt: control period [s].
-        calm: function that keeps measurement noise out of the thrust before its limits (`control.calm`), or None.
+        calm: function that keeps measurement noise out of the thrust before its limits (`calmed`), or None.
 
     Returns:
         The thrust (4, 1) [N, N m] within the limits, the next integral (4, 1), and 1 if the thrust of an axis is

@@ -1,22 +1,21 @@
-"""Dead ends: after too long without progress, the law tries other depths if it may, then holds the position.
+"""Dead ends: time without progress (`patience`, `search_limit_s`), other depths (`depths_m`), status TRAPPED.
 
 Progress is either of two events: the robot's projection on the path moves further than before, or the box around all
 positions since the last such event grows. A robot that moves back and forth between the arms of a U-shaped obstacle
 causes neither event. The law counts the time without progress. The count pauses while a moving obstacle is near, at the
 end of the path, and while the law stops because it does not know what is ahead (the output `stopped` reports this).
 After the time `patience` without progress, the law sets the status `TRAPPED` permanently: the robot holds its position
-and still avoids moving obstacles. If other depths are allowed, the robot tries these depths first (`control.layers`).
+and still avoids moving obstacles. If other depths are allowed, the robot tries these depths first.
 
 With a search limit (`sensing.Equipment.search_limit`, in seconds), a search of new places ends too, if the projection
 on the path moves no further for this time. The time also counts while the law stops before unknown space.
 
 The paper allows a robot to pass an obstacle "by changing the depth and/or moving horizontally". The robot first tries
-horizontal escapes. If `control.dead_end` finds a dead end, the robot changes its depth by one layer, i.e. by one hull
-diameter plus a margin. The robot stops, moves up or down in place, deletes its sonar map of the old depth, and searches
-for a path again. The robot tries all layers that it can reach above, the nearest first, then the layers below. After
-the last layer the robot gives up. The robot returns to the path's depth in the same way as soon as two conditions hold:
-along its path, it is beyond the dead end by at least one hull diameter plus a margin, and the water between it and the
-path's depth is free.
+horizontal escapes. In a dead end, the robot changes its depth by one layer, i.e. by one hull diameter plus a margin.
+The robot stops, moves up or down in place, deletes its sonar map of the old depth, and searches for a path again. The
+robot tries all layers that it can reach above, the nearest first, then the layers below. After the last layer the robot
+gives up. The robot returns to the path's depth in the same way as soon as two conditions hold: along its path, it is
+beyond the dead end by at least one hull diameter plus a margin, and the water between it and the path's depth is free.
 
 The horizontal sonars do not measure the water above or below. During a change of depth, the robot holds its horizontal
 position. It moves only through water that its echo sounders measure as free (input `column`), at a speed from which it
@@ -224,7 +223,7 @@ def dead_end_next(
         eta: (4, 1) pose in {E}.
         stopped: 1 while the law stops because it does not know what is ahead.
         p: parameters `patience` (0: never report a dead end) and `waypoints`; if other depths are allowed, also the
-            parameters of `layers.aimed_depth`.
+            parameters of `aimed_depth`.
         nu: (4, 1) velocity in {B}; required if other depths are allowed.
         column: (2, 1) free water above and below the hull [m]; None: only the path's depth is allowed.
         dt: control period [s].

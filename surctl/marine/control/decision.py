@@ -1,4 +1,4 @@
-"""The decision of a law (tasks by priority, barriers and next state), and symbolic expressions that all laws use."""
+"""What a law decides: tasks by priority, barriers, next state; turning to scan; obstacle points without a map."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Gain files, which contain every tunable number of a law with its name, unit and meaning."""
+"""Gain files: name, unit, meaning, range and default of each gain; reading, checks and writing."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The guarded law: follow the path at a velocity from which the robot can brake before every obstacle.
+"""Laws `guarded` and `calm`: the nearest velocity from which the robot can brake; waiting, retreat, unknown water.
 
 Its tasks, in order of priority, are the velocity nearest to the desired velocity that no obstacle forbids, the depth,
 and the heading. In the priority modes with inequalities, the barriers (speed bounds towards obstacles) are also
@@ -74,7 +74,7 @@ def guarded_law(
     speed is limited so that it can stop before unknown space.
 
     With `calm`, the control period [s], a law with sonars (not one with true positions) changes its velocity reference
-    gradually (`calm.eased`), and only the velocity loop brakes before unknown space. The output `stopped` is
+    gradually (`closing.eased`), and only the velocity loop brakes before unknown space. The output `stopped` is
     then judged by the decision before smoothing and braking.
     """
     marks = len(perceived.known) - SECTORS if scan is not None else len(perceived.all)

@@ -1,4 +1,4 @@
-"""The control law: sonar filters, guidance, tasks, priorities and velocity control as one object with explicit state.
+"""A law as one object: its step, status bits, telemetry, explained priorities, and allocation to thrusters.
 
 A block is an instruction list or a routine of `surctl.ir`. The block `closed` solves the task priorities by the closed
 form, equation (16) of the paper. In the modes that respect limits, the law has three parts: the block `pre`, then the

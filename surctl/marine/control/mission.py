@@ -1,4 +1,4 @@
-"""Feed a law with the window of its mission before each control step: waypoints, depth, speed, and corners to visit."""
+"""Feed a law with the window of its mission before each control step: waypoints, depth, speed, corners to visit."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The paper's law: obstacle tasks of the four sensors (most urgent first), then velocity, depth and heading.
+"""Laws `paper` and `closed_form`: obstacle tasks of the four sensors by urgency, then velocity, depth, heading.
 
 The variable of sensor i's task is its distance to the obstacle, σ_i = l_dm,i. While the robot avoids an obstacle, the
 velocity task uses the avoidance velocity (20) of the paper, otherwise the cruise velocity (sections III-B to III-D).

@@ -1,4 +1,4 @@
-"""Perception: the part of a law that converts sensor readings to the inputs of the decision, with its own state.
+"""Perception of a law with sonars: which echoes (not walls or floor) become obstacle points; faces that are silent.
 
 Perception estimates four things: the robot's own state, from delayed position fixes; moving obstacles, from delayed
 messages; the range of every sonar, with an error bound; and the map of `sensing.mapping`. The nearest marks (occupied

@@ -1,4 +1,4 @@
-"""Names, sizes and units of a law's inputs and parameters, also for simulation, verification and exported C."""
+"""Inputs and parameters of a law: names, units, values of vehicle and mission, turning side, rules after gaps."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The desired motion, i.e. the velocity and heading with which the robot follows the path without obstacles."""
+"""The desired motion without obstacles: velocity and heading along the path, slowing down for end and corners."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def path_following(
         p: parameters by name: gains `k1`, `lookahead`, `wait`, `k_v`, `brake`, `reaction`; the vehicle model; mission
             `waypoints`, `visit`, `cruise`, `cap`.
         dt: control period [s].
-        guidance: `los`, `ilos` or `alos`; see `guidance.crosstrack`.
+        guidance: `los`, `ilos` or `alos`; see `guidance.tracking`.
         memory: present disturbance estimate of guidance `ilos` or `alos`; None for `los`.
         steering: abilities of a craft without sway force, if the law steers by heading and speed: the craft stops by
             its surge force alone, and begins its turns before the corners that it passes.
@@ -136,7 +136,7 @@ def learnt(
     Args:
         guidance: `ilos` or `alos`.
         desired: the desired motion of this step.
-        memory: present disturbance estimate; see `guidance.crosstrack`.
+        memory: present disturbance estimate; see `guidance.tracking`.
         eta, nu: (4, 1) pose in {E} and velocity in {B}.
         avoiding: 1 while an obstacle changes the desired velocity.
         p: parameters by name; see `path_following`.

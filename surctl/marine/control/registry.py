@@ -1,4 +1,4 @@
-"""Look-up of a law's source: built-in laws by name, laws of the user's own by FILE.py:FUNCTION."""
+"""The laws by name or FILE.py:FUNCTION, the default law of a vehicle, and laws for which it lacks a force."""
 
 from __future__ import annotations
 

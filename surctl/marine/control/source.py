@@ -1,4 +1,4 @@
-"""The source of a law: everything that distinguishes one law (built-in or of the user's own) from the other laws."""
+"""`LawSource`, what distinguishes one law from the others; checks of what a user's law states and returns."""
 
 from __future__ import annotations
 

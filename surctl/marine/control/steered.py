@@ -1,4 +1,4 @@
-"""The steered law: for craft without sway force, guidance and avoidance by heading and speed.
+"""Law `steered` for craft without sway force: course minus crab angle, speed near goals, avoidance by predicted arcs.
 
 Path following gives a desired course and speed. From candidates of course and speed around them, the law chooses the
 best one that the craft can follow without contact, and steers the hull to this course minus the crab angle.

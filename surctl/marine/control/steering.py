@@ -1,4 +1,4 @@
-"""What a craft without sway force can do: turning radius with sway drift, stopping, and the motion along an arc.
+"""What a craft without sway force can do: turning radius, yaw rate, sway drift, stopping, motion along an arc.
 
 Such a craft is steered by its heading and its speed. In a turn at the yaw rate r and the surge speed u, no thruster
 carries the centripetal force, so the craft drifts outwards at the sway speed v at which the sway drag balances it: Yv v

@@ -1,4 +1,4 @@
-"""The guarded law's bounds on the closing speed (barriers `simple` and `inertia`), and its braking above a bound."""
+"""Bounds on the closing speed (`--barrier simple`, `inertia`; `--movers`), and braking harder above a bound."""
 
 from __future__ import annotations
 

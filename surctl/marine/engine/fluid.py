@@ -1,4 +1,4 @@
-"""The force of the water on a hull in MuJoCo, as an instruction list that is compiled to C.
+"""The force of the water on a hull in MuJoCo, compiled to C; options of `--plant mujoco:KEY=VALUE`, refusals.
 
 MuJoCo integrates a rigid body with the mass m and the inertia I, without added mass. The vehicle file states the whole
 inertia matrix M of rigid body and water. Where M is that of the rigid body, MuJoCo has all of it. Otherwise the

@@ -1,4 +1,4 @@
-"""Write a vehicle in a scenario as an MJCF model, the model format of MuJoCo."""
+"""A vehicle in a scenario as MuJoCo model (`--target mjcf`); loading of MuJoCo, with its renderer (`MUJOCO_GL`)."""
 
 from __future__ import annotations
 

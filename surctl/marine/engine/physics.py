@@ -1,4 +1,4 @@
-"""A run in MuJoCo: the hull moves there, and its distances and echoes are measured there."""
+"""A run in MuJoCo: motion, instability, contacts, distances, echoes of rays; many runs in several processes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Pictures of a run in MuJoCo: frames of films, and MuJoCo's own window."""
+"""Pictures of a run in MuJoCo: frames of films, and MuJoCo's own window (`--view`)."""
 
 from __future__ import annotations
 

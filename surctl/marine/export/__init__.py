@@ -1,21 +1,10 @@
 """Export of a marine law with its vehicle, its evidence and its closed form."""
 
-from surctl.marine.export.compiled_law import ClosedForm, CompiledLaw, LinkedLaw, LinkFaults, LinkReport, closed_form
+from surctl.marine.export.compiled_law import CompiledLaw, LinkedLaw, LinkFaults, closed_form
 from surctl.marine.export.operating_envelope import operating_envelope
-from surctl.marine.export.origin import Origin, fitting_certificates, load_certificates, origin_of
+from surctl.marine.export.origin import origin_of
 from surctl.marine.export.robot_bundle import build_bundle
 
 __all__ = [
-    "ClosedForm",
-    "CompiledLaw",
-    "LinkFaults",
-    "LinkReport",
-    "LinkedLaw",
-    "Origin",
-    "build_bundle",
-    "closed_form",
-    "fitting_certificates",
-    "load_certificates",
-    "operating_envelope",
-    "origin_of",
-]
+    "CompiledLaw", "LinkFaults", "LinkedLaw", "build_bundle", "closed_form", "operating_envelope", "origin_of",
+]  # fmt: skip

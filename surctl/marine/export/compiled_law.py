@@ -1,4 +1,4 @@
-"""A control law as C in this process, in place of the law in Python.
+"""The law in another form: constant gains, its C in a run (`--controller`), or behind a link with loss and delay.
 
 The robot applies the newest command that it received until this command is too old; then the robot applies zero thrust
 (fail-safe). Losses and delays are simulated: a seed determines the losses, and a delay is a whole number of control
@@ -35,9 +35,9 @@ from surctl.ir import (
     lower,
     reads,
     replay,
-    with_constants,
     without_libm,
 )
+from surctl.ir.folding import with_constants
 from surctl.ir.procedure import Procedure
 from surctl.marine.control import NONFINITE, Law, LawStep, in_real
 from surctl.marine.simulation.metrics import GONE, LATE

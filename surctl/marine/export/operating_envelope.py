@@ -1,4 +1,4 @@
-"""Ranges for the input check of the exported C, derived from the site, the vehicle and the sensors of a mission."""
+"""Ranges that the guard of exported C checks (inputs, states, gains, thrust), from site, vehicle and sensors."""
 
 from __future__ import annotations
 

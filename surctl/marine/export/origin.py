@@ -1,4 +1,4 @@
-"""Origin of a bundle, as recorded in its manifest: law, gains, vehicle, claims about them, and certificates."""
+"""Origin of a bundle: vehicle, claims and sensors in its manifest; which certificates belong to its law."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from surctl.marine.control import AVOIDANCE, BARRIER, PATH_FOLLOWING, Law, build
 from surctl.marine.guidance import AvoidanceForm
 from surctl.marine.sensing import Equipment
 from surctl.marine.vehicle import Vehicle
-from surctl.marine.verification import applicable_claims
+from surctl.marine.verification.library import applicable_claims
 from surctl.marine.verification.region.steering import side_per_moment
 from surctl.verification import Claim
 from surctl.verification.formula import text_of
@@ -125,7 +125,7 @@ def load_certificates(paths: Sequence[Path]) -> dict[str, Mapping[str, Any]]:
     Example:
         >>> import json
         >>> from pathlib import Path
-        >>> from surctl.marine.export import load_certificates
+        >>> from surctl.marine.export.origin import load_certificates
         >>> from surctl.marine.verification import claims
         >>> from surctl.verification import prove
         >>> [claim] = claims(names=["m-norm-corrected"])
@@ -229,7 +229,7 @@ def fitting_certificates(paths: Sequence[Path], law: Law, vehicle: Vehicle, p: V
         >>> import json
         >>> from pathlib import Path
         >>> from surctl.marine.control import build_law, load_gains
-        >>> from surctl.marine.export import fitting_certificates
+        >>> from surctl.marine.export.origin import fitting_certificates
         >>> from surctl.marine.simulation import law_numbers, load_scenario
         >>> from surctl.marine.vehicle import load_vehicle
         >>> from surctl.marine.verification import claims

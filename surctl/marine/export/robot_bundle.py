@@ -1,4 +1,4 @@
-"""The bundle of a law of the robot: origin and certificates, wiring of its sensors, and missions as C data."""
+"""The bundle of a law of the robot: wiring of its sensors in the README, and missions as C data."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Avoidance law (equations (17)–(20) of the paper) in three forms.
+"""The paper's avoidance law, equations (17)–(20), in three forms, and the side on which it passes an obstacle.
 
 φ is the bearing from the robot to the obstacle, positive counter-clockwise (erratum E1). The sign λ2 selects the side:
 with λ2 = +1 the robot passes with the obstacle on its right, with λ2 = −1 on its left (erratum E10).

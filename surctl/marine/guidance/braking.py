@@ -1,4 +1,4 @@
-"""The barrier with inertia: how fast may a vehicle with thrust lag approach, and at which distance must it brake?
+"""Braking with thrust lag and drag: stopping distance, largest closing speed, fastest obstacle, and their proof.
 
 Let n be the unit vector that points from robot to obstacle when the robot begins to brake. While the robot brakes, n is
 held fixed, even if the direction to the obstacle changes (step 5). If the masses in surge and sway are equal, m11 = m22

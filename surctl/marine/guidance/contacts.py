@@ -1,4 +1,4 @@
-"""Contacts around the robot: circles, the cones of directions that they occupy, and the side on which to pass them.
+"""Contacts around the robot: circles, points, walls; collision cones, and the side on which to pass a moving one.
 
 The method follows Fiorini and Shiller (1998). A barrier on the distance would make the robot retreat from an
 approaching contact. A collision cone forbids only the velocities that lead to a collision, so the robot can also
@@ -62,7 +62,7 @@ def disc_contact(position: ca.SX, hull: ca.SX, centre: ca.SX, radius: ca.SX, vel
 
     Example:
         >>> import casadi as ca
-        >>> from surctl.marine.guidance import disc_contact
+        >>> from surctl.marine.guidance.contacts import disc_contact
         >>> here, centre, still = ca.DM([0, 0]), ca.DM([2, 0]), ca.DM([0, 0])
         >>> contact = disc_contact(here, ca.DM(0.2), centre, ca.DM(0.5), still, ca.DM(1))
         >>> float(contact.clearance)  # m, from hull to rim
@@ -215,7 +215,8 @@ def collision_cone(
 
     Example:
         >>> import casadi as ca
-        >>> from surctl.marine.guidance import collision_cone, disc_contact
+        >>> from surctl.marine.guidance import collision_cone
+        >>> from surctl.marine.guidance.contacts import disc_contact
         >>> here, hull, centre, motion = ca.DM([0, 0]), ca.DM(0.2), ca.DM([2, 0]), ca.DM([-0.1, 0])
         >>> contact = disc_contact(here, hull, centre, ca.DM(0.3), motion, ca.DM(1))  # approaches at 0.1 m/s
         >>> known = dict(apart=0.05, standoff=0.0, horizon=10.0, there=1)
@@ -252,7 +253,8 @@ def inside(velocity: ca.SX, cone: Cone) -> ca.SX:
 
     Example:
         >>> import casadi as ca
-        >>> from surctl.marine.guidance import collision_cone, disc_contact, inside
+        >>> from surctl.marine.guidance import collision_cone, inside
+        >>> from surctl.marine.guidance.contacts import disc_contact
         >>> here, hull, centre, motion = ca.DM([0, 0]), ca.DM(0.2), ca.DM([2, 0]), ca.DM([-0.1, 0])
         >>> contact = disc_contact(here, hull, centre, ca.DM(0.3), motion, ca.DM(1))  # approaches at 0.1 m/s
         >>> known = dict(apart=0.05, standoff=0.0, horizon=10.0, there=1)

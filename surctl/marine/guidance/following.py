@@ -1,4 +1,4 @@
-"""Decide which segment of its path a robot is on, and which corners it has visited.
+"""Which segment of its path a robot is on, corners visited or missed; the window of a long path for a law.
 
 The segment nearest to the robot is not always the right one, because a path may close, cross itself or fold back.
 
@@ -26,7 +26,7 @@ target point, and the depth, speed and visit of the segment that the target poin
   whether the law must visit it; the depth is linear between its ends.
 
 A path of `MAX_WAYPOINTS` points or fewer fits in the window, which then never moves. `Window` is the rule as numbers,
-`window_next` and `window_values` are the rule as CasADi expressions; `surctl.export.mission_files` writes it in C.
+`window_next` and `window_values` are the rule as CasADi expressions; the templates of `surctl.export` write it in C.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""The reference path: a polyline with arc length, as numbers (`Path`) and as CasADi expressions (`path_target`).
+"""The reference path: points, speeds, heights and kinds of corners; how the target point passes a corner.
 
-A law sees at most `MAX_WAYPOINTS` waypoints of its path at a time; `guidance.window` feeds it a longer path.
+A law sees at most `MAX_WAYPOINTS` waypoints of its path at a time; `guidance.following` feeds it a longer path.
 """
 
 from __future__ import annotations

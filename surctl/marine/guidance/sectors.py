@@ -1,4 +1,4 @@
-"""Choice of a course past several contacts (nearby objects), each of which blocks a sector of courses.
+"""Choice of a free course and speed past several contacts, of waiting, and of a way round unknown water.
 
 The law chooses the free course nearest to the desired velocity. Let n be the unit vector from robot to contact, v_o the
 contact's velocity, and a(l) the closing speed from which the robot can still stop at the distance l. A velocity v is

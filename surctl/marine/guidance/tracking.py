@@ -1,4 +1,4 @@
-"""Tracking law (equations (8)–(12) of the paper) with errata E7 and E9 corrected, and with a limit on the speed.
+"""Tracking law, equations (8)–(12) of the paper with E7 and E9 corrected; guidance `ilos` and `alos` in a current.
 
 The law commands the course χ_d = γ_d − atan(y_e/Δ_h), in place of the heading (E7), and the horizontal speed U_h = (U_d
 − k1 x_e) √(y_e² + Δ_h²)/Δ_h, at least 0 (E9). Here γ_d is the direction of the path, x_e the along-track error, y_e the

@@ -1,4 +1,4 @@
-"""Animations of a run: GIF and MP4 in the plan view, films of MuJoCo's pictures, and the player of the report."""
+"""Animations of a run (`--animate`, `--film`): GIF and MP4, speed of the film, and the player of the report."""
 
 from __future__ import annotations
 
@@ -377,7 +377,7 @@ def moment_of(run: Run, step: int) -> Moment:
 
     Example:
         >>> from surctl.marine.control import build_law, load_gains
-        >>> from surctl.marine.report import moment_of
+        >>> from surctl.marine.report.animation import moment_of
         >>> from surctl.marine.simulation import load_scenario, simulate
         >>> from surctl.marine.vehicle import load_vehicle
         >>> gains, law = load_gains("default"), build_law("closed_form")

@@ -1,4 +1,4 @@
-"""A law of the robot, built-in or of the user's own, on the design page."""
+"""The design page of a law of the robot: operating points, sliders, goals, runs, assessment, saved gains."""
 
 from __future__ import annotations
 
@@ -26,7 +26,9 @@ from surctl.marine.tuning.evaluation import corners, judged_goals
 from surctl.marine.tuning.request import default_tuned
 from surctl.marine.vehicle import Vehicle
 from surctl.marine.vehicle.linearise import command_range
-from surctl.marine.verification import OperatingPoint, applicable_claims, steady_motion
+from surctl.marine.verification import steady_motion
+from surctl.marine.verification.law_loop import OperatingPoint
+from surctl.marine.verification.library import applicable_claims
 from surctl.marine.verification.region import RegionProof, RegionStatement, applicable_region
 from surctl.own_code import is_own, label
 from surctl.report.design_bench import RunView, Slider, SlowView, View, activity, assessed_lines, gain_file, replaceable

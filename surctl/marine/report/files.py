@@ -1,4 +1,4 @@
-"""Functions that write single pictures to disk, for commands that write no HTML report."""
+"""Pictures that commands write (`--out`): margins, verdicts, runs, tunings; phase portraits of a region."""
 
 from __future__ import annotations
 

@@ -13,7 +13,7 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from surctl.marine.verification import Locus
+from surctl.marine.verification.linear_table import Locus
 from surctl.report.theme import AVOIDING, BAD, INK, MUTED, curve, dress, legend_above, new_axes, new_figure, printable
 from surctl.verification.linear import DiskMargin, OpenLoop, disk_profile
 

@@ -1,4 +1,4 @@
-"""Rendering of the report of a study as one self-contained HTML file."""
+"""The report of a study as one HTML file; its table of figures and claims, with claims that do not apply."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from surctl.files import write_file
 from surctl.marine.report.evidence_sections import claims_section, decisive_section, runs_section
 from surctl.marine.report.sections import (
     ReportData,
-    export_section,
     gains_section,
     loops_section,
     sweep_section,
@@ -160,7 +159,7 @@ def _sections(data: ReportData, runs: Section | None) -> tuple[Section, ...]:
     if data.sweep is not None:
         sections.append(sweep_section(data, data.sweep))
     if data.export is not None:
-        sections.append(export_section(data.export))
+        sections.append(data.export)
     if data.seconds:
         sections.append(time_section(data))
     return (*sections, vehicle_section(data), gains_section(data))

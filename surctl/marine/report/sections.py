@@ -11,11 +11,9 @@ from dataclasses import dataclass, field
 
 from surctl.assessment import Assessment
 from surctl.errors import InputError
-from surctl.export import ExportedFile, SilReport
 from surctl.marine.control import Gains
-from surctl.marine.report.goals import COLUMN_TITLES, axis_title, plot_heat_map, plot_parallel
+from surctl.marine.report.goals import COLUMN_TITLES
 from surctl.marine.simulation import Run
-from surctl.marine.tuning import SweepTable
 from surctl.marine.vehicle import Vehicle, parameter_spec
 from surctl.marine.verification.linear import LinearSide
 from surctl.report.document import (
@@ -23,7 +21,6 @@ from surctl.report.document import (
     Cell,
     Heading,
     Paragraph,
-    Picture,
     Pictures,
     Section,
     Table,
@@ -31,35 +28,12 @@ from surctl.report.document import (
     picture,
 )
 from surctl.report.page_parts import plot_tightest
-from surctl.report.system_page import disk_table, margins_table, sil_blocks
-from surctl.report.theme import file_size, number
+from surctl.report.sweep_plots import axis_title
+from surctl.report.system_page import disk_table, margins_table, sweep_pictures
+from surctl.report.theme import number
 from surctl.system import LinearLoop
+from surctl.tuning import SweepTable
 from surctl.verification import Inapplicable, LoopMargins, Verdict
-
-
-@dataclass(frozen=True, kw_only=True)
-class ExportSummary:
-    """An exported controller and its comparison with Python.
-
-    Attributes:
-        name: prefix of the files and C symbols.
-        id: identifier of the law.
-        files: the files that were written.
-        sil: software-in-the-loop reports, one for each replayed run; empty if nothing was compiled.
-        status: a sentence that says what was done or not done; may be empty.
-    """
-
-    name: str
-    id: str
-    files: tuple[ExportedFile, ...]
-    sil: tuple[SilReport, ...] = ()
-    status: str = ""
-
-    @property
-    def passed(self) -> bool | None:
-        """Return whether C equalled Python in every comparison, without a reset; None if there was no comparison."""
-        return all(report.conclusive for report in self.sil) if self.sil else None
-
 
 _NOTHING = Assessment("", {}, (), {})
 
@@ -85,7 +59,7 @@ class ReportData:
         runs: closed-loop runs.
         deciding: for each run, whether the run counts towards the result; if None, only runs with true positions count.
         sweep: the parameter sweep that selected the gains, or None.
-        export: the exported controller, or None.
+        export: the section about the exported controller, or None.
         seconds: computing time [s] of each part of the study.
         assessment: what is assessed, for the first line and the summary.
         gains_file: name of the gain file with these gains, for the option `--gains`; empty if there is none.
@@ -110,7 +84,7 @@ class ReportData:
     runs: tuple[Run, ...] = ()
     deciding: tuple[bool, ...] | None = None
     sweep: SweepTable | None = None
-    export: ExportSummary | None = None
+    export: Section | None = None
     seconds: Mapping[str, float] = field(default_factory=dict)
     assessment: Assessment = _NOTHING
     gains_file: str = ""
@@ -258,11 +232,9 @@ def sweep_section(data: ReportData, sweep: SweepTable) -> Section:
         blocks.append(Paragraph("No point is feasible, so the gains of the file stay in use.", "bad"))
     else:
         blocks.append(_picked(sweep, sweep.picked))
-    if sweep.is_grid and len(sweep.axes) > 1:
-        maps = tuple(_heat_picture(data, sweep, name) for name in _SWEPT if name in sweep.columns)
-    else:
-        maps = (_parallel_picture(data, sweep),)
-    return Section("sweep", "Sweep of the gains", (*blocks, Pictures(maps)), folded=True)
+    titles = {name: COLUMN_TITLES.get(name, name) for name in _SWEPT if name in sweep.columns}
+    pictures = sweep_pictures(sweep, titles, command=data.command)
+    return Section("sweep", "Sweep of the gains", (*blocks, *pictures), folded=True)
 
 
 def _picked(sweep: SweepTable, at: tuple[int, ...]) -> Table:
@@ -274,40 +246,6 @@ def _picked(sweep: SweepTable, at: tuple[int, ...]) -> Table:
         if name in sweep.columns
     ]
     return Table("The picked point", ("quantity", "value", "unit"), tuple(rows))
-
-
-def _heat_picture(data: ReportData, sweep: SweepTable, name: str) -> Picture:
-    one, other, *_ = sweep.axes
-    title = COLUMN_TITLES.get(name, name)
-    return picture(
-        plot_heat_map(sweep, name),
-        alt=f"Heat map over {one.name} and {other.name}: {title}",
-        caption=f"{title[0].upper()}{title[1:]}. The frame marks the picked point; hatched cells are infeasible.",
-        command=data.command,
-    )
-
-
-def _parallel_picture(data: ReportData, sweep: SweepTable) -> Picture:
-    return picture(
-        plot_parallel(sweep),
-        alt=f"Parallel coordinates of the sweep over {', '.join(axis.name for axis in sweep.axes)}",
-        caption="Parallel coordinates: one line per point; each axis has its own scale.",
-        command=data.command,
-    )
-
-
-def export_section(export: ExportSummary) -> Section:
-    """Return a section with the exported files (size, SHA-256), and the comparison of the compiled C with Python."""
-    rows = tuple(
-        (Cell(f.path.name, code=True), Cell(file_size(f.path), number=True), Cell(f.sha256, code=True))
-        for f in export.files
-    )
-    blocks: list[Block] = [Paragraph(f"C99, double precision, prefix {export.name}, law {export.id}.")]
-    if export.status:
-        blocks.append(Paragraph(export.status))
-    blocks.append(Table("Exported files", ("file", "size [byte]", "SHA-256"), rows))
-    blocks += sil_blocks(export.sil) or [Paragraph("The C was not compiled and not compared with Python.", "note")]
-    return Section("export", "Exported controller", tuple(blocks), folded=True)
 
 
 def time_section(data: ReportData) -> Section:

@@ -1,4 +1,4 @@
-"""Plots of a run over time: its signals, and the decisions of the priorities."""
+"""Plots of a run over time: its signals with their limits, and the timeline of the priorities (`--explain`)."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def plot_run_signals(run: Run, ax: Sequence[Axes] | None = None) -> Figure:
 
     Example:
         >>> from surctl.marine.control import build_law, load_gains
-        >>> from surctl.marine.report import plot_run_signals
+        >>> from surctl.marine.report.signals import plot_run_signals
         >>> from surctl.marine.simulation import load_scenario, simulate
         >>> from surctl.marine.vehicle import load_vehicle
         >>> law, gains = build_law("closed_form"), load_gains("default")

@@ -1,4 +1,4 @@
-"""The reproduction of the paper: select and compute comparisons, and check that no required one is missing."""
+"""`surctl reproduce`: rows for claims, Tables I and II and instants; which rows are required; its HTML page."""
 
 from __future__ import annotations
 

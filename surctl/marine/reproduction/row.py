@@ -1,4 +1,4 @@
-"""A comparison: one statement or number printed in the paper, compared with the result computed here."""
+"""A comparison: one statement or number printed in the paper, its computed result, and the verdict expected."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Compare arrivals, collisions and times of each scenario with the paper, and the position errors of tank and pool.
+"""Compare arrivals and times of each scenario, and position errors, with the paper; `--webots`, `--independent`.
 
 These comparisons have no expected verdict: the result is as expected if every run arrived and none collided. A time
 that differs from the paper is reported, but it does not make the comparison fail.

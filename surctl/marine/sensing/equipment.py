@@ -1,4 +1,4 @@
-"""The sensing equipment of the robot, with its true properties or with the properties that the control law assumes."""
+"""The sensors of the robot, and what its law assumes of them: surface model, floor, limit of a search."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ SurfaceModel = Literal["diffuse", "smooth-walls", "smooth", "specular"]
 point of a known wall is a fault of the sonar. `smooth-walls`: a known wall surely answers near its normal only, so a
 reading is a fault only if it is beyond a wall that the beam meets near its normal. `smooth`: obstacles are smooth too
 and answer within about 22° of their normal, so for 9 s silence clears a mark only from directions from which the mark
-was heard (see `mapping.directions`), and a face within the blind range goes on where it is silent (see
-`control.faces`). `specular`: obstacles are mirrors, so this lasts as long as the mark, and a cell
+was heard (see `mapping.firing`), and a face within the blind range goes on where it is silent (see
+`control.perception`). `specular`: obstacles are mirrors, so this lasts as long as the mark, and a cell
 that was silent may cause an echo from another direction. With `smooth` and `specular`, the robot turns such that its
 beams sweep past an obstacle from back to front."""
 

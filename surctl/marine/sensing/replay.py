@@ -1,4 +1,4 @@
-"""Replay of a recording of sonars through the filters: the file, its periods, and the tracked ranges.
+"""Replay of a sonar recording through the tracker: lines skipped, gaps, time steps, and filtered ranges as CSV.
 
 The function `track` evaluates the tracker's CasADi expressions, so the results are the numbers that the exported law
 computes.

@@ -1,4 +1,4 @@
-"""Scenario files, the simulated world, the reference closed loop, batches of closed loops, and their metrics."""
+"""Scenario files, the simulated world, the closed loop of one run and of batches, metrics, and findings of `lint`."""
 
 from typing import TYPE_CHECKING
 

@@ -1,4 +1,4 @@
-"""Check whether a hull fits at the start, at the target, and in the gaps along the way.
+"""Findings of `lint` on clearance: start, target, gaps on the way, moving obstacles, hull at the water surface.
 
 A search on a grid finds the gap: the widest path is the path whose smallest clearance is largest (a shortest-path
 search with the minimum instead of the sum; Pollack 1960, "The maximum capacity through a network"). The width of the
@@ -349,7 +349,7 @@ def _passes(scenario: Scenario, clearance: float, z: float, *, hull: float) -> b
 
 
 def layers(scenario: Scenario, vehicle: Vehicle, gains: Gains) -> list[float]:
-    """Return the depths z [m] that the law tries in addition to the path's depth, see `control.layers`.
+    """Return the depths z [m] that the law tries in addition to the path's depth, see `control.dead_end`.
 
     Depths above the path come first, and the depth nearest to the path comes first among them. The list of depths is
     empty if the mission has no `depths`. The function does not consider obstacles that the echo sounders may detect on

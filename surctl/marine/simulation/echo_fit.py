@@ -1,4 +1,4 @@
-"""Findings about reflectors: what no sonar can hear, weak echoes, and echoes of surface and floor.
+"""Findings of `lint` on echoes: surfaces that no sonar hears, weak echoes, surface and floor; detection range.
 
 A smooth face reflects sound like a mirror. It returns an echo only to a sonar that looks at it within a limited angle
 of its normal (`incidence_limit` of the sonar array, or of the reflector that the face has). A face is unheard if the

@@ -1,4 +1,4 @@
-"""Explain a run: why it ended, which tasks the priority solver relaxed, and which rows (n·v ≤ b) caused this."""
+"""Explain a run: why it ended or reached the time limit, and which tasks and rows the priority solver relaxed."""
 
 from __future__ import annotations
 

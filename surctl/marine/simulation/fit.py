@@ -1,4 +1,4 @@
-"""What `lint` finds: odd numbers of a vehicle (drag, thrusters, fins, units), and missions beyond its abilities."""
+"""All findings of `lint` on a mission; those on tilt, thrusters, fins and drag of a vehicle, and on its sonars."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One run of the mission loop: the programs of the compiled loop, called one after another.
+"""One run, step by step with the programs of the compiled loop: other law or physics, failed thrusters, lost link.
 
 The law runs every 50 ms and sonars fire every 25 ms. Between firings, the physics of the run (`Physics`) moves the
 hull; surctl's own plant is integrated by RK4 with steps of 10 ms. Law, thrusters and physics may be replaced.
@@ -22,7 +22,8 @@ from surctl.ir import cached_bytes, on_vectors, to_casadi
 from surctl.marine.control import NONFINITE, WORKING, Gains, Law, LawStep, build_law, check_forces, default_law
 from surctl.marine.guidance import ROW
 from surctl.marine.simulation.batch.case import Case
-from surctl.marine.simulation.batch.engines import loop_sources, metrics_table
+from surctl.marine.simulation.batch.counting import metrics_table
+from surctl.marine.simulation.batch.engines import loop_sources
 from surctl.marine.simulation.batch.loop import Loop, loop_of
 from surctl.marine.simulation.batch.pack import pack, structure_of
 from surctl.marine.simulation.batch.structure import ABSENT, Mission, Structure
@@ -301,7 +302,8 @@ class SingleRun:
 
     def metrics(self, reason: str) -> Metrics:
         """Return the metrics of the run, which ended for a reason."""
-        row = dict(zip(METRICS, metrics_table(self.loop, self.state[None])[0].tolist(), strict=True))
+        [values] = metrics_table(self.loop.law, self.loop.state, self.state[None]).tolist()
+        row = dict(zip(METRICS, values, strict=True))
         row["stopped_because"], row["reached"] = reason, row["reached"] > 0.5
         del row["collided"], row["stopped"]
         return Metrics(**row)

@@ -1,4 +1,4 @@
-"""Names, units and meanings of a run's metrics (`batch.loop` decides them), and of the reasons why it ends."""
+"""Names, units and meanings of a run's metrics (counted in `batch.counting`), and of the reasons why it ends."""
 
 from __future__ import annotations
 

@@ -13,7 +13,7 @@ from surctl.errors import InputError
 from surctl.ir import Layout, Port
 from surctl.marine.control import Gains, Law, build_law, check_forces, default_law
 from surctl.marine.guidance import FOLLOWING, MAX_WAYPOINTS, follow
-from surctl.marine.simulation.batch.listening import path_square
+from surctl.marine.simulation.batch.counting import path_square
 from surctl.marine.simulation.batch.loop import clearances, free_column, loop_of, obstacle_points, pushed, with_walls
 from surctl.marine.simulation.batch.pack import pack, structure_of
 from surctl.marine.simulation.batch.structure import ABSENT, Structure

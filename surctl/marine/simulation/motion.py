@@ -1,4 +1,4 @@
-"""Check the motion that a scenario asks for: speeds, current, thrust, corners and turning circle, time limit."""
+"""Findings of `lint` on motion: speeds, cap, current, thrust, arcs, corners, turning circle, depths, time limit."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Pack the parameter vector of a law from a mission, gains and a vehicle."""
+"""The parameter vector of a law from a mission, gains and a vehicle, and ranges of what changes along the path."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The obstacles of a scenario file."""
+"""The obstacles of a scenario file: keys of `[[obstacles]]`, what a shape needs, and distances between two."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The seam between the closed loop and what moves the hull and measures distances: surctl's own plant or another."""
+"""The physics of a run: the interface for another engine, and surctl's own plant (RK4, distances, echoes)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A scenario from a mission of another program: a QGroundControl plan (.plan) or a GPX file."""
+"""A scenario from a QGroundControl plan or a GPX file: frames, heights, geofence, and items that are not used."""
 
 from __future__ import annotations
 

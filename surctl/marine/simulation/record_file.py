@@ -1,4 +1,4 @@
-"""Write a run as a file for other programs: CSV, MATLAB's .mat or netCDF, with one line per control step.
+"""Write a run as a file: CSV, MATLAB's .mat or netCDF with one line per step, or an MCAP scene for Foxglove.
 
 Topics: `/tf` (frames `world` and `hull`), `/pose`, `/path`, `/scene` (hull, obstacles, walls), `/sonar/N` (one echo as
 an arc over the beam), `/state`, `/thrust`, `/status`, `/log`. The frame `world` is {E}: x along the site, z up; `hull`

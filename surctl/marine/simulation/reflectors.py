@@ -1,4 +1,4 @@
-"""The reflectors of a scenario: echo models by name (angles: `returns`), keys of the file, surfaces of a run."""
+"""Echo models by name (`echoes`), tables `[reflectors.NAME]`, and the reflectors of walls, surface and floor."""
 
 from __future__ import annotations
 

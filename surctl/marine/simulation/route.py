@@ -1,4 +1,4 @@
-"""The route of a mission as a scenario file states it: waypoints, then legs, then a survey; it becomes one `Path`.
+"""The path of a scenario file: `path_m`, then `[[leg]]` with arcs and climbs, then `[survey]`; paths it refuses.
 
 A leg is a straight line, or an arc through its end. An arc becomes a polyline whose chords deviate from it by at most
 `arc_error_m`. The law follows this polyline, for two reasons. First, the law's equations (8)-(12) do not need the turn

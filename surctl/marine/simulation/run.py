@@ -1,4 +1,4 @@
-"""A simulated run: its recorded signals, and the times and positions of its depth changes."""
+"""A simulated run: its recorded signals, its attitude (crab angle, oscillation), and its changes of depth."""
 
 from __future__ import annotations
 

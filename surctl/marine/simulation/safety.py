@@ -1,4 +1,4 @@
-"""The safety claim as data: what the barrier guarantees in a scenario, and the margin that a vehicle needs to brake.
+"""The no-contact claim: what the barrier guarantees in a scenario, and the `margin` that a vehicle needs to brake.
 
 The law bounds the speed towards an obstacle by the distance to it. A real vehicle needs an additional distance, the
 margin, because it does not follow this speed bound exactly.

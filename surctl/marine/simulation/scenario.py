@@ -1,4 +1,4 @@
-"""Read scenarios from TOML files: site, path, obstacles, disturbances, sensors, numbers from the paper."""
+"""Scenario files and their checks: site, speeds, depths, disturbances, `[uncertainty]` (path: `route`; `sensors`)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The sensors of a scenario: equipment, faults, and the times at which the sonars fire in the closed loop."""
+"""Tables `[sonar]`, `[base_station]` and `[own_state]` of a scenario file, with refusals; when each sonar fires."""
 
 from __future__ import annotations
 

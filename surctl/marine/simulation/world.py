@@ -1,11 +1,11 @@
-"""The simulated world of one run: moving obstacles and waves, which the seed determines.
+"""The simulated world of one run: obstacles in motion, waves, drift and thrust errors that the seed draws.
 
 The closed loop makes two simplifications. First, the beam of a sonar is a horizontal fan, whose thickness at every
 range is that of the hull plus the constant `BAND` above and below. The sonar detects exactly the obstacles that cross
-this fan. (A real beam is thinner near the hull and thicker far away,
-where it would detect a sill that the hull passes over.) Second, an echo sounder measures, without noise, the vertical
-distance to the nearest obstacle over or under a disc that is wider than the hull by the constant `FOOTPRINT`. The
-limits of the mission's `depths` count as obstacles for the echo sounder.
+this fan. (A real beam is thinner near the hull and thicker far away, where it would detect a sill that the hull passes
+over.) Second, an echo sounder measures, without noise, the vertical distance to the nearest obstacle over or under a
+disc that is wider than the hull by the constant `FOOTPRINT`. The limits of the mission's `depths` count as obstacles
+for the echo sounder.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Conduct a study in one call: sweep, choice of gains, margins, claims, runs, export, SIL test, and report."""
+"""Conduct a study in one call: sweep, gains, margins, claims, runs, export, replay in C, report; summary lines."""
 
 from __future__ import annotations
 
@@ -31,17 +31,19 @@ from surctl.marine.control import Gains, Law, build_law, law_source, write_gains
 from surctl.marine.export import build_bundle, origin_of
 from surctl.marine.simulation import Run, Scenario, findings, law_numbers, simulate
 from surctl.marine.study.plan import Leg, Plan
-from surctl.marine.tuning import SweepTable, sweep
+from surctl.marine.tuning import MissionSweep, picked_gains
 from surctl.marine.tuning.derived import has_tuned
-from surctl.marine.verification import OverSpeeds, applicable_claims, law_loop, over_speeds, speeds_text
+from surctl.marine.verification import law_loop, over_speeds
+from surctl.marine.verification.library import applicable_claims
 from surctl.marine.verification.region import refused_regions
+from surctl.marine.verification.speeds import OverSpeeds, speeds_text
 from surctl.system import LinearLoop
-from surctl.tuning import LocalExecutor, grid
+from surctl.tuning import LocalExecutor, SweepTable, grid, sweep
 from surctl.verification import Inapplicable, LoopMargins, Verdict, decide
 from surctl.verification.linear import short_margins
 
 if TYPE_CHECKING:
-    from surctl.marine.report import ExportSummary
+    from surctl.report.document import Section
 
 
 @dataclass(frozen=True)
@@ -300,6 +302,7 @@ class Study:
 
     plan: Plan
     sweep: SweepTable
+    gains: Gains
     loops: Loops
     verdicts: tuple[Verdict, ...]
     inapplicable: tuple[Inapplicable, ...]
@@ -335,8 +338,8 @@ class Study:
             "summary": [asdict(note) for note in self.notes],
             "gains": {
                 "file": str(self.gain_file),
-                "values": dict(self.sweep.gains.values),
-                "provenance": self.sweep.gains.provenance,
+                "values": dict(self.gains.values),
+                "provenance": self.gains.provenance,
             },
             "sweep": {
                 "axes": {axis.name: axis.values.tolist() for axis in self.sweep.axes},
@@ -426,20 +429,21 @@ def conduct(
     with ExitStack() as stack:
         with clock("sweep"):
             swept = _sweep(plan, out, workers, progress)
-            gain_file = write_file(out / "gains.toml", write_gains(swept.gains))
+            gains = picked_gains(swept)
+            gain_file = write_file(out / "gains.toml", write_gains(gains))
         with clock("export"):
-            shipment = stack.enter_context(_shipping(sonar_laws[first], swept.gains, legs[first], out / "export"))
+            shipment = stack.enter_context(_shipping(sonar_laws[first], gains, legs[first], out / "export"))
         with clock("runs"):
-            leg_runs = _simulate_legs(plan, legs, (laws, sonar_laws), swept, progress)
+            leg_runs = _simulate_legs(plan, legs, (laws, sonar_laws), gains, progress)
         runs = tuple(run for _, run in leg_runs)
         deciding = tuple(leg.misfit is None and run.sensing == _sensing(plan) for leg, run in leg_runs)
         with clock("assessment"):
-            assessment = assess(assessed(plan, swept.gains, runs=runs, extra=tuple(not each for each in deciding)))
-            loops = loops_of(plan, swept.gains, assessment.sources["loop"])
+            assessment = assess(assessed(plan, gains, runs=runs, extra=tuple(not each for each in deciding)))
+            loops = loops_of(plan, gains, assessment.sources["loop"])
         with clock("claims"):
             fastest = max((leg.scenario for leg in plan.deciding), key=lambda scenario: scenario.cruise)
-            verdicts, inapplicable = claims_of(plan, swept.gains, fastest)
-            regions = _unprovable_regions(plan, swept.gains, speeds=(fastest.cruise, fastest.cap))
+            verdicts, inapplicable = claims_of(plan, gains, fastest)
+            regions = _unprovable_regions(plan, gains, speeds=(fastest.cruise, fastest.cap))
         sonar_runs = [run for leg, run in leg_runs if leg.misfit is None and run.sensing == _sensing(plan)]
         replayed = tuple(run for run in sonar_runs if shipment.carries(run))
         with clock("pictures of the runs"):  # in parallel with the compiler
@@ -448,7 +452,7 @@ def conduct(
                 command=command,
                 version=__version__,
                 vehicle=plan.vehicle,
-                gains=swept.gains,
+                gains=gains,
                 speeds=(fastest.cruise, fastest.cap),
                 margins=loops.margins,
                 linear=loops.analysis.sides,
@@ -472,7 +476,7 @@ def conduct(
     with clock("report"), saving("report"):
         data = replace(
             data,
-            export=_export_summary(plan, shipment, replayed, sil),
+            export=_export_section(plan, shipment, replayed, sil),
             seconds=dict(clock.seconds),
             assessment=assessment,
         )
@@ -481,6 +485,7 @@ def conduct(
     return Study(
         plan,
         swept,
+        gains,
         loops,
         verdicts,
         inapplicable,
@@ -543,40 +548,31 @@ def _sensing(plan: Plan) -> Literal["truth", "sonar"]:
     return "truth" if plan.unheard else "sonar"
 
 
-def _export_summary(
-    plan: Plan, shipment: _Shipment, replayed: Sequence[Run], sil: tuple[SilReport, ...]
-) -> ExportSummary:
-    from surctl.marine.report import ExportSummary
+def _export_section(plan: Plan, shipment: _Shipment, replayed: Sequence[Run], sil: tuple[SilReport, ...]) -> Section:
+    from surctl.report.system_page import export_section
 
-    status = "The exported law estimates its position and the obstacles from sonars, base station and IMU."
-    if plan.unheard:
-        status = f"The exported law takes the pose, the velocity and the obstacles as inputs, because {plan.unheard}."
-    status += " Replayed runs: "
-    status += "; ".join(f"{k}: {run.scenario.name} by {run.vehicle.name}" for k, run in enumerate(replayed, start=1))
     bundle = shipment.bundle
-    return ExportSummary(name=bundle.name, id=bundle.id, files=shipment.files, sil=sil, status=f"{status}.")
+    inputs = "estimates its position and the obstacles from sonars, base station and IMU"
+    if plan.unheard:
+        inputs = f"takes the pose, the velocity and the obstacles as inputs, because {plan.unheard}"
+    text = f"C99, double precision, prefix {bundle.name}, law {bundle.id}. The exported law {inputs}."
+    runs = "; ".join(f"{k}: {run.scenario.name} by {run.vehicle.name}" for k, run in enumerate(replayed, start=1))
+    return export_section(f"{text} Replayed runs: {runs}.", shipment.files, sil, folded=True)
 
 
 def _sweep(plan: Plan, out: Path, workers: int, progress: Progress) -> SweepTable:
-    return sweep(
-        plan.sweep_cases,
-        grid(plan.grid),
-        seeds=plan.sweep_seeds,
-        cruise=plan.cruise,
-        executor=LocalExecutor(workers),
-        out=out,
-        progress=progress,
-    )
+    subject = MissionSweep(plan.sweep_cases, plan.sweep_seeds, cruise=plan.cruise)
+    return sweep(subject, grid(plan.grid), executor=LocalExecutor(workers), out=out, progress=progress)
 
 
 def _simulate_legs(
-    plan: Plan, legs: Sequence[Leg], laws: tuple[Sequence[Law], Sequence[Law]], swept: SweepTable, progress: Progress
+    plan: Plan, legs: Sequence[Leg], laws: tuple[Sequence[Law], Sequence[Law]], gains: Gains, progress: Progress
 ) -> list[tuple[Leg, Run]]:
     # with true positions by the law in `laws[0]`, with sonar by the law in `laws[1]`
     leg_runs = []
     for leg, law_of_truth, sonar_law in zip(legs, *laws, strict=True):
         for sensing, law in (("truth", law_of_truth), ("sonar", sonar_law))[: 1 if plan.unheard else 2]:
-            run = simulate(leg.scenario, leg.vehicle, gains=swept.gains, law=law, sensing=sensing, seed=plan.seed)
+            run = simulate(leg.scenario, leg.vehicle, gains=gains, law=law, sensing=sensing, seed=plan.seed)
             m = run.metrics
             progress(f"{leg.scenario.name} {sensing}: {m.stopped_because} at {m.time_s:.1f} s")
             leg_runs.append((leg, run))

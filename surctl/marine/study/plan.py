@@ -1,4 +1,4 @@
-"""The plan of a study, read from a study file or derived from a vehicle file."""
+"""The plan of a study and of `tune --vehicle`: keys of its file, missions scaled to a vehicle, those left out."""
 
 from __future__ import annotations
 
@@ -32,7 +32,8 @@ from surctl.marine.tuning import Derivation, Goal, default_cruise, gains_for, lo
 from surctl.marine.tuning.derived import shared_gains
 from surctl.marine.tuning.goals import goals_from_tables
 from surctl.marine.vehicle import Vehicle, load_vehicle
-from surctl.marine.verification import applicable_claims, check_held, cruise_speeds
+from surctl.marine.verification.library import applicable_claims
+from surctl.marine.verification.speeds import check_held, cruise_speeds
 from surctl.tuning import Axis, GoalTable
 
 _TANK = "tank-static"
@@ -173,7 +174,7 @@ class Plan:
     `cruise` holds the speeds [m/s] at which the linear loops are judged; if it is empty, the largest cruise speed of
     the scenarios is used. `axes` is empty if the study file has no `[sweep]` table; such a study keeps its
     gains. `named` is false if the study names no gains; they are then the default gains of its vehicles
-    (`tuning.shared_gains`). `derivation` says how they were derived from the vehicle, if they were. `unheard` is the
+    (`tuning.derived`). `derivation` says how they were derived from the vehicle, if they were. `unheard` is the
     reason why the study simulates no sonars, and exports the law that takes obstacle positions; empty if it does.
     """
 

@@ -1,4 +1,4 @@
-"""Gains that follow from a vehicle: explicit formulae, a check by the margins of the loop, and a small search.
+"""Gains derived from a vehicle (formulae, then a search for the margins), the bearable speed, and default gains.
 
 The formulae give the bandwidths of the inner loops from the delay of the thrust, and everything else from the inner
 loops, the thrust, the hull and the cruise speed. Each formula is a line of `rule`. A search changes k_v, k_r and k_psi
@@ -369,7 +369,7 @@ def derived_gains(vehicle: Vehicle, *, cruise: float, dt: float = _DT) -> Gains:
 def derive_gains(vehicle: Vehicle, *, cruise: float, dt: float = _DT) -> Derivation:
     """Derive gains from mass, drag, thrust, lag and hull of a vehicle, control period and cruise speed.
 
-    The formulae are those of `vehicle_rule.rule`. If they miss the margins (see the module), a search over k_v, k_r and
+    The formulae are those of `rule`. If they miss the margins (see the module), a search over k_v, k_r and
     k_psi in fixed steps follows; the result depends on nothing but the arguments. If no gains have the margin, the
     result has the gains with the largest margin, and the largest speed at which the margin is reached.
 

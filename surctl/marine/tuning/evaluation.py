@@ -1,4 +1,4 @@
-"""Evaluate goals for many gain sets, cases, seeds and plants in one batch of closed loops."""
+"""Goals evaluated in batches of runs and loops: corner plants, fresh runs; goals judged at the end, or not at all."""
 
 from __future__ import annotations
 
@@ -20,9 +20,10 @@ from surctl.marine.simulation.campaign.worlds import draw_plant
 from surctl.marine.simulation.loop import SingleRun
 from surctl.marine.tuning.goals import PART_OF, Goal
 from surctl.marine.vehicle import Vehicle
-from surctl.marine.verification import OperatingPoint, check_held, law_loop, linear_table, steady_motion
+from surctl.marine.verification import law_loop, linear_table, steady_motion
 from surctl.marine.verification.cruise_loop import has_cruise_loop
-from surctl.marine.verification.law_loop import operating_point, steadiest
+from surctl.marine.verification.law_loop import OperatingPoint, operating_point, steadiest
+from surctl.marine.verification.speeds import check_held
 from surctl.own_code import is_own
 from surctl.system import LinearLoop
 from surctl.tuning.montecarlo import APART

@@ -1,4 +1,4 @@
-"""Goals of a tuning: bounds on metrics of the closed loop, with units, as control engineers state them.
+"""Goals of a tuning of missions: metrics and figures that they bound, cruise speeds, built-in goals on margins.
 
 The normalised value of a goal is defined as in MATLAB's Control System Tuner (systune, viewGoal): the goal is met if
 the value is at most 1.
@@ -17,7 +17,8 @@ from surctl.errors import InputError, nearest
 from surctl.files import load_model, pick
 from surctl.marine.simulation import METRICS
 from surctl.marine.simulation.metrics import MetricSpec
-from surctl.marine.verification import LINEAR_METRICS, cruise_speeds
+from surctl.marine.verification import LINEAR_METRICS
+from surctl.marine.verification.speeds import cruise_speeds
 from surctl.tuning.goals import LIBRARY, GoalsFile, GoalTable, RunGoal, check_names
 from surctl.tuning.loop_goal_file import loop_goal
 from surctl.tuning.loop_goals import LoopGoal

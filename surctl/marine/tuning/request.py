@@ -1,4 +1,4 @@
-"""The request of a search for gains of missions: its space, its claims, and the provenance of its result."""
+"""The request of a search for gains: tuned gains and ranges, claims to hold, derived starts, provenance written."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from surctl.marine.simulation import STOPS, Case, simulate_batch
 from surctl.marine.tuning.derived import DEPENDENT, derive_gains
 from surctl.marine.tuning.evaluation import check_goals, figures, fresh
 from surctl.marine.tuning.goals import Goal
-from surctl.marine.tuning.measure import law_digest
-from surctl.marine.verification import speeds_text
+from surctl.marine.tuning.sweep import law_digest
 from surctl.marine.verification.library import claims
+from surctl.marine.verification.speeds import speeds_text
 from surctl.tuning.cegis import Tuning
 from surctl.tuning.chunked import Progress
 from surctl.tuning.design import default_range

@@ -1,4 +1,4 @@
-"""The dynamics, equation (3) of the paper, with current, optional heave drag, thrust limits and thrust lag.
+"""The dynamics, equation (3) of the paper and its optional terms: current, limits and lag of thrust, roll, pitch.
 
 A vehicle may have further terms (`PlantForm`): a full inertia matrix, drag on one axis by the velocity of another one,
 constant forces, and less thrust astern than ahead. The momentum is then M ν, and the body that turns at r about the

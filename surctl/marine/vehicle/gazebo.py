@@ -1,4 +1,4 @@
-"""A vehicle from a Gazebo model: hydrodynamics and mass in SDF, or in URDF and xacro (uuv_simulator).
+"""A vehicle from a Gazebo model: hydrodynamics and mass in SDF, or in URDF and xacro; what cannot be used.
 
 The models state derivatives in the SNAME notation: added mass −X_u̇ and drag −X_u. Their axes are those of the heading
 frame, x ahead, y to the left, z up, so surge, sway, heave and yaw are taken over as they are; roll and pitch are

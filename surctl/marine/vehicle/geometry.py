@@ -1,4 +1,4 @@
-"""Estimate the parameters of a spherical vehicle (equation (3) of the paper) from its size, mass and thrust."""
+"""A spherical vehicle from size, mass and thrust (`from-geometry`), and how deep a hull floats at the surface."""
 
 from __future__ import annotations
 

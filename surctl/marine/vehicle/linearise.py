@@ -1,4 +1,4 @@
-"""Linearisation of a vehicle, as a python-control system with named signals."""
+"""Linearisation of a vehicle as a python-control system; whether its thrust, or a law, can hold a cruise speed."""
 
 from __future__ import annotations
 

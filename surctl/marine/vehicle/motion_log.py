@@ -1,4 +1,4 @@
-"""Logs of motion and thrust, from which a vehicle can be identified, and the function that reads them."""
+"""A log of motion and thrust: its columns and units, frames ENU and NED, times that do not increase."""
 
 from __future__ import annotations
 

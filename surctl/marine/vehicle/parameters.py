@@ -1,4 +1,4 @@
-"""The parameters of a vehicle, read from a TOML file; each parameter has a unit, a range and a provenance."""
+"""Vehicle files: parameters with unit, range and provenance; thrust limits from thrusters; impossible values."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The names of a vehicle's parameters: those of equation (3) of the paper, and the optional terms of coupled craft.
+"""Names, units and bounds of a vehicle's parameters, with the optional terms of coupled craft; axes without drag.
 
 The optional terms extend equation (3) to craft whose motions are coupled (Fossen 2021, chapters 6 and 8):
 

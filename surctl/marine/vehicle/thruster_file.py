@@ -1,4 +1,4 @@
-"""Read and write the tables `[[thruster]]` and `[allocation]` of a vehicle file."""
+"""Tables `[[thruster]]` and `[allocation]` of a vehicle file: keys, refusals, writing; largest force on each axis."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Thrusters of a vehicle: place, direction, force limits, command curve and swivel, and the order of allocation.
+"""Thrusters and fins of a vehicle: place, limits, command curve and swivel; the forces that they attain together.
 
 A thruster pushes along a fixed direction, from `-reverse` to `forward`. A swivelling thruster (a vectored water jet)
 pushes in a plane: its force lies in a sector of a disc, which is replaced by an inscribed polygon, so that every limit

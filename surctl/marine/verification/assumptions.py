@@ -1,4 +1,4 @@
-"""Check the assumptions of claims. A claim does not apply to a vehicle or to gains that violate an assumption."""
+"""Assumptions of claims: vehicles and gains to which a claim does not apply (unequal masses, integral action)."""
 
 from __future__ import annotations
 

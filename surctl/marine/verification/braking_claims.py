@@ -1,4 +1,4 @@
-"""The steps of the proof that a vehicle can brake before an obstacle, as claims over the vehicle's parameter ranges.
+"""Claims `braking-keeps`, `-retreat` and `-mass`: the steps of the proof that a vehicle brakes before an obstacle.
 
 The docstring of `surctl.marine.guidance.braking` contains the proof. For a law with sampled control and given numerical
 values, `surctl.marine.verification.braking` issues a separate certificate.

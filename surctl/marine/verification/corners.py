@@ -1,4 +1,4 @@
-"""The corners of a vehicle's parameter ranges, for the parameters that affect the linear loop about cruise."""
+"""The corners of a vehicle's parameter ranges for the linear loop; ranges assumed where the file states none."""
 
 from __future__ import annotations
 

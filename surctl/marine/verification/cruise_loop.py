@@ -1,4 +1,4 @@
-"""The linear loop of a law about a straight cruise, for many vehicles, gains and speeds at once: sampled, with delay.
+"""The linear loop of a law about a straight cruise, for many vehicles, gains and speeds at once; delay margins.
 
 The law that runs is differentiated: the derivatives of its list of instructions about the cruise are one expression of
 its parameters, which is evaluated at all points together. The plant is continuous, with thrust lag; thrust commands are
@@ -453,7 +453,7 @@ def closed_loop_poles(
     Example:
         >>> from surctl.marine.control import load_gains
         >>> from surctl.marine.vehicle import load_vehicle
-        >>> from surctl.marine.verification import closed_loop_poles
+        >>> from surctl.marine.verification.cruise_loop import closed_loop_poles
         >>> poles = closed_loop_poles(load_vehicle("sur400"), load_gains("default").values, cruise=0.15, dt=0.05)
         >>> poles.real[:3].round(2).tolist(), len(poles)
         ([-0.22, -0.38, -0.38], 16)

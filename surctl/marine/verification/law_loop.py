@@ -1,4 +1,4 @@
-"""The sampled loop of any law about a straight cruise, linearised numerically from the law that runs.
+"""The linear loop of any law about a cruise or a run's steady motion, also at its worst corner; refused motions.
 
 The law is differentiated by central differences of its control step, so the linear loop needs no model of the law. All
 quantities are deviations from a cruise along x at the speed U, far from the ends of the path, obstacles and walls (as

@@ -1,4 +1,4 @@
-"""The library of claims: the paper's claims about V1, V2 and the course, printed and corrected, and braking claims."""
+"""The library of claims: the paper's claims about V1, V2 and the course, and which claims apply to a vehicle."""
 
 from __future__ import annotations
 
@@ -132,7 +132,7 @@ def applicable_claims(
 
     Example:
         >>> from surctl.marine.vehicle import load_vehicle
-        >>> from surctl.marine.verification import applicable_claims
+        >>> from surctl.marine.verification.library import applicable_claims
         >>> found, refused = applicable_claims(names=["course-corrected", "braking-mass"],
         ...                                    vehicle=load_vehicle("bluerov2-wu"))
         >>> [claim.name for claim in found], refused["braking-mass"].because[:40]

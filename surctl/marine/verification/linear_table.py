@@ -1,4 +1,4 @@
-"""Linear metrics of many operating points at once: poles, margins of the eight loops, and step responses.
+"""Linear metrics of many operating points at once (poles, eight loops, steps); the root locus over a parameter.
 
 An operating point consists of gains, a vehicle and a cruise speed. Every metric is defined as in python-control
 (`damp`, `stability_margins`, `disk_margins`, `step_info`), and tests compare the results with those of python-control.

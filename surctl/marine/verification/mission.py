@@ -1,4 +1,4 @@
-"""Search for the proof of a claim about a whole mission; `certcheck.mission` decides it."""
+"""Search for the proof of a whole mission, leg by leg, or at a lower speed; `certcheck.mission` decides it."""
 
 from __future__ import annotations
 

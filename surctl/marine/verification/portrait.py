@@ -1,4 +1,4 @@
-"""Phase portraits of a region certificate: the flow and level sets in a plane of states, and violations of the decay.
+"""Phase portraits of a region certificate: flow, level sets in a plane of states, and violations of the decay.
 
 V is the Lyapunov function of the certificate, and a is its decay rate. The flow is that of the certified loop (the
 heading-steered loop or a cruise), but without thrust lag and sampling. The states are the position in the path frame

@@ -1,4 +1,4 @@
-"""Cruise speeds at which linear loops are evaluated: checks of the speeds, and metrics of the loop at every speed."""
+"""Several cruise speeds: which are refused, and linear metrics at every speed with the worst of them."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def cruise_speeds(speeds: Sequence[float], *, key: str) -> tuple[float, ...]:
             key.
 
     Example:
-        >>> from surctl.marine.verification import cruise_speeds
+        >>> from surctl.marine.verification.speeds import cruise_speeds
         >>> cruise_speeds([0.2, 0.05], key="cruise_m_per_s")
         (0.05, 0.2)
     """
@@ -45,7 +45,7 @@ def check_held(speeds: Sequence[float], vehicle: Vehicle, *, cap: float, key: st
 
     Example:
         >>> from surctl.marine.vehicle import load_vehicle
-        >>> from surctl.marine.verification import check_held
+        >>> from surctl.marine.verification.speeds import check_held
         >>> check_held((0.1, 0.3), load_vehicle("sur400"), cap=0.22, key="--cruise")
         Traceback (most recent call last):
             ...
@@ -68,7 +68,7 @@ def worst_text(ill: NDArray[np.float64], speeds: Sequence[float]) -> str:
 
     Example:
         >>> import numpy as np
-        >>> from surctl.marine.verification import worst_text
+        >>> from surctl.marine.verification.speeds import worst_text
         >>> worst_text(np.array([1.6, 1.7]), (0.05, 0.2)), worst_text(np.array([1.7, 1.7]), (0.05, 0.2))
         ('0.2 m/s', 'every speed')
     """
@@ -80,7 +80,7 @@ def speeds_text(speeds: Sequence[float]) -> str:
     """Return the speeds with their unit as text for a sentence: "0.05, 0.15 and 0.2 m/s".
 
     Example:
-        >>> from surctl.marine.verification import speeds_text
+        >>> from surctl.marine.verification.speeds import speeds_text
         >>> speeds_text((0.05, 0.15, 0.2)), speeds_text((0.15,))
         ('0.05, 0.15 and 0.2 m/s', '0.15 m/s')
     """

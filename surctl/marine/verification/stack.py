@@ -1,4 +1,4 @@
-"""The stacks that the shipped laws solve; the inputs of the laws are parameters of the region."""
+"""The stacks that the shipped laws solve (`--stack`), and the region in which their conditions are decided."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Compile a symbolic task stack and its limits to one function that computes the inputs of a priority step."""
+"""Compile a symbolic task stack and its limits to the inputs of a priority step; crossing bounds are moved."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The search of the priority kernel: from the first v to the optimum, with one limit or one level at a time.
+"""The search of the priority kernel, with one limit or one level at a time, and the test that v is optimal.
 
 The last step, `judge`, shows that v is optimal. Let g be the negative gradient of half the squared objective of a
 level, λ and μ the multipliers of the active limits and of the levels above, and d = g − Σ λ a − Σ Jᵀ μ what they leave.

@@ -26,24 +26,7 @@ from surctl.verification.formula.parser import (
 )
 
 __all__ = [
-    "BRANCHING",
-    "FUNCTIONS",
-    "IDENTIFIER",
-    "Node",
-    "Statement",
-    "derivative",
-    "from_casadi",
-    "is_name",
-    "number",
-    "ordered",
-    "parse",
-    "parse_relation",
-    "power",
-    "reads_back",
-    "rebuilt",
-    "substitute",
-    "text_of",
-    "to_casadi",
-    "values_of",
-    "variable",
-]
+    "BRANCHING", "FUNCTIONS", "IDENTIFIER", "Node", "Statement", "derivative", "from_casadi", "is_name", "number",
+    "ordered", "parse", "parse_relation", "power", "reads_back", "rebuilt", "substitute", "text_of", "to_casadi",
+    "values_of", "variable",
+]  # fmt: skip

@@ -1,4 +1,4 @@
-"""Expression trees, made of exact numbers, names and the operations of the claim grammar."""
+"""Expression trees of exact numbers, names and operations; their derivatives and values; statements on a box."""
 
 from __future__ import annotations
 

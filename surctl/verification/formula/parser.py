@@ -1,4 +1,4 @@
-"""Parse text into an expression by recursive descent; the text is never executed as code.
+"""Text of the claim grammar to expressions and back, mistakes with their column; long texts cut; from CasADi.
 
 ::
 

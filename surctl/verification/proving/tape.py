@@ -1,4 +1,4 @@
-"""Instruction lists of expressions, which are evaluated on many boxes at once."""
+"""Instruction lists of expressions, evaluated on many boxes at once; operations that are not defined there."""
 
 from __future__ import annotations
 

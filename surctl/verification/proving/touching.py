@@ -1,4 +1,4 @@
-"""Normal forms about a point at which a claim holds with equality: each term is then exactly 0 there."""
+"""Where a claim holds with equality: normal forms about the point; polynomial bounds of sines, exp and others."""
 
 from __future__ import annotations
 

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from scipy.optimize import linprog
 
 from surctl.errors import InputError, SolverError, ToolMissing
-from surctl.ir import SlowerEngine, compile_block, replay, to_casadi
+from surctl.ir import compile_block, replay, to_casadi
+from surctl.ir.native import SlowerEngine
 from surctl.priority import Level, Mode, PriorityProblem, Row, Settings, build_problem, solve
 from surctl.priority.compiled.step import OUTPUTS, PriorityStep, priority_step
 from surctl.priority.optimality import is_optimal

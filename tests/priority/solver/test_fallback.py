@@ -11,7 +11,8 @@ import pytest
 from numpy.typing import NDArray
 from scipy.optimize import linprog
 
-from surctl.ir import Native, Real, Routine, compile_block, replay, to_casadi
+from surctl.ir import Real, Routine, compile_block, replay, to_casadi
+from surctl.ir.native import Native
 from surctl.priority import safe_step
 from surctl.priority.solver.dual_step import OPTIMAL, STUCK, Space
 from surctl.priority.solver.elimination import FLOAT32, FLOAT64, Precision

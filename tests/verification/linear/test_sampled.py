@@ -7,7 +7,8 @@ import pytest
 from surctl.errors import InputError
 from surctl.marine.control import load_gains
 from surctl.marine.vehicle import load_vehicle
-from surctl.marine.verification import CruiseLoop, cruise_loop
+from surctl.marine.verification import cruise_loop
+from surctl.marine.verification.cruise_loop import CruiseLoop
 from surctl.marine.verification.linear import (
     corners,
     sampled_limits,

@@ -1,10 +1,11 @@
-"""Artificial potential field (Khatib, "Real-time obstacle avoidance for manipulators and mobile robots", IJRR 1986).
+"""Law `apf`: an artificial potential field pushes the velocity away from obstacles (Khatib, IJRR 1986).
 
-The law uses Khatib's velocity-limited form: F = m k_v (v_d − ẋ) + Σ F_FIRAS, where v_d points to the attracting point.
-m is the mass, ẋ the velocity, and F_FIRAS the repulsive force of one obstacle. The velocity loop provides the first
-term, so the command is v_d + Σ F_FIRAS / (m k_v), with limited speed. The attracting point is the look-ahead point on
-the path, at which the line-of-sight guidance (9) of the paper aims. The field ignores the velocity of obstacles and has
-local minima. Near an obstacle, the speed towards the obstacle is damped further.
+Source: "Real-time obstacle avoidance for manipulators and mobile robots", in the velocity-limited form F = m k_v (v_d −
+ẋ) + Σ F_FIRAS, where v_d points to the attracting point. m is the mass, ẋ the velocity, and F_FIRAS the repulsive force
+of one obstacle. The velocity loop provides the first term, so the command is v_d + Σ F_FIRAS / (m k_v), with limited
+speed. The attracting point is the look-ahead point on the path, at which the line-of-sight guidance (9) of the paper
+aims. The field ignores the velocity of obstacles and has local minima. Near an obstacle, the speed towards the obstacle
+is damped further.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""Line-of-sight guidance, corrected by control barrier functions (Ames, Xu, Grizzle and Tabuada, "Control barrier
-function based quadratic programs for safety critical systems", IEEE TAC 2017), on the kinematics.
+"""Law `cbf`: line-of-sight guidance, corrected by control barrier functions (Ames et al., IEEE TAC 2017).
 
-Each obstacle i has the barrier h_i = clearance − margin, and the law requires ḣ_i ≥ −α h_i. For a unit vector n_i from
-the robot to the obstacle and the obstacle's velocity v_i, this is the constraint n_i·v ≤ α h_i + n_i·v_i on the robot's
+Source: "Control barrier function based quadratic programs for safety critical systems", here on the kinematics. Each
+obstacle i has the barrier h_i = clearance − margin, and the law requires ḣ_i ≥ −α h_i. For a unit vector n_i from the
+robot to the obstacle and the obstacle's velocity v_i, this is the constraint n_i·v ≤ α h_i + n_i·v_i on the robot's
 velocity v. The law computes the velocity that is nearest to the desired velocity and satisfies every constraint and the
 speed limit. The computation is exact and adds one constraint after another: if the optimum so far violates the added
 constraint, the new optimum lies on the line n_i·v = α h_i + n_i·v_i (Seidel 1991; de Berg et al., *Computational

@@ -1,11 +1,12 @@
-"""Dynamic window (Fox, Burgard and Thrun, "The dynamic window approach to collision avoidance", IEEE RAM 1997).
+"""Law `dwa`: the dynamic window of velocities within reach (Fox, Burgard and Thrun, IEEE RAM 1997).
 
-The robot is holonomic, so the window is a set of horizontal velocities, and each velocity leads along a straight line.
-Obstacles are assumed to continue at their present velocity. A velocity v is admissible if the robot can brake before it
-meets the first obstacle: |v| ≤ √(2 b s), where b is the deceleration and s = |v| t_c is the distance travelled until
-the time of contact t_c. This condition is equivalent to |v| ≤ 2 b t_c. The law chooses the admissible velocity with the
-largest α·heading + β·clearance + γ·velocity, where the terms heading, clearance and velocity are scaled to values
-between 0 and 1. If no velocity is admissible, the robot brakes.
+Source: "The dynamic window approach to collision avoidance". The robot is holonomic, so the window is a set of
+horizontal velocities, and each velocity leads along a straight line. Obstacles are assumed to continue at their present
+velocity. A velocity v is admissible if the robot can brake before it meets the first obstacle: |v| ≤ √(2 b s), where b
+is the deceleration and s = |v| t_c is the distance travelled until the time of contact t_c. This condition is
+equivalent to |v| ≤ 2 b t_c. The law chooses the admissible velocity with the largest α·heading + β·clearance +
+γ·velocity, where the terms heading, clearance and velocity are scaled to values between 0 and 1. If no velocity is
+admissible, the robot brakes.
 """
 
 from __future__ import annotations

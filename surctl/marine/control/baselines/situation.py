@@ -1,4 +1,4 @@
-"""The symbolic inputs of a law, and functions that the textbook laws share (lower-priority tasks, time to contact)."""
+"""What the textbook laws share: their symbolic inputs, tasks of lower priority, and the time to contact."""
 
 from __future__ import annotations
 

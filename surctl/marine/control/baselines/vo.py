@@ -1,5 +1,7 @@
-"""Velocity obstacles (Fiorini and Shiller, "Motion planning in dynamic environments using velocity obstacles", IJRR
-1998), in the sampled form of van den Berg, Lin and Manocha 2008 (RVO library), but without reciprocal avoidance.
+"""Law `vo`: velocity obstacles, which forbid velocities that lead to a contact (Fiorini and Shiller, IJRR 1998).
+
+Source: "Motion planning in dynamic environments using velocity obstacles", in the sampled form of van den Berg, Lin and
+Manocha 2008 (RVO library), but without reciprocal avoidance.
 
 A velocity is forbidden if, within the time horizon, a robot at this constant velocity would come closer than the margin
 to an obstacle that also moves at constant velocity. From a fixed set of candidate velocities around the desired

@@ -1,12 +1,11 @@
-"""Calibration of a range sensor: measured = scale·true + bias + noise(range), with 95 % confidence intervals.
+"""Calibration of a range sensor: bias, scale, noise, 95 % intervals; outliers, wrong medium, data it refuses.
 
 `calibrate` fits the line by least squares to all readings but the outliers; Student's t gives the intervals of bias and
-scale. A test of the restricted
-likelihood ratio (`noise_shape`) at the 5 % level decides whether the standard deviation (sd) of the noise depends on
-range, sd = s0 + s1·range. If the noise does not depend on range, the intervals are exact for normally distributed
-noise: Student's t gives the intervals of the line, χ² the interval of the sd. If the noise depends on range, each
-reading is weighted by the inverse of its variance sd². The result also gives mean and sd of the errors measured − true,
-because reports of range tests usually give these and no scale factor.
+scale. A test of the restricted likelihood ratio (`noise_shape`) at the 5 % level decides whether the standard deviation
+(sd) of the noise depends on range, sd = s0 + s1·range. If the noise does not depend on range, the intervals are exact
+for normally distributed noise: Student's t gives the intervals of the line, χ² the interval of the sd. If the noise
+depends on range, each reading is weighted by the inverse of its variance sd². The result also gives mean and sd of the
+errors measured − true, because reports of range tests usually give these and no scale factor.
 
 The coverage of the intervals (how often they contain the true value) was computed from simulated data. The coverage is
 94 to 97 % if the noise is the same at all ranges, and also if the noise depends on range and there are at least about

@@ -1,4 +1,4 @@
-"""Calibration from a CSV file or from built-in Table II; output as CSV text or as `[sonar]` table of a scenario."""
+"""Calibration from a CSV file or Table II: columns, units, skipped rows; output as CSV or as `[sonar]` table."""
 
 from __future__ import annotations
 

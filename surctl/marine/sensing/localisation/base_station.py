@@ -1,13 +1,10 @@
-"""Measurements by the base station: moving obstacles, and the robot's own position.
+"""Measurements of base station, camera and IMU: noise, and period, latency, loss and gaps of messages.
 
-`observe` and `measure` return measurements without delay or loss. `message` and `fix` return periodic measurements that
-arrive late or are lost. For these two methods, the caller passes the true state at the earlier time of measurement,
-which comes from a buffer (`delayed`) or from the known motion of an obstacle. The noise is white and Gaussian; the
-caller draws the standard normal numbers. A method whose name ends in `_symbols` returns the result of the method
-without this suffix, in CasADi symbols for a compiled loop.
-
-Whether a message arrives depends only on the number of the control period and on a random number. Each function exists
-in two versions: for the Python loop, and in CasADi symbols for the compiled loop.
+The methods `message_symbols` and `fix_symbols` return periodic measurements, which may arrive late or be lost, in
+CasADi symbols for a compiled loop. The caller passes the true state at the earlier time of measurement, which comes
+from a buffer (`delayed_symbols`) or from the known motion of an obstacle. The noise is white and Gaussian; the caller
+draws the standard normal numbers. Whether a message arrives depends only on the number of the control period and on a
+random number.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Obstacle points (contacts) from measured ranges: positions of echoes that no known wall or obstacle explains.
+"""Obstacle points without a map, one for each sensor: echoes that no known wall or obstacle explains.
 
 The functions build CasADi expressions for the exported law. The heading is an input as (cos ψ, sin ψ), and azimuths and
 beam angle are floats, so the expressions need dot and cross products but no angles. The class `ContactMemory` stores

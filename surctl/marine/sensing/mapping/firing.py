@@ -1,4 +1,4 @@
-"""One sonar firing as an input of the local map, and tests whether the firing marks or clears a cell of the map.
+"""One sonar firing on the local map: which cells it marks or clears, and the directions that a mark stores.
 
 A specular surface answers only near its normal. So a later firing without an echo from a marked cell shows that the
 cell is free only if the firing comes from a direction from which a surface in this cell would have answered. A surface
@@ -173,7 +173,7 @@ def named_limits(limits: ca.SX) -> dict[str, ca.SX]:
 
 
 def direction(column: ca.SX, row: ca.SX, limit: dict[str, ca.SX]) -> ca.SX:
-    """Return the direction from a firing's apex to a cell, see `directions.bearing`."""
+    """Return the direction from a firing's apex to a cell, see `bearing`."""
     along, across = column[0] + row[0], column[1] + row[1]
     ex, ey = limit["axis_x"], limit["axis_y"]
     return bearing(along * ex + across * ey, along * ey - across * ex)
@@ -189,7 +189,7 @@ def by_direction(
 
     Args:
         value: the cell's value.
-        away: the direction, see `directions.bearing`.
+        away: the direction, see `bearing`.
         near: whether the cell is near the sensor, see `nearby`.
         moved: whether an echo came from close behind the cell.
         known, specular: see `LocalMap`.
@@ -208,7 +208,7 @@ def by_direction(
 
 
 def nearby(line: tuple[ca.SX, ca.SX, ca.SX], limit: dict[str, ca.SX]) -> ca.SX:
-    """Return whether a cell is nearer to the sensor than `directions.NEAR`."""
+    """Return whether a cell is nearer to the sensor than `NEAR` edges."""
     edge = -2 * limit["outside"]
     return line[2] < NEAR * NEAR * (edge * edge)
 

@@ -1,4 +1,4 @@
-"""The local map: a grid of cells around the robot, aligned with {E}; measured ranges carve and mark the cells.
+"""The local map: a grid of cells that moves with the robot, how long marks last, and the nearest marks around.
 
 A measured range d means that the cone of the beam is free up to d, and that an object lies somewhere on the arc at d.
 So a reading clears the cells nearer than d and marks the cells on the arc that are not known to be free. If all cells

@@ -1,4 +1,4 @@
-"""The rules of `RangeTracker` as CasADi expressions.
+"""Rules of the range tracker: which readings are believed, suspected, late, stuck or crosstalk; error bound, health.
 
 A track is the estimated range and rate of the nearest object of a sensor. In each step, the robot's own motion moves
 the track. If the new reading is plausible and agrees with the track, the reading updates the track. Otherwise the

@@ -1,4 +1,4 @@
-"""The robust range tracker, which estimates the range to each sensor's nearest object and a bound on the error.
+"""The robust range tracker, with its state: range to each sensor's nearest object and error bound (see `rules`).
 
 The tracker takes a trimmed mean of the samples of each firing. For each sensor, a Kalman filter estimates range and
 rate (constant velocity; Bar-Shalom, Li and Kirubarajan 2001, 6.2), with the robot's own motion as a known input. This

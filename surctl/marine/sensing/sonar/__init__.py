@@ -1,1 +1,1 @@
-"""The sonar array: its geometry, its echo model, and its faults, computed with NumPy and in CasADi symbols."""
+"""The sonar array: its geometry, its echo model with reflectors, and its faults."""

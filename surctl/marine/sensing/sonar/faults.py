@@ -1,4 +1,4 @@
-"""Faults of a sonar and the samples of a faulty firing, in CasADi symbols.
+"""Faults of a sonar: kinds, schedule, chances, refusals; the samples of a faulty firing in CasADi symbols.
 
 A fault is scheduled for a sensor, a start time and a duration (`Fault`), or it is random with a probability per firing
 (`FaultChances`). At most one fault acts on a firing: the first scheduled fault that is active, otherwise the random

@@ -1,4 +1,4 @@
-"""Returns of a beam: the angles at which a reflector answers, and the range at which an echo is certain or weak.
+"""Built-in reflectors: angles at which a surface answers, certain and weak echoes, and the chance of a weak one.
 
 Several surfaces in a beam answer the same ping, and the module measures the first echo that it detects. So the measured
 range is the minimum over the returns that are detected. `certain_range_symbols` gives the nearest return that is always

@@ -1,4 +1,4 @@
-"""Reflecting shapes in CasADi symbols for the compiled closed loop.
+"""Reflecting shapes (disc, box, walls) in CasADi symbols: where a ray or cone of the compiled loop meets them.
 
 If a ray or cone does not meet a shape, the range is `nothing`, a value beyond the sensor's maximum. Every branch of an
 if_else is finite for finite inputs.

@@ -1,4 +1,4 @@
-"""The scenario, vehicle and law that a batch simulates, and the parameters that a batch can change by name."""
+"""A case: scenario, vehicle and law of a batch; the parameters that a sweep may change by name, and their bounds."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Simulate many closed loops at once, with compiled C or CasADi's virtual machine: metrics, or signals over time."""
+"""Simulate many runs in compiled C, or in CasADi's machine without a compiler; the C text of a loop in the cache."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ from surctl.ir import (
 )
 from surctl.marine.control.build import LAW_SOURCES
 from surctl.marine.simulation.batch.case import Case, check_values
-from surctl.marine.simulation.batch.listening import VARIATIONS
+from surctl.marine.simulation.batch.counting import metrics_table
 from surctl.marine.simulation.batch.loop import Loop, build_loop
 from surctl.marine.simulation.batch.pack import Packed, pack, structure_of
-from surctl.marine.simulation.batch.structure import ABSENT, Structure
-from surctl.marine.simulation.metrics import METRICS, STOPS
+from surctl.marine.simulation.batch.structure import Structure
+from surctl.marine.simulation.metrics import METRICS
 from surctl.own_code import is_own
 
 _FURTHER = (
@@ -157,12 +157,12 @@ def simulate_batch(
         try:
             compiled = compiled_loop(loop.structure)
             final = compiled.run(packed.state, packed.parameters, steps=packed.steps, threads=threads)
-            return BatchResult(metrics_table(loop, final), "c")
+            return BatchResult(metrics_table(loop.law, loop.state, final), "c")
         except ToolMissing as missing:
             if engine == "c":
                 raise
             warn_slower(missing)
-    return BatchResult(metrics_table(loop, _through_machine(loop, packed)), "vm")
+    return BatchResult(metrics_table(loop.law, loop.state, _through_machine(loop, packed)), "vm")
 
 
 @cache
@@ -215,57 +215,6 @@ def broadcast(values: Mapping[str, ArrayLike], seeds: ArrayLike) -> tuple[dict[s
     n = shape[0] if shape else 1
     spread = {name: np.broadcast_to(v, (n,)) for name, v in arrays.items()}
     return spread, np.broadcast_to(seed, (n,)).astype(np.int64)
-
-
-def _crab(loop: Loop, s: Mapping[str, Columns]) -> dict[str, Columns]:
-    # NaN if the law turns the hull to scan, or if the robot never moves
-    straight = loop.law.perception is None
-
-    def mean(total: str, count: str) -> Columns:
-        average: Columns = np.full(len(s[count]), np.nan)
-        return np.divide(s[total], s[count], out=average, where=(s[count] > 0) & straight)
-
-    crab = mean("sum_crab", "count_crab")
-    return {
-        "crab_angle_deg": np.rad2deg(crab),
-        "max_crab_angle_deg": np.rad2deg(np.where(np.isnan(crab), np.nan, s["most_crab"])),
-        "heading_error_deg": np.rad2deg(np.sqrt(mean("sum_heading", "count_moving"))),
-    }
-
-
-def metrics_table(loop: Loop, final: Columns) -> Columns:
-    """Return the metrics (n, len(METRICS)) of n runs from their final states (n, …)."""
-    s = {port.name: final[:, loop.state.slice(port.name)][:, 0] for port in loop.state}
-    rows, dt = s["step"] + 1, loop.law.dt
-    error = np.divide(s["sum_error"], s["count_error"], out=np.full(len(final), np.nan), where=s["count_error"] > 0)
-    columns = {
-        "reached": (s["stop"] == STOPS.index("reached")).astype(float),
-        "collided": (s["stop"] == STOPS.index("collision")).astype(float),
-        "time_s": np.round(s["step"] * dt, 9),
-        "min_clearance_m": np.where(s["least"] < 0.5 * ABSENT, s["least"], np.inf),
-        "path_error_m": np.sqrt(error),
-        "deviation_m": np.sqrt(s["sum_square"] / rows),
-        "max_deviation_m": s["most_away"],
-        "missed_corner_m": np.sqrt(np.maximum(s["missed"], s["corner_behind"])),
-        "overshoot_m": s["most_past"],
-        "length_m": s["length"],
-        "effort_n": s["sum_effort"] / rows,
-        "peak_thrust_share": s["most_thrust"],
-        "saturated_share": s["count_saturated"] / rows,
-        "thrust_rate_n_per_s": np.sqrt(s["sum_jump"] / np.maximum(rows - 1, 1)) / dt,
-        **_crab(loop, s),
-        **{f"variation_{k}_per_s": s[f"sum_{k}"] / (np.maximum(rows - 1, 1) * dt) for k in VARIATIONS},
-        "sign_changes_per_s": np.sum([s[f"signs_{k}"] for k in VARIATIONS], axis=0) / (rows * dt),
-        "axis_sign_changes_per_s": np.max([s[f"signs_{k}"] for k in VARIATIONS], axis=0) / (rows * dt),
-        "axis_saturated_share": np.max([s[f"limited_{k}"] for k in VARIATIONS], axis=0) / rows,
-        "energy_n15_s": s["sum_energy"] * dt,
-        "stopped": s["stop"],
-    }
-    wasted = np.maximum(s["sum_effort"] - s["sum_needed"], 0.0)
-    spent = s["sum_effort"] > 0
-    columns["wasted_impulse_n_s"] = wasted * dt
-    columns["wasted_share"] = np.divide(wasted, s["sum_effort"], out=np.zeros(len(final)), where=spent)
-    return np.column_stack([columns[name] for name in METRICS])
 
 
 _TOGETHER = 64  # runs whose signals are in memory at once

@@ -1,4 +1,4 @@
-"""One control period of the closed loop as one CasADi function, and when a run arrives, collides or ends.
+"""One control period of the closed loop as CasADi expressions; when a run ends: arrival, contact, fault, dead end.
 
 The module writes the loop as CasADi expressions: whole runs are compiled or run in CasADi's virtual machine, and
 `simulation.loop` steps a single run through the same programs.
@@ -28,7 +28,8 @@ from surctl.ir import (
 )
 from surctl.marine.control import WORKING, Law, build_law
 from surctl.marine.guidance import FOLLOWING, MAX_WAYPOINTS, ROW, follow
-from surctl.marine.simulation.batch.listening import SUMS, Listening, counted, flat, path_square, path_tangent, slots
+from surctl.marine.simulation.batch.counting import SUMS, counted, path_square, path_tangent
+from surctl.marine.simulation.batch.listening import Listening, flat, slots
 from surctl.marine.simulation.batch.structure import ABSENT, Body, Mission, Structure, body_size, driven
 from surctl.marine.simulation.metrics import STANDSTILL, STOPPED_LIMIT, STOPS
 from surctl.marine.simulation.physics import advance

@@ -1,4 +1,4 @@
-"""Convert a simulation setup, parameter values and seeds to the state and parameter vectors of every run."""
+"""A case, parameter values and seeds as state and parameter vectors of runs: plant, law's model, random draws."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The loop structure: the part of a simulation setup that is fixed in the compiled loop.
+"""What is fixed in a compiled loop: kinds of obstacles and their clearance, thrust errors, feeding of long missions.
 
 The parameters of a run contain the mission's table. Each control step copies from it the rows around the target point
 and the rows around the robot, so the time of a step does not depend on the number of waypoints.

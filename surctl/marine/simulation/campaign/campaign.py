@@ -1,4 +1,4 @@
-"""Simulate many random runs with the compiled loop, chunk by chunk."""
+"""Conduct a campaign in chunks that resume, with its files; simulate a run of it again from its file (`--from`)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The summary of a campaign: shares and percentiles of its runs."""
+"""The summary of a campaign: shares, percentiles, worst runs, and violated assumptions of the no-contact claim."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Random worlds: scenarios with random still and moving obstacles in the paper's tank."""
+"""The runs of a campaign: drawn vehicles and obstacles (`[uncertainty]`), or random worlds in the paper's tank."""
 
 from __future__ import annotations
 

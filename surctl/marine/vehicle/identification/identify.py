@@ -1,4 +1,4 @@
-"""Identification of a vehicle from a log by output-error least squares, with 95 % intervals and identifiability test.
+"""Fit a vehicle to a log: parameters fitted, held or fixed at 0, notes on velocities, and fits that are refused.
 
 The simulated motion is fitted to the measured motion (Ljung 1999, section 7.4; Tischler & Remple 2012). Measurement
 noise therefore does not bias the estimated masses and drag, as it would if measured velocities were differentiated.

@@ -1,4 +1,4 @@
-"""Intervals of fitted parameters that hold for coloured residuals too (heteroskedasticity and autocorrelation, HAC).
+"""Intervals of fitted parameters for coloured residuals too; axes at rest, and what a log does not determine.
 
 The covariance of the estimates is the sandwich B⁻¹ M B⁻¹ (White 1982; Newey & West 1987): B is the information of the
 normalised residuals, M the covariance of their weighted sum. M follows from the auto- and cross-correlations of the

@@ -1,4 +1,4 @@
-"""The model that is fitted to a log: the simulated motion of each section of the log, and its sensitivities.
+"""The model that is fitted to a log: sections without gaps, simulated motion, drifting force, turns of the heading.
 
 A section is a part of the log without a gap, of at most one minute. Each section has its own initial state, so that an
 error of the model does not accumulate over the whole log.

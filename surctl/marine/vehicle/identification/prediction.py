@@ -1,4 +1,4 @@
-"""Prediction of the motion in a log over short windows, beside the prediction that holds the last measured velocity.
+"""Prediction of the motion in a log over short windows, and whether a drifting force predicts it better.
 
 A force that may change explains the fitted part of every log better, also where the model is wrong in another way. It
 then replaces drag and mass, and their intervals are wrong. It therefore has to pass a cross-validation in blocks of

@@ -1,4 +1,4 @@
-"""Least squares for the model of a log: the Levenberg-Marquardt method on normal equations, section by section.
+"""Least squares for the model of a log (Levenberg-Marquardt), its first values, and outliers left out.
 
 A value is an outlier if it differs from the median of the seven values about it by more than the noise and by more than
 the motion within these seven values can explain (Hampel 1974; Pearson 2002). Slow errors of a model are no outliers.

@@ -1,4 +1,4 @@
-"""Join the topics of a recording to a log of motion and thrust: common times, heading, velocity, thrust."""
+"""Keys of a map (`--map`), and how it joins topics to a log: common times, gaps, attitude, thruster commands."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Read a recording of any format, by its suffix, and with a map as a log of motion and thrust."""
+"""Read a recording of any format, by its suffix: ArduPilot, ROS, MCAP, tables, PX4; damage and losses it notes."""
 
 from __future__ import annotations
 

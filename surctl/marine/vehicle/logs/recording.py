@@ -1,4 +1,4 @@
-"""A recording of any format: topics, each with a time and numeric fields; the interface of all readers."""
+"""A recording of any format: names of topics, ambiguous ones, times out of order; the interface of all readers."""
 
 from __future__ import annotations
 

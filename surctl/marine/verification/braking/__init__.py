@@ -5,12 +5,6 @@ from surctl.marine.verification.braking.library import BRAKING_CLAIMS, BrakingEn
 from surctl.marine.verification.braking.proof import BrakingProof, prove_braking
 
 __all__ = [
-    "BRAKING_CLAIMS",
-    "BrakingClaim",
-    "BrakingEntry",
-    "BrakingProof",
-    "LawNumbers",
-    "braking_claim_named",
-    "law_numbers",
-    "prove_braking",
-]
+    "BRAKING_CLAIMS", "BrakingClaim", "BrakingEntry", "BrakingProof", "LawNumbers", "braking_claim_named",
+    "law_numbers", "prove_braking",
+]  # fmt: skip

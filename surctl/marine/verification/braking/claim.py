@@ -1,4 +1,4 @@
-"""Claim about braking with inertia: assumptions about vehicle, obstacle, accuracy of the measurements, and law."""
+"""A claim about braking as data: vehicle, obstacle, measurements, and the numbers of the law's speed bound."""
 
 from __future__ import annotations
 

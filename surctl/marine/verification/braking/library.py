@@ -1,4 +1,4 @@
-"""The library of claims about braking: for the braking rule alone, and for both barriers of the guarded law."""
+"""The library of claims about braking (`braking-rule-20` and others), and vehicles to which they do not apply."""
 
 from __future__ import annotations
 

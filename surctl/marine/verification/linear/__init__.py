@@ -16,24 +16,7 @@ from surctl.marine.verification.linear.side import (
 )
 
 __all__ = [
-    "DISK_PLACES",
-    "Corners",
-    "LinearSide",
-    "Mode",
-    "Pole",
-    "SampledLimits",
-    "SlowMargins",
-    "bearable_speed",
-    "cap_above",
-    "cap_above_bearable",
-    "corner_margin",
-    "corners",
-    "least_disk",
-    "linear_side",
-    "margin_speed",
-    "open_loop",
-    "sampled_limits",
-    "slow_margins",
-    "slowest_mode",
-    "worst_linear_side",
-]
+    "DISK_PLACES", "Corners", "LinearSide", "Mode", "Pole", "SampledLimits", "SlowMargins", "bearable_speed",
+    "cap_above", "cap_above_bearable", "corner_margin", "corners", "least_disk", "linear_side", "margin_speed",
+    "open_loop", "sampled_limits", "slow_margins", "slowest_mode", "worst_linear_side",
+]  # fmt: skip

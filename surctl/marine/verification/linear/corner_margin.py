@@ -1,4 +1,4 @@
-"""Margins at the worst corners of a vehicle's ranges, at one speed, and over the speeds from rest to it."""
+"""Disk and delay margin at the worst corner of a vehicle's ranges, and over the speeds from rest to the cruise."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The slowest mode of the linear loop: its dominant states, its physical cause, and gains or speeds that change it."""
+"""The slowest mode: its states, cause and remedies; the largest bearable speed, and a speed cap above it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The linear part of a verification; reports, tables and JSON show its results beside those of the nonlinear claims."""
+"""Disk margins of all loops, poles, longest period and delay; the speed up to which corners keep a disk margin."""
 
 from __future__ import annotations
 

@@ -17,25 +17,8 @@ from surctl.marine.verification.region.steering_proof import prove_steering
 from surctl.marine.verification.region.turning import TurningClaim, turning_claim
 
 __all__ = [
-    "REGION_CLAIMS",
-    "HeadingClaim",
-    "RegionClaim",
-    "RegionProof",
-    "RegionStatement",
-    "SteeringClaim",
-    "TurningClaim",
-    "applicable_region",
-    "heading_claim",
-    "load_region",
-    "prove_heading",
-    "prove_region",
-    "prove_statement",
-    "prove_steering",
-    "prove_turning",
-    "refused_regions",
-    "region_claim",
-    "region_statement",
-    "steering_claim",
-    "turning_claim",
-    "write_region",
-]
+    "REGION_CLAIMS", "HeadingClaim", "RegionClaim", "RegionProof", "RegionStatement", "SteeringClaim", "TurningClaim",
+    "applicable_region", "heading_claim", "load_region", "prove_heading", "prove_region", "prove_statement",
+    "prove_steering", "prove_turning", "refused_regions", "region_claim", "region_statement", "steering_claim",
+    "turning_claim", "write_region",
+]  # fmt: skip

@@ -1,4 +1,4 @@
-"""The claim of a region certificate: the loop, the ranges of its parameters, the decay rate and the region."""
+"""A region claim about a cruise as data: loop, ranges of the parameters, decay rate, vehicles it cannot be about."""
 
 from __future__ import annotations
 

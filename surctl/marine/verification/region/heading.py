@@ -1,4 +1,4 @@
-"""The heading-steered loop of eight states: the claim about it, and its matrices in floating point for the synthesis.
+"""The heading-steered loop of eight states: the claim about it, and its matrices in floating point for the search.
 
 The checker does not use these matrices: `surctl.certcheck.heading_cells` computes them independently. In the path
 frame, the state is ξ = (x − x*, y, ψ, U_x − v, U_y, r), where x* is the steady along-track error and v the cruise

@@ -1,4 +1,4 @@
-"""The library of region claims: for an ideal loop, and for thrust lag, current, disturbances and measurement errors."""
+"""The library of region claims: the first that applies, why others are refused, stronger and weaker claims."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The cruise as a linear differential inclusion in floating point, for the synthesis; the checker computes its own.
+"""The cruise as a linear differential inclusion in floating point, for the search; the checker computes its own.
 
 The state ξ = (x, y, U_x, U_y[, F_x, F_y]) holds the deviations of position, velocity and, with thrust lag, thrust from
 the steady cruise, in the path frame. Each shell ℓ_low ≤ V ≤ ℓ_high of the Lyapunov function V = ξᵀPξ has its own

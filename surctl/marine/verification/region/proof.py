@@ -1,4 +1,4 @@
-"""Proof of a claim about a cruise: search for a region, round its numbers, and let the independent checker decide."""
+"""Proof of a claim about a cruise, straight or turning: search with its cache, rounding, check, verdict in words."""
 
 from __future__ import annotations
 

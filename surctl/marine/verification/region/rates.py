@@ -1,8 +1,8 @@
-"""State derivatives of the true loops of region claims in floating point, for the falsifier; no proof uses them.
+"""Falsifier of a region: random search for the least level at which V decays too slowly, in the true loops.
 
 The function of a loop takes deviations ξ (n, k) from the steady cruise and random numbers (n, DRAWS) in [0, 1], which
 choose the true vehicle, the heading and the other uncertain quantities. The function of a loop returns ξ̇ (n, k) and
-the largest ratio of a commanded thrust to its limit (n,).
+the largest ratio of a commanded thrust to its limit (n,). No proof uses these functions.
 """
 
 from __future__ import annotations

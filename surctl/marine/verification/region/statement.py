@@ -1,4 +1,4 @@
-"""Region claims as TOML files: loop, uncertainty and decay rate; the proof adds the vehicle and the gains."""
+"""Region claims as TOML files: their keys, keys without effect, and the laws that they are about."""
 
 from __future__ import annotations
 

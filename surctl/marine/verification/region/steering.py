@@ -1,4 +1,4 @@
-"""Claim about the heading loop of a craft without sway force under the law `steered`.
+"""Claim `region-steered-20` about the heading loop of a craft without sway force: ranges, fins, dynamics.
 
 The claim is one of kind `lyapunov`, and the slope rule finds and proves its region. Its dynamics are the texts of the
 checker (`surctl.certcheck.steering`), which the checker compares with the law. In a region with small heading errors

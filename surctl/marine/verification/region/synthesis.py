@@ -1,4 +1,4 @@
-"""Search for V = ξᵀPξ, alternating between linear matrix inequalities for P and for the multipliers at fixed P.
+"""Search for V of a straight cruise: linear matrix inequalities for P, then for the multipliers at fixed P.
 
 M is the matrix of the inequality M ⪯ 0 that shows the decay of V in one shell. λ_j is the multiplier of the uncertain
 input w_j (defined in `surctl.certcheck.region_inclusion`), and ρ the weight of the terms for commands that are held

@@ -1,4 +1,4 @@
-"""Claim about the cruise of a vehicle with its own masses in surge and sway, which turns meanwhile."""
+"""A claim about a turning cruise with different masses in surge and sway, and vehicles that it cannot be about."""
 
 from __future__ import annotations
 
