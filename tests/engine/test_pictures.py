@@ -60,6 +60,16 @@ def test_each_camera_shows_hull_and_obstacle() -> None:
     assert all(np.std(p) > 5 for p in shown.values())
 
 
+def test_the_view_from_above_has_no_perspective() -> None:
+    cylinder = build_world(POOL, BOAT, seed=0).bodies(0.0)
+    with scene() as opened:
+        near, far = (
+            opened.picture("above", Moment((*POOL.start_pose[:2], z, 0.0), bodies=cylinder)) for z in (-0.3, -1.0)
+        )
+    hulls = [np.sum((p[..., 0] > 120) & (p[..., 2] < 80) & (p[..., 1] > 90)) for p in (near, far)]
+    assert hulls[1] == pytest.approx(hulls[0], rel=0.1)
+
+
 def test_a_film_has_all_frames_and_is_repeatable(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     scene().close()
     short = replace(POOL, time_limit=0.2)
