@@ -7,7 +7,7 @@ robot as its reference application.
 from importlib import import_module
 from typing import Any
 
-__version__ = "0.1.0"
+__version__ = "1.0.0"
 
 __all__ = ["__version__", "from_control", "to_control"]
 

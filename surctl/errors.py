@@ -8,6 +8,8 @@
     │   ├── ToolMissing         an external program (compiler, ...) that the job needs is not installed
     │   └── UnsupportedOperation  a symbolic operation that the instruction list does not support
     └── SolverError             a numerical solver failed (never raised for an infeasible problem)
+
+Every function may raise InputError for a wrong argument or file; the functions that a package exports say when.
 """
 
 from __future__ import annotations
@@ -15,10 +17,11 @@ from __future__ import annotations
 import difflib
 import errno
 from collections.abc import Iterable
+from math import isfinite
 
 __all__ = [
     "LOSSES", "LOST", "EmptyDomain", "InputError", "NotApplicable", "SolverError", "SurctlError", "ToolMissing",
-    "UnsupportedOperation", "cannot_write", "check_known", "nearest",
+    "UnsupportedOperation", "cannot_write", "check_known", "check_number", "nearest",
 ]  # fmt: skip
 
 
@@ -169,3 +172,18 @@ def check_known(
     known = list(known)
     if name not in known:
         raise InputError(problem, file=file, key=key, value=name, remedy=nearest(str(name), known))
+
+
+def check_number(key: str, value: float, *, unit: str, zero: bool = False) -> None:
+    """Raise InputError unless a number is finite and greater than 0, or with `zero` at least 0.
+
+    Example:
+        >>> from surctl.errors import check_number
+        >>> check_number("latency", -0.1, unit="s", zero=True)
+        Traceback (most recent call last):
+            ...
+        surctl.errors.InputError: latency = -0.1: must be at least 0; give s
+    """
+    if not (isfinite(value) and (value >= 0 if zero else value > 0)):
+        problem = "must be at least 0" if zero else "must be greater than 0"
+        raise InputError(problem, key=key, value=value, remedy=f"give {unit}")

@@ -58,6 +58,7 @@ def test_public_names() -> None:
         "UnsupportedOperation",
         "cannot_write",
         "check_known",
+        "check_number",
         "nearest",
     ]
 

@@ -54,18 +54,15 @@ OTHERS = tuple(_others())
 _BOARD = ("arm-none-eabi-gcc", "qemu-system-arm")
 TOOLS = {  # beside a C compiler
     "export.check_builds": ("gcc",),
-    "export.chosen_targets": ("gcc",),
     "export.emulated": _BOARD,
     "export.emulated_target": _BOARD,
-    "export.prove_bundle": ("frama-c",),
-    "export.with_proof": ("frama-c",),
 }
 
 
-MCAP = ("marine.simulation.SceneFile", "marine.simulation.save_scene")
+MCAP = ("marine.simulation.SceneFile",)
 MUJOCO = tuple(f"marine.report.{name}" for name in ("film_frames", "film_pictures", "moment_of", "save_film"))
 
-LONG = {"falsify", "prove_bundle", "prove_statement", "sensitivity", "simulate", "sweep", "tune"}
+LONG = {"falsify", "prove_statement", "sensitivity", "simulate", "sweep", "tune"}
 _KNOWN: dict[tuple[str, ...], Any] = {}
 
 

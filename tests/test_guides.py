@@ -63,6 +63,7 @@ NAMES = {
     "tutorials/firmware",
     "tutorials/index",
     "tutorials/own-claim",
+    "tutorials/own-system",
     "tutorials/own-vehicle",
     "verify",
     "what-is-proved",

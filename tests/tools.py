@@ -10,7 +10,7 @@ from shutil import which
 import pytest
 
 from surctl.errors import ToolMissing
-from surctl.ir import find_compiler
+from surctl.ir.cache import find_compiler
 
 PATIENCE = 1200  # s; until a process that says nothing is taken for one that hangs, on a busy machine too
 

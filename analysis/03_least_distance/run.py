@@ -24,8 +24,9 @@ from numpy.typing import NDArray
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # the oracles are beside the tests
 
 from surctl.errors import ToolMissing
-from surctl.ir import compile_block, compiler_version, emit_block
-from surctl.ir.cache import FLAGS, find_compiler, tuned_flags
+from surctl.ir import compile_block
+from surctl.ir.c99_routine import emit_block
+from surctl.ir.cache import FLAGS, compiler_version, find_compiler, tuned_flags
 from surctl.priority import safe_step
 from surctl.priority.solver.dual_step import Space
 from surctl.priority.solver.elimination import FLOAT32

@@ -30,8 +30,9 @@ from scipy import sparse
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # the oracles are beside the tests
 
-from surctl.ir import Block, compile_block, emit_block, find_compiler
-from surctl.ir.cache import tuned_flags
+from surctl.ir import Block, compile_block
+from surctl.ir.c99_routine import emit_block
+from surctl.ir.cache import find_compiler, tuned_flags
 from surctl.priority import Mode, nsb, safe_step, solve
 from surctl.priority.solver.fallback import MET
 from tests.oracles.distance_trials import Trials, draw_trials

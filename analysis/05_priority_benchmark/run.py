@@ -40,7 +40,7 @@ from tables import Line, compiled_lines, draw, lines_of, print_bars, print_lines
 
 from surctl.errors import InputError, ToolMissing
 from surctl.files import prepare_folder
-from surctl.ir import compiler_version
+from surctl.ir.cache import compiler_version
 from surctl.priority import Mode
 
 KEPT, ONE_CALL = "DAQP hierarchy: Model kept", "DAQP hierarchy: one call"

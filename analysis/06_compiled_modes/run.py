@@ -23,8 +23,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # the oracles are beside the tests
 
 from surctl.errors import ToolMissing
-from surctl.ir import compiler_version
-from surctl.ir.cache import find_compiler
+from surctl.ir.cache import compiler_version, find_compiler
 from surctl.priority import Mode, Settings, build_problem, solve
 from surctl.priority.compiled.assemble import assemble
 from surctl.priority.compiled.step import PriorityStep

@@ -35,7 +35,8 @@ from scene import COUNTED, luck_of, scene_of  # noqa: E402
 
 from surctl.errors import InputError, ToolMissing  # noqa: E402
 from surctl.files import Strict, load_model, prepare_folder  # noqa: E402
-from surctl.ir import compiler_version, to_casadi  # noqa: E402
+from surctl.ir import to_casadi  # noqa: E402
+from surctl.ir.cache import compiler_version  # noqa: E402
 from surctl.marine.control import GAINS, Gains, load_gains  # noqa: E402
 from surctl.marine.simulation import METRICS, Case, Sensing, load_scenario, simulate, simulate_batch  # noqa: E402
 from surctl.marine.simulation.batch.loop import build_loop  # noqa: E402

@@ -18,7 +18,8 @@ from pathlib import Path
 import numpy as np
 
 from surctl.errors import ToolMissing
-from surctl.ir import Block, memory, stack_bytes
+from surctl.ir import Block, memory
+from surctl.ir.frames import stack_bytes
 from surctl.marine.control import build_law, load_gains
 from surctl.marine.sensing import BaseStation, Delivery, Equipment, Fault, FaultChances, OwnState, SonarArray
 from surctl.marine.simulation import STOPS, BatchResult, Case, Sensors, load_scenario, simulate_batch

@@ -14,7 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.export import TARGETS
-from surctl.ir import Block, Call, Gather, Loop, Program, Routine, Step, compile_program, emit_block, lower
+from surctl.ir import Block, Call, Gather, Loop, Program, Routine, Step, lower
+from surctl.ir.c99_routine import emit_block
+from surctl.ir.cache import compile_program
 
 __all__ = ["at_bounds", "counted", "counted_c"]
 

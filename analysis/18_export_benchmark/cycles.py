@@ -23,9 +23,10 @@ import numpy as np
 from numpy.typing import NDArray
 from whole import made
 
-from surctl.export import TARGETS, Bundle, Controller, Exportable, Target, as_records, write_bundle
+from surctl.export import TARGETS, Bundle, Controller, Exportable, Target, write_bundle
+from surctl.export.envelope import as_records
 from surctl.export.process import compile_controller
-from surctl.ir import compile_program
+from surctl.ir.cache import compile_program
 from surctl.marine.control import build_law
 from surctl.marine.export import build_bundle
 

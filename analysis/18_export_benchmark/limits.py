@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # the oracles are beside the tests
 
-from surctl.export import TARGETS, Records, as_records, build_controller, check_builds
+from surctl.export import TARGETS, Records, build_controller, check_builds
+from surctl.export.envelope import as_records
 from surctl.ir import replay
 from surctl.marine.control import build_law, load_gains
 from surctl.marine.export import build_bundle, closed_form, operating_envelope

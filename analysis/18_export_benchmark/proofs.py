@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from surctl.export import gain_box, prove_bundle
+from surctl.export.prove import gain_box, prove_bundle
 from surctl.ir import Real
 from surctl.marine.control import build_law, load_gains
 from surctl.marine.export import build_bundle, closed_form, operating_envelope

@@ -26,9 +26,10 @@ from whole import whole
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # the oracles are beside the tests
 
 from surctl.errors import SurctlError
-from surctl.export import TARGETS, Controller, Records, prove_bundle
+from surctl.export import TARGETS, Controller, Records
 from surctl.export.check import Instructions, built_for, instructions, trial_steps
 from surctl.export.process import code_bytes
+from surctl.export.prove import prove_bundle
 from surctl.ir import Program, replay
 from tests.oracles.proof_mutants import caught_by, mutants
 

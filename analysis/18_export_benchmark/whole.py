@@ -20,8 +20,9 @@ from pathlib import Path
 import numpy as np
 from contenders import SCENARIO
 
-from surctl.export import TARGETS, Bundle, Controller, Exportable, Records, as_records, build_controller, write_bundle
+from surctl.export import TARGETS, Bundle, Controller, Exportable, Records, build_controller, write_bundle
 from surctl.export.check import step_stack
+from surctl.export.envelope import as_records
 from surctl.export.process import code_bytes, compile_controller
 from surctl.ir import Real
 from surctl.ir.cache import FLAGS

@@ -21,7 +21,8 @@ import numpy as np
 from surctl.errors import InputError
 from surctl.export import REALS, SerialLine, connect, emulated, emulated_target, write_bundle
 from surctl.export.precision import Rounded
-from surctl.ir import Real, compile_program
+from surctl.ir import Real
+from surctl.ir.cache import compile_program
 from surctl.marine.control import Gains, Law, build_law, load_gains
 from surctl.marine.export import LinkedLaw, LinkFaults, build_bundle, closed_form
 from surctl.marine.export.compiled_law import LinkReport

@@ -28,17 +28,8 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
-from surctl.marine.vehicle import (
-    CONSTANT_FORCE,
-    FITTED,
-    LOG_MOTION,
-    MotionLog,
-    Vehicle,
-    identify,
-    predict,
-    predict_with,
-    sphere,
-)
+from surctl.marine.vehicle import CONSTANT_FORCE, FITTED, LOG_MOTION, MotionLog, Vehicle, identify, predict, sphere
+from surctl.marine.vehicle.identification.prediction import predict_with
 
 SEED = 2020
 FITTED_S, HELD_S = 60.0, 30.0

@@ -30,12 +30,12 @@ from surctl.marine.vehicle import (
     PLANT_DISTURBANCE,
     MotionLog,
     Vehicle,
-    held_out_windows,
     identify,
     load_vehicle,
     plant_parameters,
     plant_state,
 )
+from surctl.marine.vehicle.identification.identify import held_out_windows
 
 SEED = 2021
 ROWS, PERIOD, PUSH = 400, 0.1, 0.8

@@ -25,9 +25,10 @@ from numpy.typing import NDArray
 ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT))
 
-from surctl.export import Records, as_records, build_controller  # noqa: E402
-from surctl.ir import runnable  # noqa: E402
-from surctl.marine.allocation import allocation_block  # noqa: E402
+from surctl.export import Records, build_controller  # noqa: E402
+from surctl.export.envelope import as_records  # noqa: E402
+from surctl.ir.native import runnable  # noqa: E402
+from surctl.marine.allocation.program import allocation_block  # noqa: E402
 from surctl.marine.control import Law, build_law, load_gains  # noqa: E402
 from surctl.marine.export import build_bundle, closed_form, operating_envelope  # noqa: E402
 from surctl.marine.simulation import Case, ThrusterFault, law_numbers, load_scenario, simulate, simulate_batch  # noqa: E402

@@ -21,13 +21,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.marine.control import Gains, default_law, law_source, turning_radius
+from surctl.marine.control import Gains, default_law, law_source
+from surctl.marine.control.steering import turning_radius
 from surctl.marine.guidance import Path
-from surctl.marine.simulation import Case, Scenario, law_numbers, mission_size, straight_mission
+from surctl.marine.simulation import Case, Scenario, law_numbers
 from surctl.marine.simulation.batch.engines import compiled_loop
 from surctl.marine.simulation.batch.loop import build_loop
 from surctl.marine.simulation.batch.pack import pack, structure_of
 from surctl.marine.simulation.metrics import STOPS
+from surctl.marine.simulation.scaling import mission_size, straight_mission
 from surctl.marine.simulation.scenario import Disturbance
 from surctl.marine.tuning import default_cruise, gains_for
 from surctl.marine.vehicle import Vehicle, load_vehicle, plant_state

@@ -19,18 +19,8 @@ import numpy as np
 
 from surctl.errors import InputError
 from surctl.marine.control import Gains, build_law, default_law, law_source
-from surctl.marine.simulation import (
-    Case,
-    Metrics,
-    disturbed,
-    load_scenario,
-    mission_size,
-    scaled_scenario,
-    simulate,
-    simulate_batch,
-    straight_mission,
-    two_leg_mission,
-)
+from surctl.marine.simulation import Case, Metrics, load_scenario, simulate, simulate_batch
+from surctl.marine.simulation.scaling import disturbed, mission_size, scaled_scenario, straight_mission, two_leg_mission
 from surctl.marine.tuning import default_cruise, derive_gains
 from surctl.marine.vehicle import Vehicle, load_vehicle
 from surctl.marine.verification import law_corners

@@ -24,16 +24,10 @@ import numpy as np
 from excerpts import EXCERPTS, FOLDER, SOURCES
 from standins import write_standins
 
-from surctl.marine.vehicle import (
-    HELD_OUT,
-    MotionLog,
-    in_sequence,
-    load_vehicle,
-    parameter_spec,
-    predict,
-    read_mapped_log,
-    velocity_notes,
-)
+from surctl.marine.vehicle import HELD_OUT, MotionLog, load_vehicle, parameter_spec, predict
+from surctl.marine.vehicle.identification.identify import velocity_notes
+from surctl.marine.vehicle.logs.read import read_mapped_log
+from surctl.marine.vehicle.motion_log import in_sequence
 
 ROBOTS = FOLDER / "robots"
 MARK = "<!-- results: python analysis/32_public_logs/run.py --write -->"

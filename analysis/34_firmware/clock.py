@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from surctl.export import Bundle, write_bundle
 from surctl.export.process import compile_controller
-from surctl.ir import Layout, Port, compile_program
+from surctl.ir import Layout, Port
+from surctl.ir.cache import compile_program
 from surctl.marine.export import build_bundle
 from surctl.system import Action, Controller
 

@@ -20,7 +20,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # the oracles are 
 
 from surctl.marine.control import Gains
 from surctl.marine.engine import EngineOptions, MujocoPhysics
-from surctl.marine.simulation import build_world, load_scenario
+from surctl.marine.simulation import load_scenario
+from surctl.marine.simulation.world import build_world
 from surctl.marine.vehicle import load_vehicle, plant_state
 from surctl.marine.verification.braking import BrakingClaim, braking_claim_named, prove_braking
 from tests.oracles.braking_episodes import Rule, rule_of

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from surctl.marine.engine import BatchCase, simulate_seeds
+from surctl.marine.engine import BatchCase
+from surctl.marine.engine.physics import simulate_seeds
 from surctl.marine.simulation import Case, Run
 from surctl.marine.simulation.physics import PhysicsMaker
 

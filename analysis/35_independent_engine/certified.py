@@ -15,7 +15,8 @@ from surctl.ir import compile_block
 from surctl.marine.control import Gains, build_law
 from surctl.marine.engine import EngineOptions, MujocoPhysics
 from surctl.marine.guidance import Path
-from surctl.marine.simulation import build_world, law_numbers, load_scenario
+from surctl.marine.simulation import law_numbers, load_scenario
+from surctl.marine.simulation.world import build_world
 from surctl.marine.vehicle import Vehicle, load_vehicle, plant_state
 from surctl.marine.vehicle.parameters import Parameter
 from surctl.marine.verification.region import prove_statement, region_statement

@@ -22,19 +22,11 @@ from campaign import stored_runs
 from certified import confronted, with_parameters
 
 from surctl.marine.control import build_law, load_gains
-from surctl.marine.engine import BatchCase, EngineOptions, mujoco_physics, simulate_seeds
+from surctl.marine.engine import BatchCase, EngineOptions, mujoco_physics
+from surctl.marine.engine.physics import simulate_seeds
 from surctl.marine.export import CompiledLaw
-from surctl.marine.simulation import (
-    LIBRARY,
-    Case,
-    OwnPhysics,
-    Run,
-    Scenario,
-    build_world,
-    load_scenario,
-    simulate,
-    simulate_batch,
-)
+from surctl.marine.simulation import LIBRARY, Case, OwnPhysics, Run, Scenario, load_scenario, simulate, simulate_batch
+from surctl.marine.simulation.world import build_world
 from surctl.marine.vehicle import Vehicle, load_vehicle
 
 HERE = Path(__file__).parent

@@ -19,7 +19,9 @@ from pathlib import Path
 
 import numpy as np
 
-from surctl.marine.bridge import Act, Bridge, LinkQuality, Plan, Rehearsal, SimulatedSub, Wire, plan_session, rehearse
+from surctl.marine.bridge import Act, Bridge, LinkQuality, Plan, Rehearsal, SimulatedSub, Wire
+from surctl.marine.bridge.bridge import plan_session
+from surctl.marine.bridge.rehearsal import rehearse
 from surctl.marine.control import load_gains
 from surctl.marine.simulation import load_scenario, simulate
 from surctl.marine.simulation.record_file import SceneFile

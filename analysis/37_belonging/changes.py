@@ -25,8 +25,9 @@ from surctl.certcheck.bundle import (  # a forger writes hashes as the export do
     numbers_sha256,
     ports_sha256,
 )
-from surctl.ir import Block, Program, read_block, replay
+from surctl.ir import Block, Program, replay
 from surctl.ir.routine import changed_programs, nested
+from surctl.ir.stored import read_block
 
 __all__ = ["KINDS", "Change", "changed"]
 

@@ -17,7 +17,8 @@ from surctl.export.supplement import PlantLists
 from surctl.ir import Layout, Port
 from surctl.lyapunov import Problem, continuous_dynamics, solve
 from surctl.marine.control import Law, build_law, law_source, load_gains
-from surctl.marine.export import build_bundle, origin_of
+from surctl.marine.export import build_bundle
+from surctl.marine.export.origin import origin_of
 from surctl.marine.simulation import law_numbers, load_scenario
 from surctl.marine.tuning import derived_gains
 from surctl.marine.vehicle import Vehicle, load_vehicle

@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 
 from surctl.ir import replay
-from surctl.marine.control import DEGRADED, build_law, in_real, law_ref, law_source, load_gains, steered
+from surctl.marine.control import DEGRADED, build_law, law_ref, law_source, load_gains, steered
+from surctl.marine.control.build import in_real
 from surctl.marine.sensing import Equipment, SonarArray
 from surctl.marine.simulation import METRICS, Case, load_scenario, simulate, simulate_batch
 from surctl.marine.vehicle import load_vehicle

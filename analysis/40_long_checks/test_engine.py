@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 from surctl.marine.control import load_gains
-from surctl.marine.engine import BatchCase, mujoco_physics, simulate_seeds
-from surctl.marine.engine.physics import simulate_with_steppers
+from surctl.marine.engine import BatchCase, mujoco_physics
+from surctl.marine.engine.physics import simulate_seeds, simulate_with_steppers
 from surctl.marine.export import CompiledLaw
 from surctl.marine.simulation import Case, load_scenario
 from tests.engine import test_closed_forms

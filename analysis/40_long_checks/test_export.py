@@ -10,12 +10,16 @@ from pathlib import Path
 
 import pytest
 
-from surctl.export import REALS, TARGETS, Records, check_builds, chosen_targets, prove_bundle, write_bundle
+from surctl.export import REALS, TARGETS, Records, check_builds, write_bundle
 from surctl.export.check import step_stack
+from surctl.export.emulated import chosen_targets
 from surctl.export.process import compile_controller
+from surctl.export.prove import prove_bundle
 from surctl.export.rendering import with_own_names
-from surctl.ir import Call, Real, Routine, emit_parts, memory
-from surctl.marine.control import build_law, in_real
+from surctl.ir import Call, Real, Routine, memory
+from surctl.ir.c99_routine import emit_parts
+from surctl.marine.control import build_law
+from surctl.marine.control.build import in_real
 from surctl.marine.export import build_bundle
 from surctl.priority import Mode
 from tests.export.altered import altered

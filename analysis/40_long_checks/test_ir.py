@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from surctl.errors import ToolMissing
-from surctl.ir import Call, Loop, Real, Routine, compile_block, lower, memory, replay, stack_bytes
+from surctl.ir import Call, Loop, Real, Routine, compile_block, lower, memory, replay
+from surctl.ir.frames import stack_bytes
 from surctl.ir.native import _source
 from tests.ir import test_folded, test_stored
 from tests.ir.test_places import mixed, moved

@@ -45,7 +45,7 @@ def test_a_new_environment_studies_a_system_and_builds_the_site(versions: str, t
     run(str(home / "bin" / "pip"), "install", "-q", "-c", str(limits), f"{ROOT}[compiler,docs]")
     surctl = str(home / "bin" / "surctl")
     run(surctl, "new", "system", "pendulum")
-    assert "study pendulum under balance: passed" in run(surctl, "study", "pendulum.py:build")
+    assert "study pendulum under balance: accepted" in run(surctl, "study", "pendulum.py:build")
     run(surctl, "verify", "pendulum.py:build", "--out", "proofs")
     run(surctl, "check", "proofs/pendulum.json", "--bundle", "surctl-out/export")
     site = ["build", "--strict", "-f", str(ROOT / "notebooks" / "mkdocs.yml"), "-d", str(tmp_path / "site")]

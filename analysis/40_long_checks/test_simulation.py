@@ -10,7 +10,8 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from surctl.export import Records, as_records, build_controller
+from surctl.export import Records, build_controller
+from surctl.export.envelope import as_records
 from surctl.marine.control import TRAPPED, load_gains
 from surctl.marine.export import build_bundle, closed_form
 from surctl.marine.guidance import Guidance, Path
@@ -23,14 +24,14 @@ from surctl.marine.simulation import (
     Run,
     Sensors,
     ThrusterFault,
-    depth_changes,
     load_scenario,
     simulate,
     simulate_batch,
-    stop_reason,
 )
 from surctl.marine.simulation.batch.structure import NO_END
 from surctl.marine.simulation.batch.structure import Body as Symbols
+from surctl.marine.simulation.explanation import stop_reason
+from surctl.marine.simulation.run import depth_changes
 from surctl.marine.simulation.world import LONGEST, beside
 from surctl.marine.vehicle import load_vehicle
 from surctl.marine.world import Box, Disc, Prism

@@ -12,7 +12,8 @@ import pytest
 from surctl.export import Records, software_in_the_loop
 from surctl.marine.control import build_law, load_gains
 from surctl.marine.simulation import Case, load_scenario, simulate, simulate_batch
-from surctl.marine.vehicle import held_out_windows, identify
+from surctl.marine.vehicle import identify
+from surctl.marine.vehicle.identification.identify import held_out_windows
 from tests.cli.process import surctl
 from tests.tools import need_compiler
 from tests.vehicle import test_identify, test_identify_tilt, test_plant, test_terms

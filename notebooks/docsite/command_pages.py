@@ -39,7 +39,7 @@ def _sections(command: click.Command, path: list[str], *, level: int) -> Iterato
     yield f"{'#' * level} {title}"
     context = click.Context(command, info_name=path[-1], parent=_parents(path[:-1]))
     usage = " ".join([title, *command.collect_usage_pieces(context)])
-    yield f"```text\n{usage}\n```"
+    yield f"```console\n{usage}\n```"
     yield _paragraphs(command.help or "")
     rows = [_option(parameter, context) for parameter in command.get_params(context)]
     if shown := [row for row in rows if row is not None]:
@@ -79,5 +79,5 @@ def _paragraphs(text: str) -> str:
         if before.strip():
             out.append(_plain(before.strip()))
         if examples:
-            out.append("```text\n" + "\n".join(each.strip() for each in after.split("; ")) + "\n```")
+            out.append("```console\n" + "\n".join(f"$ {each.strip()}" for each in after.split("; ")) + "\n```")
     return "\n\n".join(out)

@@ -58,7 +58,7 @@ m11 = { value = 16.9, unit = "kg", range = [10.5, 21.2], provenance = "weighed; 
 ```
 
 `range` holds the lowest and the highest possible value, and `provenance` the source of the number. Former names of keys
-are accepted for one release, with a line that names the new one.
+work for one release, with a line that names the new one.
 """
 
 

@@ -104,7 +104,7 @@ def pages(*, run: bool) -> tuple[list[Page], dict[str, bytes]]:
         picture = ""
         if shown is not None:
             pictures[f"gallery/{name}.png"] = shown.picture
-            parts += [f"```text\n{shown.printed.rstrip()}\n```", f"![{title}]({name}.png)"]
+            parts += [f"```console\n{shown.printed.rstrip()}\n```", f"![{title}]({name}.png)"]
             picture = f'<img class="plot" src="{name}.png" alt="" loading="lazy">'
         parts += ["## Program", f"```python\n{program}\n```"]
         made.append(Page(f"gallery/{name}.md", title.partition(":")[0], "\n\n".join(parts) + "\n"))

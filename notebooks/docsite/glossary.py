@@ -23,13 +23,15 @@ def link_terms(html: str, terms: dict[str, str], page: str) -> str:
     if not terms:
         return html
     longest = sorted(terms, key=len, reverse=True)
-    word = re.compile(r"(?<![\w-])(" + "|".join(map(re.escape, longest)) + r")(?:e?s)?(?![\w-])", re.IGNORECASE)
+    short = [form for form in longest if form.isupper()]  # abbreviations: LOS is not "loses"
+    words, letters = ("|".join(map(re.escape, forms)) for forms in ([f for f in longest if f not in short], short))
+    word = re.compile(rf"(?<![\w-])(?:({words})(?:e?s)?|(?-i:({letters})s?))(?![\w-])", re.IGNORECASE)
     anchors = {form.lower(): anchor for form, anchor in terms.items()}
     used: set[str] = set()
     inside: list[str] = []
 
     def linked(found: re.Match[str]) -> str:
-        anchor = anchors[found[1].lower()]
+        anchor = anchors[(found[1] or found[2]).lower()]
         if anchor in used:
             return found[0]
         used.add(anchor)

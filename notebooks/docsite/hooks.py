@@ -137,6 +137,8 @@ def on_page_content(html: str, page: Any, config: Any, files: Files) -> str:
     uri = page.file.src_uri
     html = with_mathml(html)
     html = re.sub(r"<img (?![^>]*class=)(?=[^>]*\.(?:png|svg))", '<img class="plot" loading="lazy" ', html)
+    # a click shows a picture in its full size
+    html = re.sub(r'(<img class="plot"[^>]* src="([^"]+)"[^>]*>)(?!</?strong)', r'<a href="\2">\1</a>', html)
     up = "../" * uri.count("/")
     if uri.startswith("reference/python/"):
         html = mark_formulas(html, lambda formula: as_mathml(as_tex(formula)))
@@ -172,3 +174,13 @@ def on_post_page(output: str, page: Any, config: Any) -> str:
     about = f'data-version="{surctl.__version__}" data-page="{page.file.dest_uri}" data-root="{up}"'
     scripts = f'<script src="{up}../versions.js"></script><script src="{up}assets/versions.js" {about}></script>'
     return output.replace("</body>", f"{scripts}</body>")
+
+
+def on_post_build(config: Any) -> None:
+    """Mend the search (lunr): the names of its nodes join digits, so that it confuses nodes and then fails."""
+    for worker in Path(config.site_dir).glob("assets/javascripts/workers/search.*.js"):
+        text = worker.read_text(encoding="utf-8")
+        worker.write_text(_NODE.sub(r"\1+','}\3", text), encoding="utf-8")
+
+
+_NODE = re.compile(r"((\w)=\2\+\w\+\w\.id)\}(return \2\b)")

@@ -133,13 +133,15 @@ def as_python_markdown(text: str) -> str:
     """Return GitHub's Markdown with the blank lines that Python-Markdown needs before lists and after code."""
 
     def spaced(part: str) -> str:
-        lines = part.split("\n")
         out: list[str] = []
-        for k, line in enumerate(lines):
-            before = lines[k - 1] if k else ""
-            item = re.match(r"(?:[-*]|\d+\.) ", line)
-            if item and before.strip() and not re.match(r"(?:[-*]|\d+\.) |\s", before):
+        listed = False  # whether the paragraph began as a list
+        for line in part.split("\n"):
+            item = re.match(r"(?:[-*]|\d+\.) ", line) is not None
+            if not (out and out[-1].strip()):
+                listed = item
+            elif item and not listed:
                 out.append("")
+                listed = True
             out.append(line)
         return "\n".join(out)
 

@@ -27,8 +27,14 @@ def calibrate(file: str, out: Path | None, as_json: bool) -> None:
     Examples: surctl calibrate table-ii; surctl calibrate range-test.csv --out lab
     """
     from surctl.files import prepare_folder, write_file
-    from surctl.marine.sensing import OUTLIER_RULE, calibration_rows, file_stems, pick_calibration, sonar_fragment
-    from surctl.marine.sensing.calibration.file import BUILT_IN
+    from surctl.marine.sensing import OUTLIER_RULE
+    from surctl.marine.sensing.calibration.file import (
+        BUILT_IN,
+        calibration_rows,
+        file_stems,
+        pick_calibration,
+        sonar_fragment,
+    )
 
     if out is not None:
         prepare_folder(out)
@@ -100,8 +106,7 @@ def _noise(one: SensorCalibration) -> list[str]:
 
 
 def _percentages() -> tuple[dict[str, Any], list[str]]:
-    from surctl.marine.sensing import table_ii
-    from surctl.marine.sensing.calibration.file import MEDIA
+    from surctl.marine.sensing.calibration.file import MEDIA, table_ii
 
     table = table_ii()
     wrong = []

@@ -78,7 +78,7 @@ class ExportOptions:
             ToolMissing: there is no C compiler.
         """
         from surctl.export.emulated import chosen_targets
-        from surctl.ir import find_compiler
+        from surctl.ir.cache import find_compiler
 
         if not self.check and (self.targets or self.steps):
             raise InputError("needs --check", key="--targets" if self.targets else "--steps", remedy="add --check")
@@ -204,11 +204,14 @@ def export(
     import numpy as np
 
     from surctl.cli.runs import failure
-    from surctl.export import REALS, Records, as_records, check_folder, gain_box, write_bundle
+    from surctl.export import REALS, Records, write_bundle
+    from surctl.export.bundle import check_folder
+    from surctl.export.envelope import as_records
     from surctl.export.evidence import evidence_of, with_evidence
+    from surctl.export.prove import gain_box
     from surctl.marine.control import law_source
-    from surctl.marine.export import build_bundle, closed_form, operating_envelope, origin_of
-    from surctl.marine.export.origin import load_certificates
+    from surctl.marine.export import build_bundle, closed_form, operating_envelope
+    from surctl.marine.export.origin import load_certificates, origin_of
     from surctl.marine.guidance import MAX_WAYPOINTS
     from surctl.marine.simulation import law_numbers, load_scenario, simulate
     from surctl.marine.simulation.numbers import fed_ranges
@@ -466,7 +469,8 @@ def export_scene(scenario: str, vehicle: str | None, *, out: Path, as_json: bool
         InputError: an option concerns the controller, which is not part of the model, or the hull starts inside an
             obstacle.
     """
-    from surctl.marine.engine import EngineOptions, write_mjcf
+    from surctl.marine.engine import EngineOptions
+    from surctl.marine.engine.mjcf import write_mjcf
     from surctl.marine.simulation import load_scenario
     from surctl.marine.vehicle import load_vehicle
 

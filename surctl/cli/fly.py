@@ -97,7 +97,11 @@ def fly(
 
     from surctl.cli.robot_options import choose_vehicle
     from surctl.files import prepare_folder
-    from surctl.marine.bridge import Bridge, LinkQuality, Wire, mode_of, parse_address, parse_site, plan_session
+    from surctl.marine.bridge import Bridge, LinkQuality, Wire
+    from surctl.marine.bridge.bridge import plan_session
+    from surctl.marine.bridge.inputs import parse_site
+    from surctl.marine.bridge.live import parse_address
+    from surctl.marine.bridge.wire import mode_of
     from surctl.marine.control import law_source
     from surctl.marine.simulation import SENSING, load_scenario
     from surctl.marine.vehicle import load_vehicle
@@ -159,7 +163,8 @@ def fly(
 def _live(bridge: Bridge, address: Address, out: Path) -> tuple[bool, list[str]]:
     import time
 
-    from surctl.marine.bridge import Ended, SessionRecord, run_session
+    from surctl.marine.bridge import Ended, SessionRecord
+    from surctl.marine.bridge.live import run_session
 
     waiting()
     with SessionRecord(out, f"session-{time.strftime('%Y%m%d-%H%M%S')}", bridge) as record:
@@ -178,7 +183,8 @@ def _live(bridge: Bridge, address: Address, out: Path) -> tuple[bool, list[str]]
 def _rehearsed(
     bridge: Bridge, quality: LinkQuality, script: Sequence[Act], *, out: Path | None, seed: int
 ) -> RehearsalResult:
-    from surctl.marine.bridge import SessionRecord, SimulatedSub, rehearse
+    from surctl.marine.bridge import SessionRecord, SimulatedSub
+    from surctl.marine.bridge.rehearsal import rehearse
 
     plan = bridge.plan
     sub = SimulatedSub(

@@ -110,7 +110,7 @@ def _contact(vehicle: Vehicle, derivation: Derivation) -> SafetyClaim | Inapplic
     """Return the no-contact claim of the gains on a straight path in still water; None if it is not about the law."""
     from surctl.marine.assessment import judged_contact
     from surctl.marine.control import BARRIER, default_law, law_source
-    from surctl.marine.simulation import mission_size, straight_mission
+    from surctl.marine.simulation.scaling import mission_size, straight_mission
 
     if BARRIER not in law_source(default_law(vehicle)).parts:
         return None

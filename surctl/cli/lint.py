@@ -36,7 +36,8 @@ _NEXT = {
 
 def _file_findings(loaded: object) -> list[Finding]:
     # entries that cannot work
-    from surctl.marine.simulation import Finding, thruster_findings
+    from surctl.marine.simulation import Finding
+    from surctl.marine.simulation.fit import thruster_findings
     from surctl.marine.vehicle import Vehicle
     from surctl.marine.vehicle.specs import undamped
     from surctl.marine.verification.region import RegionStatement
@@ -224,8 +225,9 @@ def _linted(file: str, vehicle: str | None) -> _Linted:
     from surctl.tuning import load_loop_goals
     from surctl.verification import load_claim
 
-    path = str(pick(file, LIBRARY, what="scenario"))
-    kind = read_toml(pick(file, LIBRARY, what="scenario")).get("kind")
+    library, what = (VEHICLES, "vehicle") if (VEHICLES / f"{file}.toml").is_file() else (LIBRARY, "scenario")
+    path = str(pick(file, library, what=what))
+    kind = read_toml(Path(path)).get("kind")
     problems, derive = [], list[str]()
     plain: dict[str, Callable[[str], object]] = {
         "vehicle": load_vehicle,

@@ -59,7 +59,7 @@ def from_plan(
     Example: surctl scenario from-plan survey.plan --depth -2 --out survey.toml
     """
     from surctl.cli.new import path_of, write_new
-    from surctl.marine.simulation import mission_scenario, read_mission
+    from surctl.marine.simulation.plan_file import mission_scenario, read_mission
 
     mission = read_mission(plan)
     speed = cruise or mission.speed or _SPEED

@@ -103,7 +103,7 @@ class PlantOptions:
             InputError: an option is wrong, or does not go with another one.
             ToolMissing: MuJoCo is not installed, or no program writes the film.
         """
-        from surctl.marine.engine import parse_plant
+        from surctl.marine.engine.fluid import parse_plant
 
         chosen = parse_plant(self.plant)
         requested = [("--film", self.film), ("--view", self.view or None)]

@@ -177,7 +177,8 @@ def further_output(
 
     Explanations and the path of the animation are also added to `result`.
     """
-    from surctl.marine.simulation import depth_changes, thruster_use
+    from surctl.marine.simulation.run import depth_changes
+    from surctl.marine.simulation.thruster_faults import thruster_use
 
     lines = [f"  {change}" for change in depth_changes(run)]
     if (use := thruster_use(run)) is not None:

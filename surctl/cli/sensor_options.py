@@ -204,7 +204,7 @@ def sensor_data(scenario: Scenario) -> dict[str, Any]:
 
 
 def _checked(array: SonarArray, text: str) -> Fault:
-    from surctl.marine.sensing import check_faults
+    from surctl.marine.sensing.sonar.faults import check_faults
 
     fault = parse_fault(text)
     try:
@@ -215,7 +215,7 @@ def _checked(array: SonarArray, text: str) -> Fault:
 
 
 def _possible(array: SonarArray, texts: Sequence[str]) -> FaultChances:
-    from surctl.marine.sensing import check_faults
+    from surctl.marine.sensing.sonar.faults import check_faults
 
     chances = parse_chances(texts)
     try:

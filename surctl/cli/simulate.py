@@ -134,7 +134,8 @@ def simulate(
     _check_fallback(robot.fallback, mode=robot.priority_mode, explained=explained, campaign=campaign.any)
     from surctl.files import prepare_folder
     from surctl.marine.control import law_source, load_gains
-    from surctl.marine.simulation import Case, law_numbers, load_scenario, save_record, stop_reason, time_limit_reason
+    from surctl.marine.simulation import Case, law_numbers, load_scenario, save_record
+    from surctl.marine.simulation.explanation import stop_reason, time_limit_reason
     from surctl.marine.vehicle import load_vehicle
 
     _check_save(save, frame, out=out, campaign=campaign.any)
@@ -235,7 +236,7 @@ def _check_save(save: str | None, frame: str | None, *, out: Path | None, campai
     if save is None and frame is None:
         return
     from surctl.marine.simulation import RUN_FORMATS
-    from surctl.marine.vehicle import check_frame
+    from surctl.marine.vehicle.motion_log import check_frame
 
     if frame is not None:
         check_frame(frame, key="--frame")

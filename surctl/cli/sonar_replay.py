@@ -65,7 +65,7 @@ def sonar_replay(
     Examples: surctl sonar-replay log.csv --out replay; surctl sonar-replay log.csv --maximum 6 --noise-sd 0.02
     """
     from surctl.files import prepare_folder, write_file
-    from surctl.marine.sensing import filtered_rows, read_readings, replay_readings, sonar_array
+    from surctl.marine.sensing.replay import filtered_rows, read_readings, replay_readings, sonar_array
 
     if not isfinite(scale):
         raise InputError("must be finite", key="--scale", value=scale, remedy="give the scale from surctl calibrate")

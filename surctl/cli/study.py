@@ -90,7 +90,7 @@ def study(
         study_system(words, seconds=seconds, workers=workers, out=out, as_json=as_json)
     if len(words) > 1:
         raise click.UsageError(f"Got unexpected extra argument ({words[1]})")
-    from surctl.ir import find_compiler
+    from surctl.ir.cache import find_compiler
 
     find_compiler()  # before the imports and the plan, which take seconds
     from surctl.marine.study import conduct, load_plan
@@ -199,7 +199,7 @@ def study_system(words: Sequence[str], *, seconds: float | None, workers: int, o
     from surctl.export.process import build_controller
     from surctl.export.sil import compare_runs
     from surctl.files import prepare_folder, write_file
-    from surctl.ir import find_compiler
+    from surctl.ir.cache import find_compiler
     from surctl.lyapunov import solve
     from surctl.report.system_page import SystemStudy, export_line, render_system_page
     from surctl.system import run_system

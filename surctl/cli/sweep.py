@@ -389,7 +389,7 @@ def _own(
     compiles: bool,
 ) -> _Job:
     """Return the sweep of a system that the words and options ask for; `compiles` in this process."""
-    from surctl.ir import find_compiler
+    from surctl.ir.cache import find_compiler
     from surctl.tuning import SystemSweep, parse_axis
     from surctl.tuning.system_sweep import choices_and_draws
 

@@ -123,7 +123,7 @@ def tune(
     if own:
         task: Task = system_tuned(words, ranges, goals_file, seconds=seconds, trials=trials, seed=seed, threads=workers)
     else:
-        from surctl.ir import find_compiler
+        from surctl.ir.cache import find_compiler
 
         find_compiler()  # thousands of runs: without compiled code, hours
         plan = mission_plan(file, trust=trust, law=law, gains=gains_file, vehicles=vehicles, out=out)

@@ -39,9 +39,10 @@ def thrusters(
     T2 --force 40 30 0 5
     """
     from surctl.marine.allocation import allocate, working_flags
-    from surctl.marine.simulation import held_share, thruster_findings
-    from surctl.marine.vehicle import axis_ends, load_vehicle
+    from surctl.marine.simulation.fit import held_share, thruster_findings
+    from surctl.marine.vehicle import load_vehicle
     from surctl.marine.vehicle.specs import AXES
+    from surctl.marine.vehicle.thruster_file import axis_ends
 
     if not 0 <= speed <= _FASTEST:
         problem = f"must be at least 0 and at most {_FASTEST:g}"
@@ -199,7 +200,7 @@ def from_gazebo(
 
     Example: surctl vehicle from-gazebo model.sdf --name auv --diameter 0.5 --thrust 40 --yaw-thrust 6
     """
-    from surctl.marine.vehicle import gazebo_vehicle
+    from surctl.marine.vehicle.gazebo import gazebo_vehicle
 
     robot = gazebo_vehicle(model, name, radius=diameter / 2, **numbers)
     _write(robot, out, force, _parameter_lines(robot), _summary(robot), as_json=as_json)
@@ -281,7 +282,10 @@ def from_log(
 
     Example: surctl vehicle from-log trial.csv --start my-vehicle.toml --name fitted
     """
-    from surctl.marine.vehicle import held_out_windows, identify, in_sequence, load_vehicle, read_recording, topic_lines
+    from surctl.marine.vehicle import identify, load_vehicle
+    from surctl.marine.vehicle.identification.identify import held_out_windows
+    from surctl.marine.vehicle.logs.read import read_recording, topic_lines
+    from surctl.marine.vehicle.motion_log import in_sequence
 
     if topics:
         from surctl.marine.vehicle.logs.joining import load_log_map
@@ -349,8 +353,8 @@ def from_log(
 
 
 def _read_log(log: Path, map_file: Path | None, frame: str | None) -> MotionLog:
-    from surctl.marine.vehicle import read_mapped_log, read_motion_log
-    from surctl.marine.vehicle.logs.read import READERS
+    from surctl.marine.vehicle.logs.read import READERS, read_mapped_log
+    from surctl.marine.vehicle.motion_log import read_motion_log
 
     if map_file is not None:
         if frame is not None:

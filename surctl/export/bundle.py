@@ -257,12 +257,7 @@ def write_bundle(bundle: Bundle, directory: Path | str) -> list[ExportedFile]:
 
 
 def check_folder(directory: Path | str) -> None:
-    """Raise the InputError of `write_bundle` if a bundle cannot be written to this folder; leave nothing behind.
-
-    Example:
-        >>> from surctl.export import check_folder
-        >>> check_folder("firmware")
-    """
+    """Raise the InputError of `write_bundle` if a bundle cannot be written to this folder; leave nothing behind."""
     target = Path(directory)
     staging = target.parent / f".{target.name}.{os.getpid()}.tmp"
     try:

@@ -23,7 +23,8 @@ from surctl.export.emulated import Target
 from surctl.export.envelope import Envelope, Records, Rows, as_records
 from surctl.export.precision import Guarded, Rounded, plain, replayed, rounded
 from surctl.export.process import Controller, code_bytes, compile_controller
-from surctl.ir import Real, compile_program, compiler_version
+from surctl.ir import Real
+from surctl.ir.cache import compile_program, compiler_version
 from surctl.ir.frames import stack_from_report
 
 Vector = NDArray[np.float64]
@@ -51,15 +52,8 @@ def trial_steps(
     all numbers (1) or about one number (2) replaced by the next larger or smaller float; (3) and (6) the step slightly
     perturbed; (4) the step widely perturbed; (5) some numbers replaced by 0, 1 or their negative; (7) one number NaN or
     infinite. In every second group of 256 steps, the gains change by up to 10 %.
-
-    Args:
-        law: the law.
-        runs: recorded runs of the law.
-        count: largest number of steps.
-        real: precision of the target, which defines the next float.
-        seed: seed of the random numbers.
-        within: ranges that the input check accepts. Perturbed numbers stay inside these ranges, and widely perturbed
-            numbers cover the whole ranges, so that the steps test the law and not only the input check.
+    Perturbed numbers stay in the ranges `within` of the input check, and widely perturbed ones cover them whole, so
+    that the steps test the law and not only the check. `real` defines the next float.
     """
     rng = np.random.default_rng(seed)
     X = np.concatenate([run.X for run in runs])
@@ -271,9 +265,7 @@ def check_builds(
         controller: the bundle, compiled on this machine.
         runs: recorded closed-loop runs of the exported law.
         targets: compilers and processors to try.
-        steps: largest number of single steps.
         untried: targets whose tools are missing, to be listed in the report.
-        progress: called with one line of text before each piece of work.
 
     Raises:
         InputError: there is no run, a run does not fit the law, or the law uses libm functions such as sin.
@@ -369,13 +361,8 @@ def _same(have: NDArray[np.uint8], want: NDArray[np.uint8], dtype: np.dtype[Any]
 def built_for(host: Controller, target: Target, folder: Path) -> tuple[Controller, Path | None, list[Path]]:
     """Compile the bundle for a target; return the controller, the file of its instruction counts, and its object files.
 
-    The file of instruction counts gets one line per step; if the target does not count instructions, None is returned
-    instead of the file. The last object file is that of the self-test.
-
-    Args:
-        host: the law and its bundle, compiled on this machine.
-        target: compiler and processor.
-        folder: scratch folder.
+    The file gets one line per step; it is None if the target does not count instructions. The last object file is that
+    of the self-test. `folder` is a scratch folder.
 
     Raises:
         SurctlError: the compiler reports an error.

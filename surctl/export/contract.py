@@ -12,7 +12,8 @@ from typing import TypeAlias
 import numpy as np
 
 from surctl.errors import InputError
-from surctl.ir import Layout, Port, identifier
+from surctl.ir import Layout, Port
+from surctl.ir.c99 import identifier
 from surctl.system import Controller, SampledController
 from surctl.system.controller import command_ports
 
@@ -153,12 +154,7 @@ def status_table(law: Exportable) -> tuple[tuple[str, int, str], ...]:
 
 
 def checked_name(law: Exportable, name: str | None = None) -> str:
-    """Check every name that the C text uses, and return the bundle's name.
-
-    Raises:
-        InputError: a name is not a C identifier or collides with the name of another file or struct member, the law has
-            no command, the period is not positive, or the sizes that the law declares differ from those of its code.
-    """
+    """Check every name that the C text uses, and return the bundle's name."""
     chosen = identifier(law.name if name is None else name)
     _check_files(chosen)
     for layout in (law.state, law.inputs, law.gains, law.outputs):

@@ -19,8 +19,7 @@ from numpy.typing import NDArray
 
 from surctl.errors import InputError, SurctlError, ToolMissing, nearest
 from surctl.export.bundle import Bundle, write_bundle
-from surctl.ir import compile_program
-from surctl.ir.cache import packaged_compiler
+from surctl.ir.cache import compile_program, packaged_compiler
 
 # Compilers and processors on which the exported C is checked: this machine's, and emulated microcontrollers
 
@@ -97,20 +96,11 @@ TARGETS: dict[str, Target] = {target.name: target for target in _BUILT_IN}
 
 
 def chosen_targets(names: Sequence[str] = ()) -> tuple[list[Target], dict[str, tuple[str, ...]]]:
-    """Return the targets to try, and the missing tools of each target that cannot be tried on this machine.
-
-    Args:
-        names: names of targets; if empty, all targets whose tools are installed.
+    """Return the targets to try (without names: all), and the missing tools of each one that cannot be tried.
 
     Raises:
         InputError: a name is not known.
         ToolMissing: a tool of a named target is not installed.
-
-    Example:
-        >>> from surctl.export import chosen_targets
-        >>> targets, lacking = chosen_targets(["gcc-O0", "gcc-O2"])
-        >>> [target.flags for target in targets], lacking
-        ([('-O0',), ('-O2',)], {})
     """
     for name in names:
         if name not in TARGETS:
@@ -160,8 +150,7 @@ class Identity(NamedTuple):
 
     Attributes:
         id: hash of what the controller computes, see `law_id`.
-        real: "float64" or "float32".
-        inputs, thrusts, states, telemetry: numbers of inputs, thrusts, states and telemetry values.
+        inputs, thrusts, states, telemetry: sizes of the vectors.
         glance: number of values after the thrust in a compact reply, see `contract.glance`.
     """
 
@@ -175,14 +164,9 @@ class Identity(NamedTuple):
 
 
 class Reply(NamedTuple):
-    """Reply of the controller to one step, with the bytes that were received.
+    """Reply of the controller to one step: status, thrust (n_tau,) [N, N m], next state (nx,), telemetry (k,).
 
-    Attributes:
-        status: status code of the step.
-        tau: thrust (n_tau,) [N, N m].
-        state: state after the step (nx,).
-        telemetry: telemetry (k,).
-        raw: received bytes of all these numbers; in a compact reply, of the thrust and the values of `glance`.
+    `raw` are the received bytes of these numbers; in a compact reply, of the thrust and the values of `glance`.
     """
 
     status: int
@@ -317,7 +301,7 @@ def connect(address: str, *, patience: float = 5.0) -> SerialLine:
         >>> from surctl.marine.control import build_law
         >>> from surctl.marine.export import build_bundle
         >>> from surctl.export import connect, write_bundle
-        >>> from surctl.ir import compile_program
+        >>> from surctl.ir.cache import compile_program
         >>> law, folder = build_law("closed_form"), Path("closed_form")
         >>> bundle = build_bundle(law, {})
         >>> _ = write_bundle(bundle, folder)
@@ -399,10 +383,7 @@ def emulated_target(name: str) -> Target:
 def emulated(bundle: Bundle, target: Target, folder: Path) -> EmulatedLine:
     """Compile the bundle for an emulated processor, start it in QEMU, and connect to its console.
 
-    Args:
-        bundle: the exported controller.
-        target: an emulated processor.
-        folder: folder for the sources and the program; do not delete the folder while the emulator runs.
+    Sources and program are in `folder`, which must stay while the emulator runs.
 
     Raises:
         SurctlError: the compiler reports an error.

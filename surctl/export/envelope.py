@@ -19,14 +19,7 @@ from surctl.system import Record
 
 
 class Rows(NamedTuple):
-    """Results of T steps of a controller that is compiled or evaluated in Python.
-
-    Attributes:
-        status: status codes (T,).
-        tau: commands (T, n_tau).
-        state: state after each step (T, nx).
-        telemetry: telemetry (T, k).
-    """
+    """Results of T steps: status codes (T,), commands (T, n_tau), next states (T, nx), telemetry (T, k)."""
 
     status: NDArray[np.int64]
     tau: NDArray[np.float64]
@@ -40,20 +33,13 @@ _Triple = tuple[ArrayLike, ArrayLike, ArrayLike]
 
 @dataclass(frozen=True)
 class Records:
-    """State, inputs and gains of each step of a recorded run.
-
-    Attributes:
-        X: state before each step (T, nx).
-        U: inputs of each step (T, nu).
-        P: gains of each step (T, np).
-    """
+    """State (T, nx), inputs (T, nu) and gains (T, np) before each step of a recorded run."""
 
     X: Vector
     U: Vector
     P: Vector
 
     def __len__(self) -> int:
-        """Return the number of recorded steps T."""
         return len(self.X)
 
 
@@ -63,26 +49,8 @@ AnyRecord: TypeAlias = Records | Record | Sequence[_Triple]
 def as_records(law: Exportable, records: AnyRecord) -> Records:
     """Return `Records` of a law from a recorded run.
 
-    Args:
-        law: the law that ran.
-        records: triples (state, inputs, gains), `Records` whose gains P may be one vector (np,), or the `Record` of a
-            system that `law` controls.
-
-    Raises:
-        InputError: there is no step, or an array does not fit the law's layouts.
-
-    Example:
-        >>> from surctl.marine.control import build_law, load_gains
-        >>> from surctl.export import Records, as_records
-        >>> from surctl.marine.simulation import law_numbers, load_scenario, simulate
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> mission, vehicle, gains = load_scenario("pool-behind"), load_vehicle("sur400"), load_gains("default")
-        >>> law, p = build_law("closed_form"), law_numbers(mission, gains, vehicle)
-        >>> run = simulate(mission, vehicle, gains=gains, law=law)
-        >>> recording = Records(run.record.law_state, run.record.law_input, run.record.law_parameters)
-        >>> records = as_records(law, recording)  # one vector of gains becomes one row per step
-        >>> recording.P.shape, records.P.shape == (len(recording.X), law.gains.size)
-        ((70,), True)
+    The run is triples (state, inputs, gains), `Records` whose gains P may be one vector (np,), or the `Record` of a
+    system that `law` controls.
     """
     if isinstance(records, Record):
         records = Records(*records.controller)
@@ -230,11 +198,8 @@ class Envelope:
         """Return the results, with status `RANGE` where an input changed too fast since the last accepted step.
 
         Args:
-            rows: results of T steps, without the check of rates.
-            records: state, inputs and gains of each step.
+            rows, records: results of T steps without this check, and their state, inputs and gains.
             load: (T,) True at each step that starts a new run.
-            dt: control period [s].
-            real: precision of the check.
             counts: (T,) sample number of each step; None means one sample per step.
         """
         counts = np.arange(len(records)) if counts is None else counts
@@ -277,14 +242,7 @@ _GOLDEN = 0.6180339887498949
 
 @dataclass(frozen=True)
 class SelfTest:
-    """Inputs and expected results of the self-test, a run of the law from its initial state.
-
-    Attributes:
-        inputs: inputs of each step (T, nu).
-        tau: expected thrust (T, n_tau) [N, N m].
-        state: expected state after each step (T, nx).
-        status: expected status of each step (T,).
-    """
+    """Inputs (T, nu) of the self-test, a run from the initial state, and expected thrust, next state and status."""
 
     inputs: Vector
     tau: Vector

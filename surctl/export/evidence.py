@@ -35,30 +35,8 @@ def evidence_of(
     Args:
         run: scenario, vehicle, sensing and seed of the simulated run, its result, and `failure` (None if it arrived
             without contact); of a system of the user's own, `system`, `text` and `failure`.
-        sil: comparison of the compiled controller with Python over this run.
-        check: comparison over several compilers and processors, or None.
-        proof: proof of the absence of run-time errors, or None.
         statuses: status (n,) of each step of the simulated run of a robot, or None.
         period: time between two steps [s].
-
-    Example:
-        >>> from pathlib import Path
-        >>> from surctl.marine.control import build_law, load_gains
-        >>> from surctl.export import Records, build_controller, compare_runs
-        >>> from surctl.export.evidence import evidence_of, with_evidence
-        >>> from surctl.marine.export import build_bundle
-        >>> from surctl.marine.simulation import law_numbers, load_scenario, simulate
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> mission, vehicle, gains = load_scenario("pool-behind"), load_vehicle("sur400"), load_gains("default")
-        >>> law, p = build_law("closed_form"), law_numbers(mission, gains, vehicle)
-        >>> run = simulate(mission, vehicle, gains=gains, law=law)
-        >>> recording = Records(run.record.law_state, run.record.law_input, run.record.law_parameters)
-        >>> bundle = build_bundle(law, law.gains.unpack(p))
-        >>> [sil] = compare_runs(build_controller(law, bundle, Path("closed_form")), [recording])
-        >>> flight = {"scenario": mission.name, "vehicle": vehicle.name, "sensing": "truth", "seed": 0, "failure": None}
-        >>> evidence = evidence_of(run=flight, sil=sil)
-        >>> evidence["sil"]["passed"], "arrived without contact" in with_evidence(bundle, evidence).files["README.md"]
-        (True, True)
     """
     return {
         "run": {**run, "bits": {} if statuses is None else _bits(statuses, period)},
@@ -83,26 +61,7 @@ def _bits(statuses: NDArray[np.int_], period: float) -> dict[str, dict[str, floa
 def with_evidence(
     bundle: Bundle, evidence: Mapping[str, Any], *, binaries: Mapping[str, bytes] | None = None
 ) -> Bundle:
-    """Return the bundle with the evidence in its manifest and README, and with further files such as an FMU.
-
-    Args:
-        bundle: the exported files.
-        evidence: see `evidence_of`.
-        binaries: bytes of further files by name, whose hashes the manifest states too.
-
-    Example:
-        >>> import json
-        >>> from surctl.marine.control import build_law
-        >>> from surctl.marine.export import build_bundle
-        >>> from surctl.export.evidence import with_evidence
-        >>> sil = {"steps": 100, "tau": 0.0, "status_mismatches": 0, "fault_cases": 9, "fault_failures": []}
-        >>> sil |= {"passed": True, "compiler": "gcc"}
-        >>> flight = {"scenario": "mine", "vehicle": "mine", "sensing": "truth", "seed": 0, "failure": "it collides"}
-        >>> evidence = {"run": flight, "sil": sil, "check": None, "proof": None}
-        >>> bundle = with_evidence(build_bundle(build_law("closed_form"), {}), evidence, binaries={"mine.fmu": b"PK"})
-        >>> json.loads(bundle.files["manifest.json"])["evidence"]["run"]["failure"], "mine.fmu" in bundle.binaries
-        ('it collides', True)
-    """
+    """Return the bundle with the evidence in its manifest and README, and with further files such as an FMU."""
     files = {name: text for name, text in bundle.files.items() if name != "manifest.json"}
     head, mark, _ = files["README.md"].rpartition(_MARK)
     files["README.md"] = head + mark + "\n".join(_lines(evidence)) + "\n"

@@ -32,8 +32,8 @@ from surctl.export.bundle import Bundle, ExportedFile
 from surctl.export.contract import DATA, MISSION_FILES, Exportable, commands, is_robot_law, status_table
 from surctl.export.envelope import Envelope, anywhere
 from surctl.export.rendering import render_unit
-from surctl.ir import Port, compile_program
-from surctl.ir.cache import packaged_compiler
+from surctl.ir import Port
+from surctl.ir.cache import compile_program, packaged_compiler
 
 Vector = NDArray[np.float64]
 
@@ -83,13 +83,11 @@ class _Variable:
     """One number of a unit.
 
     Attributes:
-        name: name with indices from 1.
+        name, description: name with indices from 1, and what the number is.
         reference: value reference, which counts from 0.
         causality: "input", "parameter" or "output".
-        description: what the number is.
         unit: unit; empty if it is not known for this component.
-        low, high: range; None if there is none.
-        start: value at the start, None for an output.
+        low, high, start: range, and value at the start; None if there is none.
     """
 
     name: str
@@ -105,11 +103,8 @@ class _Variable:
 def _variables(law: Exportable, within: Envelope, gains: Vector, *, fed: Sequence[str] = ()) -> list[_Variable]:
     """Return all numbers of a unit in the order of their value references.
 
-    Args:
-        law: the law.
-        within: ranges of inputs, gains and commands.
-        gains: tuned gains (np,).
-        fed: gains that the unit writes itself, from its mission.
+    `within` are ranges of inputs, gains and commands, `gains` tuned gains (np,), and `fed` gains that the unit writes
+    itself, from its mission.
     """
     outputs = np.full((law.outputs.size, 2), [-np.inf, np.inf])
     if within.commands is not None:
@@ -332,31 +327,13 @@ def write_fmu(law: Exportable, bundle: Bundle, gains: Vector, directory: Path | 
     the bundle has a mission, the unit feeds the controller with it.
 
     Args:
-        law: the control law.
         bundle: the bundle that was exported from this law.
         gains: tuned gains (np,), as in the bundle.
-        directory: output folder; the folder is created if it does not exist.
         fmi: version of the standard, 2 (FMI 2.0) or 3 (FMI 3.0).
-
-    Returns:
-        The written file; an incomplete file never appears.
 
     Raises:
         ToolMissing: there is no C compiler.
         InputError: this version of FMI has no name for this machine, or the folder cannot be written.
-
-    Example:
-        >>> from zipfile import ZipFile
-        >>> from surctl.marine.control import build_law, load_gains
-        >>> from surctl.marine.export import build_bundle
-        >>> from surctl.export import write_fmu
-        >>> from surctl.marine.simulation import law_numbers, load_scenario
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> mission, vehicle, gains = load_scenario("pool-behind"), load_vehicle("sur400"), load_gains("default")
-        >>> law, p = build_law("closed_form"), law_numbers(mission, gains, vehicle)
-        >>> file = write_fmu(law, build_bundle(law, law.gains.unpack(p)), p, "fmu")
-        >>> file.path.name, ZipFile(file.path).namelist()[0]
-        ('surctl_closed_form.fmu', 'modelDescription.xml')
     """
     machine = (platform.system(), platform.machine())
     if machine not in _PLATFORMS[fmi]:

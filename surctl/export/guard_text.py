@@ -54,12 +54,8 @@ def box_lines(
 ) -> list[str]:
     """Return C lines that end their function if a number is out of range (NaN is out of every range).
 
-    Args:
-        layout: layout of the numbers.
-        box: smallest and largest accepted values (n, 2).
-        member: function that returns the C text of a number for (member access, flat index).
-        real: precision of the numbers.
-        refuse: function that returns the C statement for the flat index of a number out of range; it returns 0.
+    `box` (n, 2) are the smallest and largest accepted values. `member` returns the C text of a number for (member
+    access, flat index), and `refuse` the C statement for the flat index of a number out of range.
     """
     lines: list[str] = []
     for port in layout:
@@ -242,14 +238,7 @@ _OPTIONAL = ("working", "column")  # inputs that keep their default until a mess
 
 
 def example_values(law: Exportable, within: Envelope, *, name: str, arrays: int) -> dict[str, Any]:
-    """Return the values of the templates of `EXAMPLES`.
-
-    Args:
-        law: the law.
-        within: ranges of the inputs and gains.
-        name: prefix of files and symbols.
-        arrays: bytes of the arrays on the stack of a step.
-    """
+    """Return the values of the templates of `EXAMPLES`; `arrays` are the bytes of the arrays on the stack of a step."""
     own = _own_state(law.inputs)
     numbers_in = _numbers_in(law, own)
     outputs = [port for port in law.outputs if port.name == "thruster_command"]

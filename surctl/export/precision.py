@@ -38,11 +38,8 @@ class Rounded(_Same):
     """An exportable law that Python evaluates instruction by instruction, with every number rounded to `real`.
 
     `Rounded` is the reference for the exported C in this precision, because IEEE 754 defines each operation to the last
-    bit. All vectors are arrays of doubles; for float32 their values have single precision.
-
-    Attributes:
-        law: the law, which must not use libm functions such as sin, whose last bits no standard defines.
-        real: the precision of every number.
+    bit; the law must not use libm functions such as sin, whose last bits no standard defines. All vectors are arrays of
+    doubles; for float32 their values have single precision.
     """
 
     real: Real = "float32"
@@ -91,12 +88,7 @@ class Rounded(_Same):
 
 @dataclass(frozen=True, eq=False)
 class Guarded(_Same):
-    """A law in Python that first checks its inputs as the guard of the exported C does.
-
-    Attributes:
-        envelope: ranges that the guard accepts, in the law's precision.
-        real: precision of the law.
-    """
+    """A law in Python that first checks its inputs as the guard of the exported C does."""
 
     envelope: Envelope
     real: Real = "float64"

@@ -23,8 +23,7 @@ from surctl.export.bundle import Bundle, write_bundle
 from surctl.export.contract import Exportable, command_size
 from surctl.export.envelope import Records, Rows
 from surctl.export.precision import in_precision
-from surctl.ir import cached_bytes, compile_program, compiler_version, find_compiler
-from surctl.ir.cache import FLAGS, further_flags
+from surctl.ir.cache import FLAGS, cached_bytes, compile_program, compiler_version, find_compiler, further_flags
 from surctl.ir.native import loaded
 
 Vector = NDArray[np.float64]
@@ -35,13 +34,7 @@ _STEP = 0.05  # s more per step: enough for a law with sonars and software float
 
 @dataclass(frozen=True)
 class FaultResults:
-    """Results of the compiled controller for K invalid numbers.
-
-    Attributes:
-        status: status codes (K,).
-        tau: commands (K, n_tau).
-        changed: number of state entries that each step changed (K,).
-    """
+    """Results for K invalid numbers: status codes (K,), commands (K, n_tau), numbers of changed states (K,)."""
 
     status: NDArray[np.int64]
     tau: Vector
@@ -157,13 +150,7 @@ def build_controller(law: Exportable, bundle: Bundle, directory: Path) -> Contro
 def compile_controller(
     bundle: Bundle, folder: Path, *, flags: Sequence[str] = (), compiler: str | None = None
 ) -> list[Path]:
-    """Compile the controller's files; return the object files in the order of `bundle.sources`, then the self-test.
-
-    Args:
-        bundle: the controller, written to `folder`.
-        folder: folder with the files of the bundle.
-        flags: additional compiler flags.
-        compiler: see `compile_program`.
+    """Compile the controller's files in a folder; return the object files of `bundle.sources`, then of the self-test.
 
     Raises:
         SurctlError: the compiler reports an error.
@@ -291,12 +278,7 @@ class ExportedController:
             raise SurctlError(f"{self.bundle.name}_initialize returned {status}")
 
     def step(self, u: Vector, sample: int) -> ExportedStep:
-        """Run one guarded step.
-
-        Args:
-            u: inputs of the law (nu,).
-            sample: number of the control period, from 1; a gap is the time that has passed.
-        """
+        """Run one guarded step with inputs u (nu,); `sample` counts control periods from 1, and may have gaps."""
         np.ctypeslib.as_array(self._input)[: len(u)] = u
         self._sample.value = sample % 2**32
         status = self._library.surctl_step(self._unit, ctypes.byref(self._input), ctypes.byref(self._output))

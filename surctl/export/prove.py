@@ -147,21 +147,6 @@ def prove_bundle(law: Exportable, bundle: Bundle, limit: Vector | None = None) -
     Raises:
         ToolMissing: Frama-C is not installed.
         SurctlError: Frama-C reports an error, or does not finish in time.
-
-    Example:
-        >>> from surctl.marine.control import build_law, load_gains
-        >>> from surctl.marine.export import build_bundle, closed_form, operating_envelope
-        >>> from surctl.export import prove_bundle
-        >>> from surctl.marine.simulation import law_numbers, load_scenario
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> mission, vehicle, gains = load_scenario("pool-behind"), load_vehicle("sur400"), load_gains("default")
-        >>> law, p = build_law("closed_form"), law_numbers(mission, gains, vehicle)
-        >>> shipped = closed_form(law, real="float32", constants=p)
-        >>> within = operating_envelope(law, mission, vehicle, shipped.gains)
-        >>> bundle = build_bundle(shipped, {}, real="float32", envelope=within)
-        >>> report = prove_bundle(shipped, bundle, vehicle.thrust_limit)
-        >>> report.proved, report.alarms
-        (True, ())
     """
     if shutil.which(_TOOL) is None:
         raise ToolMissing(
@@ -282,26 +267,7 @@ def _any(bounds: Vector, real: Real) -> str:
 
 
 def with_proof(bundle: Bundle, report: ProofReport) -> Bundle:
-    """Return the bundle with the analysed program and the analyser's log added, and with the outcome in the manifest.
-
-    Example:
-        >>> from json import loads
-        >>> from surctl.marine.control import build_law, load_gains
-        >>> from surctl.marine.export import build_bundle, closed_form, operating_envelope
-        >>> from surctl.export import prove_bundle
-        >>> from surctl.export.prove import with_proof
-        >>> from surctl.marine.simulation import law_numbers, load_scenario
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> mission, vehicle, gains = load_scenario("pool-behind"), load_vehicle("sur400"), load_gains("default")
-        >>> law, p = build_law("closed_form"), law_numbers(mission, gains, vehicle)
-        >>> shipped = closed_form(law, real="float32", constants=p)
-        >>> within = operating_envelope(law, mission, vehicle, shipped.gains)
-        >>> bundle = build_bundle(shipped, {}, real="float32", envelope=within)
-        >>> report = prove_bundle(shipped, bundle, vehicle.thrust_limit)
-        >>> proved = with_proof(bundle, report)
-        >>> loads(proved.files["manifest.json"])["proof"]["status"], sorted(set(proved.files) - set(bundle.files))
-        ('proved', ['proof.c', 'proof.log'])
-    """
+    """Return the bundle with the analysed program, the analyser's log, and the outcome in the manifest."""
     files = {name: text for name, text in bundle.files.items() if name != "manifest.json"}
     files |= {"proof.c": report.source, "proof.log": report.log}
     table = json.loads(bundle.files["manifest.json"])
@@ -310,22 +276,7 @@ def with_proof(bundle: Bundle, report: ProofReport) -> Bundle:
 
 
 def gain_box(law: Exportable, values: Vector, ranges: Mapping[str, tuple[float, float]]) -> Vector:
-    """Return the ranges (np, 2) of the gains in the proof; a gain without a range in `ranges` is constant.
-
-    Raises:
-        InputError: a value is outside its range.
-
-    Example:
-        >>> from surctl.marine.control import build_law, load_gains
-        >>> from surctl.export import gain_box
-        >>> from surctl.marine.simulation import law_numbers, load_scenario
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> mission, vehicle, gains = load_scenario("pool-behind"), load_vehicle("sur400"), load_gains("default")
-        >>> law, p = build_law("closed_form"), law_numbers(mission, gains, vehicle)
-        >>> box = gain_box(law, p, {"k_v": (1.0, 2.0)})
-        >>> box[law.gains.slice("k_v")].tolist(), box[law.gains.slice("lookahead")].tolist()
-        ([[1.0, 2.0]], [[0.8, 0.8]])
-    """
+    """Return the ranges (np, 2) of the gains in the proof; a gain without a range in `ranges` is constant."""
     box = np.repeat(np.asarray(values, dtype=float)[:, None], 2, axis=1)
     for name, (low, high) in ranges.items():
         if name in law.gains:

@@ -17,7 +17,8 @@ from surctl.export.contract import Exportable, command_word, entries
 from surctl.export.envelope import NULL, STALE, AnyRecord, Envelope, Records, Rows, anywhere, as_records
 from surctl.export.precision import Guarded, evaluated, replayed, rounded
 from surctl.export.process import Controller, build_controller
-from surctl.ir import Real, compiler_version
+from surctl.ir import Real
+from surctl.ir.cache import compiler_version
 
 Vector = NDArray[np.float64]
 
@@ -173,8 +174,6 @@ class SilReport:
     """Verdict of one software-in-the-loop run.
 
     Attributes:
-        name: the bundle's name.
-        id: the law's id.
         steps: number of steps T.
         resets: number of steps whose recorded state does not follow from the previous step; there, C continues from the
             recorded state. Steps at which the law's host moved the window of its waypoints do not count.
@@ -183,7 +182,6 @@ class SilReport:
         fault_cases: number of invalid inputs tried in C and in Python, see `faults`.
         fault_failures: invalid inputs that did not give zero thrust, a negative status and an unchanged state.
         self_test: whether the exported self-test passes.
-        compiler: the compiler's version line.
         code_bytes: size of code and constants, None when unknown.
         command: word for tau in the summary: "thrust", or "command" for a controller of another plant.
     """
@@ -293,19 +291,6 @@ def software_in_the_loop_runs(
     """Return one report per recorded run; all runs use one bundle with the gains of the first run's first record.
 
     Arguments and errors are those of `software_in_the_loop`; an InputError is also raised if there is no run.
-
-    Example:
-        >>> from surctl.marine.control import build_law, load_gains
-        >>> from surctl.export import Records
-        >>> from surctl.export.sil import software_in_the_loop_runs
-        >>> from surctl.marine.simulation import law_numbers, load_scenario, simulate
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> mission, vehicle, gains = load_scenario("pool-behind"), load_vehicle("sur400"), load_gains("default")
-        >>> law, p = build_law("closed_form"), law_numbers(mission, gains, vehicle)
-        >>> runs = [simulate(mission, vehicle, gains=gains, law=law, seed=seed).record for seed in (0, 1)]
-        >>> recordings = [Records(run.law_state, run.law_input, run.law_parameters) for run in runs]
-        >>> [(report.passed, report.tau.mixed) for report in software_in_the_loop_runs(law, recordings)]
-        [(True, 0.0), (True, 0.0)]
     """
     recorded = [as_records(law, run) for run in runs]
     if not recorded:

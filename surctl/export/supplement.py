@@ -200,7 +200,6 @@ class Listed:
     """An instruction list as a file of a bundle.
 
     Attributes:
-        block: the program or routine.
         vectors: layout of each vector that it reads or computes, by the name in the manifest.
         numbers: values by the name in the manifest: the name of the vector whose values they are, and these.
     """
@@ -290,21 +289,7 @@ _PLANT, _MEASURED = "plant.txt", "plant_measured.txt"
 
 @dataclass(frozen=True, eq=False)
 class PlantLists(Supplement):
-    """The instruction lists of the plant that a controller was designed for, with its parameters (np,).
-
-    Example:
-        >>> import numpy as np
-        >>> from surctl.export.bundle import build_bundle
-        >>> from surctl.export.supplement import PlantLists
-        >>> from surctl.ir import Layout, Port
-        >>> from surctl.system import Controller, Plant
-        >>> level, flow = Port("level", (1,), "m", "of the water"), Port("flow", (1,), "m/s", "inflow over the area")
-        >>> tank = Plant("tank", Layout((level,)), Layout((flow,)), lambda x, f, d, p: f["flow"] - 0.1 * x["level"])
-        >>> law = Controller("held", 0.1, tank.state, tank.inputs, lambda x, u, p: -u["level"])
-        >>> bundle = build_bundle(law, {}, supplement=PlantLists(tank, np.zeros(0)))
-        >>> [name for name in bundle.files if name.startswith(("law", "plant"))]
-        ['law.txt', 'plant.txt', 'plant_measured.txt']
-    """
+    """The instruction lists of the plant that a controller was designed for, with its parameters (np,)."""
 
     plant: Plant
     parameters: Vector

@@ -7,6 +7,7 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
+from importlib.resources import files
 from types import MappingProxyType
 from typing import Literal, TypeAlias
 
@@ -40,38 +41,7 @@ _FAMILIES = re.compile(
     """,
     re.VERBOSE,
 )
-_MACROS = frozenset(
-    re.findall(
-        r"\w+",
-        """
-        AF_DECnet BIG_ENDIAN BUFSIZ BYTE_ORDER CHARCLASS_NAME_MAX CLOCKS_PER_SEC CLOSE_RANGE_CLOEXEC
-        CLOSE_RANGE_UNSHARE COLL_WEIGHTS_MAX CPU_SETSIZE CSIGNAL DECIMAL_DIG DELAYTIMER_MAX E2BIG EACCES
-        EADDRINUSE EADDRNOTAVAIL EADV EAFNOSUPPORT EAGAIN EALREADY EBADE EBADF EBADFD EBADMSG EBADR EBADRQC
-        EBADSLT EBFONT EBUSY ECANCELED ECHILD ECHRNG ECOMM ECONNABORTED ECONNREFUSED ECONNRESET EDEADLK
-        EDEADLOCK EDESTADDRREQ EDOM EDOTDOT EDQUOT EEXIST EFAULT EFBIG EHOSTDOWN EHOSTUNREACH EHWPOISON EIDRM
-        EILSEQ EINPROGRESS EINTR EINVAL EIO EISCONN EISDIR EISNAM EKEYEXPIRED EKEYREJECTED EKEYREVOKED EL2HLT
-        EL2NSYNC EL3HLT EL3RST ELIBACC ELIBBAD ELIBEXEC ELIBMAX ELIBSCN ELNRNG ELOOP EMEDIUMTYPE EMFILE EMLINK
-        EMSGSIZE EMULTIHOP ENAMETOOLONG ENAVAIL ENETDOWN ENETRESET ENETUNREACH ENFILE ENOANO ENOBUFS ENOCSI
-        ENODATA ENODEV ENOENT ENOEXEC ENOKEY ENOLCK ENOLINK ENOMEDIUM ENOMEM ENOMSG ENONET ENOPKG ENOPROTOOPT
-        ENOSPC ENOSR ENOSTR ENOSYS ENOTBLK ENOTCONN ENOTDIR ENOTEMPTY ENOTNAM ENOTRECOVERABLE ENOTSOCK ENOTSUP
-        ENOTTY ENOTUNIQ ENXIO EOPNOTSUPP EOVERFLOW EOWNERDEAD EPERM EPFNOSUPPORT EPIPE EPROTO EPROTONOSUPPORT
-        EPROTOTYPE ERANGE EREMCHG EREMOTE EREMOTEIO ERESTART ERFKILL EROFS ESHUTDOWN ESOCKTNOSUPPORT ESPIPE
-        ESRCH ESRMNT ESTALE ESTRPIPE ETIME ETIMEDOUT ETOOMANYREFS ETXTBSY EUCLEAN EUNATCH EUSERS EWOULDBLOCK
-        EXDEV EXFULL EXPR_NEST_MAX FD_SETSIZE FILENAME_MAX FIOGETOWN FIOSETOWN FOPEN_MAX F_LOCK F_OK F_TEST
-        F_TLOCK F_ULOCK GAI_NOWAIT GAI_WAIT HOST_NAME_MAX HOST_NOT_FOUND IN6ADDR_ANY_INIT IN6ADDR_LOOPBACK_INIT
-        INET6_ADDRSTRLEN INET_ADDRSTRLEN INFINITY IOV_MAX LINE_MAX LITTLE_ENDIAN LOGIN_NAME_MAX L_INCR L_SET
-        L_XTND L_ctermid L_cuserid L_tmpnam MAXFLOAT MAX_CANON MAX_INPUT MB_CUR_MAX MB_LEN_MAX MINSIGSTKSZ
-        MQ_PRIO_MAX NAME_MAX NAN NFDBITS NGREG NGROUPS_MAX NO_ADDRESS NO_DATA NO_RECOVERY NSIG NZERO PATH_MAX
-        PDP_ENDIAN PF_DECnet PIPE_BUF P_tmpdir RAND_MAX RE_DUP_MAX RTSIG_MAX R_OK SCOPE_DELIMITER SEM_VALUE_MAX
-        SIOCATMARK SIOCGPGRP SIOCGSTAMPNS_OLD SIOCGSTAMP_OLD SIOCSPGRP SOMAXCONN SS_DISABLE SS_ONSTACK
-        STDERR_FILENO STDIN_FILENO STDOUT_FILENO TIMER_ABSTIME TIME_UTC TMP_MAX TRY_AGAIN TTY_NAME_MAX
-        WCONTINUED WEOF WEXITED WNOHANG WNOWAIT WORD_BIT WSTOPPED WUNTRACED W_OK X_OK h_addr h_errno i386 linux
-        math_errhandling sched_priority stderr stdin stdout unix CHANGE DEFAULT DEG_TO_RAD DISPLAY EULER
-        EXTERNAL FALLING F_CPU HALF_PI HIGH INPUT INPUT_PULLUP INTERNAL LOW LSBFIRST MSBFIRST OUTPUT PI
-        RAD_TO_DEG RISING SERIAL TWO_PI
-        """,
-    )
-)
+_MACROS = frozenset(files("surctl.ir").joinpath("macros.txt").read_text(encoding="utf-8").split())
 
 
 def _is_macro(name: str) -> bool:
@@ -106,21 +76,9 @@ class Move:
 
 
 def rearranged(name: str, inputs: Mapping[str, int], outputs: Mapping[str, Sequence[tuple[str, int, int]]]) -> Program:
-    """Return a program that copies pieces of its inputs; it is built much faster than from a CasADi function.
+    """Return a program that copies pieces of its inputs, faster to build than from a CasADi function.
 
-    Args:
-        name: name of the program.
-        inputs: number of entries of each input.
-        outputs: for each output, its pieces in order: name of the input, first entry, entry after the last.
-
-    Raises:
-        InputError: a piece is not inside its input.
-
-    Example:
-        >>> from surctl.ir import rearranged, replay
-        >>> swapped = rearranged("swapped", {"x": 3}, {"y": [("x", 2, 3), ("x", 0, 2)]})
-        >>> replay(swapped, [1.0, 2.0, 3.0])[0].tolist()
-        [3.0, 1.0, 2.0]
+    `inputs` are sizes; each output has pieces in order: name of the input, first entry, entry after the last.
     """
     code, which = Numbering(), {array: k for k, array in enumerate(inputs)}
     refs = [
@@ -254,21 +212,7 @@ _IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,62}")
 
 
 def identifier(name: str) -> str:
-    """Return the name if it is permitted as an identifier in generated C.
-
-    Raises:
-        InputError: the name is not a C identifier (ASCII letters, digits and underscores, a letter first, at most 63
-            characters), it is a keyword of C or C++, or a header of the exported files defines it.
-
-    Example:
-        >>> from surctl.ir import identifier
-        >>> identifier("depth_gain")
-        'depth_gain'
-        >>> identifier("double")
-        Traceback (most recent call last):
-            ...
-        surctl.errors.InputError: name = 'double': is a reserved word in C or C++; choose another name
-    """
+    """Return the name if it is permitted as an identifier in generated C."""
     if not isinstance(name, str) or not _IDENTIFIER.fullmatch(name) or "__" in name:
         remedy = "use letters, digits and single underscores, a letter first, at most 63"
         raise InputError("is not a C identifier", key="name", value=name, remedy=remedy)
@@ -365,13 +309,7 @@ def _array(name: str, size: int) -> str:
 
 
 def broken(start: str, items: Sequence[str], end: str, *, indent: str = "    ") -> list[str]:
-    """Return `start`, the items separated by commas, and `end`, as lines; all lines except the first are indented.
-
-    Example:
-        >>> from surctl.ir.c99 import broken
-        >>> broken("f(", ["x" * 60, "y" * 60], ");")[1][:8]
-        '    yyyy'
-    """
+    """Return `start`, the items separated by commas, and `end`, as lines; all lines except the first are indented."""
     lines = [start]
     for at, item in enumerate(items):
         text = f"{item}," if at + 1 < len(items) else f"{item}{end}"

@@ -108,15 +108,7 @@ def emit_folded(
 ) -> str:
     """Return a C function `static void <symbol>(const double *in0, …, double *out0, …)`, to be preceded by `preamble`.
 
-    Args:
-        program: the instruction list, without instructions whose value is not used.
-        symbol: name of the C function, checked by `identifier`.
-        real: type of the numbers.
-        moves: pieces of inputs to copy as a whole, see `handed_on`; allowed only with `apart`.
-        apart: whether it is certain that no output overlaps an input.
-
-    Raises:
-        InputError: `symbol` is not a valid C identifier.
+    `moves` (see `handed_on`) are allowed only with `apart`, which says that no output overlaps an input.
     """
     lines = [*head(program, identifier(symbol), C_TYPE[real], apart=apart), "{"]
     instructions, stores = remaining(program, moves)
@@ -145,12 +137,9 @@ def folded_lines(
     """Return the C lines of an instruction list: declarations of local variables, then assignments to outputs.
 
     Args:
-        instructions: the instruction list.
         stores: the assignments to outputs, in order: (C text of the left-hand side, list position of the value).
         address: function of (index of the input, index of the entry) that returns the C text of the entry.
-        real: type of the numbers.
         apart: whether an assignment to an output may read inputs, because none of the assignments overwrites an input.
-        indent: indentation of every line.
     """
     folder = _Folder(instructions, stores, address, real, apart)
     folder.fold()
@@ -319,33 +308,7 @@ def emit_lanes(
     """Return a C function like that of `emit_c99`, but for `lanes` runs in parallel.
 
     An output contains the numbers of all lanes (runs) for entry 0, then for entry 1, and so on. An output may be the
-    same array as an input of kind "lanes".
-
-    Args:
-        program: the instruction list.
-        symbol: name of the C function.
-        lanes: number of runs in parallel, a power of 2.
-        feeds: memory layout of each input.
-        real: type of the numbers.
-        folded: whether to write a loop over the lanes in the style of `c99_folded`, instead of vectors.
-
-    Raises:
-        InputError: `symbol` is not a valid C identifier.
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.ir import Feed, lower
-        >>> from surctl.ir.c99_folded import emit_lanes
-        >>> speed, drag = ca.SX.sym("speed"), ca.SX.sym("drag")
-        >>> program = lower(ca.Function("coast", [speed, drag], [speed - drag * speed]))
-        >>> print(emit_lanes(program, symbol="coast", lanes=4, feeds=(Feed(), Feed("shared")), folded=True), end="")
-        /* 2 operations in each of 4 lanes; outputs may alias inputs that are not shared */
-        static void coast(const double *in0, const double *in1, double *out0)
-        {
-            for (int lane = 0; lane < 4; ++lane) {
-                out0[0 + lane] = in0[0 + lane] - in0[0 + lane] * in1[0];
-            }
-        }
+    same array as an input of kind "lanes". With `folded`, the text is a loop over the lanes, without vectors.
     """
     kind = C_TYPE[real]
     arguments = [f"const {kind} *in{k}" for k in range(len(program.inputs))]

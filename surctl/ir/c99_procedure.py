@@ -27,14 +27,8 @@ def emit_procedure(procedure: Procedure, *, symbol: str, real: Real = "float64",
     """Return C functions, the last `static void <symbol>(const double *in0, …, double *out0, …)`.
 
     The text needs <math.h>. No output may overlap an input or another output. The memory is a local variable of the
-    last function.
-
-    Args:
-        procedure: the procedure.
-        symbol: name of the last function, and prefix of the other names.
-        real: type of the numbers.
-        vectors: whether loops over the entries of arrays compute four or eight entries at once, with GCC; results are
-            equal.
+    last function. With `vectors`, loops over the entries of arrays compute four or eight entries at once, with GCC;
+    results are equal.
     """
     kind, memory = C_TYPE[real], f"{symbol}_memory"
     words = {"real": kind, "whole": "int", "": "void", "none": "void"}

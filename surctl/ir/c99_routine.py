@@ -47,42 +47,10 @@ def emit_block(block: Block, *, symbol: str, real: Real = "float64", folded: boo
     function. `memory` returns the size of the arrays along the deepest chain of calls.
 
     Args:
-        block: program or routine.
         symbol: name of the last function, and prefix of the other names.
-        real: "float32" writes float instead of double.
         folded: True writes readable text with nested expressions for any C99 compiler (see `c99_folded`); it is a third
             as long as the text for False, and a file can contain only one such text. False writes text for fast
             execution, with vectors if the compiler supports them.
-
-    Raises:
-        InputError: `symbol` is not a valid C identifier.
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.ir import Loop, Routine, emit_block, lower
-        >>> depth, rate = ca.SX.sym("depth"), ca.SX.sym("rate")
-        >>> sink = lower(ca.Function("sink", [depth, rate], [depth + 0.1 * rate]))
-        >>> sinking = Loop(sink, 5, ("depth",), ("last",), fixed=("rate",))
-        >>> dive = Routine("dive", (("depth", 1), ("rate", 1)), (sinking,), ("last",))
-        >>> print(emit_block(dive, symbol="dive", folded=True), end="")
-        #if !defined(__GNUC__) || defined(__clang__)
-        #pragma STDC FP_CONTRACT OFF
-        #endif
-        <BLANKLINE>
-        /* 2 operations; outputs may alias inputs */
-        static void dive_sink(const double in0[1], const double in1[1], double out0[1])
-        {
-            out0[0] = in0[0] + 0x1.999999999999ap-4 * in1[0];
-        }
-        <BLANKLINE>
-        /* in0: depth, in1: rate, out0: last */
-        static void dive(const double in0[1], const double in1[1], double out0[1])
-        {
-            out0[0] = in0[0];
-            for (int i = 0; i < 5; ++i) {
-                dive_sink(out0, in1, out0);
-            }
-        }
     """
     writer = Writer(identifier(symbol), real, folded)
     writer.write(block)
@@ -126,9 +94,6 @@ class Writer:
     """Collects the C functions of a program or routine by file, and the name of each function by its key (`_key_of`).
 
     Args:
-        symbol: name of the last function, and prefix of all others.
-        real: type of the numbers.
-        folded: see `emit_block`.
         files: name of the file of each function, by the function's key; a function without an entry is written to file
             "".
         shared: keys of the functions that are called from another file; these are not static.
@@ -422,25 +387,6 @@ def emit_parts(block: Block, *, symbol: str, real: Real = "float64") -> Parts:
 
     All names begin with `symbol`; functions that no other file calls are static.
     Each file must begin with <math.h>, the pragma FP_CONTRACT and the prototypes.
-
-    Args:
-        block: program or routine.
-        symbol: name of the last function.
-        real: type of the numbers.
-
-    Raises:
-        InputError: `symbol` is not a valid C identifier.
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.ir import Loop, Routine, emit_parts, lower
-        >>> depth, rate = ca.SX.sym("depth"), ca.SX.sym("rate")
-        >>> sink = lower(ca.Function("sink", [depth, rate], [depth + 0.1 * rate]))
-        >>> sinking = Loop(sink, 5, ("depth",), ("last",), fixed=("rate",))
-        >>> dive = Routine("dive", (("depth", 1), ("rate", 1)), (sinking,), ("last",))
-        >>> parts = emit_parts(dive, symbol="robot_law")
-        >>> list(parts.files), parts.prototypes
-        ([''], ('void robot_law(const double in0[1], const double in1[1], double out0[1]);',))
     """
     nodes = _nodes(block)
     files = _parted(nodes, block.digest())

@@ -54,8 +54,6 @@ def _program_text(
     (`overlapping`), these pieces are copied through `work`, because the function must read them before it writes.
 
     Args:
-        program: the instruction list.
-        symbol: name of the function.
         strides: for a loop body that runs in inner SIMD lanes, the distance between two entries of each input, then of
             each output; nothing is then copied as a whole. If empty, all distances are 1.
         overlapping: whether the function is called with one array as both an input and an output.
@@ -147,37 +145,7 @@ class Wide:
 
 
 def emit_wide(block: Block, *, symbol: str) -> Wide:
-    """Return C text of a program or routine and of all that it calls; blocks with equal text become one function.
-
-    Args:
-        block: program or routine.
-        symbol: name of the last function, and prefix of the other names.
-
-    Raises:
-        InputError: `symbol` is not a valid C identifier.
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.ir import lower
-        >>> from surctl.ir.c99_wide import emit_wide
-        >>> v = ca.SX.sym("v", 2)
-        >>> wide = emit_wide(lower(ca.Function("speed", [v], [ca.norm_2(v)])), symbol="speed")
-        >>> print(wide.text, end="")
-        /* 4 operations; outputs may alias inputs */
-        static void speed(const double *in0, double *out0, double *work)
-        {
-            (void)work;
-            EACH_LANE {
-                const vec v0 = LOAD(in0, 0);
-                const vec v1 = SQ(v0);
-                const vec v2 = LOAD(in0, 1);
-                const vec v3 = SQ(v2);
-                const vec v4 = ADD(v1, v3);
-                vec v5 = v4; ROOT(v5);
-                STORE(out0, 0, v5);
-            }
-        }
-    """
+    """Return C text of a program or routine and of all that it calls; blocks with equal text become one function."""
     writer = _Writer(identifier(symbol))
     short = shortened(block)
     alone = run_alone(short)

@@ -57,11 +57,6 @@ def tuned_flags(*, wide: bool = False) -> tuple[str, ...]:
     eight numbers need AVX-512, but with vectors of four numbers the masks of AVX-512 make the QP solver a tenth slower
     than AVX2. For `wide`, the compiler also schedules instructions before register allocation, which saves an eighth of
     the run time of a closed loop.
-
-    Example:
-        >>> from surctl.ir.cache import tuned_flags
-        >>> tuned_flags()[0], sorted(set(tuned_flags(wide=True)) - set(tuned_flags()))
-        ('-march=native', ['-Wno-ignored-optimization-argument', '-fsched-pressure', '-fschedule-insns'])
     """
     if wide:
         return ("-march=native", *_REORDERED, "-fno-math-errno")
@@ -78,11 +73,7 @@ def quick_flags() -> tuple[str, ...]:
 
 
 def further_flags() -> tuple[str, ...]:
-    """Return the compiler flags in $SURCTL_CFLAGS, which follow `FLAGS`; e.g. "-O1" compiles faster with equal results.
-
-    Raises:
-        InputError: a quote is not closed, or a flag changes results.
-    """
+    """Return the flags in $SURCTL_CFLAGS, which follow `FLAGS`; e.g. "-O1" compiles faster with equal results."""
     text = os.environ.get("SURCTL_CFLAGS", "")
     try:
         words = shlex.split(text)
@@ -115,18 +106,6 @@ def find_compiler() -> str:
     Raises:
         ToolMissing: $CC does not name a program, or there is no compiler.
         InputError: $CC contains a flag that changes results.
-
-    Example:
-        >>> import os
-        >>> from unittest.mock import patch
-        >>> from surctl.ir import find_compiler
-        >>> find_compiler()  # usually cc
-        '...c...'
-        >>> with patch.dict(os.environ, CC="no-such-cc"):
-        ...     find_compiler()
-        Traceback (most recent call last):
-            ...
-        surctl.errors.ToolMissing: CC = 'no-such-cc': names no program; unset CC or set it to a C compiler
     """
     command = os.environ.get("CC", "").strip()
     if command:
@@ -146,13 +125,7 @@ def find_compiler() -> str:
 
 
 def packaged_compiler() -> str | None:
-    """Return the command of the C compiler (clang) in the package `ziglang`; None if it is not installed.
-
-    Example:
-        >>> from surctl.ir.cache import packaged_compiler
-        >>> "-m ziglang cc" in (packaged_compiler() or "python -m ziglang cc")
-        True
-    """
+    """Return the command of the C compiler (clang) in the package `ziglang`; None if it is not installed."""
     return None if find_spec("ziglang") is None else f"{shlex.quote(sys.executable)} -m ziglang {_ZIG}"
 
 
@@ -176,29 +149,12 @@ def compile_program(
 ) -> Path:
     r"""Compile and link `sources` to the file `output`; with "-c" in `flags`, compile one source to an object file.
 
-    Args:
-        sources: C sources or object files.
-        output: the file to write.
-        flags: additional flags, after `FLAGS` and `further_flags`.
-        compiler: command of the C compiler, which may include arguments; if None, that of `find_compiler`.
-
-    Returns:
-        `output`.
+    `flags` follow `FLAGS` and `further_flags`; `compiler` is a command like that of `find_compiler`, the default.
 
     Raises:
         ToolMissing: there is no compiler.
         InputError: `flags` or $SURCTL_CFLAGS contains a flag that changes results, such as -ffast-math.
         SurctlError: the compiler reports an error; the message contains the first line of the error.
-
-    Example:
-        >>> import subprocess
-        >>> from pathlib import Path
-        >>> from surctl.ir import compile_program
-        >>> source = Path("hello.c")
-        >>> _ = source.write_text('int puts(const char *); int main(void) { return puts("diving") < 0; }\n')
-        >>> program = compile_program([source], Path("hello").resolve())
-        >>> subprocess.run([program], capture_output=True, text=True).stdout.strip()
-        'diving'
     """
     _refuse(flags)
     link = [] if "-c" in flags else ["-lm"]
@@ -227,13 +183,7 @@ def _first_error(text: str) -> str:
 
 
 def compiler_version(compiler: str | None = None) -> str:
-    """Return the first line of the compiler's `--version` output; None means the compiler of `find_compiler`.
-
-    Example:
-        >>> from surctl.ir import compiler_version
-        >>> compiler_version()  # for example "cc (Debian 12.2.0-14) 12.2.0"
-        '...c...'
-    """
+    """Return the first line of the compiler's `--version` output; None means the compiler of `find_compiler`."""
     command = tuple(_words(find_compiler() if compiler is None else compiler))
     executable = os.path.realpath(shutil.which(command[0]) or command[0])
     try:
@@ -254,7 +204,7 @@ def _reported_version(command: Sequence[str]) -> str:
     return (done.stdout or done.stderr or command[0]).splitlines()[0].strip()
 
 
-_SUFFIXES = (".py", ".toml")
+_SUFFIXES = (".py", ".toml", ".c", ".h")
 _STARTED = time.time_ns()
 
 
@@ -262,18 +212,13 @@ _STARTED = time.time_ns()
 def source_digest(*packages: str) -> str:
     """Return the SHA-256 of the source code of these packages and of the software versions with which they run.
 
-    The digest covers names and contents of all .py and .toml files of the packages, also in inner packages; the
+    The digest covers names and contents of all .py, .toml, .c and .h files of the packages, also in inner packages; the
     versions of CasADi, NumPy and Python; and the platform, because its libm functions such as sin compute constants.
     The digest is computed once per process.
 
     Raises:
         SurctlError: a package is missing, a source file cannot be read, or a file was changed after this process began,
             so that the loaded code may be older than the file.
-
-    Example:
-        >>> from surctl.ir import source_digest
-        >>> len(source_digest("surctl.ir", "surctl.errors"))
-        64
     """
     total = hashlib.sha256()
     for part in (ca.CasadiMeta.version(), np.__version__, platform.python_version(), platform.platform()):
@@ -332,16 +277,7 @@ class CacheUnused(UserWarning):
 
 
 def cache_folder() -> Path:
-    """Return the cache folder: $SURCTL_CACHE, or $XDG_CACHE_HOME/surctl, or ~/.cache/surctl (XDG specification).
-
-    Example:
-        >>> import os
-        >>> from unittest.mock import patch
-        >>> from surctl.ir.cache import cache_folder
-        >>> with patch.dict(os.environ, SURCTL_CACHE="compiled"):
-        ...     print(cache_folder())
-        compiled
-    """
+    """Return the cache folder: $SURCTL_CACHE, or $XDG_CACHE_HOME/surctl, or ~/.cache/surctl (XDG specification)."""
     own = os.environ.get("SURCTL_CACHE")
     if own:
         return Path(own)
@@ -355,20 +291,8 @@ def cached_bytes(key: str, suffix: str, build: Callable[[], bytes], *, folder: P
     If several processes need one entry at the same time, one of them builds it and the others wait. Without locks (in a
     new folder, or on Windows) each uses the bytes that it built itself, and the bytes of the last one are stored.
 
-    Args:
-        key: hexadecimal digest of everything on which the bytes depend.
-        suffix: suffix of the entry's file, with the dot.
-        build: function that is called if no cache entry can be trusted; its exceptions are passed on.
-        folder: cache folder; `cache_folder()` if None. A folder is not used if this process cannot write to it or
-            another user can; then the warning `CacheUnused` is issued.
-
-    Example:
-        >>> from pathlib import Path
-        >>> from surctl.ir import cached_bytes
-        >>> cached_bytes("00ff", ".txt", lambda: b"built", folder=Path("cache"))
-        b'built'
-        >>> cached_bytes("00ff", ".txt", lambda: b"built anew", folder=Path("cache"))
-        b'built'
+    A folder (default: `cache_folder()`) is not used if this process cannot write to it or another user can; then the
+    warning `CacheUnused` is issued. `key` is a hexadecimal digest of everything on which the bytes depend.
     """
     place = cache_folder() if folder is None else folder
     path = place / f"{key}{suffix}"
@@ -395,30 +319,16 @@ def shared_library(
     wide: bool = False,
     identity: str = "",
 ) -> bytes:
-    r"""Return the shared library compiled from one C source.
+    r"""Return the shared library compiled from one C source: its bytes, so that the caller loads what was checked.
 
     Args:
         source: the C text, or a function that writes it.
-        flags: additional compiler flags, after `FLAGS`, `further_flags` and `tuned_flags`.
-        folder: cache folder, as in `cached_bytes`.
-        wide: whether to use the processor's widest vector instructions, see `tuned_flags`.
+        flags: additional compiler flags, after `FLAGS`, `further_flags` and `tuned_flags` (`wide`).
         identity: text that differs if the C text differs; a function `source` is then called only if no library with
             this identity is in the cache. Empty: the C text itself.
 
-    Returns:
-        The bytes of the library, so that the caller can load exactly the library that was checked.
-
     Raises:
         ToolMissing, InputError, SurctlError: as in `compile_program`.
-
-    Example:
-        >>> import ctypes
-        >>> from pathlib import Path
-        >>> from surctl.ir import shared_library
-        >>> text = "int twice(int x); int twice(int x) { return 2 * x; }\n"
-        >>> _ = Path("twice.so").write_bytes(shared_library(text))
-        >>> ctypes.CDLL("./twice.so").twice(21)
-        42
     """
     tuned = tuned_flags(wide=wide)
     key = _key(identity or _text(source), (*tuned, *flags))
@@ -545,10 +455,8 @@ def stored_numbers(
     """Return the numbers of `key`, from the cache on disk if a process with the same source code stored them.
 
     Args:
-        sources: packages or modules that contain the code, as in `source_digest`.
         key: everything on which the numbers depend beside the code, with an exact `repr`; arrays as `tobytes()`.
         compute: returns the numbers as JSON can hold them; its exceptions are passed on.
-        suffix: suffix of the entry's file, with the dot.
     """
     try:
         digest = source_digest(*sources)

@@ -36,29 +36,12 @@ _COSINE = (-1 / 2, 1 / 24, -1 / 720, 1 / 40320, -1 / 3628800)
 
 
 def nearby_angles(program: Program, source: int, entry: int) -> Program:
-    """Replace sin(a + d) and cos(a + d), where a is an entry of an input, by the angle-sum formula and a series in d.
+    """Replace sin(a + d) and cos(a + d), where a is an entry of an input, by the angle sum and a series in d.
 
-    The formula costs a third of a general sine. It is meant for the stages of a Runge-Kutta integrator, because there
-    the angle changes little within a call. The errors of the Taylor series for sin d and cos d are |d|¹¹ / 11! and
-    |d|¹² / 12!. They are less than a unit in the last place of 1 up to d = 0.18, and below 1e-11 at d = 0.5. Only sines
-    and cosines of sums that contain a are replaced.
-
-    Args:
-        program: the instruction list.
-        source: index of the input vector that contains the reference angle a.
-        entry: index of the angle a in this input vector.
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.ir import lower, nearby_angles, replay
-        >>> x = ca.SX.sym("x", 2)  # heading, turn within the step
-        >>> headings = [x[0], x[0] + 0.5 * x[1], x[0] + x[1]]
-        >>> plain = lower(ca.Function("ahead", [x], [ca.vertcat(*map(ca.cos, headings))]))
-        >>> near = nearby_angles(plain, 0, 0)
-        >>> [sum(i.op in ("sin", "cos") for i in block.instructions) for block in (plain, near)]
-        [3, 2]
-        >>> [replay(block, [1.0, 0.1])[0].round(6).tolist() for block in (plain, near)]
-        [[0.540302, 0.497571, 0.453596], [0.540302, 0.497571, 0.453596]]
+    This costs a third of a general sine. It is meant for the stages of a Runge-Kutta integrator, because there the
+    angle changes little within a call. The errors of the Taylor series for sin d and cos d are |d|¹¹ / 11! and |d|¹² /
+    12!: less than a unit in the last place of 1 up to d = 0.18, and below 1e-11 at d = 0.5. Only sines and cosines of
+    sums that contain a are replaced.
     """
     text, moved = Numbering(), list[int]()
     near: dict[int, int | None] = {}  # position → position in `text` of the distance from a; None for a itself
@@ -145,15 +128,10 @@ _SERIES: Mapping[Real, _Series] = MappingProxyType(
 
 
 def without_libm(block: Block, real: Real = "float64") -> Block:
-    """Return the program or routine with sin, cos, atan2 and acos replaced by exact operations.
+    """Return the program or routine with sin, cos, atan2 and acos replaced by exact operations of number type `real`.
 
-    A block without these functions is returned unchanged. The docstring of the module `elementary` states the errors,
-    and the values for zeros, infinities and NaN. If several functions need the same intermediate value, such as a
-    reduced angle, this value is computed once.
-
-    Args:
-        block: program or routine.
-        real: "float32" if the program or routine is evaluated in float only.
+    The module's docstring states the errors, and the values for zeros, infinities and NaN. An intermediate value that
+    several functions need, such as a reduced angle, is computed once.
 
     Example:
         >>> import casadi as ca

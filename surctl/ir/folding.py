@@ -14,11 +14,7 @@ from surctl.ir.routine import Block, Call, Loop, Routine, Step, changed_programs
 
 
 class Numbering:
-    """Value numbering: an instruction that the list already contains is not added again. Finite results do not change.
-
-    Attributes:
-        instructions: the instructions added so far.
-    """
+    """Value numbering: an instruction that the list already contains is not added again; results do not change."""
 
     def __init__(self) -> None:
         self.instructions: list[Instruction] = []
@@ -65,14 +61,6 @@ def fused(block: Block) -> Block:
     Fusion changes rounding, so `lower` does not fuse. The outputs of the fused program or routine have equal bytes on
     every machine, because IEEE 754 defines the rounding of `fma`. On a machine without an instruction for `fma`, the
     code calls the function of the C library, which is slow.
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.ir import fused, lower
-        >>> x = ca.SX.sym("x", 3)
-        >>> program = lower(ca.Function("f", [x], [x[0] * x[1] + x[2]]))
-        >>> [[i.op for i in block.instructions if i.op != "input"] for block in (program, fused(program))]
-        [['mul', 'add'], ['fma']]
     """
     return changed_programs(block, _program)
 
@@ -112,14 +100,6 @@ def shared_divisors(program: Program) -> Program:
     A division takes a vector unit as long as thirty products. If 1 / d is a normal number, the replacement changes a
     quotient by at most two units in the last place. `lower` does not make this replacement, because it must not change
     any bit; and CasADi would convert x · (1 / d) back to x / d.
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.ir import lower, shared_divisors
-        >>> x = ca.SX.sym("x", 3)
-        >>> program = lower(ca.Function("unit", [x], [x[:2] / x[2]]))
-        >>> [[i.op for i in block.instructions if i.op != "input"] for block in (program, shared_divisors(program))]
-        [['div', 'div'], ['inv', 'mul', 'mul']]
     """
     divisors = Counter(i.args[-1] for i in program.instructions if i.op in ("div", "inv"))
     text, moved = Numbering(), list[int]()
@@ -245,25 +225,6 @@ def with_constants(program: Program, source: int, values: Sequence[float]) -> Pr
     the original program with `values` as input, except for the sign of a zero, because x + 0 becomes x and 0 · x
     becomes 0. Constant values are computed in double; if the program is evaluated in another precision, they are then
     rounded to it.
-
-    Args:
-        program: the instruction list, without libm functions such as sin.
-        source: index of the input.
-        values: one number for each entry.
-
-    Raises:
-        InputError: the number of values differs from the number of entries, a value is not finite, or the program uses
-            libm functions such as sin, whose last bits depend on the machine.
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.ir import lower, replay
-        >>> from surctl.ir.folding import with_constants
-        >>> error, gains = ca.SX.sym("error", 2), ca.SX.sym("gains", 2)
-        >>> program = lower(ca.Function("pd", [error, gains], [gains[0] * error[0] + gains[1] * error[1]]))
-        >>> tuned = with_constants(program, 1, [1.0, 0.0])
-        >>> program.operations, tuned.operations, replay(tuned, [0.3, 0.1], [1.0, 0.0])[0].tolist()
-        (3, 0, [0.3])
     """
     name, size = program.inputs[source]
     if len(values) != size or not all(math.isfinite(v) for v in values):

@@ -20,24 +20,9 @@ _CALL = re.compile(r"\b(\w+)\(")
 def stack_bytes(block: Block, *, real: Real = "float64", flags: Sequence[str] = ("-Os",)) -> int:
     """Return how many bytes of stack the C of a program or routine uses on this machine, including its calls.
 
-    Args:
-        block: program or routine.
-        real: type of the numbers.
-        flags: compiler flags in addition to those of `compile_program`.
-
     Raises:
         ToolMissing: there is no compiler, or the compiler does not report stack frames (`-fstack-usage`).
         SurctlError: the compiler reports an error, or a frame has no fixed size.
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.ir import Loop, Routine, lower, stack_bytes
-        >>> x = ca.SX.sym("x", 200)
-        >>> sums = Loop(lower(ca.Function("sums", [x], [ca.cumsum(x)])), 9, ("x",), ("last",))
-        >>> block = Routine("mix", (("x", 200),), (sums,), ("last",))
-        >>> double, single = (stack_bytes(block, real=real) for real in ("float64", "float32"))
-        >>> single < double < 4096  # for example 624 and 1360
-        True
     """
     kind, at, places = C_TYPE[real], 0, []
     for _, size in (*block.inputs, *block.outputs):
@@ -57,12 +42,6 @@ def stack_of(text: str, entry: str, *, flags: Sequence[str] = ("-Os",), compiler
 
     The definition of every function must begin on a line of its own. The stack of libm functions such as sin is not
     counted. An inlined function is part of the stack frame of its caller.
-
-    Example:
-        >>> from surctl.ir.frames import stack_of
-        >>> text = "void fill(float *x);\nfloat mean(void) { float x[1000]; fill(x); return x[9]; }\n"
-        >>> round(stack_of(text, "mean"), -3)  # 1000 floats
-        4000
     """
     with tempfile.TemporaryDirectory(prefix="surctl-") as name:
         source, report = Path(name) / "text.c", Path(name) / "text.su"
@@ -78,23 +57,14 @@ def stack_of(text: str, entry: str, *, flags: Sequence[str] = ("-Os",), compiler
 
 
 def stack_from_report(report: str, text: str, entry: str) -> int:
-    r"""Return the stack size as `stack_of` does, from the report of an earlier compilation with `-fstack-usage`.
+    r"""Return the stack size as `stack_of` does, from the report of a compilation with `-fstack-usage`.
 
-    Args:
-        report: text of the compiler's report for one object file, or the concatenated reports for several object files.
-        text: the C text, including the text of its own header files.
-        entry: name of the function.
+    `report` may be the concatenated reports of several object files; `text` is the C text, including its own header
+    files.
 
     Raises:
-        InputError: the text has no such function.
+        InputError: the text has no function `entry`.
         SurctlError: a frame has no fixed size.
-
-    Example:
-        >>> from surctl.ir.frames import stack_from_report
-        >>> report = "text.c:1:7:half\t32\tstatic\ntext.c:2:7:mean\t96\tstatic\n"
-        >>> text = "float half(float x) { return x / 2; }\nfloat mean(float x) { return half(x + 1); }\n"
-        >>> stack_from_report(report, text, "mean")
-        128
     """
     # every file that includes a header reports the functions of the header again
     rows = [line.split("\t") for line in dict.fromkeys(report.splitlines())]

@@ -32,18 +32,7 @@ class SlowerEngine(UserWarning):
 
 
 def warn_slower(missing: ToolMissing) -> None:
-    """Warn, once for each reason, that a computation starts without compiled code.
-
-    Example:
-        >>> import warnings
-        >>> from surctl.errors import ToolMissing
-        >>> from surctl.ir import warn_slower
-        >>> with warnings.catch_warnings(record=True) as caught:
-        ...     warnings.simplefilter("always")
-        ...     warn_slower(ToolMissing("no C compiler found"))
-        >>> print(caught[0].message)
-        no C compiler found; until then, simulations take up to 100 times as long
-    """
+    """Warn, once for each reason, that a computation starts without compiled code."""
     # one place for all callers: Python shows a warning again only for another place
     warnings.warn(f"{missing}; until then, simulations take up to 100 times as long", SlowerEngine, stacklevel=1)
 
@@ -136,9 +125,7 @@ def compile_block(
     """Compile a program or routine, or load the compiled library from the cache.
 
     Args:
-        block: program or routine.
         flags: additional compiler flags; flags that change numerical results are refused.
-        folder: cache folder (`surctl.ir.cache.cache_folder()` if None).
         real: "float32" computes in float and rounds the inputs to float.
 
     Raises:
@@ -167,21 +154,9 @@ def _identity(block: Block, real: Real) -> str:
 
 
 def runnable(block: Block, *, quick: bool = False) -> Callable[..., list[Array]]:
-    """Return the compiled program or routine; without a compiler, return a slower function with equal results.
+    """Return the compiled program or routine, with `quick_flags` if `quick`.
 
-    The slower function comes with a warning `SlowerEngine`.
-
-    Args:
-        block: program or routine.
-        quick: whether to compile with `quick_flags`.
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.ir import lower, runnable
-        >>> v = ca.SX.sym("v", 2)
-        >>> speed = runnable(lower(ca.Function("speed", [v], [ca.norm_2(v)])))
-        >>> speed([0.3, 0.4])
-        [array([0.5])]
+    Without a compiler, return a slower function with equal results, and warn (`SlowerEngine`).
     """
     try:
         return compile_block(block, flags=quick_flags() if quick else ())

@@ -64,12 +64,7 @@ class Traced:
 
 
 class _Regions:
-    """Assignment of every value to the region that computes it: a loop body, or the root (the code outside all loops).
-
-    Attributes:
-        region: for each value, the loop whose body computes it.
-        parent: for each loop, the outer loop whose body contains it.
-    """
+    """The region of each value (the loop body that computes it, or the root outside all loops); parents of loops."""
 
     def __init__(self, program: Program, inputs: int, outputs: Mapping[str, Key], loops: Sequence[Traced]) -> None:
         self.program, self.inputs, self.loops = program, inputs, loops
@@ -232,10 +227,8 @@ def routine(name: str, program: Program, inputs: int, outputs: Mapping[str, Key]
     """Return the instruction list as a routine with loops, or as a program if there is no loop.
 
     Args:
-        name: name of the routine.
         program: the instruction list; its first `inputs` inputs are the inputs of the routine. Its other inputs
             represent the state of loops and the table rows that loops read.
-        inputs: number of inputs of the routine.
         outputs: for each output by name, the list positions of its entries.
         loops: the traced loops, in the order of tracing, so that each loop follows the loops on which it depends.
     """

@@ -66,9 +66,7 @@ def overlapping(block: Block) -> Overlaps:
 def carried_in_place(routine: Routine, root: Callable[[str], str] = str) -> dict[str, str]:
     """Return the pairs (final state array, initial state array) of loops in which both can share memory.
 
-    Args:
-        routine: the routine with the loops. Memory is shared if only the loop reads the initial array.
-        root: function that returns the array of which the given array is a piece; for a whole array, this array itself.
+    Memory is shared if only the loop reads the initial array. `root` returns the array of which an array is a piece.
     """
     inputs = {name for name, _ in routine.inputs}
     origin: dict[str, str] = {}

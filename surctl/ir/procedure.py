@@ -148,9 +148,6 @@ class Procedure:
         sizes: (name, value) of each constant.
         memory: (name, "real" or "whole", number of entries) of each array, and of each variable, whose number is 0.
         source: the functions, as `ast.unparse` writes them; the last one is the entry.
-
-    Raises:
-        InputError: the source is not in the language, or a name or type is wrong; the message names the line.
     """
 
     name: str

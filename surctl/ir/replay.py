@@ -24,9 +24,7 @@ def replay(program: Block, *inputs: ArrayLike, real: Real = np.float64) -> list[
     bits of `libm` operations such as sin can differ.
 
     Args:
-        program: the instruction list, or a routine with loops.
         inputs: one array for each input, shape (n,), or (batch, n) for many runs at once.
-        real: np.float64 or np.float32.
 
     Returns:
         One array for each output, shape (m,) or (batch, m).

@@ -23,27 +23,7 @@ _MALFORMED = (IndexError, KeyError, OverflowError, ValueError)  # exceptions tha
 
 
 def write_block(block: Block) -> str:
-    """Return a program or routine as text that `read_block` can read: `block.text()`, then `block.digest()`.
-
-    Raises:
-        InputError: the text would not be read back as an equal program or routine: a constant is a NaN, a name contains
-            a blank, or an array of a loop has the name of a keyword of the text ("fixed").
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.ir import lower, write_block
-        >>> x = ca.SX.sym("x")
-        >>> print(write_block(lower(ca.Function("halve", [x], [x / 2], ["x"], ["y"]))))  # doctest: +ELLIPSIS
-        program halve
-        in0 x 1
-        v0 = in0[0]
-        v1 = const 0x1.0000000000000p+1
-        v2 = div v0 v1
-        out0 y v2
-        <BLANKLINE>
-        sha256 ...
-        <BLANKLINE>
-    """
+    """Return a program or routine as text that `read_block` can read: `block.text()`, then `block.digest()`."""
     text = f"{block.text()}\nsha256 {block.digest()}\n"
     if read_block(text) != block:
         raise InputError("has ambiguous names of arrays", key=block.name, remedy="rename its arrays")
@@ -51,19 +31,7 @@ def write_block(block: Block) -> str:
 
 
 def read_block(text: str) -> Block:
-    """Return the program or routine that `write_block` wrote; an inner one that several steps call is one object.
-
-    Raises:
-        InputError: the text is not exactly the text of a program or routine; the message names the line.
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.ir import lower, read_block, write_block
-        >>> x = ca.SX.sym("x")
-        >>> program = lower(ca.Function("halve", [x], [x / 2]))
-        >>> read_block(write_block(program)) == program
-        True
-    """
+    """Return the program or routine that `write_block` wrote; an inner one that several steps call is one object."""
     body, mark, seal = text.rpartition("\nsha256 ")
     try:
         own = hashlib.sha256(body.encode()).hexdigest()

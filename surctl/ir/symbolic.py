@@ -301,15 +301,6 @@ def on_columns(function: ca.Function) -> Callable[[NDArray[np.float64]], list[ND
     """Return a Python function of points (n, N) that evaluates a CasADi function of one vector (n,) at every column.
 
     Each output (m,) of the CasADi function becomes an array (m, N). As with `on_vectors`, nothing is converted.
-
-    Example:
-        >>> import casadi as ca
-        >>> import numpy as np
-        >>> from surctl.ir import on_columns
-        >>> v = ca.SX.sym("v", 2)
-        >>> on_columns(ca.Function("drag", [v], [v * ca.norm_2(v)]))(np.array([[0.3, 0.0], [0.4, 2.0]]))
-        [array([[0.15, 0.  ],
-               [0.2 , 4.  ]])]
     """
 
     @lru_cache(maxsize=8)

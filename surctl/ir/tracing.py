@@ -482,9 +482,7 @@ def picked(name: str, table: ca.SX, index: ca.SX) -> ca.SX:
     The index is rounded down; outside the table the nearest row is read, and for a NaN the first row.
 
     Args:
-        name: C identifier of the array for the row.
         table: (rows, width), at least one row.
-        index: (1, 1), may change in each iteration of a loop.
 
     Raises:
         InputError: the table has no rows.

@@ -13,21 +13,11 @@ from surctl.assessment import SATURATED, Assumption, Figure, Line, Part, loop_fi
 from surctl.errors import InputError, NotApplicable
 from surctl.marine.control import BARRIER, Barrier, Gains, Law, Movers, build_law, default_law, law_source
 from surctl.marine.guidance import Guidance, Path
-from surctl.marine.simulation import (
-    Case,
-    Disturbance,
-    Run,
-    SafetyClaim,
-    Scenario,
-    Sensing,
-    mission_size,
-    safety_claim,
-    simulate,
-    stop_reason,
-    straight_mission,
-    turn_rate,
-)
+from surctl.marine.simulation import Case, Disturbance, Run, SafetyClaim, Scenario, Sensing, simulate
 from surctl.marine.simulation.echo_fit import detection_range
+from surctl.marine.simulation.explanation import stop_reason
+from surctl.marine.simulation.safety import safety_claim, turn_rate
+from surctl.marine.simulation.scaling import mission_size, straight_mission
 from surctl.marine.vehicle import Vehicle
 from surctl.marine.vehicle.linearise import check_cruise
 from surctl.marine.vehicle.specs import DEFAULTED

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.ir import replay
-from surctl.marine.control import Law, LawSource, build_law_of, load_gains
+from surctl.marine.control import Law, LawSource, load_gains
+from surctl.marine.control.build import build_law_of
 from surctl.marine.simulation import law_numbers, load_scenario
 from surctl.marine.vehicle import load_vehicle
 from surctl.system import NONFINITE

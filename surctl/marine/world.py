@@ -19,7 +19,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.errors import InputError
+from surctl.errors import InputError, check_number
 
 __all__ = ["WHOLE", "Box", "Disc", "Heights", "Prism", "Shape", "Vector2", "Wall", "site_walls"]
 
@@ -53,7 +53,6 @@ class Disc(Shape):
     radius: float
 
     def __post_init__(self) -> None:
-        """Check the values; raise an InputError that names an invalid value."""
         object.__setattr__(self, "center", _pair("disc.center", self.center))
         object.__setattr__(self, "radius", _positive("disc.radius", self.radius))
 
@@ -83,7 +82,6 @@ class Box(Shape):
     _half: tuple[float, float] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        """Check the values; raise an InputError that names an invalid value."""
         object.__setattr__(self, "center", _pair("box.center", self.center))
         size = _pair("box.size", self.size)
         angle = float(self.angle)
@@ -130,7 +128,6 @@ class Wall(Shape):
     normal: Vector2
 
     def __post_init__(self) -> None:
-        """Check the values; raise an InputError that names an invalid value."""
         nx, ny = _pair("wall.normal", self.normal)
         length = hypot(nx, ny)
         if length == 0.0:
@@ -175,8 +172,7 @@ def _pair(key: str, value: Vector2) -> tuple[float, float]:
 
 
 def _positive(key: str, value: float) -> float:
-    if not (isfinite(value) and value > 0):
-        raise InputError("must be greater than 0", key=key, value=value, remedy="give m")
+    check_number(key, value, unit="m")
     return float(value)
 
 
@@ -192,7 +188,6 @@ class Heights:
     top: float = inf
 
     def __post_init__(self) -> None:
-        """Check the values; raise an InputError that names an invalid value."""
         if isnan(self.bottom) or isnan(self.top) or self.bottom >= self.top:
             raise InputError(
                 f"is not below the top, {self.top:g}",

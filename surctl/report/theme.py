@@ -115,6 +115,15 @@ def new_axes(width: float, height: float) -> Axes:
     return new_figure(width, height).add_subplot()
 
 
+def lay_out(ax: Axes) -> None:
+    """Arrange the figure of axes with equal scales once: the first layout leaves half of the figure blank."""
+    figure = ax.figure.figure
+    canvas: Any = FigureCanvasAgg  # has no types; it measures texts
+    canvas(figure)
+    if (engine := figure.get_layout_engine()) is not None:
+        engine.execute(figure)
+
+
 def dress(ax: Axes, *, title: str = "", x: str = "", y: str = "") -> Axes:
     """Set title, axis labels with units, grid and frame; the texts are never interpreted as formulas."""
     _title(ax, printable(title))

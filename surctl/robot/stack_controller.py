@@ -15,16 +15,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surctl.errors import InputError, SurctlError, nearest
-from surctl.export import (
-    CheckReport,
-    as_records,
-    build_controller,
-    check_builds,
-    check_folder,
-    chosen_targets,
-    write_bundle,
-)
-from surctl.export.bundle import build_bundle
+from surctl.export import CheckReport, build_controller, check_builds, write_bundle
+from surctl.export.bundle import build_bundle, check_folder
+from surctl.export.emulated import chosen_targets
+from surctl.export.envelope import as_records
 from surctl.ir import Block, Call, Layout, Port, Routine, lower, lower_named, without_libm
 from surctl.ir.procedure import Procedure
 from surctl.priority import Assembly, Mode, PriorityProblem, PrioritySolution, assemble, priority_step

@@ -12,7 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError
-from surctl.ir import Block, Layout, Port, Recording, identifier, replay, runnable, without_libm
+from surctl.ir import Block, Layout, Port, Recording, replay, without_libm
+from surctl.ir.c99 import identifier
+from surctl.ir.native import runnable
 from surctl.system.parts import EMPTY, Parts, called, checked_layout, joined, not_finite
 from surctl.units import is_number
 

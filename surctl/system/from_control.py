@@ -35,9 +35,6 @@ def state_space(system: Any) -> Any:
     Each column of the matrix gives one controllable canonical form for each of its denominators (Kailath 1980, section
     6.4). States that no input moves or that no output shows are removed, since a controller could not stabilise them.
 
-    Args:
-        system: `control.StateSpace` or `control.TransferFunction`.
-
     Raises:
         TypeError, ValueError: the system is not proper or not real.
 

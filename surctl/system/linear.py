@@ -78,14 +78,8 @@ def linearise_plant(
     """Return the linear plant about a point as `control.StateSpace`, for a design without a controller, such as LQR.
 
     Its inputs are actuator commands, then disturbances; its outputs are the measured outputs; all have the names of the
-    plant's ports. The point need not be an equilibrium.
-
-    Args:
-        plant: the plant.
-        x: state at the point: values by port name, or a flat vector; a port without a value has its default.
-        f: actuator commands, in the same way.
-        d: disturbances, in the same way.
-        p: parameters, in the same way.
+    plant's ports. The point is a state x, commands f, disturbances d and parameters p, each as values by port name or a
+    flat vector; a port without a value has its default. It need not be an equilibrium.
 
     Raises:
         InputError: a name or size does not fit the plant, or a derivative is not finite at the point.
@@ -190,7 +184,6 @@ def find_equilibrium(system: System, values: Mapping[str, ArrayLike] | None = No
     """Return the equilibrium of plant and controller for constant references and disturbances, by Newton's method.
 
     Args:
-        system: the closed loop; its `reference` and `disturbance` are evaluated at t = 0.
         values: numbers by name, see `run_numbers`. The search begins at the start state that names `start.…` give.
             Without such names, the search begins at zero and then, if necessary, at the default state.
 
@@ -290,8 +283,6 @@ def linearise(
     """Return the linear loop about an operating point, from exact derivatives of plant and controller.
 
     Args:
-        system: the closed loop.
-        values: numbers by name, see `run_numbers`.
         at: the operating point; by default the result of `find_equilibrium(system, values)`.
 
     Raises:
@@ -396,12 +387,7 @@ class _Rest:
     def sampled_plant(self, point: Operating, plant: tuple[Array, ...]) -> tuple[Array, ...]:
         """Return (A, B, E, C, D) of plant and sampled blocks from one control instant to the next, by commands.
 
-        Args:
-            point: the operating point.
-            plant: the matrices of the plant alone, in continuous time.
-
-        Raises:
-            InputError: a block is sampled less often than the controller.
+        `plant` are the matrices of the plant alone, in continuous time.
         """
         system = self.system
         for name, periods in system.blocks.slow().items():
@@ -544,13 +530,10 @@ def _state_labels(system: System) -> list[str]:
 
 
 def unresponsive(record: Record) -> dict[str, float]:
-    """Return, by label of the command, the share of control instants at which it does not respond.
+    """Return, by label of the command, the share of a run's control instants at which it does not respond.
 
-    A command does not respond where its derivatives by all inputs and states of the controller are 0, such as at a
-    limit. Commands that never depend on them are left out.
-
-    Args:
-        record: a run of a system.
+    There its derivatives by all inputs and states of the controller are 0, such as at a limit. Commands that never
+    depend on them are left out.
     """
     slopes, depends = _slopes(record.system)
     z, u, gains = record.controller

@@ -58,8 +58,7 @@ class LoopNames:
     """Labels of all signals of a loop.
 
     Attributes:
-        plant, controller: names of both parts.
-        states, controller_states: labels of their states.
+        plant, controller, states, controller_states: names of both parts, and labels of their states.
         inputs: labels of the plant's actuator inputs, each of which takes the command with its label.
         commands: labels of the controller's commands.
         outputs: labels of the measured outputs.

@@ -14,7 +14,8 @@ import casadi as ca
 
 from surctl.errors import InputError, nearest
 from surctl.files import Mistakes
-from surctl.ir import Layout, Port, Recording, identifier
+from surctl.ir import Layout, Port, Recording
+from surctl.ir.c99 import identifier
 from surctl.system.controller import SampledController, command_ports, step_results
 from surctl.system.parts import Parts, called, joined
 from surctl.system.plant import Plant
@@ -275,10 +276,8 @@ class System:
     ) -> tuple[ca.SX, ca.SX]:
         """Return the memory of all blocks and the noise generator's state after the sensors of an instant.
 
-        Args:
-            x, d, p: plant state, disturbances at this time and plant parameters, flat.
-            memory, noise, count, instant: as in `Blocks.sampled`.
-            q: parameters of all blocks, flat.
+        All vectors are flat: plant state, disturbances at this time, plant parameters, and parameters `q` of all
+        blocks; see `Blocks.sampled`.
         """
         y = self.plant.measurements.split(self.plant.measurement(x, d, p))
         return self.blocks.sampled("sensors", instant, y, memory, noise, q, count)[1:]

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from surctl.errors import InputError, nearest
-from surctl.ir import Layout, Port, identifier
+from surctl.ir import Layout, Port
+from surctl.ir.c99 import identifier
 from surctl.own_code import remedy_of
 
 Parts: TypeAlias = Mapping[str, ca.SX]
@@ -19,11 +20,7 @@ _FLOAT = "__float__"
 
 
 def checked_layout(layout: object, *, key: str) -> Layout:
-    """Return the layout after a check that each port (named part) has a C identifier, a positive size and a unit.
-
-    Raises:
-        InputError: the argument is not a layout, or a port has no unit (the unit of a number without dimension is "1").
-    """
+    """Return the layout after a check that each port (named part) has a C identifier, a positive size and a unit."""
     if isinstance(layout, Port):
         raise InputError("is one port", key=key, remedy="write Layout((port,))")
     if not isinstance(layout, Layout):
@@ -38,11 +35,7 @@ def checked_layout(layout: object, *, key: str) -> Layout:
 
 
 def called(function: Callable[..., Any], *arguments: object, key: str) -> Any:
-    """Return the result of a user's function for symbolic arguments.
-
-    Raises:
-        InputError: the function raises an error for symbols; the message repeats this error with the function's name.
-    """
+    """Return the result of a user's function for symbolic arguments."""
     if not callable(function):
         raise InputError(f"is of type {type(function).__name__}", key=key, remedy="give a function")
     try:
@@ -75,11 +68,7 @@ def symbolic(function: Callable[..., Any], *arguments: object) -> Any:
 
 
 def joined(layout: Layout, returned: object, *, key: str) -> ca.SX:
-    """Return the flat vector (n, 1) of a layout from named expressions, or from one flat vector.
-
-    Raises:
-        InputError: a name is missing or unknown, or the size of an expression differs from that of its port.
-    """
+    """Return the flat vector (n, 1) of a layout from named expressions, or from one flat vector."""
     if isinstance(returned, Mapping):
         unknown = [name for name in returned if name not in layout]
         if unknown:
@@ -148,11 +137,7 @@ def not_finite(parts: Iterable[tuple[str, Layout, ArrayLike]]) -> str:
 
 
 def expression(value: Any, *, key: str) -> ca.SX:
-    """Return a value of a user's function as a dense SX; a list is a column of its items.
-
-    Raises:
-        InputError: the value is no CasADi SX, number, or list of them.
-    """
+    """Return a value of a user's function as a dense SX; a list is a column of its items."""
     try:
         return ca.densify(ca.SX(value))
     except (NotImplementedError, RuntimeError, TypeError):

@@ -10,7 +10,8 @@ from typing import Any
 import casadi as ca
 
 from surctl.errors import InputError
-from surctl.ir import Block, Layout, Recording, identifier, without_libm
+from surctl.ir import Block, Layout, Recording, without_libm
+from surctl.ir.c99 import identifier
 from surctl.system.parts import EMPTY, Parts, called, checked_layout, joined
 
 

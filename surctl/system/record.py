@@ -33,7 +33,6 @@ class Record(Plotted):
     `plot()` draws states, commands and references over time.
 
     Attributes:
-        system: the closed loop.
         time: (n,) times of the control instants [s].
         signals: values (n, size) of states, commands, measured outputs, references and telemetry, by port name; a
             controller state has the prefix `controller.` if a plant state has an equal name.
@@ -99,7 +98,6 @@ def run_system(system: System, seconds: float, values: Mapping[str, ArrayLike] |
     """Simulate one run in Python, without a compiler; the results equal those of `simulate_system` up to rounding.
 
     Args:
-        system: the closed loop.
         seconds: duration of the run [s] unless a stop ends it earlier.
         values: numbers of one run by name, see `run_numbers`.
 
@@ -264,7 +262,6 @@ def save_record(record: Record, path: Path | str, *, about: Mapping[str, str] | 
     along the dimension `time` with the attributes `units` and `long_name`; the attributes of the file are the identity.
 
     Args:
-        record: the run.
         path: a file in an existing folder that ends in .csv, .mat or .nc.
         about: further texts of the identity by name, such as the origin of the system. In every case, the identity has
             the names, the digests, the gains, the costs, and why the run ended.

@@ -11,20 +11,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surctl.errors import InputError, nearest
-from surctl.ir import (
-    Batch,
-    Block,
-    Call,
-    Layout,
-    Port,
-    Recording,
-    Routine,
-    compile_batch,
-    fold,
-    fused,
-    lower_named,
-    without_libm,
-)
+from surctl.ir import Batch, Block, Call, Layout, Port, Recording, Routine, fold, lower_named, without_libm
+from surctl.ir.batch import compile_batch
+from surctl.ir.folding import fused
 from surctl.noise import noise_states
 from surctl.plotted import Plotted
 from surctl.system.loop import ENDED, LOST, Cost, System, once_per_system
@@ -67,10 +56,8 @@ def simulate_system(
     """Simulate many runs of a system with compiled code; the results do not depend on the number of threads.
 
     Args:
-        system: the closed loop.
         seconds: duration [s] of a run that no stop ends earlier; it is rounded to a whole number of control periods.
         values: numbers by name, see `run_numbers`: gains, `plant.…`, `reference.…`, `disturbance.…`, `start.…`.
-        threads: number of threads that share the runs.
 
     Raises:
         InputError: `run_numbers` finds an error, or the duration is shorter than a control period.
@@ -228,14 +215,8 @@ def moved_state(
 ) -> tuple[ca.SX, ca.SX, ca.SX]:
     """Return plant state, memory of the sampled blocks and noise generator's state one control period later.
 
-    Args:
-        system: the closed loop.
-        x: plant state at the beginning of the period, flat.
-        command: command, which is constant.
-        constants: the numbers of a run: `plant`, `disturbance` and `blocks`, flat.
-        t: time at the beginning [s].
-        count: number of the control period.
-        memory, noise: as after the sensors of the control instant, see `System.sensed`.
+    The command is constant from `t` [s] on, `constants` are the numbers `plant`, `disturbance` and `blocks` of a run,
+    flat, and `count` is the number of the control period. Memory and noise are those after `System.sensed`.
     """
     instants, p, q = system.blocks.instants, constants["plant"], constants["blocks"]
     for k in range(instants):

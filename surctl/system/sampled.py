@@ -11,7 +11,8 @@ from typing import Any, Literal
 import casadi as ca
 
 from surctl.errors import InputError
-from surctl.ir import Block, Layout, Port, Recording, identifier, without_libm
+from surctl.ir import Block, Layout, Port, Recording, without_libm
+from surctl.ir.c99 import identifier
 from surctl.noise import NOISE_STATE, draw_normals, draw_uniforms, remainder
 from surctl.system.parts import EMPTY, Parts, called, checked_layout, joined
 from surctl.units import is_number
@@ -116,8 +117,6 @@ def message(
     A signal keeps its last value when a message is lost. The parameter `loss` is the probability of this.
 
     Args:
-        name: C identifier.
-        ports: the signals, which keep their names.
         period: time between two messages [s]; by default the control period.
         samples_late: delay of each message, in periods of the messages.
         loss: probability from 0 to 1 that a message is lost; each is drawn independently.
@@ -244,14 +243,9 @@ class Blocks:
     ) -> tuple[dict[str, ca.SX], ca.SX, ca.SX]:
         """Return the signals behind the sensors or actuators, the memory and the noise generator's state.
 
-        Args:
-            side: sensors or actuators.
-            instant: number of the instant in the control period, from 0.
-            signals: signals in front of the blocks by name.
-            memory: memory of all blocks, flat.
-            noise: state of the noise generator; if empty, every random number has its mean (0, or 1/2 if uniform).
-            parameters: parameters of all blocks, flat.
-            count: number of the control period.
+        `instant` counts the instants of the control period number `count`, from 0. Memory and parameters of all blocks
+        are flat. If `noise`, the state of the generator, is empty, every random number has its mean (0, or 1/2 if
+        uniform).
         """
         time = ca.SX(count) * self.dt + instant * self.dt / self.instants
         behind, parts, numbers = {"time": time, **signals}, self.memory.split(memory), self.parameters.split(parameters)

@@ -22,14 +22,7 @@ _PREFIX = "subject:"
 
 @dataclass(frozen=True)
 class LoadedSystem:
-    """A system with its origin.
-
-    Attributes:
-        system: the closed loop.
-        reference: text from which another process loads the same system.
-        label: the name without folder.
-        sha256: SHA-256 of the text of the file that defines it.
-    """
+    """A system, the text from which another process loads it, its name without folder, and the hash of its file."""
 
     system: System
     reference: str
@@ -54,10 +47,6 @@ def load_subject(word: str, *, key: str = "system") -> LoadedSystem:
     Args:
         word: FILE.py:FUNCTION, or subject:NAME for a function that an installed package registers as NAME, an entry
             point of the group `SUBJECTS`. The function takes no argument and returns a `System`.
-        key: option or key that holds the word, for error messages.
-
-    Raises:
-        InputError: the file, the function or the name does not exist, the function fails, or it returns another type.
 
     Example:
         >>> from surctl.system.subjects import load_subject

@@ -58,14 +58,10 @@ def run_numbers(system: System, values: Mapping[str, ArrayLike]) -> RunNumbers:
     """Return the numbers of all runs from the given values; a part (port) without a value has its default.
 
     Args:
-        system: the closed loop.
         values: values by the name of a gain (`k`), or by `plant.NAME`, `reference.NAME`, `disturbance.NAME`,
             `start.NAME`, `BLOCK.NAME` for a parameter of a sampled block, or `seed` for the noise; with `[i]`, the name
             denotes one entry of a port. A scalar holds for every run and entry; an array (n,) has one number for each
             run (for a port with one entry); an array (n, size) has one row for each run.
-
-    Raises:
-        InputError: a name is unknown, a number is not finite, or the arrays are for different numbers of runs.
     """
     layouts = _layouts(system)
     placed: list[tuple[str, slice, Array]] = []
@@ -139,12 +135,7 @@ def every_combination(*groups: Mapping[str, ArrayLike]) -> dict[str, Array]:
 
 
 def check_scalar(system: System, name: str) -> None:
-    """Raise InputError if a name does not denote a scalar of the system; for a vector, the message lists its entries.
-
-    Args:
-        system: the closed loop.
-        name: name of a number, as in `run_numbers`.
-    """
+    """Raise InputError if a name does not denote a scalar of the system; for a vector, it lists the entries."""
     size = len(_entries(system, name))
     if size > 1:
         entries = ", ".join(f"{name}[{k}]" for k in range(min(size, _NAMED))) + ", …" * (size > _NAMED)
@@ -154,16 +145,7 @@ def check_scalar(system: System, name: str) -> None:
 def checked_ranges(
     system: System, ranges: Mapping[str, tuple[float, float]], *, key: str = "ranges."
 ) -> dict[str, tuple[float, float]]:
-    """Return the ranges of uncertain numbers of a system, after a check.
-
-    Args:
-        system: the closed loop.
-        ranges: lower and upper bound of single numbers, by name as in `run_numbers`.
-        key: what a message writes in front of the name.
-
-    Raises:
-        InputError: a name is unknown or denotes several numbers, a range is not valid, or there are too many.
-    """
+    """Return the ranges of uncertain numbers, lower and upper bound by name as in `run_numbers`, after a check."""
     checked = {}
     for name, ends in ranges.items():
         check_scalar(system, name)

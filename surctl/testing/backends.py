@@ -240,12 +240,8 @@ def measure_backend(
         backend: a name in `BACKENDS`, called as surctl calls it (rows scaled, solution polished and checked); or a
             solver function, called directly, that takes G (m, d), lower (m,), upper (m,) and returns a
             `KernelSolution`.
-        families: names in `BACKEND_FAMILIES`.
-        problems: number of problems in each family.
-        size: number of unknowns d.
         tol: largest accepted error, violation and gradient, relative to 1 + max |y*|; in the family "parallel" the
             accepted error of y is tol divided by the angle between the normals.
-        seed: seed of numpy's PCG64 generator.
 
     Raises:
         InputError: an unknown backend or family, no problems, fewer than 2 unknowns, or a tolerance that is not

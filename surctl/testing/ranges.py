@@ -73,11 +73,7 @@ class SymbolRanges:
 
 
 class SampledExpressions:
-    """Expressions compiled to one numeric function of the values of all symbols, stored in one array.
-
-    Raises:
-        InputError: the expressions contain a symbol without a range; the message names the symbol.
-    """
+    """Expressions compiled to one numeric function of the values of all symbols, stored in one array."""
 
     def __init__(self, what: str, ranges: SymbolRanges, expressions: Sequence[ca.SX]) -> None:
         known = ca.vertcat(ca.SX(0, 1), *ranges.symbols)

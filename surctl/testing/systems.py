@@ -54,13 +54,10 @@ def check_plant(
     """Check a plant at random points: derivatives and outputs are finite, CasADi and instruction list agree.
 
     Args:
-        plant: the plant.
         ranges: lowest and highest value of the entries of a port, by port name. Without it, states, inputs and
             disturbances lie in [-1, 1], and parameters have their nominal values.
-        samples: number of random points.
         smooth: largest accepted error of the Jacobian with respect to the state, relative to 1 + |J|; the median over
             the points counts, so that isolated corners (limits, |x|) pass.
-        seed: seed of numpy's PCG64 generator.
 
     Raises:
         CheckFailed: the plant fails; the message states where.
@@ -114,11 +111,8 @@ def check_controller(
     """Check a controller at random points: finite results, no negative status, CasADi and instruction list agree.
 
     Args:
-        controller: the controller.
         ranges: lowest and highest value of the entries of a port, by port name. Without it, states and inputs lie in
             [-1, 1], and gains have their nominal values.
-        samples: number of random points.
-        seed: seed of numpy's PCG64 generator.
 
     Raises:
         CheckFailed: the controller fails; the message states where.
@@ -213,10 +207,6 @@ def cart_system(k: float = 1.0, *, costs: Mapping[str, Cost] = _COSTS) -> System
     """Return the system of the examples: a cart that rolls at 1 m/s and is braked at 10 Hz with the gain k [1/s].
 
     The plant has the state `speed` and the command `force` over its mass; the gain `k` can be changed.
-
-    Args:
-        k: default value of the gain.
-        costs: costs of the system; by default the `way` [m] that the cart rolls.
 
     Example:
         >>> from surctl.system import run_system

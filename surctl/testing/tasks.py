@@ -75,8 +75,6 @@ def check_limit(
             the limit as intended. The check compares this result with the constraint rows at random velocities and on
             both sides of every bound.
         velocity: largest entry of the random velocities for `holds` [m/s, rad/s].
-        samples: number of random points.
-        seed: seed of numpy's PCG64 generator.
 
     Raises:
         CheckFailed: a check fails; the message states the first failure and names the constraint row.
@@ -326,11 +324,9 @@ def check_task(
         task: the task, or a function that returns the task for the pose eta, SX (4, 1).
         parameters: (symbol, lowest, highest) for every symbol except eta.
         near: configurations (m,) at or near singularities, for example a pose at a waypoint.
-        samples: number of random poses.
         extent: largest |x|, |y|, |z| of random poses [m], ψ is in (−π, π); largest entry of other configurations.
         full_turn: False for a task that counts turns, for example one that unwinds a tether.
         tol: largest accepted error of J, relative to 1 + max |J|.
-        seed: seed of numpy's PCG64 generator.
 
     Raises:
         CheckFailed: a check fails; the message states the first failure.

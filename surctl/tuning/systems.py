@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from surctl.assessment import Assessment, ClosedLoop, Line, Part, assess, worst_of
 from surctl.errors import InputError, nearest
-from surctl.ir import find_compiler
+from surctl.ir.cache import find_compiler
 from surctl.system import LinearLoop, System, every_combination, linearise, simulate_system
 from surctl.system.loop import ENDED
 from surctl.system.values import check_scalar, default_of, run_numbers

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError, SolverError
-from surctl.ir import on_columns, on_vectors
+from surctl.ir import on_vectors
+from surctl.ir.symbolic import on_columns
 from surctl.verification.claim import Claim, Motion
 from surctl.verification.formula import Statement, values_of
 

@@ -11,8 +11,10 @@ import pytest
 from numpy.typing import NDArray
 
 from surctl.errors import InputError
-from surctl.ir import compile_block, replay, runnable
-from surctl.marine.allocation import Allocation, allocate, allocation_block
+from surctl.ir import compile_block, replay
+from surctl.ir.native import runnable
+from surctl.marine.allocation import Allocation, allocate
+from surctl.marine.allocation.program import allocation_block
 from surctl.marine.vehicle import Actuators, Thruster, attainable, load_vehicle
 from surctl.priority import Level, Row, build_problem, solve
 from tests.allocation.enumeration import Enumeration

@@ -9,26 +9,14 @@ import numpy as np
 import pytest
 
 from surctl.errors import InputError
-from surctl.marine.bridge import (
-    Attitude,
-    Axes,
-    Beat,
-    Gone,
-    Mapping,
-    Odometry,
-    Position,
-    Ranges,
-    Reply,
-    Site,
-    Wire,
-    mode_of,
-    parse_address,
-    parse_site,
-)
-from surctl.marine.bridge.inputs import Inputs, body_velocity, yaw_rate
+from surctl.marine.bridge import Attitude, Axes, Beat, Gone, Mapping, Odometry, Position, Ranges, Reply, Site, Wire
+from surctl.marine.bridge.inputs import Inputs, body_velocity, parse_site, yaw_rate
+from surctl.marine.bridge.live import parse_address
+from surctl.marine.bridge.wire import mode_of
 from surctl.marine.control import build_law
 from surctl.marine.simulation import load_scenario
-from surctl.marine.vehicle import load_vehicle, swap_pose
+from surctl.marine.vehicle import load_vehicle
+from surctl.marine.vehicle.motion_log import swap_pose
 from tests.tools import need_module
 
 

@@ -22,9 +22,9 @@ from surctl.marine.bridge import (
     SimulatedSub,
     Site,
     Wire,
-    plan_session,
-    rehearse,
 )
+from surctl.marine.bridge.bridge import plan_session
+from surctl.marine.bridge.rehearsal import rehearse
 from surctl.marine.control import load_gains
 from surctl.marine.simulation import Run, load_scenario, simulate
 from surctl.marine.vehicle import load_vehicle

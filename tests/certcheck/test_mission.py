@@ -19,7 +19,7 @@ from surctl.certcheck import check_document, mission, turning
 from surctl.certcheck.document import Rejected
 from surctl.certcheck.mission import ON_LEG, Funnel, decayed, funnel_of, leg_length, places, read_claim, starts
 from surctl.certcheck.region_exact import root_up
-from surctl.marine.guidance import next_leg
+from surctl.marine.guidance.path import next_leg
 from surctl.marine.verification.mission import BrokenChain, MissionClaim, certificate_of, tube_radii
 from tests.certcheck.altering import put, sealed
 

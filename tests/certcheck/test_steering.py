@@ -18,7 +18,8 @@ from surctl.certcheck.document import Rejected
 from surctl.certcheck.law_points import values_at
 from surctl.certcheck.steering import STEERED, _planned, heading_loop
 from surctl.lyapunov.slope_search import form_of
-from surctl.marine.control import build_law, law_parameters, law_source
+from surctl.marine.control import build_law, law_source
+from surctl.marine.control.ports import law_parameters
 from surctl.marine.control.steering import planned_yaw_rate
 from surctl.marine.guidance import Path as Route
 from surctl.marine.report import plot_region

@@ -23,7 +23,8 @@ from surctl.certcheck.turning_claim import drag_factors, read_claim
 from surctl.certcheck.turning_form import Form, axes_of
 from surctl.certcheck.turning_law import true_rate
 from surctl.certcheck.turning_terms import coupling_of, inverse_masses, other_forces, other_moment, turn_points
-from surctl.marine.control import build_law, law_parameters, load_gains
+from surctl.marine.control import build_law, load_gains
+from surctl.marine.control.ports import law_parameters
 from surctl.marine.guidance import Path as Route
 from surctl.marine.vehicle import (
     PLANT_DISTURBANCE,

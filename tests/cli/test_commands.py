@@ -292,6 +292,11 @@ def test_simulate_says_that_the_hull_crabs_in_an_unstable_loop(tmp_path):
     assert "wasted" in good.out
 
 
+def test_lint_takes_the_name_of_a_vehicle(tmp_path):
+    done = surctl("lint", "sur540-flooded", cwd=tmp_path)
+    assert done.status == 0 and "sur540-flooded.toml: nothing found" in done.out
+
+
 @pytest.mark.parametrize(("vehicle", "status"), [("sur400", 0), ("sur540-flooded", 1)])
 def test_lint_knows_which_hull_fits_the_pool(tmp_path, vehicle, status):
     done = surctl_here("lint", "pool-static", "--vehicle", vehicle, "--json", cwd=tmp_path)

@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 from surctl.export import write_bundle
-from surctl.ir import compile_program
+from surctl.ir.cache import compile_program
 from surctl.marine.control import build_law, load_gains
 from surctl.marine.export import build_bundle, closed_form
 from surctl.marine.export.origin import Origin

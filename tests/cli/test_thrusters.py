@@ -4,7 +4,8 @@ import pytest
 
 from surctl.cli.sensor_options import parse_thruster_fault, split_faults
 from surctl.errors import InputError
-from surctl.marine.simulation import ThrusterFault, thruster_findings
+from surctl.marine.simulation import ThrusterFault
+from surctl.marine.simulation.fit import thruster_findings
 from surctl.marine.vehicle import load_vehicle
 from tests.cli.process import surctl
 

@@ -9,16 +9,10 @@ import pytest
 
 from surctl.ir import replay
 from surctl.marine.allocation import allocate
-from surctl.marine.control import (
-    SATURATED,
-    WORKING,
-    Law,
-    build_law,
-    in_real,
-    law_parameters,
-    load_gains,
-    with_allocation,
-)
+from surctl.marine.control import SATURATED, WORKING, Law, build_law, load_gains
+from surctl.marine.control.build import in_real
+from surctl.marine.control.law import with_allocation
+from surctl.marine.control.ports import law_parameters
 from surctl.marine.guidance import Path
 from surctl.marine.vehicle import Actuators, Vehicle, load_vehicle
 

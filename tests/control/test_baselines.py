@@ -14,21 +14,12 @@ from numpy.typing import NDArray
 from qpsolvers import solve_qp
 
 from surctl.errors import InputError
-from surctl.marine.control import (
-    CONTACT_SLOTS,
-    DEGRADED,
-    LAW_NAMES,
-    LAWS,
-    Law,
-    LawStep,
-    build_law,
-    law_parameters,
-    load_gains,
-)
+from surctl.marine.control import CONTACT_SLOTS, DEGRADED, LAW_NAMES, LAWS, Law, LawStep, build_law, load_gains
 from surctl.marine.control.baselines import apf, cbf, dwa, vo
 from surctl.marine.control.baselines.situation import NEVER, time_to_contact
-from surctl.marine.guidance import Path, wall_contacts
-from surctl.marine.guidance.contacts import disc_contact
+from surctl.marine.control.ports import law_parameters
+from surctl.marine.guidance import Path
+from surctl.marine.guidance.contacts import disc_contact, wall_contacts
 from surctl.marine.vehicle import load_vehicle
 
 Array = NDArray[np.float64]

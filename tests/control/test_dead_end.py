@@ -14,8 +14,9 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from surctl.ir import Layout, Port
-from surctl.marine.control import PARAMETERS, law_parameters, load_gains
+from surctl.marine.control import PARAMETERS, load_gains
 from surctl.marine.control.dead_end import DEAD_END_PORTS, SEARCH_PORT, dead_end_next, standing
+from surctl.marine.control.ports import law_parameters
 from surctl.marine.control.reference import path_following
 from surctl.marine.guidance import Path
 from surctl.marine.guidance.contacts import disc_contact

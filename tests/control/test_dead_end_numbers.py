@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from surctl.ir import Layout, Port
-from surctl.marine.control import PARAMETERS, law_parameters, load_gains
+from surctl.marine.control import PARAMETERS, load_gains
 from surctl.marine.control.dead_end import (
     DEAD_END_PORTS,
     LAYER_PORTS,
@@ -20,6 +20,7 @@ from surctl.marine.control.dead_end import (
     dead_end_next,
     standing,
 )
+from surctl.marine.control.ports import law_parameters
 from surctl.marine.control.reference import path_following
 from surctl.marine.guidance import Path
 from surctl.marine.guidance.contacts import disc_contact

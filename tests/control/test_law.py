@@ -25,9 +25,9 @@ from surctl.marine.control import (
     SWITCHED,
     Law,
     build_law,
-    law_parameters,
     load_gains,
 )
+from surctl.marine.control.ports import law_parameters
 from surctl.marine.guidance import FORMS, Path
 from surctl.marine.vehicle import load_vehicle
 from tests.tools import need_compiler

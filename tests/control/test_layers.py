@@ -9,8 +9,9 @@ import pytest
 from numpy.typing import NDArray
 
 from surctl.ir import memory, replay
-from surctl.marine.control import Law, build_law, law_parameters, load_gains
+from surctl.marine.control import Law, build_law, load_gains
 from surctl.marine.control.dead_end import LAYER_PORTS
+from surctl.marine.control.ports import law_parameters
 from surctl.marine.guidance import Path
 from surctl.marine.sensing import Equipment
 from surctl.marine.vehicle import load_vehicle

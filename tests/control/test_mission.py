@@ -9,19 +9,9 @@ import numpy as np
 import pytest
 
 from surctl.ir import Layout
-from surctl.marine.control import (
-    ARC_LENGTHS,
-    FED,
-    LAWS,
-    Law,
-    LawStep,
-    build_law,
-    build_law_of,
-    law_parameters,
-    load_gains,
-    ports,
-)
-from surctl.marine.control.ports import PARAMETERS
+from surctl.marine.control import ARC_LENGTHS, FED, LAWS, Law, LawStep, build_law, load_gains, ports
+from surctl.marine.control.build import build_law_of
+from surctl.marine.control.ports import PARAMETERS, law_parameters
 from surctl.marine.guidance import BEND, PASS, VISIT, Path
 from surctl.marine.simulation import Obstacle, Scenario, load_scenario, simulate
 from surctl.marine.vehicle import load_vehicle

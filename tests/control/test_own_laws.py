@@ -18,7 +18,8 @@ from surctl.marine.control import GainSpec, build_law, law_ref, law_source, load
 from surctl.marine.export import build_bundle
 from surctl.marine.report import save_run
 from surctl.marine.report.evidence_sections import simulate_command
-from surctl.marine.simulation import Case, case_parameters, law_numbers, load_scenario, simulate, simulate_batch
+from surctl.marine.simulation import Case, law_numbers, load_scenario, simulate, simulate_batch
+from surctl.marine.simulation.batch.case import case_parameters
 from surctl.marine.testing import check_law
 from surctl.marine.tuning import build_cases, gain_ranges
 from surctl.marine.tuning.request import default_tuned

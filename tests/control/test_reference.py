@@ -10,8 +10,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from surctl.marine.control import PARAMETERS, law_parameters, load_gains
+from surctl.marine.control import PARAMETERS, load_gains
 from surctl.marine.control.guarded import _back_first, _strays
+from surctl.marine.control.ports import law_parameters
 from surctl.marine.control.reference import learnt, path_following
 from surctl.marine.control.stopping import BARRIERS
 from surctl.marine.guidance import Path

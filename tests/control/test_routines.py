@@ -10,8 +10,9 @@ import pytest
 
 from surctl.errors import InputError
 from surctl.ir import replay
-from surctl.marine.control import DEGRADED, Law, build_law, in_real, load_gains
-from surctl.marine.export import origin_of
+from surctl.marine.control import DEGRADED, Law, build_law, load_gains
+from surctl.marine.control.build import in_real
+from surctl.marine.export.origin import origin_of
 from surctl.marine.simulation import law_numbers, load_scenario
 from surctl.marine.vehicle import load_vehicle
 

@@ -12,18 +12,9 @@ from click.testing import CliRunner, Result
 
 from surctl.cli.app import app
 from surctl.errors import InputError
-from surctl.marine.control import (
-    Gains,
-    Law,
-    build_law,
-    check_forces,
-    default_law,
-    law_source,
-    load_gains,
-    turning_radius,
-)
+from surctl.marine.control import Gains, Law, build_law, check_forces, default_law, law_source, load_gains
 from surctl.marine.control.steered import steered_thrust
-from surctl.marine.control.steering import Moving, moved
+from surctl.marine.control.steering import Moving, moved, turning_radius
 from surctl.marine.simulation import Run, findings, law_numbers
 from surctl.marine.simulation.toml_text import toml_text
 from surctl.marine.vehicle import load_vehicle

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from surctl.marine.control import load_gains, turning_radius
+from surctl.marine.control import load_gains
 from surctl.marine.control.steered import STEERED_GAINS
+from surctl.marine.control.steering import turning_radius
 from surctl.marine.simulation import Case, simulate_batch
 from surctl.marine.vehicle import load_vehicle
 from tests.craft import CRUISE, mission

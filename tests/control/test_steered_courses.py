@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from surctl.marine.control import DEGRADED, LAWS, Law, build_law_of, law_parameters, load_gains, steered
+from surctl.marine.control import DEGRADED, LAWS, Law, load_gains, steered
+from surctl.marine.control.build import build_law_of
+from surctl.marine.control.ports import law_parameters
 from surctl.marine.guidance import Path
 from tests.craft import CRUISE, craft
 

@@ -12,7 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from surctl.errors import InputError
-from surctl.marine.control import PARAMETERS, build_law, law_parameters, load_gains
+from surctl.marine.control import PARAMETERS, build_law, load_gains
+from surctl.marine.control.ports import law_parameters
 from surctl.marine.control.stopping import BARRIERS, BRAKE, HARD, Barrier, braked
 from surctl.marine.guidance import Path
 from surctl.marine.guidance.braking import Watch, brakes_of

@@ -11,8 +11,10 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from surctl.marine.engine import EngineOptions, MujocoPhysics
-from surctl.marine.simulation import Physics, build_world
-from surctl.marine.vehicle import Vehicle, missing_buoyancy, plant_state, steady_speed
+from surctl.marine.simulation import Physics
+from surctl.marine.simulation.world import build_world
+from surctl.marine.vehicle import Vehicle, plant_state, steady_speed
+from surctl.marine.vehicle.geometry import missing_buoyancy
 from surctl.marine.vehicle.thrusters import Actuators, Swivel, Thruster
 from tests.engine.tools import MIDDLE, NO_DRAG, NO_TILT_DRAG, STILL, load_vehicle, own, physics, with_values
 

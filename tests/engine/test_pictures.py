@@ -19,14 +19,16 @@ from PIL import Image
 from surctl.cli.app import app
 from surctl.errors import InputError, ToolMissing
 from surctl.marine.control import build_law, load_gains
-from surctl.marine.engine import CAMERAS, EngineOptions, Moment, Scene, mujoco_physics, parse_plant, physics
+from surctl.marine.engine import CAMERAS, EngineOptions, Moment, Scene, mujoco_physics, physics
+from surctl.marine.engine.fluid import parse_plant
 from surctl.marine.engine.mjcf import mujoco_library
 from surctl.marine.export import CompiledLaw
 from surctl.marine.report import render_page, save_film
 from surctl.marine.report.animation import film_frames, film_pictures
 from surctl.marine.reproduction import Simulations
 from surctl.marine.reproduction.scenarios import _arrivals
-from surctl.marine.simulation import build_world, load_scenario, simulate
+from surctl.marine.simulation import load_scenario, simulate
+from surctl.marine.simulation.world import build_world
 from tests.engine.tools import load_vehicle
 from tests.pictures import blank_pictures
 from tests.report.test_page import bare
@@ -56,6 +58,16 @@ def test_each_camera_shows_hull_and_obstacle() -> None:
     assert yellow["above"] > 300 and yellow["side"] > 300
     assert np.mean(np.any(shown["above"] != empty, axis=2)) > 0.02  # obstacle and beam
     assert all(np.std(p) > 5 for p in shown.values())
+
+
+def test_the_view_from_above_has_no_perspective() -> None:
+    cylinder = build_world(POOL, BOAT, seed=0).bodies(0.0)
+    with scene() as opened:
+        near, far = (
+            opened.picture("above", Moment((*POOL.start_pose[:2], z, 0.0), bodies=cylinder)) for z in (-0.3, -1.0)
+        )
+    hulls = [np.sum((p[..., 0] > 120) & (p[..., 2] < 80) & (p[..., 1] > 90)) for p in (near, far)]
+    assert hulls[1] == pytest.approx(hulls[0], rel=0.1)
 
 
 def test_a_film_has_all_frames_and_is_repeatable(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -16,13 +16,15 @@ import pytest
 
 from surctl.errors import InputError
 from surctl.export import connect, write_bundle
-from surctl.ir import compile_program
+from surctl.ir.cache import compile_program
 from surctl.marine.control import LawStep, build_law, load_gains
-from surctl.marine.engine import BatchCase, EngineOptions, MujocoPhysics, mujoco_physics, simulate_seeds, write_mjcf
-from surctl.marine.engine.physics import simulate_with_steppers
+from surctl.marine.engine import BatchCase, EngineOptions, MujocoPhysics, mujoco_physics
+from surctl.marine.engine.mjcf import write_mjcf
+from surctl.marine.engine.physics import simulate_seeds, simulate_with_steppers
 from surctl.marine.export import CompiledLaw, LinkedLaw, build_bundle
-from surctl.marine.simulation import Case, OwnPhysics, build_world, law_numbers, load_scenario, simulate
+from surctl.marine.simulation import Case, OwnPhysics, law_numbers, load_scenario, simulate
 from surctl.marine.simulation.metrics import LINK_LOST
+from surctl.marine.simulation.world import build_world
 from surctl.marine.vehicle import plant_state
 from tests.engine.tools import STILL, library, load_vehicle, physics
 from tests.tools import need_compiler

@@ -11,7 +11,8 @@ import pytest
 
 from surctl.marine.engine import EngineOptions, MujocoPhysics
 from surctl.marine.engine.mjcf import mujoco_library as library
-from surctl.marine.simulation import OwnPhysics, build_world, load_scenario
+from surctl.marine.simulation import OwnPhysics, load_scenario
+from surctl.marine.simulation.world import build_world
 from surctl.marine.vehicle import Vehicle, load_vehicle
 from surctl.marine.vehicle.parameters import Parameter
 

@@ -8,9 +8,9 @@ from functools import cache
 import casadi as ca
 import numpy as np
 
-from surctl.export import Bundle, Records, as_records
+from surctl.export import Bundle, Records
 from surctl.export.contract import Exportable
-from surctl.export.envelope import anywhere
+from surctl.export.envelope import anywhere, as_records
 from surctl.ir import Block, Call, Gather, Layout, Loop, Port, Real, Routine, lower
 from surctl.marine.control import build_law, load_gains
 from surctl.marine.export import build_bundle, closed_form, operating_envelope

@@ -18,7 +18,8 @@ from surctl.export import Bundle, write_bundle
 from surctl.export.guard_text import EXAMPLES
 from surctl.export.process import compile_controller
 from surctl.export.rendering import comment
-from surctl.ir import Layout, Port, compile_program, find_compiler
+from surctl.ir import Layout, Port
+from surctl.ir.cache import compile_program, find_compiler
 from surctl.marine.control import build_law
 from surctl.marine.export import build_bundle
 from surctl.marine.simulation import load_scenario

@@ -16,18 +16,10 @@ import pytest
 from numpy.typing import NDArray
 
 from surctl.errors import InputError, ToolMissing
-from surctl.export import (
-    TARGETS,
-    Bundle,
-    Controller,
-    Records,
-    as_records,
-    build_controller,
-    check_builds,
-    chosen_targets,
-    software_in_the_loop,
-)
+from surctl.export import TARGETS, Bundle, Controller, Records, build_controller, check_builds, software_in_the_loop
 from surctl.export.check import trial_steps
+from surctl.export.emulated import chosen_targets
+from surctl.export.envelope import as_records
 from surctl.export.precision import Rounded
 from surctl.ir import Block, Layout, Port, Real, lower, without_libm
 from surctl.ir.frames import stack_of

@@ -12,7 +12,8 @@ from surctl.export import Records, build_controller, write_bundle
 from surctl.export.precision import replayed
 from surctl.export.process import compile_controller
 from surctl.export.supplement import RESTART, aged, longest_gap
-from surctl.ir import Real, compile_program
+from surctl.ir import Real
+from surctl.ir.cache import compile_program
 from surctl.marine.control import build_law
 from surctl.marine.simulation import load_scenario
 from tests.export.clocks import DRIVER, LONGEST, clocks

@@ -16,7 +16,8 @@ import surctl.marine.simulation
 from surctl.certcheck.bundle import read_bundle
 from surctl.cli.export import export
 from surctl.errors import InputError
-from surctl.export import Bundle, check_folder, write_bundle
+from surctl.export import Bundle, write_bundle
+from surctl.export.bundle import check_folder
 from tests.export.test_gains_in_c import guarded
 from tests.tools import need_compiler
 

@@ -17,8 +17,8 @@ from surctl.export.contract import STATUS
 from surctl.export.supplement import DEMANDS
 from surctl.ir import Layout, Port
 from surctl.marine.control import build_law
-from surctl.marine.export import build_bundle, origin_of
-from surctl.marine.export.origin import origin_entries
+from surctl.marine.export import build_bundle
+from surctl.marine.export.origin import origin_entries, origin_of
 from surctl.marine.export.robot_bundle import _sonars
 from surctl.marine.sensing import Equipment, SonarArray
 from surctl.marine.simulation import load_scenario

@@ -16,7 +16,7 @@ import pytest
 
 from surctl.export.fmu import description_2, description_3, unit_sources, write_fmu
 from surctl.export.precision import Rounded, evaluated
-from surctl.ir import compile_program
+from surctl.ir.cache import compile_program
 from surctl.marine.control import build_law, load_gains
 from surctl.marine.export import build_bundle
 from surctl.marine.simulation import law_numbers, simulate

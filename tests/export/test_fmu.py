@@ -14,7 +14,8 @@ import numpy as np
 import pytest
 
 from surctl.errors import InputError
-from surctl.export import REALS, Records, as_records
+from surctl.export import REALS, Records
+from surctl.export.envelope import as_records
 from surctl.export.fmu import write_fmu
 from surctl.export.precision import Rounded, evaluated
 from surctl.ir import Real

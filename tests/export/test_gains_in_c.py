@@ -21,10 +21,12 @@ from surctl.export.contract import Exportable
 from surctl.export.envelope import RANGE, Records
 from surctl.export.process import compile_controller
 from surctl.export.supplement import gains_id, stored_gains
-from surctl.ir import Real, compile_program
+from surctl.ir import Real
+from surctl.ir.cache import compile_program
 from surctl.marine.control import build_law, load_gains
-from surctl.marine.export import build_bundle, closed_form, operating_envelope, origin_of
+from surctl.marine.export import build_bundle, closed_form, operating_envelope
 from surctl.marine.export.operating_envelope import gain_orders
+from surctl.marine.export.origin import origin_of
 from surctl.marine.simulation import law_numbers, load_scenario
 from tests.export.closed_form import vehicle
 from tests.export.standin import Vector

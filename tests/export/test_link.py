@@ -24,7 +24,8 @@ from surctl.errors import InputError
 from surctl.export import TARGETS, Bundle, SerialLine, connect, emulated, emulated_target, write_bundle
 from surctl.export.emulated import VERSION, Identity, LineDown, Reply
 from surctl.export.precision import Rounded
-from surctl.ir import Layout, Port, Real, compile_program
+from surctl.ir import Layout, Port, Real
+from surctl.ir.cache import compile_program
 from surctl.marine.control import Law, LawStep, build_law, load_gains
 from surctl.marine.export import LinkedLaw, LinkFaults, build_bundle, closed_form
 from surctl.marine.simulation import Run, law_numbers, load_scenario, simulate

@@ -11,7 +11,7 @@ import pytest
 from surctl.export import Records, write_bundle
 from surctl.export.precision import replayed
 from surctl.export.process import compile_controller
-from surctl.ir import compile_program
+from surctl.ir.cache import compile_program
 from tests.export.clocks import LONGEST, clocks
 from tests.export.standin import Vector
 from tests.tools import need_compiler

@@ -12,7 +12,7 @@ import pytest
 from surctl.errors import InputError
 from surctl.export import Records, build_controller, compare_runs, connect, write_bundle
 from surctl.export.contract import transfers
-from surctl.ir import compile_program
+from surctl.ir.cache import compile_program
 from surctl.marine.control import build_law, load_gains
 from surctl.marine.export import LinkedLaw, LinkFaults, build_bundle
 from surctl.marine.guidance import Path

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from surctl.errors import InputError, ToolMissing
-from surctl.export import ProofReport, gain_box, prove_bundle
-from surctl.export.prove import _program, with_proof
+from surctl.export import ProofReport
+from surctl.export.prove import _program, gain_box, prove_bundle, with_proof
 from surctl.ir import Program
 from surctl.marine.control import build_law, load_gains
 from surctl.marine.simulation import law_numbers, load_scenario

@@ -13,7 +13,7 @@ import pytest
 
 from surctl.export import write_bundle
 from surctl.export.process import compile_controller
-from surctl.ir import compile_program
+from surctl.ir.cache import compile_program
 from surctl.marine.control import Law, LawStep, load_gains
 from surctl.marine.simulation import load_scenario, simulate
 from tests.export.closed_form import vehicle

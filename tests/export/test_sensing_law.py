@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from surctl.export import Controller, Records, build_controller, compare_runs
 from surctl.ir import memory
-from surctl.marine.control import DEGRADED, SATURATED, SWITCHED, build_law, in_real, load_gains
+from surctl.marine.control import DEGRADED, SATURATED, SWITCHED, build_law, load_gains
+from surctl.marine.control.build import in_real
 from surctl.marine.export import build_bundle
 from surctl.marine.sensing import Fault
 from surctl.marine.simulation import Run, load_scenario, simulate

@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from surctl.errors import InputError
-from surctl.marine.guidance import FORMS, AvoidanceForm, avoidance_course, encounter_side
-from surctl.marine.guidance.avoidance import clearance_rate
+from surctl.marine.guidance import FORMS, AvoidanceForm
+from surctl.marine.guidance.avoidance import avoidance_course, clearance_rate, encounter_side
 from surctl.tasks import allowed_closing_speed
 
 R, K3, KAPPA = 0.5, 1.0, 0.3

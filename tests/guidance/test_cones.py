@@ -10,7 +10,9 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from surctl.marine.guidance import Contact, Sector, choose_velocity, collision_cone, inside
+from surctl.marine.guidance import Contact, Sector, inside
+from surctl.marine.guidance.contacts import collision_cone
+from surctl.marine.guidance.sectors import choose_velocity
 
 Array = NDArray[np.float64]
 REACH, APART, STANDOFF, HORIZON = 0.54, 0.15, 0.05, 12.0

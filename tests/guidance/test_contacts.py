@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from surctl.marine.guidance import Contact, nearest_in_quadrants, point_contact, wall_contacts
-from surctl.marine.guidance.contacts import FAR, disc_contact
+from surctl.marine.guidance import Contact
+from surctl.marine.guidance.contacts import FAR, disc_contact, nearest_in_quadrants, point_contact, wall_contacts
 
 Array = NDArray[np.float64]
 HULL = 0.27

@@ -12,7 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from surctl.errors import InputError
-from surctl.marine.guidance import GUIDANCE, Guidance, check_guidance, crosstrack_next, crosstrack_shift
+from surctl.marine.guidance import GUIDANCE, Guidance
+from surctl.marine.guidance.tracking import check_guidance, crosstrack_next, crosstrack_shift
 
 DT, SIGMA, GAMMA, LOOKAHEAD, SPEED = 0.05, 0.05, 0.4, 0.8, 0.2
 STEEPEST = 1.0  # largest slope of the course that a law may learn

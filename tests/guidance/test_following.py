@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from surctl.ir import Layout, on_vectors
-from surctl.marine.guidance import FOLLOWING, MAX_WAYPOINTS, SKIPS, Follower, Path, follow, follow_on
+from surctl.marine.guidance import FOLLOWING, MAX_WAYPOINTS, SKIPS, Follower, Path, follow
+from surctl.marine.guidance.following import follow_on
 
 FOLD = Path(np.array([[1.0, 2.5], [6.0, 2.5], [1.0, 2.5]]))
 SQUARE = Path(np.array([[2.0, 1.5], [8.0, 1.5], [8.0, 3.5], [2.0, 3.5], [2.0, 1.5]]))

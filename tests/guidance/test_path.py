@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from surctl.errors import InputError
-from surctl.marine.guidance import MAX_WAYPOINTS, Path, next_leg, path_target
+from surctl.marine.guidance import MAX_WAYPOINTS, Path
+from surctl.marine.guidance.path import next_leg, path_target
 
 Array = NDArray[np.float64]
 coordinates = st.integers(-60, 60).map(lambda k: k / 10)
@@ -69,23 +70,6 @@ def test_before_the_start_and_past_the_end_the_target_stands_still() -> None:
         np.testing.assert_allclose(np.asarray(found[1]).reshape(-1), tangent)
 
 
-@settings(derandomize=True, deadline=None)
-@given(polylines, coordinates, coordinates)
-def test_distance_against_dense_sampling(points: list[tuple[float, float]], x: float, y: float) -> None:
-    path = _path(points)
-    samples = _by_interpolation(path, np.linspace(0, path.length, 600)).T
-    dense = np.linalg.norm(samples - [x, y], axis=1).min()
-    found = path.distance(np.array([x, y]))[0]
-    assert found <= dense + 1e-12
-    assert dense - found <= path.length / 599
-
-
-def test_distance_of_many_points_by_hand() -> None:
-    path = Path(np.array([[0.0, 0.0], [2.0, 0.0], [2.0, 1.0]]))
-    points = np.array([[1.0, 0.5], [-3.0, 4.0], [3.0, 0.5], [2.0, 2.5], [2.0, 0.0]])
-    np.testing.assert_allclose(path.distance(points), [0.5, 5.0, 1.0, 1.5, 0.0], atol=1e-15)
-
-
 def test_slots_repeat_the_last_point() -> None:
     path = Path(np.array([[0.0, 0.0], [2.0, 0.0], [2.0, 1.0]]))
     assert path.slots.shape == (MAX_WAYPOINTS, 2)
@@ -129,7 +113,8 @@ def _distance(path: Path, k: int, here: Array, *, backwards: float = 0.0) -> flo
     """To leg k, prolonged before its start by so much [m]."""
     start, end = path.waypoints[k : k + 2]
     start = start - backwards * (end - start) / np.linalg.norm(end - start)
-    return float(Path(np.array([start, end])).distance(here[None])[0])
+    along = np.clip((here - start) @ (end - start) / ((end - start) @ (end - start)), 0, 1)
+    return float(np.linalg.norm(here - start - along * (end - start)))
 
 
 @settings(derandomize=True, deadline=None)

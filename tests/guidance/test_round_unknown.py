@@ -11,7 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import ArrayLike, NDArray
 
-from surctl.marine.guidance import Sector, round_unknown, slowed
+from surctl.marine.guidance import Sector
+from surctl.marine.guidance.sectors import round_unknown, slowed
 
 Array = NDArray[np.float64]
 SPEED = 0.2

@@ -12,7 +12,9 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from numpy.typing import ArrayLike, NDArray
 
-from surctl.marine.guidance import Sector, avoidance_course, choose_velocity
+from surctl.marine.guidance import Sector
+from surctl.marine.guidance.avoidance import avoidance_course
+from surctl.marine.guidance.sectors import choose_velocity
 
 Array = NDArray[np.float64]
 CRUISE, CAP = 0.2, 0.22

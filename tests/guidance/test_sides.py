@@ -11,8 +11,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from surctl.marine.guidance import Sector, choose_velocity, collision_cone, inside, wall_contacts
-from surctl.marine.guidance.contacts import disc_contact, passes_left, side_costs, swap_costs
+from surctl.marine.guidance import Sector, inside
+from surctl.marine.guidance.contacts import (
+    collision_cone,
+    disc_contact,
+    passes_left,
+    side_costs,
+    swap_costs,
+    wall_contacts,
+)
+from surctl.marine.guidance.sectors import choose_velocity
 
 Array = NDArray[np.float64]
 HULL, RADIUS, CRUISE = 0.2, 0.2, 0.2

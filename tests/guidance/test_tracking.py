@@ -11,8 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from surctl.marine.guidance import along_command, path_error, progress_rate, tracking_velocity
-from surctl.marine.guidance.tracking import tracking_rate
+from surctl.marine.guidance.tracking import along_command, path_error, progress_rate, tracking_rate, tracking_velocity
 
 Array = NDArray[np.float64]
 U_D, K1, K2 = 0.15, 0.3, 0.3

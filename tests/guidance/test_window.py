@@ -6,18 +6,10 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from surctl.marine.guidance import (
-    AHEAD,
-    MAX_WAYPOINTS,
-    Path,
-    Window,
-    leg_end,
-    next_leg,
-    path_target,
-    window_next,
-    window_values,
-)
-from surctl.marine.guidance.following import last_first
+from surctl.marine.guidance import AHEAD, MAX_WAYPOINTS, Path
+from surctl.marine.guidance.following import window_next, window_values
+from surctl.marine.guidance.path import leg_end, next_leg, path_target
+from tests.oracles.mission_window import Window, last_first
 
 RNG = np.random.default_rng(4)
 POINTS = np.cumsum(RNG.uniform([-1.1, -1.5], [1.9, 1.5], (30, 2)), axis=0)

@@ -12,8 +12,9 @@ from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from surctl.ir import Block, compile_program
+from surctl.ir import Block
 from surctl.ir.c99 import emit_c99
+from surctl.ir.cache import compile_program
 
 Vector = NDArray[np.float64]
 Make = Callable[[ca.SX, ca.SX, ca.SX], ca.SX]

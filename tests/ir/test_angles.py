@@ -11,7 +11,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from surctl.ir import Program, lower, nearby_angles, replay
+from surctl.ir import Program, lower, replay
+from surctl.ir.elementary import nearby_angles
 from surctl.marine.simulation.physics import advance
 
 

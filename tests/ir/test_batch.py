@@ -13,7 +13,8 @@ import pytest
 from numpy.typing import NDArray
 
 from surctl.errors import InputError, ToolMissing
-from surctl.ir import Block, Call, Loop, Program, Routine, compile_batch, lower, replay, without_libm
+from surctl.ir import Block, Call, Loop, Program, Routine, lower, replay, without_libm
+from surctl.ir.batch import compile_batch
 from tests.ir.expressions import EXACT, whole
 from tests.ir.test_routine import program
 from tests.tools import PATIENCE, need, need_compiler

@@ -12,8 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from surctl.errors import InputError
-from surctl.ir import Instruction, Program, c_literal, emit_block, identifier, lower, replay
-from surctl.ir.c99 import emit_c99
+from surctl.ir import Instruction, Program, c_literal, lower, replay
+from surctl.ir.c99 import emit_c99, identifier
+from surctl.ir.c99_routine import emit_block
 from surctl.ir.c99_wide import emit_wide
 from surctl.ir.folding import Numbering
 from surctl.ir.program import LIBM, OPERATIONS, Operation

@@ -11,7 +11,7 @@ import pytest
 
 import surctl.export
 from surctl.errors import InputError
-from surctl.ir import identifier
+from surctl.ir.c99 import identifier
 from tests.tools import need_compiler
 
 TEMPLATES = Path(surctl.export.__file__).parent / "templates"

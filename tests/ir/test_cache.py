@@ -15,8 +15,8 @@ import pytest
 
 from surctl.errors import SurctlError, ToolMissing
 from surctl.ir import cache as module
-from surctl.ir import cached_bytes, compile_block, lower, native, shared_library
-from surctl.ir.cache import CacheUnused, cache_folder
+from surctl.ir import compile_block, lower, native
+from surctl.ir.cache import CacheUnused, cache_folder, cached_bytes, shared_library
 from surctl.ir.native import Native
 from tests.tools import need_compiler
 

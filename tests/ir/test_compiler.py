@@ -8,9 +8,9 @@ import casadi as ca
 import pytest
 
 from surctl.errors import InputError, SurctlError, ToolMissing
-from surctl.ir import compile_program, compiler_version, find_compiler, lower
+from surctl.ir import lower
 from surctl.ir.c99 import emit_c99
-from surctl.ir.cache import quick_flags, tuned_flags
+from surctl.ir.cache import compile_program, compiler_version, find_compiler, quick_flags, tuned_flags
 from tests.tools import need_compiler, need_module
 
 

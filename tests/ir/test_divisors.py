@@ -7,7 +7,8 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from surctl.ir import Program, lower, replay, shared_divisors
+from surctl.ir import Program, lower, replay
+from surctl.ir.folding import shared_divisors
 
 
 def quotients() -> Program:

@@ -10,9 +10,10 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from surctl.ir import Call, Instruction, Loop, Program, Routine, emit_block, lower, replay
+from surctl.ir import Call, Instruction, Loop, Program, Routine, lower, replay
 from surctl.ir.c99 import emit_c99
 from surctl.ir.c99_folded import emit_folded, preamble
+from surctl.ir.c99_routine import emit_block
 from surctl.ir.program import LIBM, OPERATIONS
 from tests.ir.expressions import EXACT, compiled, random_functions, whole
 from tests.ir.test_lanes import bench, drawn

@@ -11,7 +11,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from surctl.ir import Block, Call, Program, Routine, fused, lower, replay, to_casadi
+from surctl.ir import Block, Call, Program, Routine, lower, replay, to_casadi
+from surctl.ir.folding import fused
 from tests.ir.expressions import random_functions
 from tests.ir.test_wide import TEXTS, compiled
 

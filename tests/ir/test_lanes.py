@@ -9,7 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from surctl.errors import InputError
-from surctl.ir import Gather, Loop, Program, Real, Routine, compile_block, emit_block, lower, replay, to_casadi
+from surctl.ir import Gather, Loop, Program, Real, Routine, compile_block, lower, replay, to_casadi
+from surctl.ir.c99_routine import emit_block
 from tests.ir.expressions import EXACT, LIBM_MAKERS, grown, picks, whole
 from tests.tools import need_compiler, widest_vectors
 

@@ -6,7 +6,8 @@ import pytest
 from hypothesis import given, settings
 
 from surctl.errors import InputError, UnsupportedOperation
-from surctl.ir import Instruction, Program, lower, rearranged, replay
+from surctl.ir import Instruction, Program, lower, replay
+from surctl.ir.c99 import rearranged
 from surctl.ir.tracing import _Builder
 from tests.ir.expressions import EXACT, LIBM_MAKERS, grown, numbers, picks, whole
 

@@ -10,8 +10,10 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from surctl.ir import Call, Loop, Program, Routine, c99_routine, compile_program, emit_block, emit_parts, lower, replay
+from surctl.ir import Call, Loop, Program, Routine, c99_routine, lower, replay
 from surctl.ir.c99_folded import PRAGMA
+from surctl.ir.c99_routine import emit_block, emit_parts
+from surctl.ir.cache import compile_program
 from tests.ir.expressions import caller
 from tests.ir.routines import random_routine
 from tests.tools import need_compiler

@@ -11,7 +11,8 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from surctl.ir import Call, Loop, Program, Routine, c99_routine, emit_block, lower, memory, replay
+from surctl.ir import Call, Loop, Program, Routine, c99_routine, lower, memory, replay
+from surctl.ir.c99_routine import emit_block
 from surctl.ir.routine import Gather, Step
 from tests.ir.expressions import compiled
 from tests.ir.routines import random_routine

@@ -11,8 +11,10 @@ import pytest
 from surctl.certcheck.document import Rejected
 from surctl.certcheck.instructions import evaluate, read_list
 from surctl.errors import InputError
-from surctl.ir import Call, Loop, Routine, compile_block, emit_block, memory, read_block, replay, to_casadi, write_block
+from surctl.ir import Call, Loop, Routine, compile_block, memory, replay, to_casadi
+from surctl.ir.c99_routine import emit_block
 from surctl.ir.procedure import Procedure, back, fabs, sqrt, within
+from surctl.ir.stored import read_block, write_block
 from tests.ir.test_wide import compiled
 from tests.tools import need_compiler
 

@@ -11,7 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from surctl.errors import InputError
-from surctl.ir import Block, Call, Gather, Loop, Program, Routine, compile_block, emit_block, lower, replay, to_casadi
+from surctl.ir import Block, Call, Gather, Loop, Program, Routine, compile_block, lower, replay, to_casadi
+from surctl.ir.c99_routine import emit_block
 from tests.ir.expressions import EXACT, grown, picks
 from tests.tools import need_compiler
 

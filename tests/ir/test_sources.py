@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 
 from surctl.errors import SurctlError
-from surctl.ir import cache, source_digest
+from surctl.ir import cache
+from surctl.ir.cache import source_digest
 
 FILES = {
     "__init__.py": "",

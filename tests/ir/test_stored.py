@@ -15,21 +15,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from surctl.errors import InputError
-from surctl.ir import (
-    Block,
-    Call,
-    Gather,
-    Instruction,
-    Loop,
-    Program,
-    Routine,
-    emit_block,
-    lower,
-    read_block,
-    write_block,
-)
+from surctl.ir import Block, Call, Gather, Instruction, Loop, Program, Routine, lower
+from surctl.ir.c99_routine import emit_block
 from surctl.ir.program import OPERATIONS
 from surctl.ir.routine import nested
+from surctl.ir.stored import read_block, write_block
 from surctl.marine.control import build_law
 from tests.ir.expressions import EXACT, grown, picks
 from tests.ir.routines import random_routine

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from surctl.errors import InputError
-from surctl.ir import on_columns, on_vectors
+from surctl.ir import on_vectors
+from surctl.ir.symbolic import on_columns
 
 
 def function() -> ca.Function:

@@ -14,9 +14,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from surctl.ir import Block, Call, Gather, Loop, Routine, lower, replay, shared_library
+from surctl.ir import Block, Call, Gather, Loop, Routine, lower, replay
 from surctl.ir.batch import PRELUDE
 from surctl.ir.c99_wide import emit_wide
+from surctl.ir.cache import shared_library
 from surctl.ir.folding import split
 from surctl.ir.native import loaded
 from tests.ir.expressions import EXACT, LIBM_MAKERS, grown, picks, random_functions, whole

@@ -18,7 +18,6 @@ from surctl.marine.control import (
     CONTACT_SLOTS,
     NONFINITE,
     WORKING,
-    Feeder,
     Gains,
     Law,
     LawStep,
@@ -52,6 +51,7 @@ from tests.oracles.echoes import (
     weak_range,
 )
 from tests.oracles.measurements import delayed, fix, imu, measure, message, observe
+from tests.oracles.mission_window import Feeder
 from tests.oracles.run_metrics import measure as metrics_of
 
 __all__ = ["Loop", "WeakEchoes", "certain_echo", "column", "feeder_of", "simulate"]

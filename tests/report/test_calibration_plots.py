@@ -5,7 +5,8 @@ import pytest
 
 from surctl.marine.report import plot_calibration
 from surctl.marine.report.sonar_plots import plot_errors, plot_studentised
-from surctl.marine.sensing import SensorCalibration, calibrate, calibrate_table_ii
+from surctl.marine.sensing import SensorCalibration, calibrate
+from surctl.marine.sensing.calibration.file import calibrate_table_ii
 from tests.pictures import rendered
 
 

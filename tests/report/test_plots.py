@@ -54,7 +54,9 @@ RUNS = {
 @pytest.mark.parametrize("name", RUNS)
 def test_runs_are_drawn_without_a_warning(name: str) -> None:
     flown = RUNS[name]()
-    rendered(plot_run(flown))
+    plan = plot_run(flown)
+    rendered(plan)
+    assert plan.get_position().width > 0.75  # wide sites fill the width
     rendered(plot_run_signals(flown))
 
 

@@ -7,7 +7,8 @@ import pytest
 
 from surctl.marine.report import plot_sonar_replay
 from surctl.marine.report.sonar_plots import plot_replay_sensor
-from surctl.marine.sensing import Replay, read_readings, replay_readings, sonar_array
+from surctl.marine.sensing import Replay
+from surctl.marine.sensing.replay import read_readings, replay_readings, sonar_array
 from tests.pictures import rendered
 from tests.sensing.recording import recorded, write
 

@@ -156,7 +156,7 @@ def test_the_page_holds_every_row_and_figure(tmp_path: Path, monkeypatch: pytest
 def test_rows_as_a_process(tmp_path: Path) -> None:
     done = surctl("reproduce", "E2", "E5", "course-printed", "--out", "paper", cwd=tmp_path)
     assert done.status == 0
-    assert "residual × -1.000" in done.out and "3 of 3 rows as expected" in done.out
+    assert "residual × -1.000" in done.out and "3 wrong in print; 3 of 3 rows as expected" in done.out
     assert "course-printed" in (tmp_path / "paper" / "reproduction.html").read_text(encoding="utf-8")
 
 

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from surctl.errors import InputError
-from surctl.marine.sensing import SonarArray, speed_of_sound
+from surctl.marine.sensing import SonarArray
+from surctl.marine.sensing.sonar.array import speed_of_sound
 from surctl.marine.world import Box, Disc, Wall, site_walls
 from tests.oracles.echoes import fire, true_range
 from tests.raycasting import heard_along

@@ -8,10 +8,8 @@ import numpy as np
 import pytest
 
 from surctl.errors import InputError
-from surctl.marine.sensing import (
-    SensorCalibration,
-    calibrate,
-    calibrate_file,
+from surctl.marine.sensing import SensorCalibration, calibrate, calibrate_file
+from surctl.marine.sensing.calibration.file import (
     calibrate_table_ii,
     calibration_rows,
     file_stems,

@@ -13,7 +13,8 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from surctl.errors import InputError
-from surctl.ir import Call, Layout, Routine, compile_batch, compile_block, lower, replay
+from surctl.ir import Call, Layout, Routine, compile_block, lower, replay
+from surctl.ir.batch import compile_batch
 from surctl.marine.sensing import LocalMap
 from surctl.marine.sensing.mapping.firing import BLIND, READING, RING
 from surctl.marine.world import Disc

@@ -7,18 +7,10 @@ import numpy as np
 import pytest
 
 from surctl.ir import on_vectors
-from surctl.marine.sensing import (
-    RangeTracker,
-    Replay,
-    Tracked,
-    filtered_rows,
-    read_readings,
-    replay_readings,
-    sonar_array,
-    track,
-)
+from surctl.marine.sensing import RangeTracker, Replay, Tracked, track
 from surctl.marine.sensing import replay as replaying
 from surctl.marine.sensing.ranging.tracker import Ranging
+from surctl.marine.sensing.replay import filtered_rows, read_readings, replay_readings, sonar_array
 from tests.sensing.recording import ARRAY, recorded, truth, write
 from tests.sensing.test_ranging import compiled
 

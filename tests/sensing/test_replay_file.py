@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from surctl.errors import InputError
-from surctl.marine.sensing import Recording, read_readings, replay_readings, sonar_array
+from surctl.marine.sensing import Recording
+from surctl.marine.sensing.replay import read_readings, replay_readings, sonar_array
 from tests.sensing.recording import HEADER, recorded, write
 
 ROWS = recorded(10.0)

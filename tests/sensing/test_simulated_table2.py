@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from surctl.marine.sensing import Calibration, Estimate, SonarArray, calibrate, table_ii
+from surctl.marine.sensing import Calibration, Estimate, SonarArray, calibrate
+from surctl.marine.sensing.calibration.file import table_ii
 from surctl.marine.world import Wall
 from surctl.noise import NoiseStream
 from tests.oracles.echoes import fire

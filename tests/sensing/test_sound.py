@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from surctl.errors import InputError
-from surctl.marine.sensing import speed_of_sound
+from surctl.marine.sensing.sonar.array import speed_of_sound
 
 # Bilaniuk and Wong 1993 (erratum 1996), "Speed of sound in pure water as a function of temperature", 148 points
 BILANIUK = (1.40238744e3, 5.03836171, -5.81172916e-2, 3.34638117e-4, -1.48259672e-6, 3.16585020e-9)

@@ -12,8 +12,9 @@ import pytest
 from surctl.errors import InputError, ToolMissing
 from surctl.ir.native import SlowerEngine
 from surctl.marine.control import Gains, load_gains
-from surctl.marine.simulation import METRICS, STOPS, Case, Scenario, case_parameters, load_scenario, simulate_batch
+from surctl.marine.simulation import METRICS, STOPS, Case, Scenario, load_scenario, simulate_batch
 from surctl.marine.simulation.batch import engines
+from surctl.marine.simulation.batch.case import case_parameters
 from surctl.marine.vehicle import load_vehicle
 from tests.oracles.mission_loop import simulate as reference
 

@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 
 from surctl.ir import Layout
-from surctl.marine.control import TRAPPED, build_law, law_parameters, load_gains
+from surctl.marine.control import TRAPPED, build_law, load_gains
 from surctl.marine.control.dead_end import SEARCH_PORT
+from surctl.marine.control.ports import law_parameters
 from surctl.marine.guidance import Path
-from surctl.marine.simulation import Case, Obstacle, Run, load_scenario, simulate, stop_reason
+from surctl.marine.simulation import Case, Obstacle, Run, load_scenario, simulate
+from surctl.marine.simulation.explanation import stop_reason
 from surctl.marine.simulation.metrics import STANDSTILL
 from surctl.marine.vehicle import load_vehicle
 

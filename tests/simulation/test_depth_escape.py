@@ -11,18 +11,9 @@ import pytest
 
 from surctl.cli.runs import further_output
 from surctl.marine.control import load_gains
-from surctl.marine.simulation import (
-    Case,
-    Obstacle,
-    Run,
-    Scenario,
-    Sensing,
-    depth_changes,
-    load_scenario,
-    simulate,
-    simulate_batch,
-    stop_reason,
-)
+from surctl.marine.simulation import Case, Obstacle, Run, Scenario, Sensing, load_scenario, simulate, simulate_batch
+from surctl.marine.simulation.explanation import stop_reason
+from surctl.marine.simulation.run import depth_changes
 from surctl.marine.vehicle import load_vehicle
 from tests.tools import need_compiler
 

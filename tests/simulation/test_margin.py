@@ -11,17 +11,10 @@ from hypothesis import strategies as st
 
 from surctl.marine.control import load_gains
 from surctl.marine.guidance.braking import brakes_of, stopping_distance_with_drag, tabled_stopping_distance
-from surctl.marine.simulation import (
-    Obstacle,
-    build_world,
-    findings,
-    load_scenario,
-    margin_needed,
-    safety_claim,
-    turn_rate,
-)
+from surctl.marine.simulation import Obstacle, findings, load_scenario
 from surctl.marine.simulation.motion import closest
-from surctl.marine.simulation.safety import munk
+from surctl.marine.simulation.safety import margin_needed, munk, safety_claim, turn_rate
+from surctl.marine.simulation.world import build_world
 from surctl.marine.vehicle import load_vehicle
 
 SCENARIO = load_scenario("tank-static")

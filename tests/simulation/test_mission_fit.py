@@ -13,7 +13,8 @@ from surctl.cli.app import app
 from surctl.errors import InputError
 from surctl.marine.control import load_gains
 from surctl.marine.guidance import Path
-from surctl.marine.simulation import Obstacle, findings, load_scenario, simulate, stop_reason
+from surctl.marine.simulation import Obstacle, findings, load_scenario, simulate
+from surctl.marine.simulation.explanation import stop_reason
 from surctl.marine.simulation.motion import planned_radius
 from surctl.marine.simulation.scenario_table import scenario_table
 from surctl.marine.simulation.toml_text import toml_text

@@ -12,7 +12,8 @@ from click.testing import CliRunner
 
 from surctl.cli.mission import scenario
 from surctl.errors import InputError
-from surctl.marine.simulation import load_scenario, mission_scenario, read_mission
+from surctl.marine.simulation import load_scenario
+from surctl.marine.simulation.plan_file import mission_scenario, read_mission
 
 
 def _item(command: int, *params: float | None) -> dict[str, Any]:

@@ -17,16 +17,8 @@ from surctl.marine.control import load_gains
 from surctl.marine.simulation import Run, load_scenario, save_record, simulate
 from surctl.marine.simulation.record_file import RECORD_FORMATS, record_columns
 from surctl.marine.study.plan import write_missions
-from surctl.marine.vehicle import (
-    FRAME_TEXT,
-    FRAMES,
-    LOG_MOTION,
-    LOG_THRUST,
-    load_vehicle,
-    read_motion_log,
-    swap_body,
-    swap_pose,
-)
+from surctl.marine.vehicle import FRAME_TEXT, FRAMES, LOG_MOTION, LOG_THRUST, load_vehicle
+from surctl.marine.vehicle.motion_log import read_motion_log, swap_body, swap_pose
 
 UNITS = {"t_s": "s", "psi_rad": "rad", "r_rad_per_s": "rad/s", "Fr_N_m": "N m", "clearance_m": "m", "status": "1"}
 

@@ -21,9 +21,10 @@ from surctl.marine.guidance.braking import (
     stopping_distance_with_drag,
 )
 from surctl.marine.sensing.equipment import SurfaceModel
-from surctl.marine.simulation import SafetyClaim, Scenario, findings, load_scenario, safety_claim
+from surctl.marine.simulation import SafetyClaim, Scenario, findings, load_scenario
 from surctl.marine.simulation.echo_fit import detection_range, unanswered
 from surctl.marine.simulation.reflectors import Reflectors, ReflectorTable
+from surctl.marine.simulation.safety import safety_claim
 from surctl.marine.vehicle import load_vehicle
 from tests.guidance.test_braking import fly
 

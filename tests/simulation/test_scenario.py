@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from surctl.errors import InputError
-from surctl.marine.simulation import LIBRARY, Obstacle, Scenario, build_world, findings, load_scenario
+from surctl.marine.simulation import LIBRARY, Obstacle, Scenario, findings, load_scenario
 from surctl.marine.simulation.scenario_table import scenario_table
 from surctl.marine.simulation.toml_text import toml_text
+from surctl.marine.simulation.world import build_world
 from surctl.marine.vehicle import load_vehicle
 
 GOLDEN = tomllib.loads((Path(__file__).parents[1] / "golden" / "scenarios.toml").read_text(encoding="utf-8"))

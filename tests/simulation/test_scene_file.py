@@ -16,8 +16,8 @@ import pytest
 
 from surctl.errors import InputError
 from surctl.marine.control import build_law, load_gains
-from surctl.marine.simulation import Obstacle, Run, load_scenario, save_record, save_scene, simulate
-from surctl.marine.simulation.record_file import LAYOUT, SceneFile
+from surctl.marine.simulation import Obstacle, Run, load_scenario, save_record, simulate
+from surctl.marine.simulation.record_file import LAYOUT, SceneFile, save_scene
 from surctl.marine.vehicle import load_vehicle
 from surctl.recorded_write import SCHEMAS, McapFile
 from tests.tools import need_module

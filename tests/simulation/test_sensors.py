@@ -11,7 +11,8 @@ import pytest
 from surctl.errors import InputError
 from surctl.marine.control import load_gains
 from surctl.marine.sensing import SonarArray
-from surctl.marine.simulation import LIBRARY, load_scenario, safety_claim
+from surctl.marine.simulation import LIBRARY, load_scenario
+from surctl.marine.simulation.safety import safety_claim
 from surctl.marine.simulation.sensors import FIRING, firing_plan
 from surctl.marine.vehicle import load_vehicle
 

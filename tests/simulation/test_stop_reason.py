@@ -11,19 +11,10 @@ import pytest
 from surctl.errors import InputError
 from surctl.marine.control import load_gains
 from surctl.marine.sensing import Fault, FaultChances
-from surctl.marine.simulation import (
-    METRICS,
-    STOPS,
-    Case,
-    Run,
-    load_scenario,
-    simulate,
-    simulate_batch,
-    stop_reason,
-    time_limit_reason,
-)
+from surctl.marine.simulation import METRICS, STOPS, Case, Run, load_scenario, simulate, simulate_batch
 from surctl.marine.simulation.batch.loop import build_loop
 from surctl.marine.simulation.batch.structure import Structure
+from surctl.marine.simulation.explanation import stop_reason, time_limit_reason
 from surctl.marine.simulation.metrics import STOPPED_LIMIT
 from surctl.marine.simulation.sensors import Sensors
 from surctl.marine.vehicle import load_vehicle

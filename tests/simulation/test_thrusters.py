@@ -8,7 +8,8 @@ import pytest
 
 from surctl.errors import InputError
 from surctl.marine.control import build_law, load_gains
-from surctl.marine.simulation import Run, ThrusterFault, load_scenario, simulate, thruster_use
+from surctl.marine.simulation import Run, ThrusterFault, load_scenario, simulate
+from surctl.marine.simulation.thruster_faults import thruster_use
 from surctl.marine.vehicle import load_vehicle
 
 HEAVY = load_vehicle("bluerov2-heavy")

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from surctl.marine.simulation import Body, Scenario, World, build_world, load_scenario
+from surctl.marine.simulation import Body, Scenario, World, load_scenario
+from surctl.marine.simulation.world import build_world
 from surctl.marine.vehicle import load_vehicle
 from surctl.marine.world import Disc
 

@@ -12,29 +12,14 @@ from surctl.errors import InputError
 from surctl.marine.allocation import allocate
 from surctl.marine.control import build_law, law_source, load_gains
 from surctl.marine.control.steering import turning_radius
-from surctl.marine.simulation import (
-    METRICS,
-    Case,
-    Scenario,
-    held_share,
-    law_numbers,
-    simulate,
-    simulate_batch,
-    thruster_findings,
-    thruster_use,
-)
+from surctl.marine.simulation import METRICS, Case, Scenario, law_numbers, simulate, simulate_batch
+from surctl.marine.simulation.fit import held_share, thruster_findings
 from surctl.marine.simulation.physics import advance
 from surctl.marine.simulation.scenario import Disturbance
-from surctl.marine.simulation.thruster_faults import Thrusters
+from surctl.marine.simulation.thruster_faults import Thrusters, thruster_use
 from surctl.marine.tuning.request import default_tuned
-from surctl.marine.vehicle import (
-    LIBRARY,
-    PLANT_DISTURBANCE,
-    PLANT_STATE,
-    axis_limits,
-    load_vehicle,
-    plant_parameters,
-)
+from surctl.marine.vehicle import LIBRARY, PLANT_DISTURBANCE, PLANT_STATE, load_vehicle, plant_parameters
+from surctl.marine.vehicle.thruster_file import axis_limits
 from tests.craft import mission
 from tests.tools import need_compiler
 

@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from surctl.errors import InputError
-from surctl.marine.vehicle import FRAME_TEXT, FRAMES, check_frame, swap_body, swap_pose
+from surctl.marine.vehicle import FRAME_TEXT, FRAMES
+from surctl.marine.vehicle.motion_log import check_frame, swap_body, swap_pose
 
 POSES = arrays(float, st.tuples(st.integers(0, 5), st.just(4)), elements=st.floats(-1e3, 1e3))
 BODY = arrays(float, st.tuples(st.integers(0, 5), st.just(4)), elements=st.floats(-1e3, 1e3))

@@ -11,7 +11,8 @@ from click.testing import CliRunner
 
 from surctl.cli.lint import lint
 from surctl.errors import InputError
-from surctl.marine.vehicle import gazebo_vehicle, load_vehicle, write_vehicle
+from surctl.marine.vehicle import load_vehicle, write_vehicle
+from surctl.marine.vehicle.gazebo import gazebo_vehicle
 from surctl.marine.vehicle.parameters import LIBRARY
 from surctl.marine.vehicle.specs import undamped
 

@@ -20,12 +20,12 @@ from surctl.marine.vehicle import (
     identify,
     load_vehicle,
     plant_parameters,
-    read_motion_log,
     sphere,
     write_vehicle,
 )
 from surctl.marine.vehicle.identification.model import Model, sections_of
 from surctl.marine.vehicle.identification.solve import simulable
+from surctl.marine.vehicle.motion_log import read_motion_log
 from surctl.marine.vehicle.parameters import vehicle_from_table
 
 START = load_vehicle("sur540-flooded")

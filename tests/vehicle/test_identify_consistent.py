@@ -12,19 +12,11 @@ from scipy.signal import lfilter
 
 from surctl.cli.vehicle import vehicle as vehicle_command
 from surctl.errors import InputError
-from surctl.marine.vehicle import (
-    MotionLog,
-    Vehicle,
-    held_out_windows,
-    identify,
-    load_vehicle,
-    predict,
-    predict_with,
-    velocity_notes,
-    write_vehicle,
-)
+from surctl.marine.vehicle import MotionLog, Vehicle, identify, load_vehicle, predict, write_vehicle
+from surctl.marine.vehicle.identification.identify import held_out_windows, velocity_notes
 from surctl.marine.vehicle.identification.intervals import spread_of
 from surctl.marine.vehicle.identification.model import sections_of
+from surctl.marine.vehicle.identification.prediction import predict_with
 from surctl.marine.vehicle.motion_log import LOG_MOTION, LOG_THRUST
 from surctl.marine.vehicle.parameters import Parameter, vehicle_from_table
 from tests.vehicle.test_identify import START, TRUE, made_log

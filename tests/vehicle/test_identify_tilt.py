@@ -24,9 +24,9 @@ from surctl.marine.vehicle import (
     plant_parameters,
     plant_state,
     predict,
-    read_mapped_log,
-    read_motion_log,
 )
+from surctl.marine.vehicle.logs.read import read_mapped_log
+from surctl.marine.vehicle.motion_log import read_motion_log
 
 G = 9.81
 TILT = {

@@ -11,18 +11,11 @@ import numpy as np
 import pytest
 
 from surctl.errors import InputError
-from surctl.marine.vehicle import (
-    FRAME_TEXT,
-    read_mapped_log,
-    read_motion_log,
-    read_recording,
-    swap_body,
-    swap_pose,
-    topic_lines,
-)
+from surctl.marine.vehicle import FRAME_TEXT
 from surctl.marine.vehicle.logs.joining import roll_pitch_heading
+from surctl.marine.vehicle.logs.read import read_mapped_log, read_recording, topic_lines
 from surctl.marine.vehicle.logs.recording import TopicRows, step_back
-from surctl.marine.vehicle.motion_log import heading_frame
+from surctl.marine.vehicle.motion_log import heading_frame, read_motion_log, swap_body, swap_pose
 from tests.vehicle import logs_written as written
 
 DIVE = written.dive()

@@ -9,18 +9,11 @@ import numpy as np
 import pytest
 
 from surctl.errors import InputError
-from surctl.marine.vehicle import (
-    MotionLog,
-    Vehicle,
-    held_out_windows,
-    identify,
-    in_sequence,
-    load_vehicle,
-    predict,
-    read_mapped_log,
-    velocity_notes,
-)
+from surctl.marine.vehicle import MotionLog, Vehicle, identify, load_vehicle, predict
+from surctl.marine.vehicle.identification.identify import held_out_windows, velocity_notes
 from surctl.marine.vehicle.identification.model import sections_of
+from surctl.marine.vehicle.logs.read import read_mapped_log
+from surctl.marine.vehicle.motion_log import in_sequence
 
 TANK = """
 kind = "log-map"

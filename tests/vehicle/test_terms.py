@@ -15,8 +15,9 @@ from scipy.integrate import solve_ivp
 
 from surctl.errors import InputError, NotApplicable
 from surctl.marine.control import PARAMETERS, load_gains
-from surctl.marine.simulation import law_numbers, load_scenario, safety_claim
+from surctl.marine.simulation import law_numbers, load_scenario
 from surctl.marine.simulation.physics import advance
+from surctl.marine.simulation.safety import safety_claim
 from surctl.marine.vehicle import (
     PLANT_DISTURBANCE,
     PLANT_STATE,

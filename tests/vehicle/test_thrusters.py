@@ -11,7 +11,7 @@ from scipy.optimize import linprog
 
 from surctl.errors import InputError
 from surctl.marine.allocation import allocate
-from surctl.marine.simulation import held_share, thruster_findings
+from surctl.marine.simulation.fit import held_share, thruster_findings
 from surctl.marine.vehicle import (
     LIBRARY,
     Actuators,

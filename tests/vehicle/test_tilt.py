@@ -20,7 +20,6 @@ from surctl.marine.vehicle import (
     Parameter,
     Vehicle,
     build_plant,
-    heading_velocity,
     linearise,
     load_vehicle,
     plant_parameters,
@@ -28,6 +27,7 @@ from surctl.marine.vehicle import (
     trim_thrust,
 )
 from surctl.marine.vehicle.dynamics import trim_tilt
+from surctl.marine.vehicle.motion_log import heading_velocity
 from surctl.marine.verification import linear_table
 
 Array = NDArray[np.float64]

@@ -7,8 +7,8 @@ import pytest
 
 from surctl.errors import NotApplicable
 from surctl.marine.control import load_gains
-from surctl.marine.simulation import load_scenario, safety_claim, turn_rate
-from surctl.marine.simulation.safety import mass_difference
+from surctl.marine.simulation import load_scenario
+from surctl.marine.simulation.safety import mass_difference, safety_claim, turn_rate
 from surctl.marine.vehicle import Vehicle, load_vehicle
 from surctl.marine.verification import claims
 from surctl.marine.verification.braking import BRAKING_CLAIMS, braking_claim_named

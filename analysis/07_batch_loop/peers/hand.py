@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scene import LUCK, OWN_METRICS, Array, with_corners
 
 from surctl.errors import SurctlError
-from surctl.ir import find_compiler
+from surctl.ir.cache import find_compiler
 
 __all__ = ["FLAGS", "HandLoop"]
 

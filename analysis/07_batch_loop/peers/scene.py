@@ -8,7 +8,8 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.marine.simulation import METRICS, Obstacle, Scenario, build_world
+from surctl.marine.simulation import METRICS, Obstacle, Scenario
+from surctl.marine.simulation.world import build_world
 from surctl.marine.vehicle import Vehicle, plant_parameters
 
 __all__ = ["COUNTED", "LUCK", "MOST_OBSTACLES", "OWN_METRICS", "Array", "luck_of", "scene_of", "with_corners"]

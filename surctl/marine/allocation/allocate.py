@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surctl.errors import InputError
-from surctl.ir import runnable
+from surctl.ir.native import runnable
 from surctl.marine.allocation.program import allocation_block
 from surctl.marine.vehicle import Actuators
 
@@ -71,9 +71,7 @@ def allocate(actuators: Actuators, wrench: ArrayLike, *, failed: Sequence[str] =
     the exported C contain.
 
     Args:
-        actuators: the thrusters of a vehicle, `vehicle.actuators`.
         wrench: (4,) F_u, F_v, F_w [N] and F_r [N m] in {B}.
-        failed: names of thrusters that give no force.
         speed: forward speed [m/s] through the water, on which the limits of fins depend.
 
     Raises:

@@ -206,15 +206,6 @@ def allocation_block(actuators: Actuators, real: Real = "float64") -> Block:
     has failed, and for a working fin the square of the forward speed in m/s (`Actuators.shares`). Outputs: achieved
     (4,), the force and yaw moment that the thrusters produce; components (N,) [N], the force components of all
     thrusters; commands (n,) in [−1, 1]; angles (k,) [rad] of the swivelling thrusters, absent without any.
-
-    Example:
-        >>> from surctl.marine.allocation import allocation_block
-        >>> from surctl.ir import replay
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> block = allocation_block(load_vehicle("bluerov2-thrusters").actuators)
-        >>> achieved, forces, commands = replay(block, [30.0, 0.0, 20.0, 0.0], [1.0] * 6)
-        >>> forces.round(2).tolist(), commands[4].round(3).item()
-        ([-10.61, -10.61, 10.61, 10.61, 10.0, 10.0], 0.292)
     """
     return without_libm(_Builder(Design(actuators), FLOAT64 if real == "float64" else FLOAT32).build(), real)
 

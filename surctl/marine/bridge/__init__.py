@@ -1,11 +1,11 @@
 """Sessions of `surctl fly`: the exported law with an ArduSub by MAVLink, and rehearsals (extra `field`)."""
 
 from surctl.marine.bridge.autopilot import SimulatedSub
-from surctl.marine.bridge.bridge import Bridge, Moment, Plan, plan_session
-from surctl.marine.bridge.inputs import Site, parse_site
-from surctl.marine.bridge.live import Address, Ended, SessionLog, parse_address, run_session
+from surctl.marine.bridge.bridge import Bridge, Moment, Plan
+from surctl.marine.bridge.inputs import Site
+from surctl.marine.bridge.live import Address, Ended, SessionLog
 from surctl.marine.bridge.log import FrameLog, SessionRecord
-from surctl.marine.bridge.rehearsal import ACTIONS, Act, Channel, LinkQuality, Rehearsal, RehearsalResult, rehearse
+from surctl.marine.bridge.rehearsal import ACTIONS, Act, Channel, LinkQuality, Rehearsal, RehearsalResult
 from surctl.marine.bridge.session import Clock, Limits, Session, sending
 from surctl.marine.bridge.wire import (
     MODES,
@@ -22,8 +22,6 @@ from surctl.marine.bridge.wire import (
     Reply,
     Text,
     Wire,
-    dialect,
-    mode_of,
 )
 
 __all__ = [
@@ -60,12 +58,5 @@ __all__ = [
     "Site",
     "Text",
     "Wire",
-    "dialect",
-    "mode_of",
-    "parse_address",
-    "parse_site",
-    "plan_session",
-    "rehearse",
-    "run_session",
     "sending",
 ]

@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 
 from surctl.marine.bridge.inputs import Site
 from surctl.marine.bridge.wire import MODES, Axes, Mapping, Parser, dialect
-from surctl.marine.simulation import Body, OwnPhysics, Scenario, build_world
+from surctl.marine.simulation import Body, OwnPhysics, Scenario
 from surctl.marine.simulation.sensors import FIRING, firing_plan
+from surctl.marine.simulation.world import build_world
 from surctl.marine.vehicle import Vehicle
 from surctl.marine.world import Disc
 
@@ -43,7 +44,6 @@ class SimulatedSub:
 
     Args:
         scenario: mission; the vehicle begins at its start.
-        vehicle: the vehicle.
         site: place of the autopilot's NED frame in {E}.
         full_rate: yaw rate [rad/s] at full deflection.
         pilot_timeout: ArduSub's FS_PILOT_TIMEOUT [s].
@@ -52,14 +52,6 @@ class SimulatedSub:
         sonars: whether to send DISTANCE_SENSOR messages.
         target: system id of the autopilot.
         system: the system id from which it takes control, ArduSub's MAV_GCS_SYSID.
-
-    Example:
-        >>> from surctl.marine.bridge import SimulatedSub, Wire
-        >>> from surctl.marine.simulation import load_scenario
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> sub, wire = SimulatedSub(load_scenario("tank-speed-015"), load_vehicle("sur540-flooded")), Wire()
-        >>> [type(event).__name__ for frame in sub.advance(0.0) for event in wire.events(frame)]
-        ['Beat', 'Attitude', 'Position', 'Position']
     """
 
     def __init__(

@@ -58,12 +58,9 @@ class Plan:
     """What a session is to do, and with what.
 
     Attributes:
-        scenario, vehicle: mission and vehicle.
-        law: the law in Python, whose layouts the exported law has.
-        controller: the exported law in this process.
+        law, controller: the law in Python, whose layouts the exported law has, and the latter in this process.
         mapping: thrust to stick axes, in the mode of the session.
         site: place of the autopilot's frame in {E}.
-        limits: time-outs.
     """
 
     scenario: Scenario
@@ -93,7 +90,6 @@ class Moment:
     """One control period, for recordings.
 
     Attributes:
-        time: time [s].
         phase, why: phase of the session, and the reason.
         eta, nu: pose (4,) and velocity (4,) that the law got, or the newest; None before the first.
         age: age of the estimate [s]; inf before the first.
@@ -364,27 +360,16 @@ def plan_session(
     """Return the plan of a session.
 
     Args:
-        scenario: the mission.
-        vehicle: the vehicle.
         gains: gains of the law; default: those of the vehicle.
         law: reference of the law; default: that of the vehicle.
         sonar: whether the law measures obstacles by sonars; else it knows those of the scenario and those that report.
         mode: the autopilot's mode in which the bridge steers, a key of `MODES`.
         site: place of the autopilot's NED frame in {E}; default: both frames have one origin, x points east.
         full_rate: yaw rate [rad/s] at full deflection.
-        limits: time-outs.
 
     Raises:
         InputError: mission, mode and law do not fit.
         ToolMissing: there is no C compiler.
-
-    Example:
-        >>> from surctl.marine.bridge import plan_session
-        >>> from surctl.marine.simulation import load_scenario
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> plan = plan_session(load_scenario("pool-behind"), load_vehicle("sur400"), law="closed_form")
-        >>> plan.mapping.mode.name, plan.controller.bundle.name
-        ('alt_hold', 'surctl_closed_form')
     """
     reference = law or default_law(vehicle)
     built = build_law(

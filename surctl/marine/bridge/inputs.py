@@ -16,8 +16,10 @@ from numpy.typing import ArrayLike, NDArray
 from surctl.errors import InputError
 from surctl.marine.bridge.wire import Attitude, Odometry, Position, Ranges
 from surctl.marine.control import Law
-from surctl.marine.simulation import Scenario, build_world
-from surctl.marine.vehicle import Vehicle, heading_velocity
+from surctl.marine.simulation import Scenario
+from surctl.marine.simulation.world import build_world
+from surctl.marine.vehicle import Vehicle
+from surctl.marine.vehicle.motion_log import heading_velocity
 from surctl.marine.world import Disc
 
 # The scenario's frame {E} and the autopilot's local frame NED
@@ -91,17 +93,7 @@ def body_velocity(velocity: ArrayLike, rates: ArrayLike, *, roll: float, pitch: 
 
 
 def parse_site(text: str, *, key: str = "--origin") -> Site:
-    """Return the site of a text "X,Y,DEG": origin of NED in {E} [m], compass direction of the x axis of {E} [deg].
-
-    Raises:
-        InputError: the text has another form.
-
-    Example:
-        >>> from surctl.marine.bridge import parse_site
-        >>> site = parse_site("0.5,2.5,0")  # the autopilot started at (0.5, 2.5), and the x axis points north
-        >>> site.pose([2.0, 0.0, 0.15, 0.0]).round(3).tolist()  # 2 m north of its start, heading north
-        [2.5, 2.5, -0.15, 0.0]
-    """
+    """Return the site of a text "X,Y,DEG": origin of NED in {E} [m], compass direction of the x axis of {E} [deg]."""
     try:
         x, y, bearing = (float(word) for word in text.split(","))
     except ValueError:
@@ -153,13 +145,7 @@ class _Track:
 
 @dataclass
 class Inputs:
-    """Collects measurements, and builds the input vector of the law.
-
-    Attributes:
-        law: the law.
-        scenario, vehicle: mission and vehicle.
-        site: place of the autopilot's NED frame in {E}.
-    """
+    """Collects measurements, and builds the input vector of the law."""
 
     law: Law
     scenario: Scenario

@@ -46,16 +46,7 @@ class SessionLog(Protocol):
 
 
 def parse_address(text: str, *, key: str = "--mavlink") -> Address:
-    """Return the address of a text "udp:HOST:PORT" (listen, as `udpin:` does) or "udpout:HOST:PORT".
-
-    Raises:
-        InputError: the text has another form.
-
-    Example:
-        >>> from surctl.marine.bridge import parse_address
-        >>> parse_address("udp:127.0.0.1:14550")
-        Address(host='127.0.0.1', port=14550, listen=True)
-    """
+    """Return the address of a text "udp:HOST:PORT" (listen, as `udpin:` does) or "udpout:HOST:PORT"."""
     kind, _, rest = text.partition(":")
     host, _, number = rest.rpartition(":")
     if kind not in _FORMS:
@@ -91,21 +82,12 @@ def run_session(
     Args:
         bridge: the bridge, before its first period.
         address: where the autopilot, or its router, is.
-        log: records the session.
         said: is called with each line for the operator.
         limit: longest time [s]; None: no limit.
 
     Raises:
         InputError: the address cannot be used.
         Ended: a signal ended the session.
-
-    Example:
-        >>> from surctl.marine.bridge import Bridge, Wire, parse_address, plan_session, run_session
-        >>> from surctl.marine.simulation import load_scenario
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> plan = plan_session(load_scenario("pool-behind"), load_vehicle("sur400"), law="closed_form")
-        >>> run_session(Bridge(plan, Wire()), parse_address("udpout:127.0.0.1:14559"), limit=0.1)  # nobody is there
-        False
     """
     with _opened(address) as wire, _endings():
         guardian = Guardian(wire)

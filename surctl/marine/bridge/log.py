@@ -28,17 +28,6 @@ class FrameLog:
 
     A frame is handed to the operating system before the next one is taken: the end of the process loses nothing.
     `surctl vehicle from-log` and ground stations read the file.
-
-    Attributes:
-        path: the file.
-
-    Example:
-        >>> from pathlib import Path
-        >>> from surctl.marine.bridge import FrameLog, Wire
-        >>> with FrameLog(Path("session.tlog"), epoch=0.0) as log:
-        ...     log.frame(1.5, Wire().heartbeat(), sent=True)
-        >>> int.from_bytes(Path("session.tlog").read_bytes()[:8], "big")  # µs
-        1500000
     """
 
     def __init__(self, path: Path, *, epoch: float | None = None, new: bool = True) -> None:
@@ -83,33 +72,12 @@ def _frames(data: bytes) -> Iterator[bytes]:
 class SessionRecord:
     """The record of a session in a folder: `NAME.tlog` with every frame, and `NAME.mcap` for Foxglove.
 
-    Args:
-        folder: an existing folder.
-        name: name of the files.
-        bridge: the session.
-        epoch: time of the begin [s] of the Unix epoch; default: now.
-        new: whether the files must not exist yet.
-
-    Attributes:
-        files: paths of the two files.
+    `epoch` is the time of the begin [s] of the Unix epoch; default: now. With `new`, the files must not exist yet.
+    `files` are the paths of the two files.
 
     Raises:
         ToolMissing: the package mcap is not installed.
         InputError: a file cannot be written, or is there already.
-
-    Example:
-        >>> from pathlib import Path
-        >>> from surctl.marine.bridge import Bridge, SessionRecord, Wire, plan_session
-        >>> from surctl.marine.simulation import load_scenario
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> plan = plan_session(load_scenario("pool-behind"), load_vehicle("sur400"), law="closed_form")
-        >>> bridge = Bridge(plan, Wire())
-        >>> with SessionRecord(Path(), "swim", bridge) as record:
-        ...     for frame in bridge.period(0.0):
-        ...         record.frame(0.0, frame, sent=True)
-        ...     record.period(bridge)
-        >>> sorted(path.name for path in record.files)
-        ['swim.mcap', 'swim.tlog']
     """
 
     def __init__(

@@ -51,20 +51,7 @@ class LinkQuality:
 
 @dataclass
 class Channel:
-    """One direction of a simulated link.
-
-    Attributes:
-        quality: loss, delay and damage.
-        seed: seed of the random choices.
-        cut: while True, nothing arrives that is sent.
-
-    Example:
-        >>> from surctl.marine.bridge import Channel, LinkQuality
-        >>> channel = Channel(LinkQuality(delay=0.3))
-        >>> channel.send(b"frame", 0.0)
-        >>> channel.arrived(0.2), channel.arrived(0.3)
-        ([], [b'frame'])
-    """
+    """One direction of a simulated link; while `cut` is True, nothing arrives that is sent."""
 
     quality: LinkQuality = field(default_factory=LinkQuality)
     seed: int = 0
@@ -165,14 +152,7 @@ class RehearsalResult:
 
 @dataclass
 class Rehearsal:
-    """A rehearsal while it runs.
-
-    Attributes:
-        bridge, sub: bridge and simulated autopilot.
-        down, up: links from and to the autopilot.
-        log: records the session, or None.
-        now: simulated time [s].
-    """
+    """A rehearsal while it runs, at the time `now` [s]; `down` and `up` are links from and to the autopilot."""
 
     bridge: Bridge
     sub: SimulatedSub
@@ -241,23 +221,10 @@ def rehearse(
 
     Args:
         bridge: the bridge, before its first period.
-        sub: the simulated autopilot.
         link: quality of the link in each direction; default: no loss and no delay.
         seed: seed of the link's losses.
         acts: what happens when. If nobody arms, the operator arms after 3 s; he disarms 1 s after the arrival.
         limit: longest simulated time [s]; default: the scenario's time limit.
-        each: called after each control period.
-        log: records the session.
-
-    Example:
-        >>> from surctl.marine.bridge import Act, Bridge, SimulatedSub, Wire, plan_session, rehearse
-        >>> from surctl.marine.simulation import load_scenario
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> plan = plan_session(load_scenario("pool-behind"), load_vehicle("sur400"), law="closed_form")
-        >>> sub = SimulatedSub(plan.scenario, plan.vehicle)
-        >>> result = rehearse(Bridge(plan, Wire()), sub, acts=[Act(3.0, "arm"), Act(6.0, "cut")], limit=9.0)
-        >>> [after < 0.6 for act, after in result.neutral_after], result.begun
-        ([True], 1)
     """
     quality = link or LinkQuality()
     run = Rehearsal(bridge, sub, Channel(quality, 2 * seed), Channel(quality, 2 * seed + 1), log)

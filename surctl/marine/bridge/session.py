@@ -114,13 +114,7 @@ class Limits:
             )
 
     def oldest(self, trip: float) -> float:
-        """Return the largest age [s] of an estimate when its command reaches the vehicle, for a round trip [s].
-
-        Example:
-            >>> from surctl.marine.bridge import Limits
-            >>> Limits().oldest(0.1), Limits().oldest(0.6)
-            (0.45, 0.75)
-        """
+        """Return the largest age [s] of an estimate when its command reaches the vehicle, for a round trip [s]."""
         return min(max(self.estimate, trip + self.slack), self.lost)
 
 
@@ -216,16 +210,10 @@ def after_arrival(session: Session, now: float) -> Session:
 def after_time(
     session: Session, now: float, *, clock: Clock, steering_mode: int, obstacle: str, limits: Limits, dt: float = 0.0
 ) -> Session:
-    """Return the session at the begin of a control period.
+    """Return the session at the begin of a control period of `dt` [s], for which a command acts.
 
-    Args:
-        session: the session.
-        now: time [s].
-        clock: the autopilot's clock.
-        steering_mode: number of the mode in which the bridge may steer.
-        obstacle: name of a moving obstacle that has been silent for too long; empty if there is none.
-        limits: time-outs.
-        dt: control period [s], for which a command acts.
+    `steering_mode` is the number of the mode in which the bridge may steer. `obstacle` names a moving obstacle that has
+    been silent for too long; empty if there is none.
     """
     if session.phase == "waiting":
         return session

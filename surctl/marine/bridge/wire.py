@@ -128,13 +128,7 @@ MODES: dict[str, Mode] = {
 
 
 def mode_of(name: str, *, key: str = "--mode") -> Mode:
-    """Return a mode by name; InputError if there is no such mode.
-
-    Example:
-        >>> from surctl.marine.bridge import mode_of
-        >>> mode_of("alt_hold").number
-        2
-    """
+    """Return a mode by name; InputError if there is no such mode."""
     check_known(name, MODES, key=key)
     return MODES[name]
 
@@ -171,7 +165,8 @@ class Mapping:
         full_rate: yaw rate [rad/s] at full deflection, 45° times ArduSub's parameter ACRO_YAW_P.
 
     Example:
-        >>> from surctl.marine.bridge import Mapping, mode_of
+        >>> from surctl.marine.bridge import Mapping
+        >>> from surctl.marine.bridge.wire import mode_of
         >>> from surctl.marine.vehicle import load_vehicle
         >>> mapping = Mapping.of(load_vehicle("sur540-flooded"), mode_of("alt_hold"))
         >>> mapping.axes([2.5, 1.0, 0.0, 0.1], yaw_rate=0.1)  # N, N, N, N m; rad/s
@@ -264,11 +259,6 @@ def dialect() -> Any:
 
     Raises:
         ToolMissing: pymavlink is not installed.
-
-    Example:
-        >>> from surctl.marine.bridge import dialect
-        >>> dialect().MAVLINK_MSG_ID_HEARTBEAT
-        0
     """
     try:
         return importlib.import_module("pymavlink.dialects.v20.ardupilotmega")
@@ -311,13 +301,6 @@ class Wire:
         system: system id of the bridge; ArduSub accepts control from its SYSID_MYGCS alone (255 by default).
         send: message for thrust, "rc" (RC_CHANNELS_OVERRIDE) or "manual" (MANUAL_CONTROL).
         bad: number of bytes and messages that were not valid.
-
-    Example:
-        >>> from surctl.marine.bridge import Axes, Wire
-        >>> wire = Wire()
-        >>> frames = wire.control(Axes(ahead=0.5))
-        >>> [message.chan5_raw for message in wire.parse(frames[0])]  # forward, in µs
-        [1700]
     """
 
     def __init__(self, *, target: int = 1, system: int = 255, send: Send | str = "rc") -> None:

@@ -1,24 +1,13 @@
 """The controller: gain files, velocity control, and control laws (each law is one object)."""
 
 from surctl.marine.control.baselines import Situation
-from surctl.marine.control.build import MODES, build_law, build_law_of, in_real
+from surctl.marine.control.build import MODES, build_law
 from surctl.marine.control.decision import Decision, TaskLevel
 from surctl.marine.control.gains import GAINS, LIBRARY, Gains, GainSpec, load_gains, write_gains
-from surctl.marine.control.law import (
-    DEGRADED,
-    SATURATED,
-    SWITCHED,
-    TRAPPED,
-    WORKING,
-    Law,
-    LawStep,
-    with_allocation,
-)
-from surctl.marine.control.mission import ARC_LENGTHS, FED, Feeder
-from surctl.marine.control.ports import CONTACT_SLOTS, INPUTS, PARAMETERS, law_inputs, law_parameters
+from surctl.marine.control.law import DEGRADED, SATURATED, SWITCHED, TRAPPED, WORKING, Law, LawStep
+from surctl.marine.control.ports import ARC_LENGTHS, CONTACT_SLOTS, FED, INPUTS, PARAMETERS
 from surctl.marine.control.registry import LAW_NAMES, LAWS, SONARLESS, check_forces, default_law, law_ref, law_source
 from surctl.marine.control.source import AVOIDANCE, BARRIER, CASCADE, PATH_FOLLOWING, LawSource
-from surctl.marine.control.steering import turning_radius
 from surctl.marine.control.stopping import BARRIER_NAMES, MOVERS, Barrier, Movers
 from surctl.system import NONFINITE
 
@@ -48,7 +37,6 @@ __all__ = [
     "WORKING",
     "Barrier",
     "Decision",
-    "Feeder",
     "GainSpec",
     "Gains",
     "Law",
@@ -58,16 +46,10 @@ __all__ = [
     "Situation",
     "TaskLevel",
     "build_law",
-    "build_law_of",
     "check_forces",
     "default_law",
-    "in_real",
-    "law_inputs",
-    "law_parameters",
     "law_ref",
     "law_source",
     "load_gains",
-    "turning_radius",
-    "with_allocation",
     "write_gains",
 ]

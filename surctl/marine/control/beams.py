@@ -146,18 +146,8 @@ Height = TypeVar("Height", float, ca.SX)
 def floor_range(equipment: Equipment, z: Height) -> Height | None:
     """Return the range [m] from which a law takes echoes for those of the assumed floor; None if it assumes none.
 
-    The floor answers from the range at which the steepest direction of a beam meets it.
-
-    Args:
-        equipment: the sensors that the law assumes.
-        z: height of the robot [m], below 0 in the water; a number or a CasADi symbol.
-
-    Example:
-        >>> from math import radians
-        >>> from surctl.marine.control.beams import floor_range
-        >>> from surctl.marine.sensing import Equipment, SonarArray
-        >>> round(floor_range(Equipment(array=SonarArray(pitch=-radians(18)), floor=5.0), -0.15), 2)
-        5.79
+    At this range the steepest direction of a beam meets the floor; `z` is the height of the robot [m], below 0 in the
+    water.
     """
     depth = equipment.floor
     return None if depth is None else (z + depth) / sin(equipment.array.steepest(-1)) - _TOLERANCE

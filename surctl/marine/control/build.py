@@ -17,23 +17,10 @@ from typing import Any, cast, get_args
 import casadi as ca
 
 from surctl.errors import InputError, SurctlError, check_known
-from surctl.ir import (
-    Block,
-    Call,
-    Layout,
-    Port,
-    Real,
-    Recording,
-    Routine,
-    cached_bytes,
-    fold,
-    read_block,
-    rearranged,
-    source_digest,
-    tabulated,
-    without_libm,
-    write_block,
-)
+from surctl.ir import Block, Call, Layout, Port, Real, Recording, Routine, fold, tabulated, without_libm
+from surctl.ir.c99 import rearranged
+from surctl.ir.cache import cached_bytes, source_digest
+from surctl.ir.stored import read_block, write_block
 from surctl.marine.control.baselines import Situation
 from surctl.marine.control.closing import CLIMB, Closing, Memory, yaw_limit
 from surctl.marine.control.dead_end import aimed_depth, dead_end_next, forgetting, standing
@@ -66,7 +53,8 @@ from surctl.marine.control.reference import learnt, path_following
 from surctl.marine.control.registry import SONARLESS, law_ref, law_source
 from surctl.marine.control.source import LawSource, decision_of, perceived_by, state_layout, thrust_of
 from surctl.marine.control.stopping import BARRIER_NAMES, MOVERS, Barrier, Movers
-from surctl.marine.guidance import FORMS, AvoidanceForm, Guidance, check_guidance
+from surctl.marine.guidance import FORMS, AvoidanceForm, Guidance
+from surctl.marine.guidance.tracking import check_guidance
 from surctl.marine.sensing import Equipment
 from surctl.marine.vehicle import Actuators
 from surctl.own_code import is_own, label, own_file
@@ -113,9 +101,7 @@ def law_bytes(law: Law) -> bytes:
 def law_from(stored: bytes, other: Callable[[str], Block]) -> Law:
     """Load a law from the bytes of `law_bytes`; each part of the law is parsed when it is first used.
 
-    Args:
-        stored: the bytes.
-        other: function from the name of a stage that the bytes do not contain to this stage; called when it is needed.
+    `other` returns a stage by name that the bytes do not contain; it is called when that stage is needed.
     """
     first, _, rest = stored.decode().partition("\n")
     head = json.loads(first)
@@ -213,21 +199,6 @@ def in_real(law: Law, real: Real) -> Law:
     With the tolerances for double, the solver would never stop in float, because the rounding errors of float exceed
     these tolerances. Without allocation to thrusters, a law in mode nsb is returned unchanged, because it uses no
     solver tolerances.
-
-    Example:
-        >>> import numpy as np
-        >>> from surctl.marine.control import build_law, in_real, load_gains
-        >>> from surctl.ir import replay
-        >>> from surctl.marine.simulation import law_numbers, load_scenario
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> law = build_law("paper", mode="projected", contacts=1)
-        >>> p = law_numbers(load_scenario("pool-behind"), load_gains("default"), load_vehicle("sur400"))
-        >>> inputs = [v[None] for v in (law.initial_state(), law.inputs.pack({"eta": [1.2, 0.8, -0.15, 0.5]}), p)]
-        >>> for variant, real in ((law, np.float64), (in_real(law, "float32"), np.float32)):
-        ...     tau = replay(variant.block, *inputs, real=real)[0]
-        ...     print(tau.dtype, [round(float(f), 2) for f in tau[0, [0, 1]]])
-        float64 [5.0, 0.88]
-        float32 [5.0, 0.88]
     """
     if real == "float64":
         return law
@@ -414,13 +385,7 @@ def _cached_law(chosen: _Configuration) -> Law:
 
 
 def build_law_of(source: LawSource) -> Law:
-    """Build the law of a source for exact obstacle positions, in its first priority mode; the law is not cached.
-
-    Example:
-        >>> from surctl.marine.control import LAWS, build_law_of
-        >>> build_law_of(LAWS["closed_form"]).name
-        'surctl_closed_form'
-    """
+    """Build the law of a source for exact obstacle positions, in its first priority mode; the law is not cached."""
     mode = (source.modes or MODES)[0]
     contacts = CONTACT_SLOTS if source.slots is None else source.slots
     truth = (0.05, contacts, False, DEFAULT_EQUIPMENT, True)

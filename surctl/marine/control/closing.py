@@ -48,26 +48,20 @@ def velocity_control(
     dt: float,
     calm: Callable[[ca.SX], ca.SX] | None = None,
 ) -> tuple[ca.SX, ca.SX, ca.SX]:
-    """Return the limited thrust, the next integral ξ, and whether a limit is reached.
+    """Return the thrust (4, 1) [N, N m] within its limits, the next integral ξ (4, 1), and 1 if an axis is saturated.
 
     Before the limits, the thrust is D(ν_d)ν_d + M (K (ν_d − ν) + ξ) with the drag D, the mass matrix M and the gains K.
+    Each axis is limited separately, because a common scaling would allow a large sideways command to remove most of the
+    braking force.
 
     Args:
-        nu_reference: ν_d (4, 1) [m/s, rad/s] in {B}.
-        nu: measured velocity over ground (4, 1) in {B}.
+        nu_reference, nu: ν_d and measured velocity over ground (4, 1) [m/s, rad/s] in {B}.
         integral: ξ (4, 1) [m/s², rad/s²].
         model: `mass`, `linear_drag`, `quadratic_drag` and `thrust_limit` of the controller's model, each (4, 1).
         k_v: bandwidth in surge, sway and heave [1/s], one number or (3, 1).
-        k_r: bandwidth in yaw [1/s].
-        k_i: integral gain [1/s²]; the integral of an axis does not change while the thrust of this axis is saturated
+        k_r, k_i: bandwidth in yaw [1/s], and integral gain [1/s²]; the integral of a saturated axis does not change
             (conditional anti-windup).
-        dt: control period [s].
-        calm: function that keeps measurement noise out of the thrust before its limits (`calmed`), or None.
-
-    Returns:
-        The thrust (4, 1) [N, N m] within the limits, the next integral (4, 1), and 1 if the thrust of an axis is
-        saturated, otherwise 0. Each axis is limited separately, because a common scaling of the horizontal force would
-        allow a large sideways command to remove most of the braking force.
+        calm: function that keeps measurement noise out of the thrust before its limits (`control.calm`), or None.
     """
     error = nu_reference - nu
     gain = ca.vertcat(ca.SX.ones(3) * k_v, k_r)
@@ -128,26 +122,12 @@ CALM_GAINS: Mapping[str, GainSpec] = {
 
 
 def calm_parameters(p: Mapping[str, ca.SX]) -> dict[str, ca.SX]:
-    """Return the parameters with the shares of `reaction` and `k2` that the decision of a calm law uses.
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.marine.control.closing import calm_parameters
-        >>> float(calm_parameters({"prompt": ca.DM(0.8), "reaction": ca.DM(0.5), "k2": ca.DM(0.3)})["reaction"])
-        0.4
-    """
+    """Return the parameters with the shares of `reaction` and `k2` that the decision of a calm law uses."""
     return {**p, "reaction": p["prompt"] * p["reaction"], "k2": _DEPTH * p["k2"]}
 
 
 def soft_gain(p: Mapping[str, ca.SX]) -> ca.SX:
-    """Return the bandwidth (3, 1) of the velocity loops in surge, sway and heave [1/s].
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.marine.control.closing import soft_gain
-        >>> soft_gain({"k_v": ca.DM(1.5), "soft": ca.DM(0.5)})
-        DM([0.75, 0.75, 0.27])
-    """
+    """Return the bandwidth (3, 1) of the velocity loops in surge, sway and heave [1/s]."""
     return p["k_v"] * ca.vertcat(p["soft"], p["soft"], _HEAVE)
 
 
@@ -155,22 +135,9 @@ def beside_margin(normal: ca.SX, *, course: ca.SX, now: ca.SX, full: ca.SX, p: M
     """Return the margin [m] to a mark of the map: `margin` ahead, and its share `beside` beside the desired course.
 
     In a gap between two marks the robot passes both, and does not approach them. Ahead the margin covers an obstacle
-    that drifts towards the robot within the blind range of its sonars.
-
-    Args:
-        normal: unit vector (2, 1) from the robot to the mark, in {E}.
-        course: desired velocity (2, 1) in {E} [m/s].
-        now: velocity over ground (2, 1) in {E} [m/s]; a mark that the robot approaches is ahead, too.
-        full: 1 where every mark needs `margin`.
-        p: parameters by name: `margin`, `beside`.
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.marine.control.closing import beside_margin
-        >>> p, to_x = {"margin": ca.DM(0.05), "beside": ca.DM(0.2)}, ca.DM([0.15, 0])
-        >>> marks = (ca.DM([1, 0]), ca.DM([0, 1]), ca.DM([-1, 0]))
-        >>> [round(float(beside_margin(n, course=to_x, now=to_x, full=ca.DM(0), p=p)), 3) for n in marks]
-        [0.05, 0.01, 0.01]
+    that drifts towards the robot within the blind range of its sonars. `normal` is the unit vector (2, 1) to the mark;
+    a mark in the direction of the desired velocity `course` or of the velocity over ground `now` [m/s] is ahead. Where
+    `full` is 1, every mark needs `margin`.
     """
     cosine = ca.fmax(_cosine(normal, course, 1e-3), _cosine(normal, now, _SLOW))
     ahead = ca.fmin(ca.fmax((cosine - _BESIDE) / (_AHEAD - _BESIDE), 0), 1)
@@ -183,21 +150,9 @@ def calmed(free: ca.SX, held: ca.SX, acceleration: ca.SX, *, p: Mapping[str, ca.
     The yaw moment is the demand. The half width of the band is at most 30 % of the thrust limit.
 
     Args:
-        free: demanded thrust (4, 1) before the limits, without acceleration of the reference [N, N m].
-        held: thrust command of the step before (4, 1) [N, N m].
+        free, held: demanded thrust before the limits, without acceleration of the reference, and command of the step
+            before (4, 1) [N, N m].
         acceleration: acceleration of the reference (2, 1) in {B} [m/s²]; the share `feed_forward` of it is used.
-        p: parameters by name: `mass`, `k_v`, `thrust_limit`, `soft`, `feed_forward`, `still`, `settle`.
-        dt: control period [s].
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.marine.control.closing import calmed
-        >>> p = {"mass": ca.DM([95, 95, 95, 1.5]), "thrust_limit": ca.DM([5, 5, 5, 0.5])}
-        >>> p |= {"k_v": 1.5, "soft": 1.0, "feed_forward": 0.5, "still": 0.007, "settle": 0.95}
-        >>> rest = ca.DM.zeros(2)
-        >>> near, far = (calmed(ca.DM([f, 0, 0, 0]), ca.DM.zeros(4), rest, p=p, dt=0.05)[0] for f in (0.8, 3.0))
-        >>> round(float(near), 2), round(float(far), 2)  # the band is 1 N wide on either side
-        (0.04, 2.0)
     """
     free = free + p["feed_forward"] * p["mass"] * ca.vertcat(acceleration, 0, 0)
     width = ca.fmin(p["mass"][:3] * soft_gain(p) * p["still"], _WIDEST * p["thrust_limit"][:3])
@@ -217,24 +172,8 @@ def eased(
     """Return a velocity between the reference of the step before and the desired one, within the bounds.
 
     Where the reference would exceed a speed bound that the desired velocity respects, it follows faster, as far as the
-    bound requires.
-
-    Args:
-        velocity: desired velocity (2, 1) in {E} [m/s].
-        before: velocity reference of the step before (2, 1) in {E} [m/s].
-        bounds: speed bounds.
-        time: time constant [s].
-        fastest: largest acceleration of the reference [m/s²].
-        dt: control period [s].
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.marine.control.closing import eased
-        >>> slow, still, how = ca.SX([0.2, 0.0]), ca.SX([0.0, 0.0]), {"time": 0.45, "fastest": 1.0, "dt": 0.05}
-        >>> free = eased(still, slow, [(ca.SX([0.0, 1.0]), ca.SX(1.0))], **how)
-        >>> wall = eased(still, slow, [(ca.SX([1.0, 0.0]), ca.SX(0.05))], **how)
-        >>> ca.DM(free).full().ravel().round(3).tolist(), ca.DM(wall).full().ravel().round(3).tolist()
-        ([0.18, 0.0], [0.05, 0.0])
+    bound requires. Both velocities are (2, 1) in {E} [m/s]; `time` is the time constant [s] and `fastest` the largest
+    acceleration of the reference [m/s²].
     """
     step = velocity - before
 
@@ -248,34 +187,12 @@ def eased(
 
 
 def pushed(velocity: ca.SX, before: ca.SX, held: ca.SX, *, dt: float) -> ca.SX:
-    """Return the low-pass filtered acceleration (2, 1) of the velocity reference in {E} [m/s²].
-
-    Args:
-        velocity: velocity reference (2, 1) in {E} [m/s].
-        before: velocity reference of the step before (2, 1) in {E} [m/s].
-        held: result of the step before (2, 1) [m/s²].
-        dt: control period [s].
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.marine.control.closing import pushed
-        >>> rest = ca.DM([0.0, 0.0])
-        >>> pushed(ca.DM([0.011, 0.0]), rest, rest, dt=0.05)
-        DM([0.0244444, 0])
-    """
+    """Return the low-pass filtered acceleration (2, 1) [m/s²] of the reference in {E}; `held` is the last one."""
     return held + dt / (dt + _SMOOTH) * ((velocity - before) / dt - held)
 
 
 class AxisVector(ca.SX):
-    """A vector (4, 1) of surge, sway, heave and yaw whose entries also have names.
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.marine.control.closing import AxisVector
-        >>> nu = AxisVector(ca.SX([0.2, 0.0, 0.0, 0.1]))
-        >>> nu["r"], nu[3]
-        (SX(0.1), SX(0.1))
-    """
+    """A vector (4, 1) of surge, sway, heave and yaw whose entries also have names."""
 
     NAMES = ("u", "v", "w", "r")
 

@@ -73,13 +73,8 @@ def aimed_depth(
 ) -> tuple[ca.SX, ca.SX]:
     """Return z of the present layer (during a change of depth, of the next layer), and z for the depth task [m].
 
-    The z for the depth task is limited such that, with the depth gain `k2`, the robot can always stop in free water.
-
-    Args:
-        x: state of the law, including the entries `LAYER_PORTS`.
-        eta, nu: (4, 1) pose in {E} and velocity in {B}.
-        column: (2, 1) free water above and below the hull [m].
-        p: parameters: `depth`, `hull`, `margin`, `k2`, `brake`, `reaction`, thrust and mass.
+    The z for the depth task is limited such that, with the depth gain `k2`, the robot can always stop in the free water
+    above and below the hull, `column` (2, 1) [m].
     """
     goal, z = _goal(x, p), eta[2]
     deceleration = p["brake"] * p["thrust_limit"][2] / p["mass"][2]
@@ -113,17 +108,11 @@ def _layers_next(
     reached: ca.SX,
     ended: ca.SX,
 ) -> dict[str, ca.SX]:
-    """Return the next values of the state entries `dead_end.DEAD_END_PORTS` and `LAYER_PORTS`.
+    """Return the next values of the state entries `DEAD_END_PORTS` and `LAYER_PORTS`.
 
-    Args:
-        dead_end: the next values of `DEAD_END_PORTS` that would hold if the depth could not change; `trapped` means a
-            dead end at the present layer.
-        x: state of the law.
-        eta, nu: (4, 1) pose in {E} and velocity in {B}.
-        column: (2, 1) free water above and below the hull [m].
-        p: see `aimed_depth`.
-        reached: arc length of the robot's projection on its path [m].
-        ended: 1 at the end of the path.
+    `dead_end` has the next values of `DEAD_END_PORTS` that would hold if the depth could not change; `trapped` means a
+    dead end at the present layer. `reached` is the arc length of the robot's projection on its path [m], and `ended` is
+    1 at the end of the path.
     """
     was, layer, changing = x["trapped"] > 0.5, x["layer"], x["changing"]
     moves, returns = changing > 0.5, changing > 1.5
@@ -186,14 +175,7 @@ SEARCH_PORT = Port("searching", (1,), "s", "time without progress along the path
 
 
 def standing(desired: DesiredMotion, x: Mapping[str, ca.SX], eta: ca.SX, p: Mapping[str, ca.SX]) -> DesiredMotion:
-    """Return the desired motion; after a dead end and during a change of depth, the robot holds its position.
-
-    Args:
-        desired: the motion along the path.
-        x: state with `DEAD_END_PORTS`, and with `LAYER_PORTS` if other depths are allowed.
-        eta: (4, 1) pose in {E}.
-        p: parameters; the function uses `cruise`.
-    """
+    """Return the desired motion; after a dead end and during a change of depth, the robot holds its position."""
     offset = ca.vertcat(x["searched"][0], x["searched"][2]) - eta[:2]
     distance = ca.sqrt(ca.sumsqr(offset))
     holding = offset * ca.fmin(HOLD, p["cruise"] / ca.fmax(distance, 1e-3))
@@ -217,18 +199,13 @@ def dead_end_next(
     """Return the next values of the state entries `DEAD_END_PORTS`, and of `LAYER_PORTS` if depths may change.
 
     Args:
-        desired: the desired motion of this step.
         contacts: known obstacles that may move.
-        x: state of the law.
-        eta: (4, 1) pose in {E}.
         stopped: 1 while the law stops because it does not know what is ahead.
-        p: parameters `patience` (0: never report a dead end) and `waypoints`; if other depths are allowed, also the
-            parameters of `aimed_depth`.
-        nu: (4, 1) velocity in {B}; required if other depths are allowed.
-        column: (2, 1) free water above and below the hull [m]; None: only the path's depth is allowed.
-        dt: control period [s].
-        limit: time without progress along the path [s] after which the law gives up; the next value of `SEARCH_PORT` is
-            then returned too. None: no limit.
+        p: parameters `patience` (0: never report a dead end) and `waypoints`, and for `aimed_depth`.
+        nu, column: needed if other depths are allowed: (4, 1) velocity in {B}, and (2, 1) free water above and below
+            the hull [m].
+        limit: time without progress along the path [s] after which the law gives up, and the next value of
+            `SEARCH_PORT` is returned too; None: no limit.
     """
     here = ca.vertcat(eta[0], eta[0], eta[1], eta[1])
     signs = ca.DM([-1, 1, -1, 1])

@@ -10,7 +10,8 @@ import casadi as ca
 
 from surctl.ir import Port
 from surctl.marine.control.reference import DesiredMotion
-from surctl.marine.guidance import Contact, disc_contacts, point_contact, wall_contacts
+from surctl.marine.guidance import Contact
+from surctl.marine.guidance.contacts import disc_contacts, point_contact, wall_contacts
 from surctl.marine.sensing import SensorFilter, SonarArray
 from surctl.marine.sensing.mapping.contacts import ContactMemory, expected_range, sonar_contacts
 from surctl.tasks import HalfPlane, Task, depth_task, heading_task
@@ -57,14 +58,8 @@ class Perception:
 def perceive(x: Mapping[str, ca.SX], u: Mapping[str, ca.SX], p: Mapping[str, ca.SX], *, dt: float) -> Perception:
     """Filter the sonar ranges, remove echoes that walls or known obstacles explain, and return all obstacle points.
 
-    Without input `contacts` no obstacle is known; without input `samples` the law has no sonars.
-
-    Args:
-        x: state entries by name, including those of `perception_ports`.
-        u: inputs of the law by name; the function uses `eta`, `contacts`, `samples` and `fresh`.
-        p: parameters by name; the function uses the gains `lambda1`, `lms_step` and `beta_max`, the model's `hull` and
-            the mission's `walls`.
-        dt: control period [s].
+    State `x` (see `perception_ports`), inputs `u` and parameters `p` are by name. Without input `contacts` no obstacle
+    is known; without input `samples` the law has no sonars.
     """
     position, hull, rows = u["eta"][:2], p["hull"], u.get("contacts", ca.SX.zeros(0, 6))
     known = disc_contacts(position, hull, rows)

@@ -144,13 +144,7 @@ class Gains:
 
 
 def setting(name: str, value: float) -> str:
-    """Return the line of a gain file that sets a gain, to quote in a text.
-
-    Example:
-        >>> from surctl.marine.control.gains import setting
-        >>> setting("margin", 0.929)
-        'margin = "0.929 m"'
-    """
+    """Return the line of a gain file that sets a gain, to quote in a text."""
     return f'{name} = "{value:g} {GAINS[name].unit}"'
 
 

@@ -20,18 +20,9 @@ from surctl.marine.control.decision import Decision, Perception, Scan, TaskLevel
 from surctl.marine.control.ports import LAUNCHED, SECTORS
 from surctl.marine.control.reference import DesiredMotion
 from surctl.marine.control.stopping import Bounds, Stop, braked
-from surctl.marine.guidance import (
-    FAR,
-    SAME_CONTACT,
-    Cone,
-    Contact,
-    Sector,
-    choose_velocity,
-    collision_cone,
-    inside,
-    round_unknown,
-    slowed,
-)
+from surctl.marine.guidance import FAR, SAME_CONTACT, Cone, Contact, Sector, inside
+from surctl.marine.guidance.contacts import collision_cone
+from surctl.marine.guidance.sectors import choose_velocity, round_unknown, slowed
 from surctl.marine.vehicle import planar_rotation
 from surctl.tasks import HalfPlane, velocity_task
 

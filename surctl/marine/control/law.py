@@ -18,13 +18,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError
-from surctl.ir import Block, Call, Layout, Port, Program, Real, Routine, lower, on_vectors, runnable, to_casadi
-from surctl.marine.allocation import allocation_block
+from surctl.ir import Block, Call, Layout, Port, Program, Real, Routine, lower, on_vectors, to_casadi
+from surctl.ir.native import runnable
+from surctl.marine.allocation.program import allocation_block
 from surctl.marine.control.perception import LAST_THRUST, PerceptionStage
 from surctl.marine.control.ports import PARAMETERS
 from surctl.marine.control.stopping import Barrier, Movers
 from surctl.marine.guidance import AvoidanceForm, Guidance
-from surctl.marine.vehicle import Actuators, axis_limits
+from surctl.marine.vehicle import Actuators
+from surctl.marine.vehicle.thruster_file import axis_limits
 from surctl.priority import Fallback, Level, Mode, PriorityProblem, PrioritySolution, Row, solve
 from surctl.priority.solver.elimination import FLOAT32, FLOAT64, Precision
 from surctl.system import NONFINITE
@@ -306,15 +308,7 @@ def _allocation_outputs(actuators: Actuators) -> tuple[Port, ...]:
 
 @cache
 def with_allocation(law: Law, actuators: Actuators, *, real: Real = "float64") -> Law:
-    """Return the law with allocation to the thrusters; it has one more input, `working`, and further outputs.
-
-    Example:
-        >>> from surctl.marine.control import build_law, with_allocation
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> law = with_allocation(build_law("closed_form"), load_vehicle("bluerov2-heavy").actuators)
-        >>> [port.name for port in law.outputs][-3:], law.inputs.port("working").shape
-        (['tau_desired', 'thruster_force', 'thruster_command'], (8,))
-    """
+    """Return the law with allocation to the thrusters; it has one more input, `working`, and further outputs."""
     precision = PRECISIONS[real]
     if actuators.fins and "nu" not in law.inputs:
         problem = "measures no velocity, on which the force of a rudder depends"

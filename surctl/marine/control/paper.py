@@ -22,7 +22,9 @@ from surctl.marine.control.decision import (
 )
 from surctl.marine.control.ports import DEFAULT_ARRAY
 from surctl.marine.control.reference import DesiredMotion
-from surctl.marine.guidance import FAR, AvoidanceForm, Contact, avoidance_course, encounter_side, nearest_in_quadrants
+from surctl.marine.guidance import FAR, AvoidanceForm, Contact
+from surctl.marine.guidance.avoidance import avoidance_course, encounter_side
+from surctl.marine.guidance.contacts import nearest_in_quadrants
 from surctl.marine.vehicle import planar_rotation
 from surctl.tasks import velocity_task
 
@@ -51,9 +53,6 @@ def known_obstacle(u: Mapping[str, ca.SX], p: Mapping[str, ca.SX]) -> Perception
     """Return a `Perception` that contains only the obstacle in input `contacts` (1, 6), and no walls.
 
     The components of the direction to the obstacle are clamped to [-1, 1], because rounding errors could exceed 1.
-
-    Raises:
-        InputError: the input does not hold exactly one obstacle.
     """
     slots = u["contacts"].shape[0] if "contacts" in u else 0
     if slots != 1:
@@ -72,15 +71,7 @@ def known_obstacle(u: Mapping[str, ca.SX], p: Mapping[str, ca.SX]) -> Perception
 def closed_form_law(
     desired: DesiredMotion, perceived: Perception, x: Mapping[str, ca.SX], eta: ca.SX, p: Mapping[str, ca.SX]
 ) -> Decision:
-    """Return the decision of the law `closed_form`; its tasks are combined by a damped null-space projection.
-
-    Args:
-        desired: the motion along the path without obstacles.
-        perceived: the result of `known_obstacle`.
-        x: state, with the entry `side` (passing side).
-        eta: (4, 1) pose.
-        p: parameters; the function uses the gains `margin`, `kappa` and the mission's `cruise`, `cap`.
-    """
+    """Return the decision of the law `closed_form`; its tasks are combined by a damped null-space projection."""
     (contact,) = perceived.known
     n, left = contact.normal, ca.vertcat(-contact.normal[1], contact.normal[0])
     bound = p["kappa"] * (contact.clearance - p["margin"]) + contact.closing

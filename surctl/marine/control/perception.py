@@ -25,19 +25,8 @@ from typing import NamedTuple
 import casadi as ca
 
 from surctl.errors import InputError
-from surctl.ir import (
-    Block,
-    Call,
-    Layout,
-    Port,
-    Program,
-    Recording,
-    Routine,
-    each,
-    lower_named,
-    rearranged,
-    without_libm,
-)
+from surctl.ir import Block, Call, Layout, Port, Program, Recording, Routine, each, lower_named, without_libm
+from surctl.ir.c99 import rearranged
 from surctl.marine.control.beams import (
     SILENT,
     StepState,
@@ -124,13 +113,10 @@ def face_after(
     hull: ca.SX,
     deep: ca.SX,
 ) -> Face:
-    """Return the face beside the robot after the firings of one control period.
+    """Return the face beside the robot, by name as in `FACE_PORTS`, after the firings of one control period.
 
     Args:
-        x: state by name, see `FACE_PORTS`.
-        firings: the firings of all sensors.
         position: the robot's place (2, 1) in {E} [m].
-        dt: control period [s].
         blind: longest range that a sensor cannot measure [m].
         hull: radius of the hull [m].
         deep: distance [m] by which the point in `foot` lies behind the face, as the centre of a marked cell does.
@@ -233,8 +219,7 @@ class PerceptionStage:
 
     Attributes:
         state: layout of the perception state, with `LAST_THRUST` first.
-        inputs: layout of the perception inputs.
-        outputs: layout of the perception outputs, which are the inputs of the decision.
+        outputs: layout of the inputs of the decision.
         block: instruction list or routine that maps (state, inputs, parameters) to (next state without `LAST_THRUST`,
             outputs). If other depths are allowed, it has a fourth input, which is 1 in a step in which the map is
             cleared.
@@ -255,18 +240,7 @@ def build_perception(
     model_noise: float = OwnStateFilter.model_noise,
     acceleration_noise: float = OwnStateFilter.acceleration_noise,
 ) -> PerceptionStage:
-    """Assemble the perception of a law for its sensors.
-
-    Args:
-        equipment: the sensors that the law assumes.
-        inputs: see `ports.sonar_inputs`.
-        outputs: see `ports.scan_inputs`.
-        dt: control period [s].
-        model_noise, acceleration_noise: see `OwnStateFilter`.
-
-    Raises:
-        InputError: the hull divides the beam of a sonar into two parts.
-    """
+    """Assemble the perception of a law for the sensors that it assumes."""
     return _Builder(equipment, inputs, outputs, dt, model_noise, acceleration_noise).build()
 
 

@@ -19,6 +19,13 @@ from surctl.marine.vehicle import Vehicle
 from surctl.marine.vehicle.linearise import ahead_limit
 
 CONTACT_SLOTS = 8
+
+ARC_LENGTHS = ("progress", "furthest", "beyond")
+"""Entries of a law's state that are arc lengths of its path, and so change when the window of a mission moves."""
+
+FED = ("waypoints", "depth", "cruise", "visit")
+"""Parameters of a law that its host feeds during a mission, see `guidance.following`."""
+
 DEFAULT_ARRAY = SonarArray()
 YAW_SHARE = 0.85
 """Share of the largest yaw moment that a planned yaw rate may use."""
@@ -49,21 +56,9 @@ _COLUMN = Port(
 
 
 def law_inputs(contacts: int = CONTACT_SLOTS, *, sonar: bool = True, depths: bool = False) -> Layout:
-    """Return the layout of the inputs of a law in each control step.
+    """Return the layout of the inputs of a law in each control step, with room for `contacts` known obstacles.
 
-    Args:
-        contacts: number of known obstacles that the input can hold, 0 or more.
-        sonar: whether the law uses the sonars.
-        depths: whether the law may leave a dead end at another depth; then the robot needs echo sounders that look up
-            and down.
-
-    Example:
-        >>> from surctl.marine.control import law_inputs
-        >>> inputs = law_inputs(3, sonar=False)
-        >>> [port.name for port in inputs.ports], inputs.port("contacts").shape
-        (['eta', 'nu', 'contacts'], (3, 6))
-        >>> [port.name for port in law_inputs(3, depths=True).ports]
-        ['eta', 'nu', 'contacts', 'samples', 'fresh', 'column']
+    With `depths`, the law may leave a dead end at another depth, for which the robot has echo sounders up and down.
     """
     known = Port(
         "contacts",
@@ -88,13 +83,7 @@ INPUTS = law_inputs()
 
 
 def sonar_inputs(equipment: Equipment, *, contacts: int = CONTACT_SLOTS, depths: bool = False) -> Layout:
-    """Return the layout of the inputs in each control step, for a law with a sonar map.
-
-    Args:
-        equipment: the sensors of the robot.
-        contacts: largest number of moving obstacles in a message of the base station, 0 or more.
-        depths: see `law_inputs`.
-    """
+    """Return the layout of the inputs of a law with a sonar map; a message of the base station has `contacts` rows."""
     array, own = equipment.array, equipment.own
     pose: tuple[Port, ...] = _POSE
     if own is not None:
@@ -120,13 +109,7 @@ def sonar_inputs(equipment: Equipment, *, contacts: int = CONTACT_SLOTS, depths:
 
 
 def scan_inputs(contacts: int, *, sensors: int, depths: bool = False) -> Layout:
-    """Return the layout of perception's outputs, which are the inputs of the decision, for a law with a sonar map.
-
-    Args:
-        contacts: total number of obstacle points, from the base station and from the map.
-        sensors: number of sonars.
-        depths: see `law_inputs`.
-    """
+    """Return the layout of perception's outputs, the inputs of the decision; `contacts` points of station and map."""
     return Layout(
         (
             *_POSE,
@@ -239,22 +222,6 @@ def law_parameters(
         launch: distance from the hull within which the water is known to be free at the start [m].
         visit: distance to a corner of the path [m], at or below which the corner counts as visited; 0: corners may be
             cut.
-
-    Example:
-        >>> from surctl.marine.control import PARAMETERS, law_parameters, load_gains
-        >>> from surctl.marine.guidance import Path
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> p = law_parameters(
-        ...     load_gains("default"),
-        ...     load_vehicle("sur400"),
-        ...     path=Path([[0.5, 1.0], [2.5, 1.0]]),
-        ...     depth=-0.3,
-        ...     cruise=0.15,
-        ...     cap=0.2,
-        ...     walls=(0.0, 3.0, 0.0, 2.0),
-        ... )
-        >>> p.shape, p[PARAMETERS.slice("thrust_limit")].tolist(), p[PARAMETERS.slice("walls")].tolist()
-        ((70,), [5.0, 5.0, 5.0, 0.5], [0.0, 3.0, 0.0, 2.0])
     """
     vehicle = vehicle.at_speed(cruise)
     brakes = brakes_of(vehicle)

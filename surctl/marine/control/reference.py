@@ -8,19 +8,15 @@ from dataclasses import dataclass
 import casadi as ca
 
 from surctl.marine.control.steering import Steering
-from surctl.marine.guidance import (
-    AT_CORNER,
-    Guidance,
+from surctl.marine.guidance import AT_CORNER, Guidance
+from surctl.marine.guidance.path import leg_end, next_leg, path_target, wheel_over
+from surctl.marine.guidance.tracking import (
     along_command,
     crosstrack_next,
     crosstrack_shift,
-    leg_end,
-    next_leg,
     path_error,
-    path_target,
     progress_rate,
     tracking_velocity,
-    wheel_over,
 )
 from surctl.marine.vehicle import planar_rotation
 from surctl.tasks import allowed_closing_speed
@@ -68,10 +64,7 @@ def path_following(
     Args:
         eta: (4, 1) measured pose in {E}.
         progress: present arc length of the target point on the path [m].
-        p: parameters by name: gains `k1`, `lookahead`, `wait`, `k_v`, `brake`, `reaction`; the vehicle model; mission
-            `waypoints`, `visit`, `cruise`, `cap`.
-        dt: control period [s].
-        guidance: `los`, `ilos` or `alos`; see `guidance.tracking`.
+        p: gains, vehicle model and mission by name.
         memory: present disturbance estimate of guidance `ilos` or `alos`; None for `los`.
         steering: abilities of a craft without sway force, if the law steers by heading and speed: the craft stops by
             its surge force alone, and begins its turns before the corners that it passes.
@@ -127,20 +120,11 @@ def learnt(
     *,
     dt: float,
 ) -> ca.SX:
-    """Return the disturbance estimate of guidance `ilos` or `alos` after one control period.
+    """Return the disturbance estimate `memory` of guidance `ilos` or `alos` after one control period.
 
     The estimate does not change while the robot avoids an obstacle, is far behind the target point, approaches a target
-    point at rest, or returns to the path at half the commanded speed or more. In these cases the cross-track error does
-    not come from a steady disturbance, so an update of the estimate would lead to overshoot.
-
-    Args:
-        guidance: `ilos` or `alos`.
-        desired: the desired motion of this step.
-        memory: present disturbance estimate; see `guidance.tracking`.
-        eta, nu: (4, 1) pose in {E} and velocity in {B}.
-        avoiding: 1 while an obstacle changes the desired velocity.
-        p: parameters by name; see `path_following`.
-        dt: control period [s].
+    point at rest, or returns to the path at half the commanded speed or more: then the cross-track error does not come
+    from a steady disturbance, and an update would lead to overshoot.
     """
     over_ground = planar_rotation(eta[3]) @ nu[:2]
     across = desired.tangent[0] * over_ground[1] - desired.tangent[1] * over_ground[0]

@@ -9,7 +9,8 @@ from typing import Any, cast, get_args
 import casadi as ca
 
 from surctl.errors import InputError, check_known, nearest
-from surctl.ir import Layout, Port, identifier
+from surctl.ir import Layout, Port
+from surctl.ir.c99 import identifier
 from surctl.marine.control.baselines import Situation
 from surctl.marine.control.closing import Thrust
 from surctl.marine.control.dead_end import DEAD_END_PORTS, LAYER_PORTS, SEARCH_PORT
@@ -164,16 +165,7 @@ def _check_port(name: str, unit: str, *, where: str, reserved: frozenset[str]) -
 def state_layout(
     source: LawSource, dt: float, guidance: Guidance, *, sonar: bool, depths: bool, limited: bool
 ) -> Layout:
-    """Return the layout of the state of a law without perception.
-
-    Args:
-        source: the source of the law.
-        dt: control period [s].
-        guidance: path following.
-        sonar: whether the law uses sonars, without a map.
-        depths: whether the law may leave a dead end at another depth.
-        limited: whether the law has a search limit.
-    """
+    """Return the layout of the state of a law without perception; `limited` says whether the law has a search limit."""
     unit = {"ilos": "s", "alos": "1"}.get(guidance, "")
     memory = (Port("drift", (1,), unit, f"estimate of guidance {guidance} for a steady disturbance"),) if unit else ()
     return Layout(
@@ -218,13 +210,7 @@ def thrust_of(source: LawSource, reference: str) -> Thrust | None:
 
 
 def _checked_decision(decision: object, source: LawSource, *, file: object) -> Decision:
-    """Return the decision, as expressions, if it has the shapes, units and names of its law; else raise InputError.
-
-    Args:
-        decision: what the function `decide` returned.
-        source: the source of the law.
-        file: the file of the law, for error messages.
-    """
+    """Return the decision, as expressions, if it has the shapes, units and names of its law; else raise InputError."""
 
     def fail(problem: str, key: str, remedy: str) -> InputError:
         return InputError(problem, file=file, key=f"{source.name}.{key}", remedy=remedy)
@@ -270,11 +256,7 @@ def _symbolic(value: Any, source: LawSource, key: str, *, file: object) -> ca.SX
 
 
 def _checked_thrust(returned: object, source: LawSource, *, file: object) -> tuple[ca.SX, ca.SX]:
-    """Return `returned` (from a law's function `thrust`) if it is a thrust (4, 1) and a next state (4, 1).
-
-    Raises:
-        InputError: the function returned anything else.
-    """
+    """Return `returned` (from a law's function `thrust`) if it is a thrust (4, 1) and a next state (4, 1)."""
     remedy = "return (thrust (4, 1), next state (4, 1))"
     if not isinstance(returned, tuple) or len(returned) != 2:
         raise InputError(f"returned {type(returned).__name__}", file=file, key=f"{source.name}.thrust", remedy=remedy)

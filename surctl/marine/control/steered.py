@@ -96,18 +96,10 @@ def _sided(offset: ca.SX | float) -> ca.SX | bool:
 def _best_course(
     s: Situation, course: ca.SX, speed: ca.SX, hull: ca.SX, water: ca.SX, steering: Steering
 ) -> tuple[ca.SX, ca.SX, ca.SX, dict[str, ca.SX]]:
-    """Return the offset from the desired course [rad], the share of the desired speed, the cost of both, and the state.
+    """Return offset from the desired course [rad], share of the desired speed, cost, and next `_SEARCH_PORTS`.
 
-    Args:
-        s: the situation.
-        course: unit vector (2, 1) of the desired course in {E}.
-        speed: desired speed [m/s].
-        hull: unit vector (2, 1) of the hull in {E}.
-        water: surge speed through the water [m/s].
-        steering: abilities of the craft.
-
-    Returns:
-        Offset, share and cost, and the next state of `_SEARCH_PORTS`.
+    `course` and `hull` are unit vectors (2, 1) in {E}, `speed` is the desired speed, and `water` the surge speed
+    through the water [m/s].
     """
     p, side = s.p, s.x["side"]
     stopping = p["cruise"] ** 2 / (2 * steering.deceleration) + p["cruise"] * p["reaction"]

@@ -107,19 +107,7 @@ def steering_of(p: Mapping[str, ca.SX]) -> Steering:
 
 
 def turning_radius(vehicle: Vehicle, gains: Mapping[str, float], speed: float) -> float:
-    """Return the radius [m] of the turn that a law may plan for a craft at a surge speed [m/s]; see the module.
-
-    Args:
-        vehicle: the craft.
-        gains: the gain `sideslip` by name; other gains are ignored.
-        speed: surge speed u > 0 [m/s], taken as the cruise speed.
-
-    Example:
-        >>> from surctl.marine.control import turning_radius
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> round(turning_radius(load_vehicle("sur400"), {"sideslip": 0.2}, 0.15), 2)
-        13.0
-    """
+    """Return the radius [m] of the turn that a law may plan at a cruise speed u > 0 [m/s]; see the module."""
     vehicle = vehicle.at_speed(speed)
     model = {name: getattr(vehicle, name) for name in ("mass", "quadratic_drag", "thrust_limit")}
     own = {"fin_share": vehicle.fin_share(speed), "munk": vehicle.munk(speed)}
@@ -166,12 +154,8 @@ def moved(
     `planned_yaw_rate`. The sway speed through the water follows from `drifted`.
 
     Args:
-        now: the motion before the step.
-        course: unit vector (2, 1) of the desired course in {E}.
-        speed: desired speed [m/s] on the course.
-        p: parameters by name.
-        step: length of the step [s].
-        gain: heading gain [1/s], at most 1/`step`.
+        course, speed: unit vector (2, 1) in {E}, and speed on it [m/s], that the craft is to reach.
+        step, gain: length of the step [s], and heading gain [1/s], at most 1/`step`.
         stream: (2, 1) velocity [m/s] in {E} that is added to the motion through the water.
     """
     u, v, r = now.nu[0], now.nu[1], now.nu[2]

@@ -85,23 +85,12 @@ def braked(
     sideways velocity, as far as the other bounds allow.
 
     Args:
-        velocity: desired velocity (2, 1) in {E} [m/s].
-        now: velocity over ground (2, 1) in {E} [m/s].
-        bounds: bounds on the speed along unit vectors (`Bounds`).
+        velocity, now: desired velocity, and velocity over ground (2, 1) in {E} [m/s].
         calm: 0 while the robot must evade a moving obstacle, so that braking does not change the sideways command;
             otherwise 1.
-        brake: see `BRAKE`.
-        hard: see `HARD` [m/s].
+        brake, hard: see `BRAKE` and `HARD`.
         yields: 1 if a retreat (a negative bound) yields to the other bounds: the robot brakes first for what it closes
             in on, and no retreat from one contact leads towards another one faster than this one's bound.
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.marine.control.stopping import braked
-        >>> left, right, rest = ca.DM([0, 1]), ca.DM([0, -1]), ca.DM([0, 0])
-        >>> between = [(left, ca.DM(-0.05)), (right, ca.DM(0.02))]  # back off from the left, at most 0.02 to the right
-        >>> [round(float(braked(ca.DM([0, -0.05]), rest, between, yields=ca.DM(k))[1]), 3) for k in (0, 1)]
-        [-0.22, -0.02]
     """
     excess, normal = _worst(now, bounds) if yields is None else _first(now, bounds, yields)
     straight = now + ca.dot(velocity - now, normal) * normal

@@ -5,9 +5,9 @@ from typing import TYPE_CHECKING
 from surctl.lazy import load_at_first_use
 
 if TYPE_CHECKING:
-    from surctl.marine.engine.fluid import Body, EngineOptions, body_of, fluid_program, parse_plant
-    from surctl.marine.engine.mjcf import mjcf, write_mjcf
-    from surctl.marine.engine.physics import BatchCase, MujocoPhysics, mujoco_physics, simulate_seeds
+    from surctl.marine.engine.fluid import Body, EngineOptions
+    from surctl.marine.engine.mjcf import mjcf
+    from surctl.marine.engine.physics import BatchCase, MujocoPhysics, mujoco_physics
     from surctl.marine.engine.pictures import CAMERAS, Moment, Scene
 
 __all__ = [
@@ -18,13 +18,8 @@ __all__ = [
     "Moment",
     "MujocoPhysics",
     "Scene",
-    "body_of",
-    "fluid_program",
     "mjcf",
     "mujoco_physics",
-    "parse_plant",
-    "simulate_seeds",
-    "write_mjcf",
 ]
 
 load_at_first_use(__name__)

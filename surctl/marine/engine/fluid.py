@@ -138,18 +138,7 @@ def _written(value: Any) -> str:
 
 
 def parse_plant(text: str) -> EngineOptions | None:
-    """Return the options of a plant on the command line: `mujoco`, `mujoco:KEY=VALUE,…`; None for `own`.
-
-    Raises:
-        InputError: the plant, a key or a value is unknown.
-
-    Example:
-        >>> from surctl.marine.engine import parse_plant
-        >>> parse_plant("mujoco:dof=4,surface=0.1").surface
-        0.1
-        >>> parse_plant("own") is None
-        True
-    """
+    """Return the options of a plant on the command line: `mujoco`, `mujoco:KEY=VALUE,…`; None for `own`."""
     name, colon, rest = text.partition(":")
     if name not in _PLANTS:
         raise InputError("is not known", key="--plant", value=text, remedy=nearest(name, _PLANTS))
@@ -205,7 +194,6 @@ class Body:
     """A hull as MuJoCo has it: what of the inertia matrix is the rigid body's, and which water force remains.
 
     Attributes:
-        options: the options, with 4 or 6 degrees of freedom.
         form: the optional terms of the vehicle that act with these degrees of freedom.
         mass: mass of the rigid body [kg].
         inertia: its moments of inertia about x, y, z [kg m²].
@@ -224,15 +212,7 @@ class Body:
 
 
 def body_of(vehicle: Vehicle, options: EngineOptions) -> Body:
-    """Return the rigid body of a vehicle in MuJoCo.
-
-    Example:
-        >>> from surctl.marine.engine import EngineOptions, body_of
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> body = body_of(load_vehicle("sur400"), EngineOptions())
-        >>> body.mass, body.coupled, body_of(load_vehicle("otter"), EngineOptions()).coupled
-        (50.0, False, True)
-    """
+    """Return the rigid body of a vehicle in MuJoCo."""
     options = options.of(vehicle)
     names = [name for name in vehicle.form.terms if options.dof == 6 or not set(name) & _TILTING]
     form = PlantForm.of(names)
@@ -269,13 +249,6 @@ def fluid_program(body: Body) -> Program:
     and yaw, then the force components of the thrusters), the vehicle's parameters `p`, and `e` (17,): current (3,)
     [m/s], outer force (3,) in {E} and yaw moment, hull radius, share of the missing buoyancy, depth to which the hull
     is ballasted, mass and moments of inertia of the rigid body, and the sides of a hull that is a box.
-
-    Example:
-        >>> from surctl.marine.engine import EngineOptions, body_of, fluid_program
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> program = fluid_program(body_of(load_vehicle("sur400"), EngineOptions()))
-        >>> [(name, size) for name, size in program.inputs]
-        [('q', 4), ('v', 4), ('thrust', 4), ('p', 17), ('e', 17)]
     """
     options = body.options
     return _program(body.form, options.dof, options.drag, body.coupled, options.box is not None, body.actuators)

@@ -7,6 +7,7 @@ import os
 import sys
 from collections.abc import Callable, Sequence
 from functools import cache
+from importlib.resources import files
 from math import cos, isfinite, pi, radians, sin, tan
 from pathlib import Path
 from types import ModuleType
@@ -18,10 +19,11 @@ from numpy.typing import NDArray
 
 from surctl.errors import ToolMissing
 from surctl.files import prepare_folder, write_file
-from surctl.ir import emit_block, shared_library
+from surctl.ir.c99_routine import emit_block
+from surctl.ir.cache import shared_library
 from surctl.ir.native import loaded
 from surctl.marine.engine.fluid import Body, EngineOptions, body_of, environment, fluid_program
-from surctl.marine.simulation import build_world
+from surctl.marine.simulation.world import build_world
 from surctl.marine.vehicle import WATER
 from surctl.marine.vehicle.specs import AXES
 
@@ -98,58 +100,13 @@ def mujoco_library() -> ModuleType:
     return module
 
 
-_BOUND = """
-typedef void (*callback)(const void *model, void *data);
-typedef void (*listener)(const char *text);
-static const double *now_q, *now_v, *now_thrust, *now_p, *now_e;
-static double *now_force;
-
-static void water(const void *model, void *data)
-{
-    double force[DOF];
-    (void)model;
-    (void)data;
-    surctl_fluid(now_q, now_v, now_thrust, now_p, now_e, force);
-    for (int k = 0; k < DOF; ++k) {
-        now_force[k] += force[k];
-    }
-}
-
-static void quiet(const char *text)
-{
-    (void)text;
-}
-
-void surctl_advance(callback step, callback *slot, listener *warned, const void *model, void *data, long count,
-                    const double *q, const double *v, const double *thrust, const double *p, const double *e,
-                    double *force);
-void surctl_advance(callback step, callback *slot, listener *warned, const void *model, void *data, long count,
-                    const double *q, const double *v, const double *thrust, const double *p, const double *e,
-                    double *force)
-{
-    const callback before = *slot;
-    const listener usual = *warned;
-    now_q = q;
-    now_v = v;
-    now_thrust = thrust;
-    now_p = p;
-    now_e = e;
-    now_force = force;
-    *slot = water;
-    *warned = quiet;  /* MuJoCo would write to MUJOCO_LOG.TXT; the number of warnings is in the data */
-    for (long k = 0; k < count; ++k) {
-        step(model, data);
-    }
-    *slot = before;
-    *warned = usual;
-}
-"""
+_BOUND = files("surctl.marine.engine").joinpath("advance.c").read_text(encoding="utf-8")
 
 
 def _callback_source(body: Body) -> str:
     """Return the C text that adds the force of the water in every evaluation of MuJoCo's integrator."""
     text = emit_block(fluid_program(body), symbol="surctl_fluid")
-    return f"#include <math.h>\n\n{text}\n" + _BOUND.replace("DOF", str(body.options.dof))
+    return f"#include <math.h>\n\n{text}\n\n" + _BOUND.replace("DOF", str(body.options.dof))
 
 
 def stepper(body: Body) -> Callable[..., Callable[[], None]]:
@@ -213,11 +170,6 @@ def mjcf(scenario: Scenario, vehicle: Vehicle, *, options: EngineOptions | None 
     (xt, yt, zt) of the file. A vehicle with `[[thruster]]` tables has the actuators `thruster/NAME` after them: the
     force [N] of each thruster at its place; that of a swivelling thruster is two actuators, along `push` and, as
     `thruster/NAME/across`, at right angles to it. All actuators act together, so a program uses the ones or the others.
-
-    Args:
-        scenario: the scenario.
-        vehicle: the vehicle.
-        options: the options of the simulation.
 
     Raises:
         InputError: the options need what the vehicle file does not state.
@@ -294,10 +246,12 @@ def _site(world: _Node, scenario: Scenario) -> None:
     surface = {"pos": (length / 2, width / 2, 0.0), "size": (length / 2, width / 2, 0.1)}
     look = {"rgba": (0.55, 0.80, 0.95, 0.10), "contype": 0, "conaffinity": 0, "group": 3}
     _node(world, "geom", name="surface", type="plane", zaxis=(0, 0, -1), **surface, **look)
-    # both cameras see the whole site in pictures of 16 to 9
-    high = max(0.55 * length * 9 / 16, 0.56 * width) / tan(radians(_OPENING / 2))
+    # both cameras see the whole site in pictures of 16 to 9; without perspective, the view from above shows true gaps
+    extent = max(0.55 * length * 9 / 16, 0.56 * width)
+    high = extent / tan(radians(_OPENING / 2))
     above = (length / 2, width / 2, high)
-    _node(world, "camera", name="above", pos=above, xyaxes=(1, 0, 0, 0, 1, 0), fovy=_OPENING)
+    flat = {"projection": "orthographic", "fovy": 2 * extent}  # fovy: height of the picture [m]
+    _node(world, "camera", name="above", pos=above, xyaxes=(1, 0, 0, 0, 1, 0), **flat)
     down, back = radians(_DOWN), 1.25 * high
     side = (length / 2, width / 2 - back * cos(down), back * sin(down))
     _node(world, "camera", name="side", pos=side, xyaxes=(1, 0, 0, 0, sin(down), cos(down)), fovy=_OPENING)
@@ -378,75 +332,13 @@ def _thrusters(root: _Node, vehicle: Vehicle) -> None:
             _node(actuators, "general", name=name, site=site, gear=gear, gainprm=(1,), **limits, **filtered)
 
 
-_TEXT = """/* The force of the water on {vehicle} in {scenario}, for the MuJoCo model scene.xml beside this file.
- *
- *   cc -std=c99 -O2 -shared -fPIC -I INCLUDE water.c -o water.so -lm      (INCLUDE: the folder above mujoco/mujoco.h)
- *
- * In C: mjcb_passive = surctl_water. In Python, where INCLUDE is the folder include of the package:
- *
- *   mujoco.set_mjcb_passive(ctypes.CDLL("./water.so").surctl_water)
- *
- * The water moves with the current below. Obstacles are mocap bodies; a program that knows their paths moves them.
- */
-#include <math.h>
-#include <string.h>
-#include <mujoco/mujoco.h>
-
-{block}
-static const double parameters[] = {{{parameters}}};
-
-/* current (3) [m/s]; outer force (3) [N] in the world and yaw moment [N m]; hull radius [m]; share of the missing
- * buoyancy; z at which the hull is ballasted to float [m]; mass [kg] and moments of inertia [kg m^2] of the
- * model; length, width and height [m] of a hull that is a box, else 0 */
-double surctl_environment[] = {{{environment}}};
-
-/* index of a name in a table of the model; it calls no function of MuJoCo, so that the library needs no linking */
-static int index_of(const mjModel *m, const int *addresses, int count, const char *name)
-{{
-    for (int k = 0; k < count; ++k) {{
-        if (strcmp(m->names + addresses[k], name) == 0) {{
-            return k;
-        }}
-    }}
-    return -1;
-}}
-
-void surctl_water(const mjModel *m, mjData *d);
-void surctl_water(const mjModel *m, mjData *d)
-{{
-    const int joint = index_of(m, m->name_jntadr, (int)m->njnt, "{joint}");
-    const int actuator = index_of(m, m->name_actuatoradr, (int)m->nu, "{actuator}");
-    double force[{dof}];
-    if (joint < 0 || actuator < 0) {{
-        return; /* another model */
-    }}
-    surctl_fluid(d->qpos + m->jnt_qposadr[joint], d->qvel + m->jnt_dofadr[joint], {thrust}, parameters,
-                 surctl_environment, force);
-    for (int k = 0; k < {dof}; ++k) {{
-        d->qfrc_passive[m->jnt_dofadr[joint] + k] += force[k];
-    }}
-}}
-"""
+_TEXT = files("surctl.marine.engine").joinpath("water.txt").read_text(encoding="utf-8")
 
 
 def write_mjcf(
     scenario: Scenario, vehicle: Vehicle, folder: Path, *, options: EngineOptions | None = None
 ) -> list[Path]:
-    """Write the MuJoCo model `scene.xml` and the force of the water `water.c` to a folder, and return both paths.
-
-    Raises:
-        InputError: the options need what the vehicle file does not state, the hull starts inside an obstacle, or the
-            folder cannot be written.
-
-    Example:
-        >>> from pathlib import Path
-        >>> from surctl.marine.engine import write_mjcf
-        >>> from surctl.marine.simulation import load_scenario
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> files = write_mjcf(load_scenario("tank-static"), load_vehicle("sur540-tilting"), Path("model"))
-        >>> [file.name for file in files]
-        ['scene.xml', 'water.c']
-    """
+    """Write the MuJoCo model `scene.xml` and the force of the water `water.c` to a folder, and return both paths."""
     build_world(scenario, vehicle, seed=0)  # refuses a start inside an obstacle
     prepare_folder(folder)
     body = body_of(vehicle, options or EngineOptions())

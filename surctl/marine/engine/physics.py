@@ -33,12 +33,9 @@ Array = NDArray[np.float64]
 
 
 def _beam_directions(half: float, *, count: int, fan: bool = False) -> Array:
-    """Return unit vectors (n, 3) that fill a cone about the x axis evenly, with a tenth of them on its rim.
+    """Return `count` unit vectors (n, 3) that fill a cone about the x axis of half angle `half` [rad] evenly.
 
-    Args:
-        half: half the opening angle [rad].
-        count: number of directions.
-        fan: whether to fill only the part of the cone in the horizontal plane.
+    A tenth of them is on its rim. With `fan`, they fill only the part of the cone in the horizontal plane.
     """
     if fan:
         angles = np.linspace(-half, half, count)
@@ -57,11 +54,8 @@ def _beam_directions(half: float, *, count: int, fan: bool = False) -> Array:
 class _Rays:
     """The rays of all sonars of an array.
 
-    Args:
-        array: the sonars on the hull.
-        options: the options of the simulation.
-        faced: (k,) least cosine of incidence at which each geom of the model answers, above 1 if it is silent; None:
-            all answer as the `incidence_limit` of the array and the options say.
+    `faced` (k,) is the least cosine of incidence at which each geom of the model answers, above 1 if it is silent;
+    None: all answer as the `incidence_limit` of the array and the options say.
     """
 
     def __init__(self, array: SonarArray, options: EngineOptions, faced: Array | None = None) -> None:
@@ -372,21 +366,6 @@ def simulate_seeds(batch_case: BatchCase, seeds: Sequence[int], *, processes: in
     """Yield the runs of a case with the given seeds in their order; each process builds the law once.
 
     The runs do not depend on the number of processes.
-
-    Args:
-        batch_case: the case and its physics.
-        seeds: seeds of the runs.
-        processes: number of processes.
-
-    Example:
-        >>> from surctl.marine.control import load_gains
-        >>> from surctl.marine.engine import BatchCase, mujoco_physics, simulate_seeds
-        >>> from surctl.marine.simulation import Case, load_scenario
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> case = Case(load_scenario("pool-behind"), load_vehicle("sur400"), load_gains("default"))
-        >>> runs = simulate_seeds(BatchCase(case, mujoco_physics()), [0, 1])
-        >>> [(run.seed, run.metrics.reached) for run in runs]
-        [(0, True), (1, True)]
     """
     return (run for run, _ in simulate_with_steppers(batch_case, seeds, processes=processes, compared=False))
 

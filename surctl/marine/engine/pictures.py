@@ -68,26 +68,10 @@ def _renderer(model: Any, size: tuple[int, int]) -> Any:
 
 
 class Scene:
-    """The scene of a scenario, which can be rendered; use it in a `with` statement.
-
-    Args:
-        scenario: the scenario.
-        vehicle: the vehicle.
-        options: the options of the simulation.
-        size: width and height of the pictures [pixels].
+    """The scene of a scenario, which can be rendered at `size` (width, height) [pixels]; use it in a `with` statement.
 
     Raises:
         ToolMissing: MuJoCo, or a library that renders without a screen, is not installed.
-
-    Example:
-        >>> from surctl.marine.engine import Moment, Scene
-        >>> from surctl.marine.simulation import load_scenario
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> scenario, boat = load_scenario("pool-behind"), load_vehicle("sur400")
-        >>> with Scene(scenario, boat, size=(160, 90)) as scene:
-        ...     picture = scene.picture("above", Moment(scenario.start_pose))
-        >>> picture.shape
-        (90, 160, 3)
     """
 
     def __init__(

@@ -39,7 +39,8 @@ from surctl.ir import (
 )
 from surctl.ir.folding import with_constants
 from surctl.ir.procedure import Procedure
-from surctl.marine.control import NONFINITE, Law, LawStep, in_real
+from surctl.marine.control import NONFINITE, Law, LawStep
+from surctl.marine.control.build import in_real
 from surctl.marine.simulation.metrics import GONE, LATE
 from surctl.noise import NoiseStream
 
@@ -51,9 +52,8 @@ class ClosedForm(WrappedLaw):
     """A law without perception, rewritten for a target.
 
     Attributes:
-        law: the original law.
-        block: the code that computes thrust tau, next state x_next, status and telemetry from state x, inputs u and
-            gains p; for a law in closed form this code is an instruction list.
+        block: from state x, inputs u and gains p to tau, x_next, status and telemetry; an instruction list if the law
+            is in closed form.
         gains: names and sizes of the gains p; empty if the gains became constants.
         constants: gains that became constants (np,), in the order of the law's gains; None if the gains stayed inputs.
     """
@@ -89,7 +89,6 @@ def closed_form(law: Law, *, real: Real = "float64", constants: Vector | None = 
     For a law that is not in closed form, `in_real` sets the solver tolerances to those of the target's precision.
 
     Args:
-        law: the law.
         real: precision of the target; in float32, shorter polynomials of float accuracy compute sin, cos and atan2.
         constants: gains (np,) that become constants of the code; values that follow from these constants are computed
             at export. None leaves the gains as inputs.
@@ -196,7 +195,6 @@ class LinkReport:
 
     Attributes:
         name, id, real: name of the controller, hash of what it computes, and its precision.
-        steps: number of control periods.
         answered: number of steps that the controller computed.
         lost: number of lost messages, to and from the controller.
         failsafe: number of control periods with fail-safe thrust, because no valid command was available.
@@ -437,9 +435,6 @@ class LinkedLaw:
 @dataclass
 class CompiledLaw:
     """Function that computes each control step of `surctl.marine.simulation.simulate` by the law's C, compiled here.
-
-    Attributes:
-        law: the law.
 
     Raises:
         ToolMissing: there is no C compiler.

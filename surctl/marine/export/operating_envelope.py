@@ -35,15 +35,8 @@ def _gain_ranges(
 
     A feedback gain is at most one per control period, because a larger gain overshoots in a single step. A length is at
     most the diagonal of the site, and a place lies in the site. The parameters of the vehicle model are between half of
-    and twice those of the vehicle; the thrust limit is at most the vehicle's, and the hull at least.
-
-    Args:
-        law: the law to export.
-        mission: scenario; its site bounds lengths and places.
-        vehicle: vehicle model.
-        gains: layout of the gains.
-        fast: largest speeds (4,) [m/s, rad/s] that the guard accepts.
-        tuned: values (np,) that the ranges contain in any case.
+    and twice those of the vehicle; the thrust limit is at most the vehicle's, and the hull at least. The ranges contain
+    the values `tuned` (np,) in any case; `fast` (4,) are the largest speeds [m/s, rad/s] that the guard accepts.
     """
     bounds = {**_control(law, mission, fast), **_of_vehicle(law, mission, vehicle)}
     bounds |= {**_model(vehicle, fast), **_mission(mission, fast)}
@@ -162,7 +155,6 @@ def operating_envelope(
     A number without a known bound may be any finite number.
 
     Args:
-        law: the law to export.
         mission: scenario; its site bounds positions, its path the progress along it, and its sensors the measured
             ranges.
         vehicle: vehicle model; its thrust and drag bound the speed.

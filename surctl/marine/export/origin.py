@@ -85,21 +85,7 @@ def origin_of(
     *,
     equipment: Equipment | None = None,
 ) -> Origin:
-    """Return the origin of a law that controls a vehicle.
-
-    Example:
-        >>> import json
-        >>> from surctl.marine.control import build_law, load_gains
-        >>> from surctl.marine.export import build_bundle, origin_of
-        >>> from surctl.marine.simulation import law_numbers, load_scenario
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> mission, vehicle, gains = load_scenario("pool-behind"), load_vehicle("sur400"), load_gains("default")
-        >>> law, p = build_law("closed_form"), law_numbers(mission, gains, vehicle)
-        >>> bundle = build_bundle(law, law.gains.unpack(p), origin=origin_of(law, vehicle))
-        >>> manifest = json.loads(bundle.files["manifest.json"])
-        >>> manifest["vehicle"]["name"], manifest["vehicle"]["values"]["m11"], sorted(manifest["claims"])[:2]
-        ('sur400', 50.0, ['course-corrected', 'course-printed'])
-    """
+    """Return the origin of a law that controls a vehicle."""
     law = law.base or law  # claims are about the command, before the allocation to thrusters
     ground_truth = law
     if "samples" in law.inputs:
@@ -117,23 +103,7 @@ def origin_of(
 
 
 def load_certificates(paths: Sequence[Path]) -> dict[str, Mapping[str, Any]]:
-    """Read certificates, and return each certificate by the file name that it gets in a bundle.
-
-    Raises:
-        InputError: a file is not a certificate, the checker rejects it, or two files have the same name.
-
-    Example:
-        >>> import json
-        >>> from pathlib import Path
-        >>> from surctl.marine.export.origin import load_certificates
-        >>> from surctl.marine.verification import claims
-        >>> from surctl.verification import prove
-        >>> [claim] = claims(names=["m-norm-corrected"])
-        >>> _ = Path("m-norm.json").write_text(json.dumps(prove(claim).certificate))
-        >>> certificates = load_certificates([Path("m-norm.json")])
-        >>> {name: document["claim"]["name"] for name, document in certificates.items()}
-        {'certificate-m-norm.json': 'm-norm-corrected'}
-    """
+    """Read certificates, and return each certificate by the file name that it gets in a bundle."""
     certificates: dict[str, Mapping[str, Any]] = {}
     for path in paths:
         document = _read(path)
@@ -193,13 +163,7 @@ def origin_entries(law: Exportable, p: Vector, origin: Origin) -> dict[str, Any]
 
 
 def check_belonging(manifest: Mapping[str, Any], files: Mapping[str, str], origin: Origin) -> None:
-    """Raise InputError with the differences if a certificate is not about the controller of the manifest.
-
-    Args:
-        manifest: the manifest, without the hashes of the files.
-        files: text of each file of the bundle by its name.
-        origin: the certificates.
-    """
+    """Raise InputError with the differences if a certificate is not about the controller of the manifest."""
     read_back = read_manifest(manifest, files)
     speeds = [f"--{name} {read_back.gains[name][0]:g}" for name in ("cruise", "cap") if name in read_back.gains]
     command = " ".join(["surctl verify", *speeds, "--gains FILE --vehicle FILE"])
@@ -215,32 +179,6 @@ def fitting_certificates(paths: Sequence[Path], law: Law, vehicle: Vehicle, p: V
     """Return the certificates that concern this law with these parameters; only these can be exported with the law.
 
     Their proofs are not checked here, but at the export.
-
-    Args:
-        paths: certificate files.
-        law: the law, with or without perception.
-        vehicle: the vehicle that the law controls.
-        p: parameters of the law, in the order of `law_numbers`.
-
-    Raises:
-        InputError: a file is not a certificate.
-
-    Example:
-        >>> import json
-        >>> from pathlib import Path
-        >>> from surctl.marine.control import build_law, load_gains
-        >>> from surctl.marine.export.origin import fitting_certificates
-        >>> from surctl.marine.simulation import law_numbers, load_scenario
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> from surctl.marine.verification import claims
-        >>> from surctl.verification import prove
-        >>> vehicle, gains, law = load_vehicle("sur400"), load_gains("default"), build_law()
-        >>> for k1 in (0.3, 0.2):
-        ...     [claim] = claims(gains.values | {"k1": k1}, names=["v1-corrected"], vehicle=vehicle)
-        ...     _ = Path(f"k1-{k1}.json").write_text(json.dumps(prove(claim).certificate))
-        >>> p = law_numbers(load_scenario("pool-static"), gains, vehicle)
-        >>> [path.name for path in fitting_certificates([Path("k1-0.3.json"), Path("k1-0.2.json")], law, vehicle, p)]
-        ['k1-0.3.json']
     """
     manifest = manifest_of(law, p, origin_of(law, vehicle))
     return [path for path in paths if compare(_read(path), manifest).belongs]

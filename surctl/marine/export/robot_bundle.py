@@ -44,11 +44,7 @@ def _mission_values(law: Exportable, real: Real) -> dict[str, Any]:
 
 
 def _data_rows(law: Exportable, table: NDArray[np.float64], real: Real) -> list[str]:
-    """Return the C initialisers of the waypoints (n, 5) of a mission, see `guidance.Path.table`.
-
-    Raises:
-        InputError: the law follows no path, or the table has another shape.
-    """
+    """Return the C initialisers of the waypoints (n, 5) of a mission, see `guidance.Path.table`."""
     if not _is_fed(law):
         raise InputError("takes no waypoints, so that it cannot be fed with a mission", key="mission", value=law.name)
     if table.ndim != 2 or table.shape[1] != ROW or len(table) < 2:
@@ -296,7 +292,6 @@ def build_bundle(
     """Return the C bundle of a control law with tuned gains.
 
     Args:
-        law: the control law.
         gains: values of the gains by name; a gain without a value has its default.
         name: prefix of file names and C symbols; by default the name of the law.
         real: "float32" for a processor with a single-precision unit; every number in the C text is then a float.

@@ -51,16 +51,6 @@ def avoidance_course(
             the form `corrected` uses `closing`, `kappa` and `standoff`.
         kappa: gain κ [1/s].
         standoff: stand-off distance d_s ≥ 0 [m].
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.marine.guidance import avoidance_course
-        >>> def course(clearance):
-        ...     known = dict(radius=0.3, side=1, delta=0, k3=1, speed=0.15, closing=0, kappa=0.3, standoff=0.05)
-        ...     known = {name: ca.SX(value) for name, value in known.items()}
-        ...     return round(float(avoidance_course("corrected", ca.SX(0), ca.SX(clearance), **known)), 2)
-        >>> course(1.0), course(0.1), course(0.0)  # rad, obstacle dead ahead
-        (0.0, 1.47, 1.67)
     """
     if form == "corrected":
         ratio = (closing + kappa * (clearance - standoff)) / speed
@@ -84,20 +74,9 @@ def printed_side(phi: ca.SX) -> ca.SX:
 def encounter_side(relative_velocity: ca.SX, normal: ca.SX, *, deadband: float = 0.02) -> ca.SX:
     """Return the sign λ2 of the side on which the robot passes an obstacle, by erratum E10.
 
-    λ2 is +1 (obstacle on the robot's right) if the velocity relative to the obstacle points left of the obstacle, and
-    −1 (obstacle on the left) if this velocity points right of the obstacle.
-
-    Args:
-        relative_velocity: velocity of the robot minus that of the obstacle (2, 1) in {E} [m/s].
-        normal: unit vector from robot to obstacle (2, 1) in {E}.
-        deadband: crosswise velocity [m/s] below which the encounter counts as head-on and the side is +1.
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.marine.guidance import encounter_side
-        >>> ahead = ca.SX([1, 0])
-        >>> float(encounter_side(ca.SX([0.1, 0.05]), ahead)), float(encounter_side(ca.SX([0.1, -0.05]), ahead))
-        (1.0, -1.0)
+    λ2 is +1 (obstacle on the robot's right) if `relative_velocity`, of the robot minus that of the obstacle (2, 1) in
+    {E} [m/s], points left of the obstacle (`normal` (2, 1)), or if its crosswise part is below `deadband` [m/s]; else
+    −1.
     """
     cross = normal[0] * relative_velocity[1] - normal[1] * relative_velocity[0]
     return ca.if_else(cross <= -deadband, -1, 1)

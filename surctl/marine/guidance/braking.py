@@ -98,9 +98,6 @@ class Brakes:
         quadratic: least and largest quadratic drag [N s²/m²].
         disturbance: f ≥ 0, other force towards the obstacle [N].
         current: c ≥ 0, speed of the water towards the obstacle [m/s].
-
-    Raises:
-        InputError: if a number violates one of the bounds above.
     """
 
     masses: tuple[float, float]
@@ -113,7 +110,6 @@ class Brakes:
     current: float = 0.0
 
     def __post_init__(self) -> None:
-        """Check the values; raise an InputError that names an invalid value."""
         for name in ("masses", "linear", "quadratic"):
             low, high = getattr(self, name)
             positive = low > 0 if name == "masses" else low >= 0
@@ -154,9 +150,6 @@ class Watch:
         age: age of a measured range when the law uses it [s], ≥ 0.
         range_error: ε ≥ 0, largest error of a measured range [m].
         speed_error: e_v ≥ 0, largest error of the robot's measured speed [m/s].
-
-    Raises:
-        InputError: if a number violates one of the bounds above.
     """
 
     period: float = 0.05
@@ -165,7 +158,6 @@ class Watch:
     speed_error: float = 0.0
 
     def __post_init__(self) -> None:
-        """Check the values; raise an InputError that names an invalid value."""
         for name in ("period", "age", "range_error", "speed_error"):
             value = getattr(self, name)
             if not isfinite(value) or value < 0 or (name == "period" and value == 0):
@@ -184,7 +176,6 @@ def brakes_of(
     """Return the braking data of a vehicle in the worst case of its ranges; without sway force, of surge alone.
 
     Args:
-        vehicle: the vehicle.
         share: share of the vehicle's largest thrust that is guaranteed for braking, in (0, 1].
         spread: relative error of mass and drag; the thrust in the vehicle's file then counts as the largest thrust.
             None: use the ranges in the vehicle's file; a parameter without a range counts as exact.
@@ -227,7 +218,6 @@ def stopping_distance(brakes: Brakes, speed: float, *, obstacle: float = 0.0, th
     S is infinite if the obstacle is so fast that braking cannot prevent a collision.
 
     Args:
-        brakes: braking data of the vehicle.
         speed: speed v of the robot towards the obstacle [m/s].
         obstacle: speed v_o ≥ 0 of the obstacle towards the robot [m/s].
         thrust: present thrust F [N]; default: the largest thrust F⁺.
@@ -255,7 +245,6 @@ def tabled_stopping_distance(brakes: Brakes, fastest: float, *, obstacle: float 
     The tabulated distance is up to 1 % longer than the exact distance, and never shorter.
 
     Args:
-        brakes: braking data of the vehicle; the table assumes that the present thrust is the largest thrust.
         fastest: largest speed of the robot for which the table holds a distance [m/s].
         obstacle: speed v_o ≥ 0 of the obstacle towards the robot [m/s].
     """
@@ -366,14 +355,9 @@ _LEAST_LEFT = 0.02  # lower bound of F' as a share of F_b; for an obstacle too f
 
 @dataclass(frozen=True, eq=False)
 class BrakeSymbols:
-    """The vehicle's braking data, as in `Brakes` but without disturbance and current, as scalar CasADi expressions.
+    """The data of `Brakes` without disturbance and current, as scalar expressions; `period` T is that of `Watch`.
 
-    Attributes:
-        lightest, heaviest: least and largest mass [kg], > 0.
-        least: guaranteed thrust F_b > 0 [N]; most: largest thrust F⁺ [N].
-        lag: time constant τ of the thrust [s].
-        linear: largest linear drag coefficient [N s/m]; quadratic: largest quadratic drag coefficient [N s²/m²].
-        period: T > 0, time between two braking decisions [s].
+    `linear` and `quadratic` are the largest drag coefficients.
     """
 
     lightest: ca.SX
@@ -400,12 +384,8 @@ class BrakeSymbols:
 def closing_bound(brakes: BrakeSymbols, distance: ca.SX, *, obstacle: ca.SX) -> ca.SX:
     """Return the largest safe speed towards the obstacle [m/s]; a negative speed requires a retreat.
 
-    The bound is exact for range measurements without delay and error.
-
-    Args:
-        brakes: braking data of the vehicle.
-        distance: clearance minus its largest error [m].
-        obstacle: speed v_o ≥ 0 of the obstacle towards the robot [m/s].
+    `distance` is the clearance minus its largest error [m], `obstacle` the speed v_o ≥ 0 of the obstacle towards the
+    robot [m/s]. The bound is exact for range measurements without delay and error.
     """
     gain, period, roots = brakes.acceleration(obstacle), brakes.period, []
     swing = brakes.lag * (brakes.most + brakes.least)
@@ -420,10 +400,9 @@ def closing_bound(brakes: BrakeSymbols, distance: ca.SX, *, obstacle: ca.SX) -> 
 def sideways_force(brakes: Brakes, sideways: float, *, obstacle: float = 0.0) -> float:
     """Return the largest additional drag force towards an obstacle [N] at a sideways speed w [m/s], for any heading.
 
-    Drag acts on each axis of the vehicle separately, so the sideways speed increases the drag along n beyond D(v_o).
-    For the velocity −v_o n + w t (n towards the obstacle, t perpendicular to n), at any angle between n and the axes,
-    and for drag coefficients in their ranges [low, high], the drag along n is at most (high v_o + (high − low) w/2) +
-    high v_o² + √2 high v_o w + (2 high − low) w²/(3√3).
+    For the velocity −v_o n + w t (n towards the obstacle, t perpendicular to n), drag that acts on each axis
+    separately, and coefficients in [low, high], the drag along n is at most (high v_o + (high − low) w/2) + high v_o² +
+    √2 high v_o w + (2 high − low) w²/(3√3).
     """
     (low, high), (low2, high2) = brakes.linear, brakes.quadratic
     square = (2 * high2 - low2) * sideways**2 / (3 * sqrt(3))

@@ -77,15 +77,7 @@ def disc_contact(position: ca.SX, hull: ca.SX, centre: ca.SX, radius: ca.SX, vel
 
 
 def disc_contacts(position: ca.SX, hull: ca.SX, discs: ca.SX) -> list[Contact]:
-    """Return the result of `disc_contact` for each disc (x, y, radius, vx, vy, valid) in an array (n, 6).
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.marine.guidance import disc_contacts
-        >>> discs = ca.SX([[2, 0, 0.5, 0, 0, 1], [0, 3, 0.5, 0, 0, 1]])
-        >>> [float(contact.clearance) for contact in disc_contacts(ca.SX([0, 0]), ca.SX(0.2), discs)]
-        [1.3, 2.3]
-    """
+    """Return the result of `disc_contact` for each disc (x, y, radius, vx, vy, valid) in an array (n, 6)."""
 
     def contact(disc: ca.SX) -> tuple[ca.SX, ...]:
         return (ca.vertcat(*disc_contact(position, hull, disc[:2], disc[2], disc[3:5], disc[5]).row),)
@@ -97,28 +89,12 @@ def disc_contacts(position: ca.SX, hull: ca.SX, discs: ca.SX) -> list[Contact]:
 
 
 def point_contact(position: ca.SX, hull: ca.SX, point: ca.SX, valid: ca.SX) -> Contact:
-    """Return the direction and clearance of a point at rest, for example of the point that caused an echo.
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.marine.guidance import point_contact
-        >>> contact = point_contact(ca.DM([0, 0]), ca.DM(0.2), ca.DM([0, 1]), ca.DM(1))
-        >>> round(float(contact.clearance), 3), ca.DM(contact.normal).full().ravel().tolist()
-        (0.8, [0.0, 1.0])
-    """
+    """Return the direction and clearance of a point at rest, for example of the point that caused an echo."""
     return disc_contact(position, hull, point, ca.SX(0), ca.SX.zeros(2), valid)
 
 
 def wall_contacts(position: ca.SX, hull: ca.SX, walls: ca.SX) -> list[Contact]:
-    """Return the direction and clearance of the four walls x_min, x_max, y_min, y_max [m] of a rectangular site.
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.marine.guidance import wall_contacts
-        >>> tank = ca.DM([0, 8, 0, 3])  # x_min, x_max, y_min, y_max
-        >>> [round(float(c.clearance), 2) for c in wall_contacts(ca.DM([1.0, 1.5]), ca.DM(0.27), tank)]
-        [0.73, 6.73, 1.23, 1.23]
-    """
+    """Return the direction and clearance of the four walls x_min, x_max, y_min, y_max [m] of a rectangular site."""
     x, y = position[0], position[1]
     sides = [
         (ca.SX([-1, 0]), x - walls[0]),
@@ -130,16 +106,7 @@ def wall_contacts(position: ca.SX, hull: ca.SX, walls: ca.SX) -> list[Contact]:
 
 
 def nearest_in_quadrants(contacts: Sequence[Contact], axes: Sequence[ca.SX]) -> list[Contact]:
-    """Return, for each sensor axis (2, 1), the nearest contact within ±45° of this axis.
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.marine.guidance import nearest_in_quadrants, point_contact
-        >>> hull, yes = ca.DM(0.2), ca.DM(1)
-        >>> contacts = [point_contact(ca.DM([0, 0]), hull, ca.DM(p), yes) for p in ([2, 0.1], [1, 0], [0, 3])]
-        >>> [float(c.clearance) for c in nearest_in_quadrants(contacts, [ca.DM([1, 0]), ca.DM([0, 1])])]
-        [0.8, 2.8]
-    """
+    """Return, for each sensor axis (2, 1), the nearest contact within ±45° of this axis."""
     chosen = []
     for axis in axes:
         best = Contact(axis, ca.SX(FAR), ca.SX.zeros(2), ca.SX(0.5))
@@ -206,24 +173,11 @@ def collision_cone(
     """Return the collision cone of a contact.
 
     Args:
-        contact: the moving contact.
         apart: least clearance with which the robot may pass the contact [m].
         standoff: clearance at or below which the robot and the contact count as having collided [m].
         horizon: prediction time; only collisions within this time count [s].
         there: 1 if the contact must be avoided; with 0, the cone is empty.
         point: (2, 1) [m] in {E}, position of the contact.
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.marine.guidance import collision_cone
-        >>> from surctl.marine.guidance.contacts import disc_contact
-        >>> here, hull, centre, motion = ca.DM([0, 0]), ca.DM(0.2), ca.DM([2, 0]), ca.DM([-0.1, 0])
-        >>> contact = disc_contact(here, hull, centre, ca.DM(0.3), motion, ca.DM(1))  # approaches at 0.1 m/s
-        >>> known = dict(apart=0.05, standoff=0.0, horizon=10.0, there=1)
-        >>> known = {name: ca.DM(value) for name, value in known.items()}
-        >>> cone = collision_cone(contact, point=centre, **known)
-        >>> float(cone.closing), round(float(cone.clearance), 2), float(cone.distance)
-        (-0.1, 1.5, 2.0)
     """
     n, across = contact.normal, ca.vertcat(-contact.normal[1], contact.normal[0])
     distance = contact.clearance + contact.combined_radius
@@ -253,8 +207,8 @@ def inside(velocity: ca.SX, cone: Cone) -> ca.SX:
 
     Example:
         >>> import casadi as ca
-        >>> from surctl.marine.guidance import collision_cone, inside
-        >>> from surctl.marine.guidance.contacts import disc_contact
+        >>> from surctl.marine.guidance import inside
+        >>> from surctl.marine.guidance.contacts import collision_cone, disc_contact
         >>> here, hull, centre, motion = ca.DM([0, 0]), ca.DM(0.2), ca.DM([2, 0]), ca.DM([-0.1, 0])
         >>> contact = disc_contact(here, hull, centre, ca.DM(0.3), motion, ca.DM(1))  # approaches at 0.1 m/s
         >>> known = dict(apart=0.05, standoff=0.0, horizon=10.0, there=1)
@@ -288,11 +242,7 @@ def side_costs(cone: Cone, desired: ca.SX, walls: Sequence[Contact]) -> tuple[ca
 
     In any other encounter both costs are 0. The robot keeps a head-on contact on its right (erratum E10), unless the
     path left of the contact is too close to a wall: near a wall the sonars detect little and the robot is slow.
-
-    Args:
-        cone: collision cone of the moving contact.
-        desired: desired velocity (2, 1) [m/s] in {E}.
-        walls: walls of the site.
+    `desired` is the desired velocity (2, 1) [m/s] in {E}.
     """
     n, across = cone.ahead, _left_of(cone.ahead)
     speed = ca.sqrt(ca.sumsqr(desired))
@@ -305,17 +255,14 @@ def side_costs(cone: Cone, desired: ca.SX, walls: Sequence[Contact]) -> tuple[ca
 def swap_costs(cone: Cone, now: ca.SX, speed: ca.SX, acceleration: ca.SX) -> tuple[ca.SX, ca.SX]:
     """Return the costs of passing a moving contact on its left and on its right that a reversal of motion causes.
 
-    To pass on one of the two sides, the robot may have to reverse its crosswise velocity relative to the contact. The
-    cost of this side grows with the velocity to be reversed. So the robot completes a manoeuvre that it has begun, and
-    from rest it passes behind a crossing contact and not in front of it. If the thrust cannot reverse this velocity in
-    half the time until the robot meets the contact, the remaining velocity counts as a violation of a bound. In a
-    head-on encounter both costs are 0, so that noise does not choose the side.
+    A cost grows with the crosswise velocity relative to the contact that the robot would have to reverse. So the robot
+    completes a manoeuvre that it has begun, and from rest it passes behind a crossing contact. What the thrust cannot
+    reverse in half the time until the encounter counts as a violation of a bound. In a head-on encounter both costs are
+    0, so that noise does not choose the side.
 
     Args:
-        cone: collision cone of the moving contact.
         now: velocity over ground (2, 1) [m/s] in {E}.
-        speed: commanded speed [m/s].
-        acceleration: available acceleration [m/s²].
+        speed, acceleration: commanded speed [m/s] and available acceleration [m/s²].
     """
     across = ca.dot(_left_of(cone.ahead), now) - cone.crossing
     nearing = ca.fmax(ca.dot(cone.ahead, now) - cone.closing, _STANDS)

@@ -1,38 +1,32 @@
 """Which segment of its path a robot is on, corners visited or missed; the window of a long path for a law.
 
-The segment nearest to the robot is not always the right one, because a path may close, cross itself or fold back.
-
-The robot starts on the first path segment, and it can only advance to the next segment. The robot advances if two
-conditions hold: it is nearer to the next segment than to the rest of its present segment, and the part of the path that
-it would leave out at the corner is at most three times its distance to the present segment. So a robot that cuts the
-corner on a detour advances, but a robot that comes near the next segment far from the corner does not. If corners must
-be visited, the robot advances only if it is within the given distance of the corner.
-
-On a path that is fed to the law (`Path.fed`), the robot may also advance by up to `SKIPS` segments at once, under the
-same conditions. Such a path can have points so close together, for instance those of a recorded track, that a robot
-never comes near the segments between two of them; it would not advance otherwise.
+The nearest segment is not always the right one, because a path may close, cross itself or fold back. The robot starts
+on the first segment, and advances to the next one if it is nearer to that than to the rest of its present segment, and
+if the part of the path that it would leave out at the corner is at most three times its distance to the present
+segment: it may cut a corner on a detour, but not from far away. If corners must be visited, the robot advances only
+within the given distance of the corner. On a path that is fed to the law (`Path.fed`), it may advance by up to `SKIPS`
+segments at once, because points of a recorded track can be so close together that it comes near no segment between
+them.
 
 A law has a fixed array of `MAX_WAYPOINTS` waypoints, and one number each for depth, cruise speed and visits. Its host
 (the simulation, or the robot's computer) feeds it: before every control step, the host writes the waypoints around the
 target point, and the depth, speed and visit of the segment that the target point is on. All hosts follow one rule:
 
 - The window has the path's first waypoint, then six waypoints in a row from number `first` on, then the path's last
-  waypoint. First and last are always there because a law looks at its start and at its destination. The window's legs
-  before and after the six waypoints are not those of the path, but the target point is never on them.
+  waypoint, because a law looks at its start and at its destination. The target point is never on the legs before and
+  after the six, which are not those of the path.
 - When the target point has left the second of the six waypoints' segments behind (by `AT_CORNER`), the window moves on
-  by one waypoint, at most once in a control step. The law measures arc lengths along its window, so every arc length in
-  its state changes by the difference of the lengths of the leg from the path's first waypoint to the six.
+  by one waypoint, at most once in a control step. Every arc length in the law's state then changes by the difference of
+  the lengths of the leg from the path's first waypoint to the six.
 - Segment of the target point is the last one whose start is more than `AT_CORNER` behind. Its end says the speed and
   whether the law must visit it; the depth is linear between its ends.
 
-A path of `MAX_WAYPOINTS` points or fewer fits in the window, which then never moves. `Window` is the rule as numbers,
-`window_next` and `window_values` are the rule as CasADi expressions; the templates of `surctl.export` write it in C.
+`window_next` and `window_values` are the rule as CasADi expressions; `surctl.export.mission_files` writes it in C.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from itertools import pairwise
+from collections.abc import Callable, Mapping
 from math import atan2, hypot, inf, sqrt
 
 import casadi as ca
@@ -51,100 +45,14 @@ AHEAD = MAX_WAYPOINTS - 2
 SHORTEST = 1e-6  # [m] as in `path_target`
 
 
-def last_first(count: int) -> int:
-    """Return the largest number `first` of a path with `count` waypoints: the window then holds the path's end."""
-    return max(1, count - 1 - AHEAD)
-
-
-class Window:
-    """The window of one mission, as numbers; it moves with the target point.
-
-    Args:
-        table: (n, 5) one row for each waypoint, see `Path.table`.
-        depth: z of the mission [m], to which the rises are added.
-        cruise: speed [m/s] on segments without a speed of their own.
-        visit: distance [m] to a corner to visit that counts as a visit.
-
-    Attributes:
-        first: number of the first of the waypoints in a row, counted from 0.
-
-    Example:
-        >>> from surctl.marine.guidance import Path, Window
-        >>> stairs = Path([[k // 2, (k + 1) // 2] for k in range(12)])
-        >>> window = Window(stairs.table(), depth=-1.0, cruise=0.2, visit=0.05)
-        >>> window.move(3.5), window.first, window.waypoints()[[0, 1, 6, 7]].tolist()
-        (-0.5857864376269049, 2, [[0.0, 0.0], [1.0, 1.0], [3.0, 4.0], [5.0, 6.0]])
-        >>> window.values(3.5 - 0.5857864376269049)
-        (-1.0, 0.2, 0.0)
-    """
-
-    def __init__(self, table: NDArray[np.float64], *, depth: float, cruise: float, visit: float) -> None:
-        self._rows = [tuple(map(float, row)) for row in np.asarray(table, dtype=float)]
-        self._places = np.asarray(table, dtype=float)[:, :2]
-        self._depth, self._cruise, self._visit = float(depth), float(cruise), float(visit)
-        self.first = 1
-
-    def _numbers(self) -> list[int]:
-        last = len(self._rows) - 1
-        return [0, *(min(self.first + k, last) for k in range(AHEAD)), last]
-
-    def waypoints(self) -> NDArray[np.float64]:
-        """Return the waypoints in the window (`MAX_WAYPOINTS`, 2) [m]."""
-        return self._places[self._numbers()]
-
-    def move(self, progress: float) -> float:
-        """Move the window on if the target point is far enough; return the change of every arc length in the law [m].
-
-        `progress` is the arc length of the target point along the window [m].
-        """
-        if self.first >= last_first(len(self._rows)):
-            return 0.0
-        start = self._rows[0]
-        one, two, three = self._rows[self.first : self.first + 3]
-        behind = _distance(start, one) + _distance(one, two)
-        if not progress > behind + _distance(two, three) + AT_CORNER:
-            return 0.0
-        self.first += 1
-        return _distance(start, two) - behind
-
-    def values(self, progress: float) -> tuple[float, float, float]:
-        """Return the depth z [m], the cruise speed [m/s] and the visit distance [m] (0: none) at the target point."""
-        rows = [self._rows[k] for k in self._numbers()]
-        passed, at, here = 0.0, 0.0, (rows[0], rows[1])
-        length = chord = _distance(*here)
-        for k, pair in enumerate(pairwise(rows)):
-            chord = _distance(*pair)
-            if k == 0 or progress > passed + AT_CORNER:
-                here, at, length = pair, passed, chord
-            passed = passed + chord
-        share = min(max((progress - at) / max(length, SHORTEST), 0.0), 1.0)
-        before, end = here
-        rise = before[2] + (end[2] - before[2]) * share
-        return (self._depth + rise, end[3] if end[3] > 0.0 else self._cruise, self._visit if end[4] > 0.0 else 0.0)
-
-
-def _distance(a: Sequence[float], b: Sequence[float]) -> float:
-    x, y = b[0] - a[0], b[1] - a[1]
-    return sqrt(x * x + y * y)
-
-
 def window_next(first: ca.SX, progress: ca.SX, rows: ca.SX, start: ca.SX, last: ca.SX) -> tuple[ca.SX, ca.SX]:
     """Return the window's next number `first`, and the change of every arc length in the law, as CasADi expressions.
 
     Args:
-        first: present number of the window's first waypoint in a row.
         progress: arc length of the target point along the window [m].
         rows: (3, k) waypoints from number `first` on; the columns begin with x, y [m].
         start: (2, 1) the path's first waypoint [m].
-        last: largest number `first`, see `last_first`.
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.marine.guidance import window_next
-        >>> rows, start = ca.DM([[0, 1], [1, 1], [1, 2]]), ca.DM([0, 0])
-        >>> moved, shift = window_next(ca.DM(1), ca.DM(3.5), rows, start, ca.DM(9))
-        >>> float(moved), round(float(shift), 4)
-        (2.0, -0.5858)
+        last: largest number `first`, with which the window holds the end of the path.
     """
     one, two, three = (rows[k, :2].T for k in range(3))
     behind = _norm(one - start) + _norm(two - one)
@@ -160,15 +68,8 @@ def window_values(
     Args:
         rows: (`MAX_WAYPOINTS`, 5) rows of the mission's table in the window.
         progress: arc length of the target point along the window [m].
-        depth, cruise, visit: as for `Window`.
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.marine.guidance import Path, window_values
-        >>> table = Path([[0, 0], [2, 0], [2, 3]], rises=[0, -1, -1], speeds=[0, 0.3, 0]).table(visits=True)
-        >>> rows = ca.DM(table[[0, 1, 2, 2, 2, 2, 2, 2]])
-        >>> [float(v) for v in window_values(rows, ca.DM(1.0), depth=ca.DM(-2), cruise=ca.DM(0.2), visit=ca.DM(0.1))]
-        [-2.5, 0.3, 0.1]
+        depth, cruise, visit: z of the mission [m], speed [m/s] on segments without one, and distance [m] that counts
+            as a visit.
     """
     passed, share, before, end = ca.SX(0), ca.SX(0), rows[0, :], rows[1, :]
     for k in range(MAX_WAYPOINTS - 1):
@@ -219,17 +120,6 @@ class Follower:
         along: largest arc length on the present path segment so far [m].
         missed: largest distance [m] at which a corner was passed so far; 0 before the first corner. The distance to a
             corner is the least distance while the robot is on one of the two segments that meet at the corner.
-
-    Example:
-        >>> from surctl.marine.guidance import Follower, Path
-        >>> there_and_back = Follower(Path([[1.0, 2.5], [6.0, 2.5], [1.0, 2.5]]))
-        >>> [there_and_back.move(x, 2.5) or there_and_back.leg for x in (1.0, 3.0, 5.9, 6.0, 5.5, 3.0)]
-        [0, 0, 0, 0, 1, 1]
-        >>> there_and_back.last
-        True
-        >>> square = Follower(Path([[0.0, 0.0], [2.0, 0.0], [2.0, 2.0], [0.0, 2.0], [0.0, 0.0]]))
-        >>> square.track([[0.2, 0.5], [1.0, 0.1]]).tolist()  # not the distance to the last leg, x = 0
-        [0.5, 0.1]
     """
 
     def __init__(self, path: Path, *, visit: float | None = None) -> None:
@@ -376,12 +266,7 @@ def follow(old: Mapping[str, ca.SX], waypoints: ca.SX, legs: ca.SX, place: ca.SX
     Args:
         old: value of each entry of `FOLLOWING` before the move, by name.
         waypoints: (n, 2) positions [m]; repetitions of the last waypoint are ignored.
-        legs: number of path segments.
-        place: new position of the robot (2, 1) [m] in {E}.
         visit: distance [m] to a corner within which the corner counts as visited; 0 or less: the robot may cut corners.
-
-    Returns:
-        Value of each entry of `FOLLOWING` after the move, by name.
 
     Example:
         >>> import casadi as ca
@@ -421,27 +306,13 @@ def follow(old: Mapping[str, ca.SX], waypoints: ca.SX, legs: ca.SX, place: ca.SX
 def follow_on(
     old: Mapping[str, ca.SX], rows: ca.SX, legs: ca.SX, place: ca.SX, *, visit: ca.SX
 ) -> tuple[dict[str, ca.SX], ca.SX]:
-    """Return the state of `Follower` on a fed path after one move, as CasADi expressions, and the segments advanced.
+    """Return the state of `Follower` on a fed path after one move, and the number of segments advanced.
 
     Args:
-        old: value of each entry of `FOLLOWING` before the move, by name.
+        old, legs, place: as for `follow`.
         rows: (`SKIPS` + 2, 5) rows of the path's table (see `Path.table`) from the start of the present segment on; the
             last row of the table fills the remaining rows.
-        legs: number of path segments.
-        place: new position of the robot (2, 1) [m] in {E}.
         visit: distance [m] to a corner `VISIT` within which the corner counts as visited.
-
-    Returns:
-        Value of each entry of `FOLLOWING` after the move, by name; number of segments by which the robot advanced.
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.marine.guidance import FOLLOWING, follow_on
-        >>> rows = ca.DM([[0, 0, 0, 0, 0], [1, 0, 0, 0, 0], [1, 0.1, 0, 0, 0], [2, 0.1, 0, 0, 0], [2, 0.1, 0, 0, 0]])
-        >>> old = {port.name: ca.DM(port.default) for port in FOLLOWING} | {"along": ca.DM(0.9)}
-        >>> after, advanced = follow_on(old, rows, ca.DM(3), ca.DM([1.3, 0.1]), visit=ca.DM(0))
-        >>> float(after["leg"]), round(float(after["along"]), 2), float(advanced)
-        (2.0, 0.3, 2.0)
     """
     leg, points = old["leg"], [rows[k, :2].T for k in range(SKIPS + 2)]
     length, ahead = _leg(points[0], points[1])

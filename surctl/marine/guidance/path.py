@@ -112,33 +112,11 @@ class Path:
         speeds = np.zeros(len(self.waypoints)) if self.speeds is None else self.speeds
         return float((self.lengths / np.where(speeds[1:] > 0, speeds[1:], cruise)).sum())
 
-    def distance(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the distances (k,) [m] from k points (k, 2) to the path."""
-        points = np.atleast_2d(points)
-        best = np.full(len(points), np.inf)
-        for a, b in zip(self.waypoints[:-1], self.waypoints[1:], strict=True):
-            t = np.clip((points - a) @ (b - a) / ((b - a) @ (b - a)), 0, 1)
-            best = np.minimum(best, np.linalg.norm(points - a - t[:, None] * (b - a), axis=1))
-        return best
-
 
 def path_target(waypoints: ca.SX, s: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
-    """Return the point and the tangent of the path at arc length s, and the length of the path, as CasADi expressions.
+    """Return the point (2, 1) [m] and unit tangent (2, 1) of the path at arc length s, and the path's length [m].
 
-    Args:
-        waypoints: (n, 2) CasADi SX [m] in {E}; repetitions of the last waypoint are ignored.
-        s: arc length [m]; it is clipped to [0, length].
-
-    Returns:
-        point (2, 1) [m]; unit tangent (2, 1) of the segment that contains s; total length [m].
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.marine.guidance import path_target
-        >>> corner = ca.SX([[0, 0], [2, 0], [2, 3]])
-        >>> point, tangent, length = path_target(corner, ca.SX(2.5))
-        >>> ca.DM(point).full().ravel().tolist(), ca.DM(tangent).full().ravel().tolist()
-        ([2.0, 0.5], [0.0, 1.0])
+    `waypoints` are (n, 2) CasADi SX [m] in {E}; repetitions of the last one are ignored. `s` is clipped to [0, length].
     """
     travelled = ca.SX(0)
     point, tangent = waypoints[0, :].T, ca.SX([1, 0])
@@ -157,21 +135,7 @@ def path_target(waypoints: ca.SX, s: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
 
 
 def leg_end(waypoints: ca.SX, s: ca.SX) -> ca.SX:
-    """Return the arc length [m] at the end of the path segment that contains s.
-
-    If s is at a corner (within 0.1 mm), the result is the arc length of this corner.
-
-    Args:
-        waypoints: (n, 2) positions [m] in {E}, as for `path_target`.
-        s: arc length [m], at most the length of the path.
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.marine.guidance import leg_end
-        >>> corner = ca.SX([[0, 0], [2, 0], [2, 3]])
-        >>> [float(leg_end(corner, ca.SX(s))) for s in (1.0, 2.0, 2.1)]
-        [2.0, 2.0, 5.0]
-    """
+    """Return the arc length [m] at the end of the path segment that contains `s` [m]; at a corner, the corner's."""
     travelled = end = ca.SX(0)
     for k in range(waypoints.shape[0] - 1):
         past = s > travelled + AT_CORNER
@@ -183,28 +147,10 @@ def leg_end(waypoints: ca.SX, s: ca.SX) -> ca.SX:
 def next_leg(waypoints: ca.SX, s: ca.SX, here: ca.SX, *, near: ca.SX) -> ca.SX:
     """Return the arc length [m] of the target point, which advances to the next path segment after a detour.
 
-    The target advances if the detour led the robot nearer to the next segment. If the target did not advance, the robot
-    would return to the corner, approach the next segment crosswise at full speed, and overshoot it.
-
-    Args:
-        waypoints: (n, 2) positions [m] in {E}, as for `path_target`.
-        s: arc length of the target point [m].
-        here: position of the robot (2, 1) [m] in {E}.
-        near: distance from the target point to the corner [m] below which the robot may leave out the rest of a path
-            segment.
-
-    Returns:
-        Arc length [m] of the point of the next path segment nearest to the robot. The target does not advance, and the
-        result is `s`, in four cases: the robot is nearer to the target's segment (prolonged backwards) than to the next
-        segment; the robot is within 0.1 m of the target's segment; the corner is further away than `near`; or there is
-        no next segment.
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.marine.guidance import next_leg
-        >>> corner = ca.SX([[0, 0], [2, 0], [2, 3]])
-        >>> [float(next_leg(corner, ca.SX(1.6), ca.SX(p), near=ca.SX(0.8))) for p in ((1.2, 0.2), (1.8, 0.5))]
-        [1.6, 2.5]
+    The target advances to the nearest point of the next segment if the robot, at `here` (2, 1) [m], is nearer to that
+    than to the target's segment (prolonged backwards), more than 0.1 m off the latter, and the corner is at most `near`
+    [m] ahead of the target. Otherwise the result is `s`. Without this, the robot would return to the corner, approach
+    the next segment crosswise at full speed, and overshoot it.
     """
     tangent, ends, corner, ahead, length = _corner(waypoints, s)
     offset = here - corner
@@ -219,22 +165,9 @@ def next_leg(waypoints: ca.SX, s: ca.SX, here: ca.SX, *, near: ca.SX) -> ca.SX:
 def wheel_over(waypoints: ca.SX, s: ca.SX, here: ca.SX, *, radius: ca.SX, lead: ca.SX) -> ca.SX:
     """Return the arc length [m] of the target point: the corner ahead, once the turn onto the next segment must begin.
 
-    A craft that turns on a circle of radius R by the angle α must begin the turn at the distance R tan(α/2) before the
-    corner (the wheel-over point, Fossen 2021, section 12.4). The distance is at most half of either segment.
-
-    Args:
-        waypoints: (n, 2) positions [m] in {E}, as for `path_target`.
-        s: arc length of the target point [m].
-        here: position of the robot (2, 1) [m] in {E}.
-        radius: turning radius R [m].
-        lead: distance [m] that the craft travels before it turns at its full yaw rate; it is added to the distance.
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.marine.guidance import wheel_over
-        >>> corner, turn = ca.SX([[0, 0], [20, 0], [20, 30]]), dict(radius=ca.SX(5), lead=ca.SX(0))
-        >>> [float(wheel_over(corner, ca.SX(x), ca.SX([x, 0]), **turn)) for x in (14.0, 16.0)]
-        [14.0, 20.0]
+    A craft at `here` (2, 1) [m] that turns on a circle of radius R by the angle α must begin the turn R tan(α/2) before
+    the corner (the wheel-over point, Fossen 2021, section 12.4), and `lead` [m] earlier, in which it travels before it
+    turns at its full yaw rate. The distance is at most half of either segment.
     """
     tangent, ends, corner, ahead, length = _corner(waypoints, s)
     cosine = ca.fmin(ca.fmax(ca.dot(tangent, ahead), -1), 1)

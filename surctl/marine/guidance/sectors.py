@@ -228,15 +228,12 @@ def choose_velocity(
 
     Args:
         desired: desired velocity (2, 1) [m/s] in {E}.
-        sectors: sectors of all contacts.
         side: `Choice.side` of the previous step (−1, 0 or +1); the side does not change while the same contact blocks
             the course.
         blocker: `Choice.blocker` of the previous step.
         cruise: largest speed while the desired velocity is blocked [m/s].
-        cap: largest speed [m/s].
         same: if the position of the blocking contact moves further than this between two steps [m], the law assumes
             that another contact blocks the course.
-        cones: collision cones of moving contacts.
         walls: walls of the site; they influence on which side the robot passes a head-on contact, see `sides`.
         now: velocity over ground (2, 1) [m/s] in {E}; it determines the side on which the robot is already passing a
             contact; default: 0.
@@ -245,15 +242,6 @@ def choose_velocity(
         keeps: 1 if a course within 15° of straight back counts as on the side of the previous step. Back along an
             obstacle, a course that keeps off its nearest point passes straight back for a moment, which would end the
             encounter on this side; default: every course is left or right of the desired course.
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.marine.guidance import Sector, choose_velocity
-        >>> wall = Sector(ca.SX([1, 0]), ca.SX(0.05), ca.SX([1, 0]))  # no faster than 0.05 m/s in x
-        >>> known = dict(side=ca.SX(0), blocker=ca.SX([0, 0]), cruise=ca.SX(0.15), cap=ca.SX(0.22))
-        >>> choice = choose_velocity(ca.SX([0.15, 0.01]), [wall], **known)
-        >>> ca.DM(choice.velocity).full().ravel().round(3).tolist(), float(choice.side)  # left round it
-        ([0.05, 0.141], 1.0)
     """
     desired_speed = ca.fmax(ca.sqrt(ca.sumsqr(desired)), 1e-3)
     ahead = desired / desired_speed
@@ -381,13 +369,6 @@ def slowed(velocity: ca.SX, bounds: Sequence[tuple[ca.SX, ca.SX]]) -> ca.SX:
     """Return a velocity (2, 1) [m/s] on the given velocity's course, slowed down to satisfy the bounds.
 
     Each bound consists of a unit vector and the largest speed [m/s], at least 0, along this vector.
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.marine.guidance import slowed
-        >>> wall = (ca.DM([1, 0]), ca.DM(0.05))  # no faster than 0.05 m/s in x
-        >>> ca.DM(slowed(ca.DM([0.2, 0.1]), [wall])).full().ravel().round(3).tolist()
-        [0.05, 0.025]
     """
 
     def slowest(share: ca.SX, row: ca.SX) -> ca.SX:
@@ -403,24 +384,11 @@ def round_unknown(
 ) -> ca.SX:
     """Return the given velocity, or a velocity around unknown water with which the robot advances faster.
 
-    The robot need not wait for a sonar scan of unknown water if it can go around this water. The candidates have the
-    given speed on the edges of the sectors that the unknown areas block. Each candidate is slowed down to satisfy all
-    bounds. Of the candidates on free courses, the function returns the one that then advances fastest along the given
-    course, if it is sufficiently faster than the given velocity.
-
-    Args:
-        velocity: chosen velocity (2, 1) [m/s] in {E}.
-        bounds: for each unknown area, a unit vector towards the area and the largest speed [m/s], at least 0, along it.
-        sectors: sectors of all contacts.
-        cones: collision cones of moving contacts.
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.marine.guidance import round_unknown
-        >>> unknown = (ca.SX([1, 0]), ca.SX(0.02))  # unknown space ahead: at most 0.02 m/s
-        >>> beside = round_unknown(ca.SX([0.15, 0.02]), [unknown], [])
-        >>> ca.DM(beside).full().ravel().round(3).tolist()
-        [0.02, 0.15]
+    The robot need not wait for a sonar scan of unknown water if it can go around it. The candidates have the given
+    speed on the edges of the sectors that the unknown areas block, and are slowed down to satisfy all bounds: a unit
+    vector towards each area and the largest speed [m/s] along it. Of the candidates on free courses, the function
+    returns the one that then advances fastest along the given course, if it is sufficiently faster than the given
+    velocity.
     """
     speed = ca.fmax(ca.sqrt(ca.sumsqr(velocity)), 1e-3)
     ahead = velocity / speed

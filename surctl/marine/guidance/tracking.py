@@ -36,33 +36,14 @@ _LEAST_GAIN = 1e-9  # m/s
 
 
 def check_guidance(name: str) -> None:
-    """Raise InputError, which suggests a similar known name, if the given name is not in `GUIDANCE`.
-
-    Example:
-        >>> from surctl.marine.guidance import check_guidance
-        >>> check_guidance("alos")
-        >>> check_guidance("elos")
-        Traceback (most recent call last):
-            ...
-        surctl.errors.InputError: guidance = 'elos': is not known; did you mean 'los'?
-    """
+    """Raise InputError, which suggests a similar known name, if the given name is not in `GUIDANCE`."""
     check_known(name, GUIDANCE, key="guidance")
 
 
 def crosstrack_shift(method: Guidance, memory: ca.SX, *, lookahead: ca.SX, sigma: ca.SX) -> ca.SX:
     """Return the shift [m] added to the cross-track error: σ y_int for `ilos`, Δ b for `alos`, 0 for `los`.
 
-    Args:
-        method: guidance method, one of `GUIDANCE`.
-        memory: state of the method: y_int [s] for `ilos`, b [1] for `alos`.
-        lookahead: look-ahead distance Δ_h [m].
-        sigma: integral gain σ of `ilos` [m/s].
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.marine.guidance import crosstrack_shift
-        >>> float(crosstrack_shift("ilos", ca.SX(2.0), lookahead=ca.SX(0.8), sigma=ca.SX(0.05)))  # m added to y_e
-        0.1
+    `memory` is y_int [s] for `ilos` and b [1] for `alos`; `lookahead` is Δ_h [m] and `sigma` the gain σ [m/s].
     """
     return {"los": 0 * memory, "ilos": sigma * memory, "alos": lookahead * memory}[method]
 
@@ -82,26 +63,11 @@ def crosstrack_next(
     """Return the method's state (y_int or b) after one control period, limited to a slope of 45° (anti-windup).
 
     Args:
-        method: guidance method, one of `GUIDANCE`.
-        memory: state of the method: y_int [s] for `ilos`, b [1] for `alos`.
+        method, memory, lookahead, sigma: as for `crosstrack_shift`.
         y_e: cross-track error [m].
         along: commanded speed U_∥ along the path [m/s].
-        lookahead: look-ahead distance Δ_h > 0 [m].
-        sigma: integral gain σ of `ilos` [m/s].
         gamma: adaptation gain γ of `alos` [1/m²].
         held: 1 to leave the state unchanged, because the path error has another cause than a steady disturbance.
-        dt: control period [s].
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.marine.guidance import crosstrack_next
-        >>> known = dict(along=0.15, lookahead=0.8, sigma=0.05, gamma=0.4, held=0)
-        >>> known = {name: ca.SX(value) for name, value in known.items()}
-        >>> memory = ca.SX(0)
-        >>> for _ in range(100):  # 5 s beside the path
-        ...     memory = crosstrack_next("ilos", memory, ca.SX(0.1), dt=0.05, **known)
-        >>> round(float(memory), 3)
-        0.612
     """
     shifted = y_e + crosstrack_shift(method, memory, lookahead=lookahead, sigma=sigma)
     rate = {
@@ -119,13 +85,6 @@ def path_error(position: ca.SX, target: ca.SX, tangent: ca.SX) -> tuple[ca.SX, c
     Equation (8) of the paper defines these errors.
 
     All vector arguments are (2, 1) in {E}.
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.marine.guidance import path_error
-        >>> x_e, y_e = path_error(ca.DM([1.0, 0.3]), ca.DM([1.2, 0.0]), ca.DM([1, 0]))
-        >>> round(float(x_e), 2), round(float(y_e), 2)  # 0.2 m behind, 0.3 m to the left
-        (-0.2, 0.3)
     """
     offset = position - target
     x_e = ca.dot(offset, tangent)
@@ -139,21 +98,12 @@ def along_command(
     """Return the component U_h Δ_h/√(y_e² + Δ_h²) of the commanded horizontal speed U_h along the path [m/s].
 
     Args:
-        x_e: along-track error [m].
-        y_e: cross-track error [m].
+        x_e, y_e: along-track and cross-track error [m].
         speed: speed U_d of the target point along the path [m/s].
-        k1: along-track gain [1/s].
-        lookahead: look-ahead distance Δ_h of the line-of-sight guidance [m].
+        k1, lookahead: along-track gain [1/s] and look-ahead distance Δ_h [m].
         maximum: largest horizontal speed U_h [m/s]; None: no limit, as in the paper.
         repaired: whether to limit U_h to at least 0; in the law as printed, a negative U_h reverses the sign of the y_e
             term (erratum E9).
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.marine.guidance import along_command
-        >>> known = dict(speed=ca.SX(0.15), k1=ca.SX(0.3), lookahead=ca.SX(0.8), maximum=ca.SX(0.22))
-        >>> [round(float(along_command(ca.SX(x_e), ca.SX(0), **known)), 3) for x_e in (-0.5, 0.0, 0.3)]
-        [0.22, 0.15, 0.06]
     """
     along = speed - k1 * x_e
     if repaired:
@@ -167,14 +117,7 @@ def along_command(
 
 
 def tracking_velocity(along: ca.SX, y_e: ca.SX, tangent: ca.SX, lookahead: ca.SX) -> ca.SX:
-    """Return the commanded horizontal velocity (2, 1) in {E} [m/s] for a given along-track command.
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.marine.guidance import tracking_velocity
-        >>> tracking_velocity(ca.DM(0.15), ca.DM(0.4), ca.DM([1, 0]), ca.DM(0.8)).full().ravel().round(3).tolist()
-        [0.15, -0.075]
-    """
+    """Return the commanded horizontal velocity (2, 1) in {E} [m/s] for a given along-track command."""
     across = -along * y_e / lookahead
     return ca.vertcat(along * tangent[0] - across * tangent[1], along * tangent[1] + across * tangent[0])
 
@@ -182,15 +125,9 @@ def tracking_velocity(along: ca.SX, y_e: ca.SX, tangent: ca.SX, lookahead: ca.SX
 def tracking_rate(error: ca.SX, along: ca.SX, *, speed: ca.SX, lookahead: ca.SX, k2: ca.SX, turn: ca.SX) -> ca.SX:
     """Return the time derivatives of x_e, y_e, z_e [m/s] if the robot follows its commanded velocity exactly.
 
-    The derivatives are those of equation (9) of the paper with the commanded velocities.
-
-    Args:
-        error: (3, 1) along-track, cross-track and depth error x_e, y_e, z_e [m].
-        along: commanded speed along the path [m/s].
-        speed: speed U_d of the target point along the path [m/s].
-        lookahead: look-ahead distance Δ_h of the line-of-sight guidance [m].
-        k2: depth gain [1/s].
-        turn: turn rate γ̇_d of the path direction [rad/s]; it cancels in the derivative of the Lyapunov function V1.
+    They are those of equation (9) of the paper, for the errors `error` (3, 1) [m], the commanded speed `along` [m/s],
+    the speed U_d of the target point, the look-ahead distance Δ_h [m] and the depth gain k2 [1/s]. The turn rate γ̇_d
+    of the path direction [rad/s] cancels in the derivative of the Lyapunov function V1.
     """
     x_e, y_e, z_e = error[0], error[1], error[2]
     return ca.vertcat(along - speed + y_e * turn, -along * y_e / lookahead - x_e * turn, -k2 * z_e)
@@ -199,15 +136,7 @@ def tracking_rate(error: ca.SX, along: ca.SX, *, speed: ca.SX, lookahead: ca.SX,
 def progress_rate(x_e: ca.SX, *, speed: ca.SX, wait: ca.SX) -> ca.SX:
     """Return the speed of the target point along the path [m/s].
 
-    The target's speed is U_d, and it decreases to 0 while the robot's distance behind the target grows from `wait`/2 to
-    `wait` [m]. If the target did not slow down, a robot on a detour would fall far behind, and would then cut corners
-    at full speed to catch up.
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.marine.guidance import progress_rate
-        >>> known = dict(speed=ca.SX(0.15), wait=ca.SX(0.8))
-        >>> [round(float(progress_rate(ca.SX(x_e), **known)), 3) for x_e in (0.0, -0.6, -0.8)]
-        [0.15, 0.075, 0.0]
+    It is U_d, and decreases to 0 while the robot's distance behind the target grows from `wait`/2 to `wait` [m]: else a
+    robot on a detour would fall far behind, and would then cut corners at full speed to catch up.
     """
     return speed * ca.fmin(ca.fmax(2 * (1 + x_e / wait), 0), 1)

@@ -122,6 +122,8 @@ def plot_portrait(one: Portrait, ax: Axes | None = None) -> Axes:
     if one.levels[0] > 0:
         ax.contour(one.x, one.y, one.level, levels=[one.levels[0]], colors=[ROBOT], linewidths=1.4, linestyles="--")
     ax.plot(0, 0, marker="+", color=INK, markersize=9)
+    if one.plane == "place":
+        ax.set_aspect("equal", adjustable="datalim")
     if alone:
         legend_below(ax, columns=2, handles=_handles(one))
     return ax

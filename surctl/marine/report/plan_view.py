@@ -14,11 +14,24 @@ from matplotlib.patches import Circle, Patch, PathPatch, Polygon, Rectangle, Wed
 from matplotlib.path import Path as Outline
 from numpy.typing import NDArray
 
-from surctl.marine.simulation import Body, Run, depth_changes
+from surctl.marine.simulation import Body, Run
+from surctl.marine.simulation.run import depth_changes
 from surctl.marine.simulation.scenario import Shape
 from surctl.marine.world import Box, Disc, Heights, Wall
 from surctl.own_code import label
-from surctl.report.theme import AVOIDING, GOOD, INK, MUTED, OBSTACLE, ROBOT, dress, legend_below, new_axes, printable
+from surctl.report.theme import (
+    AVOIDING,
+    GOOD,
+    INK,
+    MUTED,
+    OBSTACLE,
+    ROBOT,
+    dress,
+    lay_out,
+    legend_below,
+    new_axes,
+    printable,
+)
 
 INSTANT = "#6D28D9"
 """Colour that marks the instant at which sonar beams are shown."""
@@ -100,6 +113,7 @@ def plot_run(run: Run, ax: Axes | None = None) -> Axes:
         ('pool-behind: sur400, law closed_form (nsb), truth, seed 0', 'x in {E} [m]', 'y in {E} [m]')
     """
     length, width, _ = run.scenario.site
+    alone = ax is None
     if ax is None:
         height = float(np.clip(7.6 * width / length + 1.5, 3.6, 7.6))
         ax = new_axes(9.0, height)
@@ -118,6 +132,8 @@ def plot_run(run: Run, ax: Axes | None = None) -> Axes:
     rim = 0.03 * max(length, width)
     ax.set_xlim(-rim, length + rim)
     ax.set_ylim(-rim, width + rim)
+    if alone:
+        lay_out(ax)
     return ax
 
 

@@ -121,7 +121,8 @@ def plot_sonar_replay(replayed: Replay, ax: Sequence[Axes] | None = None, *, tit
     Example:
         >>> from pathlib import Path
         >>> from surctl.marine.report import plot_sonar_replay
-        >>> from surctl.marine.sensing import read_readings, replay_readings, sonar_array
+        >>> from surctl.marine.sensing import sonar_array
+        >>> from surctl.marine.sensing.replay import read_readings, replay_readings
         >>> rows = ["time_s,sensor,range_m", *(f"{0.1 * k:.1f},0,{2.0 - 0.01 * k:.2f}" for k in range(60))]
         >>> _ = Path("readings.csv").write_text("\n".join(rows))
         >>> replayed = replay_readings(read_readings(Path("readings.csv"), sonar_array(1)).readings)

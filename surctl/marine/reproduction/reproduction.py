@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -17,7 +18,7 @@ from surctl.files import write_file
 from surctl.marine.report import plot_run
 from surctl.marine.report.paper_plots import plot_coordinates, plot_position_errors, plot_series
 from surctl.marine.reproduction.errata import errata_items
-from surctl.marine.reproduction.row import Item, Result, Row, Word, agrees, differs, wrong_in_print
+from surctl.marine.reproduction.row import WORDS, Item, Result, Row, Word, agrees, differs, wrong_in_print
 from surctl.marine.reproduction.scenarios import (
     ABOUT,
     Simulations,
@@ -76,7 +77,7 @@ def judged(claim: Claim, samples: int) -> Result:
     if counterexample is None:
         return differs("undecided", verdict.remaining or "", worst_margin=verdict.worst_margin)
     where = ", ".join(f"{name} = {number:.4g}" for name, number in counterexample.values.items())
-    share = f"the claim fails for {100 * verdict.fraction:.2g} % of the samples"
+    share = f"the claim fails for {100 * verdict.fraction:.3g} % of the samples"
     ours = f"refuted: the bound is exceeded by {counterexample.margin:.3g} {unit}; {share}"
     return wrong_in_print(ours, f"at {where}", margin=counterexample.margin, fraction=verdict.fraction)
 
@@ -284,6 +285,13 @@ class Reproduction:
         """Whether no comparison is missing and every comparison has the expected result."""
         return not self.missing and all(row.as_expected for row in self.rows)
 
+    @property
+    def counts(self) -> str:
+        """How many comparisons have which verdict, and how many are as expected."""
+        by_word = Counter(row.result.word for row in self.rows)
+        words = ", ".join(f"{by_word[word]} {word}" for word in WORDS if by_word[word])
+        return f"{words}; {sum(row.as_expected for row in self.rows)} of {len(self.rows)} rows as expected"
+
     def to_dict(self) -> dict[str, Any]:
         """Return the reproduction as plain data for JSON; the writer must handle numbers that are not finite."""
         return {
@@ -400,19 +408,10 @@ _SERIES = ("tank-speed", "pool-speed")
 
 
 def write_reproduction(done: Reproduction, path: Path, *, command: str) -> Path:
-    """Write an HTML page with one table for each group of comparisons.
+    """Write an HTML page with one table for each group of comparisons, made by the command line `command`.
 
-    If scenarios are among the comparisons, the page also shows figures of one run for each scenario.
-
-    The figures show runs with true positions and seed 0.
-
-    Args:
-        done: the computed comparisons.
-        path: path of the HTML page.
-        command: the command line that created the HTML page.
-
-    Raises:
-        InputError: if the folder cannot be written.
+    If scenarios are among the comparisons, the page also shows figures of one run of each, with true positions and seed
+    0.
     """
     failing = [row.item.id for row in done.rows if not row.as_expected]
     failing += [f"{name} (missing)" for name in done.missing]
@@ -435,7 +434,7 @@ def write_reproduction(done: Reproduction, path: Path, *, command: str) -> Path:
         version=__version__,
         command=command,
         passed=not failing,
-        banner=f"Not as expected: {', '.join(failing)}." if failing else "Every row is as expected.",
+        banner=f"Not as expected: {', '.join(failing)}." if failing else f"{done.counts}.",
         lines=counts,
         sections=sections,
     )
@@ -476,7 +475,9 @@ def _table(group: str, rows: list[Row]) -> Section:
         )
         for k, row in enumerate(rows)
     )
-    return Section(group.replace(" ", "-"), group.capitalize(), (Table(group.capitalize(), heads, cells),))
+    shares = (11, 20, 10, 18, *(12 for _ in further), 18, 8, 10, 5)
+    widths = tuple(100 * share // sum(shares) for share in shares)
+    return Section(group.replace(" ", "-"), group.capitalize(), (Table(group.capitalize(), heads, cells, widths),))
 
 
 def _trajectories(runs: list[Run]) -> Section:

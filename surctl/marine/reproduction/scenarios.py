@@ -38,8 +38,6 @@ class Simulations:
 
     Attributes:
         seeds: number of seeds (0, 1, …) that the compiled loop simulates, at least 1.
-        threads: number of threads of the compiled loop.
-        gains: gains of the control law.
         independent: whether each scenario is simulated in MuJoCo, too.
         webots: whether each scenario with sonars is simulated with echoes as in the paper's simulator, too.
     """

@@ -6,36 +6,16 @@ from surctl.lazy import load_at_first_use
 
 if TYPE_CHECKING:
     from surctl.marine.sensing.calibration.estimation import OUTLIER_RULE, Calibration, Estimate, calibrate
-    from surctl.marine.sensing.calibration.file import (
-        RangeTest,
-        SensorCalibration,
-        calibrate_file,
-        calibrate_table_ii,
-        calibration_rows,
-        file_stems,
-        pick_calibration,
-        sonar_fragment,
-        table_ii,
-    )
+    from surctl.marine.sensing.calibration.file import RangeTest, SensorCalibration, calibrate_file, calibrate_table_ii
     from surctl.marine.sensing.equipment import INCIDENCE_LIMITS, SURFACE_MODELS, Equipment
     from surctl.marine.sensing.localisation.base_station import BaseStation, Delivery, OwnState
     from surctl.marine.sensing.localisation.own_state import OwnStateFilter
     from surctl.marine.sensing.mapping.local_map import LocalMap
     from surctl.marine.sensing.ranging.filters import SensorFilter
     from surctl.marine.sensing.ranging.tracker import RangeTracker
-    from surctl.marine.sensing.replay import (
-        Readings,
-        Recording,
-        Replay,
-        Tracked,
-        filtered_rows,
-        read_readings,
-        replay_readings,
-        sonar_array,
-        track,
-    )
-    from surctl.marine.sensing.sonar.array import Medium, SonarArray, speed_of_sound
-    from surctl.marine.sensing.sonar.faults import FAULT_KINDS, Fault, FaultChances, check_faults
+    from surctl.marine.sensing.replay import Readings, Recording, Replay, Tracked, sonar_array, track
+    from surctl.marine.sensing.sonar.array import Medium, SonarArray
+    from surctl.marine.sensing.sonar.faults import FAULT_KINDS, Fault, FaultChances
     from surctl.marine.sensing.sonar.returns import REFLECTORS, Reflector, Surfaces
 
 __all__ = [
@@ -69,17 +49,7 @@ __all__ = [
     "calibrate",
     "calibrate_file",
     "calibrate_table_ii",
-    "calibration_rows",
-    "check_faults",
-    "file_stems",
-    "filtered_rows",
-    "pick_calibration",
-    "read_readings",
-    "replay_readings",
     "sonar_array",
-    "sonar_fragment",
-    "speed_of_sound",
-    "table_ii",
     "track",
 ]
 

@@ -55,7 +55,6 @@ class Equipment:
     search_limit: float | None = None
 
     def __post_init__(self) -> None:
-        """Check the values; raise an InputError that names an invalid value."""
         if self.surface_model not in SURFACE_MODELS:
             remedy = f"write {' or '.join(SURFACE_MODELS)}"
             raise InputError("is not known", key="surface_model", value=self.surface_model, remedy=remedy)

@@ -33,13 +33,7 @@ _MOST_STEPS = 5_000_000
 def _usual_cycle(time: Array, sensor: NDArray[np.int64], *, file: str) -> float:
     """Return the usual time between two successive readings of a sensor [s].
 
-    Args:
-        time: (rows,) times [s], ascending.
-        sensor: (rows,) index of the sensor of each reading.
-        file: name of the file, for error messages.
-
-    Raises:
-        InputError: no sensor has readings at two different times, or the cycle time is outside the filter's limits.
+    Times are (rows,) [s], ascending, and `sensor` (rows,) is the index of each reading's sensor.
     """
     waits = np.concatenate([np.diff(time[sensor == i]) for i in np.unique(sensor)])
     waits = waits[waits > 0]
@@ -78,13 +72,8 @@ def _pace(time: Array, sensor: NDArray[np.int64], median: float) -> float:
 def _on_steps(time: Array, dt: float, *, file: str) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
     """Return the step of each reading, and the first step and start time [s] of each segment between long gaps.
 
-    The step boundaries are placed so that jitter rarely moves a reading into a neighbouring step. The first reading of
-    a segment lies in the segment's first step. `InputError` is raised if the recording would have too many steps.
-
-    Args:
-        time: (rows,) times [s], ascending.
-        dt: duration of a step [s].
-        file: name of the file, for error messages.
+    The boundaries of the steps of `dt` [s] are placed so that jitter rarely moves a reading into a neighbouring step.
+    The first reading of a segment lies in its first step. Too many steps raise `InputError`.
     """
     silence = max(_SILENCE, 20.0 * dt)
     breaks = np.flatnonzero(np.diff(time) > silence) + 1
@@ -124,7 +113,6 @@ class Readings:
         closing: (steps, n) velocity of the robot along each beam's axis [m/s].
         turn: (steps,) yaw rate of the robot [rad/s].
         first: (segments,) steps at which the tracker restarts: step 0, and the first step after each long gap.
-        array: the sonar array.
         dt: time from step to step within a segment [s].
     """
 
@@ -165,7 +153,6 @@ class SensorSummary:
     """The summary of one sensor in a replay.
 
     Attributes:
-        sensor: index of the sensor.
         readings: number of readings that arrived.
         refused: number of readings that the tracker did not accept.
         healthy: share of steps with a reliable range among the steps from the first to the last reading of the sensor.
@@ -229,24 +216,7 @@ class Replay:
 
 
 def replay_readings(readings: Readings) -> Replay:
-    """Run the tracker over the readings, and return readings and results; no walls are known.
-
-    Example:
-        >>> from pathlib import Path
-        >>> import numpy as np
-        >>> from surctl.marine.sensing import read_readings, replay_readings, sonar_array
-        >>> k = np.arange(40)
-        >>> rows = np.column_stack((0.1 * k, 0 * k, np.where(k == 20, 0.5, 2.0 + 0.01 * (k % 2))))  # one is false
-        >>> np.savetxt("log.csv", rows, delimiter=",", header="time_s,sensor,range_m", comments="")
-        >>> replayed = replay_readings(read_readings(Path("log.csv"), sonar_array(1)).readings)
-        >>> tracked = replayed.tracked
-        >>> for k in (38, 40, 44):  # before, at and after the false reading
-        ...     distance, bound = tracked.range[k, 0], tracked.bound[k, 0]
-        ...     print(f"{distance:.3f} m within {bound:.3f} m, healthy: {tracked.healthy[k, 0]}")
-        2.005 m within 0.051 m, healthy: True
-        1.261 m within 0.802 m, healthy: False
-        2.004 m within 0.051 m, healthy: True
-    """
+    """Run the tracker over the readings, and return readings and results; no walls are known."""
     parts = np.split(np.arange(len(readings.time)), readings.first[1:])
     tracker = _tracker_of(readings)
     tracks = [
@@ -329,7 +299,6 @@ class Recording:
     """The readings of a recording, and how many lines of its file were skipped or changed.
 
     Attributes:
-        readings: the readings, each assigned to a step of the tracker.
         name: printable name of the file.
         rows: number of data lines in the file.
         incomplete: number of lines skipped because a number is missing, NaN or infinite.
@@ -398,27 +367,7 @@ def read_readings(path: Path, array: SonarArray, *, scale: float = 1.0) -> Recor
     Optional columns are `closing_m_per_s` (velocity of the robot along the sensor's beam) and `turn_rad_per_s` (yaw
     rate). The step is half the usual time between two readings of a sensor; each reading is assigned to the nearest
     step. Lines with a missing, NaN or infinite number, and lines whose time goes back, are skipped and counted.
-
-    Args:
-        path: the file.
-        array: the sonar array; the file replaces its `samples` and `firing_period`.
-        scale: scale factor of the sensor; the readings are divided by this factor.
-
-    Raises:
-        InputError: if `read_recorded` raises InputError, a column is missing, a sensor does not exist, a sample is
-            below 0, time goes back in more than 5 % of the lines, there are too few lines, or the cycle time is
-            impossible.
-
-    Example:
-        >>> from pathlib import Path
-        >>> import numpy as np
-        >>> from surctl.marine.sensing import read_readings, sonar_array
-        >>> k = np.arange(40)
-        >>> rows = np.column_stack((0.1 * k, 0 * k, 2.0 - 0.01 * k))
-        >>> np.savetxt("log.csv", rows, delimiter=",", header="time_s,sensor,range_m", comments="")
-        >>> recording = read_readings(Path("log.csv"), sonar_array(1))
-        >>> recording.rows, round(recording.cycle, 3), recording.notes
-        (40, 0.1, ['no column closing_m_per_s: taken as 0', 'no column turn_rad_per_s: taken as 0'])
+    The file replaces `samples` and `firing_period` of the array, and all readings are divided by `scale`.
     """
     table = read_recorded(path)
     sample_columns = _sample_columns(table)
@@ -477,19 +426,6 @@ def filtered_rows(replayed: Replay) -> str:
     """Return CSV text with a line for each step and each sensor with readings.
 
     The column `reading_m` is empty if no reading arrived in the step.
-
-    Example:
-        >>> from pathlib import Path
-        >>> import numpy as np
-        >>> from surctl.marine.sensing import filtered_rows, read_readings, replay_readings, sonar_array
-        >>> k = np.arange(40)
-        >>> rows = np.column_stack((0.1 * k, 0 * k, 2.0 - 0.01 * k))  # closing speed 0.1 m/s
-        >>> np.savetxt("log.csv", rows, delimiter=",", header="time_s,sensor,range_m", comments="")
-        >>> lines = filtered_rows(replay_readings(read_readings(Path("log.csv"), sonar_array(1)).readings)).splitlines()
-        >>> for line in (lines[0], lines[-1]):
-        ...     print(line)
-        time_s,sensor,reading_m,range_m,bound_m,healthy,age_s
-        3.900000,0,1.60890,1.60890,0.05054,1,0.00000
     """
     r = replayed.readings
     out = io.StringIO()

@@ -21,7 +21,8 @@ from surctl.marine.control.dead_end import SLACK
 from surctl.marine.simulation.obstacle import Obstacle
 from surctl.marine.simulation.scenario import Finding, Scenario
 from surctl.marine.simulation.world import BAND
-from surctl.marine.vehicle import Vehicle, floating_depth, missing_buoyancy
+from surctl.marine.vehicle import Vehicle
+from surctl.marine.vehicle.geometry import floating_depth, missing_buoyancy
 
 _CELLS = 250  # grid cells along the site's diagonal; a cell is 45 mm in the tank and 14 mm in the pool
 

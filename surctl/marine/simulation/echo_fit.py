@@ -33,12 +33,6 @@ def detection_range(scenario: Scenario) -> float:
     """Return the range [m] up to which a law with sonars takes an echo for an obstacle, at the deepest place.
 
     That is the longest range of the sonars, or the range from which the law takes echoes for those of the floor.
-
-    Example:
-        >>> from surctl.marine.simulation import load_scenario
-        >>> from surctl.marine.simulation.echo_fit import detection_range
-        >>> detection_range(load_scenario("tank-static"))
-        4.5
     """
     equipment = scenario.sensors.equipment
     floor = floor_range(equipment, scenario.deepest)
@@ -52,16 +46,7 @@ def _obstacle_reflectors(scenario: Scenario, array: SonarArray) -> tuple[Reflect
 
 
 def unanswered(scenario: Scenario) -> str:
-    """Return which obstacles answer otherwise than the law's surface model says, as text; empty if none does.
-
-    Example:
-        >>> from dataclasses import replace
-        >>> from surctl.marine.simulation import load_scenario
-        >>> from surctl.marine.simulation.echo_fit import unanswered
-        >>> pool = load_scenario("pool-static")
-        >>> unanswered(replace(pool, sensors=pool.sensors.hearing("webots")))
-        'Obstacle1, Obstacle2, Obstacle3 and Obstacle4 are silent beyond 22.5 deg of the normal'
-    """
+    """Return which obstacles answer otherwise than the law's surface model says, as text; empty if none does."""
     equipment = scenario.sensors.equipment
     within = INCIDENCE_LIMITS[equipment.surface_model]
     groups: dict[str, list[str]] = {}
@@ -95,19 +80,13 @@ _ROUNDS = 12  # times that it halves its steps
 
 
 def _has_echo(box: Obstacle, normal: Point, *, scenario: Scenario, array: SonarArray, limit: float) -> bool:
-    """Return whether the hull fits at a place at which a sonar receives an echo of a face.
+    """Return whether the hull fits where a sonar receives an echo of the face of a box with this outward normal.
 
-    The function searches over the point of the face, the angle of incidence, the range, and the direction of the ray in
-    the beam; these determine the place and the heading of the hull. A grid of all four comes first. From the places of
-    the grid with the least overlap the search goes on with ever smaller steps, so that it finds narrow places, too.
-
-    Args:
-        box: a still box of the scenario.
-        normal: outward normal of the face, along x or y.
-        scenario: the mission; other still obstacles may hide the face, and none may overlap the hull. They are taken at
-            their places at the start.
-        array: the sonars on the hull, with its radius.
-        limit: largest angle of incidence [rad] at which the face answers, below π/2; 0: it is silent.
+    The search goes over the point of the face, the angle of incidence, the range, and the direction of the ray in the
+    beam; these determine place and heading of the hull. A grid of all four comes first, then ever smaller steps from
+    its places with the least overlap. Other still obstacles, at their places at the start, may hide the face, and none
+    may overlap the hull. `limit` is the largest angle of incidence [rad] at which the face answers, below π/2; 0: it is
+    silent.
     """
     if limit <= 0:
         return False

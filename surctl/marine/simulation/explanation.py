@@ -15,9 +15,7 @@ from surctl.system.controller import lost_entry
 
 
 def priority_timeline(run: Run) -> PriorityTimeline:
-    """Return the priority timeline of a run.
-
-    The function solves the law's problem again at each control step, with a name for every constraint row.
+    """Return the priority timeline of a run, whose problem is solved again at each control step, with names of rows.
 
     Control steps whose input the law rejected are left out.
 
@@ -56,9 +54,8 @@ class Explanation:
 def explain(run: Run) -> list[Explanation]:
     """Return one explanation for each control step at which the set of binding or relaxed constraint rows changes.
 
-    The law's problem is solved again at each control step, with a name for every constraint row. Mode `nsb` ignores the
-    constraint rows, so for this mode the relaxed rows are those that the velocity violates. Control steps whose input
-    the law rejected because a number was not finite (status `NONFINITE`) are left out.
+    Mode `nsb` ignores the rows, so its relaxed rows are those that the velocity violates. Control steps with the status
+    `NONFINITE` are left out.
 
     Example:
         >>> from surctl.marine.control import build_law, load_gains
@@ -92,20 +89,6 @@ def stop_reason(run: Run) -> str:
 
     The sentence names the information that the law lacked, or the position where it gave up and the time without
     progress, or the number that is not finite.
-
-    Raises:
-        InputError: the run ended for another reason.
-
-    Example:
-        >>> from dataclasses import replace
-        >>> from surctl.marine.control import load_gains
-        >>> from surctl.marine.simulation import Obstacle, stop_reason, load_scenario, simulate
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> wall = Obstacle(name="wall", shape="box", centre_m=(2.0, 1.0), size_m=(0.2, 2.0))
-        >>> mission = replace(load_scenario("pool-behind"), obstacles=(wall,))
-        >>> run = simulate(mission, load_vehicle("sur400"), gains=load_gains("default").with_values({"patience": 5.0}))
-        >>> print(f"{run.metrics.stopped_because}: {stop_reason(run)}")
-        dead end: no progress for 5 s, search ended at (1.65, 0.79) m after 28 s; reached 0.9 m of the 2.0 m path
     """
     law, record, why = run.law, run.record, run.metrics.stopped_because
     if why == "dead end":
@@ -134,16 +117,6 @@ def time_limit_reason(run: Run) -> str:
 
     The text says where the hull stayed at the end, or since when it moved without progress along the path, and what
     `findings` reports as an error of the scenario.
-
-    Example:
-        >>> from dataclasses import replace
-        >>> from surctl.marine.control import load_gains
-        >>> from surctl.marine.simulation import load_scenario, simulate, time_limit_reason
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> hurried = replace(load_scenario("pool-static"), time_limit=5.0)
-        >>> run = simulate(hurried, load_vehicle("sur400"), gains=load_gains("default"))
-        >>> print(time_limit_reason(run))
-        the path is 2.61 m long and takes 17.4 s at the cruise speed of 0.15 m/s; the run ends at 5 s
     """
     place, time, vehicle = run.record.eta[:, :2], run.record.time, run.vehicle
     away = np.flatnonzero(np.hypot(*(place - place[-1]).T) > _STILL * vehicle["radius"])

@@ -19,8 +19,9 @@ from surctl.marine.simulation.echo_fit import detection_range, echo_findings
 from surctl.marine.simulation.motion import mission_findings, motion_findings, steering_findings
 from surctl.marine.simulation.scenario import Finding, Scenario
 from surctl.marine.simulation.world import build_world
-from surctl.marine.vehicle import Vehicle, attainable, axis_ends, plant_parameters
+from surctl.marine.vehicle import Vehicle, attainable, plant_parameters
 from surctl.marine.vehicle.dynamics import trim_tilt
+from surctl.marine.vehicle.thruster_file import axis_ends
 
 _WIDE = 15.0  # [deg] tilt above which the sonars' beams leave the depth of the path, and sin² of it costs thrust
 
@@ -79,13 +80,6 @@ def thruster_findings(vehicle: Vehicle) -> list[Finding]:
     these limits reaches the plant. This holds if the box of the limits lies in the attainable set. A craft without sway
     force whose allocation keeps yaw may lose surge force while it turns: this is said as information. Fins have the
     limits of the speed `Vehicle.speed`.
-
-    Example:
-        >>> from surctl.marine.simulation import thruster_findings
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> greedy = load_vehicle("bluerov2-heavy").with_values({"Fr_max": 35.0})
-        >>> print(thruster_findings(greedy)[0].text)
-        the thrusters give at most 29.75 N m in yaw without other forces, but Fr_max is 35 N m: lower it
     """
     results = _drag(vehicle)
     if vehicle.actuators is None:
@@ -180,13 +174,6 @@ def held_share(vehicle: Vehicle, failed: Sequence[str] = ()) -> float:
     """Return the largest share of the thrust limits of a vehicle with thrusters that its thrusters give all at once.
 
     The sway force of a rudder belongs to its yaw moment, so axes without a limit of their own do not count.
-
-    Example:
-        >>> from surctl.marine.simulation import held_share
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> heavy = load_vehicle("bluerov2-heavy")
-        >>> held_share(heavy) >= 1.0, held_share(heavy, ["T2"]) >= 1.0
-        (True, False)
     """
     assert vehicle.actuators is not None
     axes = tuple(np.flatnonzero(vehicle.thrust_limit > 0).tolist()) if vehicle.actuators.fins else (0, 1, 2, 3)

@@ -18,7 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError, SurctlError, nearest
-from surctl.ir import cached_bytes, on_vectors, to_casadi
+from surctl.ir import on_vectors, to_casadi
+from surctl.ir.cache import cached_bytes
 from surctl.marine.control import NONFINITE, WORKING, Gains, Law, LawStep, build_law, check_forces, default_law
 from surctl.marine.guidance import ROW
 from surctl.marine.simulation.batch.case import Case
@@ -65,14 +66,11 @@ def simulate(
 
     Args:
         scenario: the mission.
-        vehicle: the simulated vehicle.
-        gains: the law's gains.
         law: the law; default: `build_law` of the vehicle's `default_law`, with sonars if `sensing` is `sonar`, and with
             allocation if the vehicle has thrusters. A law without allocation commands a force on each axis, which the
             simulation then allocates to the vehicle's thrusters.
         sensing: `truth`: the law receives the exact positions of all obstacles and its exact pose; `sonar`: the law
             receives the echoes of its sonars, and noisy measurements of the moving obstacles and of its pose.
-        seed: seed of all random choices.
         model: vehicle model of the controller; default: the simulated vehicle.
         stepper: function that replaces the law, for instance by a program in another process or precision; from the
             law's state x, inputs u and parameters p it returns a control step.
@@ -241,18 +239,7 @@ def _programs(structure: Structure, law: Law, *, measured: bool) -> tuple[Loop, 
 
 
 class SingleRun:
-    """One run of the mission loop, stepped from outside.
-
-    Args:
-        case: the setup; `law` is its law.
-        law: the law.
-        seed: seed of all random choices.
-        measured: whether another physics measures the distances.
-
-    Attributes:
-        state, parameters: state and parameter vector of the run, with the layouts of `loop`.
-        law_state: state of the law.
-    """
+    """One run of the mission loop, stepped from outside; with `measured`, another physics measures the distances."""
 
     def __init__(self, case: Case, law: Law, *, seed: int, measured: bool = False) -> None:
         # the thrusters are no part of these programs

@@ -95,18 +95,10 @@ METRICS: Mapping[str, MetricSpec] = MappingProxyType(
 
 @dataclass(frozen=True)
 class Metrics:
-    """The metrics of one run.
+    """The metrics of one run, as `METRICS` defines them.
 
     Attributes:
-        reached: whether the robot came within the scenario's arrival radius of the target.
-        time_s: time at which the run ended.
-        min_clearance_m: smallest distance from the hull to an obstacle or a wall; walls count once the hull was clear
-            of them.
-        path_error_m: rms distance in 3D to the reference path outside avoidance intervals; NaN if the whole run is one
-            avoidance interval.
-        deviation_m: rms horizontal distance to the reference path over the whole run, including avoidance intervals.
-        length_m: length of the path that the robot travelled.
-        effort_n: mean magnitude of the horizontal thrust command.
+        min_clearance_m: walls count once the hull was clear of them.
         stopped_because: reason why the run ended, one of `STOPS`, or `LINK_LOST`.
         crab_angle_deg, max_crab_angle_deg, heading_error_deg: as in `attitude_of`, but avoidance intervals do not count
             for the crab angle, because the robot avoids obstacles by sway. They are NaN if the law uses sonars,
@@ -114,8 +106,6 @@ class Metrics:
         wasted_impulse_n_s: ∫ |τ| dt − ∫ D(s) dt ≥ 0, with the horizontal thrust command τ, the surge drag D of the
             law's model, and the speed s ≥ 0 through the water along the path segment. A robot that starts and ends at
             rest, on the path and with the hull along it, needs just the second integral.
-        max_deviation_m, missed_corner_m, overshoot_m, peak_thrust_share, saturated_share, thrust_rate_n_per_s: and all
-            further metrics, as `METRICS` defines them.
     """
 
     reached: bool

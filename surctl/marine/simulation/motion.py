@@ -8,8 +8,9 @@ from math import acos, ceil, degrees, floor, inf, log10, sqrt, tan
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.marine.control import Gains, default_law, law_source, turning_radius
+from surctl.marine.control import Gains, default_law, law_source
 from surctl.marine.control.ports import YAW_SHARE
+from surctl.marine.control.steering import turning_radius
 from surctl.marine.guidance import BEND
 from surctl.marine.guidance.braking import Watch, brakes_of, fastest_obstacle, range_needed, stopping_distance_with_drag
 from surctl.marine.simulation.clearance import tightest_gap
@@ -280,9 +281,8 @@ def _meetings(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
 def closest(a: Obstacle, b: Obstacle, *, until: float) -> float:
     """Return the smallest distance [m] between the centres of two moving obstacles up to the given time [s].
 
-    Each of the two obstacles moves along a straight line at its constant speed. At the end of its line, the obstacle
-    stays, or it leaves the water if it is `removed`. The distance is inf if the two obstacles are never in the water
-    together.
+    Each moves along a straight line at constant speed; at its end it stays, or leaves the water if it is `removed`. The
+    distance is inf if the two are never in the water together.
     """
     ends = [_arrival(o) for o in (a, b)]
     last = min([until, *(end for end, o in zip(ends, (a, b), strict=True) if o.removed)])

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.marine.control import Gains, law_parameters
+from surctl.marine.control import Gains
+from surctl.marine.control.ports import law_parameters
 from surctl.marine.simulation.scenario import Scenario
 from surctl.marine.vehicle import Vehicle
 
@@ -19,8 +20,7 @@ The rest of the distance covers the error of that position.
 def law_numbers(scenario: Scenario, gains: Gains, model: Vehicle) -> NDArray[np.float64]:
     """Return the law's parameter vector, packed as in `PARAMETERS`, from a scenario, gains and the law's vehicle model.
 
-    If the path is fed (`Path.fed`), waypoints, depth, cruise speed and visits are those from which a
-    `control.Feeder` begins.
+    If the path is fed (`Path.fed`), waypoints, depth, cruise speed and visits are those of its first window.
 
     Example:
         >>> from surctl.marine.control import PARAMETERS, load_gains

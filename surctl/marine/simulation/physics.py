@@ -28,11 +28,8 @@ _RK4_STEPS = (0.010, 0.010, 0.005)
 def advance(form: PlantForm = PAPER) -> ca.Function:
     """Return a CasADi function that integrates the plant over 25 ms by RK4, in steps of 10, 10 and 5 ms.
 
-    The function computes the new plant state from the plant state x, the commanded thrust, the disturbance d and the
-    plant parameters p.
-
-    Args:
-        form: the optional terms of the vehicle's dynamics, `Vehicle.form`.
+    From the plant state x, the commanded thrust, the disturbance d and the plant parameters p it computes the next
+    state; `form` says which optional terms the dynamics have.
     """
     return _advance(form)
 
@@ -123,7 +120,8 @@ class OwnPhysics:
     """surctl's own plant: the vehicle's equations of motion by RK4, and distances in the plane.
 
     Example:
-        >>> from surctl.marine.simulation import OwnPhysics, build_world, load_scenario
+        >>> from surctl.marine.simulation import OwnPhysics, load_scenario
+        >>> from surctl.marine.simulation.world import build_world
         >>> from surctl.marine.vehicle import load_vehicle
         >>> scenario, boat = load_scenario("pool-behind"), load_vehicle("sur400")
         >>> array = scenario.sensors.array_on(boat["radius"])

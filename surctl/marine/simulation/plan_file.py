@@ -54,13 +54,7 @@ def _home_position(value: object) -> _Place | None:
 def _waypoint(frame: int, numbers: list[float], home: _Place | None) -> tuple[_Place, list[str]]:
     """Return latitude, longitude and height above the surface of a waypoint, and what of it is not known.
 
-    Args:
-        frame: frame of MAVLink.
-        numbers: latitude, longitude and height, or three coordinates in metres.
-        home: the home position, at the surface.
-
-    Raises:
-        InputError: the frame is none of a waypoint, or metres from a home position that does not exist.
+    `numbers` are these three or, by the `frame` of MAVLink, coordinates in metres from `home`, which is at the surface.
     """
     one, other, height = numbers
     if frame in _ABOVE_HOME:
@@ -92,11 +86,7 @@ def _unused(command: int, params: list[Any], item: dict[str, Any]) -> list[str]:
 
 
 def _geofence(fence: Any, path: Path) -> tuple[_Places, list[str]]:
-    """Return the circles of a geofence that exclude, with centre [°] and radius [m], and notes about the rest.
-
-    Raises:
-        InputError: the geofence cannot be read.
-    """
+    """Return the circles of a geofence that exclude, with centre [°] and radius [m], and notes about the rest."""
     zones: _Places = []
     notes: list[str] = []
     try:
@@ -153,19 +143,6 @@ def read_mission(path: Path) -> Mission:
     Of a plan, the function takes the waypoints, those of surveys included, the first change of speed, and the circles
     of the geofence that exclude; the home position is at the surface. Of a GPX file it takes the first route, else the
     first track, else the waypoints. Everything else that changes the motion, such as hold times, is in the notes.
-
-    Raises:
-        InputError: the file cannot be read, has fewer than two waypoints, or has waypoints in a frame without meaning
-            for a mission, or in metres from a home position that it does not give.
-
-    Example:
-        >>> from pathlib import Path
-        >>> from surctl.marine.simulation import read_mission
-        >>> points = "".join(f'<rtept lat="{lat}" lon="10.0"><ele>-2</ele></rtept>' for lat in (63.0, 63.001))
-        >>> _ = Path("bay.gpx").write_text(f"<gpx><rte>{points}</rte></gpx>")
-        >>> mission = read_mission(Path("bay.gpx"))
-        >>> mission.points.round(1).tolist(), mission.heights.tolist()
-        ([[0.0, 0.0], [0.0, 111.5]], [-2.0, -2.0])
     """
     try:
         raw = path.read_bytes()
@@ -220,18 +197,6 @@ def mission_scenario(
         cruise: desired speed along the path [m/s].
         margin: free water around the path [m].
         depth: z of the path [m], below 0; default: the lowest height of the mission.
-
-    Raises:
-        InputError: the mission has no height below the surface, and `depth` is not given; or the scenario would be
-            refused, for example because of a depth above the surface.
-
-    Example:
-        >>> import numpy as np
-        >>> from surctl.marine.simulation import Mission, mission_scenario
-        >>> mission = Mission(np.array([[0.0, 0.0], [20.0, 0.0]]), np.array([-2.0, -2.0]), None, (63.0, 10.0), ())
-        >>> text, _ = mission_scenario(mission, "bay", vehicle="sur400", cruise=0.15)
-        >>> [line for line in text.splitlines() if line.startswith("path_m")]
-        ['path_m = [[5.0, 5.0], [25.0, 5.0]]']
     """
     notes = list(mission.notes)
     heights = mission.heights[np.isfinite(mission.heights)]

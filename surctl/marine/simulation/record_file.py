@@ -21,8 +21,8 @@ from surctl.files import file_name, write_file
 from surctl.marine.simulation.run import Run
 from surctl.marine.simulation.scenario import Scenario
 from surctl.marine.simulation.world import Body
-from surctl.marine.vehicle import FRAME_TEXT, LOG_MOTION, LOG_THRUST, Frame, Vehicle, check_frame, swap_body, swap_pose
-from surctl.marine.vehicle.motion_log import quaternion
+from surctl.marine.vehicle import FRAME_TEXT, LOG_MOTION, LOG_THRUST, Frame, Vehicle
+from surctl.marine.vehicle.motion_log import check_frame, quaternion, swap_body, swap_pose
 from surctl.marine.world import Box, Disc
 from surctl.recorded import shown
 from surctl.recorded_write import RECORD_FORMATS, Column, McapFile, RecordFormat, stamp, write_mat, write_netcdf
@@ -43,12 +43,7 @@ _INFO, _WARNING = 2, 3
 
 
 class SceneFile:
-    """Writes moments of a run or session to an MCAP file.
-
-    Attributes:
-        file: the MCAP file.
-        scenario, vehicle: mission and vehicle.
-    """
+    """Writes moments of a run or session to an MCAP file, with the mission and its vehicle."""
 
     def __init__(self, file: McapFile, scenario: Scenario, vehicle: Vehicle) -> None:
         self.file, self.scenario, self.vehicle = file, scenario, vehicle
@@ -84,16 +79,13 @@ class SceneFile:
         """Write one control step.
 
         Args:
-            time: time [s].
             eta: pose (4,) in {E}.
             nu: velocity (4,) in {B}.
             tau: thrust (4,) [N, N m] in {B}; None: the law made no step, and `/thrust` gets no message.
             status: status of the law; None: the law made no step.
             tilt: roll and pitch [rad].
             clearance: distance to the nearest obstacle [m]; NaN: unknown.
-            bodies: obstacles that are there now.
             ranges: (n,) measured distance of each sonar [m]; None: no sonars.
-            values: further values for `/status`.
         """
         at, write = self._at(time), self.file.write
         pose = {"position": _point(*eta[:3]), "orientation": _turned(float(eta[3]), *tilt)}
@@ -210,16 +202,6 @@ def save_scene(run: Run, folder: Path) -> Path:
     Raises:
         ToolMissing: the package mcap is not installed.
         InputError: the folder cannot be written.
-
-    Example:
-        >>> from pathlib import Path
-        >>> from surctl.marine.control import build_law, load_gains
-        >>> from surctl.marine.simulation import load_scenario, save_scene, simulate
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> law, gains = build_law("closed_form"), load_gains("default")
-        >>> run = simulate(load_scenario("pool-behind"), load_vehicle("sur400"), gains=gains, law=law)
-        >>> save_scene(run, Path()).name
-        'pool-behind-0.mcap'
     """
     record, path = run.record, folder / f"{file_name(run.scenario.name)}-{run.seed}.mcap"
     part = path.with_suffix(".part.mcap")
@@ -253,14 +235,9 @@ def save_scene(run: Run, folder: Path) -> Path:
 
 
 def write_layout(folder: Path, *, sonars: int = 0) -> Path:
-    """Write the layout file for Foxglove (Layouts, Import from file) to a folder and return its path.
+    """Write the layout file for Foxglove (Layouts, Import from file) to an existing folder and return its path.
 
-    Args:
-        folder: an existing folder.
-        sonars: number of sonars whose echoes the layout shows.
-
-    Raises:
-        InputError: the folder cannot be written.
+    The layout shows the echoes of `sonars` sonars.
     """
     topics = {name: {"visible": True} for name in ("/pose", "/path", "/scene", *(f"/sonar/{k}" for k in range(sonars)))}
     lists = {
@@ -350,9 +327,6 @@ def record_columns(run: Run, *, frame: Frame | str = "enu") -> dict[str, NDArray
     """Return arrays (n,) by name in SI units: time, η, ν, commanded thrust, clearance, status.
 
     The command `from-log` reads these columns.
-
-    Raises:
-        InputError: the coordinate frame is unknown.
     """
     r = run.record
     eta, nu, tau = r.eta, r.nu, r.tau
@@ -376,8 +350,6 @@ def save_record(run: Run, folder: Path, *, kind: RecordFormat | str, frame: Fram
     messages for Foxglove, see `save_scene`.
 
     Args:
-        run: the run.
-        folder: an existing folder.
         kind: file format: csv, mat, nc or mcap.
         frame: coordinate frame: enu (ENU/FLU) or ned (NED/FRD).
 

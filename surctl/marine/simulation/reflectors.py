@@ -27,12 +27,7 @@ _WALLS = ("x0", "x1", "y0", "y1")
 
 @dataclass(frozen=True)
 class EchoModel:
-    """How all surfaces answer that have no reflector of their own.
-
-    Attributes:
-        upright: reflector of obstacles and walls, by name.
-        level: reflector of the water surface and of the floor, by name.
-    """
+    """Names of the reflectors of upright surfaces and of surface and floor, where they have none of their own."""
 
     upright: str
     level: str = "silent"
@@ -107,11 +102,7 @@ class Reflectors:
     ) -> Surfaces | None:
         """Return the reflectors of a scene; None if all upright surfaces answer as the array's `incidence_limit` says.
 
-        Args:
-            obstacles: the obstacles of the scenario.
-            array: the sonars.
-            echoes: name of the echo model; empty: surfaces answer as the `incidence_limit` of the array says.
-            depth: depth of the water [m].
+        `echoes` names the echo model, and is empty if this limit describes it; `depth` is that of the water [m].
 
         Raises:
             InputError: a name is unknown, or the file defines a kind by the name of a built-in one.

@@ -53,14 +53,10 @@ class Attitude:
 
 
 def attitude_of(follower: Follower, cruise: float, time: Array, eta: Array, nu: Array) -> Attitude:
-    """Return crab angle, heading error and oscillation of a recorded motion.
+    """Return crab angle, heading error and oscillation of a motion recorded at evenly spaced times (n,) [s].
 
-    Args:
-        follower: path follower, which selects the current path segment; it must be at the start of its path.
-        cruise: cruise speed [m/s].
-        time: (n,) time [s], evenly spaced.
-        eta: (n, 4) position [m] and heading [rad] in the earth frame {E}.
-        nu: (n, 4) body velocity [m/s, rad/s].
+    `follower` must be at the start of its path. `eta` (n, 4) is in {E}, `nu` (n, 4) the body velocity [m/s, rad/s], and
+    `cruise` the cruise speed [m/s].
     """
     moving = np.hypot(nu[:, 0], nu[:, 1]) > MOVING * cruise
     swings, period, amplitude = _swing(time, nu[:, 1], cruise)
@@ -206,19 +202,7 @@ class Run:
 
 
 def depth_changes(run: Run) -> list[DepthChange]:
-    """Return all depth changes of a run in order; the list is empty if the law stays at the path's depth.
-
-    Example:
-        >>> from dataclasses import replace
-        >>> from surctl.marine.control import load_gains
-        >>> from surctl.marine.simulation import Obstacle, depth_changes, load_scenario, simulate
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> sill = Obstacle(name="sill", shape="box", centre_m=(2.0, 1.0), size_m=(0.2, 2.0), top_m=-1.0)
-        >>> mission = replace(load_scenario("pool-behind"), obstacles=(sill,), depth=-1.1, depths=(-2.0, -0.2))
-        >>> run = simulate(mission, load_vehicle("sur400"), gains=load_gains("default").with_values({"patience": 2.0}))
-        >>> [(round(change.from_m, 2), round(change.to_m, 2), change.back) for change in depth_changes(run)]
-        [(-1.1, -0.65, False), (-0.65, -1.1, True)]
-    """
+    """Return all depth changes of a run in order; the list is empty if the law stays at the path's depth."""
     if "depth_reference" not in run.law.outputs:
         return []
     reference, record = run.telemetry("depth_reference").ravel(), run.record

@@ -34,7 +34,8 @@ from surctl.marine.simulation.echo_fit import unanswered
 from surctl.marine.simulation.scenario import Scenario
 from surctl.marine.simulation.toml_text import toml_text
 from surctl.marine.simulation.world import BAND, FOOTPRINT
-from surctl.marine.vehicle import Vehicle, check_equation_3
+from surctl.marine.vehicle import Vehicle
+from surctl.marine.vehicle.dynamics import check_equation_3
 
 _STEP = 0.002  # [m/s] between two examined speeds
 _NEAR = 0.95  # share of the fastest obstacle speed: beyond it the required range grows without bound
@@ -53,23 +54,9 @@ def margin_needed(
 ) -> float:
     """Return the distance [m] that the actual vehicle needs beyond the law's speed bound; inf if it cannot brake.
 
-    The margin is computed as in `safety_claim`, but with the exact parameters of the actual vehicle: its own masses m11
-    and m22, and its thrust limit minus the scenario's thrust error.
-
-    Args:
-        scenario, gains, barrier: same meaning as for `safety_claim`.
-        believed: vehicle model that the law uses.
-        actual: vehicle that brakes, with its true parameters.
-        turning: yaw rate of the hull while it brakes [rad/s], see `turn_rate`.
-
-    Example:
-        >>> from surctl.marine.control import load_gains
-        >>> from surctl.marine.simulation import load_scenario, margin_needed
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> mission, vehicle, gains = load_scenario("pool-behind"), load_vehicle("sur400"), load_gains("default")
-        >>> weak = vehicle.with_values({"Fu_max": 2.5, "Fv_max": 2.5})  # half the thrust of the law's model
-        >>> gains["margin"], [round(margin_needed(mission, vehicle, gains, actual), 3) for actual in (vehicle, weak)]
-        (0.05, [0.047, 0.116])
+    It is computed as in `safety_claim`, with the law's model `believed`, but with the exact parameters of the `actual`
+    vehicle: its own masses m11 and m22, and its thrust limit minus the scenario's thrust error. `turning` is the yaw
+    rate of the hull while it brakes [rad/s], see `turn_rate`.
     """
     d = scenario.disturbance
     brakes = brakes_of(
@@ -87,23 +74,8 @@ def turn_rate(
 ) -> float:
     """Return the steady yaw rate [rad/s] of the hull during a sonar scan, or without sonar in the sharpest path corner.
 
-    At the steady rate, the moment of the yaw loop equals the yaw drag. The steady rate differs from the desired rate if
-    the yaw drag differs from that of the law's model.
-
-    Args:
-        scenario: the mission.
-        believed: vehicle model that the law uses.
-        gains: gains of the law.
-        sonar: whether the law turns the hull to scan with its sonars.
-        actual: vehicle that turns; default: the vehicle that turns fastest within the stated ranges.
-
-    Example:
-        >>> from surctl.marine.control import load_gains
-        >>> from surctl.marine.simulation import load_scenario, turn_rate
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> mission, vehicle = load_scenario("tank-slalom"), load_vehicle("sur540-flooded")
-        >>> [round(turn_rate(mission, vehicle, load_gains("default"), sonar=sonar), 3) for sonar in (True, False)]
-        [0.257, 1.575]
+    At this rate, the moment of the yaw loop equals the yaw drag of the `actual` vehicle; default: of the one that turns
+    fastest within the ranges of the law's model `believed`. With `sonar`, the law turns the hull to scan.
     """
     if sonar:
         desired = min(gains["spin"], believed.steady_yaw(YAW_SHARE, scenario.cruise))
@@ -128,12 +100,8 @@ def turn_rate(
 def mass_difference(vehicle: Vehicle, spread: float | None = None) -> float:
     """Return the largest difference |m11 - m22| [kg] of the surge and sway masses that the true vehicle may have.
 
-    If the file gives surge and sway the same mass and the same range, the function assumes that both true masses are
-    equal.
-
-    Args:
-        vehicle: vehicle model of the law.
-        spread: largest relative error of the masses, common to m11 and m22; None: the ranges of the vehicle file hold.
+    It follows from the relative error `spread`, common to both masses, or with None from the ranges of the vehicle
+    file. Equal values and ranges of both mean that both true masses are equal.
     """
     surge, sway = (vehicle.parameters[name] for name in ("m11", "m22"))
     if spread is not None:
@@ -390,9 +358,7 @@ def safety_claim(
     Args:
         scenario: the mission, with its speed cap, current and disturbance forces.
         vehicle: the actual vehicle, which is also the model of the law.
-        gains: gains of the law.
         barrier, movers: options of the law, as for `build_law`.
-        watch: timing and errors of the measurements; default: exact measurements every 0.05 s.
         detection: range at which the sensors certainly detect an obstacle [m].
         sideways: largest sideways speed when braking begins [m/s]; it causes a force, because drag acts on each axis
             separately.
@@ -404,17 +370,6 @@ def safety_claim(
 
     Raises:
         NotApplicable: the vehicle has terms beyond equation (3) of the paper.
-
-    Example:
-        >>> from surctl.marine.control import load_gains
-        >>> from surctl.marine.simulation import load_scenario, safety_claim
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> mission, vehicle, gains = load_scenario("pool-behind"), load_vehicle("sur400"), load_gains("default")
-        >>> for barrier in ("simple", "inertia"):
-        ...     claim = safety_claim(mission, vehicle, gains, barrier=barrier)
-        ...     print(f"{barrier}: {claim.holds}, needs {claim['margin needed']:.3f} m, has {claim['margin']} m")
-        simple: False, needs 0.053 m, has 0.05 m
-        inertia: True, needs 0.019 m, has 0.05 m
     """
     check_equation_3(vehicle, reverse=True)
     difference = mass_difference(vehicle, spread) if difference is None else difference

@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from surctl.marine.control import Gains, turning_radius
+from surctl.marine.control import Gains
+from surctl.marine.control.steering import turning_radius
 from surctl.marine.guidance import Path
 from surctl.marine.simulation.obstacle import Obstacle
 from surctl.marine.simulation.scenario import Disturbance, PaperFigure, Scenario
@@ -23,20 +24,8 @@ def mission_size(vehicle: Vehicle, gains: Gains, *, cruise: float) -> float:
     """Return the length [m] by which missions are scaled: the hull radius, or more for a craft that cannot sway.
 
     The craft of `tank-static` can turn on a circle of 1.6 hull radii, at its cruise speed and its spin. A craft without
-    sway force needs as many of its own lengths, so its turning radius over 1.6 counts if it is larger than the hull.
-
-    Args:
-        vehicle: the vehicle.
-        gains: gains of its law; only `sideslip` matters, and only without sway force.
-        cruise: cruise speed [m/s].
-
-    Example:
-        >>> from surctl.marine.control import law_source, load_gains
-        >>> from surctl.marine.simulation import mission_size
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> gains = load_gains("default", own=law_source("steered").gains)
-        >>> [round(mission_size(load_vehicle(name), gains, cruise=0.5), 2) for name in ("girona500", "otter")]
-        [0.9, 1.14]
+    sway force needs as many of its own lengths, so its turning radius over 1.6, by the gain `sideslip`, counts if it is
+    larger than the hull.
     """
     if vehicle["Fv_max"] > 0:
         return vehicle["radius"]
@@ -44,23 +33,11 @@ def mission_size(vehicle: Vehicle, gains: Gains, *, cruise: float) -> float:
 
 
 def scaled_scenario(scenario: Scenario, vehicle: Vehicle, *, cruise: float, size: float) -> Scenario:
-    """Return a scenario scaled to a vehicle.
+    """Return a scenario scaled to a vehicle and its cruise speed [m/s].
 
-    Lengths are multiplied by a factor, speeds by the ratio of the cruise speeds, and times by the ratio of the two
-    ratios; sonars, currents and forces stay as they are.
-
-    Args:
-        scenario: the scenario to scale.
-        vehicle: the vehicle.
-        cruise: its cruise speed [m/s].
-        size: length of `mission_size` [m], which replaces the hull radius of the scenario's vehicle.
-
-    Example:
-        >>> from surctl.marine.simulation import load_scenario, scaled_scenario
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> tank = scaled_scenario(load_scenario("tank-static"), load_vehicle("girona500"), cruise=0.5, size=0.9)
-        >>> tank.name, tank.cruise, [round(side, 2) for side in tank.site]
-        ('tank-static-girona500', 0.5, [33.33, 16.67, 16.67])
+    Lengths are multiplied by the ratio of `size` (see `mission_size`) to the hull radius of the scenario's vehicle,
+    speeds by the ratio of the cruise speeds, and times by the ratio of the two; sonars, currents and forces stay as
+    they are.
     """
     length = size / load_vehicle(scenario.vehicle)["radius"]
     speed = cruise / scenario.cruise
@@ -88,15 +65,7 @@ def scaled_scenario(scenario: Scenario, vehicle: Vehicle, *, cruise: float, size
 
 
 def _mission(name: str, vehicle: Vehicle, corners: ArrayLike, *, cruise: float, size: float) -> Scenario:
-    """Return a mission in open water.
-
-    Args:
-        name: name of the mission.
-        vehicle: the vehicle.
-        corners: (n, 2) waypoints in hull lengths (twice the size); the site leaves four around them.
-        cruise: cruise speed [m/s].
-        size: length of `mission_size` [m].
-    """
+    """Return a mission in open water; `corners` are (n, 2) waypoints in hull lengths (twice the size)."""
     points = 2 * size * np.asarray(corners, dtype=float)
     points += 8 * size - points.min(axis=0)
     length = float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
@@ -120,40 +89,18 @@ def _mission(name: str, vehicle: Vehicle, corners: ArrayLike, *, cruise: float, 
 
 
 def straight_mission(vehicle: Vehicle, *, cruise: float, size: float) -> Scenario:
-    """Return a straight mission of 20 hull lengths (twice the `mission_size`) in open water.
-
-    Example:
-        >>> from surctl.marine.simulation import straight_mission
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> mission = straight_mission(load_vehicle("girona500"), cruise=0.5, size=0.9)
-        >>> mission.name, round(float(mission.path.lengths.sum()), 1), mission.obstacles
-        ('straight-girona500', 36.0, ())
-    """
+    """Return a straight mission of 20 hull lengths (twice the `mission_size`) in open water."""
     return _mission("straight", vehicle, [(0, 0), (_HULLS, 0)], cruise=cruise, size=size)
 
 
 def two_leg_mission(vehicle: Vehicle, *, cruise: float, size: float) -> Scenario:
-    """Return a mission of two legs of 10 hull lengths each, with a corner of 90 degrees, in open water.
-
-    Example:
-        >>> from surctl.marine.simulation import two_leg_mission
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> two_leg_mission(load_vehicle("girona500"), cruise=0.5, size=0.9).path.lengths.round(1).tolist()
-        [18.0, 18.0]
-    """
+    """Return a mission of two legs of 10 hull lengths each, with a corner of 90 degrees, in open water."""
     half = _HULLS / 2
     return _mission("two-legs", vehicle, [(0, 0), (half, 0), (half, half)], cruise=cruise, size=size)
 
 
 def disturbed(scenario: Scenario, vehicle: Vehicle, *, share: float) -> Scenario:
-    """Return a scenario with waves, slow drift and thrust errors that the seed draws, as a share of the surge thrust.
-
-    Example:
-        >>> from surctl.marine.simulation import disturbed, load_scenario
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> disturbed(load_scenario("tank-static"), load_vehicle("sur400"), share=0.02).disturbance.wave_force_n
-        0.1
-    """
+    """Return a scenario with waves, slow drift and thrust errors by the seed, each a share of the surge thrust."""
     force = share * vehicle["Fu_max"]
     return replace(
         scenario,

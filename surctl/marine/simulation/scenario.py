@@ -63,10 +63,9 @@ class PaperFigure(Strict):
 
     Attributes:
         result: the result in words; empty if the paper has no such scenario.
-        time_s: time to the target; `time_kind` says whether the time is approximate or an upper limit; `time_of` says
-            whether the paper states the time for this run, for every run of a series, or for the mean of a series.
-        position_error_m: position error E_p to the reference path outside avoidance; `position_error_kind` and
-            `position_error_of` correspond to `time_kind` and `time_of`.
+        time_s, position_error_m: time to the target, and position error E_p to the reference path outside avoidance.
+            `…_kind` says whether a number is approximate or an upper limit; `…_of` whether the paper states it for this
+            run, for every run of a series, or for the mean of a series.
         detected_s: approximate time at which the robot detects the moving obstacle.
         passed_s: approximate time from which the moving obstacles are behind the robot.
         transients_s: approximate times at which avoidance disturbs the path tracking.
@@ -99,8 +98,7 @@ class Uncertainty(Strict):
     Attributes:
         vehicle: whether the simulated vehicle's parameters are drawn within the ranges of its file; the law keeps the
             file's values.
-        obstacle_size: largest relative error of an obstacle's size (design choice); both edges of a box have the same
-            error.
+        obstacle_size: largest relative error of an obstacle's size (design choice), the same for both edges of a box.
         obstacle_speed: largest relative error of a moving obstacle's speed (design choice).
     """
 
@@ -471,11 +469,5 @@ class Finding:
 
 
 def escaped(name: str) -> str:
-    r"""Return a name with control and format characters escaped as in JSON, so that a text with it stays on one line.
-
-    Example:
-        >>> from surctl.marine.simulation.scenario import escaped
-        >>> print(escaped("two\nlines"))
-        two\nlines
-    """
+    r"""Return a name with control and format characters escaped as in JSON, so that a text with it is one line."""
     return "".join(c if c.isprintable() else json.dumps(c)[1:-1] for c in name)

@@ -20,9 +20,6 @@ def scenario_table(scenario: Scenario) -> dict[str, Any]:
     """Return the content of a TOML file that describes the scenario, as nested mappings.
 
     `scenario_from_table` restores the scenario from these mappings, except for the name of its source.
-
-    Raises:
-        InputError: a scenario file cannot describe these sonars.
     """
     tables = scenario.reflectors.tables()
     table: dict[str, Any] = {

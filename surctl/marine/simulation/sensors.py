@@ -22,9 +22,9 @@ from surctl.marine.sensing import (
     OwnState,
     Reflector,
     SonarArray,
-    check_faults,
 )
 from surctl.marine.sensing.equipment import SurfaceModel
+from surctl.marine.sensing.sonar.faults import check_faults
 from surctl.marine.simulation.reflectors import ECHOES
 
 T = TypeVar("T")
@@ -140,11 +140,6 @@ class Sensors:
 
         Raises:
             InputError: the name is unknown.
-
-        Example:
-            >>> from surctl.marine.simulation import Sensors
-            >>> Sensors().hearing("webots").equipment.array.incidence_limit == 0.125 * 3.141592653589793
-            True
         """
         check_known(echoes, ECHOES, key="echoes")
         simple, limit = _simple(echoes)
@@ -200,12 +195,7 @@ _KEYS = {name: key for key, name in (_NAMES | _ANGLES | _TIMES).items()}
 
 
 def sensors_from_tables(sonar: SonarTable, station: StationTable, own: OwnStateTable) -> Sensors:
-    """Return the sensors that the tables of a scenario file describe.
-
-    Raises:
-        InputError: the sonar array is invalid, cannot have these faults, or does not fit the steps of the closed loop.
-            The InputError names the table and the key of the scenario file.
-    """
+    """Return the sensors that the tables of a scenario file describe."""
     array = _in_table("sonar", lambda: _array(sonar), stated=sonar.model_fields_set)
     base_station = BaseStation(
         position_sd=station.position_sd_m,
@@ -306,11 +296,7 @@ class FiringPlan:
 
 
 def firing_plan(array: SonarArray) -> FiringPlan:
-    """Return the firing plan of an array: several sonars fire at every instant, or one sonar fires every few instants.
-
-    Raises:
-        InputError: the firing period is neither a multiple nor an integer fraction of `FIRING`.
-    """
+    """Return the firing plan: several sonars fire at every instant, or one sonar fires every few instants."""
     ratio = array.firing_period / FIRING
     several, every = round(1 / ratio), round(ratio)
     if abs(ratio - every) < 1e-9 and every >= 1:

@@ -11,11 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError
-from surctl.ir import runnable
-from surctl.marine.allocation import allocation_block, working_flags
+from surctl.ir.native import runnable
+from surctl.marine.allocation import working_flags
+from surctl.marine.allocation.program import allocation_block
 from surctl.marine.control import Law
 from surctl.marine.simulation.run import Run
-from surctl.marine.vehicle import Actuators, Vehicle, axis_limits
+from surctl.marine.vehicle import Actuators, Vehicle
+from surctl.marine.vehicle.thruster_file import axis_limits
 
 Array = NDArray[np.float64]
 
@@ -56,11 +58,9 @@ class ThrusterFault:
 
 @dataclass(frozen=True, eq=False)
 class Thrusters:
-    """The thrusters of the simulated vehicle with their failures.
+    """The thrusters of the simulated vehicle, if its file describes them, with their failures.
 
     Attributes:
-        actuators: the thrusters, or None if the vehicle file describes none.
-        faults: the failures.
         allocate: allocates the command of a law without allocation; None if the law does it, or without thrusters.
         reported: entries of the law's telemetry with the forces and the commands of all thrusters, and with the angles
             of all joints; None if the law does not allocate.
@@ -94,17 +94,11 @@ class Thrusters:
         return working_flags(self.actuators, [fault.thruster for fault in self.faults if fault.acts(time)])
 
     def achieved(self, tau: Array, time: float, *, telemetry: Array | None, speed: float) -> tuple[Array, Array]:
-        """Return what the thrusters deliver for a command, before the thrust lag.
+        """Return force and yaw moment (4,) delivered for a command `tau` (4,), before the lag, and thruster forces.
 
-        The results are the force and yaw moment (4,), and the force components (N,) of all thrusters; none are known
-        without thrusters and without telemetry.
-
-        Args:
-            tau: the law's thrust command (4,).
-            time: time of the control step [s].
-            telemetry: the law's telemetry of the same step; None if this step has none, as when a link is lost.
-            speed: forward speed [m/s] through the water. A fin gives the force of its deflection at this speed, while
-                the law knows only the measured speed over ground.
+        The force components (N,) are unknown without thrusters or without the law's `telemetry` of the step. A fin
+        gives the force of its deflection at the forward `speed` [m/s] through the water, while the law knows only the
+        measured speed over ground.
         """
         if self.allocate is not None and self.actuators is not None:
             total, components, *_ = self.allocate(tau, self.working(time) * self.actuators.shares(speed))
@@ -125,12 +119,8 @@ class Thrusters:
 def fin_excess(actuators: Actuators, forces: Any, commands: Any, squared: Any) -> Any:
     """Return the force and yaw moment (4,) that fins give at a squared speed [m²/s²] beyond those that the law expects.
 
-    The arguments are numbers, or CasADi expressions.
-
-    Args:
-        actuators: thrusters with fins.
-        forces, commands: (n,) forces [N] and commands of all thrusters, as the law reports them.
-        squared: squared forward speed through the water; 0 astern.
+    The arguments are numbers, or CasADi expressions: `forces` (n,) [N] and `commands` (n,) of all thrusters as the law
+    reports them, and the squared forward speed through the water, 0 astern.
     """
     matrix, total = actuators.matrix, 0
     for k in actuators.fins:
@@ -183,17 +173,7 @@ class ThrusterUse:
 
 
 def thruster_use(run: Run) -> ThrusterUse | None:
-    """Return the use of the thrusters over a run; None for a law without allocation.
-
-    Example:
-        >>> from surctl.marine.control import load_gains
-        >>> from surctl.marine.simulation import ThrusterFault, load_scenario, simulate, thruster_use
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> boat, faults = load_vehicle("bluerov2-heavy"), [ThrusterFault("T2"), ThrusterFault("T3")]
-        >>> run = simulate(load_scenario("pool-behind"), boat, gains=load_gains("default"), thruster_faults=faults)
-        >>> thruster_use(run).missed > 0.1
-        True
-    """
+    """Return the use of the thrusters over a run; None for a law without allocation."""
     actuators = run.law.actuators
     if actuators is None:
         return None

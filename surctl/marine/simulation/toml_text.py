@@ -17,11 +17,7 @@ def key_text(name: str) -> str:
 def toml_text(table: Mapping[str, Any]) -> str:
     """Return the data as a TOML document, in which the plain values of a table come before its subtables.
 
-    Reading the document restores the data, numbers to the last bit.
-
-    Args:
-        table: mapping of keys to texts, numbers, booleans, sequences of these types, tables, or sequences of tables;
-            None is not allowed.
+    Reading the document restores the data, numbers to the last bit. None is not allowed.
     """
     return "\n".join(_lines(table, ())).strip("\n") + "\n"
 

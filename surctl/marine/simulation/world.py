@@ -1,11 +1,10 @@
 """The simulated world of one run: obstacles in motion, waves, drift and thrust errors that the seed draws.
 
-The closed loop makes two simplifications. First, the beam of a sonar is a horizontal fan, whose thickness at every
-range is that of the hull plus the constant `BAND` above and below. The sonar detects exactly the obstacles that cross
-this fan. (A real beam is thinner near the hull and thicker far away, where it would detect a sill that the hull passes
-over.) Second, an echo sounder measures, without noise, the vertical distance to the nearest obstacle over or under a
-disc that is wider than the hull by the constant `FOOTPRINT`. The limits of the mission's `depths` count as obstacles
-for the echo sounder.
+The closed loop makes two simplifications. The beam of a sonar is a horizontal fan, as thick at every range as the hull
+plus `BAND` above and below, and the sonar detects exactly the obstacles that cross it. (A real beam is thinner near the
+hull, and thicker far away, where it would detect a sill that the hull passes over.) An echo sounder measures, without
+noise, the vertical distance to the nearest obstacle over or under a disc that is wider than the hull by `FOOTPRINT`;
+the limits of the mission's `depths` count as obstacles for it.
 """
 
 from __future__ import annotations
@@ -158,19 +157,7 @@ def draw_world(obstacles: int, *, seed: int) -> WorldDraw:
 
 
 def build_world(scenario: Scenario, vehicle: Vehicle, *, seed: int) -> World:
-    """Return the world of a scenario, with the random choices that a seed determines.
-
-    Raises:
-        InputError: the hull starts inside an obstacle (walls count only once the hull has been clear of them).
-
-    Example:
-        >>> from surctl.marine.simulation import build_world, load_scenario
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> world = build_world(load_scenario("pool-behind"), load_vehicle("sur400"), seed=0)
-        >>> [body] = world.bodies(5.0)  # 5 s after the start
-        >>> body.name, [round(x, 2) for x in body.shape.center], body.velocity.round(2).tolist()
-        ('OM1', [1.11, 0.76], [0.17, 0.1])
-    """
+    """Return the world of a scenario, with the random choices that a seed determines."""
     world = World(**vars(draw_world(len(scenario.obstacles), seed=seed)), scenario=scenario, hull=vehicle["radius"])
     _check_start(world, vehicle, world.bodies(0.0))
     return world

@@ -25,10 +25,11 @@ from surctl.export import (
     write_bundle,
 )
 from surctl.files import prepare_folder, write_file
-from surctl.ir import find_compiler
+from surctl.ir.cache import find_compiler
 from surctl.marine.assessment import LoopAnalysis, Mission
 from surctl.marine.control import Gains, Law, build_law, law_source, write_gains
-from surctl.marine.export import build_bundle, origin_of
+from surctl.marine.export import build_bundle
+from surctl.marine.export.origin import origin_of
 from surctl.marine.simulation import Run, Scenario, findings, law_numbers, simulate
 from surctl.marine.study.plan import Leg, Plan
 from surctl.marine.tuning import MissionSweep, picked_gains

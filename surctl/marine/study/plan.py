@@ -14,18 +14,8 @@ from surctl.errors import InputError
 from surctl.files import Strict, file_name, pick, read_toml, validate, write_file
 from surctl.marine.control import SONARLESS, Gains, check_forces, default_law, law_ref, law_source, load_gains
 from surctl.marine.guidance import Guidance
-from surctl.marine.simulation import (
-    Case,
-    PaperFigure,
-    Scenario,
-    disturbed,
-    findings,
-    load_scenario,
-    mission_size,
-    scaled_scenario,
-    straight_mission,
-    two_leg_mission,
-)
+from surctl.marine.simulation import Case, PaperFigure, Scenario, findings, load_scenario
+from surctl.marine.simulation.scaling import disturbed, mission_size, scaled_scenario, straight_mission, two_leg_mission
 from surctl.marine.simulation.scenario_table import scenario_table
 from surctl.marine.simulation.toml_text import toml_text
 from surctl.marine.tuning import Derivation, Goal, default_cruise, gains_for, load_goals

@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError, ToolMissing
-from surctl.ir import warn_slower
+from surctl.ir.native import warn_slower
 from surctl.marine.control import Gains
-from surctl.marine.simulation import Case, case_parameters, law_numbers, simulate, simulate_batch
+from surctl.marine.simulation import Case, law_numbers, simulate, simulate_batch
+from surctl.marine.simulation.batch.case import case_parameters
 from surctl.marine.simulation.batch.engines import trace_batch
 from surctl.marine.simulation.campaign.worlds import draw_plant
 from surctl.marine.simulation.loop import SingleRun

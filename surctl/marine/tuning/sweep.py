@@ -16,9 +16,10 @@ from numpy.typing import NDArray
 from surctl import __version__
 from surctl.errors import InputError, nearest
 from surctl.marine.control import Barrier, Gains, GainSpec, Movers, build_law, law_ref
-from surctl.marine.guidance import AvoidanceForm, Guidance, check_guidance
-from surctl.marine.simulation import METRICS, Case, Scenario, Sensing, case_parameters, simulate_batch
-from surctl.marine.simulation.batch.case import check_speeds
+from surctl.marine.guidance import AvoidanceForm, Guidance
+from surctl.marine.guidance.tracking import check_guidance
+from surctl.marine.simulation import METRICS, Case, Scenario, Sensing, simulate_batch
+from surctl.marine.simulation.batch.case import case_parameters, check_speeds
 from surctl.marine.vehicle import Vehicle, load_vehicle
 from surctl.marine.verification import LINEAR_METRICS, linear_table
 from surctl.marine.verification.cruise_loop import has_cruise_loop

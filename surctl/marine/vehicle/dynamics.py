@@ -52,15 +52,8 @@ def _hull_load(
 ) -> ca.SX:
     """Return the load M ν̇ (6,) [N, N m] on the hull without its drag, in the order of ν = (u, v, w, r, p, q).
 
-    All vectors but `outer` are in the frame of the hull.
-
-    Args:
-        nu: velocity through the water (6,).
-        momentum: M ν (6,).
-        thrust: surge, sway and heave force and yaw moment (4,).
-        outer: force (3,) and moment about the vertical (1,) on the hull, in the heading frame.
-        rotation: result of `_to_heading`.
-        terms: the optional terms by name.
+    All vectors but `outer`, the force (3,) and moment about the vertical (1,) in the heading frame, are in the frame of
+    the hull; `momentum` is M ν (6,).
     """
     linear, angular = momentum[_LINEAR], momentum[_ANGULAR]
     velocity, turning = nu[_LINEAR], nu[_ANGULAR]
@@ -81,12 +74,9 @@ def _tilted_rate(
 ) -> tuple[ca.SX, ca.SX]:
     """Return ν̇ (4,) of the heading frame and the rate (4,) of `_TILT_STATE`.
 
-    Args:
-        nu: velocity over ground (u, v, w, r) in the heading frame.
-        tilt: roll, pitch, p, q.
-        current: current (3,) in the heading frame; it is constant in the world and irrotational.
-        acceleration: function of the velocity through the water (6,) in the frame of the hull, and of the result of
-            `_to_heading`; it returns the rate (6,) of that velocity.
+    `nu` is over ground, and the current (3,) is constant in the world and irrotational, both in the heading frame.
+    `tilt` is roll, pitch, p, q. `acceleration` returns the rate (6,) of the velocity through the water (6,) in the
+    frame of the hull, from that velocity and the result of `_to_heading`.
     """
     roll, pitch, p, q = (tilt[k] for k in range(4))
     rotation, yaw = _to_heading(roll, pitch), nu[3]
@@ -271,9 +261,6 @@ def build_plant(form: PlantForm = PAPER) -> Plant:
     A constant irrotational current enters as ν_r = ν − ν_c in every hydrodynamic and inertial term (Fossen 2021,
     property 10.1). In the body frame {B}, the current vector ν_c rotates at −r, opposite to the vehicle's yaw rate r.
 
-    Args:
-        form: the optional terms, `Vehicle.form`.
-
     Example:
         >>> from surctl.marine.vehicle import PLANT_DISTURBANCE, PLANT_STATE
         >>> from surctl.marine.vehicle import build_plant, load_vehicle, plant_parameters
@@ -330,19 +317,7 @@ def _plant(form: PlantForm) -> Plant:
 def check_equation_3(vehicle: Vehicle, *, reverse: bool = False) -> None:
     """Raise NotApplicable if the vehicle has optional terms, because a claim about equation (3) does not cover them.
 
-    Args:
-        vehicle: the vehicle for which the claim is to be checked.
-        reverse: whether the claim covers less thrust astern than ahead.
-
-    Example:
-        >>> from surctl.errors import NotApplicable
-        >>> from surctl.marine.vehicle import check_equation_3, load_vehicle
-        >>> check_equation_3(load_vehicle("bluerov2-wu"))
-        >>> try:
-        ...     check_equation_3(load_vehicle("otter"))
-        ... except NotApplicable as reason:
-        ...     print(reason.because)
-        it has m24, Fu_reverse, and the claim assumes equation (3) of the paper, without them
+    With `reverse`, the claim covers less thrust astern than ahead.
     """
     form = vehicle.form
     terms = [name for name in form.terms if not (reverse and name in [limit for _, limit in form.reverse()])]

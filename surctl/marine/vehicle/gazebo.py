@@ -65,7 +65,6 @@ def gazebo_vehicle(
 
     Args:
         path: an SDF, URDF or xacro file.
-        name: name of the vehicle.
         radius: radius of the hull [m].
         thrust: largest force in surge [N].
         yaw_thrust: largest moment about the vertical [N m].
@@ -73,20 +72,6 @@ def gazebo_vehicle(
         heave_thrust: largest force in heave [N]; default: as in surge.
         thrust_lag: time constant of the thrust [s].
         link: name of the link; default: the only one with hydrodynamics.
-
-    Raises:
-        InputError: the file cannot be read or has no hydrodynamics, a number is missing, or a drag would be negative.
-
-    Example:
-        >>> from pathlib import Path
-        >>> from surctl.marine.vehicle import gazebo_vehicle
-        >>> text = '<sdf><model name="a"><link name="b"><inertial><mass>10</mass><inertia><izz>0.2</izz></inertia>'
-        >>> text += '</inertial></link><plugin name="gz::sim::systems::Hydrodynamics"><link_name>b</link_name>'
-        >>> text += '<xDotU>-5</xDotU><xUabsU>-20</xUabsU></plugin></model></sdf>'
-        >>> _ = Path("model.sdf").write_text(text)
-        >>> auv = gazebo_vehicle(Path("model.sdf"), "auv", radius=0.2, thrust=40.0, yaw_thrust=5.0)
-        >>> auv["m11"], auv["m22"], auv["Xuu"]
-        (15.0, 10.0, 20.0)
     """
     root = _root(path)
     bodies = _bodies(root, path)

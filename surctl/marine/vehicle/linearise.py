@@ -119,26 +119,12 @@ def ahead_limit(vehicle: Vehicle) -> float:
 
     Law `steered`, of craft without sway force, gives all the thrust ahead. All other laws limit the thrust on each axis
     to the same value in both directions (`Vehicle.thrust_limit`).
-
-    Example:
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> from surctl.marine.vehicle.linearise import ahead_limit
-        >>> otter = load_vehicle("otter")
-        >>> round(ahead_limit(otter)), round(float(otter.thrust_limit[0]))
-        (239, 133)
     """
     return float((vehicle.thrust_limit if vehicle["Fv_max"] > 0 else vehicle.thrust_range[1])[0])
 
 
 def command_range(vehicle: Vehicle) -> NDArray[np.float64]:
-    """Return the least and the largest thrust (2, 4) [N, N m] that a law commands; ahead it is `ahead_limit`.
-
-    Example:
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> from surctl.marine.vehicle.linearise import command_range
-        >>> command_range(load_vehicle("otter"))[:, 0].round().tolist()
-        [-133.0, 239.0]
-    """
+    """Return the least and the largest thrust (2, 4) [N, N m] that a law commands; ahead it is `ahead_limit`."""
     most = np.array(vehicle.thrust_limit)
     least = -most
     most[0] = ahead_limit(vehicle)
@@ -150,12 +136,6 @@ def beyond_law(vehicle: Vehicle, cruise: float) -> str:
 
     Laws limit the thrust on each axis to the same value in both directions (`Vehicle.thrust_limit`), except the law of
     craft without sway force.
-
-    Example:
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> from surctl.marine.vehicle.linearise import beyond_law
-        >>> beyond_law(load_vehicle("otter"), 2.0)  # its law gives all of the 239 N ahead
-        ''
     """
     needed, limit = float(trim_thrust(vehicle, np.array([cruise, 0.0, 0.0, 0.0]))[0]), ahead_limit(vehicle)
     if needed < limit or vehicle["Fu_max"] <= limit:
@@ -228,14 +208,6 @@ def plant_jacobians(
         further states `TILT_NAMES` for vehicles that roll and pitch; B (n, 12, 4) or (n, 16, 4): input matrices
         ∂ẋ/∂τ, with columns in the order of `THRUST_NAMES`; trim thrust (n, 4) [N, N m]. If the trim thrust of a plant
         exceeds a thrust limit, its matrix B describes no possible motion.
-
-    Example:
-        >>> import numpy as np
-        >>> from surctl.marine.vehicle import load_vehicle, plant_jacobians, plant_parameters
-        >>> pair = np.array([plant_parameters(load_vehicle(name)) for name in ("sur400", "sur540-flooded")])
-        >>> a, b, tau = plant_jacobians(pair, np.tile([0.15, 0.0, 0.0, 0.0], (2, 1)))
-        >>> a.shape, a[:, 4, 4].round(4).tolist()
-        ((2, 12, 12), [-0.217, -0.2105])
     """
     count, (along, aside), (c, s) = len(nu), current, (np.cos(psi), np.sin(psi))
     through = nu - np.array([c * along + s * aside, c * aside - s * along, 0.0, 0.0])  # velocity through the water

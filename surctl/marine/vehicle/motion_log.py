@@ -39,12 +39,6 @@ def swap_pose(eta: ArrayLike) -> NDArray[np.float64]:
     """Convert poses (…, 4) of x, y, z [m] and ψ [rad] from ENU to NED or back: (y, x, −z, π/2 − ψ).
 
     The conversion does not wrap headings to one turn. A NaN is converted to NaN.
-
-    Example:
-        >>> import numpy as np
-        >>> from surctl.marine.vehicle import swap_pose
-        >>> swap_pose([1.0, 2.0, -0.15, np.pi / 2]).tolist()  # heading north
-        [2.0, 1.0, 0.15, 0.0]
     """
     pose = _four("pose", eta)
     x, y, z, psi = np.moveaxis(pose, -1, 0)
@@ -55,11 +49,6 @@ def swap_body(vector: ArrayLike) -> NDArray[np.float64]:
     """Convert body vectors (…, 4) from FLU to FRD or back: (u, −v, −w, −r).
 
     A body vector is a velocity u, v, w [m/s], r [rad/s], or a thrust [N, N m].
-
-    Example:
-        >>> from surctl.marine.vehicle import swap_body
-        >>> swap_body([0.2, 0.1, 0.0, 0.3]).tolist()
-        [0.2, -0.1, 0.0, -0.3]
     """
     return _four("vector", vector) * [1.0, -1.0, -1.0, -1.0] + 0.0  # no −0
 
@@ -78,15 +67,6 @@ def heading_velocity(
 
     Returns:
         ν (…, 4) [m/s, rad/s].
-
-    Raises:
-        InputError: the arrays have the wrong shape, or the pitch is not within ±90°.
-
-    Example:
-        >>> import numpy as np
-        >>> from surctl.marine.vehicle import heading_velocity
-        >>> heading_velocity([0.2, 0.0, 0.0], [0.0, 0.0, 0.1], roll=0.0, pitch=np.radians(15)).round(4).tolist()
-        [0.1932, 0.0, -0.0518, 0.1035]
     """
     v, w = np.asarray(velocity, dtype=float), np.asarray(rates, dtype=float)
     for key, array in (("velocity", v), ("rates", w)):
@@ -102,14 +82,7 @@ def heading_velocity(
 
 
 def heading_frame(vector: ArrayLike, *, roll: ArrayLike, pitch: ArrayLike) -> NDArray[np.float64]:
-    """Return vectors (…, 3) in the heading frame from those in the frame of the hull, by roll and pitch (…) [rad].
-
-    Example:
-        >>> import numpy as np
-        >>> from surctl.marine.vehicle.motion_log import heading_frame
-        >>> heading_frame([1.0, 0.0, 0.0], roll=0.0, pitch=np.pi / 2).round(3).tolist()
-        [0.0, 0.0, -1.0]
-    """
+    """Return vectors (…, 3) in the heading frame from those in the frame of the hull, by roll and pitch (…) [rad]."""
     u, v, w = np.moveaxis(np.asarray(vector, dtype=float), -1, 0)
     across, up = v * np.cos(roll) - w * np.sin(roll), v * np.sin(roll) + w * np.cos(roll)
     ahead, up = u * np.cos(pitch) + up * np.sin(pitch), up * np.cos(pitch) - u * np.sin(pitch)
@@ -124,17 +97,7 @@ def quaternion(roll: float, pitch: float, yaw: float) -> NDArray[np.float64]:
 
 
 def check_frame(frame: object, *, key: str = "frame", file: object = None) -> Frame:
-    """Return the frame name if it is in `FRAMES`; otherwise raise InputError.
-
-    Example:
-        >>> from surctl.marine.vehicle import check_frame
-        >>> check_frame("ned")
-        'ned'
-        >>> check_frame("nde")
-        Traceback (most recent call last):
-            ...
-        surctl.errors.InputError: frame = 'nde': is not known; give enu (ENU/FLU) or ned (NED/FRD)
-    """
+    """Return the frame name if it is in `FRAMES`; otherwise raise InputError."""
     if frame not in FRAMES:
         raise InputError("is not known", key=key, value=frame, file=file, remedy="give enu (ENU/FLU) or ned (NED/FRD)")
     return frame
@@ -221,22 +184,8 @@ def read_motion_log(path: Path, *, frame: Frame | str | None = None) -> MotionLo
     Fu_kgf. Times in such a unit count from the first row.
 
     Args:
-        path: the file.
         frame: frame of the file; default: the frame in its comments (`# frame=ned`), otherwise enu. The returned log is
             in the frame enu.
-
-    Raises:
-        InputError: the file cannot be read, a column is missing, a cell is not a number, or the time does not increase;
-            the frame is unknown, or differs from the frame that the file states.
-
-    Example:
-        >>> from pathlib import Path
-        >>> from surctl.marine.vehicle import read_motion_log
-        >>> rows = "".join(f"{0.1 * k:g},{0.01 * k:g},1,0,0,0\\n" for k in range(60))
-        >>> _ = Path("log.csv").write_text("t_s,u_m_per_s,Fu_N,Fv_N,Fw_N,Fr_N_m\\n" + rows)
-        >>> log = read_motion_log(Path("log.csv"))
-        >>> log.motion.shape, round(float(log.motion[-1, 4]), 2)
-        ((60, 8), 0.59)
     """
     try:
         table = read_recorded(path)
@@ -269,17 +218,6 @@ def in_sequence(logs: Sequence[MotionLog]) -> MotionLog:
     """Return several logs of one vehicle as one log: one after the other, with a gap in between.
 
     A fit gives each part between two gaps its own initial motion, so the runs need not have the same origin.
-
-    Args:
-        logs: the logs, in the order in which they are to follow each other.
-
-    Example:
-        >>> import numpy as np
-        >>> from surctl.marine.vehicle import MotionLog, in_sequence
-        >>> run = MotionLog(0.1 * np.arange(60), np.zeros((60, 8)), np.zeros((60, 4)), "run.csv")
-        >>> both = in_sequence([run, run])
-        >>> len(both.time), round(float(both.time[60] - both.time[59]), 2), both.source
-        (120, 2.0, 'run.csv, run.csv')
     """
     if len(logs) == 1:
         return logs[0]
@@ -298,16 +236,7 @@ def in_sequence(logs: Sequence[MotionLog]) -> MotionLog:
 
 
 def _check_increasing(time: NDArray[np.float64], key: str, at: Callable[[int], str]) -> None:
-    """Check that times (n,) increase from row to row.
-
-    Args:
-        time: the times [s].
-        key: name of their column.
-        at: names the place of a row, from 0.
-
-    Raises:
-        InputError: two rows have the same time, or the time decreases; the message names the row.
-    """
+    """Check that times (n,) [s] increase from row to row; `at` names the place of a row, from 0."""
     wrong = np.flatnonzero(~(np.diff(time) > 0))
     if not len(wrong):
         return

@@ -33,18 +33,10 @@ _ARM = 1e-6  # [m] a shorter arm gives no yaw moment
 
 
 def _largest_forces(actuators: Actuators, *, stated: Container[str], source: str) -> Mapping[str, float]:
-    """Return `Fu_max`, `Fv_max`, `Fw_max` [N] and `Fr_max` [N m]: the largest value on each axis alone.
+    """Return `Fu_max`, `Fv_max`, `Fw_max` [N], `Fr_max` [N m], but not `stated`: the largest value on each axis alone.
 
     All other axes are 0 meanwhile, and the force is available in both directions; a craft without sway force has
     `Fu_reverse` beside `Fu_max` if it is weaker astern. Fins count in yaw only, with their forces at 1 m/s.
-
-    Args:
-        actuators: the thrusters.
-        stated: names of the limits that the file states, which are left out.
-        source: name of the file in error messages.
-
-    Raises:
-        InputError: the thrusters give no surge force or no yaw moment; the message names a thruster and the remedy.
     """
     ends = axis_ends(actuators, 1.0)
     limits = dict(zip(_NAMES, np.minimum(-ends[:, 0], ends[:, 1]).tolist(), strict=True))
@@ -173,12 +165,6 @@ class Vehicle:
         """Return the linear drag (4,) at a forward speed [m/s], which the drag by |u| on each axis increases.
 
         A law whose model has no such terms uses this drag at its cruise speed.
-
-        Example:
-            >>> from surctl.marine.vehicle import load_vehicle
-            >>> craft = load_vehicle("eca-a9")
-            >>> craft.linear_drag[3], craft.drag_at(1.0)[3] > 0
-            (0.0, True)
         """
         linear = self.linear_drag
         for axis, name in self.form.ahead():
@@ -213,12 +199,6 @@ class Vehicle:
         """Return the vehicle with the thrust limits that hold at a forward speed [m/s]; without fins, the vehicle.
 
         The yaw moment of a rudder or another fin grows with the square of the speed.
-
-        Example:
-            >>> from surctl.marine.vehicle import load_vehicle
-            >>> craft = load_vehicle("remus100")
-            >>> [round(craft.at_speed(u)["Fr_max"], 3) for u in (0.5, 1.0, 2.0)]
-            [0.365, 1.46, 5.839]
         """
         if self.actuators is None or not self.actuators.fins or speed == self.speed:
             return self

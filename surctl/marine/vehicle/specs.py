@@ -156,13 +156,7 @@ def parameter_spec(name: str) -> ParameterSpec | None:
 
 
 def undamped(values: Mapping[str, float]) -> tuple[str, ...]:
-    """Return the axes on which a vehicle has thrust but no drag, by the values of its parameters.
-
-    Example:
-        >>> from surctl.marine.vehicle.specs import undamped
-        >>> undamped({"Fu_max": 40.0, "Xu": 0.0, "Xuu": 0.0, "Fv_max": 0.0, "Fr_max": 5.0, "Nrr": 2.0})
-        ('surge',)
-    """
+    """Return the axes on which a vehicle has thrust but no drag, by the values of its parameters."""
     damped = set()
     for name, value in values.items():
         spec = parameter_spec(name)

@@ -67,11 +67,7 @@ class _Tables(Strict):
 
 
 def read_actuators(thrusters: Sequence[Any], allocation: Mapping[str, Any] | None, *, source: str) -> Actuators | None:
-    """Return the thrusters of a vehicle file, or None if it has none; `source` is the file's name in error messages.
-
-    Raises:
-        InputError: an entry is missing, unknown or impossible; the message names file, key and remedy.
-    """
+    """Return the thrusters of a vehicle file, or None if it has none; `source` is the file's name in error messages."""
     data = {"thruster": list(thrusters), **({} if allocation is None else {"allocation": dict(allocation)})}
     tables = validate(data, _Tables, file=source)
     if not tables.thruster:
@@ -95,11 +91,7 @@ def read_actuators(thrusters: Sequence[Any], allocation: Mapping[str, Any] | Non
 
 
 def common_lag(thrusters: Sequence[Any], *, known: float | None, source: str) -> float | None:
-    """Return the time constant [s] that the tables state for all thrusters, or None if no table states one.
-
-    Raises:
-        InputError: the thrusters have different lags, or a lag that differs from `thrust_lag` (`known`).
-    """
+    """Return the time constant [s] that the tables state for all thrusters, or None if no table states one."""
     lag = known
     for k, table in enumerate(validate({"thruster": list(thrusters)}, _Tables, file=source).thruster):
         if table.lag is None:
@@ -122,13 +114,7 @@ def common_lag(thrusters: Sequence[Any], *, known: float | None, source: str) ->
 
 
 def axis_limits(actuators: Actuators, speed: float) -> NDArray[np.float64]:
-    """Return the largest value (4,) [N, N m] on each axis alone, in both directions, at a forward speed [m/s].
-
-    Example:
-        >>> from surctl.marine.vehicle import axis_limits, load_vehicle
-        >>> axis_limits(load_vehicle("remus100").actuators, 0.5).round(3).tolist()
-        [10.1, 0.0, 0.0, 0.365]
-    """
+    """Return the largest value (4,) [N, N m] on each axis alone, in both directions, at a forward speed [m/s]."""
     ends = axis_ends(actuators, speed)
     return np.minimum(-ends[:, 0], ends[:, 1])
 
@@ -138,11 +124,6 @@ def axis_ends(actuators: Actuators, speed: float = 1.0, *, failed: Sequence[str]
 
     Fins count in yaw only: at rest they give no force. A rudder pushes sideways when it turns the craft, so yaw is the
     largest moment with 0 on the axes that other thrusters serve, whatever the force on the others.
-
-    Example:
-        >>> from surctl.marine.vehicle import axis_ends, load_vehicle
-        >>> axis_ends(load_vehicle("otter").actuators)[0].round(1).tolist()
-        [-133.4, 239.4]
     """
     on = np.array([float(name not in failed) for name in actuators.names])
     shares = on * actuators.shares(speed)

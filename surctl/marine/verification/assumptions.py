@@ -6,7 +6,8 @@ from collections.abc import Mapping
 
 from surctl.errors import NotApplicable
 from surctl.marine.control import Gains
-from surctl.marine.vehicle import PARAMETERS, Vehicle, check_equation_3
+from surctl.marine.vehicle import PARAMETERS, Vehicle
+from surctl.marine.vehicle.dynamics import check_equation_3
 
 _ALIKE: Mapping[str, tuple[str, str]] = {
     "mass": ("m11", "m22"),

@@ -20,11 +20,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surctl.errors import InputError, nearest
-from surctl.ir import on_columns
-from surctl.marine.control import CASCADE, Gains, Law, build_law, law_parameters, law_source, load_gains
+from surctl.ir.symbolic import on_columns
+from surctl.marine.control import CASCADE, Gains, Law, build_law, law_source, load_gains
+from surctl.marine.control.ports import law_parameters
 from surctl.marine.guidance import Path
-from surctl.marine.vehicle import PLANT_PARAMETERS, PlantForm, Vehicle, plant_jacobians, plant_parameters
-from surctl.marine.vehicle.linearise import STATE_NAMES, TILT_NAMES, check_cruise
+from surctl.marine.vehicle import PLANT_PARAMETERS, PlantForm, Vehicle, plant_parameters
+from surctl.marine.vehicle.linearise import STATE_NAMES, TILT_NAMES, check_cruise, plant_jacobians
 from surctl.system.linear_loop import expm
 from surctl.verification.linear import blockwise, eigenvalues
 from surctl.verification.loops import BrokenLoop, LoopMargins, crossings_of, delays_of, margins_from, state_blocks

@@ -24,8 +24,8 @@ from surctl.errors import InputError
 from surctl.marine.allocation import allocate
 from surctl.marine.control import Gains, Law, law_source
 from surctl.marine.simulation import Run, Scenario
-from surctl.marine.vehicle import PLANT_PARAMETERS, Vehicle, plant_jacobians, plant_parameters, trim_thrust
-from surctl.marine.vehicle.linearise import STATE_NAMES, TILT_NAMES, check_cruise
+from surctl.marine.vehicle import PLANT_PARAMETERS, Vehicle, plant_parameters, trim_thrust
+from surctl.marine.vehicle.linearise import STATE_NAMES, TILT_NAMES, check_cruise, plant_jacobians
 from surctl.marine.vehicle.specs import AXES
 from surctl.marine.verification.corners import corners
 from surctl.marine.verification.cruise_loop import COUPLED, FAR, NEUTRAL, in_loop, law_numbers

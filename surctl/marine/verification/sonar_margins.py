@@ -25,8 +25,8 @@ from surctl.errors import InputError
 from surctl.ir import to_casadi
 from surctl.marine.control import Gains, Law, law_source
 from surctl.marine.sensing import OwnState, OwnStateFilter
-from surctl.marine.vehicle import PLANT_PARAMETERS, Vehicle, plant_jacobians, plant_parameters
-from surctl.marine.vehicle.linearise import check_cruise, dynamic_states
+from surctl.marine.vehicle import PLANT_PARAMETERS, Vehicle, plant_parameters
+from surctl.marine.vehicle.linearise import check_cruise, dynamic_states, plant_jacobians
 from surctl.marine.vehicle.specs import AXES
 from surctl.marine.verification.cruise_loop import FAR, law_numbers
 from surctl.marine.verification.law_loop import delivered

@@ -20,7 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError, ToolMissing
-from surctl.ir import Call, Loop, Program, Routine, Step, compile_block, lower, lower_named, replay, warn_slower
+from surctl.ir import Call, Loop, Program, Routine, Step, compile_block, lower, lower_named, replay
+from surctl.ir.native import warn_slower
 from surctl.priority.compiled.sweep import HUGE, gate, into, sweep, swept
 from surctl.priority.hierarchy.kernel import hierarchy
 from surctl.priority.problem import PriorityProblem

@@ -29,7 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError
-from surctl.ir import on_columns
+from surctl.ir.symbolic import on_columns
 from surctl.priority.backends import row_space
 from surctl.priority.diagnosis.findings import Region, pose_text
 from surctl.priority.settings import CUTOFF, ZERO_ROW

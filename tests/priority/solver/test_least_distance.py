@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from surctl.ir import runnable
+from surctl.ir.native import runnable
 from surctl.priority import safe_step
 
 runner = cache(lambda n, p, m: runnable(safe_step(n, p, m)))

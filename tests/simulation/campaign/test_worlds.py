@@ -10,10 +10,11 @@ import pytest
 
 from surctl.errors import InputError
 from surctl.marine.control import load_gains
-from surctl.marine.simulation import Case, build_world, findings
+from surctl.marine.simulation import Case, findings
 from surctl.marine.simulation.batch.pack import structure_of
 from surctl.marine.simulation.campaign.worlds import RandomWorlds, random_world, world_template
 from surctl.marine.simulation.scenario_table import scenario_table
+from surctl.marine.simulation.world import build_world
 from surctl.marine.vehicle import load_vehicle
 
 VEHICLE, GAINS = load_vehicle("sur540-flooded"), load_gains("default")

@@ -56,14 +56,8 @@ def cbf_law(s: Situation) -> Decision:
 def nearest_velocity(desired: ca.SX, rows: Sequence[tuple[ca.SX, ca.SX]], *, cap: ca.SX) -> tuple[ca.SX, ca.SX]:
     """Return v that minimises |v − desired| subject to n·v ≤ bound for every constraint in `rows`, and |v| ≤ cap.
 
-    Args:
-        desired: desired velocity (2, 1) [m/s].
-        rows: constraints n·v ≤ bound, as pairs of a unit vector n (2, 1) and a bound [m/s].
-        cap: largest speed [m/s].
-
-    Returns:
-        If a feasible v exists, the minimiser v (2, 1) and the number 1. Otherwise, of the velocities in a fixed set of
-        directions, the one whose largest constraint violation is smallest, and the number 0.
+    `rows` are pairs of a unit vector n (2, 1) and a bound [m/s]. If a feasible v exists, the result is v (2, 1) and 1.
+    Otherwise it is the velocity of a fixed set of directions whose largest violation is smallest, and 0.
     """
     v, feasible = limited(desired, cap), ca.SX(1)
     for i, (normal, bound) in enumerate(rows):

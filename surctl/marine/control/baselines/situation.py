@@ -100,12 +100,9 @@ def time_to_contact(velocity: ca.SX, contact: Contact, *, margin: ca.SX, flat: b
 
 
 def first_contact(s: Situation, velocity: ca.SX, *, extra: float) -> ca.SX:
-    """Return the time [s] until a robot at `velocity` meets the first obstacle or wall, or `NEVER`.
+    """Return the time [s] until a robot at `velocity` (2, 1) [m/s] in {E} meets the first obstacle or wall, or `NEVER`.
 
-    Args:
-        s: the situation with all obstacle points and walls.
-        velocity: constant velocity (2, 1) [m/s] in {E}.
-        extra: distance [m] beyond the margin at which the robot counts as having met an obstacle.
+    `extra` is the distance [m] beyond the margin at which the robot counts as having met an obstacle.
     """
     margin, first = s.p["margin"] + extra, ca.SX(NEVER)
     for flat, contacts in ((False, [*s.perceived.known, *s.perceived.echoes]), (True, s.perceived.walls)):

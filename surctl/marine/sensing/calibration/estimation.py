@@ -1,17 +1,15 @@
 """Calibration of a range sensor: bias, scale, noise, 95 % intervals; outliers, wrong medium, data it refuses.
 
-`calibrate` fits the line by least squares to all readings but the outliers; Student's t gives the intervals of bias and
-scale. A test of the restricted likelihood ratio (`noise_shape`) at the 5 % level decides whether the standard deviation
-(sd) of the noise depends on range, sd = s0 + s1·range. If the noise does not depend on range, the intervals are exact
-for normally distributed noise: Student's t gives the intervals of the line, χ² the interval of the sd. If the noise
-depends on range, each reading is weighted by the inverse of its variance sd². The result also gives mean and sd of the
-errors measured − true, because reports of range tests usually give these and no scale factor.
+`calibrate` fits the line by least squares to all readings but the outliers. A test of the restricted likelihood ratio
+(`noise_shape`) at the 5 % level decides whether the standard deviation (sd) of the noise depends on range, sd = s0 +
+s1·range. If not, the intervals are exact for normally distributed noise: Student's t for the line, χ² for the sd.
+Otherwise each reading is weighted by the inverse of its variance sd². Mean and sd of the errors measured − true are
+given too, because reports of range tests usually have these and no scale factor.
 
-The coverage of the intervals (how often they contain the true value) was computed from simulated data. The coverage is
-94 to 97 % if the noise is the same at all ranges, and also if the noise depends on range and there are at least about
-50 readings. With fewer readings, the test often does not detect that the noise depends on range. If the sd of the noise
-falls to one fifth over 12 to 18 readings, the interval of the bias has a coverage of only 88 to 91 %; if the sd rises
-fivefold, the coverage exceeds 93 %.
+By simulated data, the intervals contain the true value in 94 to 97 % of cases if the noise is the same at all ranges,
+or if it depends on range and there are at least about 50 readings. With fewer, the test often does not detect the
+dependence: if the sd falls to one fifth over 12 to 18 readings, the coverage of the bias is only 88 to 91 %; if it
+rises fivefold, it exceeds 93 %.
 """
 
 from __future__ import annotations
@@ -32,10 +30,8 @@ class _StraightLine:
     """The least-squares fit y = beta[0] + beta[1]·x to points whose relative standard deviations are known.
 
     Attributes:
-        beta: (2,) intercept beta[0] and slope beta[1] of the fitted line.
-        beta_sd: (2,) standard error of the intercept, and of the slope.
-        residuals: (n,) residuals y − line.
-        scaled: (n,) residual of each point divided by its relative sd.
+        beta, beta_sd: (2,) intercept and slope of the fitted line, and their standard errors.
+        residuals, scaled: (n,) residuals y − line, and the same divided by the relative sd of each point.
         leverage: (n,) diagonal of the hat matrix.
         sd: estimated sd of a point with relative sd 1, with n − 2 degrees of freedom.
     """
@@ -71,11 +67,9 @@ def _fit_line(x: NDArray[np.float64], y: NDArray[np.float64], relative: NDArray[
 
 
 def _studentised_residuals(line: _StraightLine) -> NDArray[np.float64]:
-    """Return the residuals (n,), each divided by its sd as estimated from the other points.
+    """Return the externally studentised residuals (n,), n > 3: each divided by its sd estimated from the other points.
 
-    These are the externally studentised residuals (Cook and Weisberg 1982).
-
-    If the other points have no noise, a studentised residual is very large but finite. The function requires n > 3.
+    See Cook and Weisberg 1982. If the other points have no noise, a residual is very large but finite.
     """
     n = len(line.scaled)
     free = np.maximum(1.0 - line.leverage, 1e-12)
@@ -318,12 +312,10 @@ def _fitted(x: NDArray[np.float64], y: NDArray[np.float64]) -> _Fit:
 def _without_outliers(
     x: NDArray[np.float64], y: NDArray[np.float64], everything: _Fit
 ) -> tuple[NDArray[np.bool_], bool]:
-    """Return which readings (n,) are inliers, and whether more readings deviate than it may leave out.
+    """Return which readings (n,) are inliers, and whether more readings deviate than may be left out.
 
-    `everything` is the fit to all readings.
-
-    The readings that deviate most are left out first, because they may hide others or make good readings deviate. A
-    reading that agrees with the fit to the others is taken back.
+    The readings that deviate most from the fit `everything` to all are left out first, because they may hide others or
+    make good readings deviate. A reading that agrees with the fit to the others is taken back.
     """
     inlier = np.ones(len(x), dtype=bool)
     for _ in range(_ROUNDS):

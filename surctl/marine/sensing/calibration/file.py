@@ -25,12 +25,7 @@ MEDIA: tuple[Medium, ...] = ("air", "water")
 
 @dataclass(frozen=True)
 class MediumTest:
-    """The readings of a range test in one medium.
-
-    Attributes:
-        measured: (n,) readings [m].
-        printed_percent: (n,) relative errors as printed, with one decimal [%].
-    """
+    """The readings of a range test in one medium: (n,) measured [m], and (n,) printed relative errors [%]."""
 
     measured: NDArray[np.float64]
     printed_percent: NDArray[np.float64]
@@ -38,14 +33,7 @@ class MediumTest:
 
 @dataclass(frozen=True)
 class RangeTest:
-    """A range test in air and in water.
-
-    Attributes:
-        desired: (n,) true distances [m].
-        air: readings in air.
-        water: readings in water.
-        provenance: origin of the numbers.
-    """
+    """A range test in air and in water: true distances `desired` (n,) [m], readings, and origin of the numbers."""
 
     desired: NDArray[np.float64]
     air: MediumTest
@@ -93,17 +81,7 @@ class _File(Strict):
 
 
 def table_ii() -> RangeTest:
-    """Return Table II: readings at 18 distances from 0.25 to 1.95 m.
-
-    Raises:
-        InputError: if the file in the package is damaged.
-
-    Example:
-        >>> from surctl.marine.sensing import table_ii
-        >>> table = table_ii()
-        >>> len(table.desired), table.errors("water")[:3].round(3).tolist(), table.disagreeing("water").tolist()
-        (18, [0.01, -0.01, 0.02], [6])
-    """
+    """Return Table II: readings at 18 distances from 0.25 to 1.95 m."""
     path = Path(__file__).with_name("table2.toml")
     model = load_model(path, _File)
     count = len(model.desired.values)
@@ -283,17 +261,7 @@ def calibrate_table_ii() -> list[SensorCalibration]:
 
 
 def sonar_fragment(one: SensorCalibration) -> str:
-    """Return the `[sonar]` table of a scenario file: bias_m, scale, noise_sd_m, and their 95 % intervals as comments.
-
-    Example:
-        >>> from surctl.marine.sensing import calibrate_table_ii, sonar_fragment
-        >>> for line in sonar_fragment(calibrate_table_ii()[1]).splitlines()[2:6]:  # of water
-        ...     print(line)
-        [sonar]
-        bias_m = -0.00797042  # -0.0270552 to 0.0111144
-        scale = 1.00826  # 0.992564 to 1.02395
-        noise_sd_m = 0.0162933  # 0.0121348 to 0.0247972
-    """
+    """Return the `[sonar]` table of a scenario file: bias_m, scale, noise_sd_m, and 95 % intervals as comments."""
     f = one.calibration
     head = [
         f"# {shown(one.title)}: {len(f.true)} rows from {shown(one.source)}",
@@ -317,16 +285,7 @@ def sonar_fragment(one: SensorCalibration) -> str:
 
 
 def calibration_rows(results: Sequence[SensorCalibration]) -> str:
-    """Return CSV text with each reading's line in the file, error, residual, and whether the reading is an outlier.
-
-    Example:
-        >>> from surctl.marine.sensing import calibrate_table_ii, calibration_rows
-        >>> for line in calibration_rows(calibrate_table_ii()).splitlines()[:3]:
-        ...     print(line)
-        sensor,medium,line,true_m,measured_m,error_m,residual_m,studentised,outlier
-        U1,air,0,0.25,0.25,0,0.000935...,0.0822...,0
-        U1,air,0,0.35,0.36,0.01,0.010564...,0.935...,0
-    """
+    """Return CSV text with each reading's line in the file, error, residual, and whether the reading is an outlier."""
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
     head = ("sensor", "medium", "line", "true_m", "measured_m", "error_m", "residual_m", "studentised", "outlier")
@@ -387,13 +346,7 @@ def _span(estimate: Estimate) -> str:
 
 
 def file_stems(results: Sequence[SensorCalibration]) -> list[str]:
-    """Return a distinct file-name suffix for each calibration: "-sensor-medium", or "" for a single unnamed sensor.
-
-    Example:
-        >>> from surctl.marine.sensing import calibrate_table_ii, file_stems
-        >>> [f"calibration{stem}.svg" for stem in file_stems(calibrate_table_ii())]
-        ['calibration-U1-air.svg', 'calibration-U1-water.svg']
-    """
+    """Return a distinct file-name suffix for each calibration: "-sensor-medium", or "" for a single unnamed sensor."""
     stems: list[str] = []
     for k, one in enumerate(results):
         parts = [re.sub(r"[^A-Za-z0-9_.]+", "-", part).strip("-.")[:40] for part in (one.sensor, one.medium)]
@@ -405,16 +358,7 @@ def file_stems(results: Sequence[SensorCalibration]) -> list[str]:
 
 
 def pick_calibration(name: str) -> list[SensorCalibration]:
-    """Return the calibrations for the command-line argument FILE: the name of the built-in table, or a file path.
-
-    Raises:
-        InputError: if the file does not exist, or `calibrate_file` raises InputError.
-
-    Example:
-        >>> from surctl.marine.sensing import pick_calibration
-        >>> [(one.title, round(one.calibration.scale.value, 4)) for one in pick_calibration("table-ii")]
-        [('sensor U1, air', 1.0037), ('sensor U1, water', 1.0083)]
-    """
+    """Return the calibrations for the command-line argument FILE: the name of the built-in table, or a file path."""
     if name == BUILT_IN:
         return calibrate_table_ii()
     path = Path(name)

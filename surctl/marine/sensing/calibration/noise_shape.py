@@ -55,12 +55,9 @@ class NoiseShape:
 
 
 def noise_shape(x: NDArray[np.float64], residuals: NDArray[np.float64]) -> NoiseShape:
-    """Fit sd(x) = s0 + s1·x to residuals about a line.
+    """Fit sd(x) = s0 + s1·x to residuals (n,) [m], not all 0, about a line through readings at x (n,) [m], n > 4.
 
-    Args:
-        x: (n,) ranges [m] of the readings, n > 4, not all equal.
-        residuals: (n,) residuals about an unweighted line [m], not all 0. In the result, `line` is the weighted line
-            minus the unweighted line.
+    In the result, `line` is the weighted line minus the unweighted line.
     """
     from scipy import stats  # the import takes about a second
 

@@ -1,10 +1,8 @@
 """Measurements of base station, camera and IMU: noise, and period, latency, loss and gaps of messages.
 
-The methods `message_symbols` and `fix_symbols` return periodic measurements, which may arrive late or be lost, in
-CasADi symbols for a compiled loop. The caller passes the true state at the earlier time of measurement, which comes
-from a buffer (`delayed_symbols`) or from the known motion of an obstacle. The noise is white and Gaussian; the caller
-draws the standard normal numbers. Whether a message arrives depends only on the number of the control period and on a
-random number.
+Messages and fixes are periodic, and arrive late or are lost. The caller passes the true state at the earlier time of
+measurement, and the standard normal numbers of the noise. Whether a message arrives depends only on the number of the
+control period and on a random number.
 """
 
 from __future__ import annotations
@@ -15,7 +13,7 @@ from statistics import NormalDist
 
 import casadi as ca
 
-from surctl.errors import InputError
+from surctl.errors import InputError, check_number
 
 _ALWAYS = 1e300  # bound that no standard normal number reaches
 _ROUNDING = 1e-9  # [1] tolerance of a number of steps
@@ -39,11 +37,8 @@ class Delivery:
     gaps: tuple[tuple[float, float], ...] = ()
 
     def __post_init__(self) -> None:
-        """Check the values; raise an InputError that names an invalid value."""
-        if not (isfinite(self.period) and self.period > 0):
-            raise InputError("must be greater than 0", key="delivery.period", value=self.period, remedy="give s")
-        if not (isfinite(self.latency) and self.latency >= 0):
-            raise InputError("must be at least 0", key="delivery.latency", value=self.latency, remedy="give s")
+        check_number("delivery.period", self.period, unit="s")
+        check_number("delivery.latency", self.latency, unit="s", zero=True)
         if not 0 <= self.loss <= 1:
             raise InputError("must lie between 0 and 1", key="delivery.loss", value=self.loss, remedy="give 0 to 1")
         gaps = tuple(tuple(float(end) for end in gap) for gap in self.gaps)
@@ -68,14 +63,10 @@ class Delivery:
         return whole_steps("delivery.period", self.period, dt=dt)
 
     def arrives_symbols(self, step: ca.SX, *, chance: ca.SX, dt: float) -> ca.SX:
-        """Return 1 if a message measured `late(dt)` control periods before arrives at period `step`, else 0.
+        """Return 1 if a message measured `late(dt)` control periods before arrives at period `step` (from 0), else 0.
 
-        The first measurement takes place at control period 0.
-
-        Args:
-            step: number of the control period, from 0.
-            chance: a standard normal number that decides the loss, drawn anew for each control period.
-            dt: control period [s].
+        The first measurement takes place at control period 0. `chance` is a standard normal number that decides the
+        loss.
 
         Raises:
             InputError: if period or latency is not a multiple of dt.
@@ -93,11 +84,7 @@ class Delivery:
 
 
 def whole_steps(key: str, time: float, *, dt: float) -> int:
-    """Return a time [s] as a number of control periods of `dt` [s].
-
-    Raises:
-        InputError: if the time is not a multiple of dt; `key` is the name of the time in the error message.
-    """
+    """Return a time [s] as a number of control periods of `dt` [s]."""
     count = round(time / dt)
     if abs(time / dt - count) > 1e-6:
         raise InputError(f"is not a multiple of the control period of {dt:g} s", key=key, value=time)
@@ -125,9 +112,8 @@ class BaseStation:
     messages: Delivery = field(default_factory=Delivery)
 
     def __post_init__(self) -> None:
-        """Check the values; raise an InputError that names an invalid value."""
-        _check("base_station.position_sd", self.position_sd, unit="m")
-        _check("base_station.velocity_sd", self.velocity_sd, unit="m/s")
+        check_number("base_station.position_sd", self.position_sd, unit="m", zero=True)
+        check_number("base_station.velocity_sd", self.velocity_sd, unit="m/s", zero=True)
 
     def message_symbols(
         self, past: ca.SX, step: ca.SX, *, noise: ca.SX, chance: ca.SX, dt: float
@@ -137,12 +123,9 @@ class BaseStation:
         Without a message, all numbers are 0.
 
         Args:
-            past: (K, 6) true states of the obstacles in {E} at the time of measurement, `messages.latency` earlier: x,
-                y, radius, vx, vy, valid.
-            step: number of the control period, from 0.
+            past: (K, 6) true states of the obstacles in {E}, `messages.latency` earlier: x, y, radius, vx, vy, valid.
             noise: (K, 4) standard normal numbers, for x, y, and both velocity components.
             chance: a standard normal number that decides whether the whole message is lost.
-            dt: control period [s].
         """
         arrived = self.messages.arrives_symbols(step, chance=chance, dt=dt)
         place, speed = past[:, :2] + self.position_sd * noise[:, :2], past[:, 3:5] + self.velocity_sd * noise[:, 2:]
@@ -168,21 +151,15 @@ class OwnState:
     fixes: Delivery = field(default_factory=Delivery)
 
     def __post_init__(self) -> None:
-        """Check the values; raise an InputError that names an invalid value."""
-        _check("own_state.position_sd", self.position_sd, unit="m")
-        _check("own_state.yaw_sd", self.yaw_sd, unit="rad")
-        _check("own_state.rate_sd", self.rate_sd, unit="rad/s")
+        check_number("own_state.position_sd", self.position_sd, unit="m", zero=True)
+        check_number("own_state.yaw_sd", self.yaw_sd, unit="rad", zero=True)
+        check_number("own_state.rate_sd", self.rate_sd, unit="rad/s", zero=True)
 
     def fix_symbols(self, past: ca.SX, step: ca.SX, *, noise: ca.SX, dt: float) -> tuple[ca.SX, ca.SX]:
-        """Return the position fix (3,) [m] in {E}, and 1 if a fix arrives at a control period, else 0.
+        """Return the position fix (3,) [m] in {E}, and 1 if one arrives at this period, else 0; without one, zeros.
 
-        Without a fix, the three numbers are 0.
-
-        Args:
-            past: (3,) true x, y, z of the robot [m] in {E} at the time of measurement, `fixes.latency` earlier.
-            step: number of the control period, from 0.
-            noise: (4,) standard normal numbers: three for x, y, z, and one that decides whether the fix is lost.
-            dt: control period [s].
+        `past` is the true x, y, z (3,) `fixes.latency` earlier; `noise` (4,) are standard normal numbers, three for x,
+        y, z, and one that decides whether the fix is lost.
         """
         arrived = self.fixes.arrives_symbols(step, chance=noise[3], dt=dt)
         return ca.if_else(arrived, past + self.position_sd * noise[:3], 0.0), arrived
@@ -194,8 +171,3 @@ class OwnState:
         normal numbers.
         """
         return eta[3] + self.yaw_sd * noise[0], nu[3] + self.rate_sd * noise[1]
-
-
-def _check(key: str, value: float, *, unit: str) -> None:
-    if not (isfinite(value) and value >= 0):
-        raise InputError("must be at least 0", key=key, value=value, remedy=f"give {unit}")

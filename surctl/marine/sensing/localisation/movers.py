@@ -7,12 +7,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from math import isfinite
 from typing import NamedTuple
 
 import casadi as ca
 
-from surctl.errors import InputError
+from surctl.errors import InputError, check_number
 from surctl.ir import Port, each
 
 
@@ -60,15 +59,11 @@ class MoverTracker:
     sigmas: float = 3.0
 
     def __post_init__(self) -> None:
-        """Check the values; raise an InputError that names an invalid value."""
         if self.slots != int(self.slots) or self.slots < 1:
             raise InputError("must be a whole number, at least 1", key="movers.slots", value=self.slots)
-        if not (isfinite(self.dt) and self.dt > 0):
-            raise InputError("must be greater than 0", key="movers.dt", value=self.dt, remedy="give s")
+        check_number("movers.dt", self.dt, unit="s")
         for name, unit in _AT_LEAST_ZERO.items():
-            value = getattr(self, name)
-            if not (isfinite(value) and value >= 0):
-                raise InputError("must be at least 0", key=f"movers.{name}", value=value, remedy=f"give {unit}")
+            check_number(f"movers.{name}", getattr(self, name), unit=unit, zero=True)
         if self.forget <= self.latency:
             problem = f"must be greater than the latency of {self.latency:g} s"
             raise InputError(problem, key="movers.forget", value=self.forget, remedy="give s")
@@ -92,11 +87,9 @@ class MoverTracker:
         """Return the moving obstacles after one control step.
 
         Args:
-            state: value of each entry of `ports(prefix)`, by name.
             message: (slots, 6) x, y, radius, vx, vy, valid of each obstacle, measured in {E} `latency` earlier; any
                 finite values if no message arrived.
             message_fresh: 1 if a message has arrived since the last step, else 0.
-            prefix: prefix of the names of the state's entries.
         """
         fresh = message_fresh > 0.5
 

@@ -1,18 +1,13 @@
 """The own-state filter: a Kalman filter for position and velocity from late camera fixes, IMU and vehicle model.
 
-A camera fix arrives with a delay, `latency`. The filter estimates the position at the time `latency` before the
-present, so a standard Kalman update compares each fix with the position at the time of its measurement, even after long
-gaps. From there, the filter predicts the present position with the accelerations of the steps since the measurement,
-which it stores in a ring buffer. The accelerations come from the vehicle model (equation (3) of the paper) under the
-last command, with thrust limit and lag, and with drag at the estimated ground velocity; the heading rotates them into
-{E}. The filter also estimates a disturbance acceleration in {E}, which represents all model errors (mass, drag, waves,
-current).
+The filter estimates the position at the time `latency` before the present, so a standard Kalman update compares each
+fix with the position at the time of its measurement, even after long gaps. From there, it predicts the present position
+with the accelerations of the steps since, which it stores in a ring buffer. They come from the vehicle model (equation
+(3) of the paper) under the last command, with thrust limit and lag, and with drag at the estimated ground velocity,
+turned into {E}. A disturbance acceleration in {E} represents all model errors (mass, drag, waves, current).
 
-The coordinates x, y and z share one covariance. The covariance ignores that drag damps the motion. So in a gap between
-fixes, the covariance is too large rather than too small. Yaw and yaw rate are measured in every step, so the Kalman
-gains for yaw and yaw rate are constant.
-
-The filter builds CasADi expressions for the exported law; its state is an explicit input and output.
+The coordinates x, y and z share one covariance, which ignores that drag damps the motion: in a gap between fixes, it is
+too large rather than too small. Yaw and yaw rate are measured in every step, so their Kalman gains are constant.
 """
 
 from __future__ import annotations
@@ -20,14 +15,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from math import exp, isfinite, pi
+from math import exp, pi
 from typing import Generic, NamedTuple, TypeVar
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.errors import InputError
+from surctl.errors import InputError, check_number
 from surctl.ir import Port
 from surctl.marine.sensing.localisation.base_station import whole_steps
 
@@ -37,13 +32,10 @@ _LEAST_MASS = 1e-6  # [kg]
 def _believed_acceleration(
     psi: ca.SX, velocity: ca.SX, rate: ca.SX, thrust: ca.SX, model: Mapping[str, ca.SX], dt: float
 ) -> tuple[ca.SX, ca.SX]:
-    """Return the mean acceleration (3,) in {E} [m/s²] and yaw acceleration [rad/s²] over a step.
+    """Return the mean acceleration (3,) in {E} [m/s²] and yaw acceleration [rad/s²] over a step, by equation (3).
 
-    The accelerations are those of the vehicle model, equation (3) of the paper.
-
-    The integration step is linearly implicit: it uses the drag at the middle of the step, so it is stable for any drag.
-    For accelerations in {E}, the Coriolis force vanishes except for the part that the difference m22 − m11 of the
-    masses in sway and surge causes: (m22 − m11)(v r, u r, 0, −u v) in {B}.
+    The integration step is linearly implicit, with the drag at the middle of the step, so it is stable for any drag.
+    For accelerations in {E}, the Coriolis force vanishes except for (m22 − m11)(v r, u r, 0, −u v) in {B}.
     """
     c, s = ca.cos(psi), ca.sin(psi)
     nu = ca.vertcat(c * velocity[0] + s * velocity[1], c * velocity[1] - s * velocity[0], velocity[2], rate)
@@ -74,12 +66,10 @@ _RECURSION_STEPS = 4000  # steps; the slowest error decays within a few hundred
 
 
 def transition(dt: float, disturbance_time: float) -> Matrix:
-    """Return the transition matrix Φ (3, 3) over a step dt [s] for one axis of {E}.
+    """Return the transition matrix Φ (3, 3) over a step dt [s] for one axis of {E}: position, velocity, disturbance.
 
-    The states are position, velocity and disturbance acceleration along the axis.
-
-    The disturbance is constant within a step and decays from step to step with the time constant `disturbance_time`
-    [s] (first-order Gauss-Markov process).
+    The disturbance acceleration is constant within a step and decays with the time constant `disturbance_time` [s]
+    (first-order Gauss-Markov process).
     """
     return np.array([[1.0, dt, 0.5 * dt * dt], [0.0, 1.0, dt], [0.0, 0.0, exp(-dt / disturbance_time)]])
 
@@ -102,11 +92,8 @@ def growth(dt: float, *, acceleration_noise: float, disturbance_sd: float, distu
 def yaw_gains(dt: float, *, yaw_sd: float, rate_sd: float, acceleration_noise: float) -> Matrix:
     """Return the steady Kalman gains (2, 2): rows for estimated, columns for measured yaw and yaw rate.
 
-    Args:
-        dt: time between two measurements [s].
-        yaw_sd: standard deviation of measured yaw [rad].
-        rate_sd: standard deviation of measured yaw rate [rad/s].
-        acceleration_noise: white noise [rad/s^1.5] that represents the unmodelled yaw acceleration.
+    The standard deviations of the measurements are in [rad] and [rad/s]; `acceleration_noise` is the white noise
+    [rad/s^1.5] that represents the unmodelled yaw acceleration.
     """
     F, Q = np.array([[1.0, dt], [0.0, 1.0]]), white(dt, acceleration_noise)[:2, :2]
     R = np.diag([yaw_sd**2, rate_sd**2])
@@ -185,15 +172,10 @@ class OwnStateFilter:
     gate: float = 5.0
 
     def __post_init__(self) -> None:
-        """Check the values; raise an InputError that names an invalid value."""
         for name, unit in _POSITIVE.items():
-            value = getattr(self, name)
-            if not (isfinite(value) and value > 0):
-                raise InputError("must be greater than 0", key=f"own_state.{name}", value=value, remedy=f"give {unit}")
+            check_number(f"own_state.{name}", getattr(self, name), unit=unit)
         for name, unit in _AT_LEAST_ZERO.items():
-            value = getattr(self, name)
-            if not (isfinite(value) and value >= 0):
-                raise InputError("must be at least 0", key=f"own_state.{name}", value=value, remedy=f"give {unit}")
+            check_number(f"own_state.{name}", getattr(self, name), unit=unit, zero=True)
         if self.latency >= LONGEST_LATENCY:
             raise InputError(
                 f"must be less than {LONGEST_LATENCY:g} s", key="own_state.latency", value=self.latency, remedy="give s"
@@ -282,14 +264,11 @@ class OwnStateFilter:
         gate. Offsets are compared, and not positions, because offsets do not contain the robot's own motion.
 
         Args:
-            state: value of each entry of `ports(prefix)`, by name.
             fix: (3,) position [m] in {E}, measured `latency` earlier; any finite values if no fix arrived.
             fix_fresh: 1 if a fix has arrived since the last step, else 0.
             yaw: measured ψ [rad], which may contain any number of full turns.
-            yaw_rate: measured r [rad/s].
             tau: (4,) force and moment command of the previous step, in {B} [N, N m].
             model: `mass`, `linear_drag`, `quadratic_drag`, `thrust_limit` of the vehicle model, (4,) each.
-            prefix: prefix of the names of the state's entries.
         """
         old = {port.name.removeprefix(prefix): state[port.name] for port in self.ports(prefix)}
         begun = old["begun"] > 0.5

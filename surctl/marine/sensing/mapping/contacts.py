@@ -9,12 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from math import isfinite, pi
+from math import pi
 from typing import NamedTuple
 
 import casadi as ca
 
-from surctl.errors import InputError
+from surctl.errors import InputError, check_number
 from surctl.ir import Port, fold
 from surctl.marine.sensing.sonar.array import SonarArray
 from surctl.marine.sensing.sonar.solids import disc_range, turned, wall_range
@@ -35,25 +35,18 @@ def expected_range(
 ) -> ca.SX:
     """Return the range [m] that one sensor would measure if only known walls and obstacles existed; at most 2·maximum.
 
-    The function uses the closed form of `Solid.nearest_in_cone`: the nearest point of a wall or
-    disc in the cone is the foot point (the nearest point of the whole shape) if the cone contains it, otherwise a point
-    on an edge ray of the cone.
+    As in `Solid.nearest_in_cone`, the nearest point of a wall or disc is its foot point if the cone contains it,
+    otherwise a point on an edge ray of the cone.
 
     Args:
-        position: (2,) robot's centre in {E} [m].
-        heading: (2,) cos ψ, sin ψ.
+        position, heading: (2,) robot's centre in {E} [m]; (2,) cos ψ, sin ψ.
         walls: (4,) xmin, xmax, ymin, ymax of the tank in {E} [m].
-        discs: (K, 3) known obstacles: x, y, radius [m]; K may be 0.
-        valid: (K,) 1 for a disc that is present, else 0.
+        discs, valid: (K, 3) known obstacles, x, y, radius [m], and (K,) 1 for one that is present, else 0.
         azimuth: azimuth of the sensor in {B} [rad].
         hull_radius: distance from the robot's centre to the apex of the cone [m]; a symbol in a law for any vehicle.
         half_angle: half the opening angle of the cone [rad], 0 < half_angle < π/2.
-        maximum: longest range that the sensor measures [m].
         incidence: largest angle between a wall's normal and the direction to the sensor at which the wall answers
-            [rad]; None: a wall answers at every angle. Obstacles answer at every angle.
-
-    Raises:
-        InputError: if half_angle is out of range.
+            [rad]; None: any. Obstacles answer at every angle.
     """
     if not 0.0 < half_angle < pi / 2:
         raise InputError("must lie between 0 and pi/2", key="half_angle", value=half_angle, remedy="give radians")
@@ -104,18 +97,8 @@ def sonar_contacts(
 ) -> Contacts:
     """Return one point per sensor, on the beam's axis at `range_hat`; the point is valid if the echo is unexplained.
 
-    A range is an echo if range_hat < maximum − margin. The known walls and obstacles explain the echo if
-    range_hat ≥ expected − tolerance.
-
-    Args:
-        array: the sonar array.
-        range_hat: (n,) filtered ranges [m].
-        position: (2,) robot's centre in {E} [m].
-        heading: (2,) cos ψ, sin ψ.
-        hull_radius: distance from the robot's centre to the apexes [m].
-        expected: (n,) expected ranges from `expected_range` [m].
-        margin: a range above `maximum` − `margin` counts as no echo [m].
-        tolerance: a range above `expected` − `tolerance` is explained by the known walls and obstacles [m].
+    A range is an echo if range_hat < maximum − margin. The known walls and obstacles explain it if range_hat ≥ expected
+    − tolerance. Ranges are (n,) [m]; `position` and `heading` are as for `expected_range`.
     """
     points = []
     for i, azimuth in enumerate(array.azimuths):
@@ -127,16 +110,9 @@ def sonar_contacts(
 
 @dataclass(frozen=True, kw_only=True)
 class ContactMemory:
-    """A memory of the last unexplained echo of each sensor; the echo is dropped after the time `hold`.
+    """A memory of the last unexplained echo of each sensor, fixed in {E}, for the time `hold` [s] (design choice).
 
-    The position of a stored echo in {E} is fixed.
-
-    Later readings without an echo do not remove a stored echo, because the beam may have turned away from the obstacle.
-
-    Attributes:
-        sensors: number of sensors n.
-        dt: period of the updates [s].
-        hold: longest age of a stored echo [s] (design choice).
+    Later readings without an echo do not remove it, because the beam may have turned away from the obstacle.
     """
 
     dt: float
@@ -144,11 +120,8 @@ class ContactMemory:
     hold: float = 0.5
 
     def __post_init__(self) -> None:
-        """Check the values; raise an InputError that names an invalid value."""
         for name in ("dt", "hold"):
-            value = getattr(self, name)
-            if not (isfinite(value) and value > 0):
-                raise InputError("must be greater than 0", key=f"contacts.{name}", value=value, remedy="give s")
+            check_number(f"contacts.{name}", getattr(self, name), unit="s")
         if self.sensors < 1:
             raise InputError("must be at least 1", key="contacts.sensors", value=self.sensors)
 
@@ -164,11 +137,7 @@ class ContactMemory:
     ) -> tuple[dict[str, ca.SX], Contacts]:
         """Return the next state and the valid echoes: new echoes at age 0, and older echoes up to age `hold`.
 
-        Args:
-            state: value of each entry of `ports(prefix)`, by name.
-            contacts: obstacle points at this control step; only the points of fresh sensors are used.
-            fresh: (n,) 1 for a sensor that fired since the last update, else 0.
-            prefix: prefix of the names of the state's entries.
+        Only the points of sensors with `fresh` (n,) 1, which fired since the last update, are used.
         """
         echo, age = state[f"{prefix}echo"], state[f"{prefix}age"]
         new = ca.logic_and(fresh > 0.5, contacts.valid)

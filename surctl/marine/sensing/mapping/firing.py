@@ -182,17 +182,11 @@ def direction(column: ca.SX, row: ca.SX, limit: dict[str, ca.SX]) -> ca.SX:
 def by_direction(
     value: ca.SX, away: ca.SX, *, near: ca.SX, moved: ca.SX, known: float, specular: bool
 ) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX, ca.SX]:
-    """Return what a firing from a direction means for a cell that stores directions.
+    """Return what a firing from the direction `away` (see `bearing`) means for a cell that stores directions.
 
     The results are: whether the cell is a mark that silence from this direction does not clear; the cell's value after
-    an echo, after a blind firing, and after silence; and whether the cell may have caused an echo.
-
-    Args:
-        value: the cell's value.
-        away: the direction, see `bearing`.
-        near: whether the cell is near the sensor, see `nearby`.
-        moved: whether an echo came from close behind the cell.
-        known, specular: see `LocalMap`.
+    an echo, after a blind firing, and after silence; and whether the cell may have caused an echo. `near` says whether
+    the cell is near the sensor (see `nearby`), `moved` whether an echo came from close behind it.
     """
     strict = ca.logic_and(near, ca.logic_not(moved))
     now, beside = level(value), includes(value, away, BESIDE if specular else ca.if_else(strict, 0, BESIDE))

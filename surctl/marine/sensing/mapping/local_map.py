@@ -19,14 +19,13 @@ becomes 1 and fades to 0 within `mark_time`. When a cell is cleared, its number 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import isfinite
 from typing import TypeAlias
 
 import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from surctl.errors import InputError
+from surctl.errors import InputError, check_number
 from surctl.ir import Call, Gather, Loop, Port, Program, Routine, Step, lower
 from surctl.marine.sensing.mapping.firing import READING_SIZE
 from surctl.marine.sensing.mapping.programs import BASE, BEAM, NONE, MapPrograms
@@ -72,11 +71,8 @@ class LocalMap:
     specular: bool = False
 
     def __post_init__(self) -> None:
-        """Check the values; raise an InputError that names an invalid value."""
         for name in ("dt", "mark_time", "free_time"):
-            value = getattr(self, name)
-            if not (isfinite(value) and value > 0):
-                raise InputError("must be greater than 0", key=f"map.{name}", value=value, remedy="give s")
+            check_number(f"map.{name}", getattr(self, name), unit="s")
         for name in ("slots", "blocks", "block"):
             value = getattr(self, name)
             if not isinstance(value, int) or value < 1:
@@ -95,9 +91,8 @@ class LocalMap:
     def held(self) -> int:
         """Number of cells not known to be free below which the unknown cells of a block are ignored.
 
-        A disc two cells wide touches the cell of its centre and the four adjacent cells; at least three of these five
-        cells lie in one block. So no object of this size can hide in blocks with fewer cells that are not known to be
-        free.
+        Of the five cells that a disc two cells wide touches, the centre's and its neighbours, at least three lie in one
+        block. So no object of this size can hide in blocks with fewer such cells.
         """
         return min(_HOLDS, self.block * self.block)
 
@@ -136,18 +131,10 @@ class LocalMap:
 
         Args:
             cells: (N²,) values of the cells in the state of the map.
-            corner: (2,) lowest cell of the window in the state of the map.
             edge: edge length of a cell [m]; with 1 the coordinates of the centres are in cells.
 
         Raises:
             InputError: if an array does not have the stated size.
-
-        Example:
-            >>> from surctl.marine.sensing import LocalMap
-            >>> local_map = LocalMap(dt=0.05, blocks=1, block=3, sectors=4)
-            >>> values, x, y = local_map.view([0, 0, 1, -1, -1, 0, -1, -1, 0], [0, 0], edge=0.1)
-            >>> values.tolist(), x.round(2).tolist()
-            ([[0.0, 0.0, 1.0], [-1.0, -1.0, 0.0], [-1.0, -1.0, 0.0]], [0.05, 0.15, 0.25])
         """
         n, many, size = self.side, self.blocks, self.block
         stored, low = np.asarray(cells, dtype=float), np.asarray(corner, dtype=float)

@@ -195,15 +195,11 @@ class MapPrograms:
         return lower_named("blank_arc", inputs, outputs)
 
     def _bounded(self, row: ca.SX, column: ca.SX, limit: dict[str, ca.SX], s: int) -> tuple[ca.SX, ca.SX, ca.SX]:
-        """Return three results for a block of cells, from bounds on its cells.
+        """Return whether a block lies beside the cone, its least squared range, and whether none of it is on the arc.
 
-        The results are: whether all cells lie beside the cone; the least squared range of the cells; and whether no
-        cell lies on the arc.
-
-        The test uses the extreme values of a block's columns and rows, with the same sums and products as for a single
-        cell, and rounding preserves the order of values. So a condition that holds for the extreme values also holds
-        for every cell of the block, despite rounding. Every condition is false for NaN, so a block with NaN is not
-        skipped.
+        The extreme values of the block's columns and rows go through the same sums and products as a single cell, and
+        rounding preserves the order of values: what holds for them holds for every cell. Every condition is false for
+        NaN, so a block with NaN is not skipped.
         """
         at = 1 + _BOUNDS * s
         along, low, high, least, most = (row[at + k] + column[at + k] for k in range(_BOUNDS))

@@ -38,25 +38,13 @@ def weighted_average(samples: ca.SX) -> ca.SX:
 
 
 def gate(window: ca.SX, value: ca.SX, *, lambda1: ca.SX, resolution: float) -> tuple[ca.SX, ca.SX, ca.SX]:
-    """Apply the gate, equations (4)–(5) of the paper, to a new value.
+    """Return the gated value [m], equations (4)–(5) of the paper; 1 if `value` was accepted; and the next window.
 
-    The gate accepts `value` if `value` lies within λ1·S of the previous raw value; otherwise, the gate returns the
-    running mean.
-
-    S is the standard deviation of the values d in the window, S² = mean(d²) − mean(d)², but at least one conversion
-    step: a constant signal has S = 0, and the gate would then refuse every value. With λ1 = 0 the gate accepts no value
-    and always returns the running mean. The window also stores refused raw values. So after a true jump of the range,
-    the gate refuses one value and accepts the next value, which lies near the refused value. The gate therefore follows
-    a jump one firing late, and it cannot refuse for ever.
-
-    Args:
-        window: (n,) the last n values of the weighted mean, before the gate [m], newest first.
-        value: the new weighted mean [m].
-        lambda1: factor λ1 ≥ 0 on the standard deviation.
-        resolution: one conversion step [m].
-
-    Returns:
-        three results: gated value [m]; 1 if `value` was accepted, else 0; next window (n,) [m].
+    The gate accepts `value` if it lies within λ1·S of the previous raw value; otherwise it returns the running mean. S
+    is the standard deviation of the values in the window (n,), newest first, but at least one conversion step: a
+    constant signal has S = 0, and the gate would then refuse every value. With λ1 = 0 the gate accepts no value. The
+    window also stores refused raw values, so after a true jump of the range the gate refuses one value and accepts the
+    next: it follows a jump one firing late, and cannot refuse for ever.
     """
     n = window.numel()
     mean = ca.sum1(window) / n
@@ -116,9 +104,6 @@ def lms_step(
         relaxation: relaxation ρ, limited to [0, 1].
         beta_max: largest momentum β_max, limited to [0, 0.5].
         step: rule for the step size μ, "corrected" or "printed".
-
-    Raises:
-        InputError: if `step` is unknown.
     """
     check_known(step, get_args(StepRule), "unknown LMS step", key="step")
     n = errors.numel()
@@ -174,7 +159,6 @@ class SensorFilter:
     step: StepRule = "corrected"
 
     def __post_init__(self) -> None:
-        """Check the values; raise an InputError that names an invalid value."""
         for name, least in (("window", 2), ("taps", 1), ("memory", 1), ("refusals", 1)):
             value = getattr(self, name)
             if not isinstance(value, int) or value < least:
@@ -218,12 +202,9 @@ class SensorFilter:
         unhealthy. With λ1 = 0 no value counts as refused.
 
         Args:
-            state: value of each entry of `ports(prefix)`, by name; the state changes only for sensors that fired.
             samples: (n, samples) raw samples [m], oldest first; the samples of sensors that did not fire are ignored,
                 but must be finite.
             fresh: (n,) 1 for a sensor that fired since the last step, else 0.
-            gains: value of each entry of `gain_ports(prefix)`, by name.
-            prefix: prefix of the names of the entries of state and gains.
         """
         names = [port.name.removeprefix(prefix) for port in self.ports(prefix)]
         rows = []

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cache, cached_property
-from math import ceil, erf, isfinite, log, sqrt
+from math import ceil, erf, log, sqrt
 
 import numpy as np
 
-from surctl.errors import InputError
+from surctl.errors import check_number
 from surctl.marine.sensing.sonar.array import SonarArray
 
 NEVER = 1e6
@@ -46,21 +46,10 @@ class TrackerParameters:
     hold: float = NEVER
 
     def __post_init__(self) -> None:
-        """Check the values; raise an InputError that names an invalid value."""
-        for name, unit in (
-            ("dt", "s"),
-            ("tolerance", "m"),
-            ("yaw_tolerance", "rad"),
-            ("longest_delay", "s"),
-            ("hold", "s"),
-        ):
-            value = getattr(self, name)
-            if not (isfinite(value) and value > 0):
-                raise InputError("must be greater than 0", key=f"tracker.{name}", value=value, remedy=f"give {unit}")
-        if not (isfinite(self.obstacle_speed) and self.obstacle_speed >= 0):
-            raise InputError(
-                "must be at least 0", key="tracker.obstacle_speed", value=self.obstacle_speed, remedy="give m/s"
-            )
+        positive = {"dt": "s", "tolerance": "m", "yaw_tolerance": "rad", "longest_delay": "s", "hold": "s"}
+        for name, unit in positive.items():
+            check_number(f"tracker.{name}", getattr(self, name), unit=unit)
+        check_number("tracker.obstacle_speed", self.obstacle_speed, unit="m/s", zero=True)
 
     @cached_property
     def due(self) -> float:
@@ -71,9 +60,8 @@ class TrackerParameters:
     def repeats(self) -> int:
         """Number of repetitions of the same samples after which a sensor counts as stuck; 0 if the noise is too small.
 
-        Two successive firings of a working sensor give the same samples with a probability of at most p; the
-        probability is p if the range lies at the worst position between two conversion steps. The number r of
-        repetitions satisfies p^r < 1e-4.
+        Two successive firings of a working sensor give the same samples with a probability of at most p, at the worst
+        position between two conversion steps. The number r of repetitions satisfies p^r < 1e-4.
         """
         chance = _chance_of_equal_sets(self.array)
         needed = ceil(log(1e-4) / log(min(max(chance, 1e-12), 0.999)))

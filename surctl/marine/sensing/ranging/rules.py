@@ -84,11 +84,7 @@ class Step(NamedTuple):
 def opened(tracker: TrackerParameters, old: Mapping[str, Value], inputs: StepInputs) -> Step:
     """Return the tracker step after the prediction of the state to the present, and before the use of the new reading.
 
-    Args:
-        tracker: the tracker, with the parameters of the tracker.
-        old: value of each entry of the previous state, by name without prefix; the value of an entry with several
-            columns is a list of columns.
-        inputs: inputs of the step.
+    `old` has each entry of the previous state by name without prefix, with a list of columns for several ones.
     """
     scene = _scene(tracker, old, inputs)
     return Step(tracker, old, _moved(tracker, old, inputs, scene), inputs, scene)
@@ -228,13 +224,10 @@ class _Late(NamedTuple):
 def _lateness(step: Step, sound: Value, reading: Value) -> _Late:
     """Test whether readings after a gap are late by the duration of the gap.
 
-    The test compares the readings with the range that the known walls give or with the track (the estimate before the
-    gap).
-
     A late reading is the range at an earlier time, `late_by` before the present. It differs from the present range by a
-    shift, which is computed from the known walls or from the robot's own motion. The residual of a reading is the
-    difference of the reading from the known walls' range or from the track. The regression coefficient of the residuals
-    on the shift is 0 for readings without delay and 1 for late readings.
+    shift, which is computed from the known walls or from the robot's own motion. The regression coefficient on the
+    shift, of the difference of the readings from the known walls' range or from the track (the estimate before the
+    gap), is 0 for readings without delay and 1 for late readings.
     """
     tracker, old, state, _, scene = step
     missing = ca.floor(state["since"] / tracker.due + 0.5) - 1.0
@@ -312,15 +305,9 @@ class _Compared(NamedTuple):
 def range_step(
     tracker: TrackerParameters, old: Mapping[str, Value], inputs: StepInputs
 ) -> tuple[dict[str, Value], tuple[Value, ...]]:
-    """Return the next state, and the outputs range, bound, rate, healthy, age, reading, accepted, carve.
+    """Return the next state, and the outputs range, bound, rate, healthy, age, reading, accepted, carve of `Ranging`.
 
-    The class `Ranging` describes the outputs.
-
-    Args:
-        tracker: the tracker, with the parameters of the tracker.
-        old: value of each entry of the previous state, by name without prefix; the value of an entry with several
-            columns is a list of columns.
-        inputs: inputs of the step.
+    `old` is as for `opened`.
     """
     step = opened(tracker, old, inputs)
     reading = robust(tracker, inputs.samples)

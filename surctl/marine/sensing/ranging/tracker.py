@@ -73,7 +73,6 @@ class RangeTracker(TrackerParameters):
         """Return the ranges after one step, in CasADi symbols.
 
         Args:
-            state: value of each entry of `ports(prefix)`, by name.
             samples: (n, k) raw samples [m]; the samples of sensors that did not fire are ignored, but must be finite.
             fresh: (n,) 1 for a sensor whose samples arrived since the last step, else 0.
             closing: (n,) the robot's velocity along each beam's axis [m/s]; a positive value shortens the range to an
@@ -82,7 +81,6 @@ class RangeTracker(TrackerParameters):
             turn: yaw rate of the robot [rad/s].
             longest: (n,) range [m] at which a known wall surely gives an echo; a longer reading is a fault. Default:
                 `expected`.
-            prefix: prefix of the names of the state's entries.
         """
         ports, count = self.ports(), self.array.samples
         old = {p.name: state[prefix + p.name] for p in ports}

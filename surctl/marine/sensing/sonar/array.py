@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from math import acos, asin, atan2, ceil, cos, degrees, hypot, inf, isfinite, pi, remainder, sin, sqrt
 from typing import Literal, TypeAlias, get_args
 
-from surctl.errors import InputError, check_known
+from surctl.errors import InputError, check_known, check_number
 from surctl.marine.world import Vector2
 
 Medium: TypeAlias = Literal["water", "air"]
@@ -25,14 +25,6 @@ def speed_of_sound(temperature: float, medium: Medium = "water") -> float:
 
     For pure water: Marczak 1997, "Water as a standard in the measurements of speed of sound in liquids", J. Acoust.
     Soc. Am. 102, 2776 (0 to 95 °C, within 0.02 m/s). For dry, ideal air: 331.3·sqrt(1 + T/273.15) (−20 to 50 °C).
-
-    Raises:
-        InputError: if the medium is unknown, or the temperature is outside the range of the formula.
-
-    Example:
-        >>> from surctl.marine.sensing import speed_of_sound
-        >>> round(speed_of_sound(20.0), 2), round(speed_of_sound(20.0, "air"), 2)
-        (1482.38, 343.21)
     """
     check_known(medium, get_args(Medium), key="medium")
     low, high = _RANGE[medium]
@@ -59,20 +51,12 @@ def _inside_hull(mount: tuple[float, float], hull_radius: float) -> bool:
 def open_cones(
     mount: tuple[float, float], azimuth: float, *, half_angle: float, hull_radius: float
 ) -> tuple[tuple[float, float], ...]:
-    """Return the parts of a beam that the hull does not hide, from right to left.
+    """Return the parts of a beam that the hull does not hide, from right to left: (offset, half angle) [rad].
 
-    Each part is given as (offset from the beam's axis, half angle) [rad].
-
-    Seen from an apex at distance ρ from the centre, the hull (a disc of radius R) hides the bearings within asin(R/ρ)
-    of the centre's bearing. Seen from an apex on the hull, the hull hides the half-plane behind the apex. No object can
-    lie between apex and hull. The result is the whole beam, one part of the beam, two parts (one on each side of the
-    hull), or empty.
-
-    Args:
-        mount: (2,) apex in {B} [m], not inside the hull.
-        azimuth: direction of the beam's axis in {B} [rad].
-        half_angle: half the opening angle of the beam [rad], below π/2.
-        hull_radius: radius R of the hull [m]; a hull of radius 0 hides nothing.
+    Seen from an apex (2,) in {B} at distance ρ from the centre, the hull (a disc of radius R) hides the bearings within
+    asin(R/ρ) of the centre's; from an apex on the hull, the half-plane behind it. No object can lie between apex and
+    hull. The result is the whole beam, one part of it, two parts (one on each side of the hull), or empty. A hull of
+    radius 0 hides nothing.
     """
     distance = hypot(*mount)
     if hull_radius <= 0.0:
@@ -152,7 +136,6 @@ class SonarArray:
     cones: tuple[tuple[tuple[float, float], ...], ...] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        """Check the values; raise an InputError that names an invalid value."""
         object.__setattr__(self, "azimuths", tuple(float(a) for a in self.azimuths))
         object.__setattr__(self, "order", tuple(int(i) for i in self.order))
         if self.mounts is not None:
@@ -241,19 +224,9 @@ class SonarArray:
         """Return the distance [m] from the hull at which a corner ahead is first heard; 0: the hull touches it first.
 
         The corner is a right angle whose edge is silent, and the hull moves straight along its bisector, at the heading
-        that hears most. Seen from there, each face lies at 45° to the course. A sensor hears a face once the end of the
-        face is within `incidence` of the sensor's view along the normal. A sensor with a beam of half angle β on a hull
-        of radius R does so at R (sin β / sin(45° − incidence) − 1) from the hull. Other courses hear one of the faces
-        earlier.
-
-        Args:
-            incidence: largest angle of incidence [rad] at which a face answers; None: a face answers at any.
-
-        Example:
-            >>> from math import radians
-            >>> from surctl.marine.sensing import SonarArray
-            >>> [round(SonarArray().corner_range(radians(angle)), 3) for angle in (5, 15, 22.5, 30)]
-            [0.0, 0.059, 0.16, 0.365]
+        that hears most. Each face then lies at 45° to the course, and a sensor hears it once the end of the face is
+        within `incidence` [rad] (None: any angle) of its normal: with a beam of half angle β on a hull of radius R, at
+        R (sin β / sin(45° − incidence) − 1) from the hull. Other courses hear one of the faces earlier.
         """
         if incidence is None or incidence >= pi / 4:
             return self.maximum
@@ -283,6 +256,12 @@ class SonarArray:
         return cones
 
 
+def _require(array: SonarArray, key: str, holds: bool, problem: str, remedy: str, *, value: object = None) -> None:
+    if not holds:
+        value = getattr(array, key) if value is None else value
+        raise InputError(problem, key=f"array.{key}", value=value, remedy=remedy)
+
+
 def _check(array: SonarArray) -> None:
     _check_geometry(array)
     _check_mounts(array)
@@ -291,102 +270,51 @@ def _check(array: SonarArray) -> None:
     _check_timing(array)
 
 
-def _require(holds: bool, problem: str, *, key: str, value: object, remedy: str) -> None:
-    if not holds:
-        raise InputError(problem, key=f"array.{key}", value=value, remedy=remedy)
-
-
 def _check_geometry(array: SonarArray) -> None:
-    _require(
-        array.size > 0 and all(isfinite(a) for a in array.azimuths),
-        "must be finite angles, at least one",
-        key="azimuths",
-        value=array.azimuths,
-        remedy="give radians, counter-clockwise from forward",
-    )
-    _require(
-        isfinite(array.hull_radius) and array.hull_radius >= 0,
-        "must be at least 0",
-        key="hull_radius",
-        value=array.hull_radius,
-        remedy="give m",
-    )
-    _require(
-        0 < array.beam_angle < pi,
-        "must lie between 0 and pi",
-        key="beam_angle",
-        value=array.beam_angle,
-        remedy="give the full angle in radians",
-    )
-    _require(
-        isfinite(array.pitch) and abs(array.pitch) < 0.5 * array.beam_angle,
-        "must be less than half of the beam angle, so that the beam contains the horizontal plane",
-        key="pitch",
-        value=array.pitch,
-        remedy="give radians, positive upwards",
-    )
+    finite = array.size > 0 and all(isfinite(a) for a in array.azimuths)
+    remedy = "give radians, counter-clockwise from forward"
+    _require(array, "azimuths", finite, "must be finite angles, at least one", remedy)
+    check_number("array.hull_radius", array.hull_radius, unit="m", zero=True)
+    wide = 0 < array.beam_angle < pi
+    _require(array, "beam_angle", wide, "must lie between 0 and pi", "give the full angle in radians")
+    level = isfinite(array.pitch) and abs(array.pitch) < 0.5 * array.beam_angle
+    problem = "must be less than half of the beam angle, so that the beam contains the horizontal plane"
+    _require(array, "pitch", level, problem, "give radians, positive upwards")
     limit = array.incidence_limit
-    _require(
-        limit is None or 0 < limit < pi / 2,
-        "must lie between 0 and pi/2",
-        key="incidence_limit",
-        value=limit,
-        remedy="give radians, or None if every surface reflects",
-    )
+    remedy = "give radians, or None if every surface reflects"
+    _require(array, "incidence_limit", limit is None or 0 < limit < pi / 2, "must lie between 0 and pi/2", remedy)
 
 
 def _check_mounts(array: SonarArray) -> None:
     if array.mounts is None:
         return
-    _require(
-        len(array.mounts) == array.size and all(len(m) == 2 and isfinite(m[0] + m[1]) for m in array.mounts),
-        f"must be {array.size} finite points, one for each azimuth",
-        key="mounts",
-        value=array.mounts,
-        remedy="give x, y in {B} in m, or None for sensors on the hull",
-    )
+    points = len(array.mounts) == array.size and all(len(m) == 2 and isfinite(m[0] + m[1]) for m in array.mounts)
+    problem = f"must be {array.size} finite points, one for each azimuth"
+    _require(array, "mounts", points, problem, "give x, y in {B} in m, or None for sensors on the hull")
     for i, mount in enumerate(array.mounts):
-        _require(
-            not _inside_hull(mount, array.hull_radius),
-            f"sensor {i} lies inside the hull of radius {array.hull_radius:g} m",
-            key="mounts",
-            value=mount,
-            remedy="move it out to the hull or beyond",
-        )
+        problem = f"sensor {i} lies inside the hull of radius {array.hull_radius:g} m"
+        outside = not _inside_hull(mount, array.hull_radius)
+        _require(array, "mounts", outside, problem, "move it out to the hull or beyond", value=mount)
 
 
 def _check_conversion(array: SonarArray) -> None:
-    _require(
-        isfinite(array.maximum) and 0 < array.minimum < array.maximum,
-        "must satisfy 0 < minimum < maximum",
-        key="minimum, maximum",
-        value=(array.minimum, array.maximum),
-        remedy="give m, shortest range first",
-    )
+    if not (isfinite(array.maximum) and 0 < array.minimum < array.maximum):
+        problem, remedy = "must satisfy 0 < minimum < maximum", "give m, shortest range first"
+        value = (array.minimum, array.maximum)
+        raise InputError(problem, key="array.minimum, maximum", value=value, remedy=remedy)
     for key, most, usual in (("bits", 24, 8), ("samples", inf, 5)):
         count = getattr(array, key)
-        _require(
-            isinstance(count, int) and 1 <= count <= most,
-            "must be a whole number, at least 1" + (f" and at most {most}" if most < inf else ""),
-            key=key,
-            value=count,
-            remedy=f"give for example the {usual} {key} of the paper",
-        )
+        problem = "must be a whole number, at least 1" + (f" and at most {most}" if most < inf else "")
+        remedy = f"give for example the {usual} {key} of the paper"
+        _require(array, key, isinstance(count, int) and 1 <= count <= most, problem, remedy)
     if array.step is not None:
-        _require(
-            isfinite(array.step)
-            and 0 < array.step <= array.maximum
-            and abs(array.top_code * array.step - array.maximum) <= 1e-9 * array.maximum,
-            f"must divide the maximum of {array.maximum:g} m",
-            key="step",
-            value=array.step,
-            remedy="give m, for example 0.01 for whole centimetres, and a maximum that is a multiple of it",
-        )
-    noise = array.noise_sd
-    _require(
-        isfinite(noise) and noise >= 0, "must be finite and at least 0", key="noise_sd", value=noise, remedy="give m"
-    )
-    _require(isfinite(array.bias), "must be finite", key="bias", value=array.bias, remedy="give m")
+        divides = isfinite(array.step) and 0 < array.step <= array.maximum
+        divides = divides and abs(array.top_code * array.step - array.maximum) <= 1e-9 * array.maximum
+        remedy = "give m, for example 0.01 for whole centimetres, and a maximum that is a multiple of it"
+        _require(array, "step", divides, f"must divide the maximum of {array.maximum:g} m", remedy)
+    steady = isfinite(array.noise_sd) and array.noise_sd >= 0
+    _require(array, "noise_sd", steady, "must be finite and at least 0", "give m")
+    _require(array, "bias", isfinite(array.bias), "must be finite", "give m")
 
 
 def _check_sound(array: SonarArray) -> None:
@@ -394,79 +322,37 @@ def _check_sound(array: SonarArray) -> None:
         speed = array.speed
     except InputError as error:
         raise InputError(error.problem, key=f"array.{error.key}", value=error.value, remedy=error.remedy) from None
-    _require(
-        array.calibrated_for is None or (isfinite(array.calibrated_for) and array.calibrated_for > 0),
-        "must be greater than 0",
-        key="calibrated_for",
-        value=array.calibrated_for,
-        remedy="give m/s, or None for the true speed",
-    )
-    if array.blind_time is not None:
-        _require(
-            array.minimum == type(array).minimum,
+    assumed, blind = array.calibrated_for, array.blind_time
+    positive = assumed is None or (isfinite(assumed) and assumed > 0)
+    _require(array, "calibrated_for", positive, "must be greater than 0", "give m/s, or None for the true speed")
+    if blind is not None:
+        problem, remedy = (
             "conflicts with minimum, because both set the blind range",
-            key="blind_time",
-            value=array.blind_time,
-            remedy="give blind_time or minimum, not both",
+            "give blind_time or minimum, not both",
         )
-        _require(
-            isfinite(array.blind_time) and 0 < 0.5 * speed * array.blind_time < array.maximum,
-            "must be greater than 0, and its blind range must be less than maximum",
-            key="blind_time",
-            value=array.blind_time,
-            remedy=f"give less than {2.0 * array.maximum / speed:.3g} s",
-        )
-    _require(
-        array.lowest < array.maximum,
-        f"is {array.scale:.3g} times the true speed of sound, so that every reading equals the maximum",
-        key="calibrated_for",
-        value=array.calibrated_for,
-        remedy=f"give about {speed:.0f} m/s, or None for the true speed",
-    )
+        _require(array, "blind_time", array.minimum == type(array).minimum, problem, remedy)
+        short = isfinite(blind) and 0 < 0.5 * speed * blind < array.maximum
+        problem = "must be greater than 0, and its blind range must be less than maximum"
+        _require(array, "blind_time", short, problem, f"give less than {2.0 * array.maximum / speed:.3g} s")
+    problem = f"is {array.scale:.3g} times the true speed of sound, so that every reading equals the maximum"
+    remedy = f"give about {speed:.0f} m/s, or None for the true speed"
+    _require(array, "calibrated_for", array.lowest < array.maximum, problem, remedy)
 
 
 def _check_timing(array: SonarArray) -> None:
-    _require(
-        sorted(array.order) == list(range(array.size)),
-        "must contain every sensor exactly once",
-        key="order",
-        value=array.order,
-        remedy=f"list the numbers 0 to {array.size - 1} in firing order",
-    )
-    _require(
-        isfinite(array.firing_period) and array.firing_period > 0,
-        "must be greater than 0",
-        key="firing_period",
-        value=array.firing_period,
-        remedy="give s",
-    )
-    _require(
-        isfinite(array.cycle_limit) and array.cycle_limit > 0,
-        "must be greater than 0",
-        key="cycle_limit",
-        value=array.cycle_limit,
-        remedy="give s",
-    )
+    each = sorted(array.order) == list(range(array.size))
+    remedy = f"list the numbers 0 to {array.size - 1} in firing order"
+    _require(array, "order", each, "must contain every sensor exactly once", remedy)
+    check_number("array.firing_period", array.firing_period, unit="s")
+    check_number("array.cycle_limit", array.cycle_limit, unit="s")
     fits = array.firing_period / max(1, ceil(array.cycle / array.cycle_limit - _SLACK))
-    _require(
-        array.cycle <= array.cycle_limit + _SLACK,
-        f"gives a cycle of {array.cycle:g} s, longer than the cycle_limit of {array.cycle_limit:g} s",
-        key="firing_period",
-        value=array.firing_period,
-        remedy=f"give {fits:g} s, or a longer cycle_limit",
-    )
+    problem = f"gives a cycle of {array.cycle:g} s, longer than the cycle_limit of {array.cycle_limit:g} s"
+    remedy = f"give {fits:g} s, or a longer cycle_limit"
+    _require(array, "firing_period", array.cycle <= array.cycle_limit + _SLACK, problem, remedy)
     echo = f"an echo from it takes {1e3 * array.echo_time:.1f} ms in {array.medium}"
-    _require(
-        array.echo_time <= array.cycle_limit + _SLACK,
-        f"is too long for the cycle: {echo}, longer than the cycle_limit of {array.cycle_limit:g} s",
-        key="maximum",
-        value=array.maximum,
-        remedy=f"give at most {0.5 * array.speed * array.firing_period:.3g} m",
-    )
-    _require(
-        array.echo_time <= array.firing_period + _SLACK,
-        f"makes firings overlap: {echo}, but the next sensor fires after {1e3 * array.firing_period:g} ms",
-        key="maximum",
-        value=array.maximum,
-        remedy=f"give at most {0.5 * array.speed * array.firing_period:.3g} m, or a longer firing_period",
-    )
+    problem = f"is too long for the cycle: {echo}, longer than the cycle_limit of {array.cycle_limit:g} s"
+    remedy = f"give at most {0.5 * array.speed * array.firing_period:.3g} m"
+    _require(array, "maximum", array.echo_time <= array.cycle_limit + _SLACK, problem, remedy)
+    problem = f"makes firings overlap: {echo}, but the next sensor fires after {1e3 * array.firing_period:g} ms"
+    apart = array.echo_time <= array.firing_period + _SLACK
+    _require(array, "maximum", apart, problem, f"{remedy}, or a longer firing_period")

@@ -38,20 +38,12 @@ def beam_of(
     heading: ca.SX,
     hull_radius: ca.SX | float | None = None,
 ) -> Beam:
-    """Return the beam of the firing sensor; `turn` selects this sensor from `sensors`.
+    """Return the beam of the firing sensor: number `turn` of `sensors`, the indices of those that may fire.
 
     Args:
-        array: the sonar array.
-        sensors: indices of the sensors that may fire; exactly one of them fires.
-        turn: position of the firing sensor in `sensors`, 0, 1, …
-        position: (2, 1) centre of the robot in {E} [m].
-        heading: ψ [rad].
-        hull_radius: hull radius [m], used for an array without `mounts`; a symbol if the loop is compiled for any
-            vehicle; None: the array's `hull_radius`. If the array has `mounts`, their positions and cones are used
-            unchanged.
-
-    Raises:
-        InputError: if `sensors` is empty or contains an index that the array does not have.
+        position, heading: (2, 1) centre of the robot in {E} [m], and ψ [rad].
+        hull_radius: used for an array without `mounts` [m]; a symbol if the loop is compiled for any vehicle; None: the
+            array's.
     """
     if not sensors or not all(0 <= i < array.size for i in sensors):
         raise InputError("no such sensor", key="sensors", value=sensors, remedy=f"give some of 0 to {array.size - 1}")
@@ -109,12 +101,7 @@ def echo_samples(array: SonarArray, distance: ca.SX, *, noise: ca.SX) -> ca.SX:
 
     Each sample is scale · distance + bias + noise, limited to [lowest, maximum] and rounded to the nearest conversion
     step (for example, the minimum of 0.2 m gives the nearest code, 0.194 m). Without an echo within the maximum, every
-    sample is the maximum.
-
-    Args:
-        array: the sonar array.
-        distance: true range [m]; above the maximum if there is no echo.
-        noise: (samples, 1) standard normal numbers.
+    sample is the maximum. `noise` are standard normal numbers.
     """
     reading = array.scale * distance + array.bias + array.noise_sd * noise
     reading = ca.fmin(ca.fmax(reading, array.lowest), array.maximum)

@@ -103,15 +103,7 @@ class FaultChances(Strict):
 
 
 def check_faults(array: SonarArray, faults: Sequence[Fault], chances: FaultChances | None = None) -> None:
-    """Raise InputError if a fault is impossible: unknown sensor, too long a delay, or crosstalk with a single sensor.
-
-    Example:
-        >>> from surctl.marine.sensing import Fault, SonarArray, check_faults
-        >>> check_faults(SonarArray(), [Fault(sensor=4, kind="dead")])
-        Traceback (most recent call last):
-            ...
-        surctl.errors.InputError: faults.0.sensor = 4: no such sensor; give 0 to 3
-    """
+    """Raise InputError if a fault is impossible: unknown sensor, too long a delay, crosstalk with a single sensor."""
     if chances is not None and chances.crosstalk > 0 and array.size == 1:
         raise InputError("crosstalk needs at least two sensors", key="chances.crosstalk", value=chances.crosstalk)
     for k, fault in enumerate(faults):
@@ -156,11 +148,7 @@ class Arrival(NamedTuple):
 
 
 def fault_slots(array: SonarArray, faults: Sequence[Fault], count: int) -> NDArray[np.float64]:
-    """Return the faults as an array (count, SLOT), one fault per row in the given order; unused rows are 0.
-
-    Raises:
-        InputError: if there are more than `count` faults, or a fault is impossible for the array.
-    """
+    """Return the faults as an array (count, SLOT), one fault per row in the given order; unused rows are 0."""
     if len(faults) > count:
         raise InputError(
             f"{len(faults)} are given, but at most {count} are possible", key="faults", remedy="give fewer"
@@ -204,10 +192,7 @@ def faulty_samples(
     """Return the samples that arrive from one firing, and the next fault state.
 
     Args:
-        array: the sonar array.
         state: value of each entry of `fault_ports`, by name.
-        sensor: index of the sensor that fires.
-        time: time of the firing [s].
         distance: range to the nearest reflecting point [m], from `echo_range`.
         noise: (samples, 1) standard normal numbers.
         slots: (k, SLOT) scheduled faults from `fault_slots`; k may be 0.
@@ -215,7 +200,6 @@ def faulty_samples(
         uniforms: (2, 1) uniform numbers in (0, 1): the first selects the random fault, the second gives the value of a
             spike.
         delays: whether the state holds the samples of earlier firings; if not, no scheduled fault may be a delay.
-        prefix: prefix of the names of the state's entries.
     """
     own = echo_samples(array, distance, noise=noise)
     last = state[f"{prefix}last"]

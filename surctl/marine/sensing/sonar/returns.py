@@ -63,13 +63,6 @@ class Reflector:
         cylinder_range: range [m] at which a cylinder with a radius of 0.1 m on the axis is detected in half of the
             firings; it grows with the cube root of the radius. None: a cylinder answers as a face does.
         corners: whether a corner between two such walls answers from any direction.
-
-    Example:
-        >>> from surctl.marine.sensing import REFLECTORS, Reflector
-        >>> list(REFLECTORS)
-        ['ideal', 'webots', 'specular', 'specular-edges', 'diffuse', 'silent']
-        >>> Reflector(incidence_limit=0.2).faced(curved=True)  # cosine
-        0.9800665778412416
     """
 
     incidence_limit: float | None = None
@@ -157,8 +150,7 @@ def detection_odds(
     """Return 1/P for a weak echo with the detection probability P; it is detected if u/P < 1 for a uniform number u.
 
     Args:
-        distance: range [m].
-        cosine: cosine of the angle between the beam's axis and the direction of the echo.
+        distance, cosine: range [m], and cosine of the angle from the beam's axis.
         half_range: range [m] on the axis at which P = 1/2, for a cylinder with a radius of 0.1 m or for an edge.
         tangent: tangent of half the opening angle of the beam.
         radius: radius of the cylinder [m]; None for an edge.
@@ -193,10 +185,7 @@ def level_range(array: SonarArray, reflector: Reflector, *, side: int, gap: floa
 def rim(array: SonarArray, cosine: Any, *, side: int) -> tuple[Any, Any]:
     """Return sine and cosine of the elevation at which the beam is steepest, upwards (`side` 1) or downwards (−1).
 
-    Args:
-        array: the sonar array.
-        cosine: cosine of the bearing from the beam's axis, a number or a CasADi symbol.
-        side: 1 for upwards, −1 for downwards; elevations count in this direction.
+    `cosine` is that of the bearing from the beam's axis. Elevations count in the direction of `side`.
     """
     pitch = side * array.pitch
     up, half = sin(pitch), cos(0.5 * array.beam_angle)
@@ -232,16 +221,7 @@ def certain_range_symbols(
     z: ca.SX,
     surfaces: Surfaces,
 ) -> ca.SX:
-    """Return the distance [m] to the nearest return that is detected with certainty, at most 2·maximum.
-
-    Args:
-        array: the sonar array.
-        beam: the beam of the firing sensor.
-        bodies: the obstacles of the scene with their reflectors.
-        walls: the walls of the site.
-        z: z of the robot [m].
-        surfaces: reflectors of walls, water surface and floor, and the depth of the water.
-    """
+    """Return the distance [m] to the nearest return that is detected with certainty, at most 2·maximum."""
     nothing = 2.0 * array.maximum
     solids: list[Solid] = [*(solid for solid, _ in bodies), walls]
     faced = [ca.SX(reflector.faced(curved=isinstance(solid, SolidDisc))) for solid, reflector in bodies]
@@ -350,24 +330,15 @@ def echo_keys(seeds: ArrayLike) -> NDArray[np.float64]:
 
 
 def firing_block_symbols(key: ca.SX, instant: ca.SX, sensor: ca.SX) -> ca.SX:
-    """Return the state of a firing, from which `uniform_symbols` makes the numbers of its echoes, in CasADi symbols.
+    """Return the state of a firing, from which `uniform_symbols` makes the numbers of its echoes.
 
-    Args:
-        key: (`ECHO_KEY`,) key of the run.
-        instant: number of the firing instant, 0 to 6e7.
-        sensor: index of the sensor that fires.
+    `instant` is the number of the firing instant, 0 to 6e7.
     """
     return _mixed_symbols(_mixed_symbols(instant, key, 0) + sensor, key, 1)
 
 
 def uniform_symbols(key: ca.SX, block: ca.SX, echo: ca.SX | int) -> ca.SX:
-    """Return the uniform random number in (0, 1) of one echo of a firing in CasADi symbols.
-
-    Args:
-        key: (`ECHO_KEY`,) key of the run.
-        block: state of the firing, from `firing_block_symbols`.
-        echo: number of the echo, 0 to 2^22.
-    """
+    """Return the uniform random number in (0, 1) of echo 0 to 2^22 of the firing with the state `block`."""
     return (_mixed_symbols(block + echo, key, 2) + 0.5) / float(_P)
 
 

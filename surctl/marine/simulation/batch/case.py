@@ -99,11 +99,9 @@ class CaseParameter:
     """A parameter (number) of the simulation setup that a batch can change.
 
     Attributes:
-        name: name of the parameter, for instance `k_v`, `vehicle.m11` (plant and model), `plant.m11` (plant only),
-            `scenario.cruise` or `obstacle.NAME.speed`.
-        unit: SI unit of the parameter.
-        meaning: description of the parameter.
-        value: value of the parameter before any change.
+        name: such as `k_v`, `vehicle.m11` (plant and model), `plant.m11` (plant only), `scenario.cruise` or
+            `obstacle.NAME.speed`.
+        unit, meaning, value: SI unit, description, and value before any change.
         low, high: bounds of the parameter; `low` itself is not allowed if `open_below` is true.
         range: range that the vehicle file states for the parameter, or None.
     """
@@ -131,16 +129,7 @@ class CaseParameter:
 
 
 def case_parameters(case: Case) -> Mapping[str, CaseParameter]:
-    """Return every parameter of the simulation setup that a batch can change, by name.
-
-    Example:
-        >>> from surctl.marine.control import load_gains
-        >>> from surctl.marine.simulation import Case, case_parameters, load_scenario
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> known = case_parameters(Case(load_scenario("pool-behind"), load_vehicle("sur400"), load_gains("default")))
-        >>> [(name, known[name].value, known[name].unit) for name in ("k_v", "vehicle.m11", "obstacle.OM1.speed")]
-        [('k_v', 1.5, '1/s'), ('vehicle.m11', 50.0, 'kg'), ('obstacle.OM1.speed', 0.2, 'm/s')]
-    """
+    """Return every parameter of the simulation setup that a batch can change, by name."""
     listed = [
         CaseParameter(name, spec.unit, spec.meaning, case.gains.values[name], 0.0, spec.below, not spec.zero_allowed)
         for name, spec in case.gains.specs.items()

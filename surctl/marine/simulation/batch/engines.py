@@ -12,17 +12,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surctl.errors import InputError, SurctlError, ToolMissing, check_known
-from surctl.ir import (
-    Batch,
-    batch_source,
-    cached_bytes,
-    compile_batch_source,
-    fused,
-    source_digest,
-    to_casadi,
-    warn_slower,
-    without_libm,
-)
+from surctl.ir import Batch, to_casadi, without_libm
+from surctl.ir.batch import batch_source, compile_batch_source
+from surctl.ir.cache import cached_bytes, source_digest
+from surctl.ir.folding import fused
+from surctl.ir.native import warn_slower
 from surctl.marine.control.build import LAW_SOURCES
 from surctl.marine.simulation.batch.case import Case, check_values
 from surctl.marine.simulation.batch.counting import metrics_table
@@ -45,12 +39,7 @@ def loop_sources() -> str:
 
 
 class StoredLoop(NamedTuple):
-    """A closed loop for many runs.
-
-    Attributes:
-        digest: digest of the loop's step.
-        source: C text that `compile_batch_source` compiles.
-    """
+    """Digest of the step of a closed loop for many runs, and the C text that `compile_batch_source` compiles."""
 
     digest: str
     source: str
@@ -87,12 +76,7 @@ Columns = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class BatchResult:
-    """Metrics of n runs.
-
-    Attributes:
-        table: (n, len(METRICS)) metrics of the runs, one row per run, columns in the order of `METRICS`.
-        engine: the engine that simulated the runs, `c` or `vm`.
-    """
+    """Metrics of n runs: `table` (n, len(METRICS)), and the engine that simulated them, `c` or `vm`."""
 
     table: Columns = field(repr=False)
     engine: Engine
@@ -123,10 +107,7 @@ def simulate_batch(
     an obstacle counts as a collision at its start.
 
     Args:
-        case: the simulated setup (scenario, vehicle, law).
         values: parameter values by name, see `parameters`: an array (n,) or one number for all runs.
-        seeds: (n,) seeds, or one seed for all runs; a seed is at least 0.
-        threads: number of threads of the compiled loop.
         engine: `c` compiles with the system's C compiler; `vm` uses CasADi's virtual machine; `auto` takes `c`, or `vm`
             with a warning `SlowerEngine` if there is no compiler.
 
@@ -167,9 +148,7 @@ def simulate_batch(
 
 @cache
 def compiled_loop(structure: Structure) -> Batch:
-    """Return the compiled loop of a loop structure (the part of a setup that is fixed at compilation).
-
-    The loop is compiled now, or it comes from the cache of compiled loops.
+    """Return the compiled loop of a loop structure, compiled now or from the cache of compiled loops.
 
     Raises:
         ToolMissing: there is no C compiler.
@@ -238,14 +217,8 @@ class Trace:
 def trace_batch(case: Case, values: Mapping[str, ArrayLike], *, seeds: ArrayLike = 0) -> Iterator[Trace]:
     """Simulate runs as `simulate_batch` does and yield the signals of each run, without its last control step.
 
-    Args:
-        case: the simulated setup (scenario, vehicle, law).
-        values: parameter values by name: an array (n,) or one number for all runs.
-        seeds: (n,) seeds, or one seed for all runs.
-
     Raises:
-        InputError: as for `simulate_batch`.
-        ToolMissing: there is no C compiler.
+        InputError, ToolMissing: as for `simulate_batch`.
     """
     columns, run_seeds = broadcast(values, seeds)
     check_values(case, columns)

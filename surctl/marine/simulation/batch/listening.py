@@ -118,10 +118,9 @@ class Listening:
     def draw(self, noise: ca.SX, out: dict[str, ca.SX], *, movers: ca.SX | None = None) -> tuple[ca.SX, ca.SX, ca.SX]:
         """Draw the noise of one control step: for the sonars, the robot's own state, then every moving obstacle.
 
-        The function returns three expressions: the noise of the own-state measurement, the noise of the base station's
-        message, and the random number that decides whether the message is lost. It writes the noise of the sonars to
-        `out`. `movers` is the number of moving obstacles if this number differs between runs; absent obstacles use no
-        random numbers.
+        The sonars' noise goes to `out`. The results are the noise of the own-state measurement and of the base
+        station's message, and the number that decides whether the message is lost. `movers` is the number of moving
+        obstacles if it differs between runs; absent obstacles use no random numbers.
         """
         count = self.normals
         if movers is None:

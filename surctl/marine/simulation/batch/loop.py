@@ -12,20 +12,9 @@ from functools import cache, cached_property
 
 import casadi as ca
 
-from surctl.ir import (
-    Block,
-    Call,
-    Layout,
-    Port,
-    Program,
-    Recording,
-    Routine,
-    fold,
-    lower,
-    lower_named,
-    nearby_angles,
-    shared_divisors,
-)
+from surctl.ir import Block, Call, Layout, Port, Program, Recording, Routine, fold, lower, lower_named
+from surctl.ir.elementary import nearby_angles
+from surctl.ir.folding import shared_divisors
 from surctl.marine.control import WORKING, Law, build_law
 from surctl.marine.guidance import FOLLOWING, MAX_WAYPOINTS, ROW, follow
 from surctl.marine.simulation.batch.counting import SUMS, counted, path_square, path_tangent
@@ -44,12 +33,10 @@ _FINITE = 1e300
 
 @dataclass(frozen=True, eq=False)
 class Loop:
-    """The closed loop for one loop structure (the part of a setup that is fixed at compilation).
+    """The closed loop for one loop structure (the part of a setup that is fixed at compilation), with its law.
 
-    Attributes:
-        law: the law of the loop.
-        state: layout of a run's state vector; the run ends when the vector's first entry, `done`, becomes 1.
-        parameters: layout of a run's parameter vector.
+    `state` and `parameters` are layouts of a run's vectors; the run ends when the first entry of the state, `done`,
+    becomes 1.
     """
 
     structure: Structure

@@ -43,13 +43,7 @@ _VECTORS = {
 
 @dataclass(frozen=True, eq=False)
 class Packed:
-    """The initial states and the parameters of n runs, as arrays.
-
-    Attributes:
-        state: (n, …) initial state of each run.
-        parameters: (n, …) parameter vector of each run.
-        steps: upper limit of the number of control periods, over all runs.
-    """
+    """The initial states (n, …) and parameters (n, …) of n runs, and the upper limit of their control periods."""
 
     state: Columns
     parameters: Columns
@@ -100,13 +94,9 @@ def _chances(case: Case) -> list[tuple[str, float]]:
 
 
 def pack(case: Case, loop: Loop, values: Mapping[str, Columns], seeds: NDArray[np.int64]) -> Packed:
-    """Return the initial states and the parameters of every run.
+    """Return the initial states and the parameters of every run, for checked values (n,) by name and seeds (n,).
 
-    Args:
-        case: the simulated setup (scenario, vehicle, law).
-        loop: the loop built for the structure that `structure_of(case, values)` returns.
-        values: (n,) values by parameter name, already checked by `check_values`.
-        seeds: (n,) seed of each run.
+    `loop` is the loop of the structure that `structure_of(case, values)` returns.
     """
     filler = _Filler(case, loop, values, seeds)
     return Packed(filler.states(), filler.parameters(), filler.steps)

@@ -16,17 +16,8 @@ from numpy.typing import NDArray
 
 from surctl.ir import Call, Gather, Layout, Port, Program, Step, lower_named
 from surctl.marine.control import ARC_LENGTHS, CONTACT_SLOTS, Barrier, Law, Movers
-from surctl.marine.guidance import (
-    AHEAD,
-    ROW,
-    SKIPS,
-    AvoidanceForm,
-    Guidance,
-    Path,
-    follow_on,
-    window_next,
-    window_values,
-)
+from surctl.marine.guidance import AHEAD, ROW, SKIPS, AvoidanceForm, Guidance, Path
+from surctl.marine.guidance.following import follow_on, window_next, window_values
 from surctl.marine.sensing import Equipment, Surfaces
 from surctl.marine.sensing.sonar.solids import Solid, SolidBox, SolidDisc
 from surctl.marine.simulation.obstacle import Obstacle
@@ -56,10 +47,8 @@ def mission_table(path: Path, capacity: int, *, visits: bool) -> NDArray[np.floa
 class Mission:
     """The steps of a compiled loop that feed the law, and the expressions for the robot's progress.
 
-    Args:
-        law: the law of the loop.
-        capacity: number of waypoints in the parameters, see `capacity_for`.
-        rises: whether the path changes its depth.
+    `capacity` is the number of waypoints in the parameters, see `capacity_for`; `rises` says whether the path changes
+    its depth.
     """
 
     def __init__(self, law: Law, capacity: int, *, rises: bool) -> None:
@@ -142,15 +131,10 @@ class Mission:
     def progress(
         self, old: Mapping[str, ca.SX], w: Mapping[str, ca.SX], rows: Mapping[str, ca.SX]
     ) -> tuple[dict[str, ca.SX], ca.SX, ca.SX, ca.SX]:
-        """Return the robot's progress as expressions: state of `follow_on`, segments near it, its own, z of the path.
+        """Return the robot's progress as expressions, from state and parameters of a run and the rows around the robot.
 
-        Args:
-            old: state of the run.
-            w: parameters of the run.
-            rows: the rows around the robot by name.
-
-        Returns:
-            Next state of `follow_on`; waypoints around the robot (k, 2) [m]; number of its segment among them; z [m].
+        The results are the next state of `follow_on`, waypoints around the robot (k, 2) [m], the number of its segment
+        among them, and z [m] of the path.
         """
         table = ca.vertcat(*(rows[name].T for name in self.around))
         following, moved = follow_on(old, table[1 : SKIPS + 3, :], w["legs"], old["plant"][:2], visit=w["visited"])
@@ -195,11 +179,9 @@ class Body:
         return bool(self.size.numel() == 2)
 
     def clearance(self, position: ca.SX) -> ca.SX:
-        """Return the signed distance [m] from a point to the obstacle's surface.
+        """Return the signed distance [m] from a point to the obstacle's surface; `ABSENT` if the obstacle is absent.
 
-        If the obstacle is absent, the distance is the constant `ABSENT`.
-
-        A point (2, 1) gives the planar distance; a point (3, 1) gives the distance in 3D if the obstacle has `heights`.
+        A point (2, 1) gives the planar distance; a point (3, 1) that in 3D if the obstacle has `heights`.
         """
         distance = self._planar(position[:2])
         if self.heights is not None and position.numel() == 3:
@@ -307,15 +289,10 @@ def body_columns(
     """Return the obstacle parameters that `body_at` needs for n runs: one array (n,) per parameter, or a scalar.
 
     Args:
-        obstacle: the obstacle of the scenario.
-        kind: kind of the obstacle, from `kind_of`.
-        number: function that returns the values of an obstacle parameter; its argument is the last part of the
-            parameter's name.
-        values: values of the changed parameters, by full name of the parameter; the names show whether the radius was
-            changed.
+        number: function from the last part of a parameter's name to its values.
+        values: values of the changed parameters by full name, which show whether the radius was changed.
         hull: (n,) hull radius [m]; a moving obstacle without a stated radius takes this radius.
-        direction: (n, 2) unit vector along the obstacle's drift (a sinusoidal motion).
-        phase: (n,) phase of the drift [rad].
+        direction, phase: (n, 2) unit vector along the obstacle's drift (a sinusoidal motion), and (n,) its phase [rad].
     """
     x, y = number("x"), number("y")
     if kind == "mover":
@@ -339,16 +316,13 @@ class Structure:
     Attributes:
         equipment: the sensors; the hull radius matters only if the mounting points of the sonars are stated.
         faults: number of scheduled sonar faults that a run can hold.
-        chances: whether random sonar faults may occur.
         delays: whether one of the scheduled faults is a delay.
         optional: whether a run may leave obstacles out.
         heights: whether some obstacle ends above the floor or below the surface.
         depths: whether the mission allows other depths than the depth of the path.
         barrier, treats: the options `barrier` and `movers` of `build_law`.
-        form: the optional terms of the vehicle's dynamics.
         actuators: the thrusters to which the law allocates its thrust; None: each axis has its own limit.
         points: number of waypoints that a run can hold if the path is fed to the law (`Path.fed`); 0: it is not fed.
-        rises: whether the path changes its depth.
         surfaces: how each surface answers a sonar; None: all alike, as the `incidence_limit` of the sonars says.
     """
 

@@ -143,11 +143,7 @@ def _replay_of(run: SampledRun, row: Mapping[str, Any], *, campaign: str) -> Rep
 
 
 def load_replay(path: Path | str, *, trust: bool = False) -> Replay:
-    """Read the file of a run; only if `trust` is true may the function run the Python file of a user's own law.
-
-    Raises:
-        InputError: the file does not exist, or does not describe a run that can be simulated.
-    """
+    """Read the file of a run; only if `trust` is true may the function run the Python file of a user's own law."""
     path = Path(path)
     file = validate(read_toml(path), _RunFile, file=path)
     unknown = [name for name in file.figures if name not in _FIGURES]
@@ -237,21 +233,10 @@ def run_campaign(
     store: ChunkStore | None = None,
     progress: Callable[[str], None] = lambda _: None,
 ) -> Campaign:
-    """Simulate the first `runs` runs of a plan.
+    """Simulate the first `runs` runs of a plan, in chunks of `chunk` runs by `threads` threads of the compiled loop.
 
-    The result does not depend on the number of threads, the chunk size, or the chunks that the store already holds.
-
-    Args:
-        plan: the plan of the runs.
-        runs: number of runs, at least 1.
-        threads: number of threads of the compiled loop.
-        chunk: number of runs that are simulated together.
-        store: open store with chunks of this size; the campaign reads finished chunks from it and writes new chunks to
-            it.
-        progress: function that receives one line of text after each chunk.
-
-    Raises:
-        InputError: the number of runs is 0, a drawn number is out of its bounds, or a chunk of runs cannot be written.
+    The result does not depend on threads and chunks. Finished chunks are read from the open `store`, and new ones
+    written to it. `progress` receives one line of text after each chunk.
     """
     for key, value in (("runs", runs), ("chunk", chunk)):
         if value < 1:
@@ -306,27 +291,15 @@ class CampaignFolder:
     """A folder of campaigns; an interrupted campaign resumes from it, and a finished campaign does not run again.
 
     `campaign.json` describes the request, `campaign.chunks` holds finished runs, `NAME.csv` holds all runs, and `worst`
-    holds files of the worst runs for `load_replay`. The number of runs is not part of the request in `campaign.json`,
-    so that a later command may add runs.
-
-    Attributes:
-        path: the folder.
-        plans: plans of the campaigns, in their order.
+    holds files of the worst runs for `load_replay`. The number of runs is not part of the request, so a later command
+    may add runs.
     """
 
     path: Path
     plans: tuple[Plan, ...]
 
     def prepare(self, *, fresh: bool = False) -> None:
-        """Create the folder and write the description of the requested runs to `campaign.json`.
-
-        Args:
-            fresh: whether to delete all earlier campaigns in the folder first.
-
-        Raises:
-            InputError: the folder cannot be written, or it belongs to a different campaign; the error names the
-                difference.
-        """
+        """Create the folder and write `campaign.json`; with `fresh`, delete all earlier campaigns in it first."""
         prepare_folder(self.path)
         note, requests = self.path / "campaign.json", [_request(plan) for plan in self.plans]
         if fresh:
@@ -349,11 +322,7 @@ class CampaignFolder:
 
     @contextmanager
     def store(self, plan: Plan) -> Iterator[ChunkStore]:
-        """Open and lock the chunk store of a campaign.
-
-        Raises:
-            InputError: another process has locked the store, or the store cannot be written.
-        """
+        """Open and lock the chunk store of a campaign."""
         structure = structure_of(plan.case, plan.values(0, 1))
         digest = stored_loop(structure).digest
         text = json.dumps([_request(plan), digest, CHUNK], sort_keys=True)
@@ -364,11 +333,7 @@ class CampaignFolder:
             yield store
 
     def write(self, campaign: Campaign, *, worst: int) -> list[Path]:
-        """Write the table of runs and the files of the worst runs; return the paths of the worst runs.
-
-        Raises:
-            InputError: a file cannot be written, for instance because the disk is full.
-        """
+        """Write the table of runs and the files of the worst runs; return the paths of the worst runs."""
         name, files = file_name(campaign.plan.name), self.path / "worst"
         write_file(self.path / f"{name}.csv", campaign.table.to_csv())
         for old in files.glob(f"{name}-worst-*.toml"):

@@ -24,7 +24,8 @@ from surctl.marine.simulation.metrics import METRICS, STOPS
 from surctl.marine.simulation.safety import margin_needed, turn_rate
 from surctl.marine.simulation.scenario import Scenario
 from surctl.marine.simulation.world import build_world
-from surctl.marine.vehicle import Vehicle, check_equation_3
+from surctl.marine.vehicle import Vehicle
+from surctl.marine.vehicle.dynamics import check_equation_3
 from surctl.tuning.statistics import Share
 
 _FIRST = ("collided", "reached")  # true or false
@@ -47,7 +48,6 @@ class RunTable:
     broken: tuple[tuple[str, ...], ...]
 
     def __len__(self) -> int:
-        """Return the number of runs."""
         return len(self.seeds)
 
     def column(self, name: str) -> NDArray[np.float64]:
@@ -122,9 +122,6 @@ def assumptions(case: Case, draw: Mapping[str, float], *, detection: float, fast
         draw: randomly drawn vehicle parameters by name, in the units of the vehicle file.
         detection: range from the hull at which an obstacle is certainly detected [m].
         fastest: largest obstacle speed that the safety claim covers [m/s].
-
-    Raises:
-        InputError: the drawn parameters contain an unknown vehicle parameter.
     """
     scenario, believed = case.scenario, case.model or case.vehicle
     speeds = [
@@ -266,11 +263,7 @@ class Summary:
 
 
 def summarise(table: RunTable) -> Summary:
-    """Return the summary of a table of campaign runs.
-
-    Raises:
-        InputError: the table has no runs.
-    """
+    """Return the summary of a table of campaign runs."""
     ended = np.round(table.column("stopped"))
     stopped = {reason: Share(int(np.sum(ended == code)), len(table)) for code, reason in enumerate(STOPS)}
     arrived = table.column("reached") > 0.5

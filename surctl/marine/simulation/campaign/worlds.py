@@ -28,13 +28,12 @@ Columns = Mapping[str, NDArray[np.float64]]
 
 @dataclass(frozen=True)
 class SampledRun:
-    """One random run of a campaign.
+    """One random run of a campaign, with the `seed` of all random choices except those in `draw`.
 
     Attributes:
         case: the setup with the scenario of this run; its vehicle is the law's model unless `case.model` is set.
-        seed: seed of all random choices except those in `draw`.
-        draw: parameters in which the simulated vehicle differs from the vehicle of `case`, by name, in the units of the
-            vehicle file.
+        draw: parameters in which the simulated vehicle differs from the vehicle of `case`, by name, in its file's
+            units.
     """
 
     case: Case
@@ -42,11 +41,7 @@ class SampledRun:
     draw: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
 
     def simulate(self) -> Run:
-        """Simulate the run with `simulate`, that is, without compiled code.
-
-        Raises:
-            InputError: the hull starts inside an obstacle, or a drawn number is outside the range in the vehicle file.
-        """
+        """Simulate the run with `simulate`, that is, without compiled code."""
         case = self.case
         return simulate(
             case.scenario,
@@ -226,10 +221,6 @@ def random_world(vehicle: Vehicle, *, seed: int) -> Scenario:
     the hull. A moving obstacle may press the hull against a wall or a still obstacle. The function `findings` reports
     no error for such a world: the hull fits at the start, at the target, and in the tightest gap of the path.
 
-    Args:
-        vehicle: the vehicle that must fit into the world.
-        seed: seed of all random choices.
-
     Raises:
         SurctlError: no random world fits this vehicle.
     """
@@ -290,13 +281,7 @@ class RandomWorlds(Plan):
     """Plan of runs in random worlds, which one compiled loop simulates; the seed of a run determines its world.
 
     The simulation setup has the scenario of `world_template`, with sensors, time limit and other settings that all
-    worlds share.
-
-    Attributes:
-        plant: whether the parameters of the simulated vehicle are drawn too, see `draw_plant`.
-
-    Raises:
-        InputError: the scenario has waves, whose random numbers depend on the number of obstacles.
+    worlds share. With `plant`, the parameters of the simulated vehicle are drawn too, see `draw_plant`.
     """
 
     plant: bool = False

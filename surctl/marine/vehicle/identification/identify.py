@@ -120,16 +120,8 @@ def velocity_notes(log: MotionLog) -> tuple[str, ...]:
     """Return one text for each velocity that does not follow from the pose, with the change that would make it follow.
 
     The displacement over some seconds is compared with the integral of the velocity, turned by the heading. A wrong
-    frame, sign or unit in the map of a log makes them differ, and so do a velocity through the water in a current, and
+    frame, sign or unit in the map of a log makes them differ, as do a velocity through the water in a current, and
     clocks that differ.
-
-    Example:
-        >>> import numpy as np
-        >>> from surctl.marine.vehicle import MotionLog, velocity_notes
-        >>> t, motion = 0.1 * np.arange(200), np.zeros((200, 8))
-        >>> motion[:, 3], motion[:, 7] = 0.2 * t, -0.2  # the yaw rate has the wrong sign
-        >>> velocity_notes(MotionLog(t, motion, np.zeros((200, 4)), "log.csv"))[0].partition(":")[0]
-        'r_rad_per_s does not follow from psi_rad'
     """
     notes = []
     motion = log.motion
@@ -541,17 +533,8 @@ def held_out_windows(
     Lengths for which the log has no window are omitted.
 
     Args:
-        log: the log.
-        start: vehicle with the initial values of the fit.
         windows: lengths of the windows [s].
         share: share of the time that is predicted.
-
-    Example:
-        >>> import numpy as np
-        >>> from surctl.marine.vehicle import MotionLog, held_out_windows, load_vehicle
-        >>> boat, t = load_vehicle("sur400"), 0.1 * np.arange(60)
-        >>> held_out_windows(MotionLog(t, np.zeros((60, 8)), np.zeros((60, 4))), boat, [1.0, 5.0])
-        ()
     """
     cut = int(np.searchsorted(log.time, log.time[0] + (1.0 - share) * (log.time[-1] - log.time[0])))
     results = []

@@ -244,10 +244,10 @@ _POSE, _RATE = np.array([0, 1, 2, 3, 8, 9]), np.array([4, 5, 6, 7, 10, 11])  # c
 def at_rest(model: Model, theta: Array, noise: Array) -> frozenset[str]:
     """Return the names of the masses on axes that did not move by more than the noise.
 
-    If an axis is at rest, the fit interprets noise as motion, and the mass of this axis wrongly seems to be identified.
-    An axis has moved if its velocity exceeds the noise of the measured velocity, or its displacement in the sections
-    that of the measured position or heading. A body that oscillates, such as a fish with its tail, may have a
-    velocity that is mostly noise for the model, but a large displacement.
+    There the fit interprets noise as motion, and the mass wrongly seems to be identified. An axis has moved if its
+    velocity exceeds the noise of the measured velocity, or its displacement in the sections that of the measured
+    position or heading: a body that oscillates, such as a fish with its tail, may have a velocity that is mostly noise
+    for the model.
     """
     axes = len(model.masses)
     present = np.atleast_1d(model.present.any(axis=0))

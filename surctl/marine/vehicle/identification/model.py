@@ -92,9 +92,9 @@ def _places(form: PlantForm, names: tuple[str, ...]) -> tuple[list[int], list[in
 def stepper(form: PlantForm, names: tuple[str, ...]) -> tuple[Repeated, Slope]:
     """Return one integration step (RK4) of the plant in still water, and the slopes of the rate.
 
-    The step has the arguments of a chain: the state x (s,), a flag and a new initial state (s,), which replaces x if
-    the flag is 1, thrust (4,), p and dt; it returns the next state. The vector p holds the parameters `names`, then the
-    other entries of the plant's parameter vector. The slopes are those by x and by the parameters `names`.
+    From the state x (s,), a flag and an initial state (s,) that replaces x if the flag is 1, thrust (4,), p and dt, the
+    step returns the next state. The vector p holds the parameters `names`, then the other entries of the plant's
+    parameter vector. The slopes are those by x and by the parameters `names`.
     """
     fitted, others = _places(form, names)
     order = plant_state(form).size
@@ -185,13 +185,7 @@ def axes_of(name: str) -> frozenset[str]:
 
 
 def _scale_of(vehicle: Vehicle, name: str, thrust: Array) -> float:
-    """Return the size of a change of a parameter, in its SI unit.
-
-    Args:
-        vehicle: the start vehicle with all offsets.
-        name: the parameter.
-        thrust: (4,) largest thrust on each axis.
-    """
+    """Return the size of a change of a parameter, in its SI unit; `thrust` (4,) is the largest on each axis."""
     value = abs(vehicle[name])
     if name in CONSTANT_FORCE:
         return float(thrust[CONSTANT_FORCE.index(name)])
@@ -250,11 +244,7 @@ class LogSection:
 
 
 def sections_of(log: MotionLog, *, longest: float = LONGEST) -> tuple[LogSection, ...]:
-    """Return the sections of a log that have enough rows with motion, each of at most `longest` seconds.
-
-    Raises:
-        InputError: no part of the log between its gaps is long enough.
-    """
+    """Return the sections of a log that have enough rows with motion, each of at most `longest` seconds."""
     step = np.diff(log.time)
     gap = step > max(_GAP, _GAP_FACTOR * float(np.median(step)))
     sections = []
@@ -278,11 +268,7 @@ def sections_of(log: MotionLog, *, longest: float = LONGEST) -> tuple[LogSection
 
 
 def drift_sections_of(log: MotionLog) -> tuple[LogSection, ...]:
-    """Return the sections of a log, each with a constant force of its own: of 20 s, or longer if they have few rows.
-
-    Raises:
-        InputError: no part of the log between its gaps is long enough.
-    """
+    """Return the sections of a log, each with a constant force of its own: of 20 s, or longer if they have few rows."""
     rows = 2 * _LEAST_ROWS  # a part that is a little longer than this is halved
     longest = max(_LONGEST_DRIFT, rows * float(np.median(np.diff(log.time))))
     return sections_of(log, longest=longest)

@@ -72,8 +72,6 @@ def predict(log: MotionLog, vehicle: Vehicle, *, window: float = WINDOW) -> Pred
     vehicle.
 
     Args:
-        log: the log.
-        vehicle: the vehicle.
         window: length of the windows [s].
 
     Raises:
@@ -95,18 +93,7 @@ def predict(log: MotionLog, vehicle: Vehicle, *, window: float = WINDOW) -> Pred
 
 
 def predict_with(log: MotionLog, start: Vehicle, values: Mapping[str, float], *, window: float = WINDOW) -> Prediction:
-    """Predict like `predict`, with parameters by name, which may be negative; `start` supplies all others.
-
-    Example:
-        >>> import numpy as np
-        >>> from surctl.marine.vehicle import CONSTANT_FORCE, FITTED, MotionLog, load_vehicle, predict_with
-        >>> boat, motion = load_vehicle("sur400"), np.full((200, 8), np.nan)
-        >>> motion[:, 4] = 0.2
-        >>> log = MotionLog(0.1 * np.arange(200), motion, np.zeros((200, 4)))
-        >>> values = {k: boat[k] for k in FITTED} | dict.fromkeys(CONSTANT_FORCE, 0.0) | {"Xu": 0.0, "Xuu": 0.0}
-        >>> predict_with(log, boat, values).model["u_m_per_s"] < 1e-9  # without drag, the speed stays
-        True
-    """
+    """Predict like `predict`, with parameters by name, which may be negative; `start` supplies all others."""
     lag = values.get("thrust_lag", 0.0)
     log = without_outliers(_columns(log, 12 if start.form.tilts else 8))
     after = max(min(_LAGS * lag, window), _before(log))
@@ -261,8 +248,6 @@ def drift_trial(log: MotionLog, start: Vehicle, parameters: Array, noise: Array)
     The predictions use the mean force of the fitted half, as a vehicle file does, and negative drag is excluded.
 
     Args:
-        log: the log.
-        start: vehicle with the initial values of the fit.
         parameters: (p,) scaled parameters of a fit of the whole log with a constant force, where the fits begin.
         noise: (c,) standard deviation of the residuals of that fit.
     """

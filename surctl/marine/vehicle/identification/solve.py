@@ -25,16 +25,7 @@ Array = NDArray[np.float64]
 
 
 def outliers(values: Array) -> NDArray[np.bool_]:
-    """Return which of the values (n,) are outliers; NaN is none, and is skipped.
-
-    Example:
-        >>> import numpy as np
-        >>> from surctl.marine.vehicle.identification.solve import outliers
-        >>> values = np.sin(0.1 * np.arange(100)) + 0.01 * np.cos(40.0 * np.arange(100))
-        >>> values[[20, 60]] += 3.0, -2.0
-        >>> np.flatnonzero(outliers(values)).tolist()
-        [20, 60]
-    """
+    """Return which of the values (n,) are outliers; NaN is none, and is skipped."""
     outlying = np.zeros(len(values), dtype=bool)
     known = np.flatnonzero(np.isfinite(values))
     if len(known) < 4 * _HALF:
@@ -55,19 +46,7 @@ def outliers(values: Array) -> NDArray[np.bool_]:
 
 
 def without_outliers(log: MotionLog) -> MotionLog:
-    """Return the log with NaN in the place of outliers.
-
-    Example:
-        >>> import numpy as np
-        >>> from surctl.marine.vehicle import MotionLog
-        >>> from surctl.marine.vehicle.identification.solve import without_outliers
-        >>> motion = np.full((60, 8), np.nan)
-        >>> motion[:, 4] = 0.2 + 0.001 * (np.arange(60) % 2)
-        >>> motion[30, 4] = 5.0
-        >>> log = MotionLog(0.1 * np.arange(60), motion, np.zeros((60, 4)))
-        >>> int(np.isfinite(without_outliers(log).motion[:, 4]).sum())
-        59
-    """
+    """Return the log with NaN in the place of outliers."""
     outlying = np.column_stack([outliers(column) for column in log.motion.T])
     return replace(log, motion=np.where(outlying, np.nan, log.motion)) if outlying.any() else log
 
@@ -89,17 +68,14 @@ def minimise(
     free: NDArray[np.bool_],
     tolerance: float = _CONVERGED,
 ) -> tuple[Array, bool]:
-    """Return the θ of least cost near `theta`, and whether the iteration has converged.
+    """Return the θ of least cost near `theta`, which has a finite cost, and whether the iteration has converged.
 
-    A heading that is wrong by whole turns over a section changes no other column, so it is a local minimum, in which
-    the noise of the heading counts as several radians. The headings are therefore turned back at the end, and if that
-    changes one, the iteration goes on from there.
+    A heading that is wrong by whole turns over a section changes no other column: a local minimum, in which the noise
+    of the heading counts as several radians. The headings are therefore turned back at the end, and if that changes
+    one, the iteration goes on from there.
 
     Args:
-        model: the residuals.
-        theta: initial value, with a finite cost.
         noise: (c,) standard deviation of the measurements by column.
-        sections: sections of the log.
         free: (p,) parameters that may change; the initial states always may.
         tolerance: relative change of the cost at which the iteration ends.
     """
@@ -172,9 +148,8 @@ def products(one: Array, other: Array) -> Array:
 def beginning(model: Model, noise: Array, *, free: NDArray[np.bool_]) -> Array:
     """Return a first θ for all sections, fitted to short pieces of them, then to pieces three times as long, and so on.
 
-    Over a whole section, a simulated heading may be wrong by more than half a turn; then the fit would end in a local
-    minimum. Over a short piece, which has an initial state of its own, the error of the simulated heading is smaller. A
-    long log is represented by some of its pieces.
+    Over a whole section, a simulated heading may be wrong by more than half a turn, and the fit would end in a local
+    minimum; a short piece has an initial state of its own. A long log is represented by some of its pieces.
     """
     longest = max(len(s.at) for s in model.sections)
     rows = max(_FIRST_ROWS, int(_FIRST_S / float(np.median(np.diff(model.log.time)))))
@@ -203,11 +178,7 @@ def _pieces(model: Model, rows: int) -> tuple[LogSection, ...]:
 def simulable(model: Model, theta: Array, noise: Array, sections: tuple[LogSection, ...]) -> Array:
     """Return θ, if necessary nearer to the start vehicle, so that the simulated motion over the sections is finite.
 
-    A fit to a short part of the log may give a negative drag. With a negative drag, the simulated motion over a whole
-    section can diverge.
-
-    Raises:
-        InputError: no simulated motion is finite, not even for the start vehicle, so motion and thrust do not match.
+    With a negative drag, as a fit to a short part of the log may give, the motion over a whole section can diverge.
     """
     for share in (1.0, 0.5, 0.25, 0.0):
         tried = np.concatenate([share * theta[: model.size], theta[model.size :]])

@@ -127,8 +127,7 @@ class ClockTable(Strict):
 
     Attributes:
         frame: world and body axes of all sources: enu (ENU/FLU) or ned (NED/FRD).
-        time: column of the time, in a table.
-        time_unit: its unit.
+        time, time_unit: column of the time, in a table, and its unit.
         columns: names of the columns of a table without a header, from the left.
         skip_lines: lines above the numbers of such a table.
         stamp: topics whose time is the field of this name instead of the recorder's (`header.stamp`).
@@ -183,19 +182,7 @@ class LogMap(Strict):
 
 
 def load_log_map(path: Path) -> LogMap:
-    """Read the map of a log.
-
-    Raises:
-        InputError: the file cannot be read, or a key is unknown, missing or wrong.
-
-    Example:
-        >>> from pathlib import Path
-        >>> from surctl.marine.vehicle.logs.joining import load_log_map
-        >>> text = 'kind = "log-map"\\n[log]\\nframe = "ned"\\n[rates]\\nfields = ["r"]\\n[thrust]\\n'
-        >>> _ = Path("map.toml").write_text(text + 'fields = ["Fx", "", "", "Mz"]\\n')
-        >>> load_log_map(Path("map.toml")).log.frame
-        'ned'
-    """
+    """Read the map of a log."""
     return validate(read_toml(path), LogMap, file=path)
 
 
@@ -210,12 +197,6 @@ def roll_pitch_heading(quaternion: Array) -> Array:
     """Return roll, pitch and heading (n, 3) [rad] of quaternions (n, 4) x, y, z, w from the body to the world frame.
 
     The angles are those of the order z, y, x (Fossen 2021, section 2.2). The quaternions need not have length 1.
-
-    Example:
-        >>> import numpy as np
-        >>> from surctl.marine.vehicle.logs.joining import roll_pitch_heading
-        >>> roll_pitch_heading(np.array([[0.0, 0.0, 2.0, 2.0]])).round(4).tolist()
-        [[0.0, 0.0, 1.5708]]
     """
     size = np.linalg.norm(quaternion, axis=1, keepdims=True)
     x, y, z, w = (quaternion / np.where(size > 0, size, np.nan)).T
@@ -231,9 +212,6 @@ def joined(recording: LogRecording, log_map: LogMap, *, map_name: str) -> Motion
     The common times are those of the velocity, else of the position, else of the attitude, else of the rates; or a
     constant period. Motion is interpolated between its messages, but not across a gap. A command counts until the next
     one. An attitude of 3 or 4 fields gives roll and pitch too, and rates of 3 fields p and q.
-
-    Raises:
-        InputError: a topic or field is missing, a unit is wrong, or topics have no common time.
     """
     sources = _Sources(recording, log_map, map_name)
     time = sources.times()

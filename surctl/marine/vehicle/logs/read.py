@@ -41,9 +41,6 @@ def _read_ardupilot(path: Path, topics: Collection[str] | None) -> LogRecording:
 
     In a telemetry log, types that several systems or components sent have names such as ATTITUDE@1.1. The time is that
     of the autopilot (TimeUS) in a dataflash log, and the time of reception in a telemetry log.
-
-    Raises:
-        InputError: pymavlink is not installed, or the file is not such a log.
     """
     mavutil = optional_module("pymavlink.mavutil", path=path, extra="ardupilot")
     rows: dict[Stream, TopicRows] = {}
@@ -83,9 +80,6 @@ def _read_bag(path: Path, topics: Collection[str] | None) -> LogRecording:
 
     The time is that of the recorder. Custom messages need their definitions in the bag. A topic that several nodes
     published, or that has several types, has names such as `/odom@/filter`.
-
-    Raises:
-        InputError: rosbags is not installed, or the bag cannot be read.
     """
     highlevel = optional_module("rosbags.highlevel", path=path, extra="ros")
     typesys = optional_module("rosbags.typesys", path=path, extra="ros")
@@ -120,9 +114,6 @@ def _read_mcap(path: Path, topics: Collection[str] | None) -> LogRecording:
     """Read an MCAP file with messages in JSON, ROS 1 or ROS 2 (CDR); the time is that of the recorder.
 
     A topic with several channels has names such as `/odom@3`, with the number of the channel.
-
-    Raises:
-        InputError: a package is not installed, the file cannot be read, or its messages have another encoding.
     """
     reader_of = optional_module("mcap.reader", path=path, extra="ros").make_reader
     rows: dict[Stream, TopicRows] = {}
@@ -175,14 +166,7 @@ def _read_table(
 
     Args:
         path: a file .csv, .mat or .nc; with `columns`, a text file of numbers without a header.
-        time: column of the time.
-        unit: unit of the time.
-        columns: names of the columns of a file without a header.
-        skip_lines: lines above its numbers.
         map_name: file that names the time, for errors; default: the table.
-
-    Raises:
-        InputError: the file cannot be read, the time is missing or not a number, or its unit is unknown.
     """
     table = read_recorded(path) if columns is None else read_unnamed(path, columns, skip=skip_lines)
     check_known(time, table.columns, f"is not a column of {table.name}", key="log.time", file=map_name or table.name)
@@ -214,9 +198,6 @@ def _read_ulog(path: Path, topics: Collection[str] | None) -> LogRecording:
     """Read topics by name; further instances of a topic have names such as `sensor_gyro[1]`.
 
     The time is that of the autopilot (`timestamp`).
-
-    Raises:
-        InputError: pyulog is not installed, or the file is not such a log.
     """
     pyulog = optional_module("pyulog", path=path, extra="px4")
     try:
@@ -305,23 +286,9 @@ def _quiet() -> Iterator[StringIO]:
 def read_recording(
     path: Path, topics: Collection[str] | None = None, *, log_map: LogMap | None = None, map_name: str = ""
 ) -> LogRecording:
-    """Read a recording; the format follows from the suffix.
+    """Read these topics (default: all) of a file or, for ROS 2, a folder; the format follows from the suffix.
 
-    Args:
-        path: a file or, for ROS 2, a folder.
-        topics: names of the topics to read; default: all.
-        log_map: names the time of a table; default: column t_s.
-        map_name: its file, for errors.
-
-    Raises:
-        InputError: the file does not exist or cannot be read, or a package for its format is not installed.
-
-    Example:
-        >>> from pathlib import Path
-        >>> from surctl.marine.vehicle import read_recording
-        >>> _ = Path("log.csv").write_text("t_s,speed,mode\\n0,0.1,AUTO\\n0.5,0.2,AUTO\\n")
-        >>> read_recording(Path("log.csv")).topics[""].fields["speed"].tolist()
-        [0.1, 0.2]
+    `log_map` names the time of a table, by default the column t_s; `map_name` is the name of its file, for errors.
     """
     if not path.exists():
         raise InputError("no such file", file=shown(path), remedy="check the path")
@@ -353,30 +320,6 @@ def read_mapped_log(path: Path, map_path: Path) -> MotionLog:
 
     Topics with other times are interpolated to common times; headings follow from quaternions, velocities in the
     heading frame from velocities in the body or world frame, and thrust from the commands of thrusters.
-
-    Raises:
-        InputError: the recording or the map cannot be read, a topic or field is missing, or two topics have no common
-            time.
-
-    Example:
-        >>> from pathlib import Path
-        >>> from surctl.marine.vehicle import read_mapped_log
-        >>> rows = "".join(f"{20_000_000 * k},{0.5 * k},{k % 7},1500\\n" for k in range(60))
-        >>> _ = Path("dive.csv").write_text("stamp,yaw,speed,pwm\\n" + rows)
-        >>> _ = Path("map.toml").write_text('''
-        ... kind = "log-map"
-        ... log = { frame = "ned", time = "stamp", time_unit = "ns" }
-        ... attitude = { fields = ["yaw"], unit = "deg" }
-        ... velocity = { fields = ["speed", "speed"], unit = "cm/s", frame = "heading" }
-        ... [thrust]
-        ... fields = ["pwm"]
-        ... command = [1100, 1500, 1900]
-        ... force_N = [-40, 0, 50]
-        ... matrix = [[1], [0], [0], [0.1]]
-        ... ''')
-        >>> log = read_mapped_log(Path("dive.csv"), Path("map.toml"))
-        >>> round(float(log.time[-1] - log.time[0]), 2), log.motion[1, 4:6].tolist()
-        (1.18, [0.01, -0.01])
     """
     log_map = load_log_map(map_path)
     topics = {part.topic for _, part in log_map.sources()}
@@ -387,15 +330,7 @@ def read_mapped_log(path: Path, map_path: Path) -> MotionLog:
 
 
 def topic_lines(recording: LogRecording) -> list[str]:
-    """Return one line per topic: name, number of messages, rate, and the names of its fields.
-
-    Example:
-        >>> from pathlib import Path
-        >>> from surctl.marine.vehicle import read_recording, topic_lines
-        >>> _ = Path("log.csv").write_text("t_s,speed,depth\\n0,0.1,2\\n0.5,0.2,2\\n")
-        >>> topic_lines(read_recording(Path("log.csv")))
-        ['(table): 2 messages, 2 Hz: speed, depth']
-    """
+    """Return one line per topic: name, number of messages, rate, and the names of its fields."""
     lines = []
     for name, topic in sorted(recording.topics.items()):
         span = float(topic.time[-1] - topic.time[0])

@@ -62,13 +62,9 @@ class Topic:
 
 @dataclass(frozen=True, eq=False)
 class LogRecording:
-    """Topics by name; a table of one clock has one topic with an empty name.
+    """Topics by name, and notes on what could not be read; a table of one clock has one topic with an empty name.
 
-    Attributes:
-        source: name of the file for messages.
-        topics: the topics by name.
-        also: other names of topics; a name that several topics share stands for none of them.
-        notes: what could not be read.
+    `also` has other names of topics; a name that several topics share stands for none of them.
     """
 
     source: str
@@ -77,12 +73,7 @@ class LogRecording:
     notes: tuple[str, ...] = ()
 
     def topic(self, name: str, *, key: str) -> Topic:
-        """Return a topic by name.
-
-        Raises:
-            InputError: the recording has no such topic, and the message suggests the most similar one; or several
-                sources sent it, and the message lists them.
-        """
+        """Return a topic by name."""
         meant = (name,) if name in self.topics else self.also.get(name, ())
         if len(meant) > 1:
             problem = f"has several sources in {self.source}"
@@ -93,11 +84,7 @@ class LogRecording:
         return self.topics[meant[0]]
 
     def column(self, topic: str, name: str, *, key: str) -> NDArray[np.float64]:
-        """Return a field (n,) of a topic by name.
-
-        Raises:
-            InputError: the topic has no such field; the message suggests the most similar one.
-        """
+        """Return a field (n,) of a topic by name."""
         fields = self.topic(topic, key=key).fields
         where = f"topic {topic} of {self.source}" if topic else self.source
         check_known(name, fields, f"is not a numeric field of {where}", key=key)
@@ -180,24 +167,12 @@ def recording_of(path: Path, topics: Mapping[Stream, Topic], notes: Iterable[str
 
 
 def bare_names(names: Collection[str] | None) -> list[str] | None:
-    """Return names without instance and source, each once; None is any name.
-
-    Example:
-        >>> from surctl.marine.vehicle.logs.recording import bare_names
-        >>> bare_names(["XKF1[1]", "XKF1", "ATT@1.1"])
-        ['ATT', 'XKF1']
-    """
+    """Return names without instance and source, each once; None is any name."""
     return None if names is None else sorted({re.split(r"[\[@]", name)[0] for name in names})
 
 
 def matches(topic: str, names: Collection[str] | None) -> bool:
-    """Return whether one of some names, with or without instance and source, is of a topic; None is any name.
-
-    Example:
-        >>> from surctl.marine.vehicle.logs.recording import matches
-        >>> matches("XKF1", ["XKF1[1]"]), matches("ATT", ["ATT@1.1"]), matches("ATT", ["ATTITUDE"])
-        (True, True, False)
-    """
+    """Return whether one of some names, with or without instance and source, is of a topic; None is any name."""
     return names is None or any(name == topic or name.startswith((f"{topic}[", f"{topic}@")) for name in names)
 
 
@@ -205,12 +180,6 @@ def step_back(time: NDArray[np.float64]) -> tuple[float, float] | None:
     """Return the latest time so far and the next time [s] where a clock (n,) first runs back by more than a second.
 
     Messages that are late by less are no such step, because a recorder may write the messages of its sources in turn.
-
-    Example:
-        >>> import numpy as np
-        >>> from surctl.marine.vehicle.logs.recording import step_back
-        >>> step_back(np.array([0.0, 0.2, 0.1, 0.3])), step_back(np.array([7.0, 8.0, 0.5]))
-        (None, (8.0, 0.5))
     """
     latest = np.maximum.accumulate(time) if len(time) else time
     back = np.flatnonzero(time < latest - _JITTER)
@@ -218,13 +187,7 @@ def step_back(time: NDArray[np.float64]) -> tuple[float, float] | None:
 
 
 def flattened(value: Any, name: str = "") -> Iterator[tuple[str, float]]:
-    """Yield the numbers of a nested message with their names: `pose.position.x`, `data[3]`; other values are skipped.
-
-    Example:
-        >>> from surctl.marine.vehicle.logs.recording import flattened
-        >>> dict(flattened({"header": {"frame": "map"}, "pose": {"x": 1.5}, "data": [2, 3]}))
-        {'pose.x': 1.5, 'data[0]': 2.0, 'data[1]': 3.0}
-    """
+    """Yield the numbers of a nested message with their names: `pose.position.x`, `data[3]`; skip other values."""
     if isinstance(value, bool | int | float | np.number | np.bool_):
         yield name, float(value)
     elif isinstance(value, Mapping):
@@ -240,11 +203,7 @@ def flattened(value: Any, name: str = "") -> Iterator[tuple[str, float]]:
 
 
 def optional_module(name: str, *, path: Path, extra: str) -> Any:
-    """Return a module of an optional package.
-
-    Raises:
-        InputError: the package is not installed; the message says how to install it.
-    """
+    """Return a module of an optional package."""
     try:
         return importlib.import_module(name)
     except ImportError:

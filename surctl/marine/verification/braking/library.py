@@ -12,7 +12,8 @@ from typing import Literal, NamedTuple
 from surctl.errors import InputError, NotApplicable, nearest
 from surctl.marine.control import Barrier, Gains, build_law
 from surctl.marine.guidance.braking import LEAST_THRUST, Brakes, Watch, brakes_of
-from surctl.marine.vehicle import Vehicle, check_equation_3
+from surctl.marine.vehicle import Vehicle
+from surctl.marine.vehicle.dynamics import check_equation_3
 from surctl.marine.verification.assumptions import check_sway_force
 from surctl.marine.verification.braking.claim import BrakingClaim, LawNumbers, law_numbers
 from surctl.verification.setting import OVERSHOOT
