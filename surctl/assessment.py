@@ -1,4 +1,4 @@
-"""Assessment: figures, verdicts, worst line as banner, worst of several cases, before and after; of any system."""
+"""Assessment: figures, verdicts, banner, what is not assessed, worst of cases, before and after; of any system."""
 
 from __future__ import annotations
 

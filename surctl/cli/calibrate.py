@@ -22,7 +22,8 @@ def calibrate(file: str, out: Path | None, as_json: bool) -> None:
 
     The CSV file has the columns true_m and measured_m (or both in _cm or _mm), and for several sensors or media the
     columns sensor and medium. Each sensor and medium needs at least 6 rows at 3 or more distances. --out writes a
-    residual plot and a [sonar] table to paste into a scenario. The name table-ii stands for the paper's range test.
+    residual plot and a [sonar] table to paste into a scenario. Instead of a file, table-ii names the measured distances
+    of the paper's Table II.
 
     Examples: surctl calibrate table-ii; surctl calibrate range-test.csv --out lab
     """

@@ -30,7 +30,7 @@ def reproduce(
     out: Path | None,
     as_json: bool,
 ) -> None:
-    """Compute the paper's results again and compare: one row for each result, all rows or only the named ROWS.
+    """Compute the paper's results again and compare. Each result is a row; with ROWS, only these are computed.
 
     Exit status: 1 if a row is missing, a verdict differs from the recorded one, or a simulated run collides or does not
     arrive. A travel time that differs from the paper's is printed with the reason. --out writes a page with the paper's

@@ -206,7 +206,7 @@ def law_words(reference: str) -> list[str]:
     return ["--law", own_file(reference)]
 
 
-trust_option = click.option("--trust", is_flag=True, help="Allow surctl to run the law of your own in FILE.")
+trust_option = click.option("--trust", is_flag=True, help="Allow surctl to run the Python code of your own law in FILE.")
 
 
 priority_options = together(
@@ -225,7 +225,7 @@ barrier_options = together(
         "--barrier", default="simple", metavar="NAME", help="Speed limit near obstacles: simple (default), inertia."
     ),
     click.option(
-        "--movers", default="predict", metavar="NAME", help="Avoid moving obstacles by: predict (default), barrier."
+        "--movers", default="predict", metavar="NAME", help="Rule for moving obstacles: predict (default), barrier."
     ),
 )
 """A decorator that adds these options to a command; the command receives them as `barrier` and `movers`."""

@@ -57,7 +57,7 @@ if TYPE_CHECKING:
 @click.option(
     "--vehicle", metavar="FILE", help="Vehicle of the built-in study; its missions are scaled if the vehicle is large."
 )
-@click.option("--gains", metavar="FILE", help="Gain set to study instead of a sweep: name or file.")
+@click.option("--gains", metavar="FILE", help="Study this gain set (name or file), without a sweep.")
 @click.option("--film", is_flag=True, help="Also show the report's animated run in MuJoCo.")
 @seconds_option
 @trust_option

@@ -270,8 +270,8 @@ def from_log(
     the next row). The table also has those of these columns that were measured: x_m, y_m, z_m, psi_rad, u_m_per_s,
     v_m_per_s, w_m_per_s, r_rad_per_s. The axes are x forward, y left, z up; with --frame ned, they are x north, y east,
     z down, v to the right, w down. The velocities in the log are in the heading frame, which turns by the heading
-    alone. If the vehicle of --start rolls and pitches, the table also needs some of roll_rad, pitch_rad, p_rad_per_s,
-    q_rad_per_s. surctl simulate --save csv (mat, nc) writes tables with these columns.
+    alone. For a vehicle with roll and pitch in --start, the table also needs at least one of roll_rad, pitch_rad,
+    p_rad_per_s, q_rad_per_s. surctl simulate --save csv (mat, nc) writes tables with these columns.
 
     Logs of ArduPilot (.BIN, .tlog), ROS (.bag, .db3 or folder, .mcap), PX4 (.ulg), and tables with other column names
     or none need --map. --topics prints the topics and fields of a log.

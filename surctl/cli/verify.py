@@ -67,7 +67,7 @@ _SPEED = FiniteRange(min=0, max=100, min_open=True)
 )
 @click.option("--scenario", metavar="FILE", help="Scenario: name or file; adds the no-contact claim.")
 @click.option("--law", metavar="NAME", help="Law: name or FILE.py:FUNCTION (default: the vehicle's).")
-@click.option("--sensing", metavar="NAME", help="Obstacles: sonar (default if the law can) or truth.")
+@click.option("--sensing", metavar="NAME", help="Obstacles by sonar (default if the law uses it) or truth.")
 @click.option(
     "--stack", "stacks", multiple=True, metavar="LAW", help="Analyse the task stack of a law: guarded or paper."
 )

@@ -1,4 +1,4 @@
-"""What is assessed of a vehicle in missions: margins, region, no contact, runs, and the defaults that decide."""
+"""What is assessed of a vehicle in missions: margins, a fault in their run, region, no contact, runs, defaults."""
 
 from __future__ import annotations
 
