@@ -206,7 +206,7 @@ def law_words(reference: str) -> list[str]:
     return ["--law", own_file(reference)]
 
 
-trust_option = click.option("--trust", is_flag=True, help="Allow surctl to run the Python code of your own law in FILE.")
+trust_option = click.option("--trust", is_flag=True, help="Allow surctl to run the code of your own law in FILE.")
 
 
 priority_options = together(
