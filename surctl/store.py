@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from surctl.errors import InputError, cannot_write
 
-__all__ = ["RESUME", "ChunkStore", "one_at_a_time"]
+__all__ = ["RESUME", "ChunkStore"]
 
 _MAGIC = "surctl-chunk-1"
 

@@ -32,6 +32,7 @@ _NEXT = {
     "scenario": ("simulate {}",),
     "study": ("study {}", "tune {}"),
 }
+_IN_VEHICLES = ("scenario", "study")  # kinds of files to which --vehicle applies
 
 
 def _file_findings(loaded: object) -> list[Finding]:
@@ -186,8 +187,8 @@ def lint(files: tuple[str, ...], vehicle: str | None, as_json: bool) -> None:
     my_system.py:build
     """
     done = [_linted(file, vehicle) for file in files]
-    if vehicle is not None and all(one.data["kind"] != "scenario" for one in done):
-        raise InputError("applies only to a scenario", key="--vehicle", value=vehicle, remedy="drop it")
+    if vehicle is not None and not any(one.data["kind"] in _IN_VEHICLES for one in done):
+        raise InputError("applies only to a scenario or a study", key="--vehicle", value=vehicle, remedy="drop it")
     if len(done) == 1:
         one = done[0]
         brief = [one.counts(files[0]), *one.lines]
@@ -273,7 +274,7 @@ def _linted(file: str, vehicle: str | None) -> _Linted:
     lines = [f"{f.level}: {f.key}: {f.text}" for f in problems] or [f"{file}: nothing found"]
     result = {"file": path, "kind": kind, "findings": [f.to_dict() for f in problems]}
     works = all(f.level != "error" for f in problems)
-    vehicle_option = "" if vehicle is None or kind != "scenario" else f" --vehicle {shlex.quote(vehicle)}"
+    vehicle_option = "" if vehicle is None or kind not in _IN_VEHICLES else f" --vehicle {shlex.quote(vehicle)}"
     then = [f"surctl {words.format(shlex.quote(file))}{vehicle_option}" for words in _NEXT[kind]] if works else []
     then += derive if works else []
     return _Linted(result, printable(lines), works, then)
