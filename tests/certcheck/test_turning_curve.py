@@ -53,7 +53,8 @@ def test_a_steady_cruise_away_from_the_target_counts_on_a_curve() -> None:
 def test_the_matrix_of_a_cell_is_that_of_the_equations(
     monkeypatch: pytest.MonkeyPatch, along: tuple[float, ...]
 ) -> None:
-    whole, met, plan = document(), list[Any](), np.array([[0.05, 0.0], [0.0, 0.1]])
+    whole, plan = document(), np.array([[0.05, 0.0], [0.0, 0.1]])
+    met: list[Any] = []
     claim, p = read_claim(whole["claim"]), triangle(whole["proof"]["P"], 4, "P")
     form, bend, level, growth, v = Form(p), 0.03, 0.5, 0.01, 0.1
     monkeypatch.setattr(turning_cells, "_positive", lambda entries: bool(met.append(entries)) or True)
