@@ -55,9 +55,14 @@ def test_the_matrix_of_a_cell_is_that_of_the_equations(
 ) -> None:
     whole, plan = document(), np.array([[0.05, 0.0], [0.0, 0.1]])
     met: list[Any] = []
+
+    def keep(entries: Any) -> bool:
+        met.append(entries)
+        return True
+
     claim, p = read_claim(whole["claim"]), triangle(whole["proof"]["P"], 4, "P")
     form, bend, level, growth, v = Form(p), 0.03, 0.5, 0.01, 0.1
-    monkeypatch.setattr(turning_cells, "_positive", lambda entries: bool(met.append(entries)) or True)
+    monkeypatch.setattr(turning_cells, "_positive", keep)
     bounds = Disturbed(np.zeros(2), 0.0, 0.0, 0.0, np.zeros(2), 0.0, 0.0, Phase(), along)
     z, loops = np.array([[1.0, 0.0]]), [np.array([[300.0, 150.0, 120.0]])] * 2
     decays(
