@@ -214,6 +214,18 @@ def test_the_command_in_a_current_moves_by_its_largest_gain() -> None:
     assert max(abs(law - drag) for drag in drags) <= bound < 1.2 * abs(law)
 
 
+def test_what_a_current_leaves_is_rounded_up() -> None:
+    claim, rng = read_claim(document("region-turning-20-current")["claim"]), np.random.default_rng(0)
+    share = np.array([[[1.0, 1.0], [0.0, 0.0]]])
+    for _ in range(20):  # a shift that leaves nothing but its own rounding
+        m, drag, k_v = (Fraction(repr(round(float(x), 4))) for x in rng.uniform(1, 50, 3))
+        known = replace(claim, mass=(m, m), k_v=k_v, linear=(drag, drag), quadratic=(0 * ONE,) * 2,
+                        drag_factor=(ONE, ONE), drag_asymmetry=0 * ONE)  # fmt: skip
+        gain = Fraction(repr(float(drag / (m * k_v + drag))))
+        (bound,) = flow_error(known, ((gain, gain), (0 * ONE,) * 2, (0 * ONE,) * 2), (0.0, 0.0), share)
+        assert Fraction(float(bound)) >= abs(drag - (m * k_v + drag) * gain) * claim.current
+
+
 @pytest.mark.parametrize("lag", [0, Fraction(1, 5)])
 def test_what_a_turn_of_the_heading_does_to_a_command_is_bounded_by_what_sampling_finds(lag: Fraction) -> None:
     claim, rng, n = replace(read_claim(document()["claim"]), lag=(lag, lag)), np.random.default_rng(5), 40_000
