@@ -128,11 +128,15 @@ class Quantity(Strict):
 M = TypeVar("M", bound=BaseModel)
 
 
+_LARGEST = 64 << 20  # bytes of a TOML file
+
+
 def read_toml(path: Path) -> dict[str, Any]:
     """Read a TOML file as a table; a text like "15 cm" under a key like `depth_m` becomes a number in the key's unit.
 
     Raises:
-        InputError: the file is missing, unreadable, empty, binary or malformed, or a unit has the wrong dimension.
+        InputError: the file is missing, unreadable, empty, binary, malformed or larger than 64 MB, or a unit has the
+            wrong dimension.
 
     Example:
         >>> from pathlib import Path
@@ -142,13 +146,16 @@ def read_toml(path: Path) -> dict[str, Any]:
         {'site': {'depth_m': 1.5}}
     """
     try:
-        raw = path.read_bytes()
+        with path.open("rb") as file:
+            raw = file.read(_LARGEST + 1)  # a device such as /dev/zero has no end
     except FileNotFoundError:
         raise InputError("no such file", file=path, remedy="check the path") from None
     except OSError as error:
         raise InputError(
             f"cannot be read ({error.strerror})", file=path, remedy="check the path and its permissions"
         ) from None
+    if len(raw) > _LARGEST:
+        raise InputError(f"is larger than {_LARGEST >> 20} MB", file=path, remedy="give a TOML file")
     try:
         text = raw.decode("utf-8-sig")
     except UnicodeDecodeError:
@@ -361,7 +368,7 @@ def prepare_folder(folder: Path, *, key: str = "--out") -> Path:
     """Create the output folder; an error message names the option `key`.
 
     Raises:
-        InputError: the path is a file, or the folder cannot be written.
+        InputError: the path is a file, is not UTF-8, or the folder cannot be written.
 
     Example:
         >>> from pathlib import Path
@@ -375,6 +382,10 @@ def prepare_folder(folder: Path, *, key: str = "--out") -> Path:
             ...
         surctl.errors.InputError: --out = 'taken': cannot be written (File exists); name another folder
     """
+    try:
+        str(folder).encode()
+    except UnicodeError:  # netCDF cannot write into it
+        raise InputError("is not text (UTF-8)", key=key, value=str(folder), remedy="name another folder") from None
     try:
         folder.mkdir(parents=True, exist_ok=True)
         probe = folder / f".surctl-{os.getpid()}"

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from surctl.errors import InputError, cannot_write
 
-__all__ = ["RESUME", "ChunkStore"]
+__all__ = ["RESUME", "ChunkStore", "one_at_a_time"]
 
 _MAGIC = "surctl-chunk-1"
 
@@ -59,7 +59,8 @@ class ChunkStore:
         with lock:
             _hold(lock, self.folder)
             for left in self.folder.glob("*.tmp"):
-                left.unlink(missing_ok=True)
+                with suppress(OSError):
+                    left.unlink()
             yield
 
     def has(self, index: int, shape: tuple[int, int]) -> bool:
@@ -126,6 +127,23 @@ def _hold(lock: IO[str], folder: Path) -> None:
         raise InputError(
             "another process with this request is running", file=folder, remedy="wait for it, or name another --out"
         ) from None
+
+
+@contextmanager
+def one_at_a_time(folder: Path) -> Iterator[None]:
+    """Wait until no other process is inside this `with` statement for the same folder, where the system has locks."""
+    handle = None
+    if sys.platform != "win32":
+        import fcntl
+
+        with suppress(OSError):  # some file systems have no locks
+            handle = os.open(folder, os.O_RDONLY)
+            fcntl.flock(handle, fcntl.LOCK_EX)
+    try:
+        yield
+    finally:
+        if handle is not None:
+            os.close(handle)
 
 
 def _sync(folder: Path) -> None:

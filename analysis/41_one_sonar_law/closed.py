@@ -136,7 +136,7 @@ class SonarLaw:
         self.movers, self.told = np.zeros((0, 5)), 0
 
     def __call__(self, x: Array, u: Array, p: Array) -> LawStep:
-        """Return the control step; see `surctl.marine.simulation.Stepper`."""
+        """Return the control step; see `surctl.marine.simulation.loop.Stepper`."""
         inner, law = self.law.step(x, u, p), self.law
         if inner.status < 0:
             return inner  # an input is not finite

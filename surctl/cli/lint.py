@@ -13,7 +13,7 @@ import click
 
 from surctl.cli.output import as_json, finish, printable
 from surctl.cli.robot_options import derive_words, margin_of_all
-from surctl.errors import InputError, nearest
+from surctl.errors import InputError, check_known, nearest
 
 if TYPE_CHECKING:
     from surctl.marine.assessment import Mission
@@ -186,6 +186,8 @@ def lint(files: tuple[str, ...], vehicle: str | None, as_json: bool) -> None:
     my_system.py:build
     """
     done = [_linted(file, vehicle) for file in files]
+    if vehicle is not None and all(one.data["kind"] != "scenario" for one in done):
+        raise InputError("applies only to a scenario", key="--vehicle", value=vehicle, remedy="drop it")
     if len(done) == 1:
         one = done[0]
         brief = [one.counts(files[0]), *one.lines]
@@ -210,7 +212,7 @@ def _linted(file: str, vehicle: str | None) -> _Linted:
     if is_system([file], "files", "as_json"):
         return _lint_system(file)
     from surctl.cli.robot_options import choose_vehicle
-    from surctl.files import pick, read_toml
+    from surctl.files import read_toml
     from surctl.lyapunov import load_problem
     from surctl.marine.assessment import Mission
     from surctl.marine.control import load_gains
@@ -225,8 +227,10 @@ def _linted(file: str, vehicle: str | None) -> _Linted:
     from surctl.tuning import load_loop_goals
     from surctl.verification import load_claim
 
-    library, what = (VEHICLES, "vehicle") if (VEHICLES / f"{file}.toml").is_file() else (LIBRARY, "scenario")
-    path = str(pick(file, library, what=what))
+    built_in = {path.stem: path for library in (LIBRARY, VEHICLES) for path in library.glob("*.toml")}
+    if not (Path(file).suffix or set("/\\") & set(file)):  # a bare name
+        check_known(file, built_in, "unknown scenario or vehicle", key="file")
+    path = str(built_in.get(file, file))
     kind = read_toml(Path(path)).get("kind")
     problems, derive = [], list[str]()
     plain: dict[str, Callable[[str], object]] = {
@@ -266,10 +270,10 @@ def _linted(file: str, vehicle: str | None) -> _Linted:
         known = ", ".join(f'"{name}"' for name in sorted([*plain, "scenario"]))
         remedy = f'write kind = {known} or "study"'
         raise InputError("is not a kind of file", file=path, key="kind", value=kind, remedy=remedy)
-    lines = [f"{f.level}: {f.key}: {f.text}" for f in problems] or [f"{path}: nothing found"]
+    lines = [f"{f.level}: {f.key}: {f.text}" for f in problems] or [f"{file}: nothing found"]
     result = {"file": path, "kind": kind, "findings": [f.to_dict() for f in problems]}
     works = all(f.level != "error" for f in problems)
-    vehicle_option = "" if vehicle is None else f" --vehicle {shlex.quote(vehicle)}"
+    vehicle_option = "" if vehicle is None or kind != "scenario" else f" --vehicle {shlex.quote(vehicle)}"
     then = [f"surctl {words.format(shlex.quote(file))}{vehicle_option}" for words in _NEXT[kind]] if works else []
     then += derive if works else []
     return _Linted(result, printable(lines), works, then)

@@ -87,7 +87,7 @@ class OwnSystem:
             raise InputError(error.problem, file=file, key=key, value=seconds, remedy=error.remedy) from None
         if steps > _MOST_PERIODS:
             remedy = f"give at most {_MOST_PERIODS * self.system.dt:g} s"
-            raise InputError(f"is {steps} control periods", file=file, key=key, value=seconds, remedy=remedy)
+            raise InputError(f"is {steps:.9g} control periods", file=file, key=key, value=seconds, remedy=remedy)
         return seconds
 
     @property

@@ -123,6 +123,9 @@ def sweep(axes: tuple[str, ...], workers: int | None, dask: str | None, out: Pat
     from surctl.tuning import sobol_indices
     from surctl.tuning import sweep as run_sweep
 
+    if words["sensitivity"] is not None and words["design"] != "grid":
+        remedy = "drop --design"
+        raise InputError("chooses its own points", key="--sensitivity", value=words["sensitivity"], remedy=remedy)
     if is_system(axes, *_OF_SYSTEMS, "workers", "dask", "out", "as_json"):
         executor = None if dask is None else _executor(workers, dask)
         job = _own(axes, threads=workers or (2 if dask is None else 1), compiles=dask is None,
@@ -258,8 +261,6 @@ def _missions(
     parsed = [parse_axis(text) for text in axes]
     if sensitivity is None:
         chosen = make_design(design, parsed, count=points)
-    elif design != "grid":
-        raise InputError("chooses its own points", key="--sensitivity", value=sensitivity, remedy="drop --design")
     else:
         check_column(sensitivity)
         chosen = saltelli(parsed, base=64 if points is None else points)

@@ -14,6 +14,7 @@ from concurrent.futures import CancelledError, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
+from itertools import count
 from multiprocessing import get_context, parent_process
 from multiprocessing.connection import wait
 from pathlib import Path
@@ -23,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError, SurctlError, cannot_write
-from surctl.store import RESUME, ChunkStore
+from surctl.store import RESUME, ChunkStore, one_at_a_time
 
 Chunk = tuple[int, NDArray[np.float64]]
 """Index of a chunk, and the points (rows, axes) of the chunk."""
@@ -255,9 +256,10 @@ def evaluated_chunks(
         todo = [(i, points) for part in chunks for i, points in part if not store.has(i, shapes[i])]
         pace = _Pace(stages, chunks, todo, progress)
         run_chunks(function, todo, store=store, executor=executor, finished=pace.finished)
-        _set_aside(out / TABLE, progress)
         try:
-            yield column
+            with one_at_a_time(out):  # another request may end in this folder at the same time
+                _set_aside(out / TABLE, progress)
+                yield column
         except InputError as error:
             problem, remedy = f"{error.problem}; finished chunks are kept", f"{error.remedy}; the same command resumes"
             again = InputError(problem, file=error.file, key=error.key, value=error.value, remedy=remedy)
@@ -309,7 +311,10 @@ def _set_aside(target: Path, progress: Progress) -> None:
     """Rename the file of another request."""
     if not target.exists():
         return
-    other = target.with_name(f"sweep-{(_request_of(target) or 'unreadable')[:12]}.nc")
+    request = _request_of(target)
+    names = (f"sweep-unreadable{number or ''}.nc" for number in count())
+    free = next(name for name in names if not target.with_name(name).exists())
+    other = target.with_name(free if request is None else f"sweep-{request[:12]}.nc")
     try:
         target.replace(other)
     except OSError as error:

@@ -361,7 +361,11 @@ def load_sweep(path: Path | str) -> SweepTable:
         raise InputError(
             f"is not a readable netCDF file ({type(error).__name__})", file=path, remedy="run the sweep again"
         ) from None
-    if not {"design", "axes", "draws", "request"} <= set(attributes):
+    try:
+        named = {name for key in ("axes", "draws") for name in map(_netcdf_name, json.loads(attributes[key]))}
+    except (KeyError, TypeError, ValueError, AttributeError):
+        named = {""}
+    if not {"design", "request"} <= set(attributes) or not named <= set(about):
         raise InputError("is not the table of a sweep", file=path, remedy="give the sweep.nc of a finished sweep")
     return SweepTable(attributes, about, lambda name, at: np.asarray(file[name][at]), path)
 

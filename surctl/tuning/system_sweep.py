@@ -159,11 +159,15 @@ def choices_and_draws(
 
 
 def runs_of(table: SweepTable, system: System) -> Runs:
-    """Return all runs of a sweep of a system, those of a point one after another."""
-    columns = {name: np.ravel(table.column(name)) for name in table.columns}
-    state = np.column_stack([columns[label] for label in entry_labels(system.plant.state, _END)])
-    figures = {name: columns[name] for name in system.costs}
-    return Runs(figures, columns[_STOPPED].astype(str), columns[_DURATION], state)
+    """Return all runs of a sweep of a system, those of a point one after another.
+
+    Raises:
+        InputError: the table is not that of a sweep of this system.
+    """
+    state = np.column_stack([table.column(label).ravel() for label in entry_labels(system.plant.state, _END)])
+    figures = {name: table.column(name).ravel() for name in system.costs}
+    stopped, duration = table.column(_STOPPED).ravel(), table.column(_DURATION).ravel()
+    return Runs(figures, stopped.astype(str), duration, state)
 
 
 def run_at(table: SweepTable, run: int) -> tuple[dict[str, float], dict[str, float]]:

@@ -31,6 +31,14 @@ HOSTILE = {
     "a run nested too deep": (["simulate", "--from", "deep.toml"], "deep.toml"),
     "a time of NaN": (["verify", "v1-printed", "--time-limit", "nan"], "--time-limit"),
     "endless time": (["verify", "v1-printed", "--time-limit", "inf"], "--time-limit"),
+    "a file without an end": (["lint", "/dev/zero"], "is larger than"),
+    "a part of a vehicle's name": (["lint", "bluerov2-w"], "'bluerov2-wu'"),
+    "a vehicle for a vehicle": (["lint", "sur400", "--vehicle", "otter"], "--vehicle"),
+    "a folder that is no text": (["sweep", "k_v=1,2", "--out", "a\udcff"], "--out"),
+    "points of two designs": (
+        ["sweep", "k_v=1..2", "lookahead=1..2", "--design", "lhs", "--sensitivity", "score"],
+        "--sensitivity",
+    ),
     "time below 0": (["verify", "v1-printed", "--time-limit", "-1"], "--time-limit"),
 }
 

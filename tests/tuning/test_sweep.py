@@ -8,7 +8,9 @@ import sys
 import time
 from dataclasses import replace
 from pathlib import Path
+from threading import Thread
 
+import netCDF4
 import numpy as np
 import pytest
 from hypothesis import given
@@ -19,7 +21,7 @@ from surctl.marine.control import load_gains
 from surctl.marine.simulation import METRICS, load_scenario
 from surctl.marine.tuning import MissionSweep, build_cases, picked_gains
 from surctl.marine.tuning.sweep import judged
-from surctl.store import ChunkStore
+from surctl.store import ChunkStore, one_at_a_time
 from surctl.tuning import (
     Axis,
     LocalExecutor,
@@ -326,6 +328,44 @@ def test_a_harmed_or_foreign_chunk_is_not_trusted(tmp_path):
         assert shelf.has(3, (3, 2))
         with pytest.raises(InputError, match="another process"), kept(tmp_path).open():
             pass
+
+
+def test_two_sweeps_that_end_in_one_folder_keep_both_tables(cheap, tmp_path):
+    told, other = [], tmp_path / "sweep.nc"
+    ends = Thread(target=sweep, args=([stub.case()], GRID), kwargs={"out": tmp_path, "progress": told.append})
+    with one_at_a_time(tmp_path):
+        ends.start()
+        give_up = time.monotonic() + PATIENCE
+        while not any(line.startswith("sweep 6/6") for line in told) and time.monotonic() < give_up:
+            time.sleep(0.01)
+        time.sleep(0.2)  # the sweep would write its table in this time
+        assert not other.exists()
+        other.write_bytes(b"another table")
+    ends.join()
+    assert load_sweep(other).shape == (3, 2)
+    assert (tmp_path / "sweep-unreadable.nc").read_bytes() == b"another table"
+
+
+def test_files_that_are_no_tables_are_all_kept(cheap, tmp_path):
+    for number in range(2):
+        (tmp_path / "sweep.nc").write_text(f"{number}")
+        sweep([stub.case()], grid([Axis("k_v", (1.0 + number,))]), out=tmp_path)
+    assert [(tmp_path / f"sweep-unreadable{k}.nc").read_text() for k in ("", 1)] == ["0", "1"]
+
+
+def test_a_table_without_its_axes_is_none(cheap, tmp_path):
+    sweep([stub.case()], GRID, out=tmp_path)
+    for wrong in ("k_v", '["k_v", "no_such"]', "7"):
+        with netCDF4.Dataset(tmp_path / "sweep.nc", "a") as file:
+            file.setncattr("axes", wrong)
+        with pytest.raises(InputError, match=r"sweep\.nc: is not the table of a sweep"):
+            load_sweep(tmp_path / "sweep.nc")
+
+
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+def test_a_loop_beyond_the_largest_double_is_one_line():
+    with pytest.raises(InputError, match="linear loop of the cruise: is not finite"):
+        sweep([stub.case()], grid([Axis("plant.m11", (1e300,))]))
 
 
 def test_a_harmed_chunk_alone_is_run_again(cheap, tmp_path, monkeypatch):

@@ -101,6 +101,13 @@ def test_a_point_with_a_run_without_a_value_is_never_the_best() -> None:
     assert np.isfinite(swept.column("final")[:, 0]).all() and not chosen_points(swept, build())
 
 
+def test_a_table_of_another_system_is_refused() -> None:
+    need_compiler()
+    swept = sweep_system(build(), DESIGN, 0.2)
+    with pytest.raises(InputError, match="no such column"):
+        runs_of(swept, build(cost="last"))
+
+
 class Few:
     """An executor that stops as Ctrl-C does after some chunks, and counts them."""
 

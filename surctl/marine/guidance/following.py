@@ -21,7 +21,7 @@ target point, and the depth, speed and visit of the segment that the target poin
 - Segment of the target point is the last one whose start is more than `AT_CORNER` behind. Its end says the speed and
   whether the law must visit it; the depth is linear between its ends.
 
-`window_next` and `window_values` are the rule as CasADi expressions; `surctl.export.mission_files` writes it in C.
+`window_next` and `window_values` are the rule as CasADi expressions, for simulations and exported code.
 """
 
 from __future__ import annotations

@@ -121,9 +121,16 @@ class CruiseLoop:
 
     @property
     def closed(self) -> Array:
-        """The closed transition matrix A − B K C, (…, n, n)."""
+        """The closed transition matrix A − B K C, (…, n, n).
+
+        Raises:
+            InputError: a number of the matrix is too large for a double.
+        """
         A, B, C, K = self.matrices
         closed: Array = A - B @ K @ C
+        if not np.isfinite(closed).all():
+            remedy = "correct the largest and the smallest of the vehicle's parameters and gains"
+            raise InputError("is not finite", key="the linear loop of the cruise", remedy=remedy)
         return closed
 
     @property
