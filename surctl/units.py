@@ -1,9 +1,10 @@
-"""Quantities in files, such as "0.54 m", "12 kgf" or "5 cm", converted to SI units and radians."""
+"""Quantities such as "0.54 m", "12 kgf" or "5 cm", converted to SI units; proved numbers as text, rounded safely."""
 
 from __future__ import annotations
 
 import math
 import re
+from decimal import ROUND_CEILING, ROUND_FLOOR, Decimal
 from functools import cache
 from numbers import Real
 from typing import TYPE_CHECKING, Any
@@ -13,7 +14,7 @@ from surctl.errors import InputError
 if TYPE_CHECKING:
     from pint import UnitRegistry
 
-__all__ = ["converted_by_suffix", "in_unit", "is_number", "number_and_unit"]
+__all__ = ["converted_by_suffix", "in_unit", "is_number", "number_and_unit", "towards"]
 
 _SUFFIXES = {
     "_m_per_s": "m/s",
@@ -130,3 +131,16 @@ def converted_by_suffix(table: Any, *, key: str = "") -> Any:
         return in_unit(value, written, unit)
     except InputError as error:
         raise InputError(error.problem, key=key, value=table, remedy=error.remedy) from None
+
+
+def towards(value: float, *, up: bool) -> str:
+    """Return a number with three digits, rounded up or down: what is proved of a bound holds for the text, too.
+
+    Example:
+        >>> from surctl.units import towards
+        >>> towards(0.3849, up=False), towards(0.11531, up=True)
+        ('0.384', '0.116')
+    """
+    number = Decimal(repr(float(value)))
+    step = Decimal(1).scaleb(number.adjusted() - 2)
+    return f"{float(number.quantize(step, ROUND_CEILING if up else ROUND_FLOOR)):.3g}"

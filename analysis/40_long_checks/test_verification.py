@@ -23,12 +23,7 @@ from tests.verification.linear import test_sampled
 from tests.verification.linear.test_margin_speed import GAINS, WU, ranged
 from tests.verification.linear.test_sampled import ABOUT, VEHICLE
 from tests.verification.proving import test_squares
-from tests.verification.region.test_proof import test_flights_from_the_edge_stay_below_the_envelope as below
 from tests.verification.test_library import one
-
-
-def test_from_the_edge_with_lag_and_spin() -> None:
-    below("region-cruise-20-spin")
 
 
 def test_an_impossible_rate_of_a_turning_hull_is_not_proved() -> None:

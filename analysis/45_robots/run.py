@@ -52,7 +52,7 @@ def _rows(only: str | None, *, quick: bool) -> Iterator[tuple[Case, int, str, in
     for case in CASES:
         if only in (None, case.name.split(",")[0]):
             yield case, 100, SURCTL, 100
-            yield case, 1000, SURCTL, 30
+            yield case, 1000, SURCTL, 100
     if only in (None, "peers"):
         for who in (SURCTL, UNDAMPED, PINK, MINK):
             for case in CASES:

@@ -251,9 +251,10 @@ def places(mission: Mission, funnel: Funnel, k: int, level: Fraction) -> list[tu
     """Return (u, distance, bound) [m] for the places u before the corner at the end of leg k that decide.
 
     If each distance of the robot from the target is within its bound, the robot follows leg k up to the corner: it
-    leaves the leg only if it is more than 0.1 m from the leg and nearer to the next one. The next leg is at least σ u
-    from the target, with σ = 1 for turns of up to 90 degrees, and the sine of the turn for others; so a distance of
-    at most σ u/2 suffices. The distance is a convex function of u, so the ends of the range of u decide.
+    leaves the leg only if its measured position is more than 0.1 m from the leg and nearer to the next one. The next
+    leg is at least σ u from the target, with σ = 1 for turns of up to 90 degrees, and the sine of the turn for others;
+    so a distance of at most σ u/2 suffices. The distance, of the measured position, is a convex function of u, so the
+    ends of the range of u decide.
     """
     c, s = turn_of(*mission.path[k : k + 3])
     share = Fraction(1) if c > _PRECISION else max(abs(s) - _PRECISION, Fraction(0))
@@ -261,7 +262,7 @@ def places(mission: Mission, funnel: Funnel, k: int, level: Fraction) -> list[tu
     first = min(mission.loop.wait, length - mission.overrun)  # V has not fallen where the target is further away
 
     def place(u: Fraction, bound: Fraction) -> tuple[Fraction, Fraction, Fraction]:
-        return u, funnel.extent(decayed(mission.loop, funnel, level, length - u)), bound
+        return u, funnel.extent(decayed(mission.loop, funnel, level, length - u)) + mission.loop.place_error, bound
 
     if share * first <= 2 * ON_LEG:
         return [place(first, ON_LEG)]

@@ -100,8 +100,8 @@ def _flow(claim: TurningClaim, value: Any) -> tuple[Pair, Pair, Pair]:
     if len(listed(value)) != 3:
         raise Rejected("proof.flow must have three pairs of numbers")
     first, second, third = (two(row, "proof.flow", least=-(10**9)) for row in value)
-    if claim.behind and any(map(any, (first, second, third))):
-        raise Rejected("with thrust lag or held commands, proof.flow must be 0")
+    if (claim.behind or claim.curvature) and any(map(any, (first, second, third))):
+        raise Rejected("with thrust lag, held commands or a curved path, proof.flow must be 0")
     return first, second, third
 
 

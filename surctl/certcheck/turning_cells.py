@@ -23,12 +23,13 @@ is W* = (v + ω − g_x c_x, −g_y c_y) with gains g affine in the mean drag fa
 W*_y/W*_x (`turning_terms` bounds what is left of the drag's change by the current). Since the course depends on the
 speed, δW_y = −s y/Δ + κ x y_e*/Δ.
 
-On a curve, the path frame turns at σ, |σ| ≤ curvature · v. That adds −σ S to both diagonal blocks of A and −σ S U* to
-w, with the quarter turn S. With a coupling c = m12 and ρ² = c²/(m11 m22), M⁻¹ has the diagonal 1/(m_i (1 − ρ²)), as
-that of masses smaller by the factor 1 − ρ², and the other entries β = −c/(m11 m22 (1 − ρ²)): a force on axis i also
-accelerates the other axis j, so n_i n_iᵀ/m_i becomes n_i n_iᵀ/m_i + β n_j n_iᵀ, which is affine in the same numbers and
-in β. In the Coriolis term, e1 and e2 change by less than ρ²/(1 − ρ²) (1 + max(m11/m22, m22/m11)), and the diagonal gets
-±r c (1/m11 + 1/m22)/(1 − ρ²): together a matrix of norm ≤ `loose`, whose effect is subtracted as a bound.
+On a curve, the path frame turns at σ, |σ| ≤ curvature · v. That adds −σ S to both diagonal blocks of A, and to w −σ S
+U* and, in the rates of the position, −σ S (x_e*, 0), with the quarter turn S; the steady cruise does not shift with a
+current there, since it would move. With a coupling c = m12 and ρ² = c²/(m11 m22), M⁻¹ has the diagonal 1/(m_i (1 −
+ρ²)), as that of masses smaller by the factor 1 − ρ², and the other entries β = −c/(m11 m22 (1 − ρ²)): a force on axis i
+also accelerates the other axis j, so n_i n_iᵀ/m_i becomes n_i n_iᵀ/m_i + β n_j n_iᵀ, which is affine in the same
+numbers and in β. In the Coriolis term, e1 and e2 change by less than ρ²/(1 − ρ²) (1 + max(m11/m22, m22/m11)), and the
+diagonal gets ±r c (1/m11 + 1/m22)/(1 − ρ²): together a matrix of norm ≤ `loose`, whose effect is subtracted as a bound.
 
 n_i n_iᵀ and R [[0, e1], [e2, 0]] Rᵀ are affine in z = (cos 2ψ, sin 2ψ), so the left side is convex in z. An arc of z
 lies in the triangle of its ends and of the intersection of the tangents there, so the triangle's corners decide. If P
@@ -85,6 +86,7 @@ class Disturbed:
         late: bounds (2,) [m/s³] on w_2 along each axis (`turning_form`); 0 for thrust that is the present command.
         spread, swing: the numbers that multiply |δU| and |δW| in the bound on |w_1 + w_3| [1/s²].
         phase: which form it is, if the thrust differs from the present command.
+        along: ends of the range of x_e* [m]; 0 on a straight path.
         moves: s_1 and s_2, whether the command of each axis moves.
     """
 
@@ -96,6 +98,7 @@ class Disturbed:
     spread: float
     swing: float
     phase: Phase
+    along: tuple[float, ...] = (0.0,)
     moves: tuple[int, ...] = (1, 1)
 
 
@@ -138,12 +141,14 @@ def decays(
         parts.append(whole + np.einsum("a,mzij->mzaij", loops[i][:, 2], slowed)[:, :, :, None])
     # Coriolis term r (e1 n_1 n_2ᵀ + e2 n_2 n_1ᵀ), and the turning path frame: −σ S = σ J
     curved = t @ form.p @ np.kron(np.eye(n // 2), -TWIST) @ t.T  # no curves if n = 6
+    along = [x for _ in turns for x in disturbed.along]
+    turns = [turn for turn in turns for _ in disturbed.along]
     rests, sizes = [], []
-    for a, b, bend, _ in turns:
+    for (a, b, bend, _), x in zip(turns, along, strict=True):
         for k in range(len(z)):
             c = a * sides[0] @ crossed[1][k] + b * sides[1] @ crossed[0][k]
             own = c @ form.speed.T + bend * curved
-            effect = (c[:, 0] + bend * form.levers[0][:, 1]) * v
+            effect = (c[:, 0] + bend * form.levers[0][:, 1]) * v + bend * x * (t @ form.p[:, 1])
             rests.append((own + own.T, effect))
             sizes.append(float(np.linalg.norm(effect)))
     turned = np.array([r[0] for r in rests]).reshape(len(turns), len(z), n, n)
@@ -165,7 +170,8 @@ def decays(
         if weights[0] > 0:
             scale = total / weights[0] / floor
             forced += np.einsum("tzi,tzj->tzij", effects, effects) * scale
-            force += (size * 3.3 * v * float(np.abs(turns).max())) ** 2 * scale
+            far = float(np.abs(along).max() * (np.abs(t) @ np.abs(form.p[:, 1])).sum())
+            force += ((size * 3.3 * v + far) * float(np.abs(turns).max())) ** 2 * scale
         for i in (0, 1):
             scale = lack[i] ** 2 * (total / weights[1 + i] / floor) if lack[i] > 0 else 0.0
             if disturbed.pushed > 0:  # ‖M⁻¹ l‖² is that of both axes
@@ -443,6 +449,10 @@ def check_shell(
     lack = (cells.lack + np.array([float(force) for force in forces])) * UP
     limit, (omega, fast) = _limit(claim, form, steer[1], high), _fastest(trim)
     floor = float(growth * low) / UP
+    along: tuple[float, ...] = (0.0,)
+    if claim.curvature:
+        pad = float(max(map(abs, trim.moved)) / claim.k1) * (UP - 1)
+        along = float(-trim.moved[1] / claim.k1) - pad, float(-trim.moved[0] / claim.k1) + pad
     for k in range(len(cells.corners)):
         go_on()
         z = cells.corners[k]
@@ -455,7 +465,7 @@ def check_shell(
             rate = at.ahead * UP
             if claim.period and phase.begins:
                 spread, swing = np.sqrt(2) * UP * at.spread, np.sqrt(2) * UP * at.swing
-        disturbed = Disturbed(lack[k], float(cells.pushed[k]), loose, stray, rate, spread, swing, phase)
+        disturbed = Disturbed(lack[k], float(cells.pushed[k]), loose, stray, rate, spread, swing, phase, along)
         modes = list(product((1, 0), repeat=2))
         if not phase.begins:  # s_i does not count, and the pairs of a limited command include the others
             modes = [tuple(int(loop[:, 3].min()) for loop in loops)]

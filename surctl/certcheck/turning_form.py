@@ -19,8 +19,10 @@ axis ḟ_i is either 0, or that of a command without a limit, and with s_i = 0 o
 
 because f_i/m_i = k_v (n_i W − n_i U) + feedforward without a limit. If s_i = 1, no limit is active, and φ_i = 1. With
 h_i the slope of the feedforward divided by m_i, w_1 = −Σ n_i (k_v + h_i) n_i Ẇ, and |Ẇ| ≤ L |δU| with the Lipschitz
-constant L of the commanded velocity. w_3 is the part r h_i of δW on the other axis. With c the largest (k_v + h_i) L,
-2 q εᵀ (w_1 + w_3) ≤ λ q |ε|² + (2/λ) q (c² |δU|² + (r h)² |δW|²).
+constant L of the commanded velocity. w_3 is the part r h_i of δW on the other axis. With lag, w_2 also moves F, by the
+slope of the feedforward at the steady command W*; so w_3 has the rest, r (h_i − h_i*) of W* on the other axis, which is
+at most r e_i |n_i δW| with e_i = 2 b̂_i |n_j W*|/m_i. With c the largest (k_v + h_i) L and H the norm of [[e_1, h_1],
+[h_2, e_2]], e_i = 0 without lag, 2 q εᵀ (w_1 + w_3) ≤ λ q |ε|² + (2/λ) q (c² |δU|² + (r H)² |δW|²).
 
 At the time σ p after a control instant, D = σ ε, and ε is bounded by the largest rate of the commands since. With V = W
 + q σ (1 − σ) |ε|², W = zᵀ P z, V is continuous, and V = W at the control instants (a looped functional: Fridman 2010,
@@ -126,7 +128,7 @@ class Stir(NamedTuple):
     """What moves the commands in a cell of headings and a level of V.
 
     `spread` is c [1/s²], `ahead` (2,) the rate at which the heading turns the command of the steady cruise [m/s³], and
-    `swing` the largest |r h_i| [1/s²].
+    `swing` the largest r H [1/s²].
     """
 
     spread: float
@@ -148,4 +150,6 @@ def stir(claim: TurningClaim, omega: float, fast: float, limit: float, share: Ar
     reached = np.minimum(fast * share + led, cap)
     slope = (model[1] + 2 * model[2] * reached) / model[0]
     ahead = r * (k_v * omega + slope * fast) * share[::-1]
-    return Stir(float((k_v + slope.max()) * limit * UP), ahead * UP, float(r * slope.max()) * UP)
+    bent = 2 * model[2] / model[0] * fast * share[::-1] * bool(claim.lag[1])
+    turned = np.linalg.norm([[bent[0], slope[0]], [slope[1], bent[1]]], 2)
+    return Stir(float((k_v + slope.max()) * limit * UP), ahead * UP, float(r * turned) * UP)

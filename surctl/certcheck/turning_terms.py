@@ -201,15 +201,16 @@ def flow_error(claim: TurningClaim, flow: tuple[Pair, Pair, Pair], omega: tuple[
     middle, half = share.mean(axis=2), (share[:, :, 1] - share[:, :, 0]) / 2 + 1e-12
     most = np.zeros(len(share))
     for f in drag_factors(claim):
-        gains, rows = np.array([float(g) for g in flow_gains(flow, f)]), []
+        gains, rows, rounded = np.array([float(g) for g in flow_gains(flow, f)]), [], 0.0
         for axis, (law, drag) in enumerate(sides):
             pulled = float(f[axis] * claim.linear[axis]) + float(f[2 + axis] * claim.quadratic[axis]) * drag
             left = pulled[:, None, :, None] - law[None, :, :, None] * gains  # (β, α, cells, c)
             rows.append(left.reshape(4, len(share), 2))
+            rounded += 1e-12 * float(pulled.max() + law.max() * np.abs(gains).sum())
         for one, two in product(*rows):
             error = np.stack([one * middle, two * middle[:, ::-1] * [-1.0, 1.0]], 1)  # n_1 = (cos, sin)
             off = np.hypot(np.linalg.norm(one * half, axis=1), np.linalg.norm(two * half[:, ::-1], axis=1))
-            most = np.maximum(most, np.linalg.norm(error, 2, axis=(1, 2)) * UP + off)
+            most = np.maximum(most, np.linalg.norm(error, 2, axis=(1, 2)) * UP + off + rounded)
     return np.asarray(most * current * UP)
 
 

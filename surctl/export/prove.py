@@ -147,6 +147,21 @@ def prove_bundle(law: Exportable, bundle: Bundle, limit: Vector | None = None) -
     Raises:
         ToolMissing: Frama-C is not installed.
         SurctlError: Frama-C reports an error, or does not finish in time.
+
+    Example:
+        >>> from surctl.marine.control import build_law, load_gains
+        >>> from surctl.marine.export import build_bundle, closed_form, operating_envelope
+        >>> from surctl.export import prove_bundle
+        >>> from surctl.marine.simulation import law_numbers, load_scenario
+        >>> from surctl.marine.vehicle import load_vehicle
+        >>> mission, vehicle, gains = load_scenario("pool-behind"), load_vehicle("sur400"), load_gains("default")
+        >>> law, p = build_law("closed_form"), law_numbers(mission, gains, vehicle)
+        >>> shipped = closed_form(law, real="float32", constants=p)
+        >>> within = operating_envelope(law, mission, vehicle, shipped.gains)
+        >>> bundle = build_bundle(shipped, {}, real="float32", envelope=within)
+        >>> report = prove_bundle(shipped, bundle, vehicle.thrust_limit)
+        >>> report.proved, report.alarms
+        (True, ())
     """
     if shutil.which(_TOOL) is None:
         raise ToolMissing(

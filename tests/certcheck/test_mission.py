@@ -259,6 +259,13 @@ def test_places_before_a_corner() -> None:
     assert (near, narrow) == (Fraction(1, 5), ON_LEG)
 
 
+def test_the_law_decides_at_a_corner_by_the_measured_position(alone: None) -> None:
+    whole = built()  # at the end of leg 1, the robot may be as far from the leg as the rule allows
+    assert not reason_of(whole)
+    put(whole, ("claim", "loop", "vehicle", "place_error_m"), 0.001)
+    assert "may leave out the corner at the end of leg 1" in reason_of(whole)
+
+
 def test_the_tube_shrinks_to_the_goal() -> None:
     whole = built()
     radii = tube_radii(whole)

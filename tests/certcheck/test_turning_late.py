@@ -16,7 +16,7 @@ from surctl.certcheck import check_document, turning_cells
 from surctl.certcheck.document import Rejected
 from surctl.certcheck.turning_cells import Disturbed, decays, heading_cells, steady
 from surctl.certcheck.turning_claim import drag_factors, read_claim
-from surctl.certcheck.turning_form import Form, Phase, axes_of
+from surctl.certcheck.turning_form import Form, Phase, axes_of, stir
 from surctl.certcheck.turning_law import commanded, true_rate
 from surctl.certcheck.turning_terms import flow_error, other_forces
 from surctl.marine.vehicle import PLANT_DISTURBANCE, PLANT_STATE, build_plant, load_vehicle, plant_parameters
@@ -212,6 +212,37 @@ def test_the_command_in_a_current_moves_by_its_largest_gain() -> None:
     drags = [float(f[0]) * linear * current + float(f[2]) * square * ((v + current) ** 2 - v**2)
              for f in drag_factors(claim)]  # fmt: skip
     assert max(abs(law - drag) for drag in drags) <= bound < 1.2 * abs(law)
+
+
+def test_what_a_current_leaves_is_rounded_up() -> None:
+    claim, rng = read_claim(document("region-turning-20-current")["claim"]), np.random.default_rng(0)
+    share = np.array([[[1.0, 1.0], [0.0, 0.0]]])
+    for _ in range(20):  # a shift that leaves nothing but its own rounding
+        m, drag, k_v = (Fraction(repr(round(float(x), 4))) for x in rng.uniform(1, 50, 3))
+        known = replace(claim, mass=(m, m), k_v=k_v, linear=(drag, drag), quadratic=(0 * ONE,) * 2,
+                        drag_factor=(ONE, ONE), drag_asymmetry=0 * ONE)  # fmt: skip
+        gain = Fraction(repr(float(drag / (m * k_v + drag))))
+        (bound,) = flow_error(known, ((gain, gain), (0 * ONE,) * 2, (0 * ONE,) * 2), (0.0, 0.0), share)
+        assert Fraction(float(bound)) >= abs(drag - (m * k_v + drag) * gain) * claim.current
+
+
+@pytest.mark.parametrize("lag", [0, Fraction(1, 5)])
+def test_what_a_turn_of_the_heading_does_to_a_command_is_bounded_by_what_sampling_finds(lag: Fraction) -> None:
+    claim, rng, n = replace(read_claim(document()["claim"]), lag=(lag, lag)), np.random.default_rng(5), 40_000
+    r, fast, led, psi = float(claim.yaw_rate), 0.16, 0.03, rng.uniform(0.7, 0.8, n)
+    axes = np.array([[np.cos(psi), np.sin(psi)], [-np.sin(psi), np.cos(psi)]])  # n_i (i, entry, n)
+    share = np.abs(axes[:, 0]).max(axis=1)
+    at = stir(claim, 0.01, fast, 0.0, share, np.full(2, led))
+    moved = rng.uniform(-led, led, (2, n)) / np.sqrt(2)
+    rest = []
+    for i, other in ((0, axes[1]), (1, -axes[0])):  # the axis turns at r times the other one
+        m, a, b = (float(one[i]) for one in (claim.mass, claim.linear, claim.quadratic))
+        wished = np.array([fast + moved[0], moved[1]])
+        slope, steady = ((a + 2 * b * np.abs((axes[i] * w).sum(axis=0))) / m for w in (wished, [[fast], [0.0]]))
+        own = (steady if lag else slope) * other[0] * fast  # of w_2: with lag, that of the steady command moves F too
+        rest.append(r * (slope * (other * wished).sum(axis=0) - own))
+    ratio = np.hypot(*rest) / np.hypot(*moved) / at.swing
+    assert 0.6 < ratio.max() <= 1
 
 
 @pytest.mark.parametrize("moves", [(1, 1), (1, 0), (0, 0)])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from functools import cache, partial
 from pathlib import Path
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -33,9 +34,9 @@ from surctl.priority.solver.kernel import in_blocks, search
 from surctl.tasks import AccelerationLimit, Limit, Stack, Task, VelocityBox
 from tests.tools import need_compiler
 
-ARM, DOUBTFUL = (
+ARM, DOUBTFUL, UNSEEN = (
     json.loads((Path(__file__).parent / f"{name}.json").read_text(encoding="utf-8"))
-    for name in ("stretched_arm", "doubtful_rank")
+    for name in ("stretched_arm", "doubtful_rank", "unseen_interval")
 )
 Array = NDArray[np.float64]
 reference = partial(solve, backend="daqp")  # a step would be compiled for each shape
@@ -68,11 +69,12 @@ def test_a_stretched_arm_far_from_its_optimum_is_not_called_optimal() -> None:
     assert not shown(problem, v, np.zeros(7))
 
 
-def test_a_limit_that_matters_if_a_singular_value_counts_decides_nothing() -> None:
-    """J of the first level has a singular value of 0.8e-10·|J|, and a limit stops that direction."""
+@pytest.mark.parametrize("kept", [DOUBTFUL, UNSEEN], ids=["doubtful rank", "unseen interval"])
+def test_what_is_not_shown_is_not_called_met(kept: dict[str, Any]) -> None:
+    """A limit stops a direction of singular value 0.8e-10·|J|; the iterations end before the level of an interval."""
     need_compiler()
-    problem = PriorityProblem.from_dict(DOUBTFUL)
-    step = PriorityStep("lexicographic", n=7, levels=level_shapes(problem), rows=len(problem.rows))
+    problem = PriorityProblem.from_dict(kept)
+    step = PriorityStep("lexicographic", n=problem.width, levels=level_shapes(problem), rows=len(problem.rows))
     step.load(problem)
     step.solve()
     assert step.stage == "unconfirmed"

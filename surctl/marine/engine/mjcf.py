@@ -246,11 +246,12 @@ def _site(world: _Node, scenario: Scenario) -> None:
     surface = {"pos": (length / 2, width / 2, 0.0), "size": (length / 2, width / 2, 0.1)}
     look = {"rgba": (0.55, 0.80, 0.95, 0.10), "contype": 0, "conaffinity": 0, "group": 3}
     _node(world, "geom", name="surface", type="plane", zaxis=(0, 0, -1), **surface, **look)
-    # both cameras see the whole site in pictures of 16 to 9; without perspective, the view from above shows true gaps
+    # both cameras see the whole site in pictures of 16 to 9; without perspective, the view from above shows true gaps,
+    # but MuJoCo takes no such picture that is higher than 180 m
     extent = max(0.55 * length * 9 / 16, 0.56 * width)
     high = extent / tan(radians(_OPENING / 2))
     above = (length / 2, width / 2, high)
-    flat = {"projection": "orthographic", "fovy": 2 * extent}  # fovy: height of the picture [m]
+    flat = {"projection": "orthographic", "fovy": 2 * extent} if extent < 90.0 else {"fovy": _OPENING}
     _node(world, "camera", name="above", pos=above, xyaxes=(1, 0, 0, 0, 1, 0), **flat)
     down, back = radians(_DOWN), 1.25 * high
     side = (length / 2, width / 2 - back * cos(down), back * sin(down))

@@ -33,6 +33,7 @@ from surctl.marine.control import Gains
 from surctl.marine.simulation import Scenario
 from surctl.marine.vehicle import Vehicle
 from surctl.marine.verification.region import RegionStatement, TurningClaim, prove_turning, region_statement
+from surctl.units import towards
 from surctl.verification.certified import Certified
 
 Array = NDArray[np.float64]
@@ -99,9 +100,10 @@ class MissionProof(Certified):
         along, across = self.within
         alike = "" if loop.mass_asymmetry else " by the same factor"
         return (
-            f"proved without {without}: begun {begun} within {along:.3g} m along and {across:.3g} m across the start, "
-            f"it stays within {self.tube:.3g} m of the path and is within {self.goal:.3g} m of its end after "
-            f"{seconds:.0f} s; {legs} leg{'s' if legs > 1 else ''} at {loop.cruise:g} m/s, drag off by up to "
+            f"proved without {without}: begun {begun} within {towards(along, up=False)} m along and "
+            f"{towards(across, up=False)} m across the start, it stays within {towards(self.tube, up=True)} m of the "
+            f"path and is within {towards(self.goal, up=True)} m of its end after {seconds:.0f} s; "
+            f"{legs} leg{'s' if legs > 1 else ''} at {loop.cruise:g} m/s, drag off by up to "
             f"{loop.drag_factor[1] - 1:.0%}, masses by {loop.mass_factor[1] - 1:.0%}{alike}, a current of up to "
             f"{loop.current:g} m/s, a yaw rate of up to {loop.yaw_rate:g} rad/s; checked in {self.check_seconds:.2f} s"
             + (f"; not proved from rest: {self.rest}" if self.rest else "")

@@ -147,6 +147,13 @@ def judge(s: Memory) -> int:
         s.gap_set[row] = radius * s.scale[s.level_of[row]]
         if s.on[row] != 0:
             s.rest[row] = s.rhs[row] - at_v(s, row)
+        elif s.is_set[s.level_of[row]] != 0:  # if the iterations did not suffice, v may leave an interval unseen
+            value = at_v(s, row)
+            above = value - s.upper[row - 2]
+            below = s.lower[row - 2] - value
+            unit = s.scale[s.level_of[row]] if s.scale[s.level_of[row]] > 1.0 else 1.0
+            if not above <= 1e-7 * unit or not below <= 1e-7 * unit:
+                good = 0
     for level in within(0, s.p + 1, s.p + 1):
         square = 0.0
         if level < s.p:

@@ -19,6 +19,7 @@ from surctl.marine.verification.region.statement import RegionStatement
 from surctl.marine.verification.region.steering import SteeringClaim
 from surctl.marine.verification.region.steering_proof import prove_steering
 from surctl.marine.verification.region.turning import TurningClaim
+from surctl.units import towards
 
 AnyClaim: TypeAlias = HeadingClaim | TurningClaim | SteeringClaim
 
@@ -346,7 +347,8 @@ def prove_statement(
     for words, one, slow, most in _weaker(statement, cruise=cruise, cap=cap):
         result = _prove(one, one.claim(vehicle, gains, cruise=slow, cap=most), seed=seed)
         if result.verdict == "proved":
-            return replace(proof, reason=f"{proof.reason}; proved {words}: from {result.offset:.3g} m beside the path")
+            beside = f"from {towards(result.offset, up=False)} m beside the path"
+            return replace(proof, reason=f"{proof.reason}; proved {words}: {beside}")
         tried.append(words)
     return replace(proof, reason=f"{proof.reason}; nor is it proved {', or '.join(tried)}")
 

@@ -17,6 +17,7 @@ from surctl.marine.verification.region.steering import SteeringClaim
 from surctl.marine.verification.region.turning import TurningClaim
 from surctl.marine.verification.region.turning_search import turning_search
 from surctl.marine.verification.region.turning_shells import certificate_of, raised
+from surctl.units import towards
 from surctl.verification.certified import Certified
 
 _SHRUNK = 2 / 3  # largest share of the offset within which the motion ends, for a region that is of use
@@ -63,20 +64,21 @@ class RegionProof(Certified):
             return f"unknown: {self.reason}"
         if self.by:
             return f"{replace(self, by='').sentence}; by the stronger claim {self.by}"
-        x, y = self.ultimate_bound
+        beside = f"from {towards(self.offset, up=False)} m beside the path"
         if isinstance(self.claim, SteeringClaim):
             low, high = self.claim.speed
             return (
-                f"proved: from {self.offset:.3g} m beside the path, cross-track error, heading, sway and yaw rate "
+                f"proved: {beside}, cross-track error, heading, sway and yaw rate "
                 f"converge to 0 at {self.claim.rate:g}/s, at any surge speed from {low:.3g} to {high:.3g} m/s; "
                 f"checked in {self.check_seconds:.2f} s"
             )
-        rest = "" if self.rest_offset is None else f" ({self.rest_offset:.3g} m for a start at rest)"
+        rest = "" if self.rest_offset is None else f" ({towards(self.rest_offset, up=False)} m for a start at rest)"
+        x, y = (towards(bound, up=True) for bound in self.ultimate_bound)
         lead = "proved" if self.useful else "proved, but the region hardly shrinks"
         return (
-            f"{lead}: from {self.offset:.3g} m beside the path{rest}, the Lyapunov function decays at "
-            f"{self.claim.rate:g}/s until the robot is within {x:.3g} m along and {y:.3g} m across the path; "
-            f"checked in {self.check_seconds:.2f} s" + ("" if self.ratios is None else f"; {self.ratios.sentence}")
+            f"{lead}: {beside}{rest}, the Lyapunov function decays at {self.claim.rate:g}/s until the robot is within "
+            f"{x} m along and {y} m across the path; checked in {self.check_seconds:.2f} s"
+            + ("" if self.ratios is None else f"; {self.ratios.sentence}")
         )
 
     def to_dict(self) -> dict[str, Any]:

@@ -295,7 +295,7 @@ def steady_turning(claim: TurningClaim, *, cells: int) -> Cruise:
     flow = np.zeros((3, 2))
     if claim.current:
         full = np.hstack([np.ones((len(means), 1)), means])
-        if not claim.behind:
+        if not (claim.behind or claim.curvature):
             flow = _best_flow(claim, n, np.stack([f, g], 1), full)
         along, across = np.abs(full @ flow).max(axis=0) * claim.current
     else:
