@@ -53,7 +53,7 @@ def check(document: Mapping[str, Any]) -> None:
     p = triangle(proof["P"], 6 if claim.lag[1] else 4, "proof.P")
     if not is_positive_definite(p):
         raise Rejected("P is not positive definite")
-    if any(p[i][j] for i in range(len(p)) for j in range(1 - i % 2, i, 2)):  # y, U_y and F_y alone change their sign
+    if any(p[i][j] for i in range(1, len(p)) for j in range(1 - i % 2, i, 2)):  # y, U_y and F_y alone change their sign
         raise Rejected("P is not symmetric under reflection in the path")
     trim, cells = cruise_of(claim, proof), proof["cells"]
     if type(cells) is not int or not _CELLS[0] <= cells <= _CELLS[1]:

@@ -451,8 +451,8 @@ def check_shell(
     floor = float(growth * low) / UP
     along: tuple[float, ...] = (0.0,)
     if claim.curvature:
-        pad = float(max(map(abs, trim.moved)) / claim.k1) * (UP - 1)
-        along = float(-trim.moved[1] / claim.k1) - pad, float(-trim.moved[0] / claim.k1) + pad
+        first, last = (float(-moved / claim.k1) for moved in reversed(trim.moved))
+        along = first - abs(first) * (UP - 1), last + abs(last) * (UP - 1)
     for k in range(len(cells.corners)):
         go_on()
         z = cells.corners[k]

@@ -14,8 +14,11 @@ import pytest
 
 from surctl.certcheck import check_document
 from surctl.certcheck.document import Rejected
+from surctl.certcheck.region_claim import read_shells, triangle
 from surctl.certcheck.turning import _flow, _phases, _slopes, require_bound, require_starts
 from surctl.certcheck.turning_claim import TurningClaim, read_claim
+from surctl.certcheck.turning_form import lipschitz
+from surctl.certcheck.turning_terms import outer_force
 from tests.certcheck.altering import put, sealed
 
 HERE = Path(__file__).parent
@@ -39,6 +42,35 @@ def test_a_certificate_has_no_further_entry() -> None:
 def test_the_matrix_and_the_number_of_cells_are_checked(path: tuple[Any, ...], value: Any, says: str) -> None:
     found = check_document(sealed(put(copy.deepcopy(STORED), ("proof", *path), value)))
     assert not found.accepted and says in found.reason
+
+
+@pytest.mark.parametrize("rows", [None, "ab", [1.0, [0.0, 1.0]], [[1.0], 1.0], [1.0, 1.0], [[1.0], [0.0]], [[1.0]]])
+def test_a_matrix_is_a_triangle_of_lists(rows: object) -> None:
+    with pytest.raises(Rejected, match="must be a lower triangle with 2 rows"):
+        triangle(rows, 2, "P")
+
+
+@pytest.mark.parametrize("shells", [None, "a", {}, [], [{"level": 1.0, "growth": 0.1}] * 3])
+def test_shells_are_a_list_of_at_least_one_and_not_too_many(shells: object) -> None:
+    with pytest.raises(Rejected, match="must hold 1 to 2 shells"):
+        read_shells({"floor": 0.1, "shells": shells}, "growth", 2)
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_errors_of_measurement_count_with_the_axis_on_which_they_change_more_thrust(order: int) -> None:
+    """The heavier axis answers an error of the velocity, the one with more drag as well an error of the position."""
+    mass, linear = (Fraction(20), Fraction(30))[::order], (Fraction(40), Fraction(10))[::order]
+    quadratic, none = (Fraction(0), Fraction(0)), Fraction(0)
+    ideal = replace(CLAIM, mass=mass, linear=linear, quadratic=quadratic, k_v=Fraction(1), force=none, place_error=none)
+    assert outer_force(replace(ideal, velocity_error=Fraction(1)), 0.1) >= 30.0
+    found = outer_force(replace(ideal, place_error=Fraction(1, 100), velocity_error=none), 0.1)
+    assert found >= (20.0 + 40.0) * float(CLAIM.cap / CLAIM.lookahead) * 0.01
+    assert found >= (20.0 + 40.0) * float(CLAIM.k1) * 0.01
+
+
+def test_the_commanded_velocity_changes_by_the_place_on_the_path_and_by_the_cap() -> None:
+    slow, fast = replace(CLAIM, cap=Fraction(1, 1000)), replace(CLAIM, k1=Fraction(1, 1000))
+    assert lipschitz(slow, 0.0, 0.0) >= float(slow.k1) and lipschitz(fast, 0.0, 0.0) >= float(fast.cap / fast.lookahead)
 
 
 @pytest.mark.parametrize("changes", [
