@@ -267,6 +267,7 @@ def verify(
         lines.append(f"certificates: {len(certificates)}, pictures: {len(result['pictures'])}, in {out}")
     beside = list[str]()
     failures = [line.text for line in judged if line.rank == 0]
+    wrong = len(failures)
     failures += [f"{v.claim.name} is {v.verdict}, not {v.claim.expected}" for v in verdicts if not v.as_expected]
     others = [*regions.claims, *braked.claims, *(one.to_dict() for one in refused if named)]
     failures += [f"{one['claim']} is {one['verdict']}" for one in others if one["verdict"] != "proved"]
@@ -307,8 +308,10 @@ def verify(
     about_claims = [line for line in about_claims if not line.startswith(" ") and line not in missions.lines]
     if len(about_claims) > _MOST_CLAIMS:
         good = sum(line.startswith("ok") for line in about_claims)
-        about_claims = [f"ok   {good} of {len(about_claims)} claims as expected"]
-    brief = [*missions.lines, *(f"FAIL {text}" for text in failures), *about_claims]
+        counted = f"ok   {good} of {len(about_claims)} claims as expected"
+        about_claims = [*(f"FAIL {text}" for text in failures[wrong:]), counted]
+    about_claims.sort(key=lambda line: not line.startswith("FAIL"))
+    brief = [*missions.lines, *(f"FAIL {text}" for text in failures[:wrong]), *about_claims]
     brief += [f"{line.mark} {line.text}" for line in judged if line.rank] + beside + conditions_lines
     finish(
         result, lines, as_json=as_json, passed=not failures, then=then, brief=brief,

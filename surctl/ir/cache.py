@@ -119,7 +119,7 @@ def find_compiler() -> str:
             return name
     packaged = packaged_compiler()
     if packaged is None:
-        remedy = "install one (pip install 'surctl[compiler]', or on Debian: apt install gcc) or set CC"
+        remedy = "install one (pip install ziglang, or on Debian: apt install gcc) or set CC"
         raise ToolMissing("no C compiler found (cc, gcc, clang)", remedy=remedy)
     return packaged
 

@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from surctl.errors import InputError, NotApplicable, nearest
+from surctl.errors import InputError, NotApplicable, UnsupportedOperation, nearest
 from surctl.lyapunov.dynamics import Command, Dynamics, Range, Sampling, State, exact
 from surctl.lyapunov.equilibrium import refined
 from surctl.lyapunov.exact_rest import exact_values
@@ -67,7 +67,8 @@ def continuous_dynamics(
 
     Raises:
         InputError: a name is unknown, or a state with equal or without bounds moves.
-        NotApplicable: the loop depends on time, has sampled blocks, or a law that is not symbolic.
+        NotApplicable: the loop depends on time, has sampled blocks, a law that is not symbolic, or an operation that
+            the claim grammar lacks.
 
     Example:
         >>> from surctl.ir import Layout, Port
@@ -266,7 +267,10 @@ class _Constants:
         """Return the exact expressions of a column."""
         by = {f"number{value}": number(Fraction(value)) for value in self._symbols}
         whole = ca.vertcat(symbols, *self._symbols.values())
-        nodes = from_casadi(whole, [*names, *by], ca.vertsplit(ca.densify(column)), to_the_bit=True)
+        try:
+            nodes = from_casadi(whole, [*names, *by], ca.vertsplit(ca.densify(column)), to_the_bit=True)
+        except UnsupportedOperation as error:
+            raise NotApplicable(f"{error.problem}: {error.remedy}", to="the loop") from None
         return [rebuilt(substitute(node, by), _signed) for node in nodes]
 
 

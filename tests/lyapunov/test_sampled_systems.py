@@ -185,6 +185,15 @@ def test_a_loop_without_one_rest_point_in_the_box_has_no_region(values: Any, ran
         require_common(sampled_dynamics(system, {"x": (-1.0, 1.0)}, values=values, ranges=ranges))
 
 
+def test_a_loop_with_an_operation_that_no_claim_has_has_no_region_but_margins() -> None:
+    def exact(x: Any, u: Any, p: Any) -> Any:
+        wish = -p["k"] * u["x"] - 3 * u["v"]
+        return ca.if_else(wish == limited(x, u, p), wish, limited(x, u, p))
+
+    with pytest.raises(NotApplicable, match="operation 'eq' is not part of the claim grammar: compare by <="):
+        sampled_dynamics(cart(exact), WITHIN)
+
+
 def test_a_jump_is_the_cause_of_unknown_in_the_first_line() -> None:
     system = cart(limited)
     plant = Plant(

@@ -417,7 +417,8 @@ _COMPOSED: Mapping[str, Callable[..., Node]] = MappingProxyType(
 _SUBSTITUTES: Mapping[str, str] = MappingProxyType(
     {"hypot": "write sqrt(x*x + y*y)", "sign": "write if_else(x < 0, -1, 1)", "copysign": "use if_else and fabs",
      "asinh": "write log(x + sqrt(x*x + 1))", "acosh": "write log(x + sqrt(x*x - 1))",
-     "atanh": "write log((1 + x)/(1 - x))/2"}
+     "atanh": "write log((1 + x)/(1 - x))/2", "eq": "compare by <=, or feed a difference back",
+     "ne": "compare by <="}
 )  # fmt: skip
 _COMMUTATIVE = frozenset({"add", "mul"})
 _COMPARISONS = frozenset({"lt", "le"})
