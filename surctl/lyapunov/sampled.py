@@ -1,6 +1,6 @@
 """Regions of attraction of sampled loops, with held commands, proved at the sampling instants and in between.
 
-V decreases from instant to instant, and a function W between them. All matrix inequalities are linear in the inverse
+V decreases from sample to sample, and a function W between them. All matrix inequalities are linear in the inverse
 matrices Q of V and of the knots of W, and in Y = G Q for the feedbacks G of the limits (`surctl.certcheck.sampled`).
 The region grows in rounds; in each round, the slopes are those of a somewhat larger region. The checker decides.
 """
@@ -301,8 +301,8 @@ class SampledStability(Stability):
         assert sampling is not None
         pace = "" if self.rate is None else f" by at least {every_digit(self.rate)} of its value"
         return (
-            f"sampled every {every_digit(sampling.period)} s with held commands, where V < {every_digit(self.level)}, "
-            f"V decreases{pace} from instant to instant and every solution converges to the equilibrium"
+            f"sampled every {every_digit(sampling.period)} s with held commands: where V < {every_digit(self.level)}, "
+            f"V decreases{pace} from sample to sample, and every solution converges to the equilibrium"
         )
 
     def plain(self) -> dict[str, Any]:
