@@ -15,6 +15,7 @@ import pytest
 from surctl.certcheck import check_document
 from surctl.certcheck.document import Rejected
 from surctl.certcheck.region_claim import read_shells, triangle
+from surctl.certcheck.region_exact import largest_eigenvalue
 from surctl.certcheck.turning import _flow, _phases, _slopes, require_bound, require_starts
 from surctl.certcheck.turning_claim import TurningClaim, read_claim
 from surctl.certcheck.turning_form import lipschitz
@@ -54,6 +55,11 @@ def test_a_matrix_is_a_triangle_of_lists(rows: object) -> None:
 def test_shells_are_a_list_of_at_least_one_and_not_too_many(shells: object) -> None:
     with pytest.raises(Rejected, match="must hold 1 to 2 shells"):
         read_shells({"floor": 0.1, "shells": shells}, "growth", 2)
+
+
+def test_the_largest_eigenvalue_is_rounded_up() -> None:
+    a, b, c = Fraction(0), Fraction(1), Fraction(1)
+    assert (2 * largest_eigenvalue([[a, b], [b, c]]) - a - c) ** 2 > (a - c) ** 2 + 4 * b**2  # the root is irrational
 
 
 @pytest.mark.parametrize("order", [1, -1])
