@@ -384,9 +384,7 @@ def _summary(
     body: list[str] = []
     for k, line in enumerate(decisive):
         free, others = _MOST - len(tail) - len(body), len(decisive) - k - 1
-        if not k:  # the first line has two lines, and what is then left
-            others = 0 if line.startswith("WORSE") else min(others, max(free - 2, 0))
-        body += _folded(line, max(free - others, 1) if free else 0)
+        body += _folded(line, min(free, max(free - others, 1 if k else first)))
     while commands and len(body) + len(tail) + len(commands[0]) <= _MOST:
         tail += commands.pop(0)
     if len(body) + len(tail) < _MOST:

@@ -266,11 +266,11 @@ def verify(
         result["pictures"] = _draw(verdicts, regions.claims, robot, tuned.gains, out, cruise=margins_at, law=chosen_law)
         lines.append(f"certificates: {len(certificates)}, pictures: {len(result['pictures'])}, in {out}")
     beside = list[str]()
-    failures = [line.text for line in judged if line.rank == 0]
-    wrong = len(failures)
-    failures += [f"{v.claim.name} is {v.verdict}, not {v.claim.expected}" for v in verdicts if not v.as_expected]
+    failing = [line.text for line in judged if line.rank == 0]
+    unmet = [f"{v.claim.name} is {v.verdict}, not {v.claim.expected}" for v in verdicts if not v.as_expected]
     others = [*regions.claims, *braked.claims, *(one.to_dict() for one in refused if named)]
-    failures += [f"{one['claim']} is {one['verdict']}" for one in others if one["verdict"] != "proved"]
+    unmet += [f"{one['claim']} is {one['verdict']}" for one in others if one["verdict"] != "proved"]
+    failures = [*failing, *unmet]
     if safety is not None:
         judges = not isinstance(safety, Inapplicable)
         lines += safety.lines() if judges else [f"no contact: {safety.sentence}"]
@@ -309,9 +309,9 @@ def verify(
     if len(about_claims) > _MOST_CLAIMS:
         good = sum(line.startswith("ok") for line in about_claims)
         counted = f"ok   {good} of {len(about_claims)} claims as expected"
-        about_claims = [*(f"FAIL {text}" for text in failures[wrong:]), counted]
+        about_claims = [*(f"FAIL {text}" for text in unmet), counted]
     about_claims.sort(key=lambda line: not line.startswith("FAIL"))
-    brief = [*missions.lines, *(f"FAIL {text}" for text in failures[:wrong]), *about_claims]
+    brief = [*missions.lines, *(f"FAIL {text}" for text in failing), *about_claims]
     brief += [f"{line.mark} {line.text}" for line in judged if line.rank] + beside + conditions_lines
     finish(
         result, lines, as_json=as_json, passed=not failures, then=then, brief=brief,
