@@ -267,11 +267,16 @@ class _Constants:
         """Return the exact expressions of a column."""
         by = {f"number{value}": number(Fraction(value)) for value in self._symbols}
         whole = ca.vertcat(symbols, *self._symbols.values())
-        try:
-            nodes = from_casadi(whole, [*names, *by], ca.vertsplit(ca.densify(column)), to_the_bit=True)
-        except UnsupportedOperation as error:
-            raise NotApplicable(f"{error.problem}: {error.remedy}", to="the loop") from None
+        nodes = _exact(whole, [*names, *by], ca.vertsplit(ca.densify(column)))
         return [rebuilt(substitute(node, by), _signed) for node in nodes]
+
+
+def _exact(symbols: ca.SX, names: Sequence[str], expressions: Sequence[ca.SX]) -> list[Node]:
+    """Return the exact expressions of a loop."""
+    try:
+        return from_casadi(symbols, names, expressions, to_the_bit=True)
+    except UnsupportedOperation as error:
+        raise NotApplicable(f"{error.problem}: {error.remedy}", to="the loop") from None
 
 
 def _signed(node: Node, args: tuple[Node, ...]) -> Node:
@@ -347,7 +352,7 @@ def _check_rest(
             raise InputError(problem, key=f"within.{label}", remedy="give the lower and upper bound of the state")
     # points miss a rate that differs from 0 in a small part of the box
     names = tuple(v.name for v in variables)
-    for label, rate in zip(apart, from_casadi(symbols, names, list(apart.values()), to_the_bit=True), strict=True):
+    for label, rate in zip(apart, _exact(symbols, names, list(apart.values())), strict=True):
         for side in (rate, -rate):
             statement = Statement(names, low[:, 0], high[:, 0], side, exact(_ROUNDING), ())
             if prove_cases(statement, label, time_limit=_PROOF).remaining:
