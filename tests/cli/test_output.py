@@ -10,8 +10,8 @@ import click
 import pytest
 
 from surctl.cli.output import finish, finite
-from surctl.cli.runs import activity_line, series_lines
-from surctl.cli.study import _margin_line
+from surctl.marine.cli.runs import activity_line, series_lines
+from surctl.marine.cli.study import _margin_line
 
 
 def test_json_holds_numbers_that_are_finite_alone() -> None:

@@ -11,11 +11,12 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from surctl.cli.output import FILE, Count, finish, progress, same_command, saving, stoppable, together
-from surctl.cli.robot_options import RobotOptions, choose_gains, choose_vehicle
+from surctl.cli.simulate import where
 from surctl.errors import InputError
+from surctl.marine.cli.robot_options import RobotOptions, choose_gains, choose_vehicle
 
 if TYPE_CHECKING:
-    from surctl.cli.sensor_options import SensorOptions
+    from surctl.marine.cli.sensor_options import SensorOptions
     from surctl.marine.simulation import Case, Run, SafetyClaim
     from surctl.marine.simulation.campaign.campaign import Campaign
     from surctl.marine.simulation.campaign.worlds import Plan
@@ -54,11 +55,6 @@ def activity_line(run: Run) -> str:
         f"yaw); worst axis: {m.axis_sign_changes_per_s:.2g} sign changes/s, saturated {m.axis_saturated_share:.0%} of "
         f"the time; wasted {m.wasted_impulse_n_s:.0f} N s ({m.wasted_share:.0%})"
     )
-
-
-def where(out: Path | None) -> list[str]:
-    """Return where the files of runs are, for a summary."""
-    return [] if out is None else [f"files {out}"]
 
 
 def failure(run: Run) -> str | None:
