@@ -86,9 +86,14 @@ def with_branches(command: click.Command) -> click.Command:
 def to_application(words: Sequence[str]) -> Any:
     """Hand words that name no system of the user's own, with all options, to the application that takes them."""
     context = click.get_current_context()
-    command, name = context.command, str(context.command.name)
+    name = str(context.command.name)
     branch = next(one.branches[name] for one in applications() if name in one.branches and one.takes(words))
-    assert isinstance(command, CommonCommand) and branch.callback is not None
-    known = {one.name for one in (*command.own, *branch.params)} - {"seconds"}
-    values = context.params | {"words": tuple(words)}
-    return branch.callback(**{key: value for key, value in values.items() if key in known})
+    assert branch.callback is not None
+    values = branch.make_context(name, list(words), resilient_parsing=True).params | context.params
+    known = {one.name for one in (*own_parameters(context.command), *branch.params)} - {"seconds"}
+    return branch.callback(**{key: value for key, value in values.items() if key in known} | {"words": tuple(words)})
+
+
+def own_parameters(command: click.Command) -> Sequence[click.Parameter]:
+    """Return the parameters of a command without those of the applications."""
+    return command.own if isinstance(command, CommonCommand) else command.params

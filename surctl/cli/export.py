@@ -54,21 +54,26 @@ class ExportOptions:
     prove: bool
     out: Path
 
-    def tools(self) -> Tools:
-        """Return the compilers and processors of `--check`, and those that are not available.
+    def checked(self, targets: Sequence[str], *, of: str = "") -> tuple[Real, Tools]:
+        """Return the number type, the compilers and processors of `--check`, and those that are not available.
 
         Raises:
-            InputError: `--check` is missing, or a target is unknown.
+            InputError: `--target` or `--real` is not available (`of` the subject), `--check` is missing, or a target is
+                unknown.
             ToolMissing: there is no C compiler.
         """
         from surctl.export.emulated import chosen_targets
+        from surctl.export.precision import REALS
         from surctl.ir.cache import find_compiler
 
+        for key, value, known in (("--target", self.target, targets), ("--real", self.real, REALS)):
+            if value not in known:
+                raise InputError(f"is not available{of}", key=key, value=value, remedy=nearest(value, known))
         if not self.check and (self.targets or self.steps):
             raise InputError("needs --check", key="--targets" if self.targets else "--steps", remedy="add --check")
         tools = chosen_targets([name.strip() for name in self.targets.split(",")] if self.targets else ())
         find_compiler()
-        return tools
+        return REALS[REALS.index(self.real)], tools
 
     def proved(self, controller: Exportable, bundle: Bundle, limit: Any = None) -> tuple[Bundle, ProofReport | None]:
         """Return the bundle with its proof, and the proof, if it is requested; else the bundle and None."""
@@ -102,6 +107,65 @@ class ExportOptions:
                 binaries[unit.path.name] = unit.path.read_bytes()
         return Compared(sil, report, binaries)
 
+    def finish(
+        self,
+        compared: Compared,
+        bundle: Bundle,
+        assessment: Assessment,
+        *,
+        proof: ProofReport | None,
+        run: Mapping[str, Any],
+        replayed: str,
+        about: tuple[Sequence[str], Sequence[str]],
+        data: Mapping[str, Any],
+        same: bool,
+        then: Sequence[str],
+        as_json: bool,
+        **statuses: Any,
+    ) -> None:
+        """Write the bundle with its evidence, print what was compared and assessed, and end the command.
+
+        Args:
+            compared, bundle, assessment, proof: what is exported, and what is known of it.
+            run: the replayed run, for the manifest; `replayed` is its line, `statuses` as in `evidence_of`.
+            about: lines before the verdict: on the choice of the subject, and on the run.
+            data: further data for JSON.
+            same: whether C and Python agree.
+            then: the commands to suggest next.
+        """
+        from surctl.export.bundle import write_bundle
+        from surctl.export.evidence import evidence_of, with_evidence
+
+        sil, report = compared.sil, compared.report
+        assessed = {"assessment": finite(assessment.to_dict())}
+        evidence = evidence_of(run=run, sil=sil, check=report, proof=proof, **statuses) | assessed
+        # a bundle appears when it is complete and checked, at once
+        files = write_bundle(with_evidence(bundle, evidence, binaries=compared.binaries), self.out)
+        parts = {"sil": sil, "proof": proof, "check": report}
+        data = {
+            **data,
+            "name": bundle.name,
+            "id": bundle.id,
+            "real": self.real,
+            "files": [str(file.path) for file in files],
+            "sha256": {file.path.relative_to(self.out).as_posix(): file.sha256 for file in files},
+            "assessment": assessment.to_dict(),
+            **{name: part.to_dict() for name, part in parts.items() if part is not None},
+        }
+        further = [line for one in (proof, report) if one is not None for line in ("", one.summary())]
+        verdict = f"exported; {assessment.verdict()}"
+        first, last = about
+        lines = [*first, *(f"{file.sha256[:12]}  {file.path}" for file in files), "", f"replayed: {replayed}", *last]
+        lines += [sil.summary(), *further, verdict, *assessment.decisive]
+        brief = [_sil_line(sil), verdict, *filter(None, further)]
+        brief += [f"replayed: {replayed}"] * assessment.accepted()  # otherwise the worst line needs the room
+        passed = (report is None or report.passed) and (proof is None or proof.proved)
+        finish(
+            data, lines, as_json=as_json, passed=same and passed and assessment.accepted(), then=then,
+            brief=[*brief, *(f"{line.mark} {line.text}" for line in assessment.lines)],
+            files=[f"code {self.out} ({len(files)} files)"],
+        )  # fmt: skip
+
 
 class Compared(NamedTuple):
     """Comparison of C and Python over a run, report of `--check` or None, binary files by name."""
@@ -109,19 +173,6 @@ class Compared(NamedTuple):
     sil: SilReport
     report: CheckReport | None
     binaries: dict[str, bytes]
-
-    def summaries(self, proof: ProofReport | None) -> list[str]:
-        """Return the lines about the proof and the report."""
-        return [line for one in (proof, self.report) if one is not None for line in ("", one.summary())]
-
-    def passed(self, proof: ProofReport | None) -> bool:
-        """Whether proof and report are as expected."""
-        return (self.report is None or self.report.passed) and (proof is None or proof.proved)
-
-    def data(self, proof: ProofReport | None) -> dict[str, Any]:
-        """Return comparison, proof and report for JSON."""
-        parts = {"sil": self.sil, "proof": proof, "check": self.report}
-        return {name: part.to_dict() for name, part in parts.items() if part is not None}
 
 
 @click.command
@@ -153,13 +204,6 @@ def export(words: tuple[str, ...], seconds: float | None, options: ExportOptions
     to_application(words)
 
 
-def export_brief(compared: Compared, proof: ProofReport | None, assessment: Assessment, replayed: str) -> list[str]:
-    """Return the summary of an export: comparison of the code, verdict on what was exported, proof, replayed run."""
-    lines = [_sil_line(compared.sil), f"exported; {assessment.verdict()}"]
-    lines += [line for line in compared.summaries(proof) if line]
-    return [*lines, replayed] if assessment.accepted() else lines  # the worst line needs the room
-
-
 def _sil_line(sil: SilReport) -> str:
     import numpy as np
 
@@ -182,17 +226,12 @@ def system_bundle(
     return build_bundle(controller, gains, name=name, real=real, supplement=plant)
 
 
-def system_evidence(
-    own: OwnSystem, record: Record, assessment: Assessment, sil: SilReport, **others: Any
-) -> dict[str, Any]:
-    """Return what was checked of a system for the manifest of its bundle; `others` as in `evidence_of`."""
-    from surctl.export.evidence import evidence_of
+def replayed_run(own: OwnSystem, record: Record) -> dict[str, Any]:
+    """Return the run of a system for the manifest of its bundle."""
     from surctl.system import LOST
 
     failure = record.lost if record.stopped == LOST else None
-    replayed = {"system": own.label, "text": end_text(own, record), "failure": failure}
-    evidence = evidence_of(run=replayed, sil=sil, **others)
-    return evidence | {"assessment": finite(assessment.to_dict())}
+    return {"system": own.label, "text": end_text(own, record), "failure": failure}
 
 
 def export_system(words: Sequence[str], options: ExportOptions, *, seconds: float | None, as_json: bool) -> None:
@@ -202,18 +241,11 @@ def export_system(words: Sequence[str], options: ExportOptions, *, seconds: floa
         InputError: an option is not available, `--check` is missing, or the name is that of a built-in law.
     """
     from surctl.assessment import ClosedLoop, assess
-    from surctl.export.bundle import check_folder, write_bundle
+    from surctl.export.bundle import check_folder
     from surctl.export.envelope import as_records
-    from surctl.export.evidence import with_evidence
-    from surctl.export.precision import REALS
     from surctl.system import run_system
 
-    for key, value, known in (("--target", options.target, TARGETS), ("--real", options.real, REALS)):
-        if value not in known:
-            problem = "is not available for a system of your own"
-            raise InputError(problem, key=key, value=value, remedy=nearest(value, known))
-    tools = options.tools()
-    real = REALS[REALS.index(options.real)]
+    real, tools = options.checked(TARGETS, of=" for a system of your own")
     own = load_system(words)
     duration, values = own.seconds(seconds), assigned(own.settings)
     name = own.exported_name(options.name)
@@ -223,31 +255,18 @@ def export_system(words: Sequence[str], options: ExportOptions, *, seconds: floa
     bundle, proof = options.proved(controller, system_bundle(own, values, record, name=name, real=real))
     gains = controller.gains.unpack(record.controller[2])
     compared = options.compared(controller, bundle, as_records(controller, record), gains, tools)
-    assessment = assess(ClosedLoop(own.system, values, record=record))
     sil = compared.sil
-    evidence = system_evidence(own, record, assessment, sil, check=compared.report, proof=proof)
-    files = write_bundle(with_evidence(bundle, evidence, binaries=compared.binaries), options.out)
-    lines = [*(f"{file.sha256[:12]}  {file.path}" for file in files), "", f"replayed: {end_text(own, record)}"]
-    lines += [*cost_lines(own.system, record.figures), *(f"{line.mark} {line.text}" for line in assessment.lines)]
-    lines += [f"exported; {assessment.verdict()}", sil.summary(), *compared.summaries(proof)]
     data = {
         **own.names,
-        "name": bundle.name,
-        "id": bundle.id,
-        "real": real,
         "commands": {port.name: port.unit for port in own.system.commands},
-        "files": [str(file.path) for file in files],
-        "sha256": {file.path.relative_to(options.out).as_posix(): file.sha256 for file in files},
         "stopped": record.stopped,
         "duration_s": record.duration,
         "costs": cost_data(own.system, record.figures),
-        "assessment": assessment.to_dict(),
         "largest_difference": max(part.absolute for part in (sil.tau, sil.state, sil.telemetry)),
-        **compared.data(proof),
     }
-    passed = sil.exact and compared.passed(proof) and assessment.accepted()
-    then = [f"make -C {shlex.quote(str(options.out))} check"]
-    brief = export_brief(compared, proof, assessment, f"replayed: {end_text(own, record)}")
-    brief += [f"{line.mark} {line.text}" for line in assessment.lines]
-    where = [f"code {options.out} ({len(files)} files)"]
-    finish(data, lines, as_json=as_json, passed=passed, then=then, brief=brief, files=where)
+    options.finish(
+        compared, bundle, assess(ClosedLoop(own.system, values, record=record)),
+        proof=proof, run=replayed_run(own, record), replayed=end_text(own, record),
+        about=((), cost_lines(own.system, record.figures)), data=data, same=sil.exact,
+        then=[f"make -C {shlex.quote(str(options.out))} check"], as_json=as_json,
+    )  # fmt: skip

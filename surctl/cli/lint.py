@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -11,13 +12,7 @@ import click
 from surctl.cli.application import to_application
 from surctl.cli.output import as_json, finish, printable
 from surctl.cli.subject import RegionWords, command_line, is_system, load_system
-from surctl.errors import InputError, nearest
-
-
-class _Problem(NamedTuple):
-    level: str
-    key: str
-    text: str
+from surctl.errors import Finding, InputError, nearest
 
 
 def _lint_system(word: str) -> Linted:
@@ -27,14 +22,14 @@ def _lint_system(word: str) -> Linted:
     from surctl.system.values import checked_ranges
 
     own = load_system([word])
-    system, problems = own.system, list[_Problem]()
+    system, problems = own.system, list[Finding]()
 
     def check(work: Callable[[], object]) -> None:
         try:
             work()
         except InputError as error:
             key = error.key or "system"
-            problems.append(_Problem("error", key, error.problem + (f"; {error.remedy}" if error.remedy else "")))
+            problems.append(Finding("error", key, error.problem + (f"; {error.remedy}" if error.remedy else "")))
 
     if system.duration is not None:
         check(lambda: own.seconds(None))
@@ -43,7 +38,7 @@ def _lint_system(word: str) -> Linted:
     labels = entry_labels(system.plant.state) + entry_labels(system.controller.state, "controller.")
     strange = [name for name in system.within if name not in labels]
     problems += [
-        _Problem("error", f"within.{n}", f"is not a state of the system; {nearest(n, labels)}") for n in strange
+        Finding("error", f"within.{n}", f"is not a state of the system; {nearest(n, labels)}") for n in strange
     ]
     if not problems:
         check(lambda: checked_ranges(system, system.ranges))
@@ -51,15 +46,11 @@ def _lint_system(word: str) -> Linted:
         check(lambda: RegionWords(system.within, {}, {}).problem(system, {}))
     absent = {"duration": system.duration is None, "costs": not system.costs, "ranges": not system.ranges}
     absent["within"] = not system.within
-    problems += [_Problem("info", key, f"is not given, so {_ABSENT[key]}") for key, none in absent.items() if none]
-    works = all(one.level != "error" for one in problems)
-    if works:
+    problems += [Finding("info", key, f"is not given, so {_ABSENT[key]}") for key, none in absent.items() if none]
+    if not any(one.level == "error" for one in problems):
         judged = assess(ClosedLoop(system), parts=["loop"]).lines
-        problems += [_Problem("warning", "gains", line.text) for line in judged if line.passed is False]
-    lines = [f"{one.level}: {one.key}: {one.text}" for one in problems] or [f"{word}: nothing found"]
-    data = {"file": word, "kind": "system", "findings": [one._asdict() for one in problems]}
-    then = [command_line("study", own), command_line("verify", own)] if works else []
-    return Linted(data, printable(lines), works, then)
+        problems += [Finding("warning", "gains", line.text) for line in judged if line.passed is False]
+    return Linted(word, "system", problems, [command_line("study", own), command_line("verify", own)])
 
 
 _ABSENT = {
@@ -71,18 +62,31 @@ _ABSENT = {
 
 
 class Linted(NamedTuple):
-    """The findings of a file: data, lines, whether it can work, and the commands to suggest next."""
+    """The findings of a file, and the commands to suggest next if the file can work."""
 
-    data: dict[str, Any]
-    lines: list[str]
-    works: bool
-    then: list[str]
+    file: str
+    kind: str
+    findings: Sequence[Finding]
+    commands: list[str]
 
-    def counts(self, file: str) -> str:
+    @property
+    def works(self) -> bool:
+        """Whether no finding is an error."""
+        return all(one.level != "error" for one in self.findings)
+
+    @property
+    def data(self) -> dict[str, Any]:
+        """The findings for JSON."""
+        return {"file": self.file, "kind": self.kind, "findings": [one.to_dict() for one in self.findings]}
+
+    def lines(self, word: str) -> list[str]:
+        """Return a line for each finding; `word` is the file as typed."""
+        return printable([f"{f.level}: {f.key}: {f.text}" for f in self.findings] or [f"{word}: nothing found"])
+
+    def counts(self, word: str) -> str:
         """Return the file, and how many entries of each level it has."""
-        levels = [finding["level"] for finding in self.data["findings"]]
-        counts = [f"{levels.count(level)} x {level}" for level in dict.fromkeys(levels)]
-        return f"{file}: {', '.join(counts) or 'nothing found'}"
+        levels = Counter(one.level for one in self.findings)
+        return f"{word}: {', '.join(f'{n} x {level}' for level, n in levels.items()) or 'nothing found'}"
 
 
 @click.command
@@ -95,16 +99,12 @@ def lint(words: tuple[str, ...], as_json: bool, **_: Any) -> None:
 
     Example: surctl lint my_system.py:build
     """
-    files = words
-    done = [_lint_system(file) if is_system([file]) else to_application([file]) for file in files]
+    done = [(word, _lint_system(word) if is_system([word]) else to_application([word])) for word in words]
+    passed = all(one.works for _, one in done)
     if len(done) == 1:
-        one = done[0]
-        brief = [one.counts(files[0]), *one.lines]
-        finish(one.data, one.lines, as_json=as_json, passed=one.works, then=one.then, brief=brief)
-    lines = [
-        line for file, one in zip(files, done, strict=True) for line in (f"{file}:", *(f"  {s}" for s in one.lines))
-    ]
-    finish(
-        {"files": [one.data for one in done]}, lines, as_json=as_json, passed=all(one.works for one in done),
-        brief=[one.counts(file) for file, one in sorted(zip(files, done, strict=True), key=lambda one: one[1].works)],
-    )  # fmt: skip
+        [(word, one)] = done
+        lines, brief = one.lines(word), [one.counts(word), *one.lines(word)]
+        finish(one.data, lines, as_json=as_json, passed=passed, then=one.commands if passed else [], brief=brief)
+    lines = [line for word, one in done for line in (f"{word}:", *(f"  {each}" for each in one.lines(word)))]
+    brief = [one.counts(word) for word, one in sorted(done, key=lambda item: item[1].works)]
+    finish({"files": [one.data for _, one in done]}, lines, as_json=as_json, passed=passed, brief=brief)

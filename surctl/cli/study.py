@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from surctl.cli.application import to_application
-from surctl.cli.output import FOLDER, Count, as_json, finish, progress, saving, stoppable, timed
+from surctl.cli.output import FOLDER, Count, as_json, finish, finite, progress, saving, stoppable, timed
 from surctl.cli.subject import (
     OwnSystem,
     assigned,
@@ -73,11 +73,11 @@ def study_system(words: Sequence[str], *, seconds: float | None, workers: int, o
     """Write report.html and the C code of the controller; exit with status 1 if a check of the report fails."""
     from surctl import __version__
     from surctl.assessment import ClosedLoop, assess
-    from surctl.cli.export import system_bundle, system_evidence
+    from surctl.cli.export import replayed_run, system_bundle
     from surctl.cli.subject import loop_data, mode_text, region_words, resting
     from surctl.cli.sweep import best_line, best_points
     from surctl.export.bundle import check_folder, write_bundle
-    from surctl.export.evidence import with_evidence
+    from surctl.export.evidence import evidence_of, with_evidence
     from surctl.export.process import build_controller
     from surctl.export.sil import compare_runs
     from surctl.files import prepare_folder, write_file
@@ -125,7 +125,9 @@ def study_system(words: Sequence[str], *, seconds: float | None, workers: int, o
     with stoppable(f"the code is in {out / 'export'}; not finished: margins, region, sweep", ran, as_json=as_json):
         assessment = assess(subject).with_lines([export_line(sil)])
         with saving("code"):
-            files = write_bundle(with_evidence(bundle, system_evidence(own, record, assessment, sil)), out / "export")
+            evidence = evidence_of(run=replayed_run(own, record), sil=sil)
+            evidence["assessment"] = finite(assessment.to_dict())
+            files = write_bundle(with_evidence(bundle, evidence), out / "export")
         if design is not None:
             progress(f"sweep of {len(design[0].points)} points")
             with saving("sweep"):

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import click
 from click.core import ParameterSource
 
-from surctl.cli.application import CommonCommand, applications
+from surctl.cli.application import applications, own_parameters
 from surctl.errors import InputError, NotApplicable, check_known, nearest
 
 if TYPE_CHECKING:
@@ -146,7 +146,7 @@ def is_system(words: Sequence[str]) -> bool:
 def refuse_others(what: str) -> None:
     """Raise InputError if an option of an application is given, which does not apply to `what`."""
     context = click.get_current_context()
-    own = context.command.own if isinstance(context.command, CommonCommand) else context.command.params
+    own = own_parameters(context.command)
     for option in context.command.params:
         typed = context.get_parameter_source(option.name or "") != ParameterSource.DEFAULT
         if isinstance(option, click.Option) and option not in own and typed:

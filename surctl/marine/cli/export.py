@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 import click
 from click.core import ParameterSource
 
-from surctl.cli.export import TARGETS, ExportOptions, export_brief
-from surctl.cli.output import FILE, Count, collected, finish, finite, progress
-from surctl.errors import InputError, nearest
+from surctl.cli.export import TARGETS, ExportOptions
+from surctl.cli.output import FILE, Count, collected, finish, progress
+from surctl.errors import InputError
 from surctl.marine.cli.robot_options import (
     GAINS_HELP,
     MISSION,
@@ -77,10 +77,9 @@ def export(
         raise click.UsageError(f"Got unexpected extra argument ({words[0]})")
     import numpy as np
 
-    from surctl.export import REALS, Records, write_bundle
+    from surctl.export import Records
     from surctl.export.bundle import check_folder
     from surctl.export.envelope import as_records
-    from surctl.export.evidence import evidence_of, with_evidence
     from surctl.export.prove import gain_box
     from surctl.marine.cli.runs import failure
     from surctl.marine.control import law_source
@@ -92,12 +91,9 @@ def export(
     from surctl.marine.vehicle import load_vehicle
     from surctl.marine.vehicle.linearise import command_range
 
-    for key, value, known in (("--target", options.target, (*TARGETS, "mjcf")), ("--real", options.real, REALS)):
-        if value not in known:
-            raise InputError("is not available", key=key, value=value, remedy=nearest(value, known))
     if options.target == "mjcf":
         export_scene(scenario, robot.vehicle, out=options.out, as_json=as_json)
-    tools = options.tools()
+    real, tools = options.checked((*TARGETS, "mjcf"))
     refused = "give the exported step the input `working`, or use surctl simulate"
     sensors = replace(sensors, faults=split_faults(sensors.faults, refused=refused)[0])
     mission = load_scenario(scenario)
@@ -121,7 +117,6 @@ def export(
             remedy="remove --constant-gains",
         )
     table = mission.path.table(visits=mission.corners == "visit") if mission.path.fed else None
-    real = REALS[REALS.index(options.real)]
     shipped = closed_form(built, real=real, constants=numbers if constant_gains else None)
     within = operating_envelope(built, mission, vehicle, shipped.gains, tuned=None if constant_gains else numbers)
     if options.prove and not constant_gains:
@@ -151,49 +146,23 @@ def export(
         "time_s": metrics.time_s,
         "failure": failed,
     }
-    evidence = evidence_of(
-        run=replayed, sil=compared.sil, check=compared.report, proof=proof, statuses=record.status, period=built.dt
-    )
-    assessment = _assessed(run, sensing)
-    evidence["assessment"] = finite(assessment.to_dict())
-    # a bundle appears when it is complete and checked, at once
-    files = write_bundle(with_evidence(bundle, evidence, binaries=compared.binaries), options.out)
-    result: dict[str, Any] = {
+    data = {
         "failure": failed,
-        "name": bundle.name,
-        "id": bundle.id,
         "vehicle_from": choice.origin,
         "derived_gains": chosen.data,
-        "files": [str(f.path) for f in files],
-        "sha256": {f.path.relative_to(options.out).as_posix(): f.sha256 for f in files},
         "run": run.to_dict() | ({"sensors": sensor_data(mission)} if sensing == "sonar" else {}),
-        "real": options.real,
-        "assessment": assessment.to_dict(),
-        **compared.data(proof),
     }
     started = _how_to_start(options.out, click.get_current_context())
-    replay_text = f"replayed: {mission.name} by {vehicle.name}, {sensing}, seed {seed}: {metrics.stopped_because} at "
-    lines = [
-        *why,
-        *(f"{f.sha256[:12]}  {f.path}" for f in files),
-        "",
-        *(choice.line(vehicle.name), *chosen.lines),
-        f"{replay_text}{metrics.time_s:.2f} s",
-        compared.sil.summary(),
-    ]
-    lines += [] if failed is None else [f"the replayed run failed: {failed}; see: {_again(started[1])}"]
-    lines += [*compared.summaries(proof), f"exported; {assessment.verdict()}", *assessment.decisive]
-    brief = export_brief(compared, proof, assessment, replay_text + f"{metrics.time_s:.2f} s")
+    text = f"{mission.name} by {vehicle.name}, {sensing}, seed {seed}: {metrics.stopped_because} at "
+    lost = [] if failed is None else [f"the replayed run failed: {failed}; see: {_again(started[1])}"]
     belong = [shlex.join(["surctl", "check", str(file), "--bundle", str(options.out)]) for file in certificates[:1]]
-    finish(
-        result,
-        lines,
-        as_json=as_json,
-        passed=compared.sil.conclusive and compared.passed(proof) and assessment.accepted(),
-        then=[*belong, *(() if mission.path.fed and options.real != "float64" else started)],
-        brief=brief,
-        files=[f"code {options.out} ({len(files)} files)"],
-    )
+    options.finish(
+        compared, bundle, _assessed(run, sensing),
+        proof=proof, run=replayed, replayed=f"{text}{metrics.time_s:.2f} s",
+        about=([*why, choice.line(vehicle.name), *chosen.lines], lost), data=data, same=compared.sil.conclusive,
+        then=[*belong, *(() if mission.path.fed and options.real != "float64" else started)], as_json=as_json,
+        statuses=record.status, period=built.dt,
+    )  # fmt: skip
 
 
 _RUN_OPTIONS = (

@@ -11,13 +11,11 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from surctl.cli.lint import Linted
-from surctl.cli.output import printable
-from surctl.errors import InputError, check_known
+from surctl.errors import Finding, InputError, check_known
 from surctl.marine.cli.robot_options import choose_vehicle, derive_words, margin_of_all
 
 if TYPE_CHECKING:
     from surctl.marine.assessment import Mission
-    from surctl.marine.simulation import Finding
     from surctl.marine.study import Plan
     from surctl.marine.vehicle import Vehicle
 
@@ -37,7 +35,6 @@ _IN_VEHICLES = ("scenario", "study")  # kinds of files to which --vehicle applie
 
 def _file_findings(loaded: object) -> list[Finding]:
     # entries that cannot work
-    from surctl.marine.simulation import Finding
     from surctl.marine.simulation.fit import thruster_findings
     from surctl.marine.vehicle import Vehicle
     from surctl.marine.vehicle.specs import undamped
@@ -62,7 +59,6 @@ def _file_findings(loaded: object) -> list[Finding]:
 def _assumption_findings(vehicle: Vehicle) -> list[Finding]:
     """Return the defaults that decide the margins of a vehicle."""
     from surctl.marine.assessment import assumptions
-    from surctl.marine.simulation import Finding
 
     advice = "; surctl verify --vehicle FILE says how much the margin depends on it"
     assumed = assumptions(vehicle, None, cruise=1.0, dt=1.0)  # without gains there are no margins
@@ -77,7 +73,6 @@ def _loop_findings(mission: Mission, derive_for: str | None) -> tuple[list[Findi
     gains are derived, else None.
     """
     from surctl.assessment import assess
-    from surctl.marine.simulation import Finding
 
     keys = {"cap": "cap_m_per_s", "margins": "gains", "runs": "gains.margin"}
     result = assess(mission, parts=["loop", "no contact"])
@@ -92,7 +87,6 @@ def _loop_findings(mission: Mission, derive_for: str | None) -> tuple[list[Findi
 
 def _goal_findings(plan: Plan) -> list[Finding]:
     # goals of the file that `tune` cannot judge for its law; the built-in goals are left out there with a line
-    from surctl.marine.simulation import Finding
     from surctl.marine.tuning import load_goals
     from surctl.marine.tuning.evaluation import judged_goals
     from surctl.own_code import label
@@ -170,13 +164,9 @@ def lint(words: Sequence[str], vehicle: str | None, **_: Any) -> Linted:
         known = ", ".join(f'"{name}"' for name in sorted([*plain, "scenario"]))
         remedy = f'write kind = {known} or "study"'
         raise InputError("is not a kind of file", file=path, key="kind", value=kind, remedy=remedy)
-    lines = [f"{f.level}: {f.key}: {f.text}" for f in problems] or [f"{file}: nothing found"]
-    result = {"file": path, "kind": kind, "findings": [f.to_dict() for f in problems]}
-    works = all(f.level != "error" for f in problems)
-    vehicle_option = "" if vehicle is None or kind not in _IN_VEHICLES else f" --vehicle {shlex.quote(vehicle)}"
-    then = [f"surctl {words.format(shlex.quote(file))}{vehicle_option}" for words in _NEXT[kind]] if works else []
-    then += derive if works else []
-    return Linted(result, printable(lines), works, then)
+    option = "" if vehicle is None or kind not in _IN_VEHICLES else f" --vehicle {shlex.quote(vehicle)}"
+    then = [f"surctl {words.format(shlex.quote(file))}{option}" for words in _NEXT[kind]]
+    return Linted(path, kind, problems, then + derive)
 
 
 def _path_and_kind(file: str) -> tuple[str, Any]:

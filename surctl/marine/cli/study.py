@@ -16,7 +16,6 @@ from surctl.marine.cli.robot_options import at_hand, derive_words, law_words, ma
 
 if TYPE_CHECKING:
     from surctl.assessment import Assessment
-    from surctl.verification import LoopMargins
 
 
 @click.command
@@ -70,11 +69,9 @@ def study(
     lines += [] if plan.derivation is None else [f"started from {line.strip()}" for line in plan.derivation.lines()]
     lines += [f"{line.mark} {line.text}" for line in result.notes]
     loops = result.loops
-    lines += ["", f"{'nominal loop':<12} {'gain':>10} {'phase':>10} {'delay':>10} {'disk':>6}"] if loops.margins else []
-    if loops.margins and not loops.margins[0].stable:
-        lines.append("unstable      margins of an unstable loop are 0")
-    for m in loops.margins if loops.margins and loops.margins[0].stable else ():
-        lines.append(_margin_line(m))
+    stable = loops.margins and loops.margins[0].stable
+    lines += ["", "nominal; each loop alone, all others closed:"] if stable else []
+    lines += [f"  {margin.line()}" for margin in loops.margins if stable]
     lines += ["", *(claim_line(v) for v in result.verdicts), *(refusal_line(v) for v in result.inapplicable)]
     lines += ["", f"gains  {result.gain_file}", f"code   {out / 'export'}"]
     lines += [f"report {result.report}"] if result.report else []
@@ -108,18 +105,6 @@ def tunable(assessment: Assessment) -> bool:
     contact = assessment.parts.get("no contact")
     left = [line for line in assessment.lines if line.counts and line.passed is not True]
     return not left or any(contact is None or line not in contact.lines for line in left)
-
-
-def _margin_line(margin: LoopMargins) -> str:
-    gain, phase, delay = (
-        "never lost" if math.isinf(value) else f"{value:{form}}{unit}"
-        for value, form, unit in (
-            (margin.gain_margin, ".2f", ""),
-            (margin.phase_margin_deg, ".1f", "°"),
-            (margin.delay_margin_s, ".2f", "s"),
-        )
-    )
-    return f"{margin.name:<12} {gain:>10} {phase:>10} {delay:>10} {margin.disk_margin:6.2f}"
 
 
 def _examined(law: str, about: list[str]) -> list[str]:

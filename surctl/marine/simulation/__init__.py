@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from surctl.marine.simulation.scenario import (
         LIBRARY,
         Disturbance,
-        Finding,
         PaperFigure,
         Scenario,
         load_scenario,
@@ -44,7 +43,6 @@ __all__ = [
     "Case",
     "Contact",
     "Disturbance",
-    "Finding",
     "Metrics",
     "Mission",
     "Obstacle",

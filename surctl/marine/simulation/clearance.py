@@ -16,10 +16,11 @@ from math import floor
 import numpy as np
 from numpy.typing import NDArray
 
+from surctl.errors import Finding
 from surctl.marine.control import Gains
 from surctl.marine.control.dead_end import SLACK
 from surctl.marine.simulation.obstacle import Obstacle
-from surctl.marine.simulation.scenario import Finding, Scenario
+from surctl.marine.simulation.scenario import Scenario
 from surctl.marine.simulation.world import BAND
 from surctl.marine.vehicle import Vehicle
 from surctl.marine.vehicle.geometry import floating_depth, missing_buoyancy
