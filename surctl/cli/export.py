@@ -186,7 +186,7 @@ class Compared(NamedTuple):
 @click.option("--targets", metavar="A,B", help="Compilers, processors of --check (default: all).")
 @click.option("--steps", type=Count(1), help="Single steps that --check compares (default 100000).")
 @click.option(
-    "--out", type=FOLDER, default=Path("surctl-out", "export"), help="Folder of the bundle (default surctl-out/export)."
+    "--real", default="float64", metavar="NAME", help="Number type of the C code: float64 (default) or float32."
 )
 @as_json
 @collected(options=ExportOptions)

@@ -44,9 +44,9 @@ if TYPE_CHECKING:
 def study(words: tuple[str, ...], out: Path, workers: int, seconds: float | None, as_json: bool, **_: Any) -> None:
     """Sweep, verify, simulate and export in one command, and write one report.
 
-    FILE.py:FUNCTION names a system of your own: the report has a run, margins, costs over gains, and C code. A WORD
-    sets a value of the run (NAME=VALUE), a swept gain (GAIN=LOW..HIGH:COUNT), or the box of a state for the region of
-    attraction (within.STATE=LOW..HIGH).
+    For FILE.py:FUNCTION, a system of your own, the report has a simulated run, margins, costs over gains, and C code. A
+    WORD sets a number of the run (NAME=VALUE), the range of a swept gain (GAIN=LOW..HIGH:COUNT), or the range of a
+    state in which to prove a region of attraction (within.STATE=LOW..HIGH).
 
     Example: surctl study my_system.py:build --seconds 5
     """

@@ -40,24 +40,24 @@ _MOST_JSON = 100_000  # largest number of points printed as JSON
     "--design",
     default="grid",
     metavar="NAME",
-    help="Points: grid (default), or space-filling in the ranges: lhs, sobol.",
+    help="Points: grid (default), lhs (Latin hypercube) or sobol.",
 )
-@click.option("--points", type=Count(1), help="Number of points for lhs and sobol.")
+@click.option("--points", type=Count(1), help="Number of points of --design lhs or sobol.")
 @click.option(
     "--sensitivity",
-    metavar="COLUMN",
-    help="Sobol' indices of a result column; needs N (number of axes + 2) points, N = --points (default 64).",
+    metavar="COST",
+    help="Compute Sobol' indices of a cost from N (number of axes + 2) points, N = --points (default 64).",
 )
 @click.option(
-    "--seeds", type=Count(1, 1_000_000), default=1, help="Simulate every point with the seeds 0 to N-1 (default 1)."
+    "--seeds", type=Count(1, 1_000_000), default=1, help="Simulate each point with the seeds 0 to N-1 (default 1)."
 )
-@click.option("--workers", type=Count(1), help="Processes or threads (default 2).")
-@click.option("--dask", metavar="ADDRESS", help="Use a Dask scheduler instead of local processes.")
+@click.option("--workers", type=Count(1), help="Parallel processes or threads (default 2).")
+@click.option("--dask", metavar="ADDRESS", help="Run on the Dask scheduler at ADDRESS, not locally.")
 @click.option(
     "--out",
     type=FOLDER,
     default=Path("surctl-out"),
-    help="Folder of sweep.nc (default surctl-out); an interrupted sweep resumes there.",
+    help="Folder for sweep.nc (default surctl-out). The same command continues an interrupted sweep.",
 )
 @as_json
 def sweep(

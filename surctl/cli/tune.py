@@ -40,33 +40,39 @@ if TYPE_CHECKING:
 @click.command
 @click.argument("words", nargs=-1, metavar="[FILE.py:FUNCTION [NAME=VALUE,...]...")
 @click.option(
-    "--gain", "gain", multiple=True, metavar="NAME[=LOW..HIGH]", help="Gain to tune, with its range; may be repeated."
+    "--gain", "gain", multiple=True, metavar="NAME[=A..B]", help="Gain to tune, and the range A to B; repeatable."
 )
 @click.option(
-    "--goals", "goals_file", metavar="FILE", help="Goals: name or file (default: the study's, else the built-in goals)."
+    "--goals",
+    "goals_file",
+    metavar="FILE",
+    help="Goals: name or file (default: those of the study, else the built-in goals).",
 )
 @click.option(
     "--trials",
     type=Count(1),
     default=256,
-    help="Gain sets per round, each simulated in all scenarios (default 256; multiple of 32).",
+    help="Number of gain sets in a round, each simulated in all scenarios (default 256; multiple of 32).",
 )
 @click.option("--seed", type=Count(0), default=0, help="Seed of the search and of the new runs (default 0).")
 @click.option(
-    "--rounds", type=Count(1), default=3, help="Largest number of rounds of tuning and verifying (default 3)."
+    "--guidance",
+    metavar="NAME",
+    help="Path guidance of the runs: los, ilos or alos (default: the study's). Loop margins use los.",
 )
+@click.option("--rounds", type=Count(1), default=3, help="Largest number of tuning rounds (default 3).")
 @click.option(
     "--monte-carlo",
     "runs",
     type=Count(0),
-    help="Random runs that test the gains after each round (default 2000; of a system 0).",
+    help="Number of random runs that test the best gains of a round (default 2000; 0 for FILE.py).",
 )
-@click.option("--workers", type=Count(1), default=2, help="Number of threads (default 2).")
+@click.option("--workers", type=Count(1), default=2, help="Number of parallel threads (default 2).")
 @click.option(
     "--out",
     type=FOLDER,
     default=Path("surctl-out"),
-    help="Output folder (default surctl-out); an interrupted search resumes there.",
+    help="Folder for results (default surctl-out). The same command continues an interrupted search.",
 )
 @click.option("--page", is_flag=True, help="Open a page with sliders instead of a search.")
 @click.option("--port", type=Count(1, 65535), help="Port of --page (default: a free port).")
@@ -90,7 +96,7 @@ def tune(
     as_json: bool,
     **_: Any,
 ) -> None:
-    """Search for gains that meet goals; test them, and repeat with runs that fail.
+    """Search for gains that meet goals, test the gains in random runs, and search again with the runs that fail.
 
     FILE.py:FUNCTION names a system of your own: the search minimises its first cost, with the bounds of the other
     costs and a disk margin of at least 0.3, for every value of NAME=V1,V2. With --goals, the search minimises the worst

@@ -39,7 +39,7 @@ _LONG = 60.0  # s
     type=FiniteRange(min=0, max=1e6, min_open=True),
     default=None,
     metavar="S",
-    help="Processor time per claim [s] (default 20; 60 for dynamics).",
+    help="Largest processor time per claim [s] (default 20; 60 for dynamics of your own).",
 )
 @click.option("--out", type=FOLDER, help="Folder for certificates and plots (default: no files).")
 @as_json
