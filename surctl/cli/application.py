@@ -29,7 +29,7 @@ class Application:
         takes: whether words that name no system of the user's own are about this application.
         commands: its own commands, each with a description of one line.
         branches: options, help and function of common commands by name; the function gets the options of the common
-            command too.
+            command too, and the help of the built-in application comes first.
         libraries: folders of built-in files by kind, for `surctl list`.
         listed: further names by kind, for `surctl list`.
         reserved: names that no exported controller of another origin may have.
@@ -71,13 +71,11 @@ def with_branches(command: click.Command) -> click.Command:
     branches = [one.branches[str(command.name)] for one in applications() if command.name in one.branches]
     if not branches:
         return command
-    every = [command, *branches]
     words, *others = command.params
-    both = CommonCommand(
-        command.name, callback=command.callback, help="\n\n".join(cleandoc(str(one.help)) for one in every)
-    )
+    helps = "\n\n".join(cleandoc(str(one.help)) for one in reversed(branches))
+    both = CommonCommand(command.name, callback=command.callback, help=helps)
     shown = copy(words)
-    shown.metavar = " | ".join(filter(None, (getattr(one.params[0], "metavar", "") for one in every)))
+    shown.metavar = " | ".join(filter(None, (one.params[0].metavar for one in (*reversed(branches), command))))
     both.own = command.params
     both.params = [shown, *others[:-2], *(option for one in branches for option in one.params[1:]), *others[-2:]]
     return both

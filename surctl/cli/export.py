@@ -178,27 +178,27 @@ class Compared(NamedTuple):
 @click.command
 @click.argument("words", nargs=-1, metavar="[FILE.py:FUNCTION [NAME=VALUE]...]")
 @seconds_option
-@click.option("--name", metavar="TEXT", help="Prefix of C names (default: the law's name).")
-@click.option("--target", default="c99", metavar="NAME", help="Output: c99 (default), fmu (FMI 2), fmu3 or mjcf.")
-@click.option("--real", default="float64", metavar="NAME", help="Number type: float64 (default) or float32.")
-@click.option("--check", is_flag=True, help="Compare C code and Python for all --targets.")
-@click.option("--prove", is_flag=True, help="Prove that no run-time error occurs (Frama-C's Eva).")
-@click.option("--targets", metavar="A,B", help="Compilers, processors of --check (default: all).")
-@click.option("--steps", type=Count(1), help="Single steps that --check compares (default 100000).")
+@click.option("--name", metavar="TEXT", help="Prefix of all names in C (default: name of the law).")
+@click.option(
+    "--target", default="c99", metavar="NAME", help="Format: c99 (default), fmu (FMI 2), fmu3, mjcf (MuJoCo)."
+)
 @click.option(
     "--real", default="float64", metavar="NAME", help="Number type of the C code: float64 (default) or float32."
+)
+@click.option("--check", is_flag=True, help="Compare C code with Python for all --targets.")
+@click.option("--prove", is_flag=True, help="Prove by Frama-C that C has no run-time error.")
+@click.option("--targets", metavar="A,B", help="Compilers and processors of --check (default: all).")
+@click.option("--steps", type=Count(1), help="Random steps of --check (default 100000).")
+@click.option(
+    "--out",
+    type=FOLDER,
+    default=Path("surctl-out", "export"),
+    help="Folder for the bundle (default surctl-out/export).",
 )
 @as_json
 @collected(options=ExportOptions)
 def export(words: tuple[str, ...], seconds: float | None, options: ExportOptions, as_json: bool, **_: Any) -> None:
-    """Write the controller as C99 and compare it with Python at each step of a run.
-
-    --check also runs code built by gcc and clang at -O0 to -O3 and on QEMU's Cortex-M3, -M4F and -M7: every output byte
-    must equal that of Python. FILE.py:FUNCTION is a system of your own. Exit status: 1 if C and
-    Python differ, or if a line of the assessment fails; the code is written anyway.
-
-    Example: surctl export my_system.py:build --seconds 5
-    """
+    """Write the controller as C99 and compare it with Python at each step of a run."""
     if is_system(words):
         export_system(words, options, seconds=seconds, as_json=as_json)
     to_application(words)

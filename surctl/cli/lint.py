@@ -93,12 +93,7 @@ class Linted(NamedTuple):
 @click.argument("words", nargs=-1, required=True, metavar="FILE...")
 @as_json
 def lint(words: tuple[str, ...], as_json: bool, **_: Any) -> None:
-    """Check files and print which entries cannot work, and why. Exit status: 1 if an entry cannot work.
-
-    FILE.py:FUNCTION names a system of your own.
-
-    Example: surctl lint my_system.py:build
-    """
+    """Check files and print which entries cannot work, and why."""
     done = [(word, _lint_system(word) if is_system([word]) else to_application([word])) for word in words]
     passed = all(one.works for _, one in done)
     if len(done) == 1:

@@ -29,15 +29,15 @@ if TYPE_CHECKING:
 
 
 @click.command
-@click.argument("words", nargs=-1, metavar="FILE.py:FUNCTION [NAME=VALUE]...")
+@click.argument("words", nargs=-1, metavar="FILE.py:FUNCTION NAME=VALUE...")
 @seconds_option
-@click.option("--save", metavar="FORMAT", help="Save each run in DIR as csv, mat, nc or mcap.")
+@click.option("--save", metavar="FORMAT", help="Save each run in --out DIR as csv, mat, nc or mcap.")
 @out_folder
 @as_json
 def simulate(
     words: tuple[str, ...], seconds: float | None, save: str | None, out: Path | None, as_json: bool, **_: Any
 ) -> None:
-    """Simulate a closed loop. Exit status: 1 if a run fails or does not arrive."""
+    """Simulate a closed loop."""
     if is_system(words):
         from surctl.recorded_write import RECORD_FORMATS
 

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 
 @click.command
-@click.argument("words", nargs=-1, metavar="FILE.py:FUNCTION [WORD]...")
+@click.argument("words", nargs=-1, metavar="FILE.py:FUNCTION [WORD]...]")
 @click.option(
     "--out", type=FOLDER, default=Path("surctl-out"), help="Folder for report, gains and code (default surctl-out)."
 )
@@ -42,14 +42,7 @@ if TYPE_CHECKING:
 @seconds_option
 @as_json
 def study(words: tuple[str, ...], out: Path, workers: int, seconds: float | None, as_json: bool, **_: Any) -> None:
-    """Sweep, verify, simulate and export in one command, and write one report.
-
-    For FILE.py:FUNCTION, a system of your own, the report has a simulated run, margins, costs over gains, and C code. A
-    WORD sets a number of the run (NAME=VALUE), the range of a swept gain (GAIN=LOW..HIGH:COUNT), or the range of a
-    state in which to prove a region of attraction (within.STATE=LOW..HIGH).
-
-    Example: surctl study my_system.py:build --seconds 5
-    """
+    """Simulate, verify, sweep and export in one command, and write one report."""
     if is_system(words):
         study_system(words, seconds=seconds, workers=workers, out=out, as_json=as_json)
     to_application(words)

@@ -73,14 +73,7 @@ def sweep(
     as_json: bool,
     **_: Any,
 ) -> None:
-    """Simulate over parameter values, compute loop margins, select the best point.
-
-    For a system of your own, FILE.py:FUNCTION, the axes are gains (k), plant.NAME, reference.NAME, disturbance.NAME,
-    start.NAME. With --seeds N, the worst of N runs with plant.NAME=LOW..HIGH at random counts. Exit status: 1 if the
-    best point is not accepted.
-
-    Example: surctl sweep loop.py:build k=1..8:20:log --seeds 100 --seconds 5
-    """
+    """Compute costs over values of parameters, and select the best point."""
     if sensitivity is not None and design != "grid":
         raise InputError("chooses its own points", key="--sensitivity", value=sensitivity, remedy="drop --design")
     executor = None if dask is None and is_system(words) else _executor(workers, dask)

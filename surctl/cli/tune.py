@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 
 @click.command
-@click.argument("words", nargs=-1, metavar="[FILE.py:FUNCTION [NAME=VALUE,...]...")
+@click.argument("words", nargs=-1, metavar="FILE.py:FUNCTION [NAME=VALUE,...]...]")
 @click.option(
     "--gain", "gain", multiple=True, metavar="NAME[=A..B]", help="Gain to tune, and the range A to B; repeatable."
 )
@@ -54,12 +54,7 @@ if TYPE_CHECKING:
     default=256,
     help="Number of gain sets in a round, each simulated in all scenarios (default 256; multiple of 32).",
 )
-@click.option("--seed", type=Count(0), default=0, help="Seed of the search and of the new runs (default 0).")
-@click.option(
-    "--guidance",
-    metavar="NAME",
-    help="Path guidance of the runs: los, ilos or alos (default: the study's). Loop margins use los.",
-)
+@click.option("--seed", type=Count(0), default=0, help="Seed of the search and of the random test runs (default 0).")
 @click.option("--rounds", type=Count(1), default=3, help="Largest number of tuning rounds (default 3).")
 @click.option(
     "--monte-carlo",
@@ -74,9 +69,9 @@ if TYPE_CHECKING:
     default=Path("surctl-out"),
     help="Folder for results (default surctl-out). The same command continues an interrupted search.",
 )
-@click.option("--page", is_flag=True, help="Open a page with sliders instead of a search.")
-@click.option("--port", type=Count(1, 65535), help="Port of --page (default: a free port).")
-@click.option("--no-browser", is_flag=True, help="Print the address of --page, but do not open it.")
+@click.option("--page", is_flag=True, help="Open a web page with sliders instead of a search.")
+@click.option("--port", type=Count(1, 65535), help="TCP port of --page (default: a free port).")
+@click.option("--no-browser", is_flag=True, help="Print the address of --page, and open no browser.")
 @seconds_option
 @as_json
 def tune(
@@ -96,14 +91,7 @@ def tune(
     as_json: bool,
     **_: Any,
 ) -> None:
-    """Search for gains that meet goals, test the gains in random runs, and search again with the runs that fail.
-
-    FILE.py:FUNCTION names a system of your own: the search minimises its first cost, with the bounds of the other
-    costs and a disk margin of at least 0.3, for every value of NAME=V1,V2. With --goals, the search minimises the worst
-    soft goal. Exit status: 1 if a hard goal is not met or fails in the test, or if a line of the assessment fails.
-
-    Example: surctl tune my-system.py:build --page
-    """
+    """Search for gains that meet goals, and test them."""
     ranges = dict(parse_gain(text) for text in gain)
     if len(ranges) < len(gain):
         raise click.BadParameter("names a gain twice", param_hint="--gain")

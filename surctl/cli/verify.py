@@ -32,8 +32,8 @@ _LONG = 60.0  # s
 
 
 @click.command
-@click.argument("words", nargs=-1, metavar="[FILE.py:FUNCTION [WORD]... | CLAIM...]")
-@click.option("--seed", type=Count(0), default=0, help="Seed of the falsifier (default 0).")
+@click.argument("words", nargs=-1, metavar="FILE.py:FUNCTION]...")
+@click.option("--seed", type=Count(0), default=0, help="Seed of the search for counterexamples (default 0).")
 @click.option(
     "--time-limit",
     type=FiniteRange(min=0, max=1e6, min_open=True),
@@ -46,13 +46,7 @@ _LONG = 60.0  # s
 def verify(
     words: tuple[str, ...], seed: int, time_limit: float | None, out: Path | None, as_json: bool, **_: Any
 ) -> None:
-    """Prove or refute claims; print loop margins.
-
-    A claim is proved (with a certificate that `surctl check` accepts), refuted (with a counterexample), unknown
-    (neither), or not applicable (an assumption is violated). A claim file states a region of attraction or a barrier of
-    any dynamics (kind lyapunov or barrier). For a system of your own, FILE.py:FUNCTION, it prints equilibrium, poles
-    and margins of the sampled loop; with within.STATE=LOW..HIGH for every state, it also proves a region.
-    """
+    """Prove or refute claims, and print margins of the loop."""
     if time_limit is not None and math.isnan(time_limit):  # click accepts NaN in any range
         raise InputError("is not a valid time", key="--time-limit", value=time_limit, remedy="give seconds, above 0")
     if is_system(words):

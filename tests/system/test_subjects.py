@@ -136,7 +136,7 @@ def test_a_package_brings_commands_options_and_subjects_of_its_own(heron: Path, 
         return
     parts = ["Feed a heron.", "fed True", "--wind", "('lake@',) 3.0 None True", "lake", "--wind: ", "hold", "lake@"]
     assert len(said) == 8 and all(part in line for part, line in zip(parts, said, strict=True)), said
-    assert all(text in said[2] for text in ("--wind", "--sensing", "PLACE@ | SCENARIO...", "Herons fly."))
+    assert all(text in said[2] for text in ("--wind", "--sensing", "SCENARIO... | PLACE@ |", "Herons fly."))
     assert "unknown scenario" in said[4] and "does not apply to a system" in said[5] and "unknown" in said[7]
     assert "is the name of a built-in law" in said[6]
 

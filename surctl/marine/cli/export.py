@@ -37,24 +37,34 @@ if TYPE_CHECKING:
 @click.command
 @click.argument("words", nargs=-1, metavar="")
 @click.option("--gains", metavar="FILE", help=GAINS_HELP)
-@click.option("--vehicle", metavar="FILE", help="Vehicle: name or file (default: the scenario's).")
+@click.option("--vehicle", metavar="FILE", help="Vehicle: name or file (default: that of the scenario).")
 @click.option(
-    "--scenario", default=MISSION, metavar="FILE", help="Scenario with mission, sensors (default pool-static)."
+    "--scenario", default=MISSION, metavar="FILE", help="Mission and sensors: name or file (default pool-static)."
 )
 @law_option
 @click.option(
-    "--avoidance", default="corrected", metavar="NAME", help="Avoidance law: corrected (default), consistent, printed."
+    "--avoidance",
+    default="corrected",
+    metavar="NAME",
+    help="Paper's eq. (20): corrected (default), consistent, printed.",
 )
-@click.option("--guidance", default="los", metavar="NAME", help="Path guidance: los (default), ilos or alos.")
+@click.option(
+    "--guidance", default="los", metavar="NAME", help="Path guidance: los (default); for currents ilos or alos."
+)
 @priority_options
 @barrier_options
-@click.option("--sensing", metavar="NAME", help="Obstacle positions: sonar (default, if used) or truth.")
+@click.option("--sensing", metavar="NAME", help="Obstacles from sonar (default if the law can) or truth.")
 @sensor_options
-@click.option("--constant-gains", is_flag=True, help="Compile gains and mission in; needs --sensing truth.")
+@click.option("--constant-gains", is_flag=True, help="Gains and mission constant in C; needs --sensing truth.")
 @click.option(
-    "--certificate", "certificates", multiple=True, type=FILE, help="Certificate to add to the bundle; may be repeated."
+    "--certificate",
+    "certificates",
+    multiple=True,
+    type=FILE,
+    metavar="F",
+    help="Certificate file to add to the bundle; repeatable.",
 )
-@click.option("--seed", type=Count(0), default=0, help="Seed of the replayed run (default 0).")
+@click.option("--seed", type=Count(0), default=0, help="Seed of the compared run (default 0).")
 @collected(robot=RobotOptions, sensors=SensorOptions, options=ExportOptions)
 def export(
     words: tuple[str, ...],
@@ -67,11 +77,15 @@ def export(
     seed: int,
     as_json: bool,
 ) -> None:
-    """Robot: sensor options override the scenario's tables. --prove takes minutes with sonar; the proof covers
-    all gains within the ranges of the gain file.
+    """Write the controller as C99, compile the C code, and compare C with Python in every step of a simulated run.
+
+    --check also compares the code of gcc and clang at -O0 to -O3, and of QEMU's Cortex-M3, -M4F and -M7, with Python:
+    every byte of the outputs must be equal. --prove takes minutes for a law with sonars; the proof covers all gains
+    within the ranges of the gain file. FILE.py:FUNCTION exports the controller of a system of your own. Exit status:
+    1 if C and Python differ, or if a line of the output says FAIL; even then, the command writes the code.
 
     Examples: surctl export --gains surctl-out/gains.toml --out firmware; surctl export --law closed_form --sensing
-    truth --constant-gains --check
+    truth --constant-gains --check; surctl export my_system.py:build --seconds 5
     """
     if words:
         raise click.UsageError(f"Got unexpected extra argument ({words[0]})")

@@ -100,11 +100,13 @@ def _goal_findings(plan: Plan) -> list[Finding]:
 
 @click.command
 @click.argument("words", nargs=-1, metavar="")
-@click.option("--vehicle", metavar="FILE", help="Vehicle for a scenario: name or file (default: the scenario's).")
+@click.option("--vehicle", metavar="FILE", help="Vehicle (name or file) with which to check a scenario.")
 def lint(words: Sequence[str], vehicle: str | None, **_: Any) -> Linted:
-    """Missions: files of a vehicle, gains, goals, claims, a scenario or a study.
+    """Check vehicle, scenario, study, gain, goal and claim files, or a system of your own (FILE.py:FUNCTION), and print
+    which entries cannot work, and why. Exit status: 1 if an entry cannot work.
 
-    Examples: surctl lint my-vehicle.toml my-mission.toml; surctl lint pool-static --vehicle sur540-flooded
+    Examples: surctl lint my-vehicle.toml my-mission.toml; surctl lint pool-static --vehicle sur540-flooded; surctl lint
+    my_system.py:build
     """
     from surctl.files import read_toml
     from surctl.lyapunov import load_problem

@@ -19,12 +19,14 @@ if TYPE_CHECKING:
 
 
 @click.command
-@click.argument("words", nargs=-1, metavar="[FILE]")
+@click.argument("words", nargs=-1, metavar="[FILE")
 @click.option(
-    "--vehicle", metavar="FILE", help="Vehicle of the built-in study; its missions are scaled if the vehicle is large."
+    "--vehicle",
+    metavar="FILE",
+    help="Vehicle (name or file) of the built-in study; a large vehicle gets larger missions.",
 )
-@click.option("--gains", metavar="FILE", help="Study this gain set (name or file), without a sweep.")
-@click.option("--film", is_flag=True, help="Also show the report's animated run in MuJoCo.")
+@click.option("--gains", metavar="FILE", help="Gain set (name or file) to study instead of a sweep.")
+@click.option("--film", is_flag=True, help="Show the run in the report in MuJoCo, too.")
 @trust_option
 def study(
     words: tuple[str, ...],
@@ -36,14 +38,18 @@ def study(
     trust: bool,
     as_json: bool,
 ) -> None:
-    """Missions: sweep gains, select the best point, verify the claims, simulate the scenarios, and export the C code.
+    """Sweep gains, select the best gains, verify the claims, simulate the scenarios, and export and check the C code.
 
-    FILE is a study file or a vehicle file; without FILE, the built-in study runs. For a vehicle that cannot sway, or
-    does not fit into a built-in scenario, the study scales three missions to the vehicle: a straight path, two legs,
+    FILE is a study file or a vehicle file; without FILE, the built-in study runs. If a vehicle cannot sway, or does not
+    fit into a built-in scenario, surctl scales three missions to the vehicle: a straight path, a path with a corner,
     and the obstacles of the scenario tank-static.
 
+    For FILE.py:FUNCTION, a system of your own, the report has a simulated run, margins, costs over gains, and C code. A
+    WORD sets a number of the run (NAME=VALUE), the range of a swept gain (GAIN=LOW..HIGH:COUNT), or the range of a
+    state in which to prove a region of attraction (within.STATE=LOW..HIGH).
+
     Examples: surctl study; surctl study my-vehicle.toml --out results; surctl study --vehicle otter --json >
-    study.json
+    study.json; surctl study my_system.py:build --seconds 5
     """
     if len(words) > 1:
         raise click.UsageError(f"Got unexpected extra argument ({words[1]})")

@@ -50,33 +50,38 @@ _EXPLAINED = ("deviation_m", "path_error_m")  # columns whose meaning is printed
     multiple=True,
     default=("tank-static", "pool-static"),
     metavar="FILE",
-    help="Scenario simulated at each point: name or file; may be repeated (default tank-static and pool-static).",
+    help="Scenario to simulate at each point: name or file; repeatable (default tank-static and pool-static).",
 )
 @click.option(
     "--vehicle",
     "vehicles",
     multiple=True,
     metavar="FILE",
-    help="Vehicle: name or file; may be repeated (default: each scenario's).",
+    help="Vehicle: name or file; repeatable (default: by scenario).",
 )
 @click.option("--sensing", default="truth", metavar="NAME", help="Obstacle positions from truth (default) or sonar.")
-@click.option("--gains", metavar="FILE", help="Gains not swept: name or file (default: the vehicle's).")
+@click.option(
+    "--gains", metavar="FILE", help="Gain set for all gains without an axis: name or file (default: from the vehicle)."
+)
 @law_option
 @click.option(
-    "--priority-mode", default="nsb", metavar="NAME", help="Mode: nsb (default), filter, projected, lexicographic."
+    "--priority-mode",
+    default="nsb",
+    metavar="M",
+    help="Solver for priorities of tasks: nsb (default, ignores limits), filter, projected or lexicographic.",
 )
 @click.option(
     "--guidance",
     default="los",
     metavar="NAME",
-    help="Path guidance: los (default), ilos or alos. Loop margins and --locus always use los.",
+    help="Path guidance of the runs: los (default); for currents ilos or alos. Loop margins and --locus use los.",
 )
-@click.option("--locus", metavar="PARAMETER", help="Plot the closed-loop poles over this axis, for the selected gains.")
+@click.option("--locus", metavar="PARAMETER", help="Plot closed-loop poles over one axis, for the best gains.")
 @click.option(
     "--cruise",
     type=SPEEDS,
     metavar="U1,U2,...",
-    help="Cruise speeds [m/s] of the loop margins; the worst counts (default: the scenarios' speeds).",
+    help="Cruise speeds of the loop margins [m/s], of which the worst counts (default: speeds of the scenarios).",
 )
 def sweep(
     words: Sequence[str],
@@ -96,11 +101,18 @@ def sweep(
     seeds: int,
     **_: Any,
 ) -> SweepJob:
-    """Missions: a parameter is a gain (k_v), a vehicle parameter (vehicle.m11; plant.m11 changes the plant but not the
-    controller's model), a number of the scenario (scenario.cruise) or seed.
+    """Simulate scenarios at each combination of parameter values, compute loop margins, and select the best point.
 
-    Examples: surctl sweep lookahead=0.6,0.9 k_v=0.5..3:6:log;
-    surctl sweep k_v=1..3 plant.m11=30..60 --sensitivity deviation_m
+    A parameter is a gain (k_v), a number of the vehicle (vehicle.m11; plant.m11 is that of the plant alone, not of the
+    controller's model), a number of the scenario (scenario.cruise) or seed. Exit status: 1 if surctl does not accept
+    the best point.
+
+    The parameters of a system of your own, FILE.py:FUNCTION, are its gains (by name), plant.NAME, reference.NAME,
+    disturbance.NAME and start.NAME. With --seeds N, plant.NAME=LOW..HIGH is random in N runs; the worst counts.
+
+    Examples: surctl sweep --scenario pool-static lookahead=0.6,0.9,1.2 k_v=0.5..3:6:log;
+    surctl sweep k_v=1..3 plant.m11=30..60 --sensitivity deviation_m;
+    surctl sweep my_system.py:build k=1..8:20:log plant.m=1..2 --seeds 100 --seconds 5
     """
     from surctl.marine.control import law_source, load_gains
     from surctl.marine.report.goals import COLUMN_TITLES, SHOWN

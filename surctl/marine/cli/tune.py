@@ -27,18 +27,26 @@ if TYPE_CHECKING:
 
 
 @click.command
-@click.argument("words", nargs=-1, metavar="STUDY]")
-@click.option("--cruise", type=SPEEDS, metavar="U1,U2,...", help="Cruise speeds [m/s] of loop goals that name none.")
-@click.option("--seeds", type=Count(1, 1_000_000), default=4, help="Simulate with the seeds 0 to N-1 (default 4).")
+@click.argument("words", nargs=-1, metavar="[STUDY")
+@click.option("--cruise", type=SPEEDS, metavar="U1,U2,...", help="Cruise speeds [m/s] of loop goals without a speed.")
 @click.option(
-    "--vehicle", "vehicles", multiple=True, metavar="FILE", help="Vehicle (name or file) of the runs; may be repeated."
+    "--seeds", type=Count(1, 1_000_000), default=4, help="Simulate each gain set with the seeds 0 to N-1 (default 4)."
 )
 @click.option(
-    "--guidance", metavar="NAME", help="Path guidance: los, ilos or alos (default: STUDY). Loop margins always use los."
+    "--vehicle",
+    "vehicles",
+    multiple=True,
+    metavar="FILE",
+    help="Vehicle: name or file; repeatable (default: the study's).",
 )
-@click.option("--law", metavar="NAME", help="Law: NAME or FILE.py:FUNCTION (default: STUDY).")
-@click.option("--scenario", metavar="FILE", help="Scenario of --page (default: the study's first).")
-@click.option("--gains", "gains_file", metavar="FILE", help="Gain set at the start: name or file (default: STUDY).")
+@click.option(
+    "--guidance",
+    metavar="NAME",
+    help="Path guidance of the runs: los, ilos or alos (default: the study's). Loop margins use los.",
+)
+@click.option("--law", metavar="NAME", help="Law: NAME or FILE.py:FUNCTION (default: the study's).")
+@click.option("--scenario", metavar="FILE", help="Scenario of --page (default: the first of the study).")
+@click.option("--gains", "gains_file", metavar="FILE", help="Initial gain set: name or file (default: the study's).")
 @trust_option
 def tune(
     words: Sequence[str],
@@ -63,10 +71,17 @@ def tune(
     trust: bool,
     as_json: bool,
 ) -> None:
-    """Missions: the gains must meet the hard goals for every scenario, seed and corner of the vehicle's ranges; the
-    soft goals are minimised. New random runs and the claims test the tuned gains.
+    """Search for gains that meet goals, test the gains in random runs, and search again with the runs that fail.
 
-    Example: surctl tune my-study.toml --gain k_v=0.5..3 --goals my-goals.toml
+    The gains must meet the hard goals in every scenario, for every seed and at every corner of the parameter ranges of
+    the vehicle; the search minimises the soft goals. The built-in claims are a further test of the tuned gains. Exit
+    status: 1 if the gains miss a hard goal in the search or in the test, or if a line of the output says FAIL.
+
+    For FILE.py:FUNCTION, a system of your own, the search minimises the first cost of the system, within the bounds of
+    its other costs and with a disk margin of at least 0.3, for every value of NAME=V1,V2. With --goals, the search
+    minimises the worst soft goal.
+
+    Examples: surctl tune my-study.toml --gain k_v=0.5..3 --goals my-goals.toml; surctl tune my-system.py:build --page
     """
     if len(words) > 1:
         raise click.UsageError(f"Got unexpected extra argument ({words[1]})")
