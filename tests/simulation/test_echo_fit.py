@@ -10,10 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from surctl.errors import Finding
 from surctl.files import read_toml
 from surctl.marine.sensing import SonarArray
-from surctl.marine.simulation import findings, load_scenario
+from surctl.marine.simulation import Finding, findings, load_scenario
 from surctl.marine.simulation.echo_fit import echo_findings, unheard_faces
 from surctl.marine.simulation.scenario import LIBRARY, Scenario, scenario_from_table
 from surctl.marine.vehicle import load_vehicle

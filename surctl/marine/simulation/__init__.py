@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 from surctl.lazy import load_at_first_use
 
 if TYPE_CHECKING:
+    from surctl.errors import Finding
     from surctl.marine.simulation.batch.case import Case
     from surctl.marine.simulation.batch.engines import BatchResult, simulate_batch
     from surctl.marine.simulation.explanation import explain, priority_timeline
@@ -43,6 +44,7 @@ __all__ = [
     "Case",
     "Contact",
     "Disturbance",
+    "Finding",
     "Metrics",
     "Mission",
     "Obstacle",
