@@ -95,18 +95,23 @@ def tune(
     ranges = dict(parse_gain(text) for text in gain)
     if len(ranges) < len(gain):
         raise click.BadParameter("names a gain twice", param_hint="--gain")
+    if (port or no_browser) and not page:
+        raise click.UsageError("--port and --no-browser need --page")
+    made: Any
     if not is_system(words):
-        to_application(words)
-        return
+        made = to_application(words)
+    elif page:
+        made = system_bench(words, ranges, goals_file, seconds=seconds)
+    else:
+        made = system_tuned(words, ranges, goals_file, seconds=seconds, trials=trials, seed=seed, threads=workers)
     if page:
-        serve_system_page(words, ranges, goals_file, seconds=seconds, port=port, browser=not no_browser)
+        _serve(made, port=port, browser=not no_browser)
         return
-    require_page(port, no_browser)
-    task = system_tuned(words, ranges, goals_file, seconds=seconds, trials=trials, seed=seed, threads=workers)
-    search_gains(task, trials=trials, rounds=rounds, runs=runs or 0, out=out, as_json=as_json)
+    runs = made.tested if runs is None else runs
+    _search(made, trials=trials, rounds=rounds, runs=runs, out=out, as_json=as_json)
 
 
-def search_gains(task: Task, *, trials: int, rounds: int, runs: int, out: Path, as_json: bool) -> None:
+def _search(task: Task, *, trials: int, rounds: int, runs: int, out: Path, as_json: bool) -> None:
     """Search gains, test them, write them, and print each goal and figure before and after."""
     from surctl.files import prepare_folder, write_file
     from surctl.tuning import summary
@@ -157,12 +162,6 @@ def search_gains(task: Task, *, trials: int, rounds: int, runs: int, out: Path, 
     )  # fmt: skip
 
 
-def require_page(port: int | None, no_browser: bool) -> None:
-    """Raise UsageError if an option of the page is given without it."""
-    if port or no_browser:
-        raise click.UsageError("--port and --no-browser need --page")
-
-
 def parse_gain(text: str) -> tuple[str, tuple[float, float] | None]:
     """Return name and range of a value of `--gain`."""
     name, equals, ends = text.partition("=")
@@ -196,12 +195,14 @@ class Task(ABC):
         request: the request of the search.
         finals: goals checked at its end; `default` are those that may be left out.
         limit: words of the remedy if the linear figures do not describe the runs.
+        tested: random runs that test the gains of a round by default.
     """
 
     request: SearchRequest
     finals: Sequence[RunGoal]
     default: Collection[RunGoal]
     limit: Mapping[str, str]
+    tested: int
 
     @abstractmethod
     def assessed(
@@ -291,22 +292,20 @@ def system_tuned(
     finals, costs = margin_goals(own.system), own.system.costs
     late = next((name for name, cost in costs.items() if cost.how == "last_time"), next(iter(costs), None))
     remedy = f'ask it of the run, such as metric = "{late}"' if late else "give the system a cost of its runs"
-    return _System(request, finals, finals, {"command": "command {}", "run": "the run", "remedy": remedy}, own)
+    return _System(request, finals, finals, {"command": "command {}", "run": "the run", "remedy": remedy}, 0, own)
 
 
 _PERIODS = 600  # of a run, without --seconds
 
 
-def serve_system_page(
+def system_bench(
     words: Sequence[str],
     ranges: Mapping[str, tuple[float, float] | None],
     goals: str | None,
     *,
     seconds: float | None,
-    port: int | None,
-    browser: bool,
-) -> None:
-    """Serve the page for a system of the user's own until Ctrl-C; NAME=V1,V2 gives the operating points."""
+) -> DesignBench:
+    """Return what the page of a system of the user's own shows; NAME=V1,V2 gives the operating points."""
     from surctl.report.design_bench import SystemBench
     from surctl.tuning import judge_loops, load_loop_goals
 
@@ -341,12 +340,11 @@ def serve_system_page(
     judge_loops(about_loop, loops)  # reports unknown signals here
     if region is not None:
         problem(start)
-    serve(bench, port=port, browser=browser)
+    return bench
 
 
-def serve(bench: DesignBench, *, port: int | None, browser: bool) -> None:
-    """Serve a design page until Ctrl-C."""
-    from surctl.report.serve import serve as serve_bench
+def _serve(bench: DesignBench, *, port: int | None, browser: bool) -> None:
+    from surctl.report.serve import serve
 
     def ready(address: str) -> None:
         waiting()
@@ -356,7 +354,7 @@ def serve(bench: DesignBench, *, port: int | None, browser: bool) -> None:
             click.launch(address)
 
     try:
-        serve_bench(bench, port=port, ready=ready)
+        serve(bench, port=port, ready=ready)
     except KeyboardInterrupt:
         click.echo("surctl: stopped; saved files stay", err=True)
         sys.stdout.flush()

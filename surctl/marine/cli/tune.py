@@ -6,18 +6,19 @@ import shlex
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from surctl.cli.output import Count, progress
-from surctl.cli.tune import More, Task, parse_gain, require_page, search_gains, serve
+from surctl.cli.tune import More, Task, parse_gain
 from surctl.errors import InputError, NotApplicable
 from surctl.marine.cli.robot_options import SPEEDS, at_hand, export_command, law_words, trust_option
 
 if TYPE_CHECKING:
     from surctl.assessment import Assessment, Figure, Part
     from surctl.marine.control import Gains
+    from surctl.marine.report.bench import Bench
     from surctl.marine.simulation import Case, Scenario
     from surctl.marine.study import Plan
     from surctl.marine.tuning import Goal, Request
@@ -53,24 +54,19 @@ def tune(
     gain: Sequence[str],
     goals_file: str | None,
     cruise: tuple[float, ...] | None,
-    trials: int,
     seed: int,
     seeds: int,
     vehicles: tuple[str, ...],
     guidance: str | None,
-    rounds: int,
-    runs: int | None,
     workers: int,
     out: Path,
     page: bool,
     law: str | None,
     scenario: str | None,
     gains_file: str | None,
-    port: int | None,
-    no_browser: bool,
     trust: bool,
-    as_json: bool,
-) -> None:
+    **_: Any,
+) -> Task | Bench:
     """Search for gains that meet goals, test the gains in random runs, and search again with the runs that fail.
 
     The gains must meet the hard goals in every scenario, for every seed and at every corner of the parameter ranges of
@@ -87,24 +83,20 @@ def tune(
         raise click.UsageError(f"Got unexpected extra argument ({words[1]})")
     file = words[0] if words else None
     if page:
-        serve_page(
-            file, goals_file, vehicles,
-            scenario=scenario, gains=gains_file, law=law, cruise=cruise, port=port, browser=not no_browser, trust=trust,
-        )  # fmt: skip
-        return
+        return mission_bench(
+            file, goals_file, vehicles, scenario=scenario, gains=gains_file, law=law, cruise=cruise, trust=trust
+        )
     if scenario:
         own = f'write [[runs]] with scenario = "{scenario}" in a study file and give the file: surctl tune STUDY.toml'
         raise click.UsageError(f"--scenario selects the scenario of --page; to tune over chosen scenarios, {own}")
-    require_page(port, no_browser)
     from surctl.ir.cache import find_compiler
 
     find_compiler()  # thousands of runs: without compiled code, hours
     plan = mission_plan(file, trust=trust, law=law, gains=gains_file, vehicles=vehicles, out=out)
-    task = missions_tuned(
-        plan, dict(map(parse_gain, gain)), goals_file,
-        cruise=cruise or (), guidance=guidance, seeds=seeds, seed=seed, threads=workers,
-    )  # fmt: skip
-    search_gains(task, trials=trials, rounds=rounds, runs=2000 if runs is None else runs, out=out, as_json=as_json)
+    ranges = dict(map(parse_gain, gain))
+    return missions_tuned(
+        plan, ranges, goals_file, cruise=cruise or (), guidance=guidance, seeds=seeds, seed=seed, threads=workers
+    )
 
 
 def _printed(lines: list[str]) -> list[str]:
@@ -258,7 +250,7 @@ def missions_tuned(
     request = Request(goals, runs, plan.gains, space, seed=seed, threads=threads)
     remedy = 'ask it of runs, such as metric = "time_s" or "deviation_m"'
     limit = {"command": "a thrust", "run": "{}", "remedy": remedy}
-    return _Missions(request, finals, default, limit, plan, unjudged, derived, omitted)
+    return _Missions(request, finals, default, limit, 2000, plan, unjudged, derived, omitted)
 
 
 def check_goal_cases(goals: Sequence[Goal], plan: Plan, file: str) -> None:
@@ -350,7 +342,7 @@ def region_words(law: str, scenario: Scenario, vehicle: Vehicle, gains: Gains) -
     return [] if isinstance(claim, NotApplicable) else [claim.name]
 
 
-def serve_page(
+def mission_bench(
     study: str | None,
     goals: str | None,
     vehicles: Sequence[str],
@@ -359,11 +351,9 @@ def serve_page(
     gains: str | None,
     law: str | None,
     cruise: Sequence[float] | None,
-    port: int | None,
-    browser: bool,
     trust: bool,
-) -> None:
-    """Serve the page for a law of the robot until Ctrl-C; arguments that are None take the study's values."""
+) -> Bench:
+    """Return what the page of a law of the robot shows; arguments that are None take the study's values."""
     from surctl.marine.control import law_ref, load_gains
     from surctl.marine.report.bench import Bench
     from surctl.marine.simulation import findings, load_scenario
@@ -394,4 +384,4 @@ def serve_page(
     values = {one.name: one.value for one in bench.sliders}
     bench.simulate(values)
     bench.judge(values)
-    serve(bench, port=port, browser=browser)
+    return bench
