@@ -97,18 +97,18 @@ def tune(
         raise click.BadParameter("names a gain twice", param_hint="--gain")
     if (port or no_browser) and not page:
         raise click.UsageError("--port and --no-browser need --page")
-    made: Any
+    task: Any
     if not is_system(words):
-        made = to_application(words)
+        task = to_application(words)
     elif page:
-        made = system_bench(words, ranges, goals_file, seconds=seconds)
+        task = system_bench(words, ranges, goals_file, seconds=seconds)
     else:
-        made = system_tuned(words, ranges, goals_file, seconds=seconds, trials=trials, seed=seed, threads=workers)
+        task = system_tuned(words, ranges, goals_file, seconds=seconds, trials=trials, seed=seed, threads=workers)
     if page:
-        _serve(made, port=port, browser=not no_browser)
+        _serve(task, port=port, browser=not no_browser)
         return
-    runs = made.tested if runs is None else runs
-    _search(made, trials=trials, rounds=rounds, runs=runs, out=out, as_json=as_json)
+    runs = task.tested if runs is None else runs
+    _search(task, trials=trials, rounds=rounds, runs=runs, out=out, as_json=as_json)
 
 
 def _search(task: Task, *, trials: int, rounds: int, runs: int, out: Path, as_json: bool) -> None:
