@@ -21,7 +21,6 @@ _GRID = 401
 _ZOOMS = 5
 _DEEP = 25.0  # the grid spans log-likelihoods down to this far below the largest
 _THIN = 4
-_HALVINGS = 45  # bisections of an interval, or of its logarithm
 _CELLS = 4096  # with more distinct ranges, ranges within 1/4096 of the span share a weight
 
 
@@ -158,21 +157,13 @@ def _profile(cells: _Cells, shape: NDArray[np.float64]) -> _Profile:
 def _level_limits(dof: int, drop: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the factors t < 1 and t > 1 on the noise level that lower the log-likelihood by `drop`.
 
-    Each factor solves ln t + (1/t² − 1)/2 = drop/dof.
+    Each factor solves ln t + (1/t² − 1)/2 = drop/dof: −1/t² is a value of Lambert's function W.
     """
+    from scipy.special import lambertw
 
-    def lost(t: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.log(t) + 0.5 * (t**-2 - 1.0) - drop / dof
-
-    ends = []
-    for outer in (1e-6, 1e6):
-        inner, far = np.ones_like(drop), np.full_like(drop, outer)
-        for _ in range(_HALVINGS):
-            middle = np.sqrt(inner * far)
-            beyond = lost(middle) > 0
-            inner, far = np.where(beyond, inner, middle), np.where(beyond, middle, far)
-        ends.append(far)
-    return ends[0], ends[1]
+    x = -np.exp(-1.0 - 2.0 * drop / dof)
+    short, long = (np.sqrt(-1.0 / lambertw(x, branch).real) for branch in (-1, 0))
+    return short, long
 
 
 def _marginal_line(likelihoods: _Likelihoods) -> NDArray[np.float64]:
