@@ -82,34 +82,35 @@ class LawStep(NamedTuple):
 
 
 class Stages:
-    """Parts of a law; each part is built when it is first used, and calls libm functions such as sin.
-
-    Attributes:
-        closed: complete law with the closed form, equation (16) of the paper, in every mode; it maps (x, u, p) to (tau,
-            x_next, status, telemetry).
-        pre: part before the priority solver; it maps (x, u, p) to (J row by row, references, inequality constraints,
-            velocity bounds (8,), carried, reported, flags). `carried` is the next state before the velocity integral is
-            updated, `reported` is the telemetry except `nu_reference`, and `flags` is the sum of the status bits.
-        post: part after the priority solver; it maps (u, p, carried, reported, flags, nu_reference, number of the
-            solver's fallback) to (tau, x_next, status, telemetry).
-    """
+    """Parts of a law; each part is built when it is first used, and calls libm functions such as sin."""
 
     def __init__(self, closed: Callable[[], Block], pre: Callable[[], Block], post: Callable[[], Block]) -> None:
         self._closed, self._pre, self._post = closed, pre, post
 
     @cached_property
     def closed(self) -> Block:
-        """Return the complete law with the closed form, equation (16) of the paper."""
+        """Complete law with the closed form, equation (16) of the paper, in every mode.
+
+        It maps (x, u, p) to (tau, x_next, status, telemetry).
+        """
         return self._closed()
 
     @cached_property
     def pre(self) -> Block:
-        """Return the part of the law before the priority solver."""
+        """Part before the priority solver.
+
+        It maps (x, u, p) to (J row by row, references, inequality constraints, velocity bounds (8,)), and the entries
+        of `closing.Memory`.
+        """
         return self._pre()
 
     @cached_property
     def post(self) -> Block:
-        """Return the part of the law after the priority solver."""
+        """Part after the priority solver.
+
+        It maps (u, p, entries of `closing.Memory`, nu_reference, number of the solver's fallback) to (tau, x_next,
+        status, telemetry).
+        """
         return self._post()
 
 

@@ -143,14 +143,9 @@ def _most_urgent(sensed: Sequence[Contact], threat: Sequence[ca.SX], desired: De
     best, least = sensed[0], ca.SX(1e6)
     for contact, active in zip(sensed, threat, strict=True):
         time = ca.if_else(active, _urgency(contact, ca.dot(desired.velocity, contact.normal)), 1e6)
-        take = time < least
-        best = Contact(*(ca.if_else(take, a, b) for a, b in zip(_fields(contact), _fields(best), strict=True)))
+        best = best.or_else(contact, time < least)
         least = ca.fmin(time, least)
     return best
-
-
-def _fields(contact: Contact) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
-    return contact.normal, contact.clearance, contact.velocity, contact.combined_radius
 
 
 def _avoidance_velocity(

@@ -320,23 +320,6 @@ def range_needed(
     return watch.range_error + before * watch.age + (v + obstacle) * period + gain * period**2 / 2 + left
 
 
-def admissible(
-    brakes: Brakes,
-    watch: Watch,
-    measured: float,
-    speed: float,
-    *,
-    obstacle: float = 0.0,
-    thrust: float | None = None,
-    fastest: float | None = None,
-) -> float:
-    """Return `measured` minus `range_needed` [m]; if it is at least 0, another period without braking is safe.
-
-    The result is −inf if the obstacle is too fast for braking.
-    """
-    return measured - range_needed(brakes, watch, speed, obstacle=obstacle, thrust=thrust, fastest=fastest)
-
-
 def fastest_obstacle(brakes: Brakes) -> float:
     """Return the largest obstacle speed v_o [m/s] for which braking guarantees that no collision happens.
 

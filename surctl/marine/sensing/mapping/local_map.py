@@ -159,18 +159,7 @@ class _Steps:
         self.local_map, self.block, self.lanes = local_map, local_map.block, 1
         while self.lanes < _WIDEST and self.block % (2 * self.lanes) == 0:
             self.lanes *= 2
-        self.programs = MapPrograms(
-            slots=local_map.slots,
-            side=local_map.side,
-            block=self.block,
-            lanes=self.lanes,
-            sectors=local_map.sectors,
-            fades=(local_map.dt / local_map.mark_time, local_map.dt / local_map.free_time),
-            known=local_map.known,
-            held=local_map.held,
-            smooth=local_map.smooth,
-            specular=local_map.specular,
-        )
+        self.programs = MapPrograms(local_map, self.lanes)
         self.limits, self.explained, self.explained_next, self.idle = (
             tuple(f"{name}_{s}" for s in range(local_map.slots))
             for name in ("limits", "explained", "explained_next", "idle")
