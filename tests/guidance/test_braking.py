@@ -230,7 +230,7 @@ def test_the_allowed_speed_is_the_inverse_of_the_range(distance: float, obstacle
     assert range_needed(BRAKES, WATCH, speed + 1e-3, obstacle=obstacle) > distance
 
 
-def test_the_closed_form_is_that_of_the_docstring() -> None:
+def test_the_closed_form_is_that_of_the_proof() -> None:
     b, s, left = replace(BRAKES, masses=(95.0, 95.0)), 0.2 + 0.05, BRAKES.left(0.05)
     swing = b.lag * (b.most + b.least)
     wanted = (95 * s**2 / 2 + s * swing + swing**2 / (2 * 95)) / left

@@ -10,12 +10,13 @@ vectors of a cell's column and row gives the squared distance of the cell from t
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import cached_property, reduce
 from math import cos, pi, sin
-from typing import TYPE_CHECKING
 
 import casadi as ca
 
+from surctl.errors import InputError, check_number
 from surctl.ir import Program, lower_named
 from surctl.marine.sensing.mapping.firing import (
     AXIS,
@@ -36,14 +37,12 @@ from surctl.marine.sensing.mapping.firing import (
     split,
 )
 
-if TYPE_CHECKING:
-    from surctl.marine.sensing.mapping.local_map import LocalMap
-
 BASE, BEAM = 4, 3
 """Number of values in the base of a column or row, and in the beam of a column or row for one firing."""
 _BOUNDS = 5  # per firing, for the columns or rows of a block: most along, least, most across, least, most squared range
 
 _AT_A_WALL = 2  # cells beside a wall where unknown cells are ignored: a larger object also extends into the third cell
+_HOLDS = 3  # cells; a disc two cells wide with its centre in a block touches at least this many of its cells
 _SLACK = 1e-3  # cells; a wall may be this far from a grid line
 _FAR = 1e6  # m², squared distance for a block without a marked or unknown cell
 _TOUCHED = 0.55  # cells; a block this far outside a cone is skipped (cells on the arc are at most 0.5 outside)
@@ -51,16 +50,79 @@ NONE = (0.0, 0.0, _FAR)
 """Offset x, y and squared distance that are returned if no marked or unknown cell exists."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class MapParameters:
+    """The numbers of cells of a `LocalMap`, and its times.
+
+    Attributes:
+        dt: period of the updates [s].
+        slots: largest number of firings in one period.
+        blocks: number of blocks (square groups of cells) along one side of the map.
+        block: number of cells along one side of a block, a square group of cells; in each block the map finds the
+            nearest marked cell and the nearest unknown cell.
+        sectors: number of directions in which the map returns the nearest cells, a multiple of 4.
+        mark_time: time [s] until a marked cell has faded to 0 (design choice).
+        free_time: time [s] until a cleared cell has faded to 0 (design choice).
+        known: fraction of `free_time` (design choice); in this last part of `free_time`, a cleared cell no longer
+            counts as known to be free.
+        smooth: whether surfaces answer only near their normal: marks then store the directions from which they were
+            heard, and for 9 s silence clears a mark only from within these directions (see `directions`).
+        specular: whether surfaces are mirrors: as `smooth`, but as long as the mark lasts, and also for marks of blind
+            firings; and a cell that was silent may cause an echo from another direction.
+    """
+
+    dt: float
+    slots: int = 2
+    blocks: int = 12
+    block: int = 4
+    sectors: int = 16
+    mark_time: float = 60.0
+    free_time: float = 60.0
+    known: float = 0.3
+    smooth: bool = False
+    specular: bool = False
+
+    def __post_init__(self) -> None:
+        for name in ("dt", "mark_time", "free_time"):
+            check_number(f"map.{name}", getattr(self, name), unit="s")
+        for name in ("slots", "blocks", "block"):
+            value = getattr(self, name)
+            if not isinstance(value, int) or value < 1:
+                raise InputError("must be a whole number, at least 1", key=f"map.{name}", value=value)
+        if not isinstance(self.sectors, int) or self.sectors < 4 or self.sectors % 4:
+            raise InputError("must be a multiple of 4", key="map.sectors", value=self.sectors)
+        if not 0 < self.known < 1:
+            raise InputError("must lie between 0 and 1", key="map.known", value=self.known)
+
+    @property
+    def side(self) -> int:
+        """Number N of cells along one side of the map."""
+        return self.blocks * self.block
+
+    @property
+    def held(self) -> int:
+        """Number of cells not known to be free below which the unknown cells of a block are ignored.
+
+        Of the five cells that a disc two cells wide touches, the centre's and its neighbours, at least three lie in one
+        block. So no object of this size can hide in blocks with fewer such cells.
+        """
+        return min(_HOLDS, self.block * self.block)
+
+    @property
+    def memory(self) -> float:
+        """Time [s] for which a cleared cell counts as known to be free."""
+        return (1.0 - self.known) * self.free_time
+
+
 class MapPrograms:
     """The programs of a local map.
 
     Args:
-        local_map: the map, with its numbers of cells and its times.
         lanes: number of neighbouring cells in a row that the processor computes at once (SIMD); the vectors of this
             many columns are stored together, entry by entry.
     """
 
-    def __init__(self, local_map: LocalMap, lanes: int) -> None:
+    def __init__(self, local_map: MapParameters, lanes: int) -> None:
         self.lanes, self.block, self.slots = lanes, local_map.block, local_map.slots
         self.sectors, self.side, self.held = local_map.sectors, local_map.side, local_map.held
         self.known, self.specular = local_map.known, local_map.specular
