@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
-from typing import NamedTuple, TypeAlias
+from typing import TypeAlias
 
 import casadi as ca
 import numpy as np
@@ -29,7 +29,7 @@ from surctl.marine.vehicle import Actuators
 from surctl.marine.vehicle.thruster_file import axis_limits
 from surctl.priority import Fallback, Level, Mode, PriorityProblem, PrioritySolution, Row, solve
 from surctl.priority.solver.elimination import FLOAT32, FLOAT64, Precision
-from surctl.system import NONFINITE
+from surctl.system.controller import NONFINITE, ControllerStep
 
 Vector: TypeAlias = NDArray[np.float64]
 
@@ -62,23 +62,6 @@ def scan_telemetry(sensors: int) -> tuple[Port, ...]:
         Port("healthy", (sensors,), "1", "1 where the law trusts the sonar"),
         Port("stopped", (1,), "1", "1 while the robot stops because it does not know what is ahead"),
     )
-
-
-class LawStep(NamedTuple):
-    """The result of one control step.
-
-    Attributes:
-        tau: thrust command (4,) [N, N m] in {B}.
-        x_next: next state as a flat vector.
-        status: 0, or a sum of the bits `SATURATED`, `SWITCHED`, `DEGRADED`, `TRAPPED`; or `NONFINITE`, in which case
-            tau is 0 and the state does not change.
-        telemetry: flat vector of all entries of `Law.outputs` except the first, which is tau.
-    """
-
-    tau: Vector
-    x_next: Vector
-    status: int
-    telemetry: Vector
 
 
 class Stages:
@@ -169,10 +152,11 @@ class Law:
         """Return the state before the first step."""
         return self.state.pack()
 
-    def step(self, x: Vector, u: Vector, p: Vector) -> LawStep:
-        """Compute one control step.
+    def step(self, x: Vector, u: Vector, p: Vector) -> ControllerStep:
+        """Compute one control step; the status is 0, or a sum of `SATURATED`, `SWITCHED`, `DEGRADED`, `TRAPPED`.
 
-        If an input or a result contains a number that is not finite, the thrust is 0 and the status is `NONFINITE`.
+        If an input or a result contains a number that is not finite, the thrust is 0, the state does not change, and
+        the status is `NONFINITE`. The telemetry has all entries of `outputs` except the first, which is tau.
 
         Raises:
             InputError: a vector does not have the size of its layout.
@@ -184,7 +168,7 @@ class Law:
         if not all(np.isfinite(part).all() for part in parts):
             return self._fail_safe(x)
         tau, x_next, status, telemetry = parts
-        return LawStep(tau, x_next, int(status[0]), telemetry)
+        return ControllerStep(tau, x_next, int(status[0]), telemetry)
 
     @cached_property
     def _run(self) -> Callable[[Vector, Vector, Vector], list[Vector]]:
@@ -275,8 +259,8 @@ class Law:
             flat.append(array.astype(float, copy=False).reshape(-1))
         return flat
 
-    def _fail_safe(self, x: Vector) -> LawStep:
-        return LawStep(np.zeros(4), np.array(x, dtype=float), NONFINITE, np.zeros(self.outputs.size - 4))
+    def _fail_safe(self, x: Vector) -> ControllerStep:
+        return ControllerStep(np.zeros(4), np.array(x, dtype=float), NONFINITE, np.zeros(self.outputs.size - 4))
 
 
 # A law with allocation: the law's thrust command is distributed to the thrusters of the vehicle.
