@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from math import isfinite
 from pathlib import Path
 
@@ -93,8 +94,8 @@ def sonar_replay(
         "sensor  readings  refused  healthy  gaps  longest gap  median bound",
     ]
     lines += [
-        f"{s.sensor:>6}  {s.readings:>8}  {s.refused:>7}  {100 * s.healthy:>6.1f}%  {s.gaps:>4}  "
-        f"{f'{s.longest_gap:.3g} s' if s.gaps else '-':>11}  {_bound(s.median_bound):>12}"
+        f"{s.sensor:>6}  {s.readings:>8}  {s.refused:>7}  {100 * s.healthy_share:>6.1f}%  {s.gaps:>4}  "
+        f"{f'{s.longest_gap_s:.3g} s' if s.gaps else '-':>11}  {_bound(s.median_bound_m):>12}"
         for s in summaries
     ]
     lines += [f"note: {text}" for text in recording.notes]
@@ -110,12 +111,12 @@ def sonar_replay(
         "skipped_crowded": recording.crowded,
         "beyond_maximum": recording.beyond,
         "restarts": len(recording.readings.first) - 1,
-        "sensors": [s.to_dict() for s in summaries],
+        "sensors": [asdict(s) for s in summaries],
         "notes": recording.notes,
         "files": [str(path) for path in files],
     }
-    poor = min(summaries, key=lambda one: one.healthy)
-    brief = [lines[0], f"least healthy: sensor {poor.sensor}, {poor.healthy:.1%} of the steps"]
+    poor = min(summaries, key=lambda one: one.healthy_share)
+    brief = [lines[0], f"least healthy: sensor {poor.sensor}, {poor.healthy_share:.1%} of the steps"]
     brief += [f"note: {text}" for text in recording.notes]
     finish(data, lines, as_json=as_json, passed=True, brief=brief, files=[f"files {out}"])
 
