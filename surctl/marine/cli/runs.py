@@ -454,7 +454,7 @@ def simulate_again(
     for name, source in _typed().items():
         if name not in ("replayed", "trust", "explained", "out", "animate", "as_json") and source:
             known = {param.name: param for param in click.get_current_context().command.params}
-            what = known[name].opts[0] if isinstance(known[name], click.Option) else f"the {name}"
+            what = known[name].opts[0] if isinstance(known[name], click.Option) else "the scenarios"
             raise InputError(
                 f"already sets {what}", key="--from", value=str(path), remedy=f"drop {what}, or edit the file"
             )
