@@ -162,8 +162,7 @@ class ExportOptions:
         passed = (report is None or report.passed) and (proof is None or proof.proved)
         finish(
             data, lines, as_json=as_json, passed=same and passed and assessment.accepted(), then=then,
-            brief=[*brief, *(f"{line.mark} {line.text}" for line in assessment.lines)],
-            files=[f"code {self.out} ({len(files)} files)"],
+            brief=brief, files=[f"code {self.out} ({len(files)} files)"],
         )  # fmt: skip
 
 
