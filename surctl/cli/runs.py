@@ -52,7 +52,8 @@ def activity_line(run: Run) -> str:
     return (
         f"  {angles}thrust varies by {varies} (N/s in surge, sway, heave, N m/s in "
         f"yaw); worst axis: {m.axis_sign_changes_per_s:.2g} sign changes/s, saturated {m.axis_saturated_share:.0%} of "
-        f"the time; wasted {m.wasted_impulse_n_s:.0f} N s ({m.wasted_share:.0%})"
+        f"the time; wasted thrust (beyond the drag along the path): {m.wasted_impulse_n_s:.0f} N s "
+        f"({m.wasted_share:.0%})"
     )
 
 
