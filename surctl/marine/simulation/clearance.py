@@ -378,6 +378,6 @@ def _surface(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
         sunk = floating_depth(radius, heave) if heave > 0 else -radius
         text += (
             f"; a flooded hull needs {missing:.3g} N upwards at this depth, and the heave thrust gives {heave:g} N: "
-            f"unless ballast makes the hull float, the hull sinks to z = {sunk:.3f} m; use depth_m = {-radius:g} or less"
+            f"unless ballast makes the hull float, the hull sinks to z = {sunk:.3f} m; use {-radius:g} m or less"
         )
     return [Finding("warning", "depth_m", text)]
