@@ -153,7 +153,7 @@ class Compared(NamedTuple):
     "--avoidance",
     default="corrected",
     metavar="NAME",
-    help="Paper's eq. (20): corrected (default), consistent, printed.",
+    help="Paper's equation: corrected (default), consistent, printed.",
 )
 @click.option(
     "--guidance", default="los", metavar="NAME", help="Path guidance: los (default); for currents ilos or alos."
@@ -169,7 +169,7 @@ class Compared(NamedTuple):
 @click.option(
     "--real", default="float64", metavar="NAME", help="Number type of the C code: float64 (default) or float32."
 )
-@click.option("--constant-gains", is_flag=True, help="Gains and mission constant in C; needs --sensing truth.")
+@click.option("--constant-gains", is_flag=True, help="Gains and mission as constants in C; needs --sensing truth.")
 @click.option(
     "--certificate",
     "certificates",

@@ -71,7 +71,7 @@ if TYPE_CHECKING:
     "--avoidance",
     default="corrected",
     metavar="NAME",
-    help="Paper's eq. (20): corrected (default), consistent, printed.",
+    help="Paper's equation: corrected (default), consistent, printed.",
 )
 @click.option(
     "--guidance", default="los", metavar="NAME", help="Path guidance: los (default); for currents ilos or alos."

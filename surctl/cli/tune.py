@@ -49,7 +49,7 @@ if TYPE_CHECKING:
 @click.option(
     "--guidance",
     metavar="NAME",
-    help="Path guidance of the runs: los, ilos or alos (default: the study's). Loop margins use los.",
+    help="Path guidance of the runs: los, ilos or alos (default: the study's). Loop margins always use los.",
 )
 @click.option("--rounds", type=Count(1), default=3, help="Largest number of tuning rounds (default 3).")
 @click.option(

@@ -193,7 +193,7 @@ def from_geometry(mass: float, cd: float, out: Path | None, force: bool, as_json
 @vehicle.command("from-gazebo")
 @click.argument("model", type=click.Path(path_type=Path))
 @_name
-@click.option("--link", metavar="NAME", help="Link that has the hydrodynamics (default: if only one has).")
+@click.option("--link", metavar="NAME", help="Name of the link with hydrodynamics (default: the only one).")
 @click.option("--diameter", type=_Measured("m"), required=True, help="Diameter of a circle around the hull [m].")
 @click.option("--thrust", type=_Measured("N"), required=True, help="Largest force in surge [N].")
 @click.option("--sway-thrust", type=_Measured("N"), help="Largest force in sway [N] (default: that of --thrust).")
@@ -259,7 +259,7 @@ def from_gazebo(
     multiple=True,
     default=(5.0,),
     metavar="S",
-    help="Length of a prediction, which begins at a measured state [s] (default 5; repeatable).",
+    help="Length of a prediction [s], which begins at a measured state (default 5; repeatable).",
 )
 @click.option("--picture", type=FILE, help="PNG file for a plot of the prediction (default: none).")
 @_name
