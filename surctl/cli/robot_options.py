@@ -218,7 +218,7 @@ priority_options = together(
         help="Solver for priorities of tasks: nsb (default, ignores limits), filter, projected or lexicographic.",
     ),
     click.option(
-        "--fallback", default="exact", metavar="NAME", help="If limits conflict: exact (default) or bounded solver."
+        "--fallback", default="exact", metavar="NAME", help="Solver for conflicting limits: exact (default) or bounded."
     ),
 )
 """A decorator that adds these options to a command; the command receives them as `priority_mode` and `fallback`."""

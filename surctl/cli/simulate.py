@@ -84,7 +84,7 @@ if TYPE_CHECKING:
 @controller_options
 @plant_options
 @click.option("--seed", type=Count(0), default=0, help="Seed of the first run (default 0).")
-@click.option("--runs", type=Count(1), default=1, help="Runs per scenario, each with a seed (default 1).")
+@click.option("--runs", type=Count(1), default=1, help="Runs per scenario, each with its seed (default 1).")
 @click.option("--explain", "explained", is_flag=True, help="Print when which limits override which tasks of the law.")
 @animate_option
 @click.option("--save", metavar="FORMAT", help="Save each run in --out DIR as csv, mat, nc or mcap.")

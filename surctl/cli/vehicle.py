@@ -43,7 +43,7 @@ def thrusters(
     as_json: bool,
 ) -> None:
     """Print the largest forces that the thrusters of a vehicle give on each axis alone and on all axes together. With
-    --force, print the force of each thruster that gives this force of the vehicle.
+    --force, print the force of each thruster for a given total force.
 
     Examples: surctl vehicle thrusters bluerov2-heavy --out pictures; surctl vehicle thrusters bluerov2-heavy --failed
     T2 --force 40 30 0 5
@@ -160,9 +160,7 @@ vehicle.add_command(thrusters)
 @click.option(
     "--cd", type=float, default=0.52, metavar="X", help="Drag coefficient of the frontal area (default 0.52)."
 )
-@click.option(
-    "--thrust", type=_Measured("N"), required=True, help="Largest force along each axis [N], or with kgf or lbf."
-)
+@click.option("--thrust", type=_Measured("N"), required=True, help='Largest force along each axis [N], or "0.5 kgf".')
 @click.option(
     "--yaw-thrust", type=_Measured("N m"), required=True, help="Largest moment about the vertical axis [N m]."
 )
