@@ -207,7 +207,7 @@ def law_words(reference: str) -> list[str]:
     return ["--law", own_file(reference)]
 
 
-trust_option = click.option("--trust", is_flag=True, help="Run the Python code of a law that only a file names.")
+trust_option = click.option("--trust", is_flag=True, help="Run the Python code of a law that a file names.")
 
 
 priority_options = together(

@@ -31,7 +31,11 @@ _METRES = FiniteRange(min=0.0, min_open=True)
     "--bias", type=float, default=0.0, metavar="M", help="Bias of a reading [m], from surctl calibrate (default 0)."
 )
 @click.option(
-    "--scale", type=_METRES, default=1.0, metavar="X", help="Scale of a reading, from surctl calibrate (default 1)."
+    "--scale",
+    type=_METRES,
+    default=1.0,
+    metavar="X",
+    help="Scale factor of a reading, from surctl calibrate (default 1).",
 )
 @click.option(
     "--noise-sd",

@@ -148,7 +148,9 @@ vehicle.add_command(thrusters)
 
 @vehicle.command("from-geometry")
 @_name
-@click.option("--diameter", type=_Measured("m"), required=True, help='Diameter of the sphere [m], or "54 cm".')
+@click.option(
+    "--diameter", type=_Measured("m"), required=True, help='Diameter of the sphere [m], or a text as "54 cm".'
+)
 @click.option("--mass", type=_Measured("kg"), required=True, help="Mass in air, without water in the hull [kg].")
 @click.option(
     "--flooded",
@@ -160,7 +162,9 @@ vehicle.add_command(thrusters)
 @click.option(
     "--cd", type=float, default=0.52, metavar="X", help="Drag coefficient of the frontal area (default 0.52)."
 )
-@click.option("--thrust", type=_Measured("N"), required=True, help='Largest force along each axis [N], or "0.5 kgf".')
+@click.option(
+    "--thrust", type=_Measured("N"), required=True, help='Largest force along each axis [N], or a text as "0.5 kgf".'
+)
 @click.option(
     "--yaw-thrust", type=_Measured("N m"), required=True, help="Largest moment about the vertical axis [N m]."
 )
