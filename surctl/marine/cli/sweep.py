@@ -61,7 +61,9 @@ _EXPLAINED = ("deviation_m", "path_error_m")  # columns whose meaning is printed
 )
 @click.option("--sensing", default="truth", metavar="NAME", help="Obstacle positions from truth (default) or sonar.")
 @click.option(
-    "--gains", metavar="FILE", help="Gain set for all gains without an axis: name or file (default: from the vehicle)."
+    "--gains",
+    metavar="FILE",
+    help="Gain set for all gains without an axis: name or file (default: chosen for the vehicle).",
 )
 @law_option
 @click.option(
@@ -74,7 +76,7 @@ _EXPLAINED = ("deviation_m", "path_error_m")  # columns whose meaning is printed
     "--guidance",
     default="los",
     metavar="NAME",
-    help="Path guidance of the runs: los (default); for currents ilos or alos. Loop margins and --locus use los.",
+    help="Path guidance of the runs: los (default), ilos or alos. Loop margins and --locus always use los.",
 )
 @click.option("--locus", metavar="PARAMETER", help="Plot closed-loop poles over one axis, for the best gains.")
 @click.option(
@@ -108,7 +110,7 @@ def sweep(
     the best point.
 
     The parameters of a system of your own, FILE.py:FUNCTION, are its gains (by name), plant.NAME, reference.NAME,
-    disturbance.NAME and start.NAME. With --seeds N, plant.NAME=LOW..HIGH is random in N runs; the worst counts.
+    disturbance.NAME and start.NAME. With --seeds N, plant.NAME=LOW..HIGH is random in N runs; the worst run counts.
 
     Examples: surctl sweep --scenario pool-static lookahead=0.6,0.9,1.2 k_v=0.5..3:6:log;
     surctl sweep k_v=1..3 plant.m11=30..60 --sensitivity deviation_m;
