@@ -160,7 +160,7 @@ class Compared(NamedTuple):
 )
 @priority_options
 @barrier_options
-@click.option("--sensing", metavar="NAME", help="Obstacles from sonar (default if the law can) or truth.")
+@click.option("--sensing", metavar="NAME", help="Obstacles: sonar (default if the law uses it) or truth.")
 @sensor_options
 @click.option("--name", metavar="TEXT", help="Prefix of all names in C (default: name of the law).")
 @click.option(

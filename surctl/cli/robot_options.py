@@ -207,7 +207,7 @@ def law_words(reference: str) -> list[str]:
     return ["--law", own_file(reference)]
 
 
-trust_option = click.option("--trust", is_flag=True, help="Run the Python code of a law that only a file names.")
+trust_option = click.option("--trust", is_flag=True, help="Run the Python law that a study file or saved run names.")
 
 
 priority_options = together(
@@ -218,7 +218,7 @@ priority_options = together(
         help="Solver for priorities of tasks: nsb (default, ignores limits), filter, projected or lexicographic.",
     ),
     click.option(
-        "--fallback", default="exact", metavar="NAME", help="If limits conflict: exact (default) or bounded solver."
+        "--fallback", default="exact", metavar="NAME", help="Solver if limits conflict: exact (default) or bounded."
     ),
 )
 """A decorator that adds these options to a command; the command receives them as `priority_mode` and `fallback`."""
@@ -232,7 +232,7 @@ barrier_options = together(
         "--movers",
         default="predict",
         metavar="NAME",
-        help="Moving obstacle: predict (evade, default), barrier (brake).",
+        help="Method for moving obstacles: predict (default) or barrier.",
     ),
 )
 """A decorator that adds these options to a command; the command receives them as `barrier` and `movers`."""

@@ -62,9 +62,9 @@ def sonar_replay(
     """Run recorded sonar readings through the filter of the controller. At each step, the filter gives the range of
     each sonar, the bound of its error, and whether the range is reliable.
 
-    The CSV file has the columns time_s, sensor (counted from 0), and either sample_1_m, sample_2_m, ... (several
-    samples per reading) or range_m. Optional columns are closing_m_per_s (own speed along the beam) and turn_rad_per_s
-    (yaw rate).
+    The CSV file has the columns time_s, sensor (counted from 0), and either range_m or, for several samples per
+    reading, sample_1_m to sample_N_m. Optional columns of this file are closing_m_per_s (own speed along the beam) and
+    turn_rad_per_s (yaw rate).
 
     Examples: surctl sonar-replay log.csv --out replay; surctl sonar-replay log.csv --maximum 6 --noise-sd 0.02
     """
