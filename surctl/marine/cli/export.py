@@ -53,7 +53,7 @@ if TYPE_CHECKING:
 )
 @priority_options
 @barrier_options
-@click.option("--sensing", metavar="NAME", help="Obstacles from sonar (default if the law can) or truth.")
+@click.option("--sensing", metavar="NAME", help="Obstacles: sonar (default if the law uses it) or truth.")
 @sensor_options
 @click.option("--constant-gains", is_flag=True, help="Gains and mission as constants in C; needs --sensing truth.")
 @click.option(

@@ -232,7 +232,7 @@ barrier_options = together(
         "--movers",
         default="predict",
         metavar="NAME",
-        help="Moving obstacle: predict (evade, default), barrier (brake).",
+        help="Method for moving obstacles: predict (default) or barrier.",
     ),
 )
 """A decorator that adds these options to a command; the command receives them as `barrier` and `movers`."""

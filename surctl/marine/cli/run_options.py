@@ -239,7 +239,7 @@ controller_options = together(
         "--link-delay", type=float, metavar="S", help="Delay of each command from the C code [s] (default 0)."
     ),
     click.option(
-        "--link-deadline", type=float, metavar="S", help="Age of a command from which thrust is 0 [s] (default 0.25)."
+        "--link-deadline", type=float, metavar="S", help="Thrust is 0 if the command is older than S (default 0.25)."
     ),
     click.option("--link-compact", is_flag=True, help="Request short replies from the C code, for a slow link."),
     click.option(

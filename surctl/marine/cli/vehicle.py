@@ -288,10 +288,10 @@ def from_log(
 
     A log can be a table (CSV, .mat, .nc), as surctl simulate --save writes it: time t_s and commands Fu_N, Fv_N, Fw_N,
     Fr_N_m (constant until the next row), and any measured columns of x_m, y_m, z_m, psi_rad, u_m_per_s, v_m_per_s,
-    w_m_per_s, r_rad_per_s. The axes are x forward, y left, z up; with --frame ned, x north, y east, z down, and v to
-    the right, w down. The velocities in a table are along axes that turn with the heading, but not with roll and pitch.
-    If the vehicle of --start has roll and pitch, the table also needs at least one of roll_rad, pitch_rad, p_rad_per_s,
-    q_rad_per_s.
+    w_m_per_s, r_rad_per_s. In such a table, x is east, y north, z up, u forward, v left, w up; with --frame ned, x is
+    north, y east, z down, v right, w down. The velocities in a table are along axes that turn with the heading, but not
+    with roll and pitch. If the vehicle of --start has roll and pitch, the table also needs at least one of roll_rad,
+    pitch_rad, p_rad_per_s, q_rad_per_s.
 
     Logs of ArduPilot (.BIN, .tlog), ROS (.bag, .db3 or folder, .mcap), PX4 (.ulg), and tables with other column names
     or none need --map. --topics prints the topics and fields of a log.
