@@ -187,7 +187,7 @@ class Compared(NamedTuple):
 @click.option("--check", is_flag=True, help="Compare C code with Python for all --targets.")
 @click.option("--prove", is_flag=True, help="Prove by Frama-C that C has no run-time error.")
 @click.option("--targets", metavar="A,B", help="Compilers and processors of --check (default: all).")
-@click.option("--steps", type=Count(1), help="Random steps of --check (default 100000).")
+@click.option("--steps", type=Count(1), help="Number of random steps in --check (default 100000).")
 @click.option(
     "--out",
     type=FOLDER,

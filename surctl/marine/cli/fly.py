@@ -21,7 +21,9 @@ _SYSTEM = click.IntRange(1, 255)
 
 @click.command
 @click.argument("scenario")
-@click.option("--mavlink", metavar="URL", help="Link to the autopilot: udp:HOST:PORT (listen) or udpout:HOST:PORT.")
+@click.option(
+    "--mavlink", metavar="URL", help="Link to the autopilot: udp:HOST:PORT (listen) or udpout:HOST:PORT (send)."
+)
 @click.option("--dry-run", is_flag=True, help="Rehearse with a simulated autopilot, in simulated time.")
 @click.option("--vehicle", metavar="FILE", help="Vehicle: name or file (default: the scenario's).")
 @click.option("--gains", metavar="FILE", help=GAINS_HELP)

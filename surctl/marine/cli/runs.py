@@ -53,7 +53,8 @@ def activity_line(run: Run) -> str:
     return (
         f"  {angles}thrust varies by {varies} (N/s in surge, sway, heave, N m/s in "
         f"yaw); worst axis: {m.axis_sign_changes_per_s:.2g} sign changes/s, saturated {m.axis_saturated_share:.0%} of "
-        f"the time; wasted {m.wasted_impulse_n_s:.0f} N s ({m.wasted_share:.0%})"
+        f"the time; wasted thrust (beyond the drag along the path): {m.wasted_impulse_n_s:.0f} N s "
+        f"({m.wasted_share:.0%})"
     )
 
 
@@ -211,7 +212,7 @@ MOST_ROWS = 100  # largest number of runs printed as JSON; the files in the outp
 
 campaign_options = together(
     click.option("--monte-carlo", is_flag=True, help="Campaign: vary vehicle and obstacles of each run at random."),
-    click.option("--random-worlds", "worlds", type=Count(1, 1_000_000), help="Campaign: N random missions."),
+    click.option("--random-worlds", "worlds", type=Count(1, 1_000_000), help="Campaign: simulate N random missions."),
     click.option("--worst", type=Count(0, 1000), help="Save N worst runs of a campaign (default 5)."),
     click.option("--threads", type=Count(1, 1024), help="Runs in parallel (default 2; MuJoCo 1)."),
     click.option("--fresh", is_flag=True, help="Do not resume the campaign in --out; start it again."),

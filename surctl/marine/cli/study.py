@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     help="Vehicle (name or file) of the built-in study; a large vehicle gets larger missions.",
 )
 @click.option("--gains", metavar="FILE", help="Gain set (name or file) to study instead of a sweep.")
-@click.option("--film", is_flag=True, help="Show the run in the report in MuJoCo, too.")
+@click.option("--film", is_flag=True, help="Show the run of the report also as a MuJoCo film.")
 @trust_option
 def study(
     words: tuple[str, ...],

@@ -61,7 +61,9 @@ _EXPLAINED = ("deviation_m", "path_error_m")  # columns whose meaning is printed
 )
 @click.option("--sensing", default="truth", metavar="NAME", help="Obstacle positions from truth (default) or sonar.")
 @click.option(
-    "--gains", metavar="FILE", help="Gain set for all gains without an axis: name or file (default: from the vehicle)."
+    "--gains",
+    metavar="FILE",
+    help="Gain set for all gains without an axis: name or file (default: chosen for the vehicle).",
 )
 @law_option
 @click.option(
@@ -74,9 +76,9 @@ _EXPLAINED = ("deviation_m", "path_error_m")  # columns whose meaning is printed
     "--guidance",
     default="los",
     metavar="NAME",
-    help="Path guidance of the runs: los (default); for currents ilos or alos. Loop margins and --locus use los.",
+    help="Path guidance of the runs: los (default), ilos or alos. Loop margins and --locus always use los.",
 )
-@click.option("--locus", metavar="PARAMETER", help="Plot closed-loop poles over one axis, for the best gains.")
+@click.option("--locus", metavar="PARAMETER", help="Plot poles over a swept PARAMETER, at the best gains.")
 @click.option(
     "--cruise",
     type=SPEEDS,
@@ -103,12 +105,12 @@ def sweep(
 ) -> SweepJob:
     """Simulate scenarios at each combination of parameter values, compute loop margins, and select the best point.
 
-    A parameter is a gain (k_v), a number of the vehicle (vehicle.m11; plant.m11 is that of the plant alone, not of the
-    controller's model), a number of the scenario (scenario.cruise) or seed. Exit status: 1 if surctl does not accept
-    the best point.
+    A parameter is a gain (k_v), a number of the vehicle (vehicle.m11; plant.m11 changes the plant, but not the
+    controller's model), a number of the scenario (scenario.cruise) or seed. Exit status: 1 if no point qualifies
+    as best, or if margins, runs or claims fail at the best point.
 
     The parameters of a system of your own, FILE.py:FUNCTION, are its gains (by name), plant.NAME, reference.NAME,
-    disturbance.NAME and start.NAME. With --seeds N, plant.NAME=LOW..HIGH is random in N runs; the worst counts.
+    disturbance.NAME and start.NAME. With --seeds N, plant.NAME=LOW..HIGH is random in N runs; the worst run counts.
 
     Examples: surctl sweep --scenario pool-static lookahead=0.6,0.9,1.2 k_v=0.5..3:6:log;
     surctl sweep k_v=1..3 plant.m11=30..60 --sensitivity deviation_m;

@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 @click.option(
     "--guidance",
     metavar="NAME",
-    help="Path guidance of the runs: los, ilos or alos (default: the study's). Loop margins use los.",
+    help="Path guidance of the runs: los, ilos or alos (default: the study's). Loop margins always use los.",
 )
 @click.option("--law", metavar="NAME", help="Law: NAME or FILE.py:FUNCTION (default: the study's).")
 @click.option("--scenario", metavar="FILE", help="Scenario of --page (default: the first of the study).")
@@ -73,9 +73,9 @@ def tune(
     the vehicle; the search minimises the soft goals. The built-in claims are a further test of the tuned gains. Exit
     status: 1 if the gains miss a hard goal in the search or in the test, or if a line of the output says FAIL.
 
-    For FILE.py:FUNCTION, a system of your own, the search minimises the first cost of the system, within the bounds of
-    its other costs and with a disk margin of at least 0.3, for every value of NAME=V1,V2. With --goals, the search
-    minimises the worst soft goal.
+    For FILE.py:FUNCTION, a system of your own, the search minimises the first cost of the system. The other costs must
+    stay within their bounds, and the disk margin must be at least 0.3, for every value of each NAME=V1,V2. With
+    --goals, the search minimises the worst soft goal.
 
     Examples: surctl tune my-study.toml --gain k_v=0.5..3 --goals my-goals.toml; surctl tune my-system.py:build --page
     """

@@ -70,7 +70,7 @@ _SPEED = FiniteRange(min=0, max=100, min_open=True)
 )
 @click.option("--scenario", metavar="FILE", help="Scenario (name or file) for the no-contact claim.")
 @click.option("--law", metavar="NAME", help="Law: name or FILE.py:FUNCTION (default: by vehicle).")
-@click.option("--sensing", metavar="NAME", help="Obstacles from sonar (default if the law can) or truth.")
+@click.option("--sensing", metavar="NAME", help="Obstacles: sonar (default if the law uses it) or truth.")
 @click.option(
     "--stack", "stacks", multiple=True, metavar="LAW", help="Print which tasks of law guarded or paper are independent."
 )
@@ -97,21 +97,21 @@ def verify(
 ) -> None:
     """Prove or refute built-in claims or your own, and print margins of the loop.
 
-    A claim is proved (with a certificate that `surctl check` accepts), refuted (with a counterexample), unknown
-    (neither), or not applicable (the vehicle, law or gains violate an assumption). The paper's claims are about the
-    kinematic loop at cruise speed, with speeds limited to --cap. With --scenario, surctl also checks the no-contact
-    claim: the robot touches no obstacle. The claim mission or mission:REGION says that the robot stays
-    near the path.
+    A claim is proved (with a certificate for `surctl check`), refuted (with a counterexample), unknown (neither), or
+    not applicable (an assumption does not hold). The paper's claims are about the kinematic loop at cruise speed, with
+    speeds limited to --cap. With --scenario, surctl also checks the no-contact claim: the robot touches no obstacle.
+    The claim mission says that the robot stays near the scenario's path; mission:REGION uses another region claim.
 
     surctl linearises the loop about straight cruise (with --law: about the law's steady motion), and prints margins,
     poles, the slowest mode, stable speeds and sampling limits, for the nominal and the worst vehicle within
-    --uncertainty or the file's ranges. surctl list shows region and braking claims, which are checked only if you name
-    them. A claim file states an inequality (kind claim; --show prints examples), a region claim with other numbers
-    (kind region), or a region of attraction or a barrier of any dynamics (kind lyapunov or barrier). Exit status: 1
-    if a verdict is unexpected, a claim that you name is not applicable, or a margin or no-contact claim fails.
+    --uncertainty or the vehicle's ranges. surctl list shows region and braking claims, which are checked only if you
+    name them. A claim file states an inequality (key kind = claim; --show prints examples), a region claim with other
+    numbers (region), or a region of attraction or a barrier of any dynamics (lyapunov, barrier). Exit status: 1 if a
+    verdict differs from the expected one, a claim that you name is not applicable, or a margin or no-contact claim
+    fails.
 
-    For FILE.py:FUNCTION, a system of your own, surctl prints equilibrium, poles and margins of the sampled loop, and
-    with within.STATE=LOW..HIGH for every state it proves a region of attraction.
+    For FILE.py:FUNCTION, a system of your own, surctl prints equilibrium, poles and margins of the sampled loop. If
+    you give within.STATE=LOW..HIGH for every state, surctl proves a region of attraction.
 
     Examples: surctl verify --out proofs; surctl verify region-cruise-20 claim.toml; surctl verify loop.py:build k=2
     """
