@@ -88,12 +88,14 @@ def simulate_own_system(
         "files": [str(file) for file in files],
     }
     fine = record.stopped != LOST
-    then = [command_line("verify", own, *own.settings), _sweep(own, duration)] if fine else []
+    swept = [
+        command_line("sweep", own, a, "--seconds", f"{duration:g}", "--out", "sweep") for a in own.default_axes({})
+    ]
+    then = [command_line("verify", own, *own.settings), *swept[:1]] if fine else []
     good = [line for line in judged if line.startswith("ok ")]
     brief = [lines[0], *(line for line in judged if line not in good)]
     brief += [" ".join(line.split()) for line in cost_lines(own.system, record.figures)] + good
-    steps = [command for command in then if command]
-    finish(data, lines, as_json=as_json, passed=assessment.accepted(), then=steps, brief=brief, files=where(out))
+    finish(data, lines, as_json=as_json, passed=assessment.accepted(), then=then, brief=brief, files=where(out))
 
 
 def _write(own: OwnSystem, record: Record, out: Path, kind: str) -> list[Path]:
@@ -110,12 +112,3 @@ def _write(own: OwnSystem, record: Record, out: Path, kind: str) -> list[Path]:
 
         files.insert(0, save_figure(record.plot(), out, (name,)))
     return files
-
-
-def _sweep(own: OwnSystem, seconds: float) -> str:
-    """Return the command that sweeps the first gain about its nominal value; "" if no gain can be swept."""
-    swept = [port for port in own.system.controller.gains if port.size == 1 and port.default > 0]
-    if not swept or not own.system.costs:
-        return ""
-    axis = f"{swept[0].name}={swept[0].default / 2:.4g}..{swept[0].default * 2:.4g}:9"
-    return command_line("sweep", own, axis, "--seconds", f"{seconds:g}", "--out", "sweep")

@@ -58,7 +58,7 @@ def report_files(report: Path | None, out: Path) -> list[str]:
     return [*([f"report {report}"] if report else []), f"code {out / 'export'}"]
 
 
-_AXES, _POINTS = 2, 9  # of the sweep, if no axis is given
+_AXES = 2  # of the sweep, if none is given
 _REGION = 60.0  # largest processor time of the region of a system [s]
 
 
@@ -88,7 +88,7 @@ def study_system(words: Sequence[str], *, seconds: float | None, workers: int, o
     others, region, uncertain = region_words([word for word in own.settings if word not in stated], own.system)
     duration, values = own.seconds(seconds), assigned(others)
     problem = None if region is None else region.problem(own.system, values)
-    axes = axes or _default_axes(own, values)
+    axes = axes or own.default_axes(values)[:_AXES]
     design = _design(own, axes, values)
     prepare_folder(out)
     check_folder(out / "export")
@@ -173,13 +173,6 @@ def study_system(words: Sequence[str], *, seconds: float | None, workers: int, o
         brief=[lines[0], *(f"{line.mark} {line.text}" for line in weakest(assessment))],
         files=report_files(report, out),
     )  # fmt: skip
-
-
-def _default_axes(own: OwnSystem, values: Mapping[str, object]) -> list[str]:
-    """Return axes from half to twice the default of the first gains; none without costs."""
-    gains = [port for port in own.system.controller.gains if port.size == 1 and port.default > 0]
-    free = [port for port in gains if port.name not in values] if own.system.costs else []
-    return [f"{port.name}={port.default / 2:.4g}..{port.default * 2:.4g}:{_POINTS}" for port in free[:_AXES]]
 
 
 def _design(

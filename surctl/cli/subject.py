@@ -98,6 +98,12 @@ class OwnSystem:
             raise InputError("has no costs", key="system", value=self.label, remedy="give System(..., costs={...})")
         return self.system.costs
 
+    def default_axes(self, values: Mapping[str, object]) -> list[str]:
+        """Return axes from half to twice the default of each gain without a value in `values`; none without costs."""
+        ports = self.system.controller.gains if self.system.costs else ()
+        free = [port for port in ports if port.size == 1 and port.default > 0 and port.name not in values]
+        return [f"{port.name}={port.default / 2:.4g}..{port.default * 2:.4g}:9" for port in free]
+
     def exported_name(self, name: str | None = None) -> str:
         """Return the name of the bundle: `name`, or that of the controller.
 
