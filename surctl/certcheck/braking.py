@@ -24,7 +24,7 @@ differ, m ≤ μ ≤ ρ m, a thrust F < 0 counts as F/μ to v̇, but as F/m to z
 which is at least z, and at first at most s + q/m. Where F ≥ 0, m Ż ≤ u + f + D; where U ≤ F < 0, m Ż ≤ u − F +
 max(f + D + F, 0), with u − F ≤ 0; where F < min(U, 0), Z changes with s only. So z never exceeds s + q/m +
 T max(U + f + D, 0)/m in a period T. Where b ≥ V, the command is at most that for b = V.
-`surctl.marine.guidance.braking` derives f, q and the largest thrust.
+`analysis/15_braking_barrier/proof.md` derives f, q and the largest thrust.
 """
 
 from __future__ import annotations

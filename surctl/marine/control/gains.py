@@ -25,11 +25,6 @@ class GainSpec:
     A gain file may omit a gain that has a `default`. `range` is the range in which sweeps and tuning vary the gain,
     unless the gain file states another range. A number with `from_vehicle` is no gain: it follows from vehicle and
     cruise speed (`law_parameters`), so no file states it.
-
-    Example:
-        >>> from surctl.marine.control import GainSpec
-        >>> GainSpec("m", "distance kept from the wall", default=0.5, range=(0.3, 0.8)).default
-        0.5
     """
 
     unit: str

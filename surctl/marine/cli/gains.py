@@ -12,8 +12,8 @@ import click
 
 from surctl.cli.new import write_new
 from surctl.cli.output import FILE, FiniteRange, as_json, finish
-from surctl.cli.robot_options import derive_words, margin_short
 from surctl.errors import InputError
+from surctl.marine.cli.robot_options import derive_words, margin_short
 
 if TYPE_CHECKING:
     from surctl.marine.simulation import SafetyClaim

@@ -231,8 +231,10 @@ class PlantOptions:
 
 
 controller_options = together(
-    click.option("--controller", metavar="URL", help="C controller: c (here), tcp://HOST:PORT or qemu:cortex-m4f."),
-    click.option("--link-loss", type=float, metavar="P", help="Probability that a message to C is lost (default 0)."),
+    click.option("--controller", metavar="URL", help="C controller: c (local), tcp://HOST:PORT, qemu:cortex-m4f."),
+    click.option(
+        "--link-loss", type=float, metavar="P", help="Probability that a message of the link is lost (default 0)."
+    ),
     click.option(
         "--link-delay", type=float, metavar="S", help="Delay of each command from the C code [s] (default 0)."
     ),
