@@ -61,7 +61,7 @@ def app() -> None:
     Examples: surctl new system pendulum; surctl study pendulum.py:build; surctl simulate tank-static --out plots
 
     Exit status: 0 finished with the expected result, 1 finished with another result (a line says FAIL, or a claim that
-    you ask for is not proved), 2 wrong input or no permission to write, 3 some output is lost (disk full, file system
+    you name is not proved), 2 wrong input or no permission to write, 3 some output is lost (disk full, file system
     read-only, stdout lost), 130 stopped.
     """
 
@@ -69,7 +69,7 @@ def app() -> None:
 @click.command
 @click.argument("shell", type=click.Choice(["bash", "zsh", "fish"]))
 def completion(shell: str) -> None:
-    """Print a script with which a shell completes commands, options and choices.
+    """Print a script for a shell that completes the names of commands, options and values.
 
     For bash, add this line to ~/.bashrc: eval "$(surctl completion bash)".
 

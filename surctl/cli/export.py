@@ -144,34 +144,51 @@ class Compared(NamedTuple):
 @click.argument("system", nargs=-1, metavar="[FILE.py:FUNCTION [NAME=VALUE]...]")
 @seconds_option
 @click.option("--gains", metavar="FILE", help=GAINS_HELP)
-@click.option("--vehicle", metavar="FILE", help="Vehicle: name or file (default: the scenario's).")
+@click.option("--vehicle", metavar="FILE", help="Vehicle: name or file (default: that of the scenario).")
 @click.option(
-    "--scenario", default=MISSION, metavar="FILE", help="Scenario with mission, sensors (default pool-static)."
+    "--scenario", default=MISSION, metavar="FILE", help="Mission and sensors: name or file (default pool-static)."
 )
 @law_option
 @click.option(
-    "--avoidance", default="corrected", metavar="NAME", help="Avoidance law: corrected (default), consistent, printed."
+    "--avoidance",
+    default="corrected",
+    metavar="NAME",
+    help="Paper's eq. (20): corrected (default), consistent, printed.",
 )
-@click.option("--guidance", default="los", metavar="NAME", help="Path guidance: los (default), ilos or alos.")
+@click.option(
+    "--guidance", default="los", metavar="NAME", help="Path guidance: los (default); for currents ilos or alos."
+)
 @priority_options
 @barrier_options
-@click.option("--sensing", metavar="NAME", help="Obstacle positions: sonar (default, if used) or truth.")
+@click.option("--sensing", metavar="NAME", help="Obstacles from sonar (default if the law can) or truth.")
 @sensor_options
-@click.option("--name", metavar="TEXT", help="Prefix of C names (default: the law's name).")
-@click.option("--target", default="c99", metavar="NAME", help="Output: c99 (default), fmu (FMI 2), fmu3 or mjcf.")
-@click.option("--real", default="float64", metavar="NAME", help="Number type: float64 (default) or float32.")
-@click.option("--constant-gains", is_flag=True, help="Compile gains and mission in; needs --sensing truth.")
+@click.option("--name", metavar="TEXT", help="Prefix of all names in C (default: name of the law).")
 @click.option(
-    "--certificate", "certificates", multiple=True, type=FILE, help="Certificate to add to the bundle; may be repeated."
+    "--target", default="c99", metavar="NAME", help="Format: c99 (default), fmu (FMI 2), fmu3, mjcf (MuJoCo)."
 )
-@click.option("--check", is_flag=True, help="Compare C code and Python for all --targets.")
-@click.option("--prove", is_flag=True, help="Prove that no run-time error occurs (Frama-C's Eva).")
-@click.option("--targets", metavar="A,B", help="Compilers, processors of --check (default: all).")
-@click.option("--steps", type=Count(1), help="Single steps that --check compares (default 100000).")
 @click.option(
-    "--out", type=FOLDER, default=Path("surctl-out", "export"), help="Folder of the bundle (default surctl-out/export)."
+    "--real", default="float64", metavar="NAME", help="Number type of the C code: float64 (default) or float32."
 )
-@click.option("--seed", type=Count(0), default=0, help="Seed of the replayed run (default 0).")
+@click.option("--constant-gains", is_flag=True, help="Gains and mission constant in C; needs --sensing truth.")
+@click.option(
+    "--certificate",
+    "certificates",
+    multiple=True,
+    type=FILE,
+    metavar="F",
+    help="Certificate file to add to the bundle; repeatable.",
+)
+@click.option("--check", is_flag=True, help="Compare C code with Python for all --targets.")
+@click.option("--prove", is_flag=True, help="Prove by Frama-C that C has no run-time error.")
+@click.option("--targets", metavar="A,B", help="Compilers and processors of --check (default: all).")
+@click.option("--steps", type=Count(1), help="Random steps of --check (default 100000).")
+@click.option(
+    "--out",
+    type=FOLDER,
+    default=Path("surctl-out", "export"),
+    help="Folder for the bundle (default surctl-out/export).",
+)
+@click.option("--seed", type=Count(0), default=0, help="Seed of the compared run (default 0).")
 @as_json
 @collected(robot=RobotOptions, sensors=SensorOptions, options=ExportOptions)
 def export(
@@ -186,13 +203,12 @@ def export(
     seed: int,
     as_json: bool,
 ) -> None:
-    """Write the controller as C99, compile it, and compare it with Python at every step of a simulated run.
+    """Write the controller as C99, compile the C code, and compare C with Python in every step of a simulated run.
 
-    Sensor options override the scenario's tables. --check also runs code built by gcc and clang at -O0 to -O3 and on
-    QEMU's Cortex-M3, -M4F and -M7: every output byte must equal that of Python. --prove takes minutes with sonar
-    sensing; the proof covers all gains within the ranges of the gain file. FILE.py:FUNCTION exports the controller of a
-    system of your own. Exit status: 1 if C and Python differ, or if a line of the assessment fails; the code is written
-    all the same.
+    --check also compares the code of gcc and clang at -O0 to -O3, and of QEMU's Cortex-M3, -M4F and -M7, with Python:
+    every byte of the outputs must be equal. --prove takes minutes for a law with sonars; the proof covers all gains
+    within the ranges of the gain file. FILE.py:FUNCTION exports the controller of a system of your own. Exit status:
+    1 if C and Python differ, or if a line of the output says FAIL; even then, the command writes the code.
 
     Examples: surctl export --gains surctl-out/gains.toml --out firmware; surctl export --law closed_form --sensing
     truth --constant-gains --check; surctl export my_system.py:build --seconds 5

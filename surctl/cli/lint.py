@@ -176,12 +176,11 @@ class _Linted(NamedTuple):
 
 @click.command
 @click.argument("files", nargs=-1, required=True, metavar="FILE...")
-@click.option("--vehicle", metavar="FILE", help="Vehicle for a scenario: name or file (default: the scenario's).")
+@click.option("--vehicle", metavar="FILE", help="Vehicle (name or file) with which to check a scenario.")
 @as_json
 def lint(files: tuple[str, ...], vehicle: str | None, as_json: bool) -> None:
-    """Check files and print which entries cannot work, and why. Exit status: 1 if an entry cannot work.
-
-    FILE.py:FUNCTION names a system of your own.
+    """Check vehicle, scenario, study, gain, goal and claim files, or a system of your own (FILE.py:FUNCTION), and print
+    which entries cannot work, and why. Exit status: 1 if an entry cannot work.
 
     Examples: surctl lint my-vehicle.toml my-mission.toml; surctl lint pool-static --vehicle sur540-flooded; surctl lint
     my_system.py:build

@@ -12,10 +12,10 @@ from surctl.errors import InputError, nearest
 
 
 @click.command("list")
-@click.option("--show", metavar="NAME", help="Print the built-in file NAME instead of the list.")
+@click.option("--show", metavar="NAME", help="Print the content of the built-in file NAME.")
 @as_json
 def listing(show: str | None, as_json: bool) -> None:
-    """List built-in vehicles, gain files, scenarios, studies, goals and claims, and systems of installed packages.
+    """List built-in vehicles, gain files, scenarios, studies, goals and claims, and systems from installed packages.
 
     Example: surctl list --show sur540-flooded > my-vehicle.toml
     """

@@ -64,13 +64,18 @@ if TYPE_CHECKING:
 @click.command
 @click.argument("scenarios", nargs=-1, metavar="SCENARIO... | FILE.py:FUNCTION NAME=VALUE...")
 @seconds_option
-@click.option("--vehicle", metavar="FILE", help="Vehicle: name or file (default: the scenario's).")
+@click.option("--vehicle", metavar="FILE", help="Vehicle: name or file (default: that of the scenario).")
 @click.option("--gains", metavar="FILE", help=GAINS_HELP)
 @law_option
 @click.option(
-    "--avoidance", default="corrected", metavar="NAME", help="Avoidance law: corrected (default), consistent, printed."
+    "--avoidance",
+    default="corrected",
+    metavar="NAME",
+    help="Paper's eq. (20): corrected (default), consistent, printed.",
 )
-@click.option("--guidance", default="los", metavar="NAME", help="Path guidance: los (default), ilos or alos.")
+@click.option(
+    "--guidance", default="los", metavar="NAME", help="Path guidance: los (default); for currents ilos or alos."
+)
 @priority_options
 @click.option("--sensing", default="truth", metavar="NAME", help="Obstacle positions from truth (default) or sonar.")
 @barrier_options
@@ -78,12 +83,12 @@ if TYPE_CHECKING:
 @simulated_echoes
 @controller_options
 @plant_options
-@click.option("--seed", type=Count(0), default=0, help="First seed (default 0).")
-@click.option("--runs", type=Count(1), default=1, help="Runs per scenario, one seed each (default 1).")
-@click.option("--explain", "explained", is_flag=True, help="Print which limits override which tasks.")
+@click.option("--seed", type=Count(0), default=0, help="Seed of the first run (default 0).")
+@click.option("--runs", type=Count(1), default=1, help="Runs per scenario, each with a seed (default 1).")
+@click.option("--explain", "explained", is_flag=True, help="Print when which limits override which tasks of the law.")
 @animate_option
-@click.option("--save", metavar="FORMAT", help="Save each run in DIR as csv, mat, nc or mcap.")
-@click.option("--frame", metavar="NAME", help="Frame of --save: enu (default) or ned.")
+@click.option("--save", metavar="FORMAT", help="Save each run in --out DIR as csv, mat, nc or mcap.")
+@click.option("--frame", metavar="NAME", help="Axes in the files of --save: enu (default) or ned.")
 @campaign_options
 @trust_option
 @out_folder
@@ -110,9 +115,8 @@ def simulate(
     out: Path | None,
     as_json: bool,
 ) -> None:
-    """Simulate scenarios, or a system of your own (surctl new system). Interrupted campaigns resume in --out DIR.
-    Exit status: 1 if a run collides or does not arrive.
-    Example: surctl simulate tank-static --runs 9 --monte-carlo
+    """Simulate scenarios, or a system of your own. Exit status: 1 if a run collides or does not arrive.
+    Example: surctl simulate tank-static --runs 9
     """
     if is_system(scenarios, "seconds", "out", "save", "as_json"):
         _check_save(save, None, out=out, campaign=False)

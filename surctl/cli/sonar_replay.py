@@ -16,16 +16,18 @@ _METRES = FiniteRange(min=0.0, min_open=True)
 
 @click.command("sonar-replay")
 @click.argument("file")
-@click.option("--sensors", type=Count(1, 16), default=4, help="Number of sensors in the array (default 4).")
-@click.option("--minimum", type=_METRES, default=0.2, metavar="M", help="Shortest range of a sensor [m] (default 0.2).")
+@click.option("--sensors", type=Count(1, 16), default=4, help="Number of sonars on the robot (default 4).")
+@click.option(
+    "--minimum", type=_METRES, default=0.2, metavar="M", help="Shortest range that a sonar measures [m] (default 0.2)."
+)
 @click.option(
     "--maximum",
     type=_METRES,
     default=4.5,
     metavar="M",
-    help="Longest range of a sensor [m] (default 4.5); the reading if no echo is received.",
+    help="Longest range that a sonar measures, and its reading without an echo [m] (default 4.5).",
 )
-@click.option("--bits", type=Count(1, 24), default=8, help="Resolution of the A/D converter in bits (default 8).")
+@click.option("--bits", type=Count(1, 24), default=8, help="Bits of the sonar's A/D converter (default 8).")
 @click.option(
     "--bias", type=float, default=0.0, metavar="M", help="Bias of a reading [m], from surctl calibrate (default 0)."
 )
@@ -43,7 +45,7 @@ _METRES = FiniteRange(min=0.0, min_open=True)
     "--out",
     type=FOLDER,
     default=Path("surctl-out", "sonar-replay"),
-    help="Folder of the files (default surctl-out/sonar-replay).",
+    help="Folder for results (default surctl-out/sonar-replay).",
 )
 @as_json
 def sonar_replay(
@@ -58,10 +60,12 @@ def sonar_replay(
     out: Path,
     as_json: bool,
 ) -> None:
-    """Run recorded sonar readings through the filter of the controller: range, bound and health at each step.
+    """Run recorded sonar readings through the filter of the controller. At each step, the filter gives the range of
+    each sonar, the bound of its error, and whether the range is reliable.
 
-    The CSV file has the columns time_s, sensor (counted from 0), and either sample_1_m, sample_2_m, ... or one range_m.
-    Optional columns are closing_m_per_s (own speed along the beam) and turn_rad_per_s (yaw rate).
+    The CSV file has the columns time_s, sensor (counted from 0), and either sample_1_m, sample_2_m, ... (several
+    samples per reading) or range_m. Optional columns are closing_m_per_s (own speed along the beam) and turn_rad_per_s
+    (yaw rate).
 
     Examples: surctl sonar-replay log.csv --out replay; surctl sonar-replay log.csv --maximum 6 --noise-sd 0.02
     """

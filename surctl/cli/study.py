@@ -55,10 +55,12 @@ if TYPE_CHECKING:
 )
 @click.option("--workers", type=Count(1), default=2, help="Number of processes of the sweep (default 2).")
 @click.option(
-    "--vehicle", metavar="FILE", help="Vehicle of the built-in study; its missions are scaled if the vehicle is large."
+    "--vehicle",
+    metavar="FILE",
+    help="Vehicle (name or file) of the built-in study; a large vehicle gets larger missions.",
 )
-@click.option("--gains", metavar="FILE", help="Study this gain set (name or file), without a sweep.")
-@click.option("--film", is_flag=True, help="Also show the report's animated run in MuJoCo.")
+@click.option("--gains", metavar="FILE", help="Gain set (name or file) to study instead of a sweep.")
+@click.option("--film", is_flag=True, help="Show the run in the report in MuJoCo, too.")
 @seconds_option
 @trust_option
 @as_json
@@ -73,15 +75,15 @@ def study(
     trust: bool,
     as_json: bool,
 ) -> None:
-    """Sweep gains, select the best point, verify the claims, simulate the scenarios, and export and check the C code.
+    """Sweep gains, select the best gains, verify the claims, simulate the scenarios, and export and check the C code.
 
-    FILE is a study file or a vehicle file; without FILE, the built-in study runs. For a vehicle that cannot sway, or
-    does not fit into a built-in scenario, the study scales three missions to the vehicle: a straight path, two legs,
+    FILE is a study file or a vehicle file; without FILE, the built-in study runs. If a vehicle cannot sway, or does not
+    fit into a built-in scenario, surctl scales three missions to the vehicle: a straight path, a path with a corner,
     and the obstacles of the scenario tank-static.
 
-    FILE.py:FUNCTION names a system of your own: the report has a run, margins, costs over gains, and C code. A WORD
-    sets a value of the run (NAME=VALUE), a swept gain (GAIN=LOW..HIGH:COUNT), or the box of a state for the region of
-    attraction (within.STATE=LOW..HIGH).
+    For FILE.py:FUNCTION, a system of your own, the report has a simulated run, margins, costs over gains, and C code. A
+    WORD sets a number of the run (NAME=VALUE), the range of a swept gain (GAIN=LOW..HIGH:COUNT), or the range of a
+    state in which to prove a region of attraction (within.STATE=LOW..HIGH).
 
     Examples: surctl study; surctl study my-vehicle.toml --out results; surctl study --vehicle otter --json >
     study.json; surctl study my_system.py:build --seconds 5

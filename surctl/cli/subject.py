@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from surctl.verification.sampled_margins import LoopCorners, SystemLoop
 
 seconds_option = click.option(
-    "--seconds", type=float, metavar="S", help="Simulated time of FILE.py [s] (default: its own)."
+    "--seconds", type=float, metavar="S", help="Length of a run of FILE.py [s] (default: set in it)."
 )
 
 _MOST_PERIODS = 10_000_000  # of a run in Python, whose signals are in memory

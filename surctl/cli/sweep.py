@@ -54,66 +54,72 @@ _EXPLAINED = ("deviation_m", "path_error_m")  # columns whose meaning is printed
     multiple=True,
     default=("tank-static", "pool-static"),
     metavar="FILE",
-    help="Scenario simulated at each point: name or file; may be repeated (default tank-static and pool-static).",
+    help="Scenario to simulate at each point: name or file; repeatable (default tank-static and pool-static).",
 )
 @click.option(
     "--vehicle",
     "vehicles",
     multiple=True,
     metavar="FILE",
-    help="Vehicle: name or file; may be repeated (default: each scenario's).",
+    help="Vehicle: name or file; repeatable (default: by scenario).",
 )
 @click.option("--sensing", default="truth", metavar="NAME", help="Obstacle positions from truth (default) or sonar.")
-@click.option("--gains", metavar="FILE", help="Gains not swept: name or file (default: the vehicle's).")
+@click.option(
+    "--gains", metavar="FILE", help="Gain set for all gains without an axis: name or file (default: from the vehicle)."
+)
 @law_option
 @click.option(
-    "--priority-mode", default="nsb", metavar="NAME", help="Mode: nsb (default), filter, projected, lexicographic."
+    "--priority-mode",
+    default="nsb",
+    metavar="M",
+    help="Solver for priorities of tasks: nsb (default, ignores limits), filter, projected or lexicographic.",
 )
 @click.option(
     "--guidance",
     default="los",
     metavar="NAME",
-    help="Path guidance: los (default), ilos or alos. Loop margins and --locus always use los.",
+    help="Path guidance of the runs: los (default); for currents ilos or alos. Loop margins and --locus use los.",
 )
 @click.option(
     "--design",
     default="grid",
     metavar="NAME",
-    help="Points: grid (default), or space-filling in the ranges: lhs, sobol.",
+    help="Points: grid (default), lhs (Latin hypercube) or sobol.",
 )
-@click.option("--points", type=Count(1), help="Number of points for lhs and sobol.")
+@click.option("--points", type=Count(1), help="Number of points of --design lhs or sobol.")
 @click.option(
     "--sensitivity",
-    metavar="COLUMN",
-    help="Sobol' indices of a result column; needs N (number of axes + 2) points, N = --points (default 64).",
+    metavar="COST",
+    help="Compute Sobol' indices of a cost from N (number of axes + 2) points, N = --points (default 64).",
 )
-@click.option("--locus", metavar="PARAMETER", help="Plot the closed-loop poles over this axis, for the selected gains.")
+@click.option("--locus", metavar="PARAMETER", help="Plot closed-loop poles over one axis, for the best gains.")
 @click.option(
     "--cruise",
     type=SPEEDS,
     metavar="U1,U2,...",
-    help="Cruise speeds [m/s] of the loop margins; the worst counts (default: the scenarios' speeds).",
+    help="Cruise speeds of the loop margins [m/s], of which the worst counts (default: speeds of the scenarios).",
 )
 @click.option(
-    "--seeds", type=Count(1, 1_000_000), default=1, help="Simulate every point with the seeds 0 to N-1 (default 1)."
+    "--seeds", type=Count(1, 1_000_000), default=1, help="Simulate each point with the seeds 0 to N-1 (default 1)."
 )
-@click.option("--workers", type=Count(1), help="Processes or threads (default 2).")
-@click.option("--dask", metavar="ADDRESS", help="Use a Dask scheduler instead of local processes.")
+@click.option("--workers", type=Count(1), help="Parallel processes or threads (default 2).")
+@click.option("--dask", metavar="ADDRESS", help="Run on the Dask scheduler at ADDRESS, not locally.")
 @click.option(
     "--out",
     type=FOLDER,
     default=Path("surctl-out"),
-    help="Folder of sweep.nc (default surctl-out); an interrupted sweep resumes there.",
+    help="Folder for sweep.nc (default surctl-out). The same command continues an interrupted sweep.",
 )
 @as_json
 def sweep(axes: tuple[str, ...], workers: int | None, dask: str | None, out: Path, as_json: bool, **words: Any) -> None:
-    """Simulate scenarios over values of parameters, compute loop margins, and select the best point.
+    """Simulate scenarios at each combination of parameter values, compute loop margins, and select the best point.
 
-    A parameter is a gain (k_v), a vehicle parameter (vehicle.m11; plant.m11 changes the plant but not the controller's
-    model), a number of the scenario (scenario.cruise) or seed. Exit status: 1 if the best point is not accepted.
+    A parameter is a gain (k_v), a number of the vehicle (vehicle.m11; plant.m11 is that of the plant alone, not of the
+    controller's model), a number of the scenario (scenario.cruise) or seed. Exit status: 1 if surctl does not accept
+    the best point.
 
-    For a system of your own, FILE.py:FUNCTION, the axes are gains (k), plant.NAME, reference.NAME, disturbance.NAME,
-    start.NAME. With --seeds N, the worst of N runs with plant.NAME=LOW..HIGH at random counts.
+    The parameters of a system of your own, FILE.py:FUNCTION, are its gains (by name), plant.NAME, reference.NAME,
+    disturbance.NAME and start.NAME. With --seeds N, plant.NAME=LOW..HIGH is random in N runs; the worst counts.
 
     Examples: surctl sweep --scenario pool-static lookahead=0.6,0.9,1.2 k_v=0.5..3:6:log;
     surctl sweep k_v=1..3 plant.m11=30..60 --sensitivity deviation_m;

@@ -20,48 +20,57 @@ if TYPE_CHECKING:
 @click.command
 @click.argument("words", nargs=-1, metavar="[STUDY | FILE.py:FUNCTION [NAME=VALUE,...]...]")
 @click.option(
-    "--gain", "gain", multiple=True, metavar="NAME[=LOW..HIGH]", help="Gain to tune, with its range; may be repeated."
+    "--gain", "gain", multiple=True, metavar="NAME[=A..B]", help="Gain to tune, and the range A to B; repeatable."
 )
 @click.option(
-    "--goals", "goals_file", metavar="FILE", help="Goals: name or file (default: the study's, else the built-in goals)."
+    "--goals",
+    "goals_file",
+    metavar="FILE",
+    help="Goals: name or file (default: those of the study, else the built-in goals).",
 )
-@click.option("--cruise", type=SPEEDS, metavar="U1,U2,...", help="Cruise speeds [m/s] of loop goals that name none.")
+@click.option("--cruise", type=SPEEDS, metavar="U1,U2,...", help="Cruise speeds [m/s] of loop goals without a speed.")
 @click.option(
     "--trials",
     type=Count(1),
     default=256,
-    help="Gain sets per round, each simulated in all scenarios (default 256; multiple of 32).",
+    help="Number of gain sets in a round, each simulated in all scenarios (default 256; multiple of 32).",
 )
-@click.option("--seed", type=Count(0), default=0, help="Seed of the search and of the new runs (default 0).")
-@click.option("--seeds", type=Count(1, 1_000_000), default=4, help="Simulate with the seeds 0 to N-1 (default 4).")
+@click.option("--seed", type=Count(0), default=0, help="Seed of the search and of the random test runs (default 0).")
 @click.option(
-    "--vehicle", "vehicles", multiple=True, metavar="FILE", help="Vehicle (name or file) of the runs; may be repeated."
-)
-@click.option(
-    "--guidance", metavar="NAME", help="Path guidance: los, ilos or alos (default: STUDY). Loop margins always use los."
+    "--seeds", type=Count(1, 1_000_000), default=4, help="Simulate each gain set with the seeds 0 to N-1 (default 4)."
 )
 @click.option(
-    "--rounds", type=Count(1), default=3, help="Largest number of rounds of tuning and verifying (default 3)."
+    "--vehicle",
+    "vehicles",
+    multiple=True,
+    metavar="FILE",
+    help="Vehicle: name or file; repeatable (default: the study's).",
 )
+@click.option(
+    "--guidance",
+    metavar="NAME",
+    help="Path guidance of the runs: los, ilos or alos (default: the study's). Loop margins use los.",
+)
+@click.option("--rounds", type=Count(1), default=3, help="Largest number of tuning rounds (default 3).")
 @click.option(
     "--monte-carlo",
     "runs",
     type=Count(0),
-    help="Random runs that test the gains after each round (default 2000; of a system 0).",
+    help="Number of random runs that test the best gains of a round (default 2000; 0 for FILE.py).",
 )
-@click.option("--workers", type=Count(1), default=2, help="Number of threads (default 2).")
+@click.option("--workers", type=Count(1), default=2, help="Number of parallel threads (default 2).")
 @click.option(
     "--out",
     type=FOLDER,
     default=Path("surctl-out"),
-    help="Output folder (default surctl-out); an interrupted search resumes there.",
+    help="Folder for results (default surctl-out). The same command continues an interrupted search.",
 )
-@click.option("--page", is_flag=True, help="Open a page with sliders instead of a search.")
-@click.option("--law", metavar="NAME", help="Law: NAME or FILE.py:FUNCTION (default: STUDY).")
-@click.option("--scenario", metavar="FILE", help="Scenario of --page (default: the study's first).")
-@click.option("--gains", "gains_file", metavar="FILE", help="Gain set at the start: name or file (default: STUDY).")
-@click.option("--port", type=Count(1, 65535), help="Port of --page (default: a free port).")
-@click.option("--no-browser", is_flag=True, help="Print the address of --page, but do not open it.")
+@click.option("--page", is_flag=True, help="Open a web page with sliders instead of a search.")
+@click.option("--law", metavar="NAME", help="Law: NAME or FILE.py:FUNCTION (default: the study's).")
+@click.option("--scenario", metavar="FILE", help="Scenario of --page (default: the first of the study).")
+@click.option("--gains", "gains_file", metavar="FILE", help="Initial gain set: name or file (default: the study's).")
+@click.option("--port", type=Count(1, 65535), help="TCP port of --page (default: a free port).")
+@click.option("--no-browser", is_flag=True, help="Print the address of --page, and open no browser.")
 @trust_option
 @seconds_option
 @as_json
@@ -89,15 +98,15 @@ def tune(
     seconds: float | None,
     as_json: bool,
 ) -> None:
-    """Search for gains that meet goals; test them, and repeat with runs that fail.
+    """Search for gains that meet goals, test the gains in random runs, and search again with the runs that fail.
 
-    The gains must meet the hard goals for every scenario, seed and corner of the vehicle's ranges; the soft goals are
-    minimised. New random runs and the claims test the tuned gains. Exit status: 1 if a hard goal is not met or fails
-    in the test, or if a line of the assessment fails.
+    The gains must meet the hard goals in every scenario, for every seed and at every corner of the parameter ranges of
+    the vehicle; the search minimises the soft goals. The built-in claims are a further test of the tuned gains. Exit
+    status: 1 if the gains miss a hard goal in the search or in the test, or if a line of the output says FAIL.
 
-    FILE.py:FUNCTION names a system of your own: the search minimises its first cost, with the bounds of the
-    other costs and a disk margin of at least 0.3, for every value of NAME=V1,V2. With --goals, the search minimises the
-    worst soft goal.
+    For FILE.py:FUNCTION, a system of your own, the search minimises the first cost of the system, within the bounds of
+    its other costs and with a disk margin of at least 0.3, for every value of NAME=V1,V2. With --goals, the search
+    minimises the worst soft goal.
 
     Examples: surctl tune my-study.toml --gain k_v=0.5..3 --goals my-goals.toml; surctl tune my-system.py:build --page
     """

@@ -47,40 +47,41 @@ _SPEED = FiniteRange(min=0, max=100, min_open=True)
 
 @click.command
 @click.argument("claims", nargs=-1, metavar="[CLAIM | FILE.toml | FILE.py:FUNCTION]...")
-@click.option("--vehicle", metavar="FILE", help="Vehicle (default: the scenario's, else sur540-flooded).")
+@click.option("--vehicle", metavar="FILE", help="Vehicle (default: by --scenario, else sur540-flooded).")
 @click.option("--gains", metavar="FILE", help=GAINS_HELP)
 @click.option(
     "--uncertainty",
     type=float,
     default=0.0,
     metavar="X",
-    help="Error of mass and drag, e.g. 0.2 for ±20 % (default 0).",
+    help="Error of mass and drag: 0.2 means ±20 % (default 0).",
 )
 @click.option(
     "--cruise",
     type=SPEEDS,
-    metavar="V1,V2,...",
-    help="Cruise speeds [m/s], or LOW..HIGH:COUNT: margins at each, claims at the largest (default: the scenario's).",
+    metavar="V1,V2",
+    help="Cruise speeds [m/s], or LOW..HIGH:COUNT: margins at each, claims at the largest "
+    "(default: --scenario, else 0.15).",
 )
 @click.option(
-    "--cap", type=_SPEED, metavar="V", help="Largest commanded speed [m/s] (default: the scenario's, else 0.22)."
+    "--cap", type=_SPEED, metavar="V", help="Largest commanded speed [m/s] (default: that of --scenario, else 0.22)."
 )
-@click.option("--scenario", metavar="FILE", help="Scenario: name or file; adds the no-contact claim.")
-@click.option("--law", metavar="NAME", help="Law: name or FILE.py:FUNCTION (default: the vehicle's).")
-@click.option("--sensing", metavar="NAME", help="Obstacles by sonar (default if the law uses it) or truth.")
+@click.option("--scenario", metavar="FILE", help="Scenario (name or file) for the no-contact claim.")
+@click.option("--law", metavar="NAME", help="Law: name or FILE.py:FUNCTION (default: by vehicle).")
+@click.option("--sensing", metavar="NAME", help="Obstacles from sonar (default if the law can) or truth.")
 @click.option(
-    "--stack", "stacks", multiple=True, metavar="LAW", help="Analyse the task stack of a law: guarded or paper."
+    "--stack", "stacks", multiple=True, metavar="LAW", help="Print which tasks of law guarded or paper are independent."
 )
 @barrier_options
-@click.option("--seed", type=Count(0), default=0, help="Seed of the falsifier (default 0).")
+@click.option("--seed", type=Count(0), default=0, help="Seed of the search for counterexamples (default 0).")
 @click.option(
     "--time-limit",
     type=FiniteRange(min=0, max=1e6, min_open=True),
     default=None,
     metavar="S",
-    help="Processor time per claim [s] (default 20; 60 for dynamics).",
+    help="Largest processor time per claim [s] (default 20; 60 for dynamics of your own).",
 )
-@click.option("--show", is_flag=True, help="Print the claims as claim files without checking them.")
+@click.option("--show", is_flag=True, help="Print claims as claim files, and check no claim.")
 @click.option("--out", type=FOLDER, help="Folder for certificates and plots (default: no files).")
 @as_json
 def verify(
@@ -102,23 +103,23 @@ def verify(
     out: Path | None,
     as_json: bool,
 ) -> None:
-    """Prove or refute claims of the robot's paper or your own; print loop margins.
+    """Prove or refute built-in claims or your own, and print margins of the loop.
 
     A claim is proved (with a certificate that `surctl check` accepts), refuted (with a counterexample), unknown
-    (neither), or not applicable (this vehicle, law or gains violate an assumption). Claims of the robot's paper are
-    about the kinematic loop at cruise speed, with speeds limited to --cap. --scenario also checks the no-contact claim;
-    mission[:REGION] is about its path.
+    (neither), or not applicable (the vehicle, law or gains violate an assumption). The paper's claims are about the
+    kinematic loop at cruise speed, with speeds limited to --cap. With --scenario, surctl also checks the no-contact
+    claim: the robot touches no obstacle. The claim mission or mission:REGION says that the robot stays
+    near the path.
 
-    The linear loop about straight cruise (--law: about the law's steady motion) gives margins, poles, the slowest mode,
-    stable speeds and sampling limits. Each is given for the nominal vehicle and the worst one within --uncertainty or
-    the ranges of its file. Region and braking claims are checked only if you name them (see surctl list). A claim file
-    states an inequality (kind claim; --show prints examples), a region claim with other numbers (kind region), or a
-    region of attraction or a barrier of any dynamics (kind lyapunov or barrier). --stack prints which tasks of a law
-    are orthogonal, independent or dependent, and which converge. Exit status: 1 if a verdict is not as expected, a
-    named claim not applicable, or a margin or no-contact claim fails.
+    surctl linearises the loop about straight cruise (with --law: about the law's steady motion), and prints margins,
+    poles, the slowest mode, stable speeds and sampling limits, for the nominal and the worst vehicle within
+    --uncertainty or the file's ranges. surctl list shows region and braking claims, which are checked only if you name
+    them. A claim file states an inequality (kind claim; --show prints examples), a region claim with other numbers
+    (kind region), or a region of attraction or a barrier of any dynamics (kind lyapunov or barrier). Exit status: 1
+    if a verdict is unexpected, a claim that you name is not applicable, or a margin or no-contact claim fails.
 
-    For FILE.py:FUNCTION, a system of your own, the command prints equilibrium, poles and margins of the sampled loop;
-    with within.STATE=LOW..HIGH for every state, it also proves a region of attraction.
+    For FILE.py:FUNCTION, a system of your own, surctl prints equilibrium, poles and margins of the sampled loop, and
+    with within.STATE=LOW..HIGH for every state it proves a region of attraction.
 
     Examples: surctl verify --out proofs; surctl verify region-cruise-20 claim.toml; surctl verify loop.py:build k=2
     """
