@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from surctl.errors import InputError, nearest
+from surctl.errors import InputError, mistakes_in, nearest
 from surctl.ir import Port
 from surctl.robot import limits
 from surctl.robot.kinematics import Base, Kinematics, quaternion_of, rotation_of, rotation_vector
@@ -303,7 +303,5 @@ def load_urdf(path: str | Path, *, lock: Sequence[str] | Mapping[str, float] = (
         if known[name].type in ("planar", "floating") or not math.isfinite(position):
             remedy = "give one finite position"
             raise InputError("cannot be locked there", file=path, key=f"lock {name}", value=position, remedy=remedy)
-    try:
+    with mistakes_in(path):
         return Robot(urdf, lock=positions, base=base)
-    except InputError as error:
-        raise error.inside(path) from None
