@@ -134,10 +134,6 @@ def _capped(name: str, value: float | None, unit: str, meaning: str) -> Input | 
     return None if value is None else _number(name, value, unit, meaning)
 
 
-def _cross(vector: ca.SX) -> ca.SX:
-    return ca.skew(vector)
-
-
 class Robot(Kinematics):
     """A robot: its kinematics, and tasks and limits for a `StackController`. Build it with `load_urdf`."""
 
@@ -171,7 +167,7 @@ class Robot(Kinematics):
             other = self.frame(relative_to)
             R, apart = other.rotation, position - other.position
             # seen in the other frame, whose rotation moves the frame too
-            linear = J[:3, :] - other.jacobian[:3, :] + _cross(apart) @ other.jacobian[3:, :]
+            linear = J[:3, :] - other.jacobian[:3, :] + ca.skew(apart) @ other.jacobian[3:, :]
             J = ca.vertcat(R.T @ linear, R.T @ (J[3:, :] - other.jacobian[3:, :]))
             position, rotation = R.T @ apart, R.T @ rotation
             default = np.linalg.inv(self.pose(relative_to, self.neutral())) @ default
