@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from fractions import Fraction
 from math import isqrt, lcm
 
+from surctl.certcheck.definite import by_elimination
 from surctl.certcheck.patience import go_on
 
 __all__ = [
@@ -57,23 +58,12 @@ def inverse(a: Matrix) -> Matrix:
 
 
 def is_positive_definite(a: Matrix) -> bool:
-    """Return whether a symmetric matrix is positive definite: all leading minors > 0, by the Bareiss algorithm."""
+    """Return whether a symmetric matrix is positive definite; no if it is not symmetric."""
     n = len(a)
     if any(a[i][j] != a[j][i] for i in range(n) for j in range(i)):
         return False
     common = lcm(*(entry.denominator for row in a for entry in row))
-    whole = [[int(entry * common) for entry in row] for row in a]
-    previous = 1
-    for k in range(n):
-        pivot = whole[k][k]  # the leading minor of order k + 1
-        if pivot <= 0:
-            return False
-        for i in range(k + 1, n):
-            go_on()
-            for j in range(i, n):
-                whole[i][j] = whole[j][i] = (whole[i][j] * pivot - whole[i][k] * whole[k][j]) // previous
-        previous = pivot
-    return True
+    return by_elimination([[int(entry * common) for entry in row] for row in a], strictly=True)
 
 
 def root_up(value: Fraction) -> Fraction:
