@@ -16,7 +16,7 @@ from typing import Any
 
 from mpmath import libmp
 
-__all__ = ["BITS", "Interval", "angle", "arccos", "arcsin", "circle", "pi", "tangent"]
+__all__ = ["BITS", "Interval", "angle", "arccos", "arcsin", "circle", "hull", "magnitude", "pi", "tangent"]
 
 Interval = Any
 """The pair (lower end, upper end) of an interval, as raw numbers of mpmath."""
@@ -68,7 +68,7 @@ def pi() -> Interval:
 _PI = _ends(2 * _half_pi(_W))
 
 
-def _magnitude(x: Raw) -> int:
+def magnitude(x: Raw) -> int:
     """Return n with 2^(n−1) ≤ |x| < 2^n, for x ≠ 0."""
     return int(x[2] + x[3])
 
@@ -106,7 +106,7 @@ def _at(x: Raw) -> tuple[int, Interval, Interval]:
     """
     if x == libmp.fzero:
         return 0, (libmp.fone, libmp.fone), (libmp.fzero, libmp.fzero)
-    size = _magnitude(x)
+    size = magnitude(x)
     m = max(size, 0)
     k, r = divmod(int(libmp.to_fixed(x, _W + m)), _half_pi(_W + m))
     r >>= m
@@ -141,7 +141,7 @@ def circle(a: Interval) -> tuple[Interval, Interval]:
     of an end of the interval as outside; then the bounds of the values at this end contain 0 and ±1 nevertheless.
     """
     low, high = a
-    if any(end[1] == 0 and end != libmp.fzero for end in a) or any(_magnitude(e) > _FAR for e in a if e[1]):
+    if any(end[1] == 0 and end != libmp.fzero for end in a) or any(magnitude(e) > _FAR for e in a if e[1]):
         return _LINE_OF_ONE, _LINE_OF_ONE
     first, cosine, sine = _at(low)
     if low == high:
@@ -149,13 +149,13 @@ def circle(a: Interval) -> tuple[Interval, Interval]:
     last, other, another = _at(high)
     if last - first >= 4:
         return _LINE_OF_ONE, _LINE_OF_ONE
-    cosine, sine = _hull(cosine, other), _hull(sine, another)
+    cosine, sine = hull(cosine, other), hull(sine, another)
     for k in range(first + 1, last + 1):
         one = libmp.fone if k & 3 < 2 else libmp.fnone
         if k & 1:
-            sine = _hull(sine, (one, one))
+            sine = hull(sine, (one, one))
         else:
-            cosine = _hull(cosine, (one, one))
+            cosine = hull(cosine, (one, one))
     return cosine, sine
 
 
@@ -167,7 +167,7 @@ def tangent(a: Interval) -> Interval | None:
     multiple, within 2^10 units, the interval of the cosine contains 0, and the result is None. On one branch the
     tangent increases.
     """
-    if any(end[1] == 0 and end != libmp.fzero for end in a) or any(_magnitude(e) > _FAR for e in a if e[1]):
+    if any(end[1] == 0 and end != libmp.fzero for end in a) or any(magnitude(e) > _FAR for e in a if e[1]):
         return None
     values, branches = [], set()
     for end in a:
@@ -179,7 +179,8 @@ def tangent(a: Interval) -> Interval | None:
     return (values[0][0], values[1][1]) if len(branches) == 1 else None
 
 
-def _hull(a: Interval, b: Interval) -> Interval:
+def hull(a: Interval, b: Interval) -> Interval:
+    """Return the smallest interval that contains two intervals."""
     low = a[0] if libmp.mpf_le(a[0], b[0]) else b[0]
     return low, a[1] if libmp.mpf_ge(a[1], b[1]) else b[1]
 
@@ -213,7 +214,7 @@ def _angle_of(y: Raw, x: Raw) -> Interval:
     if not steep and not x[0]:
         if y == libmp.fzero:
             return libmp.fzero, libmp.fzero
-        if _magnitude(small) - _magnitude(large) < _NEAR - 1:
+        if magnitude(small) - magnitude(large) < _NEAR - 1:
             low = _nearly(libmp.mpf_div(small, large, BITS, "d"))[0]
             high = libmp.mpf_div(small, large, BITS, "u")
             return (libmp.mpf_neg(high), libmp.mpf_neg(low)) if y[0] else (low, high)
@@ -227,7 +228,7 @@ def _angle_of(y: Raw, x: Raw) -> Interval:
 def _ratio(small: Raw, large: Raw) -> int:
     """Return small/large in units of 2^-128, truncated, for 0 ≤ small ≤ large."""
     shift = small[2] - large[2] + _W
-    if _magnitude(small) - _magnitude(large) < -_W - 1:
+    if magnitude(small) - magnitude(large) < -_W - 1:
         return 0
     return int((small[1] << max(shift, 0)) // (large[1] << max(-shift, 0)))
 
@@ -243,7 +244,7 @@ def angle(y: Interval, x: Interval) -> Interval:
     first, *others = {(a, b) for a in y for b in x}
     total = _angle_of(*first)
     for corner in others:
-        total = _hull(total, _angle_of(*corner))
+        total = hull(total, _angle_of(*corner))
     return total
 
 

@@ -20,7 +20,7 @@ from typing import Any
 
 from mpmath import libmp
 
-from surctl.certcheck.angles import BITS, Interval
+from surctl.certcheck.angles import BITS, Interval, magnitude
 
 __all__ = ["exponential", "hyperbolic_cosine", "hyperbolic_sine", "hyperbolic_tangent", "logarithm", "real_power"]
 
@@ -59,11 +59,6 @@ _LOG_TWO = _log_two_to(_LONG + 64) >> 64
 def _log_two(bits: int) -> int:
     """Return ln 2 in units of 2^-bits, with an error of less than 2 units, for bits ≤ _LONG."""
     return _LOG_TWO >> (_LONG - bits)
-
-
-def _magnitude(x: Raw) -> int:
-    """Return n with 2^(n−1) ≤ |x| < 2^n, for a finite x ≠ 0."""
-    return int(x[2] + x[3])
 
 
 def _bounded(a: Interval) -> bool:
@@ -109,9 +104,9 @@ def _grown(t: int, m: int) -> tuple[int, int]:
 def _exp_of(x: Raw) -> Interval | None:
     if x == libmp.fzero:
         return _ONE
-    if _magnitude(x) > _LARGEST:
+    if magnitude(x) > _LARGEST:
         return (libmp.fzero, _TINY_POWER) if x[0] else None
-    m = max(_magnitude(x), 0)
+    m = max(magnitude(x), 0)
     return _scaled(*_grown(_fixed(x, m), m))
 
 
@@ -124,7 +119,7 @@ def _sinh_cosh_of(x: Raw) -> tuple[Interval, Interval] | None:
     """
     if x == libmp.fzero:
         return _ZERO, _ONE
-    size = _magnitude(x)
+    size = magnitude(x)
     if size > _LARGEST:
         return None
     m = max(size, 0)
@@ -154,7 +149,7 @@ def _tanh_of(x: Raw) -> Interval:
     """
     if x == libmp.fzero:
         return _ZERO
-    size = _magnitude(x)
+    size = magnitude(x)
     if size <= _NEAR:
         return _between(x, libmp.mpf_mul(x, _LESS, BITS, "d"), libmp.mpf_pos(x, BITS, "u"))
     w = 0
@@ -177,7 +172,7 @@ def _log_fixed(x: Raw) -> int | None:
     than 2 units. So artanh y is off by less than 3 + 84 + 2 units, and ln f by less than 180. The error of e ln 2 is
     less than 3 units, because ln 2 has as many more bits as e has.
     """
-    e = _magnitude(x)
+    e = magnitude(x)
     f = _fixed((0, x[1], -x[3], x[3]), 0)
     if 4 * f < 3 * _UNIT:
         e -= 1
