@@ -290,6 +290,14 @@ def test_the_distance_is_never_below_the_way_and_hardly_above() -> None:
                 assert least * (1 - 1e-6) <= stated <= least * 1.04 + 1e-3, (name, speed)
 
 
+def test_what_the_vehicle_gains_in_a_period_counts() -> None:
+    whole = document("braking-rule-20")
+    whole["claim"]["watch"]["period_s"] = 0.5
+    distance = read_distance(read_claim(whole["claim"]), Fraction(0), whole["distances"][0])
+    least = encounters.needed(whole, 0.1, 0.0, since=0.1)
+    assert least <= float(distance.needed(Fraction(1, 10))) < 1.01 * least
+
+
 def reason(whole: dict[str, Any], **ways: Any) -> str:
     """Why a certificate with large figures, whose first distance is changed, is rejected."""
     table = whole["claim"]["table"]

@@ -52,6 +52,7 @@ def distance(own: BrakingClaim, *knots: int, obstacle: int = 0, slopes: tuple[in
         (lambda: distance(claim(), 0, 9, slopes=(0, 1, 2)), "with a slope for each knot"),
         (lambda: distance(claim(), slopes=(-1, 9)), "must not fall"),
         (lambda: distance(claim(), 0, 8, 9, slopes=(0, 9, 8)), "must not fall"),
+        (lambda: distance(claim(), 0, 8, 9, slopes=(9, 8, 9)), "must not fall"),
     ],
 )
 def test_what_is_no_braking_distance(build: Callable[[], Distance], says: str) -> None:
