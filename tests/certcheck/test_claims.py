@@ -83,6 +83,7 @@ def test_a_range_is_least_then_largest(kind: str, key: str) -> None:
         ("braking", ("vehicle", "drag"), "other", "claim.vehicle.drag must be along or axes"),
         ("braking", ("vehicle", "mass_ratio"), 0.9, "must be at least 1"),
         ("braking", ("watch", "more"), 1.0, "claim.watch must have exactly the keys"),
+        ("braking", ("law", "stopping", "more"), 1.0, "claim.law.stopping must have exactly the keys"),
         ("braking", ("encounter", "obstacles_m_per_s"), [0.0, 0.0], "obstacles_m_per_s must rise"),
         ("braking", ("encounter", "obstacles_m_per_s"), [0.1, 0.0], "obstacles_m_per_s must rise"),
         ("braking", ("encounter", "obstacles_m_per_s"), [], "must be a list of 1 to 12 numbers"),
