@@ -15,14 +15,14 @@ from typing import Any
 
 from mpmath import libmp
 
-from surctl.certcheck.angles import BITS, Interval, angle, arccos, circle, hull, pi
+from surctl.certcheck.angles import BITS, Interval, angle, circle, hull, pi
 from surctl.certcheck.elementary import ELEMENTARY, Undefined, elementary
 from surctl.certcheck.expressions import ExpressionTable
 from surctl.certcheck.patience import afford, go_on
 
 __all__ = [
-    "Interval", "Jet", "Undefined", "above", "decimal", "enclose", "exact", "greatest", "is_zero", "least", "middle",
-    "rational", "span",
+    "Interval", "Jet", "Undefined", "above", "decimal", "enclose", "exact", "greatest", "hull", "is_zero", "least",
+    "middle", "rational", "span",
 ]  # fmt: skip
 
 Slopes = list[Any]
@@ -182,7 +182,7 @@ def _step(op: str, value: Fraction, args: list[Jet], at: tuple[int, ...], box: S
         case "pow":
             jet = _power(args[0], abs(value.numerator))
             return jet if value >= 0 else _reciprocal(jet)
-        case _ if op in ELEMENTARY:
+        case _ if op == "acos" or op in ELEMENTARY:
             jet, (image, derivatives) = args[0], elementary(op, args[0].value, value)
             return Jet(image) if jet.slope is None else _chain(jet, image, derivatives())
         case "atan2":
@@ -306,14 +306,6 @@ def _unary(op: str, a: Jet) -> Jet:
         first = over(rational(Fraction(1, 2)), value)
         second = minus(over(mul(rational(Fraction(1, 2)), first), x))
         return _chain(a, value, (first, second))
-    if op == "acos":
-        if libmp.mpf_lt(x[0], libmp.fnone) or libmp.mpf_gt(x[1], libmp.fone):
-            raise Undefined("an arccos of an interval that is not within [-1, 1]")
-        rest = libmp.mpi_sub(_ONE, libmp.mpi_pow_int(x, 2, BITS), BITS)
-        rest = greatest(rest, _ZERO)
-        root = libmp.mpi_sqrt(rest, BITS)
-        second = mul(x, minus(over(_ONE, mul(rest, root))))
-        return _chain(a, arccos(x), (minus(over(_ONE, root)), second))
     raise Undefined(f"the operation {op!r} is not known")
 
 

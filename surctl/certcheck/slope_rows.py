@@ -32,6 +32,7 @@ from surctl.certcheck.enclosure import (
     above,
     enclose,
     greatest,
+    hull,
     least,
     minus,
     mul,
