@@ -32,7 +32,6 @@ from surctl.certcheck.enclosure import (
     above,
     enclose,
     greatest,
-    hull,
     least,
     minus,
     mul,
