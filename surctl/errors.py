@@ -16,14 +16,15 @@ from __future__ import annotations
 
 import difflib
 import errno
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from math import isfinite
 from typing import Any, Literal
 
 __all__ = [
     "LOSSES", "LOST", "EmptyDomain", "Finding", "InputError", "NotApplicable", "SolverError", "SurctlError",
-    "ToolMissing", "UnsupportedOperation", "cannot_write", "check_known", "check_number", "nearest",
+    "ToolMissing", "UnsupportedOperation", "cannot_write", "check_known", "check_number", "mistakes_in", "nearest",
 ]  # fmt: skip
 
 
@@ -79,6 +80,15 @@ class InputError(SurctlError):
     def inside(self, file: object, key: str | None = None) -> InputError:
         """Return the same error with the file (and key) that contains the mistake."""
         return InputError(self.problem, file=file, key=key or self.key, value=self.value, remedy=self.remedy)
+
+
+@contextmanager
+def mistakes_in(file: object, key: str | None = None) -> Iterator[None]:
+    """Name the file (and key) that contains the mistake in an InputError of the block, see `InputError.inside`."""
+    try:
+        yield
+    except InputError as error:
+        raise error.inside(file, key) from None
 
 
 class NotApplicable(InputError):

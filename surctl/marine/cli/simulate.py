@@ -56,7 +56,7 @@ if TYPE_CHECKING:
     "--avoidance",
     default="corrected",
     metavar="NAME",
-    help="Paper's equation: corrected (default), consistent, printed.",
+    help="Equation 20: corrected (default), consistent, printed.",
 )
 @click.option(
     "--guidance", default="los", metavar="NAME", help="Path guidance: los (default); for currents ilos or alos."

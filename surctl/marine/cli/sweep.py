@@ -63,7 +63,7 @@ _EXPLAINED = ("deviation_m", "path_error_m")  # columns whose meaning is printed
 @click.option(
     "--gains",
     metavar="FILE",
-    help="Gain set for all gains without an axis: name or file (default: chosen for the vehicle).",
+    help="Gain set for gains that are not swept: name or file (default: chosen for the vehicle).",
 )
 @law_option
 @click.option(
@@ -110,7 +110,8 @@ def sweep(
     as best, or if margins, runs or claims fail at the best point.
 
     The parameters of a system of your own, FILE.py:FUNCTION, are its gains (by name), plant.NAME, reference.NAME,
-    disturbance.NAME and start.NAME. With --seeds N, plant.NAME=LOW..HIGH is random in N runs; the worst run counts.
+    disturbance.NAME and start.NAME. With --seeds N, each run takes a random plant.NAME=LOW..HIGH; the worst
+    run counts.
 
     Examples: surctl sweep --scenario pool-static lookahead=0.6,0.9,1.2 k_v=0.5..3:6:log;
     surctl sweep k_v=1..3 plant.m11=30..60 --sensitivity deviation_m;

@@ -73,7 +73,7 @@ def tune(
     the vehicle; the search minimises the soft goals. The built-in claims are a further test of the tuned gains. Exit
     status: 1 if the gains miss a hard goal in the search or in the test, or if a line of the output says FAIL.
 
-    For FILE.py:FUNCTION, a system of your own, the search minimises the first cost of the system. The other costs must
+    For FILE.py:FUNCTION, a system of your own, the search minimises the first cost of the system. All other costs must
     stay within their bounds, and the disk margin must be at least 0.3, for every value of each NAME=V1,V2. With
     --goals, the search minimises the worst soft goal.
 

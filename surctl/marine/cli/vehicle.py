@@ -149,7 +149,7 @@ vehicle.add_command(thrusters)
 @vehicle.command("from-geometry")
 @_name
 @click.option(
-    "--diameter", type=_Measured("m"), required=True, help='Diameter of the sphere [m], or a text as "54 cm".'
+    "--diameter", type=_Measured("m"), required=True, help='Diameter of the sphere [m], or a text such as "54 cm".'
 )
 @click.option("--mass", type=_Measured("kg"), required=True, help="Mass in air, without water in the hull [kg].")
 @click.option(
@@ -163,7 +163,10 @@ vehicle.add_command(thrusters)
     "--cd", type=float, default=0.52, metavar="X", help="Drag coefficient of the frontal area (default 0.52)."
 )
 @click.option(
-    "--thrust", type=_Measured("N"), required=True, help='Largest force along each axis [N], or a text as "0.5 kgf".'
+    "--thrust",
+    type=_Measured("N"),
+    required=True,
+    help='Largest force along each axis [N], or a text such as "0.5 kgf".',
 )
 @click.option(
     "--yaw-thrust", type=_Measured("N m"), required=True, help="Largest moment about the vertical axis [N m]."

@@ -9,7 +9,7 @@ adds the drift amplitude of an obstacle to its size, so that the clearance is av
 from __future__ import annotations
 
 import heapq
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import floor
 
@@ -146,15 +146,11 @@ def _around(cell: _Cell, shape: tuple[int, ...]) -> list[_Cell]:
 
 def _uphill(clear: _Field, cell: _Cell, clearance: float) -> _Cell:
     while clear[cell] < clearance:
-        best = max(_around(cell, clear.shape), key=_at(clear))
+        best = max(_around(cell, clear.shape), key=clear.__getitem__)
         if clear[best] <= clear[cell]:
             break
         cell = best
     return cell
-
-
-def _at(clear: _Field) -> Callable[[_Cell], float]:
-    return lambda cell: float(clear[cell])
 
 
 def _connected(free: NDArray[np.bool_], start: _Cell, target: _Cell) -> bool:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from surctl.errors import InputError
+from surctl.errors import InputError, mistakes_in
 from surctl.files import Strict, pick, read_toml, validate
 from surctl.marine.guidance import MAX_WAYPOINTS, VISIT, Follower, Path
 from surctl.marine.sensing import Surfaces
@@ -297,10 +297,8 @@ def scenario_from_table(table: dict[str, Any], *, source: str) -> Scenario:
     """Return a scenario from the content of its TOML file; `source` names the file in error messages."""
     model = validate(table, _ScenarioFile, file=source)
     route, path = _route(model, source)
-    try:
+    with mistakes_in(source):
         sensors = replace(sensors_from_tables(model.sonar, model.base_station, model.own_state), source=source)
-    except InputError as error:
-        raise error.inside(source) from None
     scenario = Scenario(
         model.name,
         model.title,
@@ -367,11 +365,9 @@ def _check(scenario: Scenario) -> None:
         problem = f"is above cap_m_per_s = {scenario.cap:g}"
         remedy = "lower it or raise the cap"
         raise InputError(problem, file=source, key="cruise_m_per_s", value=scenario.cruise, remedy=remedy)
-    try:
+    with mistakes_in(source):
         _ = scenario.surfaces
         scenario.sensors.check_floor(scenario.deepest)
-    except InputError as error:
-        raise error.inside(source) from None
     _check_depths(scenario)
     check_spacing(scenario, cap=scenario.cap)
     inside = [("path_m", point) for point in scenario.path.waypoints.tolist()]
