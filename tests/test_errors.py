@@ -59,6 +59,7 @@ def test_public_names() -> None:
         "cannot_write",
         "check_known",
         "check_number",
+        "mistakes_in",
         "nearest",
     ]
 

@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
-from surctl.errors import InputError, nearest
+from surctl.errors import InputError, mistakes_in, nearest
 from surctl.files import Mistakes, Quantity, Strict, load_model, pick, quoted
 from surctl.units import is_number
 
@@ -211,10 +211,8 @@ def load_gains(name_or_path: str, *, own: Mapping[str, GainSpec] | None = None) 
 
 def _read_gain(name: str, quantity: Quantity, path: Path, specs: Mapping[str, GainSpec]) -> Quantity:
     _check_name(name, path, specs)
-    try:
+    with mistakes_in(path, f"gains.{name}.unit"):
         stated = quantity.within(specs[name].unit)
-    except InputError as error:
-        raise error.inside(path, f"gains.{name}.unit") from None
     for value in (stated.value, *(stated.range or ())):
         _check_value(name, value, path, specs)
     if stated.range is not None and not stated.range[0] <= stated.value <= stated.range[1]:

@@ -100,7 +100,7 @@ def paper_law(s: Situation) -> Decision:
     heading = ca.vertcat(ca.cos(eta[3]), ca.sin(eta[3]))
     left = ca.vertcat(-heading[1], heading[0])
     sensed = nearest_in_quadrants(s.perceived.all, [heading, left, -heading, -left])
-    closing = [_sub_task_speed(c, p) for c in sensed]
+    closing = [p["kappa"] * (c.clearance - p["margin"]) for c in sensed]  # speeds [m/s] that σ̇ = −κ σ requires
     threat = [
         ca.logic_and(c.clearance - p["margin"] < _SENSE_RANGE, ca.dot(desired.velocity, c.normal) > v)
         for c, v in zip(sensed, closing, strict=True)
@@ -118,11 +118,6 @@ def paper_law(s: Situation) -> Decision:
         ca.SX(0),
         {"side": side, "blocker": s.x["blocker"], "last_velocity": velocity},
     )
-
-
-def _sub_task_speed(contact: Contact, p: Mapping[str, ca.SX]) -> ca.SX:
-    # the speed towards the contact [m/s] that σ̇ = −κ σ requires
-    return p["kappa"] * (contact.clearance - p["margin"])
 
 
 def _urgency(contact: Contact, speed: ca.SX) -> ca.SX:

@@ -23,7 +23,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.errors import InputError
+from surctl.errors import InputError, check_number
 from surctl.marine.vehicle import Vehicle
 
 LEAST_THRUST = 0.85
@@ -63,17 +63,8 @@ class Brakes:
             if not (positive and low <= high and isfinite(high)):
                 remedy = "give the least value first, and no negative value"
                 raise InputError("is not a range", key=name, value=(low, high), remedy=remedy)
-        for name, strict in (
-            ("least", True),
-            ("most", True),
-            ("lag", False),
-            ("disturbance", False),
-            ("current", False),
-        ):
-            value = getattr(self, name)
-            if not isfinite(value) or value < 0 or (strict and value == 0):
-                bound = "must be greater than 0" if strict else "must be at least 0"
-                raise InputError(bound, key=name, value=value, remedy="correct the number")
+        for name, unit in {"least": "N", "most": "N", "lag": "s", "disturbance": "N", "current": "m/s"}.items():
+            check_number(name, getattr(self, name), unit=unit, zero=name not in ("least", "most"))
 
     def largest_drag(self, speed: float) -> float:
         """Return the drag force D(v) ≥ 0 [N] at a speed v ≥ 0 [m/s], for the largest drag coefficients."""
@@ -105,11 +96,8 @@ class Watch:
     speed_error: float = 0.0
 
     def __post_init__(self) -> None:
-        for name in ("period", "age", "range_error", "speed_error"):
-            value = getattr(self, name)
-            if not isfinite(value) or value < 0 or (name == "period" and value == 0):
-                remedy = "give no negative value, and a period above 0"
-                raise InputError("is out of its bounds", key=name, value=value, remedy=remedy)
+        for name, unit in {"period": "s", "age": "s", "range_error": "m", "speed_error": "m/s"}.items():
+            check_number(name, getattr(self, name), unit=unit, zero=name != "period")
 
 
 def brakes_of(

@@ -35,11 +35,6 @@ _SLIVER = 1e-6  # rad; an opening narrower than twice this value is ignored
 _ON_HULL = 1e-9  # m; an apex up to this far inside the hull counts as on it
 
 
-def _inside_hull(mount: tuple[float, float], hull_radius: float) -> bool:
-    """Return whether an apex (x, y) in {B} [m] lies strictly inside the hull."""
-    return hypot(*mount) < hull_radius - _ON_HULL
-
-
 def open_cones(
     mount: tuple[float, float], azimuth: float, *, half_angle: float, hull_radius: float
 ) -> tuple[tuple[float, float], ...]:
@@ -283,7 +278,7 @@ def _check_mounts(array: SonarArray) -> None:
     _require(array, "mounts", points, problem, "give x, y in {B} in m, or None for sensors on the hull")
     for i, mount in enumerate(array.mounts):
         problem = f"sensor {i} lies inside the hull of radius {array.hull_radius:g} m"
-        outside = not _inside_hull(mount, array.hull_radius)
+        outside = hypot(*mount) >= array.hull_radius - _ON_HULL
         _require(array, "mounts", outside, problem, "move it out to the hull or beyond", value=mount)
 
 
@@ -302,8 +297,7 @@ def _check_conversion(array: SonarArray) -> None:
         divides = divides and abs(array.top_code * array.step - array.maximum) <= 1e-9 * array.maximum
         remedy = "give m, for example 0.01 for whole centimetres, and a maximum that is a multiple of it"
         _require(array, "step", divides, f"must divide the maximum of {array.maximum:g} m", remedy)
-    steady = isfinite(array.noise_sd) and array.noise_sd >= 0
-    _require(array, "noise_sd", steady, "must be finite and at least 0", "give m")
+    check_number("array.noise_sd", array.noise_sd, unit="m", zero=True)
     _require(array, "bias", isfinite(array.bias), "must be finite", "give m")
 
 
