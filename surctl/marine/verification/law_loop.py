@@ -272,7 +272,7 @@ def law_loop(
     if at is not None:
         return _loop(law, vehicle, at, place=at.text)
     check_cruise(vehicle, cruise)
-    p = law_numbers(law, model or vehicle, gains.with_own(law_source(law.ref).gains), cruise=cruise)
+    p = law_numbers(model or vehicle, gains.with_own(law_source(law.ref).gains), cruise=cruise)
     nu, x = np.array([cruise, 0.0, 0.0, 0.0]), law.initial_state()
     x[law.state.slice("progress")] = FAR  # arc length of the path's middle
     if "surge" in law.state:  # in a cruise, a law that predicts its speed through the water has found it
