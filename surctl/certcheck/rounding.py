@@ -50,8 +50,6 @@ def rounding_error(table: ExpressionTable, root: int, box: Box, constants: Mappi
         if isfinite(error):
             worst = max(worst, error)
             continue
-        if all(low == high for low, high in part):
-            return inf
         waiting += halves(part, box)
     return inf
 
