@@ -22,7 +22,7 @@ from math import isfinite
 
 __all__ = [
     "LOSSES", "LOST", "EmptyDomain", "InputError", "NotApplicable", "SolverError", "SurctlError", "ToolMissing",
-    "UnsupportedOperation", "cannot_write", "check_known", "check_number", "mistakes_in", "nearest",
+    "UnsupportedOperation", "cannot_write", "check_known", "check_number", "nearest",
 ]  # fmt: skip
 
 
