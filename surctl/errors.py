@@ -1,4 +1,4 @@
-"""Exception classes with their exit status; remedies for unknown names; files that cannot be written.
+"""Exception classes with their exit status; findings of lint; remedies for unknown names; files that cannot be written.
 
 ::
 
@@ -18,11 +18,13 @@ import difflib
 import errno
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from dataclasses import asdict, dataclass
 from math import isfinite
+from typing import Any, Literal
 
 __all__ = [
-    "LOSSES", "LOST", "EmptyDomain", "InputError", "NotApplicable", "SolverError", "SurctlError", "ToolMissing",
-    "UnsupportedOperation", "cannot_write", "check_known", "check_number", "nearest",
+    "LOSSES", "LOST", "EmptyDomain", "Finding", "InputError", "NotApplicable", "SolverError", "SurctlError",
+    "ToolMissing", "UnsupportedOperation", "cannot_write", "check_known", "check_number", "nearest",
 ]  # fmt: skip
 
 
@@ -121,6 +123,23 @@ class UnsupportedOperation(InputError):
 
 class SolverError(SurctlError):
     """A numerical solver failed; an infeasible problem is a regular result and never raises this error."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One finding about an entry of a file: an error (it cannot work), a warning, or a note (`info`).
+
+    `clearance_m` is the distance [m] from a hull to a wall or obstacle that an error reports, negative for an overlap.
+    """
+
+    level: Literal["error", "warning", "info"]
+    key: str
+    text: str
+    clearance_m: float | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the finding as plain data for JSON; `clearance_m` is present only if the finding has a clearance."""
+        return {name: value for name, value in asdict(self).items() if value is not None}
 
 
 def cannot_write(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import ceil
 from pathlib import Path as FilePath
@@ -444,24 +444,6 @@ def _apart(still: Sequence[Obstacle], scenario: Scenario) -> None:
                     value=list(other.centre_m),
                     remedy="move one of them or make it smaller",
                 )
-
-
-@dataclass(frozen=True)
-class Finding:
-    """One finding about a scenario: an error (the mission cannot work), a warning, or a note (`info`).
-
-    `clearance_m` is the distance [m] from hull to wall or obstacle that an error reports; it is negative for an
-    overlap.
-    """
-
-    level: Literal["error", "warning", "info"]
-    key: str
-    text: str
-    clearance_m: float | None = None
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the finding as plain data for JSON; `clearance_m` is present only if the finding has a clearance."""
-        return {name: value for name, value in asdict(self).items() if value is not None}
 
 
 def escaped(name: str) -> str:

@@ -12,8 +12,8 @@ import click
 
 from surctl.cli.new import write_new
 from surctl.cli.output import FILE, FiniteRange, as_json, finish
-from surctl.cli.robot_options import derive_words, margin_short
 from surctl.errors import InputError
+from surctl.marine.cli.robot_options import derive_words, margin_short
 
 if TYPE_CHECKING:
     from surctl.marine.simulation import SafetyClaim
@@ -42,7 +42,7 @@ def gains() -> None:
     "--margin",
     type=FiniteRange(min=0),
     metavar="D",
-    help="Gain margin: distance to keep from obstacles [m] (default: 0.2 hull radii, at least 0.05).",
+    help="Distance to keep from obstacles, the gain `margin` [m] (default: 0.2 hull radii, at least 0.05).",
 )
 @click.option("--out", type=FILE, help="Gain file to write (default: none).")
 @click.option("--force", is_flag=True, help="Overwrite an existing file.")

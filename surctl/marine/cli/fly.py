@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from surctl.cli.output import FOLDER, Count, FiniteRange, Stopped, as_json, finish, progress, waiting
-from surctl.cli.robot_options import GAINS_HELP, choose_gains, choose_law, law_option
 from surctl.errors import InputError, SurctlError, check_known
+from surctl.marine.cli.robot_options import GAINS_HELP, choose_gains, choose_law, law_option
 
 if TYPE_CHECKING:
     from surctl.marine.bridge import Act, Address, Bridge, LinkQuality, RehearsalResult
@@ -21,7 +21,9 @@ _SYSTEM = click.IntRange(1, 255)
 
 @click.command
 @click.argument("scenario")
-@click.option("--mavlink", metavar="URL", help="Link to the autopilot: udp:HOST:PORT (listen) or udpout:HOST:PORT.")
+@click.option(
+    "--mavlink", metavar="URL", help="Link to the autopilot: udp:HOST:PORT (listen) or udpout:HOST:PORT (send)."
+)
 @click.option("--dry-run", is_flag=True, help="Rehearse with a simulated autopilot, in simulated time.")
 @click.option("--vehicle", metavar="FILE", help="Vehicle: name or file (default: the scenario's).")
 @click.option("--gains", metavar="FILE", help=GAINS_HELP)
@@ -116,13 +118,13 @@ def fly(
     """
     from math import radians
 
-    from surctl.cli.robot_options import choose_vehicle
     from surctl.files import prepare_folder
     from surctl.marine.bridge import Bridge, LinkQuality, Wire
     from surctl.marine.bridge.bridge import plan_session
     from surctl.marine.bridge.inputs import parse_site
     from surctl.marine.bridge.live import parse_address
     from surctl.marine.bridge.wire import mode_of
+    from surctl.marine.cli.robot_options import choose_vehicle
     from surctl.marine.control import law_source
     from surctl.marine.simulation import SENSING, load_scenario
     from surctl.marine.vehicle import load_vehicle

@@ -32,7 +32,11 @@ _METRES = FiniteRange(min=0.0, min_open=True)
     "--bias", type=float, default=0.0, metavar="M", help="Bias of a reading [m], from surctl calibrate (default 0)."
 )
 @click.option(
-    "--scale", type=_METRES, default=1.0, metavar="X", help="Scale of a reading, from surctl calibrate (default 1)."
+    "--scale",
+    type=_METRES,
+    default=1.0,
+    metavar="X",
+    help="Scale factor of a reading, from surctl calibrate (default 1).",
 )
 @click.option(
     "--noise-sd",
@@ -63,8 +67,8 @@ def sonar_replay(
     """Run recorded sonar readings through the filter of the controller. At each step, the filter gives the range of
     each sonar, the bound of its error, and whether the range is reliable.
 
-    The CSV file has the columns time_s, sensor (counted from 0), and either sample_1_m, sample_2_m, ... (several
-    samples per reading) or range_m. Optional columns are closing_m_per_s (own speed along the beam) and turn_rad_per_s
+    The CSV file has the columns time_s, sensor (counted from 0), and range_m or, with several samples per reading,
+    sample_1_m, sample_2_m and so on. Optional columns are closing_m_per_s (own speed along the beam) and turn_rad_per_s
     (yaw rate).
 
     Examples: surctl sonar-replay log.csv --out replay; surctl sonar-replay log.csv --maximum 6 --noise-sd 0.02

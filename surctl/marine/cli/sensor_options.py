@@ -32,7 +32,7 @@ sensor_options = together(
         "faults",
         multiple=True,
         metavar="FAULT",
-        help="Fault KIND:SENSOR or thruster:NAME[:START_S[:LENGTH_S]].",
+        help="Fault: stuck:0:5:2 (sonar 0, 2 s from 5 s) or thruster:T2.",
     ),
     click.option(
         "--chance",

@@ -71,7 +71,7 @@ def at_hand(scenario: Scenario, vehicle: Vehicle, gains: str) -> list[str]:
     return ["--scenario", mission, "--vehicle", robot, "--gains", gains]
 
 
-GAINS_HELP = "Gain set: name or file (default: from the vehicle)."
+GAINS_HELP = "Gain set: name or file (default: chosen for the vehicle)."
 """Help of the option `--gains`. The default is the set `default` for the SUR vehicles, and derived gains for others."""
 
 
@@ -207,7 +207,7 @@ def law_words(reference: str) -> list[str]:
     return ["--law", own_file(reference)]
 
 
-trust_option = click.option("--trust", is_flag=True, help="Run the Python code of a law that only a file names.")
+trust_option = click.option("--trust", is_flag=True, help="Run the Python code of a law that a file names.")
 
 
 priority_options = together(
@@ -218,7 +218,7 @@ priority_options = together(
         help="Solver for priorities of tasks: nsb (default, ignores limits), filter, projected or lexicographic.",
     ),
     click.option(
-        "--fallback", default="exact", metavar="NAME", help="If limits conflict: exact (default) or bounded solver."
+        "--fallback", default="exact", metavar="NAME", help="Solver for conflicting limits: exact (default) or bounded."
     ),
 )
 """A decorator that adds these options to a command; the command receives them as `priority_mode` and `fallback`."""
@@ -232,7 +232,7 @@ barrier_options = together(
         "--movers",
         default="predict",
         metavar="NAME",
-        help="Moving obstacle: predict (evade, default), barrier (brake).",
+        help="Method for moving obstacles: predict (default) or barrier.",
     ),
 )
 """A decorator that adds these options to a command; the command receives them as `barrier` and `movers`."""

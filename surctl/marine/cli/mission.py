@@ -37,7 +37,7 @@ def scenario() -> None:
     "--depth",
     type=FiniteRange(max=0),
     metavar="Z",
-    help="Height of the path [m], at most 0: the surface (default: lowest height in the plan).",
+    help="Height of the path [m], below 0; the water surface is at 0 (default: lowest height in the plan).",
 )
 @click.option(
     "--margin",
@@ -61,10 +61,10 @@ def from_plan(
 ) -> None:
     """Write a scenario file with the path of a QGroundControl plan (.plan) or of a GPX file.
 
-    Latitude and longitude become x east and y north in metres, in a site around the path. The home position of a plan
-    is at the water surface; circles that the geofence of a plan excludes become cylinders. The output lists entries of
-    the plan that surctl does not use although these entries change the motion, such as hold times. If neither --cruise
-    nor the plan gives a cruise speed, the cruise speed is 0.15 m/s.
+    Latitude and longitude become x east and y north in metres. The site of the scenario is a rectangle around the path.
+    The home position of a plan counts as the water surface, height 0. Circles that the geofence of the plan excludes
+    become cylinders. The output lists entries of the plan that surctl does not use although these entries change the
+    motion, such as hold times. If neither --cruise nor the plan gives a cruise speed, the cruise speed is 0.15 m/s.
 
     Example: surctl scenario from-plan survey.plan --depth -2 --out survey.toml
     """

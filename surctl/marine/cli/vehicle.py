@@ -43,7 +43,7 @@ def thrusters(
     as_json: bool,
 ) -> None:
     """Print the largest forces that the thrusters of a vehicle give on each axis alone and on all axes together. With
-    --force, print the force of each thruster that gives this force of the vehicle.
+    --force, print the force of each thruster for a given total force.
 
     Examples: surctl vehicle thrusters bluerov2-heavy --out pictures; surctl vehicle thrusters bluerov2-heavy --failed
     T2 --force 40 30 0 5
@@ -148,7 +148,9 @@ vehicle.add_command(thrusters)
 
 @vehicle.command("from-geometry")
 @_name
-@click.option("--diameter", type=_Measured("m"), required=True, help='Diameter of the sphere [m], or "54 cm".')
+@click.option(
+    "--diameter", type=_Measured("m"), required=True, help='Diameter of the sphere [m], or a text such as "54 cm".'
+)
 @click.option("--mass", type=_Measured("kg"), required=True, help="Mass in air, without water in the hull [kg].")
 @click.option(
     "--flooded",
@@ -161,7 +163,10 @@ vehicle.add_command(thrusters)
     "--cd", type=float, default=0.52, metavar="X", help="Drag coefficient of the frontal area (default 0.52)."
 )
 @click.option(
-    "--thrust", type=_Measured("N"), required=True, help="Largest force along each axis [N], or with kgf or lbf."
+    "--thrust",
+    type=_Measured("N"),
+    required=True,
+    help='Largest force along each axis [N], or a text such as "0.5 kgf".',
 )
 @click.option(
     "--yaw-thrust", type=_Measured("N m"), required=True, help="Largest moment about the vertical axis [N m]."
@@ -193,7 +198,7 @@ def from_geometry(mass: float, cd: float, out: Path | None, force: bool, as_json
 @vehicle.command("from-gazebo")
 @click.argument("model", type=click.Path(path_type=Path))
 @_name
-@click.option("--link", metavar="NAME", help="Link that has the hydrodynamics (default: if only one has).")
+@click.option("--link", metavar="NAME", help="Name of the link with hydrodynamics (default: the only one).")
 @click.option("--diameter", type=_Measured("m"), required=True, help="Diameter of a circle around the hull [m].")
 @click.option("--thrust", type=_Measured("N"), required=True, help="Largest force in surge [N].")
 @click.option("--sway-thrust", type=_Measured("N"), help="Largest force in sway [N] (default: that of --thrust).")
@@ -259,7 +264,7 @@ def from_gazebo(
     multiple=True,
     default=(5.0,),
     metavar="S",
-    help="Length of a prediction, which begins at a measured state [s] (default 5; repeatable).",
+    help="Length of a prediction [s], which begins at a measured state (default 5; repeatable).",
 )
 @click.option("--picture", type=FILE, help="PNG file for a plot of the prediction (default: none).")
 @_name
@@ -286,10 +291,10 @@ def from_log(
 
     A log can be a table (CSV, .mat, .nc), as surctl simulate --save writes it: time t_s and commands Fu_N, Fv_N, Fw_N,
     Fr_N_m (constant until the next row), and any measured columns of x_m, y_m, z_m, psi_rad, u_m_per_s, v_m_per_s,
-    w_m_per_s, r_rad_per_s. The axes are x forward, y left, z up; with --frame ned, x north, y east, z down, and v to
-    the right, w down. The velocities in a table are along axes that turn with the heading, but not with roll and pitch.
-    If the vehicle of --start has roll and pitch, the table also needs at least one of roll_rad, pitch_rad, p_rad_per_s,
-    q_rad_per_s.
+    w_m_per_s, r_rad_per_s. In such a table, x is east, y north, z up, u forward, v left, w up; with --frame ned, x is
+    north, y east, z down, v right, w down. The velocities in a table are along axes that turn with the heading, but not
+    with roll and pitch. If the vehicle of --start has roll and pitch, the table also needs at least one of roll_rad,
+    pitch_rad, p_rad_per_s, q_rad_per_s.
 
     Logs of ArduPilot (.BIN, .tlog), ROS (.bag, .db3 or folder, .mcap), PX4 (.ulg), and tables with other column names
     or none need --map. --topics prints the topics and fields of a log.
