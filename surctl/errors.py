@@ -24,7 +24,7 @@ from typing import Any, Literal
 
 __all__ = [
     "LOSSES", "LOST", "EmptyDomain", "Finding", "InputError", "NotApplicable", "SolverError", "SurctlError",
-    "ToolMissing", "UnsupportedOperation", "cannot_write", "check_known", "check_number", "mistakes_in", "nearest",
+    "ToolMissing", "UnsupportedOperation", "cannot_write", "check_known", "check_number", "nearest",
 ]  # fmt: skip
 
 

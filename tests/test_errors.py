@@ -60,7 +60,6 @@ def test_public_names() -> None:
         "cannot_write",
         "check_known",
         "check_number",
-        "mistakes_in",
         "nearest",
     ]
 
