@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from surctl.ir.procedure import back, fabs, sqrt, within
+from surctl.ir.procedure import anew, back, fabs, once, sqrt, within
 
 
 class Memory:
@@ -20,6 +20,8 @@ class Memory:
     b: int  # rows of the largest level
     r: int  # rows of the table T
     cap: int  # iterations
+    later: int  # levels that are eliminated together: all, or if damped, from the first set-based one on
+    later_rows: int  # rows of these levels
     damped: int  # 1: module `damping`; else 0, and its branches are not part of the procedure
     J: list[float]
     lower: list[float]
@@ -140,6 +142,7 @@ def reflection(s: Memory, head: float, square: float) -> float:
 
 def reflect_table(s: Memory, lo: int, hi: int) -> None:
     """Apply the reflection h to the columns lo … hi of T."""
+    assert hi - lo <= s.n + 2
     for row in range(s.r):
         total = 0.0
         for j in within(lo, hi, s.x):
@@ -152,6 +155,7 @@ def reflect_table(s: Memory, lo: int, hi: int) -> None:
 
 def reflect_levels(s: Memory, number: int, lo: int, hi: int, begin: int, end: int) -> None:
     """Apply reflection `number` to the columns lo … hi and rows begin … end of B."""
+    assert hi - lo <= s.n + 2 and end <= s.first[s.p] and end - begin <= s.later_rows
     for row in within(begin, end, s.k):
         total = 0.0
         for j in within(lo, hi, s.x):
@@ -174,6 +178,7 @@ def along(s: Memory, j: int) -> float:
 
 def enter(s: Memory, i: int, side: int) -> int:
     """Take limit i at its upper (1) or lower (−1) bound into W; return 0 if it depends on W."""
+    assert s.n + 2 >= s.N and s.w <= s.n + 2 and s.N - s.w <= s.n + 2
     if s.w >= s.N:
         return 0
     for j in range(s.n):
@@ -213,7 +218,9 @@ def leave(s: Memory, place: int) -> None:
         s.W[i - 1] = s.W[i]
         s.side[i - 1] = s.side[i]
     s.w -= 1
+    assert s.w - place <= s.n + 1
     for i in within(place, s.w, s.x):
+        assert s.w - (i + 1) <= s.n
         a = s.L[i * s.x + i]
         b = s.L[i * s.x + i + 1]
         length = sqrt(a * a + b * b)
@@ -237,6 +244,7 @@ def eliminate_left(s: Memory, level: int, cols: int) -> float:
     """QR from the left of the level's rows in `cols` columns; return the smallest |diagonal| entry."""
     base = s.first[level]
     cnt = s.many[level]
+    assert cnt <= s.first[level + 1] - base and cols <= s.first[level + 1] - base and cols <= s.n + 2
     least = 1e30
     for i in within(0, cnt, s.b):
         row = s.pivot[base + i]
@@ -279,6 +287,7 @@ def eliminate_left(s: Memory, level: int, cols: int) -> float:
 def solve_left(s: Memory, level: int, cols: int) -> None:
     """Solve the triangular system of the QR from the left."""
     base = s.first[level]
+    assert cols <= s.first[level + 1] - base and cols <= s.n + 2
     at = s.w + s.start[level]
     for j in back(0, cols, s.x):
         e = s.side_d[j]
@@ -290,6 +299,7 @@ def solve_left(s: Memory, level: int, cols: int) -> None:
 
 def take_off(s: Memory, begin: int, end: int, low: int, high: int) -> None:
     """Subtract the columns low … high of B, times y, from the remainders of the rows begin … end."""
+    assert high - low <= s.n + 2 and end <= s.first[s.p] and end - begin <= s.later_rows
     for row in within(begin, end, s.k):
         rest = s.rest[row]
         for j in within(low, high, s.x):
@@ -301,6 +311,7 @@ def pivots(s: Memory, level: int, free: int, end: int) -> None:
     """Eliminate the rows of a level from the right, longest remaining row first."""
     base = s.first[level]
     cnt = s.many[level]
+    assert cnt <= s.first[level + 1] - base and free - s.start[level] <= s.n + 2 and free <= s.n + 2
     for row in within(base, s.first[level + 1], s.b):
         total = 0.0
         for j in within(s.start[level], free, s.x):
@@ -314,6 +325,7 @@ def pivots(s: Memory, level: int, free: int, end: int) -> None:
     for done in within(0, cnt, s.b):
         if column >= free:
             break
+        assert free - column <= s.n + 2 - done and free - (column + 1) <= s.n + 1 - done
         best = done
         for i in within(done + 1, cnt, s.b):
             if s.norms[i] > s.norms[best]:
@@ -341,6 +353,7 @@ def pivots(s: Memory, level: int, free: int, end: int) -> None:
                 s.V[number * s.x + j] = s.B[j * s.k + row]
         if not square > cut * cut:
             break
+        once(column, s.n + 2)
         s.pivot[base + best] = s.pivot[base + done]
         s.pivot[base + done] = row
         s.norms[best] = s.norms[done]
@@ -365,6 +378,7 @@ def solve_damped(s: Memory, level: int, cols: int) -> None:
     base = s.first[level]
     cnt = s.many[level]
     at = s.w + s.start[level]
+    assert cnt <= s.first[level + 1] - base and cols <= s.first[level + 1] - base and cols <= s.n + 2
     weight = sqrt(s.ridge[level])
     for i in within(0, cnt, s.b):
         row = s.pivot[base + i]
@@ -378,6 +392,7 @@ def solve_damped(s: Memory, level: int, cols: int) -> None:
         s.R[i * s.x + i - cnt] = weight
     for j in within(0, cols, s.x):
         end = cnt + j + 1  # rows of w I below are still 0 in this column
+        assert end - j <= s.first[level + 1] - base + 1
         square = 0.0
         for i in within(j, end, s.b + 1):
             e = s.R[i * s.x + j]
@@ -429,12 +444,14 @@ def solve_level(s: Memory, level: int, end: int) -> None:
         return
     if s.damped != 0 and level > 1 and level + 1 == s.last:
         pivots(s, level, free, end)
+        assert s.rank[level] <= s.first[level + 1] - base and s.rank[level] <= s.n + 2
         s.start[level + 1] = begin + s.rank[level]
         solve_damped(s, level, s.rank[level])
         take_off(s, base, end, begin, begin + s.rank[level])
         return
     if cnt >= free - begin:
         s.rank[level] = free - begin
+        assert free - begin <= s.first[level + 1] - base
         if eliminate_left(s, level, free - begin) > 1e-6 * s.scale[level]:
             s.left[level] = 1
             s.start[level + 1] = free
@@ -443,6 +460,7 @@ def solve_level(s: Memory, level: int, end: int) -> None:
             return
     pivots(s, level, free, end)
     rank = s.rank[level]
+    assert rank <= s.first[level + 1] - base and rank <= s.n + 2
     s.start[level + 1] = begin + rank
     if rank == 0:
         return
@@ -462,11 +480,14 @@ def solve_level(s: Memory, level: int, end: int) -> None:
 
 def optimum(s: Memory, top: int) -> None:
     """Write the optimum of the levels before `top` on W into `goal`; what none fixes keeps its value, or is short."""
+    anew()
     levels = top if top < s.p else s.p
     end = s.first[levels]
     free = s.N - s.w
     known = s.valid if s.valid < levels else levels
     begin = s.first[s.valid]
+    assert known >= 0 and levels <= s.p and s.w <= s.n + 2 and free <= s.n + 2
+    assert end - begin <= s.later_rows and levels - known <= s.later and s.used[s.valid] <= s.n + 2
     if s.valid == (s.skip if s.damped != 0 else 0):
         for i in within(s.f if s.damped != 0 else 0, s.w, s.x):
             e = s.up[s.W[i]] if s.side[i] > 0 else s.lo[s.W[i]]
@@ -482,6 +503,7 @@ def optimum(s: Memory, top: int) -> None:
             for j in within(0, free, s.x):
                 s.B[j * s.k + row] = s.T[(s.w + j) * s.r + row]
         for number in within(0, s.used[s.valid], s.x):
+            once(number, s.n + 2)
             reflect_levels(s, number, number, free, begin, end)
         take_off(s, begin, end, 0, s.start[s.valid])
     for level in within(known, levels, s.p):
@@ -490,6 +512,7 @@ def optimum(s: Memory, top: int) -> None:
         s.valid = levels
     rank = s.start[levels]
     number = s.used[levels]
+    assert rank <= s.n + 2 and free - rank <= s.n + 2 and number <= s.n + 2
     for j in within(0, rank, s.x):
         s.z[j] = s.y[s.w + j]
     for j in within(rank, free, s.x):
@@ -529,6 +552,7 @@ def optimum(s: Memory, top: int) -> None:
 def multipliers(s: Memory, level: int) -> None:
     """Find lam of W and mu of the levels above for the objective of a level; number p is the length of v."""
     above = s.start[level]
+    assert s.w <= s.n + 2 and above <= s.n + 2 and level <= s.p and s.w + above <= s.n + 2
     if level < s.p:
         for j in within(0, s.w, s.x):
             e = 0.0
@@ -554,6 +578,8 @@ def multipliers(s: Memory, level: int) -> None:
             s.mu[row] = 0.0
         if rank == 0:
             continue
+        assert rank <= s.first[a + 1] - base and rank <= s.n + 2
+        assert cnt <= s.first[a + 1] - base and s.start[a] <= s.n + 2
         if s.left[a] == 0:
             for i in back(0, rank, s.x):
                 e = s.g[at + i]

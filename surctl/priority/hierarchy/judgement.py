@@ -47,6 +47,7 @@ def add_row(s: Memory, row: int, e: float) -> None:
 
 def bound_loss(s: Memory, level: int, radius: float) -> float:
     """Return how much half the squared objective of a level may be above its least value, from lam and mu."""
+    assert s.n + 2 >= s.N and s.w <= s.n + 2 and level <= s.p
     for j in range(s.x):
         s.d[j] = 0.0
     total = 0.0
@@ -124,6 +125,7 @@ def judge(s: Memory) -> int:
     good = 1
     limited = 0
     vague = 0
+    assert s.n + 2 >= s.N and s.w <= s.n + 2
     s.size = 1.0
     for j in within(0, s.n, s.n):
         s.size = fabs(s.v[j]) if fabs(s.v[j]) > s.size else s.size
