@@ -28,7 +28,7 @@ from surctl.priority.hierarchy.kernel import hierarchy
 from surctl.priority.shapes import StackShape
 
 Array = NDArray[np.float64]
-_Found: TypeAlias = tuple[float, float, list[Array]]  # operations, iterations, inputs
+_Run: TypeAlias = tuple[float, float, list[Array]]  # operations, iterations, inputs
 
 KERNELS = {"n = 7 above": SIZES[7], "Panda of study 45": Size(7, (3, 3, 7), 10)}
 """The kernel of the Panda has three levels and 19 limits: 7 joints and 12 barriers."""
@@ -74,28 +74,28 @@ def kernel_of(size: Size, *, damped: bool) -> Procedure:
     return hierarchy(StackShape(size.n, size.shapes), size.rows, damped=damped)
 
 
-def hardest(size: Size, *, damped: bool, drawn: int, moves: int, seed: int = 0) -> list[_Found]:
+def hardest(size: Size, *, damped: bool, draws: int, moves: int, seed: int = 0) -> list[_Run]:
     """Return the 30 runs of the kernel with the most operations that were found, and 300 of the drawn problems.
 
-    drawn: problems of each class. moves: changes of the 30; a changed problem replaces the one with fewest operations.
+    draws: problems of each class. moves: changes of the 30; a changed problem replaces the one with fewest operations.
     """
     run, rng = compile_block(counting(kernel_of(size, damped=damped))), np.random.default_rng([seed, size.n])
-    found: list[_Found] = []
+    hard: list[_Run] = []
 
     def add(inputs: list[Array]) -> None:
         outputs = run(*inputs)
-        found.append((float(outputs[-1][0]), float(outputs[5][0]), inputs))
+        hard.append((float(outputs[-1][0]), float(outputs[5][0]), inputs))
 
     for place, kind in enumerate(CLASSES):
-        for k in range(drawn):
+        for k in range(draws):
             add(inputs_of(draw(np.random.default_rng([seed, size.n, place, k]), size, kind), size, damped=damped))
-    some = found[:: max(1, len(found) // 300)]
+    some = hard[:: max(1, len(hard) // 300)]
     for _ in range(moves):
-        found.sort(key=lambda one: -one[0])
-        del found[30:]
-        inputs, other = (found[int(rng.integers(0, len(found)))][2] for _ in range(2))
+        hard.sort(key=lambda one: -one[0])
+        del hard[30:]
+        inputs, other = (hard[int(rng.integers(0, len(hard)))][2] for _ in range(2))
         add(changed(inputs, other, size, rng))
-    return [*sorted(found, key=lambda one: -one[0])[:30], *some]
+    return [*sorted(hard, key=lambda one: -one[0])[:30], *some]
 
 
 def inputs_of(problem: PriorityProblem, size: Size, *, damped: bool) -> list[Array]:
@@ -135,7 +135,7 @@ def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true", help="few problems")
-    drawn, moves = (50, 200) if parser.parse_args().quick else (2000, 100_000)
+    draws, moves = (50, 200) if parser.parse_args().quick else (2000, 100_000)
     print(
         "| kernel | damped | iterations | operations: most found, bound, ratio "
         "| instructions: most found, bound, ratio |"
@@ -144,13 +144,13 @@ def main() -> None:
     for name, size in KERNELS.items():
         for damped in (False, True):
             kernel = kernel_of(size, damped=damped)
-            found = hardest(size, damped=damped, drawn=drawn, moves=moves)
-            records = tuple(np.array(part) for part in zip(*(inputs for _, _, inputs in found), strict=True))
+            hard = hardest(size, damped=damped, draws=draws, moves=moves)
+            records = tuple(np.array(part) for part in zip(*(inputs for _, _, inputs in hard), strict=True))
             _, counts = counted(kernel, records, target="cortex-m7", real="float64")
-            operations, most = np.array([one[0] for one in found]), kernel.operations
+            operations, most = np.array([one[0] for one in hard]), kernel.operations
             dear = most * float((counts / operations).max())
             cells = (
-                name, "yes" if damped else "no", f"{found[0][1]:.0f}",
+                name, "yes" if damped else "no", f"{hard[0][1]:.0f}",
                 f"{operations[0]:,.0f}, {most:,}, {most / operations[0]:.1f}",
                 f"{counts.max():,}, {dear:,.0f}, {dear / counts.max():.1f}",
             )  # fmt: skip

@@ -98,7 +98,7 @@ class _Bound:
     def __init__(self, tree: ast.Module, sizes: Mapping[str, int]) -> None:
         self.functions = {node.name: node for node in tree.body if isinstance(node, ast.FunctionDef)}
         self.sizes, self.tables = sizes, _tables(tree)
-        self.seen: dict[tuple[object, ...], int] = {}
+        self.calls: dict[tuple[object, ...], int] = {}
         self.rare: dict[int, int] = {}  # of each branch with `seldom`, in the whole run
         self.shared: dict[int, int] = {}  # of what follows `once`, for each value
 
@@ -108,11 +108,11 @@ class _Bound:
 
     def _function(self, name: str, known: _Known) -> int:
         key = (name, known.key())
-        if key not in self.seen:
-            self.seen[key] = self._block(body := self.functions[name].body, known)
+        if key not in self.calls:
+            self.calls[key] = self._block(body := self.functions[name].body, known)
             if any(called(node, "anew") is not None for one in body for node in ast.walk(one)):
-                self.seen[key] += sum(self.shared.values())
-        return self.seen[key]
+                self.calls[key] += sum(self.shared.values())
+        return self.calls[key]
 
     def _block(self, body: Sequence[ast.stmt], known: _Known) -> int:
         total = 0

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from surctl.ir.procedure import Procedure, back, sqrt, within
-from surctl.priority.hierarchy import factors
+from surctl.priority.hierarchy import memory
 from surctl.priority.hierarchy.kernel import sound
 from surctl.priority.shapes import StackShape
 
@@ -36,7 +36,7 @@ class Memory:
     T: list[float]
 
 
-class Checked(factors.Memory):
+class Checked(memory.Memory):
     """What `check` writes."""
 
     sound: list[float]

@@ -10,8 +10,9 @@ search would go round. A set-based level stays behind W, with the rate as its bo
 from __future__ import annotations
 
 from surctl.ir.procedure import anew, fabs, seldom, sqrt, within
-from surctl.priority.hierarchy.factors import Memory, along, enter, leave, multipliers, pivots, reflect_table
+from surctl.priority.hierarchy.factors import along, enter, leave, multipliers, pivots, reflect_table
 from surctl.priority.hierarchy.judgement import at_v, bound_loss, remember
+from surctl.priority.hierarchy.memory import Memory
 
 
 def damp(s: Memory, level: int) -> None:

@@ -14,7 +14,8 @@ whether a singular value near 1e-10·‖J‖ counts as 0. Then nothing is shown 
 from __future__ import annotations
 
 from surctl.ir.procedure import fabs, sqrt, within
-from surctl.priority.hierarchy.factors import Memory, along, multipliers
+from surctl.priority.hierarchy.factors import along, multipliers
+from surctl.priority.hierarchy.memory import Memory
 
 
 def at_goal(s: Memory, row: int) -> float:

@@ -27,8 +27,9 @@ from typing import Any
 
 from surctl.ir.procedure import Procedure, fabs, source_of, within
 from surctl.priority.hierarchy import damping, factors, judgement, search
-from surctl.priority.hierarchy.factors import Memory, optimum
+from surctl.priority.hierarchy.factors import optimum
 from surctl.priority.hierarchy.judgement import judge
+from surctl.priority.hierarchy.memory import Memory
 from surctl.priority.hierarchy.search import at_once, descend, prepare, restore
 from surctl.priority.shapes import StackShape
 from surctl.priority.solver.elimination import FLOAT32, FLOAT64, Precision

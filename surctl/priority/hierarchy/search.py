@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from surctl.ir.procedure import fabs, seldom, sqrt, within
 from surctl.priority.hierarchy.damping import confirm, damp
-from surctl.priority.hierarchy.factors import Memory, enter, leave, multipliers, optimum
+from surctl.priority.hierarchy.factors import enter, leave, multipliers, optimum
 from surctl.priority.hierarchy.judgement import at_goal, at_v
+from surctl.priority.hierarchy.memory import Memory
 
 
 def prepare(s: Memory) -> None:
