@@ -265,7 +265,7 @@ def _linted(file: str, vehicle: str | None) -> _Linted:
             about_loop, derive = _loop_findings(assessed(plan, plan.gains), word if plan.derivation else None)
             problems += about_loop
         problems += _goal_findings(plan)
-    elif kind in plain:
+    elif isinstance(kind, str) and kind in plain:
         problems = _file_findings(plain[kind](path))
     else:
         known = ", ".join(f'"{name}"' for name in sorted([*plain, "scenario"]))

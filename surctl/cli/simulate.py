@@ -115,7 +115,7 @@ def simulate(
     Example: surctl simulate tank-static --runs 9 --monte-carlo
     """
     if is_system(scenarios, "seconds", "out", "save", "as_json"):
-        _check_save(save, None, out=out, campaign=False)
+        _check_save(save, None, out=out, campaign=False, own=True)
         simulate_own_system(scenarios, seconds=seconds, out=out, save=save or "csv", as_json=as_json)
     link.check(campaign=campaign.any or replayed is not None)
     run_count = 1 if replayed is not None else runs * len(scenarios)
@@ -232,10 +232,13 @@ def _check_fallback(fallback: str, *, mode: str, explained: bool, campaign: bool
         raise InputError("cannot be explained", key="--fallback", value=fallback, remedy="drop --explain")
 
 
-def _check_save(save: str | None, frame: str | None, *, out: Path | None, campaign: bool) -> None:
+def _check_save(
+    save: str | None, frame: str | None, *, out: Path | None, campaign: bool, own: bool = False
+) -> None:  # fmt: skip
     if save is None and frame is None:
         return
     from surctl.marine.simulation import RUN_FORMATS
+    from surctl.recorded_write import RECORD_FORMATS
     from surctl.marine.vehicle.motion_log import check_frame
 
     if frame is not None:
@@ -243,7 +246,7 @@ def _check_save(save: str | None, frame: str | None, *, out: Path | None, campai
     if save is None:
         raise InputError("needs --save", key="--frame", value=frame, remedy="add --save csv, mat, nc or mcap")
 
-    check_known(save, RUN_FORMATS, key="--save")
+    check_known(save, RECORD_FORMATS if own else RUN_FORMATS, key="--save")
     if save == "mcap" and frame == "ned":
         raise InputError("is not a frame of Foxglove", key="--frame", value=frame, remedy="use enu for mcap")
     if campaign:

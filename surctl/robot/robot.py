@@ -21,7 +21,7 @@ from surctl.robot.kinematics import Base, Kinematics, quaternion_of, rotation_of
 from surctl.robot.limits import JointLimits, SelfCollision
 from surctl.robot.urdf import Capsule, read_urdf
 from surctl.tasks import Task
-from surctl.units import is_number
+from surctl.units import as_numbers, is_number
 
 # Tasks of a robot: frames, centre of mass, posture and the direction in which a frame looks
 
@@ -165,7 +165,7 @@ def look_at_task(
     """Return a task that turns an axis of a frame towards a point; see `Robot.look_at_task`."""
     name = _checked_name(target)
     moving = robot.frame(frame)
-    direction = np.asarray(axis, dtype=float)
+    direction = as_numbers(axis, key=f"{name}: axis")
     length = float(np.sqrt(direction @ direction)) if direction.shape == (3,) else 0.0
     if not length > 0.0:
         raise InputError("is not a direction", key=f"{name}: axis", value=axis, remedy="give three numbers, not all 0")
@@ -186,7 +186,7 @@ def look_at_task(
 
 def flat_pose(pose: ArrayLike) -> Array:
     """Return position and quaternion (7,): x, y, z [m], then x, y, z, w; from these, or from a matrix (4, 4)."""
-    matrix = np.asarray(pose, dtype=float)
+    matrix = as_numbers(pose, key="target")
     if matrix.shape != (4, 4):
         return matrix.reshape(-1)
     R = matrix[:3, :3]

@@ -20,7 +20,7 @@ from surctl.system.controller import SampledController, command_ports, step_resu
 from surctl.system.parts import Parts, called, joined
 from surctl.system.plant import Plant
 from surctl.system.sampled import CLOCK, Blocks, Sampled, connected
-from surctl.units import is_number
+from surctl.units import as_range, is_number
 
 _FIGURE = Layout((Port("value", (1,), "1", "a figure"),))
 
@@ -182,7 +182,7 @@ class System:
                 if name in named:
                     remedy = "choose another name for the cost"
                     raise InputError("is a signal or a gain of the system", key=f"costs.{name}", remedy=remedy)
-                if cost.how not in get_args(How):
+                if str(cost.how) not in get_args(How):
                     remedy = nearest(str(cost.how), get_args(How))
                     raise InputError("is not known", key=f"costs.{name}.how", value=cost.how, remedy=remedy)
         for name, ends in self.limits.items():
@@ -433,8 +433,9 @@ def _connected(port: Port, layout: Layout, *, key: str, to: str) -> None:
 def _check_limits(name: str, ends: object, shown: Collection[str]) -> None:
     if name not in shown:
         raise InputError("is no signal of a run", key=f"limits.{name}", remedy=nearest(name, sorted(shown)))
-    if not isinstance(ends, tuple) or len(ends) != 2 or not all(map(is_number, ends)) or not ends[0] < ends[1]:
-        raise InputError("is not (low, high)", key=f"limits.{name}", value=ends, remedy="write such as (-1, 1)")
+    low, high = as_range(ends, key=f"limits.{name}")
+    if low == high:
+        raise InputError("is empty", key=f"limits.{name}", value=ends, remedy="write such as (-1, 1)")
 
 
 def _check_cost(name: str, cost: object) -> None:
@@ -442,7 +443,7 @@ def _check_cost(name: str, cost: object) -> None:
     key = f"costs.{name}"
     if not isinstance(cost, Cost):
         raise InputError(f"is of type {type(cost).__name__}", key=key, remedy="give a surctl.system.Cost")
-    if not str(cost.unit or "").strip():
+    if not isinstance(cast("object", cost.unit), str) or not cost.unit.strip():
         raise InputError("has no unit", key=key, remedy='name it in SI, "1" if it has none')
     bound = cost.at_most
     if bound is not None and not is_number(bound):

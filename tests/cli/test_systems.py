@@ -220,6 +220,22 @@ def test_a_sweep_gives_the_costs_of_each_run(file: str) -> None:
     assert data("sweep", file, "plant.blow=1", "k=0", "--seconds", "3", "--out", "swept", status=1)["best"] == {}
 
 
+def test_two_sweeps_in_one_folder_keep_their_files(file: str) -> None:
+    need_compiler()
+    first, second = (
+        ("sweep", file, "k=0.5,1", f"plant.blow={b}", "--seconds", "3", "--out", "both") for b in ("0", "0.1")
+    )
+    files = []
+    for words in (first, second, first):
+        done = data(*words)
+        files.append((done["table"], done["netcdf"], *done["pictures"]))
+        if len(files) == 1:
+            before = Path(done["table"]).read_text()
+    assert len({*files[1], *files[2]}) == len(files[1]) + len(files[2]), "no file of one is a file of the other"
+    assert Path(files[2][0]).read_text() == before and all(Path(name).is_file() for name in (*files[1], *files[2]))
+    assert len([*Path("both").iterdir()]) == len(files[1]) + len(files[2])
+
+
 def test_a_sweep_with_random_numbers_judges_a_point_by_its_worst_run(file: str) -> None:
     need_compiler()
     words = ("sweep", file, "k=0.5,2", "start.x=0.5..3", "--seconds", "1", "--out", "swept")
@@ -308,6 +324,7 @@ MISTAKES = {
     "a number twice": (("verify", "mine.py:build", "k=1", "k=2"), "k: is given twice"),
     "an infinite number": (("verify", "mine.py:build", "k=inf"), "k: is not finite"),
     "too many entries": (("verify", "mine.py:build", "start.pose=1,2,3"), "start.pose: has shape"),
+    "a log of the robot": (("simulate", "mine.py:build", "--save", "mcap", "--out", "o"), "known: csv, mat, nc"),
     "no folder": (("simulate", "mine.py:build", "--save", "nc", "--seconds", "1"), "--save: needs an output folder"),
     "no duration": (("simulate", "mine.py:build"), "--seconds: is missing"),
     "duration 0": (("simulate", "mine.py:build", "--seconds", "0"), "--seconds = 0.0: is not a duration"),
@@ -381,7 +398,7 @@ def test_a_mistake_is_one_line(file: str, case: str) -> None:
         ("duration=-1.0", "duration = -1.0"),
         ("duration=1e9", "duration = 1000000000.0: is "),
         ("limits={'torq': (0, 1)}", "limits.torq: is no signal of a run"),
-        ("limits={'f': (1, 0)}", "limits.f = (1, 0): is not (low, high)"),
+        ("limits={'f': (1, 0)}", "limits.f = (1, 0): is not a range"),
     ],
 )
 def test_a_mistake_in_what_a_system_carries_is_one_line(file: str, words: str, fragment: str) -> None:
