@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+import shutil
 import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
@@ -69,6 +70,14 @@ class ExportOptions:
     steps: int | None
     prove: bool
     out: Path
+
+    def for_processor(self) -> ExportOptions:
+        """Return the options with a compiler or processor of `--target` as one that `--check` tries, and C as output."""
+        from surctl.export.emulated import TARGETS
+
+        if self.target not in TARGETS:
+            return self
+        return replace(self, target="c99", check=True, targets=",".join(filter(None, (self.targets, self.target))))
 
     def tools(self) -> Tools:
         """Return the compilers and processors of `--check`, and those that are not available.
@@ -158,7 +167,12 @@ class Compared(NamedTuple):
 @click.option("--sensing", metavar="NAME", help="Obstacle positions: sonar (default, if used) or truth.")
 @sensor_options
 @click.option("--name", metavar="TEXT", help="Prefix of C names (default: the law's name).")
-@click.option("--target", default="c99", metavar="NAME", help="Output: c99 (default), fmu (FMI 2), fmu3 or mjcf.")
+@click.option(
+    "--target",
+    default="c99",
+    metavar="NAME",
+    help="Output: c99 (default), fmu, fmu3, mjcf; or a processor of --targets, to check C on it.",
+)
 @click.option("--real", default="float64", metavar="NAME", help="Number type: float64 (default) or float32.")
 @click.option("--constant-gains", is_flag=True, help="Compile gains and mission in; needs --sensing truth.")
 @click.option(
@@ -197,6 +211,7 @@ def export(
     Examples: surctl export --gains surctl-out/gains.toml --out firmware; surctl export --law closed_form --sensing
     truth --constant-gains --check; surctl export my_system.py:build --seconds 5
     """
+    options = options.for_processor()
     if is_system(system, "seconds", "as_json", *(one.name for one in fields(ExportOptions))):
         export_system(system, options, seconds=seconds, as_json=as_json)
     if system:
@@ -316,7 +331,10 @@ def export(
         lines,
         as_json=as_json,
         passed=compared.sil.conclusive and compared.passed(proof) and assessment.accepted(),
-        then=[*belong, *(() if mission.path.fed and options.real != "float64" else started)],
+        then=[
+            *belong,
+            *(() if mission.path.fed and options.real != "float64" or not shutil.which("make") else started),
+        ],
         brief=brief,
         files=[f"code {options.out} ({len(files)} files)"],
     )
@@ -325,8 +343,12 @@ def export(
 def _brief(compared: Compared, proof: ProofReport | None, assessment: Assessment, replayed: str) -> list[str]:
     """Return the summary of an export: comparison of the code, verdict on what was exported, proof, replayed run."""
     lines = [_sil_line(compared.sil), f"exported; {assessment.verdict()}"]
-    lines += [line for line in compared.summaries(proof) if line]
-    return [*lines, replayed] if assessment.accepted() else lines  # the worst line needs the room
+    lines += [] if proof is None else [proof.summary()]
+    if compared.report is not None:
+        # what differs first; sizes and instructions of one target fit
+        lines += [" ".join(build.line().split()) for build in sorted(compared.report.builds, key=lambda one: one.same)]
+    # the worst line, or the figures of a target, need the room
+    return [*lines, replayed] if assessment.accepted() and compared.report is None else lines
 
 
 def _sil_line(sil: SilReport) -> str:
@@ -452,9 +474,10 @@ def export_system(words: Sequence[str], options: ExportOptions, *, seconds: floa
         **compared.data(proof),
     }
     passed = sil.exact and compared.passed(proof) and assessment.accepted()
-    then = [f"make -C {shlex.quote(str(options.out))} check"]
+    # not the same comparison again, after that of --check
+    then = [f"make -C {shlex.quote(str(options.out))} check"] if shutil.which("make") and not options.check else []
     brief = _brief(compared, proof, assessment, f"replayed: {end_text(own, record)}")
-    brief += [f"{line.mark} {line.text}" for line in assessment.lines]
+    brief += [f"{line.mark} {line.text}" for line in assessment.lines] if compared.report is None else []
     where = [f"code {options.out} ({len(files)} files)"]
     finish(data, lines, as_json=as_json, passed=passed, then=then, brief=brief, files=where)
 

@@ -238,8 +238,8 @@ def _check_save(
     if save is None and frame is None:
         return
     from surctl.marine.simulation import RUN_FORMATS
-    from surctl.recorded_write import RECORD_FORMATS
     from surctl.marine.vehicle.motion_log import check_frame
+    from surctl.recorded_write import RECORD_FORMATS
 
     if frame is not None:
         check_frame(frame, key="--frame")

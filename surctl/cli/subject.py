@@ -112,7 +112,7 @@ class OwnSystem:
                 problem, remedy = "is the name of a built-in law", "choose another name"
                 raise InputError(problem, key="name", value=chosen, remedy=remedy)
         except InputError as error:
-            if error.key == "name" and name:
+            if error.key == "name" and name is not None:
                 raise InputError(error.problem, key="--name", value=name, remedy=error.remedy) from None
             raise error.inside(self.word, "controller" if error.key == "name" else error.key) from None
         return chosen

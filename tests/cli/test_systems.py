@@ -324,7 +324,7 @@ MISTAKES = {
     "a number twice": (("verify", "mine.py:build", "k=1", "k=2"), "k: is given twice"),
     "an infinite number": (("verify", "mine.py:build", "k=inf"), "k: is not finite"),
     "too many entries": (("verify", "mine.py:build", "start.pose=1,2,3"), "start.pose: has shape"),
-    "a log of the robot": (("simulate", "mine.py:build", "--save", "mcap", "--out", "o"), "known: csv, mat, nc"),
+    "a log of the robot": (("simulate", "mine.py:build", "--save", "mcap", "--out", "o"), "--save = 'mcap': is not known; did you mean 'mat'?"),
     "no folder": (("simulate", "mine.py:build", "--save", "nc", "--seconds", "1"), "--save: needs an output folder"),
     "no duration": (("simulate", "mine.py:build"), "--seconds: is missing"),
     "duration 0": (("simulate", "mine.py:build", "--seconds", "0"), "--seconds = 0.0: is not a duration"),
