@@ -72,7 +72,7 @@ class ExportOptions:
     out: Path
 
     def for_processor(self) -> ExportOptions:
-        """Return the options with a compiler or processor of `--target` as one that `--check` tries, and C as output."""
+        """Return the options with C as output, and `--check` on the compiler or processor that `--target` names."""
         from surctl.export.emulated import TARGETS
 
         if self.target not in TARGETS:
@@ -171,7 +171,7 @@ class Compared(NamedTuple):
     "--target",
     default="c99",
     metavar="NAME",
-    help="Output: c99 (default), fmu, fmu3, mjcf; or a processor of --targets, to check C on it.",
+    help="c99 (default), fmu, fmu3, mjcf or one of --targets.",
 )
 @click.option("--real", default="float64", metavar="NAME", help="Number type: float64 (default) or float32.")
 @click.option("--constant-gains", is_flag=True, help="Compile gains and mission in; needs --sensing truth.")
@@ -212,7 +212,7 @@ def export(
     truth --constant-gains --check; surctl export my_system.py:build --seconds 5
     """
     options = options.for_processor()
-    if is_system(system, "seconds", "as_json", *(one.name for one in fields(ExportOptions))):
+    if is_system(system, "seconds", "gains", "as_json", *(one.name for one in fields(ExportOptions))):
         export_system(system, options, seconds=seconds, as_json=as_json)
     if system:
         raise click.UsageError(f"Got unexpected extra argument ({system[0]})")
@@ -221,6 +221,7 @@ def export(
     from surctl.cli.runs import failure
     from surctl.export import REALS, Records, write_bundle
     from surctl.export.bundle import check_folder
+    from surctl.export.emulated import TARGETS
     from surctl.export.envelope import as_records
     from surctl.export.evidence import evidence_of, with_evidence
     from surctl.export.prove import gain_box
@@ -233,7 +234,8 @@ def export(
     from surctl.marine.vehicle import load_vehicle
     from surctl.marine.vehicle.linearise import command_range
 
-    for key, value, known in (("--target", options.target, (*_TARGETS, "mjcf")), ("--real", options.real, REALS)):
+    outputs = (*_TARGETS, "mjcf", *TARGETS)
+    for key, value, known in (("--target", options.target, outputs), ("--real", options.real, REALS)):
         if value not in known:
             raise InputError("is not available", key=key, value=value, remedy=nearest(value, known))
     if options.target == "mjcf":
@@ -333,7 +335,7 @@ def export(
         passed=compared.sil.conclusive and compared.passed(proof) and assessment.accepted(),
         then=[
             *belong,
-            *(() if mission.path.fed and options.real != "float64" or not shutil.which("make") else started),
+            *(() if (mission.path.fed and options.real != "float64") or not shutil.which("make") else started),
         ],
         brief=brief,
         files=[f"code {options.out} ({len(files)} files)"],
@@ -431,12 +433,13 @@ def export_system(words: Sequence[str], options: ExportOptions, *, seconds: floa
     """
     from surctl.assessment import ClosedLoop, assess
     from surctl.export.bundle import check_folder, write_bundle
+    from surctl.export.emulated import TARGETS
     from surctl.export.envelope import as_records
     from surctl.export.evidence import with_evidence
     from surctl.export.precision import REALS
     from surctl.system import run_system
 
-    for key, value, known in (("--target", options.target, _TARGETS), ("--real", options.real, REALS)):
+    for key, value, known in (("--target", options.target, (*_TARGETS, *TARGETS)), ("--real", options.real, REALS)):
         if value not in known:
             problem = "is not available for a system of your own"
             raise InputError(problem, key=key, value=value, remedy=nearest(value, known))

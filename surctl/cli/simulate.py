@@ -114,7 +114,7 @@ def simulate(
     Exit status: 1 if a run collides or does not arrive.
     Example: surctl simulate tank-static --runs 9 --monte-carlo
     """
-    if is_system(scenarios, "seconds", "out", "save", "as_json"):
+    if is_system(scenarios, "seconds", "gains", "out", "save", "as_json"):
         _check_save(save, None, out=out, campaign=False, own=True)
         simulate_own_system(scenarios, seconds=seconds, out=out, save=save or "csv", as_json=as_json)
     link.check(campaign=campaign.any or replayed is not None)

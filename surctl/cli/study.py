@@ -86,7 +86,7 @@ def study(
     Examples: surctl study; surctl study my-vehicle.toml --out results; surctl study --vehicle otter --json >
     study.json; surctl study my_system.py:build --seconds 5
     """
-    if is_system(words, "words", "out", "workers", "seconds", "as_json"):
+    if is_system(words, "words", "gains", "out", "workers", "seconds", "as_json"):
         study_system(words, seconds=seconds, workers=workers, out=out, as_json=as_json)
     if len(words) > 1:
         raise click.UsageError(f"Got unexpected extra argument ({words[1]})")

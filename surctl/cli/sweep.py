@@ -126,7 +126,7 @@ def sweep(axes: tuple[str, ...], workers: int | None, dask: str | None, out: Pat
     if words["sensitivity"] is not None and words["design"] != "grid":
         remedy = "drop --design"
         raise InputError("chooses its own points", key="--sensitivity", value=words["sensitivity"], remedy=remedy)
-    if is_system(axes, *_OF_SYSTEMS, "workers", "dask", "out", "as_json"):
+    if is_system(axes, *_OF_SYSTEMS, "gains", "workers", "dask", "out", "as_json"):
         executor = None if dask is None else _executor(workers, dask)
         job = _own(axes, threads=workers or (2 if dask is None else 1), compiles=dask is None,
                    **{name: words[name] for name in _OF_SYSTEMS})  # fmt: skip

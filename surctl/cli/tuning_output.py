@@ -232,7 +232,7 @@ class _System:
             when: cost_data(own.system, self.request.costs(values))
             for when, values in (("before", self.request.begun), ("after", tuning.result.gains))
         }
-        numbers = [f"{name}={value!r}" for name, value in tuning.result.gains.items()]
+        numbers = ["--gains", gains]
         seconds = f"{duration or 100 * own.system.dt:g}"
         then = [command_line("verify", own, *numbers), command_line("export", own, *numbers, "--seconds", seconds)]
         data = {**own.names, "seconds": duration, "costs": costs}

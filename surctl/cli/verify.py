@@ -124,7 +124,7 @@ def verify(
     """
     if time_limit is not None and math.isnan(time_limit):  # click accepts NaN in any range
         raise InputError("is not a valid time", key="--time-limit", value=time_limit, remedy="give seconds, above 0")
-    if is_system(claims, "seed", "time_limit", "out", "as_json"):
+    if is_system(claims, "gains", "seed", "time_limit", "out", "as_json"):
         verify_system(claims, seed=seed, time_limit=time_limit or _LONG, out=out, as_json=as_json)
     if are_problems(claims, only=("seed", "time_limit", "out", "as_json")):
         verify_motion(claims, seed=seed, time_limit=time_limit or _LONG, out=out, as_json=as_json)
@@ -309,6 +309,10 @@ def verify(
     if len(about_claims) > _MOST_CLAIMS:
         good = sum(line.startswith("ok") for line in about_claims)
         counted = f"ok   {good} of {len(about_claims)} claims as expected"
+        if aside := sum(line.startswith("n/a") for line in about_claims):
+            counted = (
+                f"{'ok  ' if good else 'n/a '} {good} of {len(about_claims)} claims as expected, {aside} not applicable"
+            )
         about_claims = [*(f"FAIL {text}" for text in unmet), counted]
     about_claims.sort(key=lambda line: not line.startswith("FAIL"))
     brief = [*missions.lines, *(f"FAIL {text}" for text in failing), *about_claims]

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import difflib
 import hashlib
+import warnings
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -24,6 +26,7 @@ from surctl.units import as_range, is_number
 
 _FIGURE = Layout((Port("value", (1,), "1", "a figure"),))
 
+_MISSPELT = 0.75  # similarity of two names from which one is taken for a slip of the other
 _MOST = 1000  # steps of integration in a control period
 
 ENDED, LOST = "time", "not finite"
@@ -196,6 +199,7 @@ class System:
                 with mistakes.collected():
                     _connected(port, self.measurements, key=f"{self.controller.name}.inputs", to="measured output")
         mistakes.check()
+        self._warn_of_misspelt_inputs()
         self._check_compiles()
         _ = self.signals  # a metric that cannot be computed is reported here
 
@@ -323,6 +327,16 @@ class System:
             "k": self.telemetry.size, "t": 1, "b": self.blocks.memory.size,
         }  # fmt: skip
         return {name: ca.SX.sym(name, size) for name, size in sizes.items()}
+
+    def _warn_of_misspelt_inputs(self) -> None:
+        """Warn of a reference whose name is nearly that of a measured output which no input receives."""
+        read = {port.name for part in (self.controller, *self.blocks.all) for port in part.inputs}
+        free = [port.name for port in self.measurements if port.name not in read]
+        for port in self.references:
+            for name in difflib.get_close_matches(port.name, free, n=1, cutoff=_MISSPELT):
+                if port.unit == self.measurements.port(name).unit:
+                    text = f"{self.controller.name}.inputs.{port.name}: is a reference, because nothing measures it"
+                    warnings.warn(f"{text}; did you mean {name!r}?", stacklevel=3)
 
     def _check_blocks(self) -> None:
         """Raise InputError if a sensor or actuator is no block, or an input of it is not connected."""

@@ -290,6 +290,17 @@ def test_a_system_is_exported_in_float_as_a_unit_with_its_evidence(file: str) ->
     assert "arrived" not in Path("c/README.md").read_text().split("## Evidence")[1]
 
 
+def test_c_for_a_target_is_checked_on_it(file: str) -> None:
+    need_compiler()
+    done = run("export", file, "--seconds", "1", "--target", "gcc-O0", "--steps", "60")
+    assert done.exit_code == 0, done.output
+    [figures] = [line for line in map(" ".join, map(str.split, done.stdout.splitlines())) if line.startswith("gcc-O0 ")]
+    assert figures.startswith("gcc-O0 160 steps, same bytes; ") and " B code and constants" in figures
+    assert "| gcc-O0 | same | " in Path("surctl-out/export/README.md").read_text()
+    wrong = complaint("export", file, "--seconds", "1", "--target", "cortex-m8")
+    assert wrong == "--target = 'cortex-m8': is not available for a system of your own; did you mean 'cortex-m7'?"
+
+
 def test_a_study_puts_run_margins_sweep_and_export_on_one_page(file: str) -> None:
     need_compiler()
     words = ("study", file, "reference.goal=0.5", "k=0.5..2:3", "--seconds", "0.5", "--out", "s")
@@ -324,7 +335,7 @@ MISTAKES = {
     "a number twice": (("verify", "mine.py:build", "k=1", "k=2"), "k: is given twice"),
     "an infinite number": (("verify", "mine.py:build", "k=inf"), "k: is not finite"),
     "too many entries": (("verify", "mine.py:build", "start.pose=1,2,3"), "start.pose: has shape"),
-    "a log of the robot": (("simulate", "mine.py:build", "--save", "mcap", "--out", "o"), "--save = 'mcap': is not known; did you mean 'mat'?"),
+    "a log of the robot": (("simulate", "mine.py:build", "--save", "mcap", "--out", "o"), "did you mean 'mat'?"),
     "no folder": (("simulate", "mine.py:build", "--save", "nc", "--seconds", "1"), "--save: needs an output folder"),
     "no duration": (("simulate", "mine.py:build"), "--seconds: is missing"),
     "duration 0": (("simulate", "mine.py:build", "--seconds", "0"), "--seconds = 0.0: is not a duration"),
@@ -340,7 +351,7 @@ MISTAKES = {
     "a grid without count": (("sweep", "mine.py:build", "k=1..2", "--seconds", "1"), "write k=1..2:COUNT"),
     "no axis": (("sweep", "mine.py:build", "--seconds", "1"), "nothing to sweep"),
     "no costs": (("sweep", "mine.py:bare", "k=1", "--seconds", "1"), "has no costs"),
-    "an option of the robot": (("simulate", "mine.py:build", "--gains", "x"), "--gains: does not apply"),
+    "an option of the robot": (("simulate", "mine.py:build", "--vehicle", "x"), "--vehicle: does not apply"),
     "its export": (("export", "mine.py:build", "--sensing", "truth", "--seconds", "1"), "--sensing: does not apply"),
     "a name of a law": (
         ("export", "mine.py:build", "--name", "guarded", "--seconds", "1"), "is the name of a built-in law",
@@ -421,7 +432,20 @@ def test_tune_finds_gains_and_says_what_is_not_kept(file: str, tmp_path: Path) -
     assert {name: one["value"] for name, one in after["figures"].items()} == {n: f["value"] for n, f in worst.items()}
     assert after["figures"]["cost.final"]["where"] == "case 1 (start.x = 1)", "the worst of both cases"
     assert "k" in (tmp_path / "t" / "gains.csv").read_text()
-    assert found["next"][0].startswith(f"surctl verify {file} k=")
+    table = tmp_path / "t" / "gains.csv"
+    assert found["next"][0] == f"surctl verify {file} --gains {table}"
+    for command in ("simulate", "export"):
+        same = [data(command, file, *words, "--seconds", "3")["costs"] for words in (("--gains", table), (f"k={k!r}",))]
+        assert same[0] == same[1] != data(command, file, "--seconds", "3")["costs"]
+        typed = data(command, file, "--gains", table, "k=0.5", "--seconds", "3")["costs"]
+        assert typed == data(command, file, "k=0.5", "--seconds", "3")["costs"], "a typed gain wins"
+    table.write_text("q\n1.0\n")
+    assert (
+        complaint("verify", file, "--gains", str(table))
+        == f"{table}: column = 'q': is not a gain of the system; known: k"
+    )
+    table.write_text("k\n1.0\n2.0\n")
+    assert complaint("verify", file, "--gains", str(table)).startswith(f"{table}: has 2 rows of gains; ")
 
 
 @pytest.mark.parametrize(
