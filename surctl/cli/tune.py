@@ -176,7 +176,8 @@ def _search(task: Task, *, trials: int, rounds: int, runs: int, out: Path, as_js
         missed, (remedy, longer) = misses(tuning), advice(tuning, trials=trials)
         lines += ["", warning, *(f"  {miss.text}" for miss in missed), f"  {remedy}"]
         then = [same_command(trials=2 * trials, rounds=rounds + 2)] if longer else task.look(missed, str(gains_path))
-    brief = [headline, *([warning] if warning else []), *verdict, *more.floor, *summary(tuning)[-2:]]
+    brief = ["; better: ".join([headline, *comparison.gained[:1]]), *([warning] if warning else []), *verdict]
+    brief += [*more.floor, *summary(tuning)[-2:]]
     brief += [*doubtful, *more.over]
     finish(
         result, lines,

@@ -330,7 +330,8 @@ class System:
 
     def _warn_of_misspelt_inputs(self) -> None:
         """Warn of a reference whose name is nearly that of a measured output which no input receives."""
-        read = {port.name for part in (self.controller, *self.blocks.all) for port in part.inputs}
+        layouts = [self.controller.inputs, *(block.inputs for block in self.blocks.all)]
+        read = {port.name for layout in layouts for port in layout}
         free = [port.name for port in self.measurements if port.name not in read]
         for port in self.references:
             for name in difflib.get_close_matches(port.name, free, n=1, cutoff=_MISSPELT):
