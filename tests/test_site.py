@@ -208,9 +208,12 @@ def test_what_a_newcomer_asks_is_answered_by_the_first_three_hits(site: Path) ->
         page, missed = opened.page, []
         page.keyboard.press("/")
         for asked, answer in ASKED.items():
-            page.fill(".md-search__input", asked)
+            page.keyboard.press("Control+A")
+            page.keyboard.type(asked)
             page.wait_for_timeout(1500)  # ms; the hits of the words before stay until then
-            hits = page.locator(".md-search-result__item > a").evaluate_all("all => all.slice(0, 3).map(a => a.href)")
+            hits = page.locator(".md-search-result__item").evaluate_all(
+                "all => all.slice(0, 3).map(item => item.querySelector('a').href)"
+            )
             missed += [(asked, hits)] * all(f"/{answer}.html" not in hit for hit in hits)
         assert not missed
 
