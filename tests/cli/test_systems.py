@@ -6,6 +6,7 @@ import csv
 import json
 import re
 import shlex
+from dataclasses import replace
 from pathlib import Path
 from textwrap import dedent
 from types import ModuleType
@@ -17,6 +18,7 @@ import xarray
 from click.testing import CliRunner, Result
 
 from surctl.cli.app import app
+from surctl.cli.subject import region_words
 from surctl.errors import InputError
 from surctl.own_code import object_of, pinned
 from surctl.system import System, find_equilibrium, linearise, run_system, simulate_system
@@ -500,6 +502,12 @@ def test_lint_of_a_system_lists_all_that_cannot_work(file: str) -> None:
     good = data("lint", file)
     assert {one["key"] for one in good["findings"]} == {"duration", "ranges", "within"}
     assert "write mine.py:build" in complaint("lint", "mine.py")
+
+
+def test_a_word_about_a_state_leaves_the_others_of_the_box(file: str) -> None:
+    system = replace(own(file), within={"x": (-1.0, 1.0), "pose[0]": (-2.0, 2.0)})
+    _, region, _ = region_words(["within.x=-0.5..0.5"], system)
+    assert region is not None and region.within == {"x": (-0.5, 0.5), "pose[0]": (-2.0, 2.0)}
 
 
 def test_a_region_of_a_system_is_proved_and_its_words_are_checked(
