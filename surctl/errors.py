@@ -1,4 +1,4 @@
-"""Exception classes with their exit status; remedies for unknown names; files that cannot be written.
+"""Exception classes with their exit status; findings of lint; remedies for unknown names; files that cannot be written.
 
 ::
 
@@ -16,14 +16,16 @@ from __future__ import annotations
 
 import difflib
 import errno
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
 from math import isfinite
 from numbers import Integral
-from typing import cast
+from typing import Any, Literal, cast
 
 __all__ = [
-    "LOSSES", "LOST", "EmptyDomain", "InputError", "NotApplicable", "SolverError", "SurctlError", "ToolMissing",
-    "UnsupportedOperation", "cannot_write", "check_count", "check_known", "check_number", "nearest",
+    "LOSSES", "LOST", "EmptyDomain", "Finding", "InputError", "NotApplicable", "SolverError", "SurctlError",
+    "ToolMissing", "UnsupportedOperation", "cannot_write", "check_count", "check_known", "check_number", "nearest",
 ]  # fmt: skip
 
 
@@ -81,6 +83,15 @@ class InputError(SurctlError):
         return InputError(self.problem, file=file, key=key or self.key, value=self.value, remedy=self.remedy)
 
 
+@contextmanager
+def mistakes_in(file: object, key: str | None = None) -> Iterator[None]:
+    """Name the file (and key) that contains the mistake in an InputError of the block, see `InputError.inside`."""
+    try:
+        yield
+    except InputError as error:
+        raise error.inside(file, key) from None
+
+
 class NotApplicable(InputError):
     """The given case violates an assumption of a claim, so the claim is neither proved nor refuted.
 
@@ -113,6 +124,23 @@ class UnsupportedOperation(InputError):
 
 class SolverError(SurctlError):
     """A numerical solver failed; an infeasible problem is a regular result and never raises this error."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One finding about an entry of a file: an error (it cannot work), a warning, or a note (`info`).
+
+    `clearance_m` is the distance [m] from a hull to a wall or obstacle that an error reports, negative for an overlap.
+    """
+
+    level: Literal["error", "warning", "info"]
+    key: str
+    text: str
+    clearance_m: float | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the finding as plain data for JSON; `clearance_m` is present only if the finding has a clearance."""
+        return {name: value for name, value in asdict(self).items() if value is not None}
 
 
 def cannot_write(

@@ -50,6 +50,7 @@ def test_public_names() -> None:
         "LOSSES",
         "LOST",
         "EmptyDomain",
+        "Finding",
         "InputError",
         "NotApplicable",
         "SolverError",

@@ -13,6 +13,7 @@ import sys
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from fractions import Fraction
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # the oracles are beside the tests
@@ -100,7 +101,7 @@ def proofs() -> bool:
     for vehicle, claim, told in tables:
         for speed, row in zip(claim.speeds, told["table"]["needed_m"], strict=True):
             cells = " | ".join(f"{x:.3f}" for x in row)
-            limit = told["limit_obstacle_m_per_s"]
+            limit = told["table"]["limit_obstacle_m_per_s"]
             print(f"| {vehicle} | `{claim.name}` | {speed:.2f} | {cells} | {limit:.3f} |")
     return good
 
@@ -112,15 +113,16 @@ def margins() -> None:
     for vehicle, claim in claims():
         if claim.law is None:
             continue
-        print(f"| {vehicle} | `{claim.name}` | {least_margin(claim):.3f} m | {claim.law.margin:g} m |")
+        print(f"| {vehicle} | `{claim.name}` | {least_margin(claim):.3f} m | {float(claim.law.margin):g} m |")
 
 
 def least_margin(claim: BrakingClaim, *, highest: float = HIGHEST, finest: float = FINEST) -> float:
     """Return the least margin [m] with which a claim about a law is proved, by bisection."""
+    assert claim.law is not None
     low, high = 0.0, highest
     while high - low > finest:
         middle = round((low + high) / 2, 4)
-        proof = prove_braking(replace(claim, law=replace(claim.law, margin=middle)))
+        proof = prove_braking(replace(claim, law=replace(claim.law, margin=Fraction(repr(middle)))))
         low, high = (low, middle) if proof.verdict == "proved" else (middle, high)
     return high
 
@@ -190,9 +192,9 @@ def spoiled(case: Wrong, claim: BrakingClaim) -> Rule:
     """Return the weakened rule."""
     at = case.obstacle
     if claim.law is not None:
-        more = 1.5 * claim.law.brake
-        own = replace(claim.law.own, least=1.5 * claim.law.own.least)
-        law = replace(claim.law, margin=0.0) if case.what == "no margin" else replace(claim.law, brake=more, own=own)
+        more = Fraction(3, 2) * claim.law.brake
+        weak = case.what == "no margin"
+        law = replace(claim.law, margin=Fraction(0)) if weak else replace(claim.law, brake=more)
         return rule_of(replace(claim, law=law), obstacle=at)
     if case.what == "age and errors forgotten":
         return rule_of(replace(claim, watch=Watch(period=claim.watch.period)), obstacle=at)

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from surctl.cli.linear_part import over_speeds
+from surctl.marine.cli.linear_part import over_speeds
 from tests.cli.process import surctl
 from tests.cli.test_speeds import parts
 from tests.cli.test_systems import FILE, data

@@ -37,12 +37,13 @@ from scipy.spatial import KDTree
 from to_go import CELLS
 from tracker import DRIFT, Arcs, Elements, Map, Points, wrapped
 
-from surctl.marine.control import Law, LawStep, build_law, default_law, load_gains
+from surctl.marine.control import Law, build_law, default_law, load_gains
 from surctl.marine.control.ports import YAW_SHARE
 from surctl.marine.sensing import SonarArray
 from surctl.marine.simulation import Run, Scenario, load_scenario, simulate
 from surctl.marine.vehicle import Vehicle, load_vehicle
 from surctl.marine.world import Disc, site_walls
+from surctl.system import ControllerStep
 
 SCENARIOS = (
     "pool-static", "tank-static", "tank-slalom", "tank-moving", "pool-speed-020", "tank-speed-020", "pool-ahead",
@@ -135,7 +136,7 @@ class SonarLaw:
         self.edges, self.k, self.last = edges(self.centres), 0, np.zeros(2)
         self.movers, self.told = np.zeros((0, 5)), 0
 
-    def __call__(self, x: Array, u: Array, p: Array) -> LawStep:
+    def __call__(self, x: Array, u: Array, p: Array) -> ControllerStep:
         """Return the control step; see `surctl.marine.simulation.loop.Stepper`."""
         inner, law = self.law.step(x, u, p), self.law
         if inner.status < 0:
@@ -164,7 +165,7 @@ class SonarLaw:
         told = inner.telemetry.copy()
         told[law.telemetry_slice("trapped")] = 0
         self.k += 1
-        return LawStep(tau, after, 0, told)
+        return ControllerStep(tau, after, 0, told)
 
     def _surface(self, here: Array) -> Array:
         return np.concatenate([self.map.surface(here), self.beside_heard])

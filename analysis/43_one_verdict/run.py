@@ -29,10 +29,10 @@ from draws import SYSTEM_SECONDS, loop, vehicle
 from surctl.assessment import Assessment, ClosedLoop, assess, cost_verdicts
 from surctl.cli import main as command_line
 from surctl.cli.output import finite
-from surctl.cli.runs import linear_warning
 from surctl.errors import ToolMissing
 from surctl.ir.cache import find_compiler
 from surctl.marine.assessment import Mission
+from surctl.marine.cli.runs import linear_warning
 from surctl.marine.control import Gains, write_gains
 from surctl.marine.report.bench import Bench
 from surctl.marine.simulation import load_scenario

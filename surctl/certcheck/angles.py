@@ -2,8 +2,8 @@
 
 A fixed-point number is an integer number of units of 2^-128. Every sum in this module has at most 40 terms. The error
 of a term is less than 3 units, because truncation of a product or quotient costs less than one unit and the errors of
-its operands contribute less than two. Each function returns the interval from `_OFF` = 2^11 units below the computed
-number to `_OFF` units above it. `_OFF` is more than twice the error bound that the function's docstring derives. The
+its operands contribute less than two. Each function returns the interval from `OFF` = 2^11 units below the computed
+number to `OFF` units above it. `OFF` is more than twice the error bound that the function's docstring derives. The
 ends of an interval are raw numbers of mpmath (tuples, not `mpf` objects). The module applies only +, -, ×, ÷, square
 root and comparison to these numbers.
 """
@@ -16,7 +16,10 @@ from typing import Any
 
 from mpmath import libmp
 
-__all__ = ["BITS", "Interval", "angle", "arccos", "arcsin", "circle", "pi", "tangent"]
+__all__ = [
+    "BITS", "LESS", "NEAR", "OFF", "UNIT", "WIDTH", "Interval", "angle", "arccos", "arcsin", "circle", "hull",
+    "magnitude", "pi", "scaled", "tangent",
+]  # fmt: skip
 
 Interval = Any
 """The pair (lower end, upper end) of an interval, as raw numbers of mpmath."""
@@ -25,11 +28,11 @@ Raw = Any
 BITS = 60
 """Precision of the ends of an interval [bits]."""
 
-_W = 128
-_UNIT = 1 << _W
-_OFF = 1 << 11
-_FAR, _NEAR = 1100, -40  # above 2^_FAR the bounds of a sine are ±1; below 2^_NEAR sin x ≈ x
-_LESS = libmp.mpf_sub(libmp.fone, libmp.mpf_shift(libmp.fone, 2 * _NEAR))  # 1 − 2^-80
+WIDTH, UNIT, OFF = 128, 1 << 128, 1 << 11
+"""Bits after the point, one, and the widening of a result."""
+
+_FAR, NEAR = 1100, -40  # above 2^_FAR the bounds of a sine are ±1; below 2^NEAR sin x ≈ x
+LESS = libmp.mpf_sub(libmp.fone, libmp.mpf_shift(libmp.fone, 2 * NEAR))  # 1 − 2^-80
 _LINE_OF_ONE = (libmp.fnone, libmp.fone)
 
 
@@ -43,7 +46,7 @@ def _arccot(n: int, bits: int) -> int:
     return total
 
 
-_LONG = _FAR + _W + 64
+_LONG = _FAR + WIDTH + 64
 # Machin: π/2 = 8 arctan 1/5 − 2 arctan 1/239; error < 20 · 2 · _LONG units before truncation by 64 bits
 _HALF_PI = (8 * _arccot(5, _LONG + 64) - 2 * _arccot(239, _LONG + 64)) >> 64
 
@@ -54,9 +57,11 @@ def _half_pi(bits: int) -> int:
     return _HALF_PI >> (_LONG - bits)
 
 
-def _ends(value: int) -> Interval:
-    """Return the interval `value` ± _OFF units (of 2^-128); it contains the number that `value` approximates."""
-    low, high = (libmp.from_man_exp(value + off, -_W, BITS, rounding) for off, rounding in ((-_OFF, "f"), (_OFF, "c")))
+def scaled(value: int, power: int = 0, off: int = OFF) -> Interval:
+    """Return the interval (value ± off) 2^power units of 2^-128, rounded outward to 60 bits."""
+    low, high = (
+        libmp.from_man_exp(value + o, power - WIDTH, BITS, rounding) for o, rounding in ((-off, "f"), (off, "c"))
+    )
     return low, high
 
 
@@ -65,10 +70,10 @@ def pi() -> Interval:
     return _PI
 
 
-_PI = _ends(2 * _half_pi(_W))
+_PI = scaled(2 * _half_pi(WIDTH))
 
 
-def _magnitude(x: Raw) -> int:
+def magnitude(x: Raw) -> int:
     """Return n with 2^(n−1) ≤ |x| < 2^n, for x ≠ 0."""
     return int(x[2] + x[3])
 
@@ -81,11 +86,11 @@ def _taylor(r: int) -> tuple[int, int]:
     truncated quotient (1 unit), so its error is less than 3 units. The remainder of each series is less than 4 units.
     The total error is therefore less than 60 units.
     """
-    square, cosine, sine = r * r >> _W, _UNIT, r
-    a, b, n = _UNIT, r, 1
+    square, cosine, sine = r * r >> WIDTH, UNIT, r
+    a, b, n = UNIT, r, 1
     while a:
-        a = (a * square >> _W) // (n * (n + 1))
-        b = (b * square >> _W) // ((n + 1) * (n + 2))
+        a = (a * square >> WIDTH) // (n * (n + 1))
+        b = (b * square >> WIDTH) // ((n + 1) * (n + 2))
         if n & 2:
             cosine, sine = cosine + a, sine + b
         else:
@@ -106,24 +111,24 @@ def _at(x: Raw) -> tuple[int, Interval, Interval]:
     """
     if x == libmp.fzero:
         return 0, (libmp.fone, libmp.fone), (libmp.fzero, libmp.fzero)
-    size = _magnitude(x)
+    size = magnitude(x)
     m = max(size, 0)
-    k, r = divmod(int(libmp.to_fixed(x, _W + m)), _half_pi(_W + m))
+    k, r = divmod(int(libmp.to_fixed(x, WIDTH + m)), _half_pi(WIDTH + m))
     r >>= m
-    whole = _half_pi(_W)
+    whole = _half_pi(WIDTH)
     if 2 * r > whole:
         sine, cosine = _taylor(whole - r)
     else:
         cosine, sine = _taylor(r)
     for _ in range(k & 3):
         cosine, sine = -sine, cosine
-    of_cosine, of_sine = _within(_ends(cosine)), _within(_ends(sine))
-    return k, of_cosine, _nearly(x) if size <= _NEAR else of_sine
+    of_cosine, of_sine = _within(scaled(cosine)), _within(scaled(sine))
+    return k, of_cosine, _nearly(x) if size <= NEAR else of_sine
 
 
 def _nearly(x: Raw) -> Interval:
     """Return bounds on sin x and arctan x for |x| ≤ 2^-40: both values lie between x (1 − 2^-80) and x."""
-    less, more = libmp.mpf_mul(x, _LESS, BITS, "d"), libmp.mpf_pos(x, BITS, "u")
+    less, more = libmp.mpf_mul(x, LESS, BITS, "d"), libmp.mpf_pos(x, BITS, "u")
     return (more, less) if x[0] else (less, more)
 
 
@@ -141,7 +146,7 @@ def circle(a: Interval) -> tuple[Interval, Interval]:
     of an end of the interval as outside; then the bounds of the values at this end contain 0 and ±1 nevertheless.
     """
     low, high = a
-    if any(end[1] == 0 and end != libmp.fzero for end in a) or any(_magnitude(e) > _FAR for e in a if e[1]):
+    if any(end[1] == 0 and end != libmp.fzero for end in a) or any(magnitude(e) > _FAR for e in a if e[1]):
         return _LINE_OF_ONE, _LINE_OF_ONE
     first, cosine, sine = _at(low)
     if low == high:
@@ -149,13 +154,13 @@ def circle(a: Interval) -> tuple[Interval, Interval]:
     last, other, another = _at(high)
     if last - first >= 4:
         return _LINE_OF_ONE, _LINE_OF_ONE
-    cosine, sine = _hull(cosine, other), _hull(sine, another)
+    cosine, sine = hull(cosine, other), hull(sine, another)
     for k in range(first + 1, last + 1):
         one = libmp.fone if k & 3 < 2 else libmp.fnone
         if k & 1:
-            sine = _hull(sine, (one, one))
+            sine = hull(sine, (one, one))
         else:
-            cosine = _hull(cosine, (one, one))
+            cosine = hull(cosine, (one, one))
     return cosine, sine
 
 
@@ -167,7 +172,7 @@ def tangent(a: Interval) -> Interval | None:
     multiple, within 2^10 units, the interval of the cosine contains 0, and the result is None. On one branch the
     tangent increases.
     """
-    if any(end[1] == 0 and end != libmp.fzero for end in a) or any(_magnitude(e) > _FAR for e in a if e[1]):
+    if any(end[1] == 0 and end != libmp.fzero for end in a) or any(magnitude(e) > _FAR for e in a if e[1]):
         return None
     values, branches = [], set()
     for end in a:
@@ -179,7 +184,8 @@ def tangent(a: Interval) -> Interval | None:
     return (values[0][0], values[1][1]) if len(branches) == 1 else None
 
 
-def _hull(a: Interval, b: Interval) -> Interval:
+def hull(a: Interval, b: Interval) -> Interval:
+    """Return the smallest interval that contains two intervals."""
     low = a[0] if libmp.mpf_le(a[0], b[0]) else b[0]
     return low, a[1] if libmp.mpf_ge(a[1], b[1]) else b[1]
 
@@ -195,10 +201,10 @@ def _arctan(t: int) -> int:
     error is less than 530 units.
     """
     for _ in range(3):
-        t = (t << _W) // (_UNIT + isqrt((_UNIT << _W) + t * t))
-    square, power, total, n = t * t >> _W, t, t, 1
+        t = (t << WIDTH) // (UNIT + isqrt((UNIT << WIDTH) + t * t))
+    square, power, total, n = t * t >> WIDTH, t, t, 1
     while power:
-        power = power * square >> _W
+        power = power * square >> WIDTH
         n += 2
         total += -(power // n) if n & 2 else power // n
     return 8 * total
@@ -213,21 +219,21 @@ def _angle_of(y: Raw, x: Raw) -> Interval:
     if not steep and not x[0]:
         if y == libmp.fzero:
             return libmp.fzero, libmp.fzero
-        if _magnitude(small) - _magnitude(large) < _NEAR - 1:
+        if magnitude(small) - magnitude(large) < NEAR - 1:
             low = _nearly(libmp.mpf_div(small, large, BITS, "d"))[0]
             high = libmp.mpf_div(small, large, BITS, "u")
             return (libmp.mpf_neg(high), libmp.mpf_neg(low)) if y[0] else (low, high)
     turn = _arctan(_ratio(small, large))
-    quarter = _half_pi(_W)
+    quarter = _half_pi(WIDTH)
     turn = quarter - turn if steep else turn
     turn = 2 * quarter - turn if x[0] else turn
-    return _ends(-turn if y[0] else turn)
+    return scaled(-turn if y[0] else turn)
 
 
 def _ratio(small: Raw, large: Raw) -> int:
     """Return small/large in units of 2^-128, truncated, for 0 ≤ small ≤ large."""
-    shift = small[2] - large[2] + _W
-    if _magnitude(small) - _magnitude(large) < -_W - 1:
+    shift = small[2] - large[2] + WIDTH
+    if magnitude(small) - magnitude(large) < -WIDTH - 1:
         return 0
     return int((small[1] << max(shift, 0)) // (large[1] << max(-shift, 0)))
 
@@ -243,7 +249,7 @@ def angle(y: Interval, x: Interval) -> Interval:
     first, *others = {(a, b) for a in y for b in x}
     total = _angle_of(*first)
     for corner in others:
-        total = _hull(total, _angle_of(*corner))
+        total = hull(total, _angle_of(*corner))
     return total
 
 

@@ -3,33 +3,33 @@
 Under the assumptions of the claim, clearance ≥ ρ m G(z) ≥ 0 holds at all later instants if it holds at one instant.
 Here m is the mass of the lighter axis, ρ the ratio of the masses, z = s + q/m, s = v + v_o the closing speed of a
 vehicle with the speed v and an obstacle with the speed v_o, and q the impulse towards the obstacle that the thrust
-still delivers because of its lag. G' is a polynomial between knots and constant beyond the last one. The certificate
-states it and proves inequalities, which this module derives from the claim and `surctl.certcheck.inequality` checks:
+still delivers because of its lag. The certificate states G', which does not fall, is linear between knots and constant
+beyond the last one, and proves inequalities, which this module derives from the claim and
+`surctl.certcheck.inequality` checks:
 
-1. G'(z) (F_b − f + D(z − v_o − c)) ≥ z with the guaranteed thrust F_b, the largest disturbance f, the speed c of the
-   current, and the least drag D for motion ahead, the largest one for motion astern;
-2. G'' ≥ 0;
-3. ρ G'(q/m − r) (D(v_o + c + r) + f − F_b) ≤ r for all speeds r of a retreat, if G is to count there (`retreats`);
-4. for a law: travelled + ρ m G(z⁺) ≤ clearance, for all values b of the law's speed bound and all speeds at which the
+1. G'(s) (F_b − f + D(s − v_o − c)) ≥ s with the guaranteed thrust F_b, the largest disturbance f, the speed c of the
+   current, and the least drag D for motion ahead, the largest one for motion astern, for 0 ≤ s ≤ V + v_o;
+2. ρ G'(q/m − r) (D(v_o + c + r) + f − F_b) ≤ r for all speeds r of a retreat, if G is to count there (`retreats`);
+3. for a law: travelled + ρ m G(z⁺) ≤ clearance, for all values b of the law's speed bound and all speeds at which the
    velocity loop commands less than F_b, where z⁺ is the largest z after a control period.
 
-Lemma: while the vehicle brakes, ż ≤ −(F_b − f + D)/(ρ m), so that (ρ m G(z))˙ ≤ −z ≤ −s by 1., and the clearance l
-satisfies l̇ ≥ −s: l − ρ m G(z) does not fall. It does not fall during a retreat either, by 3.; without 3., G counts as
-that at s = 0, while l rises and q falls. By 2., ρ m G(s + q/m) is convex in m, so that the ends of the range of masses
-decide. Speeds are at most V, so that G' may be constant beyond V + v_o. After a period without braking, the range that
-the rule needs, or 4., leaves l ≥ ρ m G(z).
+Lemma: while the vehicle brakes, ż ≤ −(F_b − f + D)/(ρ m), and G'(z) ≥ G'(s) as z ≥ s, so that (ρ m G(z))˙ ≤ −s by
+1., and the clearance l satisfies l̇ ≥ −s: l − ρ m G(z) does not fall. It does not fall during a retreat either, by 2.;
+without 2., G counts as that at s = 0, while l rises and q falls. As G is convex, ρ m G(s + q/m) is convex in m, so that
+the ends of the range of masses decide. After a period without braking, the range that the rule needs, or 3., leaves
+l ≥ ρ m G(z).
 
-In 4., z rises by what the loop commands, u ≤ U with U ≥ −F_b, and by the thrust across if the hull turns. If the masses
+In 3., z rises by what the loop commands, u ≤ U with U ≥ −F_b, and by the thrust across if the hull turns. If the masses
 differ, m ≤ μ ≤ ρ m, a thrust F < 0 counts as F/μ to v̇, but as F/m to z. So let Z = s + τ (max(F, min(U, 0)) + F_b)/m,
 which is at least z, and at first at most s + q/m. Where F ≥ 0, m Ż ≤ u + f + D; where U ≤ F < 0, m Ż ≤ u − F +
 max(f + D + F, 0), with u − F ≤ 0; where F < min(U, 0), Z changes with s only. So z never exceeds s + q/m +
 T max(U + f + D, 0)/m in a period T. Where b ≥ V, the command is at most that for b = V.
-`surctl.marine.guidance.braking` derives f, q and the largest thrust.
+`analysis/15_braking_barrier/proof.md` derives f, q and the largest thrust.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from decimal import Decimal
 from fractions import Fraction
@@ -40,7 +40,7 @@ from typing import Any
 
 from surctl.certcheck.braking_claim import MOST_NUMBERS, BrakingClaim, GuardedLaw, read_claim
 from surctl.certcheck.document import Rejected, record
-from surctl.certcheck.enclosure import Undefined, enclose
+from surctl.certcheck.enclosure import enclose
 from surctl.certcheck.expressions import ExpressionTable
 from surctl.certcheck.identity import Exact
 from surctl.certcheck.inequality import listed
@@ -54,7 +54,7 @@ __all__ = [
 
 Pair = tuple[Fraction, Fraction]
 
-_FIGURE, _DIGITS = 10**4, 10**12  # distances of the table are rounded up to 0.1 mm, other numbers to 12 decimals
+_FIGURE, _DIGITS = 10**4, 10**12  # ranges of the table are rounded up to 0.1 mm, other numbers to 12 decimals
 
 
 def _text(x: Fraction) -> str:
@@ -124,8 +124,8 @@ def disturbance(claim: BrakingClaim, astern: str, own: str = "") -> str:
         w = f"min({_text(claim.sideways)}, sqrt(max({_text(claim.fastest**2)} - ({own})^2, 0)))"
     fast = f"max({astern}, {_text(claim.fastest)})"
     share = _text(upper(f"({ratio - 1})/(2*sqrt({_text(ratio)}))"))
-    if claim.drag == "along":  # (X + X2 √(a² + w²)) a exceeds D(a) by at most X2 a w and X2 w²/2
-        total = f"{_text(high2)}*min(({astern})*{w}, {w}^2/2)"
+    if claim.drag == "along":  # by how much (X + X2 √(a² + w²)) a exceeds D(a)
+        total = f"{_text(high2)}*({astern})*(sqrt(({astern})^2 + {w}^2) - ({astern}))"
         if ratio > 1:
             total += f" + {share}*{w}*({_text(high)} + {_text(high2)}*({fast} + {w}))"
     else:
@@ -152,9 +152,6 @@ def _steepest(claim: BrakingClaim) -> Fraction:
     return claim.ratio * steepest + claim.turn * claim.mass[1] * (claim.ratio**2 - 1)
 
 
-# ---- the braking distance
-
-
 @dataclass(frozen=True)
 class Distance:
     """The braking distance ρ m G(z) before one obstacle, and the inequalities that prove it.
@@ -162,8 +159,8 @@ class Distance:
     Attributes:
         claim: the claim.
         obstacle: approach speed v_o of the obstacle [m/s].
-        knots: ends of the pieces of G' [m/s]: the first one is 0, and beyond the last one G' is constant.
-        factors: coefficients of the polynomial Q of each piece, that of y^0 first.
+        knots: closing speeds between which G' is linear [m/s]: the first one is 0.
+        slopes: G' at the knots [m/(N s)].
         retreats: whether G counts at closing speeds below 0; if not, it is that at 0.
 
     Raises:
@@ -173,7 +170,7 @@ class Distance:
     claim: BrakingClaim
     obstacle: Fraction
     knots: tuple[Fraction, ...]
-    factors: tuple[tuple[Fraction, ...], ...]
+    slopes: tuple[Fraction, ...]
     retreats: bool
 
     def __post_init__(self) -> None:
@@ -184,10 +181,10 @@ class Distance:
             raise Rejected(
                 f"braking guarantees nothing for an obstacle that approaches at {float(self.obstacle):g} m/s"
             )
-        if self.knots[0] or any(b <= a for a, b in pairwise(self.knots)) or len(self.factors) != len(self.knots) - 1:
-            raise Rejected(
-                "the knots of the braking distance must start at 0 and rise, with a polynomial for each piece"
-            )
+        if self.knots[0] or any(b <= a for a, b in pairwise(self.knots)) or len(self.slopes) != len(self.knots):
+            raise Rejected("the knots of the braking distance must start at 0 and rise, with a slope for each knot")
+        if self.slopes[0] < 0 or any(b < a for a, b in pairwise(self.slopes)):
+            raise Rejected("the slopes of the braking distance must not fall")
         if self.knots[-1] < claim.fastest + self.obstacle:
             raise Rejected("the braking distance ends at too low a speed")
         if claim.turn and not self.retreats:
@@ -205,35 +202,28 @@ class Distance:
         swing = claim.lag * (thrust_ahead(claim) + claim.brake)
         return swing + claim.turn * claim.lag**2 * _across(claim)
 
-    def _pieces(self) -> list[tuple[Fraction, Fraction, tuple[Fraction, ...], Fraction]]:
-        """Return start, width and factors of each piece, and by how much G' rises in it."""
-        pieces = []
-        for (start, end), factors in zip(pairwise(self.knots), self.factors, strict=True):
-            rise = sum((x * (end - start) ** (k + 1) for k, x in enumerate(factors)), Fraction(0))
-            pieces.append((start, end - start, factors, rise))
-        return pieces
+    def _pieces(self) -> list[tuple[Fraction, Fraction, Fraction, Fraction]]:
+        """Return start, width, first value and slope of G' in each piece."""
+        pairs = zip(pairwise(self.knots), pairwise(self.slopes), strict=True)
+        return [(a, b - a, g, (h - g) / (b - a)) for (a, b), (g, h) in pairs]
 
     def slope(self, z: str) -> str:
-        """Return G'(z) for z ≥ 0 [1/N · m/s]."""
-        terms = []
-        for start, width, factors, _ in self._pieces():
-            y = f"min(max({z} - {_text(start)}, 0), {_text(width)})"
-            terms.append(f"{y}*{_polynomial(y, factors)}")
-        return f"({' + '.join(terms)})"
+        """Return G'(z) for z ≥ 0 [m/(N s)]."""
+        rises = [
+            f"{_text(rise)}*min(max({z} - {_text(start)}, 0), {_text(width)})"
+            for start, width, _, rise in self._pieces()
+        ]
+        return f"({' + '.join([_text(self.slopes[0]), *rises])})"
 
-    def length(self, closing: str, mass: Fraction, most: Fraction) -> str:
-        """Return ρ m G(s + q/m) [m] at a closing speed s, which is at most `most`."""
+    def length(self, closing: str, mass: Fraction) -> str:
+        """Return ρ m G(s + q/m) [m] at a closing speed s."""
         closing = closing if self.retreats else f"max({closing}, 0)"
-        z, most = f"max({closing} + {_text(upper(_text(self.swing / mass)))}, 0)", most + self.swing / mass
-        terms = []
-        for start, width, factors, rise in self._pieces():
-            if most > start:
-                y = z if not start else f"max({z} - {_text(start)}, 0)"
-                if most > start + width:
-                    terms.append(f"max({z} - {_text(start + width)}, 0)*{_text(upper(_text(rise)))}")
-                    y = f"min({y}, {_text(width)})"
-                terms.append(f"{y}^2*{_polynomial(y, [x / (k + 2) for k, x in enumerate(factors)])}")
-        return f"{_text(self.claim.ratio * mass)}*({' + '.join(terms) or '0'})"
+        z = f"({closing} + {_text(upper(_text(self.swing / mass)))})"
+        terms = [f"max({z} - {_text(self.knots[-1])}, 0)*{_text(self.slopes[-1])}"]
+        for start, width, first, rise in self._pieces():
+            y = f"min(max({z} - {_text(start)}, 0), {_text(width)})"
+            terms.append(f"{y}*({_text(first)} + {_text(rise / 2)}*{y})")
+        return f"{_text(self.claim.ratio * mass)}*({' + '.join(terms)})"
 
     def gain(self, speed: str, thrust: str) -> str:
         """Return the largest acceleration towards the obstacle [m/s²] at a thrust, from a measured speed on."""
@@ -253,70 +243,53 @@ class Distance:
         `speed` is the measured speed at its start, and `rise` by how much z rises [m/s].
         """
         claim, period = self.claim, _text(self.claim.period)
-        closing, most = f"({speed} + {_text(claim.speed_error + self.obstacle)})", claim.fastest + self.obstacle
+        closing = f"({speed} + {_text(claim.speed_error + self.obstacle)})"
         ahead = self.gain(speed, _text(thrust_ahead(claim)))
         travelled = f"max({closing}*{period} + {ahead}*{_text(claim.period**2 / 2)}, 0)"
-        return f"{travelled} + {self.length(f'min({closing} + {rise}, {_text(most)})', mass, most)}"
+        most = _text(claim.fastest + self.obstacle)
+        return f"{travelled} + {self.length(f'min({closing} + {rise}, {most})', mass)}"
 
     def needed(self, speed: Fraction) -> Fraction:
-        """Return the clearance [m] that suffices for one period without braking, from a measured speed on.
+        """Return the range [m] that suffices at a measured own speed, if no speed since the last echo was higher.
 
         While the vehicle moves backward faster than the obstacle approaches, drag accelerates it towards the obstacle.
         """
         gain = upper(self.gain(_text(speed), _text(thrust_ahead(self.claim))))
         rise = _text(gain * self.claim.period)
-        return max(upper(self.after(_text(speed), rise, m)) for m in self.claim.mass)
-
-    def figures(self, speed: Fraction) -> tuple[Fraction, Fraction, Fraction]:
-        """Return closed-form braking distance, braking distance with drag, and needed range [m], rounded up to 0.1 mm.
-
-        The needed range suffices if no speed since the last echo was higher.
-        """
-        claim, closing, left = self.claim, speed + self.obstacle, left_at(self.claim, self.obstacle)
-        exact = (
-            max(claim.ratio * m * (closing + self.swing / m) ** 2 / (2 * left) for m in claim.mass),
-            max(upper(self.length(_text(closing), m, closing)) for m in claim.mass),
-            self.stale(speed) + self.needed(speed),
-        )
-        closed, distance, needed = (Fraction(-(-x.numerator * _FIGURE // x.denominator), _FIGURE) for x in exact)
-        return closed, distance, needed
+        clearance = max(upper(self.after(_text(speed), rise, m)) for m in self.claim.mass)
+        exact = self.stale(speed) + clearance
+        return Fraction(-(-exact.numerator * _FIGURE // exact.denominator), _FIGURE)
 
     def obligations(self) -> list[Obligation]:
-        """Return the inequalities 1 to 4 of the module."""
-        claim, swing = self.claim, self.swing
+        """Return the inequalities 1 to 3 of the module."""
+        claim, swing, through = self.claim, self.swing, _text(self.through)
         (low, high), (low2, high2) = drag_ranges(claim)
-        through, f = _text(self.through), upper(disturbance(claim, _text(self.through)))
+        f = upper(disturbance(claim, through))
         least = low2 if claim.drag == "along" else low2 * Fraction(70710678, 10**8)  # at 45° to the axes of the hull
-        needed, before = list[Obligation](), Fraction(0)
-        for start, width, factors, rise in self._pieces():
-            box, ahead = [_span(Fraction(0), width)], start >= self.through
+        needed = list[Obligation]()
+        for start, width, first, rise in self._pieces():
+            ahead = start >= self.through
             if not ahead and start + width > self.through:
                 raise Rejected("the speed through the water changes sign inside a piece: put a knot there")
             x, y = (low, least) if ahead else (high, -high2)
-            force = f"({_text(claim.brake - f)} + (y + {_text(start)} - {through})*({_text(x)} + "
-            force += f"{_text(y)}*(y + {_text(start)} - {through})))"
-            own = _polynomial("y", factors)
-            enough = (
-                ("1", f"{own}*{force}")
-                if not start
-                else (f"y + {_text(start)}", f"({_text(before)} + y*{own})*{force}")
-            )
-            growth = _polynomial("y", [x * (k + 1) for k, x in enumerate(factors)])
-            needed += [Obligation(("y",), box, "0", growth), Obligation(("y",), box, *enough)]
-            before += rise
+            v = f"(y + {_text(start)} - {through})"
+            force = f"({_text(claim.brake - f)} + {v}*({_text(x)} + {_text(y)}*{v}))"
+            closing, slope = f"y + {_text(start)}", f"({_text(first)} + {_text(rise)}*y)"
+            if not start and not first:  # both sides are multiples of y
+                closing, slope = "1", _text(rise)
+            needed.append(Obligation(("y",), [_span(Fraction(0), width)], closing, f"{slope}*{force}"))
         if self.retreats:
             most = upper(_text(swing / claim.mass[0]))
             widest = max(min(most, claim.fastest - self.obstacle), Fraction(0))
             astern, own = f"{through} + r", f"{_text(self.obstacle)} + r"
-            over = f"{_drag(claim, astern)} + {disturbance(claim, astern, own)} - {_text(claim.brake)}"
+            over = f"({_drag(claim, astern)} + {disturbance(claim, astern, own)} - {_text(claim.brake)})"
             slope = self.slope(f"({_text(most)} - r)")
-            needed.append(
-                Obligation(("r",), [_span(Fraction(0), widest)], f"{_text(claim.ratio)}*{slope}*({over})", "r")
-            )
+            left = f"{_text(claim.ratio)}*{slope}*{over}"
+            needed.append(Obligation(("r",), [_span(Fraction(0), widest)], left, "r"))
         return needed if claim.law is None else [*needed, self._of_law(claim.law)]
 
     def _of_law(self, law: GuardedLaw) -> Obligation:
-        """Return inequality 4, for both ends of the range of masses."""
+        """Return inequality 3, for both ends of the range of masses."""
         claim = self.claim
         if claim.brake > law.limit:
             raise Rejected("the law's thrust limit is below brake_n, the guaranteed braking force")
@@ -340,13 +313,6 @@ class Distance:
         lengths = [self.after("v", rise, m) for m in sorted(set(claim.mass))]
         longest = lengths[0] if len(lengths) == 1 else f"max({', '.join(lengths)})"
         return Obligation(("b", "v"), box, longest, clear, [f"-({command}) - {_text(claim.brake)}"])
-
-
-def _polynomial(y: str, factors: Sequence[Fraction]) -> str:
-    total = _text(factors[-1])
-    for factor in factors[-2::-1]:
-        total = f"({_text(factor)} + {y}*{total})"
-    return total
 
 
 def _span(low: Fraction, high: Fraction) -> tuple[float, float]:
@@ -405,38 +371,33 @@ def check(document: Mapping[str, Any]) -> None:
         Rejected: the certificate does not prove its claim; the message names the first failure.
     """
     record(document, ("format", "version", "kind", "claim", "distances", "proofs", "sha256"), "the certificate")
-    claim, obligations = read_claim(document["claim"]), list[Obligation]()
+    claim = read_claim(document["claim"])
     if claim.period * _steepest(claim) > claim.mass[0]:  # else the needed range rises with the speed
         raise Rejected("the control period is too long for the mass and drag of the vehicle")
-    if not left_at(claim, claim.limit + Fraction(1, _FIGURE)) < 0 <= left_at(claim, claim.limit):
-        raise Rejected("claim.limit_obstacle_m_per_s is not the obstacle speed that uses up the braking force")
-    stated = listed(document["distances"])
+    if left_at(claim, claim.limit) < 0:
+        raise Rejected("an obstacle as fast as table.limit_obstacle_m_per_s uses up the braking force")
+    stated, obligations = listed(document["distances"]), list[Obligation]()
     if len(stated) != len(claim.obstacles):
         raise Rejected("there must be one braking distance for each obstacle")
     for column, obstacle in enumerate(claim.obstacles):
         distance = read_distance(claim, obstacle, stated[column])
-        for row, speed in enumerate(claim.speeds):
-            named = {"closed_m": claim.closed, "distance_m": claim.distance, "needed_m": claim.needed}
-            for (name, rows), figure in zip(named.items(), distance.figures(speed), strict=True):
-                if rows[row][column] < figure:
-                    raise Rejected(
-                        f"table.{name} at {float(speed):g} m/s towards an obstacle of {float(obstacle):g} m/s must be "
-                        f"at least {float(figure):g} m, not {float(rows[row][column]):g} m"
-                    )
+        for speed, row in zip(claim.speeds, claim.needed, strict=True):
+            if row[column] < (figure := distance.needed(speed)):
+                raise Rejected(
+                    f"table.needed_m at {float(speed):g} m/s towards an obstacle of {float(obstacle):g} m/s must be "
+                    f"at least {float(figure):g} m, not {float(row[column]):g} m"
+                )
         obligations += distance.obligations()
-    try:
-        check_all(obligations, document["proofs"], Exact(ExpressionTable(("y",))))
-    except Undefined as reason:
-        raise Rejected(f"an expression is not defined where it must be: {reason}") from None
+    check_all(obligations, document["proofs"], Exact(ExpressionTable(("y",))))
 
 
 def read_distance(claim: BrakingClaim, obstacle: Fraction, stated: Any) -> Distance:
     """Return the braking distance before one obstacle from its entry in the certificate."""
-    entry = record(stated, ("knots", "factors", "retreats"), "distances")
-    rows = [entry["knots"], *listed(entry["factors"])]
-    if any(not isinstance(row, list) or not 1 <= len(row) <= MOST_NUMBERS for row in rows) or len(rows) < 2:
-        raise Rejected(f"distances: knots and factors must be lists of 1 to {MOST_NUMBERS} numbers")
+    entry = record(stated, ("knots", "slopes", "retreats"), "distances")
+    rows = [entry["knots"], entry["slopes"]]
+    if any(not isinstance(row, list) or not 2 <= len(row) <= MOST_NUMBERS for row in rows):
+        raise Rejected(f"distances: knots and slopes must be lists of 2 to {MOST_NUMBERS} numbers")
     if type(entry["retreats"]) is not bool:
         raise Rejected("distances: 'retreats' must be true or false")
-    knots, *factors = (tuple(number(x, "distances", least=-(10**9)) for x in row) for row in rows)
-    return Distance(claim, obstacle, knots, tuple(factors), entry["retreats"])
+    knots, slopes = (tuple(number(x, "distances") for x in row) for row in rows)
+    return Distance(claim, obstacle, knots, slopes, entry["retreats"])

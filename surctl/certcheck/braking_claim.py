@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any
 
-from surctl.certcheck.document import Rejected, record
-from surctl.certcheck.inequality import listed
-from surctl.certcheck.region_claim import number
+from surctl.certcheck.document import Rejected, listed, record
+from surctl.certcheck.region_claim import number, two
 
-__all__ = ["ASSUMES", "MOST_NUMBERS", "STOPPING", "BrakingClaim", "GuardedLaw", "read_claim"]
+__all__ = ["ASSUMES", "LAW", "MOST_NUMBERS", "PLACES", "STOPPING", "BrakingClaim", "GuardedLaw", "read_claim"]
 
 ASSUMES = (
     "there is one obstacle or wall at a time; it is convex, does not rotate and never approaches faster than stated",
@@ -35,28 +33,28 @@ ASSUMES = (
 """Assumptions of the claim; a certificate repeats the assumptions word for word."""
 
 Pair = tuple[Fraction, Fraction]
-Rows = tuple[tuple[Fraction, ...], ...]
 
-_TOP = (
-    "system", "assumes", "vehicle", "encounter", "watch", "law", "table", "limit_obstacle_m_per_s", "sha256_vehicle",
-    "sha256_law",
-)  # fmt: skip
-_VEHICLE = (
-    "mass_kg", "mass_ratio", "linear_drag", "quadratic_drag", "drag", "brake_n", "most_n", "side_n", "lag_s",
-)  # fmt: skip
-_ENCOUNTER = (
-    "obstacles_m_per_s", "current_m_per_s", "disturbance_n", "sideways_m_per_s", "turn_rad_per_s", "fastest_m_per_s",
-)  # fmt: skip
-_NAMES = (
-    "current", "disturbance", "sideways", "turn", "fastest", "period", "age", "range_error", "speed_error",
-)  # fmt: skip
-_WATCH = ("period_s", "age_s", "range_error_m", "speed_error_m_per_s")
-_LAW = (
-    "barrier", "margin_m", "reaction_s", "brake", "limit_n", "k_v_per_s", "k_i_per_s2", "gain", "cap_m_per_s",
-    "mass_kg", "linear_drag", "quadratic_drag", "stopping",
-)  # fmt: skip
-_SCALARS = ("margin_m", "reaction_s", "brake", "limit_n", "k_v_per_s", "gain", "cap_m_per_s")
+PLACES = {
+    "mass": "vehicle.mass_kg", "ratio": "vehicle.mass_ratio", "linear": "vehicle.linear_drag",
+    "quadratic": "vehicle.quadratic_drag", "drag": "vehicle.drag", "brake": "vehicle.brake_n",
+    "most": "vehicle.most_n", "side": "vehicle.side_n", "lag": "vehicle.lag_s",
+    "obstacles": "encounter.obstacles_m_per_s", "current": "encounter.current_m_per_s",
+    "disturbance": "encounter.disturbance_n", "sideways": "encounter.sideways_m_per_s",
+    "turn": "encounter.turn_rad_per_s", "fastest": "encounter.fastest_m_per_s", "period": "watch.period_s",
+    "age": "watch.age_s", "range_error": "watch.range_error_m", "speed_error": "watch.speed_error_m_per_s",
+    "speeds": "table.speeds_m_per_s", "needed": "table.needed_m", "limit": "table.limit_obstacle_m_per_s",
+}  # fmt: skip
+"""Where the claim has each attribute of `BrakingClaim`: group and key."""
+
 STOPPING = ("lightest_kg", "heaviest_kg", "most_n", "lag_s", "linear_drag", "quadratic_drag")
+LAW = {
+    "barrier": "barrier", "margin": "margin_m", "reaction": "reaction_s", "brake": "brake", "limit": "limit_n",
+    "k_v": "k_v_per_s", "k_i": "k_i_per_s2", "gain": "gain", "cap": "cap_m_per_s", "mass": "mass_kg",
+    "linear": "linear_drag", "quadratic": "quadratic_drag", "stopping": "stopping",
+}  # fmt: skip
+"""The key of each attribute of `GuardedLaw` in `claim.law`; `STOPPING` are those of its entry `stopping`."""
+
+_PAIRS = ("mass", "linear", "quadratic")
 _POSITIVE = {
     "mass_kg", "brake_n", "most_n", "fastest_m_per_s", "period_s", "reaction_s", "brake", "limit_n", "k_v_per_s",
     "cap_m_per_s", "lightest_kg", "heaviest_kg",
@@ -110,9 +108,8 @@ class BrakingClaim:
         period, age, range_error, speed_error: control period, and age and errors of the measurements.
         law: the control law; None if the claim is about the rule alone: brake unless the needed range is available.
         speeds: own speeds for which the table has entries.
-        closed, distance, needed: braking distance without drag, braking distance, and needed range [m], for each own
-            speed and obstacle.
-        limit: largest obstacle speed at which the braking force still exceeds drag and disturbance.
+        needed: needed range [m] for each own speed and obstacle.
+        limit: obstacle speed at which the braking force still exceeds the other forces.
     """
 
     mass: Pair
@@ -136,9 +133,7 @@ class BrakingClaim:
     speed_error: Fraction
     law: GuardedLaw | None
     speeds: tuple[Fraction, ...]
-    closed: Rows
-    distance: Rows
-    needed: Rows
+    needed: tuple[tuple[Fraction, ...], ...]
     limit: Fraction
 
 
@@ -149,7 +144,8 @@ def read_claim(claim: Any) -> BrakingClaim:
         Rejected: a key is missing or unknown, a number has the wrong type or sign, or the stated assumptions are not
             those of this kind of claim.
     """
-    top = record(claim, _TOP, "claim")
+    groups = {path.partition(".")[0] for path in PLACES.values()}
+    top = record(claim, {"system", "assumes", "law", "sha256_vehicle", "sha256_law"} | groups, "claim")
     if top["system"] != "braking":
         raise Rejected(f"claim.system {top['system']!r} is not known; known: braking")
     if top["assumes"] != list(ASSUMES):
@@ -157,70 +153,56 @@ def read_claim(claim: Any) -> BrakingClaim:
     for key in ("sha256_vehicle", "sha256_law"):
         if not isinstance(top[key], str) or not re.fullmatch("[0-9a-f]{64}", top[key]):
             raise Rejected(f"claim.{key} is not a SHA-256")
-    vehicle = record(top["vehicle"], _VEHICLE, "claim.vehicle")
-    met, watch = record(top["encounter"], _ENCOUNTER, "claim.encounter"), record(top["watch"], _WATCH, "claim.watch")
-    table = record(top["table"], ("speeds_m_per_s", "closed_m", "distance_m", "needed_m"), "claim.table")
-    if vehicle["drag"] not in ("along", "axes"):
-        raise Rejected("claim.vehicle.drag must be along or axes")
-    obstacles, speeds = _row(met, "obstacles_m_per_s"), _row(table, "speeds_m_per_s")
+    for group in groups:
+        keys = [path.partition(".")[2] for path in PLACES.values() if path.startswith(f"{group}.")]
+        record(top[group], keys, f"claim.{group}")
+    named: dict[str, Any] = {}
+    for name, path in PLACES.items():
+        group, _, key = path.partition(".")
+        named[name] = _value(name, key, top[group][key])
+    obstacles, rows = named["obstacles"], named["needed"]
     if list(obstacles) != sorted(set(obstacles)):
         raise Rejected("claim.encounter.obstacles_m_per_s must rise")
-
-    def grid(key: str) -> Rows:
-        rows = tuple(_row({key: row}, key) for row in listed(table[key]))
-        if len(rows) != len(speeds) or any(len(row) != len(obstacles) for row in rows):
-            raise Rejected(f"claim.table.{key} must have one row for each speed and one column for each obstacle")
-        return rows
-
-    named: dict[str, Any] = {key.rpartition("_")[0]: _one(vehicle, key) for key in _VEHICLE[5:]}
-    named |= dict(zip(_NAMES, [*(_one(met, key) for key in _ENCOUNTER[1:]), *(_one(watch, key) for key in _WATCH)],
-                      strict=True))  # fmt: skip
-    return BrakingClaim(
-        mass=_pair(vehicle, "mass_kg"),
-        ratio=number(vehicle["mass_ratio"], "claim: mass_ratio", least=1),
-        linear=_pair(vehicle, "linear_drag"),
-        quadratic=_pair(vehicle, "quadratic_drag"),
-        drag=vehicle["drag"],
-        obstacles=obstacles,
-        law=None if top["law"] is None else _law(top["law"]),
-        speeds=speeds,
-        closed=grid("closed_m"),
-        distance=grid("distance_m"),
-        needed=grid("needed_m"),
-        limit=_one(top, "limit_obstacle_m_per_s"),
-        **named,
-    )
+    if len(rows) != len(named["speeds"]) or any(len(row) != len(obstacles) for row in rows):
+        raise Rejected("claim.table.needed_m must have one row for each speed and one column for each obstacle")
+    for name in _PAIRS:
+        if named[name][0] > named[name][1]:
+            raise Rejected(f"claim: {PLACES[name]}: the least value exceeds the largest")
+    if named["drag"] not in ("along", "axes"):
+        raise Rejected("claim.vehicle.drag must be along or axes")
+    return BrakingClaim(law=None if top["law"] is None else _law(top["law"]), **named)
 
 
 def _law(value: Any) -> GuardedLaw:
-    law = record(value, _LAW, "claim.law")
-    stopping = record(law["stopping"], STOPPING, "claim.law.stopping")
-    if _one(law, "k_i_per_s2"):
+    entries = record(value, LAW.values(), "claim.law")
+    record(entries["stopping"], STOPPING, "claim.law.stopping")
+    law: dict[str, Any] = {name: _value(name, key, entries[key]) for name, key in LAW.items()}
+    if law.pop("k_i"):
         raise Rejected("claim.law.k_i_per_s2 must be 0: the certified loop has no integral action")
     if law["barrier"] not in ("inertia", "simple"):
         raise Rejected("claim.law.barrier must be inertia or simple")
-    believed = tuple(_one(stopping, key) for key in STOPPING)
-    if believed[0] > believed[1]:
+    if law["stopping"][0] > law["stopping"][1]:
         raise Rejected("claim.law.stopping: lightest_kg exceeds heaviest_kg")
-    named: dict[str, Any] = {key.partition("_")[0]: _row(law, key, 2) for key in _LAW[9:12]}
-    for name, key in zip(("margin", "reaction", "brake", "limit", "k_v", "gain", "cap"), _SCALARS, strict=True):
-        named[name] = _one(law, key)
-    return GuardedLaw(barrier=law["barrier"], stopping=believed, **named)
+    return GuardedLaw(**law)
 
 
-def _one(part: Mapping[str, Any], key: str) -> Fraction:
-    return number(part[key], f"claim: {key}", above=key in _POSITIVE)
+def _value(name: str, key: str, value: Any) -> Any:
+    """Return the value of an attribute, numbers as exact decimals."""
+    where, above = f"claim: {key}", key in _POSITIVE
+    if name in ("drag", "barrier"):
+        return value
+    if name == "stopping":
+        return tuple(number(value[entry], f"{where}.{entry}", above=entry in _POSITIVE) for entry in STOPPING)
+    if name in _PAIRS:
+        return two(value, where, above=above)
+    if name == "needed":
+        return tuple(_row(where, row) for row in listed(value))
+    if name in ("obstacles", "speeds"):
+        return _row(where, value)
+    return number(value, where, least=int(name == "ratio"), above=above)
 
 
-def _row(part: Mapping[str, Any], key: str, size: int = 0) -> tuple[Fraction, ...]:
-    value = part[key]
-    if not isinstance(value, list) or not 1 <= len(value) <= MOST_NUMBERS or (size and len(value) != size):
-        raise Rejected(f"claim: {key} must be a list of {size or f'1 to {MOST_NUMBERS}'} numbers")
-    return tuple(_one({key: entry}, key) for entry in value)
-
-
-def _pair(part: Mapping[str, Any], key: str) -> Pair:
-    low, high = _row(part, key, 2)
-    if low > high:
-        raise Rejected(f"claim: {key}: the least value exceeds the largest")
-    return low, high
+def _row(where: str, value: Any) -> tuple[Fraction, ...]:
+    if not isinstance(value, list) or not 1 <= len(value) <= MOST_NUMBERS:
+        raise Rejected(f"{where} must be a list of 1 to {MOST_NUMBERS} numbers")
+    return tuple(number(entry, where) for entry in value)

@@ -14,7 +14,7 @@ import numpy as np
 
 from surctl.certcheck.patience import go_on
 
-__all__ = ["is_semidefinite"]
+__all__ = ["by_elimination", "is_semidefinite"]
 
 _EXACT, _BITS = 40, 60_000  # largest matrix that is decomposed in integers, and its largest pivot
 _SMALL = 8  # up to this size, integers are faster than floats
@@ -28,8 +28,8 @@ def is_semidefinite(matrix: list[list[int]]) -> bool:
         return True
     bits = len(a) * max(row[k].bit_length() for k, row in enumerate(a))
     if len(a) <= _SMALL and bits <= _BITS // _SMALL:
-        return _by_elimination(a)
-    return _by_factor(a) or (len(a) <= _EXACT and bits <= _BITS and _by_elimination(a))
+        return by_elimination(a)
+    return _by_factor(a) or (len(a) <= _EXACT and bits <= _BITS and by_elimination(a))
 
 
 def _by_factor(a: list[list[int]]) -> bool:
@@ -60,13 +60,16 @@ def _by_factor(a: list[list[int]]) -> bool:
     return all(own >= others for own, others in zip(inside, outside, strict=True))
 
 
-def _by_elimination(a: list[list[int]]) -> bool:
-    """Return whether all pivots of Gaussian elimination are positive or belong to a row of zeros (Bareiss)."""
+def by_elimination(a: list[list[int]], *, strictly: bool = False) -> bool:
+    """Return whether a symmetric matrix (n, n) is positive semidefinite, or positive definite with `strictly`.
+
+    All pivots of Gaussian elimination are positive or, unless `strictly`, belong to a row of zeros (Bareiss).
+    """
     m, last = [list(row) for row in a], 1
     for k in range(len(m)):
         go_on()
         pivot = m[k][k]
-        if pivot < 0 or (not pivot and any(m[i][k] for i in range(k + 1, len(m)))):
+        if pivot < 0 or (not pivot and (strictly or any(m[i][k] for i in range(k + 1, len(m))))):
             return False
         if not pivot:
             continue

@@ -10,7 +10,7 @@ from fractions import Fraction
 
 from mpmath import libmp
 
-from surctl.certcheck.angles import BITS, Interval, arcsin, tangent
+from surctl.certcheck.angles import BITS, Interval, arccos, arcsin, tangent
 from surctl.certcheck.exponentials import (
     exponential,
     hyperbolic_cosine,
@@ -38,7 +38,7 @@ def elementary(op: str, x: Interval, exponent: Fraction) -> tuple[Interval, Deri
     """Return the range of a function on an interval, and a function that returns the ranges of f' and f''.
 
     Args:
-        op: a name in `ELEMENTARY`.
+        op: a name in `ELEMENTARY`, or acos.
         x: the interval; its ends are finite.
         exponent: the exponent of `powr`; the other operations do not use it.
 
@@ -62,10 +62,10 @@ def elementary(op: str, x: Interval, exponent: Fraction) -> tuple[Interval, Deri
         case "tan":
             value = _known(tangent(x), "a tangent of an interval that may contain a pole")
             return value, lambda: _of_tangent(value, 1)
-        case "asin":
+        case "asin" | "acos":
             if libmp.mpf_lt(x[0], libmp.fnone) or libmp.mpf_gt(x[1], libmp.fone):
-                raise Undefined("an arcsin of an interval that is not within [-1, 1]")
-            return arcsin(x), lambda: _of_arcsin(x)
+                raise Undefined(f"an arc{op[1:]} of an interval that is not within [-1, 1]")
+            return (arcsin(x), lambda: _of_arcsin(x)) if op == "asin" else (arccos(x), lambda: _of_arccos(x))
         case "powr":
             if libmp.mpf_lt(x[0], libmp.fzero):
                 raise Undefined("a fractional power of an interval that contains negative numbers")
@@ -117,6 +117,11 @@ def _of_arcsin(x: Interval) -> tuple[Interval, Interval]:
     root = libmp.mpi_sqrt(rest, BITS)
     cube = libmp.mpi_mul(rest, root, BITS)
     return libmp.mpi_div(_ONE, root, BITS), libmp.mpi_mul(x, libmp.mpi_div(_ONE, cube, BITS), BITS)
+
+
+def _of_arccos(x: Interval) -> tuple[Interval, Interval]:
+    first, second = _of_arcsin(x)
+    return libmp.mpi_neg(first), libmp.mpi_neg(second)
 
 
 def _of_power(x: Interval, e: Fraction) -> tuple[Interval, Interval]:

@@ -8,7 +8,7 @@ from mpmath import libmp
 
 from surctl.certcheck.enclosure import Interval, Undefined, above, enclose, exact, span
 from surctl.certcheck.expressions import ExpressionTable
-from surctl.certcheck.inequality import Box
+from surctl.certcheck.inequality import Box, halves
 from surctl.certcheck.patience import go_on
 
 __all__ = ["is_empty"]
@@ -38,10 +38,7 @@ def is_empty(names: Sequence[str], box: Box, constraints: Sequence[str]) -> bool
         at = _values(table, roots, [exact(x) for x in centre])
         if len(at) == len(roots) and all(libmp.mpf_le(value[1], libmp.fzero) for value in at):
             return False
-        widths = [(high - low) / (top - bottom or 1.0) for (low, high), (bottom, top) in zip(part, box, strict=True)]
-        k = widths.index(max(widths))
-        low, high = part[k]
-        waiting += [[*part[:k], (low, centre[k]), *part[k + 1 :]], [*part[:k], (centre[k], high), *part[k + 1 :]]]
+        waiting += halves(part, box)
     return None
 
 

@@ -15,14 +15,14 @@ from typing import Any
 
 from mpmath import libmp
 
-from surctl.certcheck.angles import BITS, Interval, angle, arccos, circle, pi
+from surctl.certcheck.angles import BITS, Interval, angle, circle, hull, pi
 from surctl.certcheck.elementary import ELEMENTARY, Undefined, elementary
 from surctl.certcheck.expressions import ExpressionTable
 from surctl.certcheck.patience import afford, go_on
 
 __all__ = [
-    "Interval", "Jet", "Undefined", "above", "decimal", "enclose", "exact", "greatest", "is_zero", "least", "middle",
-    "rational", "span",
+    "Interval", "Jet", "Undefined", "above", "decimal", "enclose", "exact", "greatest", "hull", "is_zero", "least",
+    "middle", "rational", "span",
 ]  # fmt: skip
 
 Slopes = list[Any]
@@ -182,7 +182,7 @@ def _step(op: str, value: Fraction, args: list[Jet], at: tuple[int, ...], box: S
         case "pow":
             jet = _power(args[0], abs(value.numerator))
             return jet if value >= 0 else _reciprocal(jet)
-        case _ if op in ELEMENTARY:
+        case _ if op == "acos" or op in ELEMENTARY:
             jet, (image, derivatives) = args[0], elementary(op, args[0].value, value)
             return Jet(image) if jet.slope is None else _chain(jet, image, derivatives())
         case "atan2":
@@ -306,14 +306,6 @@ def _unary(op: str, a: Jet) -> Jet:
         first = over(rational(Fraction(1, 2)), value)
         second = minus(over(mul(rational(Fraction(1, 2)), first), x))
         return _chain(a, value, (first, second))
-    if op == "acos":
-        if libmp.mpf_lt(x[0], libmp.fnone) or libmp.mpf_gt(x[1], libmp.fone):
-            raise Undefined("an arccos of an interval that is not within [-1, 1]")
-        rest = libmp.mpi_sub(_ONE, libmp.mpi_pow_int(x, 2, BITS), BITS)
-        rest = greatest(rest, _ZERO)
-        root = libmp.mpi_sqrt(rest, BITS)
-        second = mul(x, minus(over(_ONE, mul(rest, root))))
-        return _chain(a, arccos(x), (minus(over(_ONE, root)), second))
     raise Undefined(f"the operation {op!r} is not known")
 
 
@@ -348,20 +340,15 @@ def _chosen(a: Interval, b: Interval, x: Jet, y: Jet, value: Interval | None) ->
         return x
     if libmp.mpf_gt(a[0], b[1]) or (value is not None and libmp.mpf_ge(a[0], b[1])):  # without a jump, x = y if a = b
         return y
-    both = _hull(x.value, y.value) if value is None else value
+    both = hull(x.value, y.value) if value is None else value
     if x.slope is None or y.slope is None:
         return Jet(both)
     n = len(x.slope)
     slope: Slopes = [_LINE] * n
     if value is not None:
-        slope = [None if p is None and q is None else _hull(p or _ZERO, q or _ZERO) for p, q in _pairs(x, y)]
+        slope = [None if p is None and q is None else hull(p or _ZERO, q or _ZERO) for p, q in _pairs(x, y)]
     return Jet(both, slope, None if x.bend is None else [[_LINE] * n for _ in range(n)])
 
 
 def _pairs(x: Jet, y: Jet) -> list[tuple[Interval, Interval]]:
     return list(zip(x.slope or [], y.slope or [], strict=True))
-
-
-def _hull(a: Interval, b: Interval) -> Interval:
-    low = a[0] if libmp.mpf_le(a[0], b[0]) else b[0]
-    return low, a[1] if libmp.mpf_ge(a[1], b[1]) else b[1]

@@ -20,23 +20,18 @@ from typing import Any
 
 from mpmath import libmp
 
-from surctl.certcheck.angles import BITS, Interval
+from surctl.certcheck.angles import BITS, LESS, NEAR, UNIT, WIDTH, Interval, magnitude, scaled
 
 __all__ = ["exponential", "hyperbolic_cosine", "hyperbolic_sine", "hyperbolic_tangent", "logarithm", "real_power"]
 
 Raw = Any
 
-_W = 128
-_UNIT = 1 << _W
-_OFF = 1 << 11
 _OFF_POWER = 1 << 17
-_NEAR = -40  # below 2^_NEAR, sinh x ≈ x ≈ tanh x
 _LARGEST = 20  # |x| < 2^_LARGEST for an exponential
 _TINY_POWER = libmp.mpf_shift(libmp.fone, -(1 << _LARGEST))  # more than e^x for x ≤ -2^_LARGEST
-_LESS = libmp.mpf_sub(libmp.fone, libmp.mpf_shift(libmp.fone, 2 * _NEAR))  # 1 − 2^-80
-_MORE = libmp.mpf_add(libmp.fone, libmp.mpf_shift(libmp.fone, 2 * _NEAR))  # 1 + 2^-80
+_MORE = libmp.mpf_add(libmp.fone, libmp.mpf_shift(libmp.fone, 2 * NEAR))  # 1 + 2^-80
 _MOST_EXPONENT_BITS = 1000
-_LONG = _W + _MOST_EXPONENT_BITS
+_LONG = WIDTH + _MOST_EXPONENT_BITS
 _ONE = (libmp.fone, libmp.fone)
 _ZERO = (libmp.fzero, libmp.fzero)
 
@@ -61,28 +56,14 @@ def _log_two(bits: int) -> int:
     return _LOG_TWO >> (_LONG - bits)
 
 
-def _magnitude(x: Raw) -> int:
-    """Return n with 2^(n−1) ≤ |x| < 2^n, for a finite x ≠ 0."""
-    return int(x[2] + x[3])
-
-
 def _bounded(a: Interval) -> bool:
     # infinities and NaN have the mantissa 0
     return all(end[1] or end == libmp.fzero for end in a)
 
 
-def _scaled(value: int, power: int, off: int = _OFF) -> Interval:
-    """Return the interval (value ± off) 2^power units, rounded outward to 60 bits."""
-    low, high = ((value - off, "f"), (value + off, "c"))
-    return (
-        libmp.from_man_exp(low[0], power - _W, BITS, low[1]),
-        libmp.from_man_exp(high[0], power - _W, BITS, high[1]),
-    )
-
-
 def _fixed(x: Raw, m: int) -> int:
     """Return a number in units of 2^-(128 + m), with an error of less than one unit."""
-    return int(libmp.to_fixed(x, _W + m))
+    return int(libmp.to_fixed(x, WIDTH + m))
 
 
 def _grown(t: int, m: int) -> tuple[int, int]:
@@ -95,12 +76,12 @@ def _grown(t: int, m: int) -> tuple[int, int]:
     that of the term before is less than 3. From n = 33 on, the terms are below one unit, so at most 32 are added, with
     an error of less than 96 units, and the remainder is less than 5 units.
     """
-    k, r = divmod(t, _log_two(_W + m))
+    k, r = divmod(t, _log_two(WIDTH + m))
     r >>= m
-    total, term, n = _UNIT + r, r, 1
+    total, term, n = UNIT + r, r, 1
     while term:
         n += 1
-        term = (term * r >> _W) // n
+        term = (term * r >> WIDTH) // n
         total += term
     return total, k
 
@@ -109,10 +90,10 @@ def _grown(t: int, m: int) -> tuple[int, int]:
 def _exp_of(x: Raw) -> Interval | None:
     if x == libmp.fzero:
         return _ONE
-    if _magnitude(x) > _LARGEST:
+    if magnitude(x) > _LARGEST:
         return (libmp.fzero, _TINY_POWER) if x[0] else None
-    m = max(_magnitude(x), 0)
-    return _scaled(*_grown(_fixed(x, m), m))
+    m = max(magnitude(x), 0)
+    return scaled(*_grown(_fixed(x, m), m))
 
 
 @lru_cache(8192)
@@ -124,18 +105,18 @@ def _sinh_cosh_of(x: Raw) -> tuple[Interval, Interval] | None:
     """
     if x == libmp.fzero:
         return _ZERO, _ONE
-    size = _magnitude(x)
+    size = magnitude(x)
     if size > _LARGEST:
         return None
     m = max(size, 0)
     t = _fixed(libmp.mpf_abs(x), m)
     (p, k), (q, j) = _grown(t, m), _grown(-t, m)
     q >>= k - j
-    low, high = _scaled(p + q, k - 1)
+    low, high = scaled(p + q, k - 1)
     cosh = (low if libmp.mpf_gt(low, libmp.fone) else libmp.fone), high
-    if size <= _NEAR:
+    if size <= NEAR:
         return _between(x, libmp.mpf_pos(x, BITS, "d"), libmp.mpf_mul(x, _MORE, BITS, "u")), cosh
-    sinh = _scaled(p - q, k - 1)
+    sinh = scaled(p - q, k - 1)
     return (libmp.mpi_neg(sinh) if x[0] else sinh), cosh
 
 
@@ -154,15 +135,15 @@ def _tanh_of(x: Raw) -> Interval:
     """
     if x == libmp.fzero:
         return _ZERO
-    size = _magnitude(x)
-    if size <= _NEAR:
-        return _between(x, libmp.mpf_mul(x, _LESS, BITS, "d"), libmp.mpf_pos(x, BITS, "u"))
+    size = magnitude(x)
+    if size <= NEAR:
+        return _between(x, libmp.mpf_mul(x, LESS, BITS, "d"), libmp.mpf_pos(x, BITS, "u"))
     w = 0
     if size <= 8:
         m = max(size + 1, 0)
         s, k = _grown(-_fixed(libmp.mpf_shift(libmp.mpf_abs(x), 1), m), m)
         w = s >> -k
-    low, high = _scaled(((_UNIT - w) << _W) // (_UNIT + w), 0)
+    low, high = scaled(((UNIT - w) << WIDTH) // (UNIT + w), 0)
     bounds = low, (high if libmp.mpf_lt(high, libmp.fone) else libmp.fone)
     return libmp.mpi_neg(bounds) if x[0] else bounds
 
@@ -177,20 +158,20 @@ def _log_fixed(x: Raw) -> int | None:
     than 2 units. So artanh y is off by less than 3 + 84 + 2 units, and ln f by less than 180. The error of e ln 2 is
     less than 3 units, because ln 2 has as many more bits as e has.
     """
-    e = _magnitude(x)
+    e = magnitude(x)
     f = _fixed((0, x[1], -x[3], x[3]), 0)
-    if 4 * f < 3 * _UNIT:
+    if 4 * f < 3 * UNIT:
         e -= 1
         f = _fixed((0, x[1], 1 - x[3], x[3]), 0)
     bits = abs(e).bit_length()
     if bits > _MOST_EXPONENT_BITS:
         return None
-    y = (abs(f - _UNIT) << _W) // (f + _UNIT)
-    square, power, total = y * y >> _W, y, y
+    y = (abs(f - UNIT) << WIDTH) // (f + UNIT)
+    square, power, total = y * y >> WIDTH, y, y
     for n in range(3, 61, 2):
-        power = power * square >> _W
+        power = power * square >> WIDTH
         total += power // n
-    return (2 * total if f >= _UNIT else -2 * total) + (e * _log_two(_W + bits) >> bits)
+    return (2 * total if f >= UNIT else -2 * total) + (e * _log_two(WIDTH + bits) >> bits)
 
 
 @lru_cache(8192)
@@ -198,7 +179,7 @@ def _log_of(x: Raw) -> Interval | None:
     if x == libmp.fone:
         return _ZERO
     value = _log_fixed(x)
-    return None if value is None else _scaled(value, 0)
+    return None if value is None else scaled(value, 0)
 
 
 @lru_cache(8192)
@@ -214,9 +195,9 @@ def _power_of(x: Raw, exponent: Fraction) -> Interval | None:
     if logarithm_ is None:
         return None
     t = logarithm_ * exponent.numerator // exponent.denominator
-    if abs(t) >= _UNIT << _LARGEST:
+    if abs(t) >= UNIT << _LARGEST:
         return (libmp.fzero, _TINY_POWER) if t < 0 else None
-    return _scaled(*_grown(t << _LARGEST, _LARGEST), _OFF_POWER)
+    return scaled(*_grown(t << _LARGEST, _LARGEST), _OFF_POWER)
 
 
 def _monotone(a: Interval, function: Callable[[Raw], Interval | None]) -> Interval | None:

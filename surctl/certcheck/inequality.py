@@ -46,7 +46,7 @@ from surctl.certcheck.identity import Exact, Fraction_, Sum
 from surctl.certcheck.patience import go_on
 from surctl.certcheck.squares import Claimed, check_squares
 
-__all__ = ["DIMENSIONS", "Box", "Inequality", "listed", "number"]
+__all__ = ["DIMENSIONS", "Box", "Inequality", "halves", "listed", "number"]
 
 DIMENSIONS = "0123456789ABCDEFGHIJKLMNOPQRSTUVWXYZ"
 """The letters and digits that name the variables of a claim in a tree."""
@@ -391,6 +391,15 @@ def _middle(low: float, high: float) -> float:
     # the sum of the ends may overflow
     whole = low + high
     return whole / 2 if math.isfinite(whole) else low / 2 + high / 2
+
+
+def halves(part: Box, whole: Box) -> list[Box]:
+    """Return both halves of a part of a box in the direction in which it is widest, relative to the whole box."""
+    widths = [(high - low) / (top - bottom or 1.0) for (low, high), (bottom, top) in zip(part, whole, strict=True)]
+    k = widths.index(max(widths))
+    low, high = part[k]
+    cut = low / 2 + high / 2
+    return [[*part[:k], ends, *part[k + 1 :]] for ends in ((low, cut), (cut, high))]
 
 
 def _box_text(box: Box) -> str:

@@ -20,7 +20,7 @@ from surctl.certcheck.document import Rejected, record
 from surctl.certcheck.enclosure import Undefined, above, decimal, enclose, rational, span
 from surctl.certcheck.expressions import ExpressionTable
 from surctl.certcheck.identity import Exact
-from surctl.certcheck.inequality import Box, Inequality, listed, number
+from surctl.certcheck.inequality import Box, Inequality, halves, listed, number
 from surctl.certcheck.interval import printable, variables_of
 from surctl.certcheck.patience import go_on
 
@@ -171,13 +171,7 @@ def require_defined(table: ExpressionTable, roots: Sequence[int], whole: Box) ->
             halved += 1
             if halved > _MOST_HALVED:
                 raise Rejected(f"the dynamics may be undefined in the box: {reason}") from None
-            widths = [
-                (high - low) / (top - bottom or 1.0) for (low, high), (bottom, top) in zip(box, whole, strict=True)
-            ]
-            k = widths.index(max(widths))
-            low, high = box[k]
-            cut = low / 2 + high / 2
-            waiting += [[*box[:k], (low, cut), *box[k + 1 :]], [*box[:k], (cut, high), *box[k + 1 :]]]
+            waiting += halves(box, whole)
 
 
 def read_motion(claim: Mapping[str, Any]) -> Motion:

@@ -6,26 +6,17 @@ from collections.abc import Sequence
 from fractions import Fraction
 from math import isqrt, lcm
 
+from surctl.certcheck.definite import by_elimination
 from surctl.certcheck.patience import go_on
 
 __all__ = [
-    "Matrix", "add", "congruence", "identity", "inverse", "is_positive_definite", "largest_eigenvalue", "middle",
-    "product", "quadratic", "root_down", "root_up", "rounded_up", "scaled", "transpose", "zeros",
+    "Matrix", "inverse", "is_positive_definite", "largest_eigenvalue", "product", "quadratic", "root_down", "root_up",
+    "transpose",
 ]  # fmt: skip
 
 Matrix = list[list[Fraction]]
 
 _DIGITS = 10**9  # square roots are rounded to the ninth decimal
-
-
-def zeros(rows: int, columns: int) -> Matrix:
-    """Return a matrix of zeros."""
-    return [[Fraction(0)] * columns for _ in range(rows)]
-
-
-def identity(size: int) -> Matrix:
-    """Return the identity matrix (size, size)."""
-    return [[Fraction(i == j) for j in range(size)] for i in range(size)]
 
 
 def transpose(a: Matrix) -> Matrix:
@@ -42,26 +33,6 @@ def product(a: Matrix, b: Matrix) -> Matrix:
     ]
 
 
-def add(*terms: Matrix) -> Matrix:
-    """Return the sum of matrices of the same shape."""
-    return [[sum(entries, Fraction(0)) for entries in zip(*rows, strict=True)] for rows in zip(*terms, strict=True)]
-
-
-def scaled(factor: Fraction, a: Matrix) -> Matrix:
-    """Return the matrix a multiplied by a factor."""
-    return [[factor * entry for entry in row] for row in a]
-
-
-def congruence(a: Matrix, b: Matrix) -> Matrix:
-    """Return A B Aᵀ."""
-    return product(product(a, b), transpose(a))
-
-
-def middle(pair: Sequence[Fraction]) -> Fraction:
-    """Return the mean of two numbers."""
-    return (pair[0] + pair[1]) / 2
-
-
 def quadratic(p: Matrix, x: Sequence[Fraction]) -> Fraction:
     """Return xᵀ P x."""
     return sum((x[i] * p[i][j] * x[j] for i in range(len(x)) for j in range(len(x))), Fraction(0))
@@ -74,7 +45,7 @@ def inverse(a: Matrix) -> Matrix:
         ZeroDivisionError: a pivot is 0.
     """
     n = len(a)
-    rows = [list(row) + unit for row, unit in zip(a, identity(n), strict=True)]
+    rows = [[*row, *(Fraction(i == k) for k in range(n))] for i, row in enumerate(a)]
     for k in range(n):
         pivot = rows[k][k]
         rows[k] = [entry / pivot for entry in rows[k]]
@@ -87,23 +58,12 @@ def inverse(a: Matrix) -> Matrix:
 
 
 def is_positive_definite(a: Matrix) -> bool:
-    """Return whether a symmetric matrix is positive definite: all leading minors > 0, by the Bareiss algorithm."""
+    """Return whether a symmetric matrix is positive definite; no if it is not symmetric."""
     n = len(a)
     if any(a[i][j] != a[j][i] for i in range(n) for j in range(i)):
         return False
     common = lcm(*(entry.denominator for row in a for entry in row))
-    whole = [[int(entry * common) for entry in row] for row in a]
-    previous = 1
-    for k in range(n):
-        pivot = whole[k][k]  # the leading minor of order k + 1
-        if pivot <= 0:
-            return False
-        for i in range(k + 1, n):
-            go_on()
-            for j in range(i, n):
-                whole[i][j] = whole[j][i] = (whole[i][j] * pivot - whole[i][k] * whole[k][j]) // previous
-        previous = pivot
-    return True
+    return by_elimination([[int(entry * common) for entry in row] for row in a], strictly=True)
 
 
 def root_up(value: Fraction) -> Fraction:
@@ -120,10 +80,3 @@ def largest_eigenvalue(g: Matrix) -> Fraction:
     """Return an upper bound on the largest eigenvalue of a symmetric 2 × 2 matrix."""
     half = (g[0][0] + g[1][1]) / 2
     return half + root_up(((g[0][0] - g[1][1]) / 2) ** 2 + g[0][1] ** 2)
-
-
-def rounded_up(g: Matrix) -> Matrix:
-    """Return a symmetric 2 × 2 matrix ⪰ g with short entries: after truncation, the diagonal is increased."""
-    down = [[Fraction(int(entry * _DIGITS), _DIGITS) for entry in row] for row in g]
-    # every entry is off by less than 1/_DIGITS, so that the error matrix is ⪰ −2/_DIGITS I
-    return [[entry + Fraction(2 * (i == j), _DIGITS) for j, entry in enumerate(row)] for i, row in enumerate(down)]

@@ -16,7 +16,7 @@ from mpmath import libmp
 from surctl.certcheck.elementary import Undefined
 from surctl.certcheck.enclosure import enclose, span
 from surctl.certcheck.expressions import ExpressionTable
-from surctl.certcheck.inequality import Box
+from surctl.certcheck.inequality import Box, halves
 from surctl.certcheck.patience import go_on
 
 __all__ = ["OVERFLOW", "SHARE", "STEP", "TINY", "propagated", "rounding_error"]
@@ -50,13 +50,7 @@ def rounding_error(table: ExpressionTable, root: int, box: Box, constants: Mappi
         if isfinite(error):
             worst = max(worst, error)
             continue
-        widths = [(high - low) / (top - bottom or 1.0) for (low, high), (bottom, top) in zip(part, box, strict=True)]
-        if not any(widths):
-            return inf
-        k = widths.index(max(widths))
-        low, high = part[k]
-        cut = low / 2 + high / 2
-        waiting += [[*part[:k], ends, *part[k + 1 :]] for ends in ((low, cut), (cut, high))]
+        waiting += halves(part, box)
     return inf
 
 

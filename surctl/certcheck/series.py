@@ -133,10 +133,10 @@ def _constant(value: Interval) -> Series:
     return [value, *[_ZERO] * _ORDER]
 
 
-def _convolved(a: Series, b: Series, k: int, first: int = 0) -> Interval:
-    """Return Σ a_j b_(k − j) for j from `first` to k."""
+def _convolved(a: Series, b: Series, k: int, first: int = 0, last: int | None = None) -> Interval:
+    """Return Σ a_j b_(k − j) for j from `first` to `last`, or to k."""
     total = _ZERO
-    for j in range(first, k + 1):
+    for j in range(first, (k if last is None else last) + 1):
         total = plus(total, mul(a[j], b[k - j]))
     return total
 
@@ -146,16 +146,8 @@ def _quotient(a: Series, b: Series) -> Series:
         raise Undefined("a division by an interval that contains 0")
     out: Series = []
     for k in range(_ORDER + 1):
-        out.append(over(plus(a[k], minus(_sum_of(out, b, k))), b[0]))
+        out.append(over(plus(a[k], minus(_convolved(out, b, k, last=k - 1))), b[0]))
     return out
-
-
-def _sum_of(done: Series, b: Series, k: int) -> Interval:
-    """Return Σ done_j b_(k − j) for j < k."""
-    total = _ZERO
-    for j in range(k):
-        total = plus(total, mul(done[j], b[k - j]))
-    return total
 
 
 def _function(op: str, a: Series) -> Series:
@@ -182,10 +174,7 @@ def _function(op: str, a: Series) -> Series:
         if not above(first):
             raise Undefined("a root of an interval that contains 0")
         for k in range(1, _ORDER + 1):
-            inner = _ZERO
-            for j in range(1, k):
-                inner = plus(inner, mul(out[j], out[k - j]))
-            out.append(over(plus(a[k], minus(inner)), twice))
+            out.append(over(plus(a[k], minus(_convolved(out, out, k, 1, k - 1))), twice))
         return out
     # log' = 1 / t, atan' = 1 / (1 + t²), asin' = 1 / √(1 − t²): divide the slope by a series
     below = a

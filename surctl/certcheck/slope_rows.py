@@ -24,7 +24,7 @@ import numpy as np
 from mpmath import libmp
 from numpy.typing import NDArray
 
-from surctl.certcheck.angles import BITS
+from surctl.certcheck.angles import BITS, hull
 from surctl.certcheck.document import Rejected
 from surctl.certcheck.enclosure import (
     Interval,
@@ -140,7 +140,7 @@ class Rows:
                 extent = self._ellipsoid([Fraction(j == k) for j in range(self.states)])
                 ends.append((_common(own, _around(at, extent)), at))
             elif k in self.linear:
-                ends.append((_hull(own, _ZERO), _ZERO))
+                ends.append((hull(own, _ZERO), _ZERO))
             else:
                 ends.append((own, own))
         return ends
@@ -208,7 +208,7 @@ class Rows:
 
     def _decided(self, op: str, args: tuple[int, ...]) -> int | None:
         """Return the operand that the function takes on the whole region and at x*; None if it is not decided."""
-        whole = [_hull(self.range[a], self.rest[a]) for a in args]
+        whole = [hull(self.range[a], self.rest[a]) for a in args]
         if op == "abs":
             if libmp.mpf_ge(whole[0][0], libmp.fzero):
                 return args[0]
@@ -259,7 +259,7 @@ class Rows:
         """Return the range on the region, and that at x*, of a function of its base."""
         function, base = self._function(at), self.base[at]
         values = [function(piece, 0)[0] for piece in _pieces(self.range[base], self.rest[base])]
-        return reduce(_hull, values), function(self.rest[base], 0)[0]
+        return reduce(hull, values), function(self.rest[base], 0)[0]
 
     def _support(self, row: list[Number]) -> Fraction:
         """Return an upper bound on |row · (ξ, w)|."""
@@ -491,7 +491,7 @@ class Rows:
         function, base = self._function(at), self.base[at]
         c = self.rest[base]
         value = function(c, 0)[0]
-        return reduce(_hull, (_secant_on(function, piece, c, value) for piece in _pieces(self.range[base], c)))
+        return reduce(hull, (_secant_on(function, piece, c, value) for piece in _pieces(self.range[base], c)))
 
     def resting(self, k: int, moved: Fraction) -> Number:
         """Return f_k(x*, w) − moved without disturbances; it is the number 0 only if it is exactly 0."""
@@ -539,10 +539,6 @@ def _common(a: Interval, b: Interval) -> Interval:
     return greatest(a, b)[0], least(a, b)[1]
 
 
-def _hull(a: Interval, b: Interval) -> Interval:
-    return least(a, b)[0], greatest(a, b)[1]
-
-
 def _around(a: Interval, extent: Fraction) -> Interval:
     """Return the numbers that differ from one in the interval by at most `extent`."""
     end = rational(extent)[1]
@@ -586,7 +582,7 @@ def _secant_on(
     function: Callable[[Interval, int], tuple[Interval, Interval]], piece: Interval, c: Interval, value: Interval
 ) -> Interval:
     """Return the range of (g(t) − g(c))/(t − c) for t in `piece`."""
-    between = function(_hull(piece, c), 1)[1]  # the mean value theorem
+    between = function(hull(piece, c), 1)[1]  # the mean value theorem
     apart = libmp.mpi_sub(piece, c, BITS)
     if not (above(apart) or libmp.mpf_lt(apart[1], libmp.fzero)):
         return between

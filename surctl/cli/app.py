@@ -7,19 +7,18 @@ import logging
 import os
 import sys
 import warnings
+from collections.abc import MutableMapping
+from functools import cached_property
 
 import click
 from click.shell_completion import get_completion_class
 
 from surctl import __version__
-from surctl.cli.calibrate import calibrate
+from surctl.cli.application import applications, with_branches
 from surctl.cli.check import check
 from surctl.cli.export import export
-from surctl.cli.fly import fly
-from surctl.cli.gains import gains
 from surctl.cli.lint import lint
 from surctl.cli.listing import listing
-from surctl.cli.mission import scenario
 from surctl.cli.new import new
 from surctl.cli.output import (
     OutputLost,
@@ -33,26 +32,54 @@ from surctl.cli.output import (
     print_message,
     signs_of_life,
 )
-from surctl.cli.reproduce import reproduce
 from surctl.cli.simulate import simulate
-from surctl.cli.sonar_replay import sonar_replay
 from surctl.cli.study import study
 from surctl.cli.sweep import sweep
 from surctl.cli.tune import tune
-from surctl.cli.vehicle import vehicle
 from surctl.cli.verify import verify
 from surctl.errors import LOST, SurctlError
 
 
-class _Ordered(click.Group):
-    """A group whose help lists the commands in the order of their registration."""
+class _Commands(click.Group):
+    """All commands in the order in which a newcomer needs them; applications are loaded when one is needed."""
+
+    @cached_property
+    def _all(self) -> dict[str, click.Command]:
+        own = {command: text for one in applications() for command, text in one.commands.items()}
+        every = {**_COMMANDS, **own, completion: "Print a script that completes commands in a shell."}
+        named = {str(command.name): with_branches(command) for command in every}
+        for command, description in zip(named.values(), every.values(), strict=True):
+            command.short_help = description
+        return named
+
+    @property
+    def commands(self) -> MutableMapping[str, click.Command]:
+        """The commands by name."""
+        return self._all
+
+    @commands.setter
+    def commands(self, _: object) -> None: ...
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Return the names of the commands."""
         return list(self.commands)
 
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """Return the command of the first word; without the applications if their options are not used."""
+        name, *words = args
+        own = next((command for command in _COMMANDS if command.name == name), None)
+        if own is not None and any(":" in word for word in words):
+            known = {option for parameter in own.params for option in (*parameter.opts, *parameter.secondary_opts)}
+            from surctl.system.subjects import is_subject
 
-@click.group(cls=_Ordered, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+            if any(map(is_subject, words)) and all(w.partition("=")[0] in known for w in words if w.startswith("-")):
+                return name, own, words
+        return super().resolve_command(ctx, args)
+
+
+@click.group(cls=_Commands, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
 @click.version_option(__version__, prog_name="surctl")
 def app() -> None:
     """Write a control law once, then simulate, tune and prove it, and export it as C: a toolkit in Python, with an
@@ -61,7 +88,7 @@ def app() -> None:
     Examples: surctl new system pendulum; surctl study pendulum.py:build; surctl simulate tank-static --out plots
 
     Exit status: 0 finished with the expected result, 1 finished with another result (a line says FAIL, or a claim that
-    you ask for is not proved), 2 wrong input or no permission to write, 3 some output is lost (disk full, file system
+    you name is not proved), 2 wrong input or no permission to write, 3 some output is lost (disk full, file system
     read-only, stdout lost), 130 stopped.
     """
 
@@ -69,7 +96,7 @@ def app() -> None:
 @click.command
 @click.argument("shell", type=click.Choice(["bash", "zsh", "fish"]))
 def completion(shell: str) -> None:
-    """Print a script with which a shell completes commands, options and choices.
+    """Print a script for a shell that completes the names of commands, options and values.
 
     For bash, add this line to ~/.bashrc: eval "$(surctl completion bash)".
 
@@ -92,18 +119,7 @@ _COMMANDS = {  # in the order in which a newcomer needs them; a description fits
     check: "Check a certificate without trusting the prover.",
     lint: "Find entries of a file that cannot work, and say why.",
     listing: "List built-in vehicles, scenarios, gains and claims.",
-    vehicle: "Write a vehicle file from dimensions, a log or a model.",
-    gains: "Write the gains that follow from a vehicle.",
-    scenario: "Write a scenario file from a mission of another program.",
-    calibrate: "Calibrate range sensors from a CSV file.",
-    sonar_replay: "Run recorded sonar readings through the robot's filter.",
-    fly: "Steer an ArduSub vehicle along a scenario's path.",
-    reproduce: "Compute the results of the robot's paper again.",
-    completion: "Print a script that completes commands in a shell.",
 }
-for _command, _description in _COMMANDS.items():
-    _command.short_help = _description
-    app.add_command(_command)
 
 
 def main() -> None:

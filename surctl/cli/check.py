@@ -14,11 +14,11 @@ from surctl.cli.output import FOLDER, FiniteRange, as_json, finish, printable
 
 @click.command
 @click.argument("certificate", type=click.Path(path_type=Path))
-@click.option("--bundle", type=FOLDER, help="Compare with the exported controller in DIR.")
+@click.option("--bundle", type=FOLDER, help="Compare the certificate with the controller in DIR.")
 @click.option(
     "--gains-id",
     metavar="HEX",
-    help="Id of law and gains that the robot reports; it must be that of the bundle (NAME_gains_id in C).",
+    help="Id of law and gains on the robot, from the C function NAME_gains_id, to compare with the id in the bundle.",
 )
 @click.option(
     "--time-limit",
@@ -34,12 +34,13 @@ def check(
     """Check a certificate without trusting the prover that wrote it.
 
     --bundle also checks whether the certificate applies to an exported controller: the checker compares every number of
-    the certificate with the manifest of the bundle, and computes every hash again. For a system of your own, it derives
-    the dynamics from the instruction lists of the bundle; for a law of the robot, it evaluates the law's list at
-    hundreds of points. The output names the parts of the controller that the certificate does not cover. An inequality
-    with slack holds only to within this slack and does not prove asymptotic stability. Exit status: 0 if the
-    certificate is accepted (and applies to the controller), 1 if it is rejected, belongs to another controller, or
-    states a number that the bundle does not contain, 2 if a file is not a certificate or bundle.
+    the certificate with the manifest of the bundle, and computes every hash again. For a system of your own, the
+    checker derives the dynamics from the instruction lists of the bundle; for a law of the robot, the checker evaluates
+    the instruction list of the law at hundreds of points. The output names the parts of the controller that the
+    certificate does not cover. A certificate with slack proves an inequality only up to the slack, and does not prove
+    asymptotic stability. Exit status: 0 if the certificate is accepted (and applies to the controller), 1 if the
+    certificate is rejected, belongs to another controller, or states a number that the bundle does not contain, 2 if a
+    file is not a certificate or bundle.
 
     Examples: surctl check proofs/v2-static.json; surctl check firmware/certificate-v2-static.json --bundle firmware
     """

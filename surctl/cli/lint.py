@@ -1,131 +1,35 @@
-"""`surctl lint`: findings by kind of file, margins that do not suffice, and the checks of a system of one's own."""
+"""`surctl lint`: what is printed of each file, and the checks of a system of one's own."""
 
 from __future__ import annotations
 
-import math
-import shlex
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Sequence
 from functools import partial
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import click
 
+from surctl.cli.application import to_application
 from surctl.cli.output import as_json, finish, printable
-from surctl.cli.robot_options import derive_words, margin_of_all
-from surctl.errors import InputError, check_known, nearest
-
-if TYPE_CHECKING:
-    from surctl.marine.assessment import Mission
-    from surctl.marine.simulation import Finding
-    from surctl.marine.study import Plan
-    from surctl.marine.vehicle import Vehicle
-
-_NEXT = {
-    "vehicle": ("tune --vehicle {} --out tuned", "study {}"),
-    "gains": ("verify --gains {}", "simulate pool-static --gains {}"),
-    "goals": ("tune --goals {}",),
-    "barrier": ("verify {}",),
-    "claim": ("verify {}",),
-    "lyapunov": ("verify {}",),
-    "region": ("verify {}",),
-    "scenario": ("simulate {}",),
-    "study": ("study {}", "tune {}"),
-}
-_IN_VEHICLES = ("scenario", "study")  # kinds of files to which --vehicle applies
+from surctl.cli.subject import RegionWords, command_line, is_system, load_system
+from surctl.errors import Finding, InputError, nearest
 
 
-def _file_findings(loaded: object) -> list[Finding]:
-    # entries that cannot work
-    from surctl.marine.simulation import Finding
-    from surctl.marine.simulation.fit import thruster_findings
-    from surctl.marine.vehicle import Vehicle
-    from surctl.marine.vehicle.specs import undamped
-    from surctl.marine.verification.region import RegionStatement
-
-    if isinstance(loaded, Vehicle) and set(loaded.name) & set("/\\"):
-        text = f"{loaded.name!r} cannot be part of a file name: remove / and \\"
-        return [Finding("error", "name", text)]
-    if isinstance(loaded, Vehicle):
-        free = undamped({key: parameter.value for key, parameter in loaded.parameters.items()})
-        text = "no drag, but thrust: the speed has no bound; state the drag, or fit it to a log (vehicle from-log)"
-        undriven = [Finding("warning", f"drag ({axis})", text) for axis in free]
-        return [*undriven, *thruster_findings(loaded), *_assumption_findings(loaded)]
-    if isinstance(loaded, RegionStatement) and loaded.loop == "cruise":
-        cruise, cap = loaded.cruise_m_per_s, loaded.cap_m_per_s
-        if cruise >= cap:
-            text = f"the cruise speed of {cruise:g} m/s is not below the cap of {cap:g} m/s"
-            return [Finding("error", "cruise_m_per_s", text)]
-    return []
-
-
-def _assumption_findings(vehicle: Vehicle) -> list[Finding]:
-    """Return the defaults that decide the margins of a vehicle."""
-    from surctl.marine.assessment import assumptions
-    from surctl.marine.simulation import Finding
-
-    advice = "; surctl verify --vehicle FILE says how much the margin depends on it"
-    assumed = assumptions(vehicle, None, cruise=1.0, dt=1.0)  # without gains there are no margins
-    return [Finding("info", one.name, one.text + advice) for one in assumed]
-
-
-def _loop_findings(mission: Mission, derive_for: str | None) -> tuple[list[Finding], list[str]]:
-    """Return margins that do not suffice, a cap above the largest stable speed, and the defaults that decide.
-
-    The margins are those of the loop, and the gain `margin` that the no-contact claim of each scenario needs. The
-    second list has the command that writes derived gains with it; `derive_for` is the vehicle's name or file if the
-    gains are derived, else None.
-    """
-    from surctl.assessment import assess
-    from surctl.marine.simulation import Finding
-
-    keys = {"cap": "cap_m_per_s", "margins": "gains", "runs": "gains.margin"}
-    result = assess(mission, parts=["loop", "no contact"])
-    lines = [line for line in result.lines if line.passed is False or line.about == "cap"]
-    gains = f"with the gains {mission.gains.name!r}"
-    warnings = [Finding("warning", keys[line.about], f"{line.text}, {gains}") for line in lines]
-    margin, then = margin_of_all(result), []
-    if derive_for is not None and math.isfinite(margin):
-        then.append(derive_words(derive_for, mission.cruise, "gains.toml", margin=margin))
-    return [*warnings, *(Finding("info", one.name, one.text) for one in result.assumptions)], then
-
-
-def _goal_findings(plan: Plan) -> list[Finding]:
-    # goals of the file that `tune` cannot judge for its law; the built-in goals are left out there with a line
-    from surctl.marine.simulation import Finding
-    from surctl.marine.tuning import load_goals
-    from surctl.marine.tuning.evaluation import judged_goals
-    from surctl.own_code import label
-
-    built_in = load_goals()
-    left = [goal for goal in judged_goals(plan.goals, plan.sweep_cases)[2] if goal not in built_in]
-    why = f"is not judged, because surctl has no linear model of law {label(plan.law)}"
-    why += ': write type = "margins" in place of metric'
-    return [Finding("error" if goal.kind == "hard" else "warning", f"goals.{goal.name}", why) for goal in left]
-
-
-class _Problem(NamedTuple):
-    level: str
-    key: str
-    text: str
-
-
-def _lint_system(word: str) -> _Linted:
+def _lint_system(word: str) -> Linted:
     """Return the findings of a system of the user's own: entries that cannot work, and margins that do not suffice."""
     from surctl.assessment import ClosedLoop, assess
-    from surctl.cli.subject import RegionWords, command_line, load_system
     from surctl.system import entry_labels
     from surctl.system.values import checked_ranges
 
     own = load_system([word])
-    system, problems = own.system, list[_Problem]()
+    system, problems = own.system, list[Finding]()
 
     def check(work: Callable[[], object]) -> None:
         try:
             work()
         except InputError as error:
             key = error.key or "system"
-            problems.append(_Problem("error", key, error.problem + (f"; {error.remedy}" if error.remedy else "")))
+            problems.append(Finding("error", key, error.problem + (f"; {error.remedy}" if error.remedy else "")))
 
     if system.duration is not None:
         check(lambda: own.seconds(None))
@@ -134,7 +38,7 @@ def _lint_system(word: str) -> _Linted:
     labels = entry_labels(system.plant.state) + entry_labels(system.controller.state, "controller.")
     strange = [name for name in system.within if name not in labels]
     problems += [
-        _Problem("error", f"within.{n}", f"is not a state of the system; {nearest(n, labels)}") for n in strange
+        Finding("error", f"within.{n}", f"is not a state of the system; {nearest(n, labels)}") for n in strange
     ]
     if not problems:
         check(lambda: checked_ranges(system, system.ranges))
@@ -142,15 +46,11 @@ def _lint_system(word: str) -> _Linted:
         check(lambda: RegionWords(system.within, {}, {}).problem(system, {}))
     absent = {"duration": system.duration is None, "costs": not system.costs, "ranges": not system.ranges}
     absent["within"] = not system.within
-    problems += [_Problem("info", key, f"is not given, so {_ABSENT[key]}") for key, none in absent.items() if none]
-    works = all(one.level != "error" for one in problems)
-    if works:
+    problems += [Finding("info", key, f"is not given, so {_ABSENT[key]}") for key, none in absent.items() if none]
+    if not any(one.level == "error" for one in problems):
         judged = assess(ClosedLoop(system), parts=["loop"]).lines
-        problems += [_Problem("warning", "gains", line.text) for line in judged if line.passed is False]
-    lines = [f"{one.level}: {one.key}: {one.text}" for one in problems] or [f"{word}: nothing found"]
-    data = {"file": word, "kind": "system", "findings": [one._asdict() for one in problems]}
-    then = [command_line("study", own), command_line("verify", own)] if works else []
-    return _Linted(data, printable(lines), works, then)
+        problems += [Finding("warning", "gains", line.text) for line in judged if line.passed is False]
+    return Linted(word, "system", problems, [command_line("study", own), command_line("verify", own)])
 
 
 _ABSENT = {
@@ -161,120 +61,45 @@ _ABSENT = {
 }
 
 
-class _Linted(NamedTuple):
-    data: dict[str, Any]
-    lines: list[str]
-    works: bool
-    then: list[str]
+class Linted(NamedTuple):
+    """The findings of a file, and the commands to suggest next if the file can work."""
 
-    def counts(self, file: str) -> str:
+    file: str
+    kind: str
+    findings: Sequence[Finding]
+    commands: list[str]
+
+    @property
+    def works(self) -> bool:
+        """Whether no finding is an error."""
+        return all(one.level != "error" for one in self.findings)
+
+    @property
+    def data(self) -> dict[str, Any]:
+        """The findings for JSON."""
+        return {"file": self.file, "kind": self.kind, "findings": [one.to_dict() for one in self.findings]}
+
+    def lines(self, word: str) -> list[str]:
+        """Return a line for each finding; `word` is the file as typed."""
+        return printable([f"{f.level}: {f.key}: {f.text}" for f in self.findings] or [f"{word}: nothing found"])
+
+    def counts(self, word: str) -> str:
         """Return the file, and how many entries of each level it has."""
-        levels = [finding["level"] for finding in self.data["findings"]]
-        counts = [f"{levels.count(level)} x {level}" for level in dict.fromkeys(levels)]
-        return f"{file}: {', '.join(counts) or 'nothing found'}"
+        levels = Counter(one.level for one in self.findings)
+        return f"{word}: {', '.join(f'{n} x {level}' for level, n in levels.items()) or 'nothing found'}"
 
 
 @click.command
-@click.argument("files", nargs=-1, required=True, metavar="FILE...")
-@click.option("--vehicle", metavar="FILE", help="Vehicle for a scenario: name or file (default: the scenario's).")
+@click.argument("words", nargs=-1, required=True, metavar="FILE...")
 @as_json
-def lint(files: tuple[str, ...], vehicle: str | None, as_json: bool) -> None:
-    """Check files and print which entries cannot work, and why. Exit status: 1 if an entry cannot work.
-
-    FILE.py:FUNCTION names a system of your own.
-
-    Examples: surctl lint my-vehicle.toml my-mission.toml; surctl lint pool-static --vehicle sur540-flooded; surctl lint
-    my_system.py:build
-    """
-    done = [_linted(file, vehicle) for file in files]
-    if vehicle is not None and not any(one.data["kind"] in _IN_VEHICLES for one in done):
-        raise InputError("applies only to a scenario or a study", key="--vehicle", value=vehicle, remedy="drop it")
+def lint(words: tuple[str, ...], as_json: bool, **_: Any) -> None:
+    """Check files and print which entries cannot work, and why."""
+    done = [(word, _lint_system(word) if is_system([word]) else to_application([word])) for word in words]
+    passed = all(one.works for _, one in done)
     if len(done) == 1:
-        one = done[0]
-        brief = [one.counts(files[0]), *one.lines]
-        finish(one.data, one.lines, as_json=as_json, passed=one.works, then=one.then, brief=brief)
-    lines = [
-        line for file, one in zip(files, done, strict=True) for line in (f"{file}:", *(f"  {s}" for s in one.lines))
-    ]
-    finish(
-        {"files": [one.data for one in done]}, lines, as_json=as_json, passed=all(one.works for one in done),
-        brief=[one.counts(file) for file, one in sorted(zip(files, done, strict=True), key=lambda one: one[1].works)],
-    )  # fmt: skip
-
-
-def _linted(file: str, vehicle: str | None) -> _Linted:
-    """Return the findings of one file, and the commands to suggest next.
-
-    Raises:
-        InputError: the file cannot be read, or is of no known kind.
-    """
-    from surctl.cli.subject import is_system
-
-    if is_system([file], "files", "as_json"):
-        return _lint_system(file)
-    from surctl.cli.robot_options import choose_vehicle
-    from surctl.files import read_toml
-    from surctl.lyapunov import load_problem
-    from surctl.marine.assessment import Mission
-    from surctl.marine.control import load_gains
-    from surctl.marine.simulation import LIBRARY, findings, load_scenario
-    from surctl.marine.study import load_plan
-    from surctl.marine.study.conduct import assessed
-    from surctl.marine.tuning import gains_for, load_goals
-    from surctl.marine.vehicle import LIBRARY as VEHICLES
-    from surctl.marine.vehicle import load_vehicle
-    from surctl.marine.verification.cruise_loop import has_cruise_loop
-    from surctl.marine.verification.region import load_region
-    from surctl.tuning import load_loop_goals
-    from surctl.verification import load_claim
-
-    built_in = {path.stem: path for library in (LIBRARY, VEHICLES) for path in library.glob("*.toml")}
-    if not (Path(file).suffix or set("/\\") & set(file)):  # a bare name
-        check_known(file, built_in, "unknown scenario or vehicle", key="file")
-    path = str(built_in.get(file, file))
-    kind = read_toml(Path(path)).get("kind")
-    problems, derive = [], list[str]()
-    plain: dict[str, Callable[[str], object]] = {
-        "vehicle": load_vehicle,
-        "gains": load_gains,
-        "goals": lambda file: load_loop_goals(file) if "points" in read_toml(Path(file)) else load_goals(file),
-        "barrier": lambda file: load_problem(Path(file)),
-        "claim": lambda file: load_claim(Path(file)),
-        "lyapunov": lambda file: load_problem(Path(file)),
-        "region": lambda file: load_region(Path(file)),
-    }
-    if kind == "scenario":
-        scenario = load_scenario(path)
-        word = choose_vehicle(vehicle, (scenario.name, scenario.vehicle)).word
-        robot = load_vehicle(word)
-        gains, derivation = gains_for(None, robot, cruise=scenario.cruise)
-        problems = findings(scenario, robot)
-        wrong = any(one.level == "error" for one in problems)  # no claim is about it then
-        mission = Mission(robot, gains, scenario.cruise, scenario.cap, scenarios=() if wrong else (scenario,))
-        about_loop, derive = _loop_findings(mission, word if derivation else None)
-        problems += about_loop
-    elif kind == "study":
-        plan = load_plan(path)
-        for leg in plan.legs:
-            problems += findings(leg.scenario, leg.vehicle)
-        wrong = any(one.level == "error" for one in problems)
-        # another law is linearised about its runs, which `study` simulates
-        if not wrong and has_cruise_loop(plan.law, plan.guidance):
-            source = Path(plan.vehicle.source)
-            word = plan.vehicle.name if source.parent == VEHICLES else str(source)
-            about_loop, derive = _loop_findings(assessed(plan, plan.gains), word if plan.derivation else None)
-            problems += about_loop
-        problems += _goal_findings(plan)
-    elif isinstance(kind, str) and kind in plain:
-        problems = _file_findings(plain[kind](path))
-    else:
-        known = ", ".join(f'"{name}"' for name in sorted([*plain, "scenario"]))
-        remedy = f'write kind = {known} or "study"'
-        raise InputError("is not a kind of file", file=path, key="kind", value=kind, remedy=remedy)
-    lines = [f"{f.level}: {f.key}: {f.text}" for f in problems] or [f"{file}: nothing found"]
-    result = {"file": path, "kind": kind, "findings": [f.to_dict() for f in problems]}
-    works = all(f.level != "error" for f in problems)
-    vehicle_option = "" if vehicle is None or kind not in _IN_VEHICLES else f" --vehicle {shlex.quote(vehicle)}"
-    then = [f"surctl {words.format(shlex.quote(file))}{vehicle_option}" for words in _NEXT[kind]] if works else []
-    then += derive if works else []
-    return _Linted(result, printable(lines), works, then)
+        [(word, one)] = done
+        lines, brief = one.lines(word), [one.counts(word), *one.lines(word)]
+        finish(one.data, lines, as_json=as_json, passed=passed, then=one.commands if passed else [], brief=brief)
+    lines = [line for word, one in done for line in (f"{word}:", *(f"  {each}" for each in one.lines(word)))]
+    brief = [one.counts(word) for word, one in sorted(done, key=lambda item: item[1].works)]
+    finish({"files": [one.data for _, one in done]}, lines, as_json=as_json, passed=passed, brief=brief)

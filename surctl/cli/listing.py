@@ -7,32 +7,24 @@ from textwrap import wrap
 
 import click
 
+from surctl.cli.application import applications
 from surctl.cli.output import as_json, finish
 from surctl.errors import InputError, nearest
 
 
 @click.command("list")
-@click.option("--show", metavar="NAME", help="Print the built-in file NAME instead of the list.")
+@click.option("--show", metavar="NAME", help="Print the content of the built-in file NAME.")
 @as_json
 def listing(show: str | None, as_json: bool) -> None:
-    """List built-in vehicles, gain files, scenarios, studies, goals and claims, and systems of installed packages.
+    """List built-in vehicles, gain files, scenarios, studies, goals and claims, and systems from installed packages.
 
     Example: surctl list --show sur540-flooded > my-vehicle.toml
     """
     from surctl import tuning
-    from surctl.marine import control, simulation, study, vehicle
-    from surctl.marine.verification import claims
-    from surctl.marine.verification.braking import BRAKING_CLAIMS
-    from surctl.marine.verification.region import REGION_CLAIMS
     from surctl.system.subjects import registered_subjects
 
-    libraries = {
-        "vehicles": vehicle.LIBRARY,
-        "gains": control.LIBRARY,
-        "scenarios": simulation.LIBRARY,
-        "studies": study.LIBRARY,
-        "goals": tuning.LIBRARY,
-    }
+    libraries = {kind: folder for one in applications() for kind, folder in one.libraries().items()}
+    libraries["goals"] = tuning.LIBRARY
     files = {kind: {p.stem: p for p in sorted(folder.glob("*.toml"))} for kind, folder in libraries.items()}
     if show is not None:
         kind, _, name = show.rpartition("/")
@@ -47,7 +39,7 @@ def listing(show: str | None, as_json: bool) -> None:
         return
     names = {kind: list(group) for kind, group in files.items()}
     names |= {"subjects": [f"subject:{name}" for name in registered_subjects()]}
-    names |= {"claims": [c.name for c in claims()], "regions": list(REGION_CLAIMS), "braking": list(BRAKING_CLAIMS)}
+    names |= {kind: list(group) for one in applications() for kind, group in one.listed().items()}
     lines = []
     for kind, group in names.items():
         text = f"{kind}: {', '.join(group)}"

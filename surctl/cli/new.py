@@ -39,10 +39,8 @@ _IN_PYTHON = ("task", "law", "robot", "system")
 @click.option("--force", is_flag=True, help="Overwrite an existing file.")
 @as_json
 def new(kind: str, name: str, out: Path | None, force: bool, as_json: bool) -> None:
-    """Write a commented file to start from: a vehicle, a scenario, a study, or in Python a task, a control law, a
-    robot from its URDF file or a closed loop (system).
-
-    The written file works without changes.
+    """Write a file with comments, which you can run at once and then edit: a vehicle, a scenario or a study as TOML; a
+    task, a control law, a robot from its URDF file or a closed loop (system) as Python.
 
     Examples: surctl new system pendulum; surctl new vehicle my-robot; surctl new scenario harbour --out
     sites/harbour.toml; surctl new law my-law

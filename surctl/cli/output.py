@@ -268,7 +268,7 @@ def _set_verbose(context: click.Context, option: click.Parameter, value: bool) -
 
 
 as_json = together(
-    click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout."),
+    click.option("--json", "as_json", is_flag=True, help="Print the results as one JSON object on stdout."),
     click.option(
         *("--verbose", "-v"),
         is_flag=True,

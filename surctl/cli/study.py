@@ -1,9 +1,7 @@
-"""`surctl study`: sweep, verify, simulate and export in one command; of a system, also the order of the steps."""
+"""`surctl study` of a system: run, code, margins, region, sweep and report, in this order; next commands."""
 
 from __future__ import annotations
 
-import math
-import shlex
 import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -11,20 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from surctl.cli.claims import claim_line
-from surctl.cli.output import (
-    FOLDER,
-    Count,
-    as_json,
-    finish,
-    progress,
-    refusal_line,
-    same_command,
-    saving,
-    stoppable,
-    timed,
-)
-from surctl.cli.robot_options import at_hand, derive_words, law_words, margin_of_all, trust_option
+from surctl.cli.application import to_application
+from surctl.cli.output import FOLDER, Count, as_json, finish, finite, progress, saving, stoppable, timed
 from surctl.cli.subject import (
     OwnSystem,
     assigned,
@@ -45,145 +31,34 @@ if TYPE_CHECKING:
     from surctl.export import ExportedFile
     from surctl.lyapunov import Solution
     from surctl.tuning.design import Design
-    from surctl.verification import LoopMargins
 
 
 @click.command
-@click.argument("words", nargs=-1, metavar="[FILE | FILE.py:FUNCTION [WORD]...]")
+@click.argument("words", nargs=-1, metavar="FILE.py:FUNCTION [WORD]...]")
 @click.option(
     "--out", type=FOLDER, default=Path("surctl-out"), help="Folder for report, gains and code (default surctl-out)."
 )
 @click.option("--workers", type=Count(1), default=2, help="Number of processes of the sweep (default 2).")
-@click.option(
-    "--vehicle", metavar="FILE", help="Vehicle of the built-in study; its missions are scaled if the vehicle is large."
-)
-@click.option("--gains", metavar="FILE", help="Study this gain set (name or file), without a sweep.")
-@click.option("--film", is_flag=True, help="Also show the report's animated run in MuJoCo.")
 @seconds_option
-@trust_option
 @as_json
-def study(
-    words: tuple[str, ...],
-    out: Path,
-    workers: int,
-    vehicle: str | None,
-    gains: str | None,
-    film: bool,
-    seconds: float | None,
-    trust: bool,
-    as_json: bool,
-) -> None:
-    """Sweep gains, select the best point, verify the claims, simulate the scenarios, and export and check the C code.
-
-    FILE is a study file or a vehicle file; without FILE, the built-in study runs. For a vehicle that cannot sway, or
-    does not fit into a built-in scenario, the study scales three missions to the vehicle: a straight path, two legs,
-    and the obstacles of the scenario tank-static.
-
-    FILE.py:FUNCTION names a system of your own: the report has a run, margins, costs over gains, and C code. A WORD
-    sets a value of the run (NAME=VALUE), a swept gain (GAIN=LOW..HIGH:COUNT), or the box of a state for the region of
-    attraction (within.STATE=LOW..HIGH).
-
-    Examples: surctl study; surctl study my-vehicle.toml --out results; surctl study --vehicle otter --json >
-    study.json; surctl study my_system.py:build --seconds 5
-    """
-    if is_system(words, "words", "gains", "out", "workers", "seconds", "as_json"):
+def study(words: tuple[str, ...], out: Path, workers: int, seconds: float | None, as_json: bool, **_: Any) -> None:
+    """Simulate, verify, sweep and export in one command, and write one report."""
+    if is_system(words):
         study_system(words, seconds=seconds, workers=workers, out=out, as_json=as_json)
-    if len(words) > 1:
-        raise click.UsageError(f"Got unexpected extra argument ({words[1]})")
-    from surctl.ir.cache import find_compiler
-
-    find_compiler()  # before the imports and the plan, which take seconds
-    from surctl.marine.study import conduct, load_plan
-
-    file = words[0] if words else None
-
-    chosen = [f"--vehicle {vehicle}"] if vehicle else [file] if file else []
-    chosen += [f"--gains {gains}"] if gains else []
-    command = " ".join(["surctl study", *chosen, f"--out {out}", *["--film"] * film])
-    plan = load_plan(file, vehicle=vehicle, trust=trust)
-    plan = plan if gains is None else plan.with_gains(gains)
-    if film:
-        from surctl.marine.engine.pictures import check_pictures
-
-        check_pictures()
-    with stoppable(f"the finished points are in {out}; to continue: {same_command()}"):
-        result = conduct(plan, out, workers=workers, progress=progress, command=command, film=film, saving=saving)
-    lines = [f"study {result.plan.name}: {result.assessment.verdict()}"]
-    lines += [] if plan.derivation is None else [f"started from {line.strip()}" for line in plan.derivation.lines()]
-    lines += [f"{line.mark} {line.text}" for line in result.notes]
-    loops = result.loops
-    lines += ["", f"{'nominal loop':<12} {'gain':>10} {'phase':>10} {'delay':>10} {'disk':>6}"] if loops.margins else []
-    if loops.margins and not loops.margins[0].stable:
-        lines.append("unstable      margins of an unstable loop are 0")
-    for m in loops.margins if loops.margins and loops.margins[0].stable else ():
-        lines.append(_margin_line(m))
-    lines += ["", *(claim_line(v) for v in result.verdicts), *(refusal_line(v) for v in result.inapplicable)]
-    lines += ["", f"gains  {result.gain_file}", f"code   {out / 'export'}"]
-    lines += [f"report {result.report}"] if result.report else []
-    tuning = ["surctl", "tune", *([file] if file else []), *(["--trust"] if trust else [])]
-    about = at_hand(result.plan.deciding[0].scenario, plan.vehicle, str(result.gain_file))
-    cruise = None if plan.derivation is None else plan.derivation.cruise
-    then = changes(result.assessment, about[3], cruise)
-    # a search about missions that the study has made for the vehicle has no study file
-    then += [shlex.join(tuning)] if tunable(result.assessment) and not plan.unheard else []
-    then.append(shlex.join(_examined(plan.law, about)))
-    brief = [lines[0], *(f"{line.mark} {line.text}" for line in _weakest(result.assessment))]
-    finish(
-        result.to_dict(), lines,
-        as_json=as_json, passed=result.passed, then=then, brief=brief, files=_files(result.report, out),
-    )  # fmt: skip
+    to_application(words)
 
 
-def changes(assessment: Assessment, vehicle: str, cruise: float | None) -> list[str]:
-    """Return the command that derives gains with the gain `margin` that is missing; nothing if none is.
-
-    `cruise` is the speed [m/s] for which the assessed gains were derived, or None.
-    """
-    margin = margin_of_all(assessment)
-    if cruise is None or not math.isfinite(margin):
-        return []
-    return [derive_words(vehicle, cruise, "gains.toml", margin=margin)]
-
-
-def tunable(assessment: Assessment) -> bool:
-    """Return whether a search of gains can change the result: a no-contact margin is stated, not searched."""
-    contact = assessment.parts.get("no contact")
-    left = [line for line in assessment.lines if line.counts and line.passed is not True]
-    return not left or any(contact is None or line not in contact.lines for line in left)
-
-
-def _weakest(assessment: Assessment) -> Sequence[Line]:
+def weakest(assessment: Assessment) -> Sequence[Line]:
     """Return the weakest lines behind the banner, which itself is about the worst line unless all holds."""
     return assessment.weakest(3)[assessment.passed is not True :]
 
 
-def _files(report: Path | None, out: Path) -> list[str]:
+def report_files(report: Path | None, out: Path) -> list[str]:
+    """Return where report and code of a study are, for its summary."""
     return [*([f"report {report}"] if report else []), f"code {out / 'export'}"]
 
 
-def _margin_line(margin: LoopMargins) -> str:
-    gain, phase, delay = (
-        "never lost" if math.isinf(value) else f"{value:{form}}{unit}"
-        for value, form, unit in (
-            (margin.gain_margin, ".2f", ""),
-            (margin.phase_margin_deg, ".1f", "°"),
-            (margin.delay_margin_s, ".2f", "s"),
-        )
-    )
-    return f"{margin.name:<12} {gain:>10} {phase:>10} {delay:>10} {margin.disk_margin:6.2f}"
-
-
-def _examined(law: str, about: list[str]) -> list[str]:
-    """Return the command that checks the gains: `verify`, or `simulate` if no analysis is about the law."""
-    from surctl.marine.control import law_source
-
-    _, scenario, *others = about
-    simulated = ["surctl", "simulate", scenario, *others, *law_words(law)]
-    source = law_source(law)
-    return ["surctl", "verify", *about] if source.parts or source.steering is not None else simulated
-
-
-_AXES, _POINTS = 2, 9  # of the sweep, if no axis is given
+_AXES = 2  # of the sweep, if none is given
 _REGION = 60.0  # largest processor time of the region of a system [s]
 
 
@@ -191,11 +66,11 @@ def study_system(words: Sequence[str], *, seconds: float | None, workers: int, o
     """Write report.html and the C code of the controller; exit with status 1 if a check of the report fails."""
     from surctl import __version__
     from surctl.assessment import ClosedLoop, assess
-    from surctl.cli.export import system_bundle, system_evidence
+    from surctl.cli.export import replayed_run, system_bundle
     from surctl.cli.subject import loop_data, mode_text, region_words, resting
     from surctl.cli.sweep import best_line, best_points
     from surctl.export.bundle import check_folder, write_bundle
-    from surctl.export.evidence import with_evidence
+    from surctl.export.evidence import evidence_of, with_evidence
     from surctl.export.process import build_controller
     from surctl.export.sil import compare_runs
     from surctl.files import prepare_folder, write_file
@@ -213,7 +88,7 @@ def study_system(words: Sequence[str], *, seconds: float | None, workers: int, o
     others, region, uncertain = region_words([word for word in own.settings if word not in stated], own.system)
     duration, values = own.seconds(seconds), assigned(others)
     problem = None if region is None else region.problem(own.system, values)
-    axes = axes or _default_axes(own, values)
+    axes = axes or own.default_axes(values)[:_AXES]
     design = _design(own, axes, values)
     prepare_folder(out)
     check_folder(out / "export")
@@ -243,7 +118,9 @@ def study_system(words: Sequence[str], *, seconds: float | None, workers: int, o
     with stoppable(f"the code is in {out / 'export'}; not finished: margins, region, sweep", ran, as_json=as_json):
         assessment = assess(subject).with_lines([export_line(sil)])
         with saving("code"):
-            files = write_bundle(with_evidence(bundle, system_evidence(own, record, assessment, sil)), out / "export")
+            evidence = evidence_of(run=replayed_run(own, record), sil=sil)
+            evidence["assessment"] = finite(assessment.to_dict())
+            files = write_bundle(with_evidence(bundle, evidence), out / "export")
         if design is not None:
             progress(f"sweep of {len(design[0].points)} points")
             with saving("sweep"):
@@ -293,15 +170,9 @@ def study_system(words: Sequence[str], *, seconds: float | None, workers: int, o
         then = [command_line("verify", own, *about, *(f"{name}={value!r}" for name, value in at.items()))]
     finish(
         data, lines, as_json=as_json, passed=passed, then=then if passed else (),
-        brief=[lines[0], *(f"{line.mark} {line.text}" for line in _weakest(assessment))], files=_files(report, out),
+        brief=[lines[0], *(f"{line.mark} {line.text}" for line in weakest(assessment))],
+        files=report_files(report, out),
     )  # fmt: skip
-
-
-def _default_axes(own: OwnSystem, values: Mapping[str, object]) -> list[str]:
-    """Return axes from half to twice the default of the first gains; none without costs."""
-    gains = [port for port in own.system.controller.gains if port.size == 1 and port.default > 0]
-    free = [port for port in gains if port.name not in values] if own.system.costs else []
-    return [f"{port.name}={port.default / 2:.4g}..{port.default * 2:.4g}:{_POINTS}" for port in free[:_AXES]]
 
 
 def _design(

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import click
 from click.core import ParameterSource
 
+from surctl.cli.application import applications, own_parameters
 from surctl.errors import InputError, NotApplicable, check_known, nearest
 
 if TYPE_CHECKING:
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
     from surctl.verification.sampled_margins import LoopCorners, SystemLoop
 
 seconds_option = click.option(
-    "--seconds", type=float, metavar="S", help="Simulated time of FILE.py [s] (default: its own)."
+    "--seconds", type=float, metavar="S", help="Length of a run of FILE.py [s] (default: set in FILE.py)."
 )
 
 _MOST_PERIODS = 10_000_000  # of a run in Python, whose signals are in memory
@@ -97,6 +98,12 @@ class OwnSystem:
             raise InputError("has no costs", key="system", value=self.label, remedy="give System(..., costs={...})")
         return self.system.costs
 
+    def default_axes(self, values: Mapping[str, object]) -> list[str]:
+        """Return axes from half to twice the default of each gain without a value in `values`; none without costs."""
+        ports = self.system.controller.gains if self.system.costs else ()
+        free = [port for port in ports if port.size == 1 and port.default > 0 and port.name not in values]
+        return [f"{port.name}={port.default / 2:.4g}..{port.default * 2:.4g}:9" for port in free]
+
     def exported_name(self, name: str | None = None) -> str:
         """Return the name of the bundle: `name`, or that of the controller.
 
@@ -104,11 +111,10 @@ class OwnSystem:
             InputError: it cannot be the name of a bundle, or it is that of a built-in law.
         """
         from surctl.export.contract import checked_name
-        from surctl.marine.control.registry import LAWS
 
         try:
             chosen = checked_name(self.system.controller, name)
-            if chosen in {*LAWS, *(source.name for source in LAWS.values())}:
+            if any(chosen in one.reserved() for one in applications()):
                 problem, remedy = "is the name of a built-in law", "choose another name"
                 raise InputError(problem, key="name", value=chosen, remedy=remedy)
         except InputError as error:
@@ -118,15 +124,11 @@ class OwnSystem:
         return chosen
 
 
-def is_system(words: Sequence[str], *allowed: str) -> bool:
-    """Return whether the words of a command begin with a system of the user's own.
-
-    Args:
-        words: positional arguments of the command.
-        allowed: names of the parameters that the command takes for a system.
+def is_system(words: Sequence[str]) -> bool:
+    """Return whether the words of a common command begin with a system of the user's own.
 
     Raises:
-        InputError: an option of the command line applies only to a system, or only to the robot; or a word names a
+        InputError: an option of the command line applies only to a system, or only to an application; or a word names a
             system or a Python file in a position where it is not allowed.
     """
     from surctl.system.subjects import is_subject
@@ -143,11 +145,19 @@ def is_system(words: Sequence[str], *allowed: str) -> bool:
             remedy = "begin with FILE.py:FUNCTION, or drop it"
             raise InputError("applies only to a system", key="--seconds", remedy=remedy)
         return False
+    refuse_others("a system of your own")
+    return True
+
+
+def refuse_others(what: str) -> None:
+    """Raise InputError if an option of an application is given, which does not apply to `what`."""
+    context = click.get_current_context()
+    own = own_parameters(context.command)
     for option in context.command.params:
         typed = context.get_parameter_source(option.name or "") != ParameterSource.DEFAULT
-        if isinstance(option, click.Option) and option.expose_value and typed and option.name not in allowed:
-            raise InputError("does not apply to a system of your own", key=option.opts[0], remedy="drop it")
-    return True
+        # a table of gains replaces gains of a system, too
+        if isinstance(option, click.Option) and option not in own and typed and option.name != "gains":
+            raise InputError(f"does not apply to {what}", key=option.opts[0], remedy="drop it")
 
 
 def load_system(words: Sequence[str]) -> OwnSystem:

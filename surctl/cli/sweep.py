@@ -1,20 +1,19 @@
-"""`surctl sweep`: results over gains and other parameters, of missions or of any system, and the best points."""
+"""`surctl sweep`: results over gains and other parameters, files and pictures; of a system, its best points."""
 
 from __future__ import annotations
 
 import math
-import shlex
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from surctl.cli.application import to_application
 from surctl.cli.output import FOLDER, Count, as_json, finish, progress, same_command, saving, stoppable
-from surctl.cli.robot_options import SPEEDS, at_hand, choose_law, choose_shared, law_option, law_words
 from surctl.cli.subject import OwnSystem, command_line, is_system, load_system, seconds_option
 from surctl.errors import InputError, nearest
 
@@ -24,122 +23,82 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from numpy.typing import NDArray
 
-    from surctl.marine.control import Gains
-    from surctl.marine.simulation import Case
-    from surctl.marine.verification.linear_table import Locus
     from surctl.system import Runs, System
     from surctl.tuning import Design, Executor, SobolIndices, SweepSubject, SweepTable
     from surctl.tuning.system_sweep import Choice
 
 _SHOWN = 40  # largest number of points in the text output; the file holds all points
-_OF_SYSTEMS = ("seconds", "design", "points", "sensitivity", "seeds")  # options that apply to systems too
 _MOST_JSON = 100_000  # largest number of points printed as JSON
-_LOCUS = 61  # number of parameter values at which poles are computed
-_SMOOTH = 0.02  # parameter values are added where a pole moves further than this share of its modulus
-_PRINTED = (  # columns of the text output
-    "deviation_m", "path_error_m", "time_s", "min_clearance_m_worst", "effort_n", "delay_margin_s", "disk_margin",
-    "disk_margin_at_m_per_s", "reached_worst", "score", "feasible",
-)  # fmt: skip
-_EXPLAINED = ("deviation_m", "path_error_m")  # columns whose meaning is printed below the points: their names are alike
 
 
 @click.command
 @click.argument(
-    "axes", nargs=-1, required=True, metavar="[FILE.py:FUNCTION] PARAMETER=V1,V2,...|LOW..HIGH[:COUNT][:log] ..."
+    "words", nargs=-1, required=True, metavar="[FILE.py:FUNCTION] PARAMETER=V1,V2,...|LOW..HIGH[:COUNT][:log] ..."
 )
 @seconds_option
-@click.option(
-    "--scenario",
-    "scenarios",
-    multiple=True,
-    default=("tank-static", "pool-static"),
-    metavar="FILE",
-    help="Scenario simulated at each point: name or file; may be repeated (default tank-static and pool-static).",
-)
-@click.option(
-    "--vehicle",
-    "vehicles",
-    multiple=True,
-    metavar="FILE",
-    help="Vehicle: name or file; may be repeated (default: each scenario's).",
-)
-@click.option("--sensing", default="truth", metavar="NAME", help="Obstacle positions from truth (default) or sonar.")
-@click.option("--gains", metavar="FILE", help="Gains not swept: name or file (default: the vehicle's).")
-@law_option
-@click.option(
-    "--priority-mode", default="nsb", metavar="NAME", help="Mode: nsb (default), filter, projected, lexicographic."
-)
-@click.option(
-    "--guidance",
-    default="los",
-    metavar="NAME",
-    help="Path guidance: los (default), ilos or alos. Loop margins and --locus always use los.",
-)
 @click.option(
     "--design",
     default="grid",
     metavar="NAME",
-    help="Points: grid (default), or space-filling in the ranges: lhs, sobol.",
+    help="Points: grid (default), lhs (Latin hypercube) or sobol.",
 )
-@click.option("--points", type=Count(1), help="Number of points for lhs and sobol.")
+@click.option("--points", type=Count(1), help="Number of points of --design lhs or sobol.")
 @click.option(
     "--sensitivity",
-    metavar="COLUMN",
-    help="Sobol' indices of a result column; needs N (number of axes + 2) points, N = --points (default 64).",
-)
-@click.option("--locus", metavar="PARAMETER", help="Plot the closed-loop poles over this axis, for the selected gains.")
-@click.option(
-    "--cruise",
-    type=SPEEDS,
-    metavar="U1,U2,...",
-    help="Cruise speeds [m/s] of the loop margins; the worst counts (default: the scenarios' speeds).",
+    metavar="COST",
+    help="Compute Sobol' indices of a cost from N (number of axes + 2) points, N = --points (default 64).",
 )
 @click.option(
-    "--seeds", type=Count(1, 1_000_000), default=1, help="Simulate every point with the seeds 0 to N-1 (default 1)."
+    "--seeds", type=Count(1, 1_000_000), default=1, help="Simulate each point with the seeds 0 to N-1 (default 1)."
 )
-@click.option("--workers", type=Count(1), help="Processes or threads (default 2).")
-@click.option("--dask", metavar="ADDRESS", help="Use a Dask scheduler instead of local processes.")
+@click.option("--workers", type=Count(1), help="Parallel processes or threads (default 2).")
+@click.option("--dask", metavar="ADDRESS", help="Run on the Dask scheduler at ADDRESS, not locally.")
 @click.option(
     "--out",
     type=FOLDER,
     default=Path("surctl-out"),
-    help="Folder of sweep.nc (default surctl-out); an interrupted sweep resumes there.",
+    help="Folder for sweep.nc (default surctl-out). The same command continues an interrupted sweep.",
 )
 @as_json
-def sweep(axes: tuple[str, ...], workers: int | None, dask: str | None, out: Path, as_json: bool, **words: Any) -> None:
-    """Simulate scenarios over values of parameters, compute loop margins, and select the best point.
+def sweep(
+    words: tuple[str, ...],
+    seconds: float | None,
+    design: str,
+    points: int | None,
+    sensitivity: str | None,
+    seeds: int,
+    workers: int | None,
+    dask: str | None,
+    out: Path,
+    as_json: bool,
+    **_: Any,
+) -> None:
+    """Compute costs over values of parameters, and select the best point."""
+    if sensitivity is not None and design != "grid":
+        raise InputError("chooses its own points", key="--sensitivity", value=sensitivity, remedy="drop --design")
+    executor = None if dask is None and is_system(words) else _executor(workers, dask)
+    if is_system(words):
+        job = _own(
+            words, seconds=seconds, design=design, points=points, sensitivity=sensitivity, seeds=seeds,
+            threads=workers or (2 if dask is None else 1), compiles=dask is None,
+        )  # fmt: skip
+    else:
+        job = to_application(words)
+    _run(job, executor, sensitivity=sensitivity, out=out, as_json=as_json)
 
-    A parameter is a gain (k_v), a vehicle parameter (vehicle.m11; plant.m11 changes the plant but not the controller's
-    model), a number of the scenario (scenario.cruise) or seed. Exit status: 1 if the best point is not accepted.
 
-    For a system of your own, FILE.py:FUNCTION, the axes are gains (k), plant.NAME, reference.NAME, disturbance.NAME,
-    start.NAME. With --seeds N, the worst of N runs with plant.NAME=LOW..HIGH at random counts.
-
-    Examples: surctl sweep --scenario pool-static lookahead=0.6,0.9,1.2 k_v=0.5..3:6:log;
-    surctl sweep k_v=1..3 plant.m11=30..60 --sensitivity deviation_m;
-    surctl sweep my_system.py:build k=1..8:20:log plant.m=1..2 --seeds 100 --seconds 5
-    """
+def _run(job: SweepJob, executor: Executor | None, *, sensitivity: str | None, out: Path, as_json: bool) -> None:
+    """Run the sweep, write its tables and pictures, and end the command."""
     from surctl.files import prepare_folder
     from surctl.tuning import sobol_indices
     from surctl.tuning import sweep as run_sweep
 
-    if words["sensitivity"] is not None and words["design"] != "grid":
-        remedy = "drop --design"
-        raise InputError("chooses its own points", key="--sensitivity", value=words["sensitivity"], remedy=remedy)
-    if is_system(axes, *_OF_SYSTEMS, "gains", "workers", "dask", "out", "as_json"):
-        executor = None if dask is None else _executor(workers, dask)
-        job = _own(axes, threads=workers or (2 if dask is None else 1), compiles=dask is None,
-                   **{name: words[name] for name in _OF_SYSTEMS})  # fmt: skip
-    else:
-        executor = _executor(workers, dask)
-        job = _missions(axes, **{name: word for name, word in words.items() if name != "seconds"})
     if as_json and job.count > _MOST_JSON:
         problem, remedy = f"would print {job.count} {job.counted}", f"drop this option and read {job.file}"
         raise InputError(problem, key="--json", remedy=remedy)
     prepare_folder(out)
     with stoppable(f"the finished {job.counted} are in {out}; to continue: {same_command()}"):
         table = run_sweep(job.subject, job.design, executor=executor, out=out, progress=progress)
-    sensitivity = words["sensitivity"]
     sobol = None if sensitivity is None else sobol_indices(job.design, table.mean(sensitivity), sensitivity)
     summary = job.summary(table, sobol, out, as_json)
     pictures = _pictures(job, table, sobol, out, summary.pictures)
@@ -156,8 +115,9 @@ def sweep(axes: tuple[str, ...], workers: int | None, dask: str | None, out: Pat
 
 
 @dataclass(frozen=True)
-class _Summary:
-    # what a sweep says: `then` are the next commands, `files` the written files by what they are
+class SweepSummary:
+    """What a sweep prints: lines, data, next commands (`then`), files by what they are, further pictures."""
+
     lines: list[str]
     brief: list[str]
     data: dict[str, Any]
@@ -168,8 +128,9 @@ class _Summary:
 
 
 @dataclass(frozen=True)
-class _Job:
-    # what the command line asks for; `plotted` are the columns in pictures, `mapped` those of heat maps
+class SweepJob:
+    """What the command line asks for; `plotted` are the columns in pictures, `mapped` those of heat maps."""
+
     subject: SweepSubject
     design: Design
     count: int
@@ -178,11 +139,11 @@ class _Job:
     plotted: Sequence[str]
     mapped: Sequence[str]
     titles: Mapping[str, str]
-    summary: Callable[[SweepTable, SobolIndices | None, Path, bool], _Summary]
+    summary: Callable[[SweepTable, SobolIndices | None, Path, bool], SweepSummary]
 
 
 def _pictures(
-    job: _Job,
+    job: SweepJob,
     table: SweepTable,
     sobol: SobolIndices | None,
     out: Path,
@@ -210,170 +171,12 @@ def _pictures(
     return pictures
 
 
-def _vehicles(cases: Sequence[Case], typed: Sequence[str]) -> list[str]:
-    """Return a line for each vehicle of a scenario, with the origin of the choice."""
-    from surctl.cli.robot_options import choose_vehicle
-
-    option = next(iter(typed), None)
-    choices = [(choose_vehicle(option, (c.scenario.name, c.scenario.vehicle)), c.vehicle.name) for c in cases]
-    return list(dict.fromkeys(choice.line(name) for choice, name in choices))
-
-
-def _set_aside(gains: Path) -> list[str]:
-    """Rename the gain file of an earlier sweep, which the present results do not confirm; return the line about it."""
-    if not gains.exists():
-        return []
-    return [f"the gain file of an earlier sweep is now {gains.replace(gains.with_stem('gains-before'))}"]
-
-
 def _executor(workers: int | None, dask: str | None) -> Executor:
     from surctl.tuning import DaskExecutor, LocalExecutor
 
     if workers is not None and dask is not None:
         raise click.UsageError("--workers and --dask exclude each other")
     return LocalExecutor(workers or 2) if dask is None else DaskExecutor(dask)
-
-
-def _missions(
-    axes: Sequence[str],
-    *,
-    scenarios: Sequence[str],
-    vehicles: Sequence[str],
-    gains: str | None,
-    law: str | None,
-    priority_mode: str,
-    sensing: str,
-    guidance: str,
-    design: str,
-    points: int | None,
-    sensitivity: str | None,
-    locus: str | None,
-    cruise: Sequence[float] | None,
-    seeds: int,
-) -> _Job:
-    """Return the sweep of missions that the options ask for."""
-    from surctl.marine.control import law_source, load_gains
-    from surctl.marine.report.goals import COLUMN_TITLES, SHOWN
-    from surctl.marine.simulation import load_scenario
-    from surctl.marine.tuning import MissionSweep, build_cases
-    from surctl.marine.tuning.sweep import check_column
-    from surctl.marine.vehicle import load_vehicle
-    from surctl.tuning import make_design, parse_axis, saltelli
-
-    parsed = [parse_axis(text) for text in axes]
-    if sensitivity is None:
-        chosen = make_design(design, parsed, count=points)
-    else:
-        check_column(sensitivity)
-        chosen = saltelli(parsed, base=64 if points is None else points)
-    if locus is not None and locus not in chosen.names:
-        raise InputError(
-            "is not an axis of this sweep", key="--locus", value=locus, remedy=nearest(locus, chosen.names)
-        )
-    missions, robots = [load_scenario(name) for name in scenarios], [load_vehicle(name) for name in vehicles]
-    law, why = choose_law(law, robots or [load_vehicle(mission.vehicle) for mission in missions])
-    own = law_source(law).gains
-    cases = build_cases(
-        missions,
-        robots,
-        gains=load_gains(gains or "default", own=own),
-        law=law, mode=priority_mode, sensing=sensing, guidance=guidance,
-    )  # fmt: skip
-    tuned = choose_shared(gains, [(case.vehicle, case.scenario.cruise) for case in cases], own=own)
-    cases = tuple(replace(case, gains=tuned.gains) for case in cases)
-    if locus is not None:  # report a mistake before the simulations, not after them
-        _locus(cases, tuned.gains, locus, chosen.points[:, chosen.names.index(locus)], {})
-    subject = MissionSweep(cases, tuple(range(seeds)), cruise=tuple(cruise or ()))
-    head = [*why, *_vehicles(cases, vehicles), *tuned.lines]
-    summary = partial(_mission_summary, cases, law, sensing, locus, head)
-    return _Job(subject, chosen, len(chosen.points), "points", "sweep.nc", SHOWN, ["score"], COLUMN_TITLES, summary)
-
-
-def _mission_summary(
-    cases: Sequence[Case],
-    law: str,
-    sensing: str,
-    locus: str | None,
-    head: Sequence[str],
-    table: SweepTable,
-    sobol: SobolIndices | None,
-    out: Path,
-    as_json: bool,
-) -> _Summary:
-    from surctl.assessment import assess
-    from surctl.files import write_file
-    from surctl.marine.assessment import missions_of
-    from surctl.marine.control import law_source, write_gains
-    from surctl.marine.report import plot_locus
-    from surctl.marine.simulation import METRICS
-    from surctl.marine.tuning import picked_gains
-
-    picked, gains, file = table.picked, picked_gains(table), out / "gains.toml"
-    moved = _set_aside(file) if picked is None else []
-    files = {} if picked is None else {"gains": write_file(file, write_gains(gains))}
-    assessments = [] if picked is None else [assess(m, parts=["loop", "no contact"]) for m in missions_of(cases, gains)]
-    verdicts = [f"{one.subject} {one.verdict()}" for one in assessments]
-    where = "No point is feasible, so no gain file was written." if picked is None else gains.provenance
-    lines = [*head, *(_rows(table, _PRINTED) if sobol is None else sobol.lines())]
-    lines += [f"  {name}: {METRICS[name].meaning}" for name in _EXPLAINED if sobol is None and name in table.columns]
-    for one, verdict in zip(assessments, verdicts, strict=True):
-        lines += ["", verdict, *one.decisive]
-    about = shlex.join(at_hand(cases[0].scenario, cases[0].vehicle, str(files.get("gains"))))
-    # the claims of `verify` are about parts of the built-in laws
-    exported = f"surctl export {about} {shlex.join(law_words(law))} --sensing {sensing}"
-    then = [f"surctl verify {about}" if law_source(law).parts else exported] if picked is not None else []
-    feasible, best = table.column("feasible") > 0.5, {} if picked is None else table.at(picked)
-    values = "; the best has " * bool(best) + ", ".join(f"{name} = {value:.4g}" for name, value in best.items())
-    brief = [f"{feasible.sum()} of {feasible.size} points are feasible{values}"]
-    brief += [*([where] if picked is None else ()), *moved]
-    brief += [verdict for one, verdict in zip(assessments, verdicts, strict=True) if not one.accepted()]
-    data = {
-        "axes": {axis.name: axis.values.tolist() for axis in table.axes},
-        "units": dict(table.units),
-        "cases": list(table.cases),
-        "results": table.rows() if as_json else [],
-        "picked": None if picked is None else table.row(picked),
-        "assessments": [one.to_dict() for one in assessments],
-        "gains": None if picked is None else str(files["gains"]),
-        "table": str(table.path),
-    }
-
-    def locus_plot() -> Axes:
-        [axis] = (axis for axis in table.axes if axis.name == locus)
-        poles = _locus(cases, gains, axis.name, axis.values, best)
-        return plot_locus(poles, unit=axis.unit, picked=best.get(axis.name))
-
-    return _Summary(
-        [*lines, "", where, *moved], brief, data,
-        passed=bool(assessments) and all(one.accepted() for one in assessments), then=then,
-        files=files | {"table": Path(str(table.path))},
-        pictures={} if locus is None else {("locus", locus): locus_plot},
-    )  # fmt: skip
-
-
-def _locus(
-    cases: Sequence[Case], gains: Gains, parameter: str, swept: NDArray[np.float64], at: Mapping[str, float]
-) -> Locus:
-    # poles of the first vehicle at its largest cruise speed, about the point `at`
-    import numpy as np
-
-    from surctl.marine.verification import sweep_locus
-    from surctl.marine.verification.cruise_loop import TRACKING_LAW, has_cruise_loop
-
-    first = cases[0]
-    values = np.union1d(np.linspace(swept.min(), swept.max(), _LOCUS), [at[parameter]] if parameter in at else [])
-    return sweep_locus(
-        first.vehicle,
-        gains.values,
-        parameter,
-        values,
-        cruise=max(c.scenario.cruise for c in cases if c.vehicle == first.vehicle),
-        dt=first.build().dt,
-        model=first.model,
-        smooth=_SMOOTH,
-        about=at,
-        law=first.law if has_cruise_loop(first.law, "los") else TRACKING_LAW,
-    )
 
 
 _MOST_REPEATED = 20_000  # largest number of control periods of a run that is repeated in Python
@@ -390,7 +193,7 @@ def _own(
     seeds: int,
     threads: int,
     compiles: bool,
-) -> _Job:
+) -> SweepJob:
     """Return the sweep of a system that the words and options ask for; `compiles` in this process."""
     from surctl.ir.cache import find_compiler
     from surctl.tuning import SystemSweep, parse_axis
@@ -409,12 +212,12 @@ def _own(
         find_compiler()
     subject = SystemSweep(own.system, duration, draws, threads=threads, about=own.origin, source=own.word)
     count, summary = len(chosen.points) * max(map(len, draws.values()), default=1), partial(_run_summary, own, duration)
-    return _Job(subject, chosen, count, "runs", "sweep.csv", costs, costs, {}, summary)
+    return SweepJob(subject, chosen, count, "runs", "sweep.csv", costs, costs, {}, summary)
 
 
 def _run_summary(
     own: OwnSystem, duration: float, table: SweepTable, sobol: SobolIndices | None, out: Path, as_json: bool
-) -> _Summary:
+) -> SweepSummary:
     from surctl.recorded_write import write_csv
     from surctl.system import LOST
     from surctl.tuning.system_sweep import chosen_points, runs_of
@@ -431,7 +234,7 @@ def _run_summary(
     best = best_points(table, system, choices)
     lost = [k for k, stopped in enumerate(runs.stopped) if stopped == LOST]
     head = f"{system.title}: {count} runs of {duration:g} s, control period {system.dt:g} s"
-    lines = [head, *(_rows(table, list(system.costs), runs) if sobol is None else sobol.lines())]
+    lines = [head, *(point_rows(table, list(system.costs), runs) if sobol is None else sobol.lines())]
     best_lines = [best_line(table, system, name, row, choices[name]) for name, row in best.items()]
     for name, line in zip(best, best_lines, strict=True):
         marked = [one for one in choices[name].assessment.lines if one.about]
@@ -458,7 +261,7 @@ def _run_summary(
     for row in list(best.values())[:1]:
         numbers = [f"{name}={value!r}" for name, value in (row["at"] | row["random"]).items()]
         then = [command_line("simulate", own, *numbers, "--seconds", f"{duration:g}")]
-    return _Summary(
+    return SweepSummary(
         lines, [head, *best_lines, *failures, *infinite], data,
         passed=bool(best) and all(choice.assessment.accepted() for choice in choices.values()), then=then, files=files,
         pictures={} if table.axes else {("sweep", "runs"): runs.plot},
@@ -486,7 +289,8 @@ def _result(runs: Runs, k: int) -> dict[str, Any]:
     return {"costs": costs, "stopped": str(runs.stopped[k]), "duration_s": float(runs.time[k])}
 
 
-def _rows(table: SweepTable, columns: Iterable[str], runs: Runs | None = None) -> list[str]:
+def point_rows(table: SweepTable, columns: Iterable[str], runs: Runs | None = None) -> list[str]:
+    """Return a line for each of the first points, with its parameters and the named columns."""
     rows, each, count = list[str](), table.each, math.prod(table.shape)
     known = {name: (table.worst(name).ravel(), table.mean(name).ravel()) for name in columns if name in table.columns}
     units = {name: f" {unit}" * (unit != "1") for name, unit in table.units.items()}

@@ -1,136 +1,113 @@
-"""`surctl tune`: search gains and test them; HARD GOALS NOT MET, files that it writes, exit status, next command."""
+"""`surctl tune`: search gains and test them; HARD GOALS NOT MET, files, exit status; of a system, goals and page."""
 
 from __future__ import annotations
 
 import json
+import os
+import sys
+from abc import ABC, abstractmethod
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from surctl.cli.output import FOLDER, Count, as_json, finish, finite, progress, same_command, saving, stoppable
-from surctl.cli.robot_options import SPEEDS, trust_option
-from surctl.cli.subject import is_system, seconds_option
-from surctl.cli.tuning_output import mission_plan, missions_tuned, serve_page, serve_system_page, system_tuned
+from surctl.cli.application import to_application
+from surctl.cli.output import FOLDER, Count, as_json, finish, finite, progress, same_command, saving, stoppable, waiting
+from surctl.cli.subject import (
+    OwnSystem,
+    assigned,
+    command_line,
+    cost_data,
+    gain_ranges_of,
+    is_system,
+    listed_values,
+    load_system,
+    region_words,
+    seconds_option,
+)
+from surctl.errors import InputError
 
 if TYPE_CHECKING:
-    from surctl.cli.tuning_output import Task
+    from surctl.assessment import Assessment, Part
+    from surctl.report.design_bench import DesignBench
+    from surctl.tuning import RunGoal, SystemRequest, Tuning
+    from surctl.tuning.outcome import Finals, Miss
+    from surctl.tuning.pool import SearchRequest
 
 
 @click.command
-@click.argument("words", nargs=-1, metavar="[STUDY | FILE.py:FUNCTION [NAME=VALUE,...]...]")
+@click.argument("words", nargs=-1, metavar="FILE.py:FUNCTION [NAME=VALUE,...]...]")
 @click.option(
-    "--gain", "gain", multiple=True, metavar="NAME[=LOW..HIGH]", help="Gain to tune, with its range; may be repeated."
+    "--gain", "gain", multiple=True, metavar="NAME[=A..B]", help="Gain to tune, and the range A to B; repeatable."
 )
 @click.option(
-    "--goals", "goals_file", metavar="FILE", help="Goals: name or file (default: the study's, else the built-in goals)."
+    "--goals",
+    "goals_file",
+    metavar="FILE",
+    help="Goals: name or file (default: those of the study, else the built-in goals).",
 )
-@click.option("--cruise", type=SPEEDS, metavar="U1,U2,...", help="Cruise speeds [m/s] of loop goals that name none.")
 @click.option(
     "--trials",
     type=Count(1),
     default=256,
-    help="Gain sets per round, each simulated in all scenarios (default 256; multiple of 32).",
+    help="Number of gain sets in a round, each simulated in all scenarios (default 256; multiple of 32).",
 )
-@click.option("--seed", type=Count(0), default=0, help="Seed of the search and of the new runs (default 0).")
-@click.option("--seeds", type=Count(1, 1_000_000), default=4, help="Simulate with the seeds 0 to N-1 (default 4).")
-@click.option(
-    "--vehicle", "vehicles", multiple=True, metavar="FILE", help="Vehicle (name or file) of the runs; may be repeated."
-)
-@click.option(
-    "--guidance", metavar="NAME", help="Path guidance: los, ilos or alos (default: STUDY). Loop margins always use los."
-)
-@click.option(
-    "--rounds", type=Count(1), default=3, help="Largest number of rounds of tuning and verifying (default 3)."
-)
+@click.option("--seed", type=Count(0), default=0, help="Seed of the search and of the random test runs (default 0).")
+@click.option("--rounds", type=Count(1), default=3, help="Largest number of tuning rounds (default 3).")
 @click.option(
     "--monte-carlo",
     "runs",
     type=Count(0),
-    help="Random runs that test the gains after each round (default 2000; of a system 0).",
+    help="Number of random runs that test the best gains of a round (default 2000; 0 for FILE.py).",
 )
-@click.option("--workers", type=Count(1), default=2, help="Number of threads (default 2).")
+@click.option("--workers", type=Count(1), default=2, help="Number of parallel threads (default 2).")
 @click.option(
     "--out",
     type=FOLDER,
     default=Path("surctl-out"),
-    help="Output folder (default surctl-out); an interrupted search resumes there.",
+    help="Folder for results (default surctl-out). The same command continues an interrupted search.",
 )
-@click.option("--page", is_flag=True, help="Open a page with sliders instead of a search.")
-@click.option("--law", metavar="NAME", help="Law: NAME or FILE.py:FUNCTION (default: STUDY).")
-@click.option("--scenario", metavar="FILE", help="Scenario of --page (default: the study's first).")
-@click.option("--gains", "gains_file", metavar="FILE", help="Gain set at the start: name or file (default: STUDY).")
-@click.option("--port", type=Count(1, 65535), help="Port of --page (default: a free port).")
-@click.option("--no-browser", is_flag=True, help="Print the address of --page, but do not open it.")
-@trust_option
+@click.option("--page", is_flag=True, help="Open a web page with sliders instead of a search.")
+@click.option("--port", type=Count(1, 65535), help="TCP port of --page (default: a free port).")
+@click.option("--no-browser", is_flag=True, help="Print the address of --page, and open no browser.")
 @seconds_option
 @as_json
 def tune(
     words: tuple[str, ...],
     gain: tuple[str, ...],
     goals_file: str | None,
-    cruise: tuple[float, ...] | None,
     trials: int,
     seed: int,
-    seeds: int,
-    vehicles: tuple[str, ...],
-    guidance: str | None,
     rounds: int,
     runs: int | None,
     workers: int,
     out: Path,
     page: bool,
-    law: str | None,
-    scenario: str | None,
-    gains_file: str | None,
     port: int | None,
     no_browser: bool,
-    trust: bool,
     seconds: float | None,
     as_json: bool,
+    **_: Any,
 ) -> None:
-    """Search for gains that meet goals; test them, and repeat with runs that fail.
-
-    The gains must meet the hard goals for every scenario, seed and corner of the vehicle's ranges; the soft goals are
-    minimised. New random runs and the claims test the tuned gains. Exit status: 1 if a hard goal is not met or fails
-    in the test, or if a line of the assessment fails.
-
-    FILE.py:FUNCTION names a system of your own: the search minimises its first cost, with the bounds of the
-    other costs and a disk margin of at least 0.3, for every value of NAME=V1,V2. With --goals, the search minimises the
-    worst soft goal.
-
-    Examples: surctl tune my-study.toml --gain k_v=0.5..3 --goals my-goals.toml; surctl tune my-system.py:build --page
-    """
-    ranges = dict(_gain(text) for text in gain)
+    """Search for gains that meet goals, and test them."""
+    ranges = dict(parse_gain(text) for text in gain)
     if len(ranges) < len(gain):
         raise click.BadParameter("names a gain twice", param_hint="--gain")
-    shown, search = ("page", "port", "no_browser"), ("trials", "seed", "rounds", "runs", "workers")
-    own = is_system(words, "gain", "goals_file", "seconds", "out", "as_json", *shown, *search)
-    if not own and len(words) > 1:
-        raise click.UsageError(f"Got unexpected extra argument ({words[1]})")
-    file = words[0] if words else None
-    if page and own:
-        serve_system_page(words, ranges, goals_file, seconds=seconds, port=port, browser=not no_browser)
-        return
-    if page:
-        serve_page(
-            file, goals_file, vehicles,
-            scenario=scenario, gains=gains_file, law=law, cruise=cruise, port=port, browser=not no_browser, trust=trust,
-        )  # fmt: skip
-        return
-    if scenario or port or no_browser:
-        raise click.UsageError(_needs_page(scenario))
-    if own:
-        task: Task = system_tuned(words, ranges, goals_file, seconds=seconds, trials=trials, seed=seed, threads=workers)
+    if (port or no_browser) and not page:
+        raise click.UsageError("--port and --no-browser need --page")
+    task: Any
+    if not is_system(words):
+        task = to_application(words)
+    elif page:
+        task = system_bench(words, ranges, goals_file, seconds=seconds)
     else:
-        from surctl.ir.cache import find_compiler
-
-        find_compiler()  # thousands of runs: without compiled code, hours
-        plan = mission_plan(file, trust=trust, law=law, gains=gains_file, vehicles=vehicles, out=out)
-        task = missions_tuned(
-            plan, ranges, goals_file, cruise=cruise or (), guidance=guidance, seeds=seeds, seed=seed, threads=workers
-        )
-    runs = (0 if own else 2000) if runs is None else runs
+        task = system_tuned(words, ranges, goals_file, seconds=seconds, trials=trials, seed=seed, threads=workers)
+    if page:
+        _serve(task, port=port, browser=not no_browser)
+        return
+    runs = task.tested if runs is None else runs
     _search(task, trials=trials, rounds=rounds, runs=runs, out=out, as_json=as_json)
 
 
@@ -186,15 +163,8 @@ def _search(task: Task, *, trials: int, rounds: int, runs: int, out: Path, as_js
     )  # fmt: skip
 
 
-def _needs_page(scenario: str | None) -> str:
-    """Return the error for options that need --page; the message says how a study file sets their values."""
-    if scenario:
-        own = f'write [[runs]] with scenario = "{scenario}" in a study file and give the file: surctl tune STUDY.toml'
-        return f"--scenario selects the scenario of --page; to tune over chosen scenarios, {own}"
-    return "--port and --no-browser need --page"
-
-
-def _gain(text: str) -> tuple[str, tuple[float, float] | None]:
+def parse_gain(text: str) -> tuple[str, tuple[float, float] | None]:
+    """Return name and range of a value of `--gain`."""
     name, equals, ends = text.partition("=")
     if not equals:
         return name, None
@@ -205,3 +175,188 @@ def _gain(text: str) -> tuple[str, tuple[float, float] | None]:
     except ValueError:
         pass
     raise click.BadParameter(f"{text!r} is not NAME=LOW..HIGH", param_hint="--gain")
+
+
+@dataclass(frozen=True)
+class More:
+    """What is printed of a tuning besides goals and assessment: data, lines, and the commands to suggest next."""
+
+    data: dict[str, Any]
+    then: list[str]
+    floor: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    over: list[str] = field(default_factory=list)
+
+
+@dataclass(frozen=True, eq=False)
+class Task(ABC):
+    """What is tuned, and what is printed and written of it.
+
+    Attributes:
+        request: the request of the search.
+        finals: goals checked at its end; `default` are those that may be left out.
+        limit: words of the remedy if the linear figures do not describe the runs.
+        tested: random runs that test the gains of a round by default.
+    """
+
+    request: SearchRequest
+    finals: Sequence[RunGoal]
+    default: Collection[RunGoal]
+    limit: Mapping[str, str]
+    tested: int
+
+    @abstractmethod
+    def assessed(
+        self, gains: Mapping[str, float], parts: Collection[str] | None, computed: Mapping[str, Part] | None
+    ) -> Assessment:
+        """Return what is assessed with these gains."""
+
+    @abstractmethod
+    def gain_file(self, tuning: Tuning, out: Path, warning: str) -> tuple[Path, str]:
+        """Return file and text of the tuned gains."""
+
+    @abstractmethod
+    def more(self, tuning: Tuning, checked: Finals, gains: str, trials: int) -> More:
+        """Return what is printed besides goals and assessment; `gains` is the written file."""
+
+    def pictures(self, tuning: Tuning, out: Path) -> list[Path]:
+        """Write pictures of the tuning."""
+        return []
+
+    def look(self, missed: Sequence[Miss], gains: str) -> list[str]:
+        """Return the command that shows a missed goal."""
+        return []
+
+
+@dataclass(frozen=True, eq=False)
+class _System(Task):
+    request: SystemRequest
+    own: OwnSystem
+
+    def assessed(
+        self, gains: Mapping[str, float], parts: Collection[str] | None, computed: Mapping[str, Part] | None
+    ) -> Assessment:
+        return self.request.assessed(gains, parts, computed)
+
+    def gain_file(self, tuning: Tuning, out: Path, warning: str) -> tuple[Path, str]:
+        return out / "gains.csv", self.request.so_far(tuning.result.gains, "")[1]
+
+    def more(self, tuning: Tuning, checked: Finals, gains: str, trials: int) -> More:
+        own, duration = self.own, self.request.seconds
+        costs = {
+            when: cost_data(own.system, self.request.costs(values))
+            for when, values in (("before", self.request.begun), ("after", tuning.result.gains))
+        }
+        numbers = ["--gains", gains]
+        seconds = f"{duration or 100 * own.system.dt:g}"
+        then = [command_line("verify", own, *numbers), command_line("export", own, *numbers, "--seconds", seconds)]
+        data = {**own.names, "seconds": duration, "costs": costs}
+        return More(data, then, notes=self.request.scores(tuning.result.gains))
+
+
+def system_tuned(
+    words: Sequence[str],
+    ranges: Mapping[str, tuple[float, float] | None],
+    goals_file: str | None,
+    *,
+    seconds: float | None,
+    trials: int,
+    seed: int,
+    threads: int,
+) -> Task:
+    """Return the tuning of a system; words NAME=V1,V2,… are the numbers of its cases, one value is for all cases.
+
+    Raises:
+        InputError: a word, a range or a goal does not fit the system.
+    """
+    import numpy as np
+
+    from surctl.system.values import check_scalar
+    from surctl.tuning.goals import load_system_goals
+    from surctl.tuning.systems import margin_goals, system_request
+
+    own = load_system(words)
+    about, points, of_runs = ((), {}, ()) if goals_file is None else load_system_goals(goals_file, own.system)
+    duration = own.seconds(seconds) if own.system.costs or seconds is not None else 0.0
+    listed, space = listed_values(own.settings), gain_ranges_of(own, ranges)
+    for name in listed:
+        if len(listed[name]) > 1:
+            check_scalar(own.system, name)
+    cases = {name: np.array(v[0] if len(v) == 1 else v) for name, v in listed.items()}
+    try:
+        request = system_request(
+            own.system, duration, space,
+            cases=cases, trials=trials, seed=seed, threads=threads, goals=about, points=points, run_goals=of_runs,
+        )  # fmt: skip
+    except InputError as error:
+        raise (error.inside(goals_file) if (error.key or "").startswith(("goals.", "point ")) else error) from None
+    finals, costs = margin_goals(own.system), own.system.costs
+    late = next((name for name, cost in costs.items() if cost.how == "last_time"), next(iter(costs), None))
+    remedy = f'ask it of the run, such as metric = "{late}"' if late else "give the system a cost of its runs"
+    return _System(request, finals, finals, {"command": "command {}", "run": "the run", "remedy": remedy}, 0, own)
+
+
+_PERIODS = 600  # of a run, without --seconds
+
+
+def system_bench(
+    words: Sequence[str],
+    ranges: Mapping[str, tuple[float, float] | None],
+    goals: str | None,
+    *,
+    seconds: float | None,
+) -> DesignBench:
+    """Return what the page of a system of the user's own shows; NAME=V1,V2 gives the operating points."""
+    from surctl.report.design_bench import SystemBench
+    from surctl.tuning import judge_loops, load_loop_goals
+
+    own = load_system(words)
+    others, region, uncertain = region_words(own.settings, own.system)
+    about_loop, stated = ((), {}) if goals is None else load_loop_goals(goals)
+    values = listed_values(others)
+    swept = {name: numbers for name, numbers in values.items() if len(numbers) > 1}
+    fixed = {name: numbers[0] for name, numbers in values.items() if len(numbers) == 1}
+    if len(swept) > 1:
+        raise InputError(
+            "are two lists", key=", ".join(swept), remedy="vary one number; use [[points]] of a goals file"
+        )
+    places = {name: {**fixed, **numbers} for name, numbers in stated.items()}
+    for name, numbers in swept.items():
+        places |= {f"{name}={number:g}": {**fixed, name: number} for number in numbers}
+    places = places or {"nominal": dict(fixed)}
+    gains = {name for name in fixed if "." not in name}
+    if gains:
+        raise InputError("is a gain", key=min(gains), remedy="move its slider")
+    duration = own.seconds(seconds or own.system.duration or _PERIODS * own.system.dt)
+
+    def problem(gains: Mapping[str, float]) -> object:
+        return None if region is None else region.problem(own.system, {**assigned(()), **fixed, **gains})
+
+    bench = SystemBench(
+        own.system, own.word, duration, gain_ranges_of(own, ranges), places, about_loop,
+        None if region is None else problem, own.origin, {**own.system.ranges, **uncertain},
+    )  # fmt: skip
+    start = {one.name: one.value for one in bench.sliders}
+    loops = {point: bench.loop(start, point) for point in bench.points}
+    judge_loops(about_loop, loops)  # reports unknown signals here
+    if region is not None:
+        problem(start)
+    return bench
+
+
+def _serve(bench: DesignBench, *, port: int | None, browser: bool) -> None:
+    from surctl.report.serve import serve
+
+    def ready(address: str) -> None:
+        waiting()
+        click.echo(f"{address}  (Ctrl-C stops the page)")
+        sys.stdout.flush()
+        if browser:
+            click.launch(address)
+
+    try:
+        serve(bench, port=port, ready=ready)
+    except KeyboardInterrupt:
+        click.echo("surctl: stopped; saved files stay", err=True)
+        sys.stdout.flush()
+        os._exit(130)  # a normal exit would wait for the threads of an open page; all files are complete

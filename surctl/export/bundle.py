@@ -231,14 +231,10 @@ def write_bundle(bundle: Bundle, directory: Path | str) -> list[ExportedFile]:
         InputError: the folder cannot be written.
 
     Example:
-        >>> from surctl.marine.control import build_law, load_gains
-        >>> from surctl.marine.export import build_bundle
         >>> from surctl.export import write_bundle
-        >>> from surctl.marine.simulation import law_numbers, load_scenario
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> mission, vehicle, gains = load_scenario("pool-behind"), load_vehicle("sur400"), load_gains("default")
-        >>> law, p = build_law("closed_form"), law_numbers(mission, gains, vehicle)
-        >>> written = write_bundle(build_bundle(law, law.gains.unpack(p)), "closed_form")
+        >>> from surctl.export.bundle import build_bundle
+        >>> from surctl.testing import cart_system
+        >>> written = write_bundle(build_bundle(cart_system().controller, {"k": 1.0}), "brake")
         >>> sorted(file.path.name for file in written)[-2:], len(written[0].sha256)
         (['target_link.c', 'target_start.c'], 64)
     """

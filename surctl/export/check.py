@@ -272,16 +272,13 @@ def check_builds(
 
     Example:
         >>> from pathlib import Path
-        >>> from surctl.marine.control import build_law, load_gains
         >>> from surctl.export import TARGETS, Records, build_controller, check_builds
-        >>> from surctl.marine.export import build_bundle
-        >>> from surctl.marine.simulation import law_numbers, load_scenario, simulate
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> mission, vehicle, gains = load_scenario("pool-behind"), load_vehicle("sur400"), load_gains("default")
-        >>> law, p = build_law("closed_form"), law_numbers(mission, gains, vehicle)
-        >>> run = simulate(mission, vehicle, gains=gains, law=law)
-        >>> recording = Records(run.record.law_state, run.record.law_input, run.record.law_parameters)
-        >>> controller = build_controller(law, build_bundle(law, law.gains.unpack(p)), Path("closed_form"))
+        >>> from surctl.export.bundle import build_bundle
+        >>> from surctl.system import run_system
+        >>> from surctl.testing import cart_system
+        >>> cart = cart_system()
+        >>> controller = build_controller(cart.controller, build_bundle(cart.controller, {"k": 1.0}), Path("brake"))
+        >>> recording = Records(*run_system(cart, 2.0).controller)
         >>> report = check_builds(controller, [recording], [TARGETS["gcc-O0"]], steps=200)
         >>> [(build.target, build.differing) for build in report.builds]
         [('gcc-O0', 0)]

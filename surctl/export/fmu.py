@@ -337,16 +337,13 @@ def write_fmu(law: Exportable, bundle: Bundle, gains: Vector, directory: Path | 
 
     Example:
         >>> from zipfile import ZipFile
-        >>> from surctl.marine.control import build_law, load_gains
-        >>> from surctl.marine.export import build_bundle
         >>> from surctl.export import write_fmu
-        >>> from surctl.marine.simulation import law_numbers, load_scenario
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> mission, vehicle, gains = load_scenario("pool-behind"), load_vehicle("sur400"), load_gains("default")
-        >>> law, p = build_law("closed_form"), law_numbers(mission, gains, vehicle)
-        >>> file = write_fmu(law, build_bundle(law, law.gains.unpack(p)), p, "fmu")
+        >>> from surctl.export.bundle import build_bundle
+        >>> from surctl.testing import cart_system
+        >>> law = cart_system().controller
+        >>> file = write_fmu(law, build_bundle(law, {"k": 1.0}), law.gains.pack(), "fmu")
         >>> file.path.name, ZipFile(file.path).namelist()[0]
-        ('surctl_closed_form.fmu', 'modelDescription.xml')
+        ('brake.fmu', 'modelDescription.xml')
     """
     machine = (platform.system(), platform.machine())
     if machine not in _PLATFORMS[fmi]:

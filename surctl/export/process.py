@@ -129,16 +129,13 @@ def build_controller(law: Exportable, bundle: Bundle, directory: Path) -> Contro
 
     Example:
         >>> from pathlib import Path
-        >>> from surctl.marine.control import build_law, load_gains
-        >>> from surctl.marine.export import build_bundle
         >>> from surctl.export import build_controller
-        >>> from surctl.marine.simulation import law_numbers, load_scenario
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> mission, vehicle, gains = load_scenario("pool-behind"), load_vehicle("sur400"), load_gains("default")
-        >>> law, p = build_law("closed_form"), law_numbers(mission, gains, vehicle)
-        >>> controller = build_controller(law, build_bundle(law, law.gains.unpack(p)), Path("closed_form"))
+        >>> from surctl.export.bundle import build_bundle
+        >>> from surctl.testing import cart_system
+        >>> law = cart_system().controller
+        >>> controller = build_controller(law, build_bundle(law, {"k": 1.0}), Path("brake"))
         >>> controller.bundle.name, [Path(word).name for word in controller.command]
-        ('surctl_closed_form', ['sil'])
+        ('brake', ['sil'])
     """
     write_bundle(bundle, directory)
     directory = directory.resolve()
@@ -237,19 +234,13 @@ class ExportedController:
         ToolMissing: there is no C compiler.
 
     Example:
-        >>> import numpy as np
-        >>> from surctl.marine.control import build_law, load_gains
         >>> from surctl.export import ExportedController
-        >>> from surctl.marine.export import build_bundle, operating_envelope
-        >>> from surctl.marine.simulation import law_numbers, load_scenario
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> mission, vehicle, gains = load_scenario("pool-behind"), load_vehicle("sur400"), load_gains("default")
-        >>> law, p = build_law("closed_form"), law_numbers(mission, gains, vehicle)
-        >>> within = operating_envelope(law, mission, vehicle, law.gains, tuned=p)
-        >>> controller = ExportedController(law, build_bundle(law, law.gains.unpack(p), envelope=within))
-        >>> u = law.inputs.pack({"eta": [0.5, 1.0, -0.15, 0.0]})
-        >>> float(controller.step(u, 1).tau[0]) > 1.0, controller.step(np.nan * u, 2).tau.tolist()
-        (True, [0.0, 0.0, 0.0, 0.0])
+        >>> from surctl.export.bundle import build_bundle
+        >>> from surctl.testing import cart_system
+        >>> law = cart_system().controller
+        >>> controller = ExportedController(law, build_bundle(law, {"k": 2.0}))
+        >>> controller.step([0.5], 1).tau.tolist(), controller.step([float("nan")], 2).tau.tolist()
+        ([-1.0], [0.0])
     """
 
     def __init__(self, law: Exportable, bundle: Bundle) -> None:

@@ -270,15 +270,11 @@ def software_in_the_loop(
         InputError: the records do not fit the law.
 
     Example:
-        >>> from surctl.marine.control import build_law, load_gains
         >>> from surctl.export import Records, software_in_the_loop
-        >>> from surctl.marine.simulation import law_numbers, load_scenario, simulate
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> mission, vehicle, gains = load_scenario("pool-behind"), load_vehicle("sur400"), load_gains("default")
-        >>> law, p = build_law("closed_form"), law_numbers(mission, gains, vehicle)
-        >>> run = simulate(mission, vehicle, gains=gains, law=law)
-        >>> recording = Records(run.record.law_state, run.record.law_input, run.record.law_parameters)
-        >>> report = software_in_the_loop(law, recording)
+        >>> from surctl.system import run_system
+        >>> from surctl.testing import cart_system
+        >>> cart = cart_system()
+        >>> report = software_in_the_loop(cart.controller, Records(*run_system(cart, 2.0).controller))
         >>> report.passed, report.tau.mixed, len(report.fault_failures)
         (True, 0.0, 0)
     """
@@ -311,19 +307,15 @@ def compare_runs(controller: Controller, runs: Sequence[AnyRecord]) -> tuple[Sil
 
     Example:
         >>> from pathlib import Path
-        >>> from surctl.marine.control import build_law, load_gains
         >>> from surctl.export import Records, build_controller, compare_runs
-        >>> from surctl.marine.export import build_bundle
-        >>> from surctl.marine.simulation import law_numbers, load_scenario, simulate
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> mission, vehicle, gains = load_scenario("pool-behind"), load_vehicle("sur400"), load_gains("default")
-        >>> law, p = build_law("closed_form"), law_numbers(mission, gains, vehicle)
-        >>> run = simulate(mission, vehicle, gains=gains, law=law)
-        >>> recording = Records(run.record.law_state, run.record.law_input, run.record.law_parameters)
-        >>> controller = build_controller(law, build_bundle(law, law.gains.unpack(p)), Path("closed_form"))
-        >>> [report] = compare_runs(controller, [recording])
+        >>> from surctl.export.bundle import build_bundle
+        >>> from surctl.system import run_system
+        >>> from surctl.testing import cart_system
+        >>> cart = cart_system()
+        >>> controller = build_controller(cart.controller, build_bundle(cart.controller, {"k": 1.0}), Path("brake"))
+        >>> [report] = compare_runs(controller, [Records(*run_system(cart, 2.0).controller)])
         >>> report.passed, report.steps, report.tau.mixed
-        (True, 410, 0.0)
+        (True, 20, 0.0)
     """
     self_test = controller.self_test()
     return tuple(_compare(controller, as_records(controller.law, run), self_test=self_test) for run in runs)

@@ -236,18 +236,13 @@ class Supplement:
     Example:
         >>> from surctl.export import Supplement
         >>> from surctl.export.bundle import build_bundle
-        >>> from surctl.ir import Layout, Port
-        >>> from surctl.system import Action, Controller
+        >>> from surctl.testing import cart_system
         >>> class Licence(Supplement):
         ...     @property
         ...     def files(self):
-        ...         return {"NOTICE.txt": "Pump controller of plant 7.\\n"}
-        >>> level = Layout((Port("level", (1,), "m", "measured"),))
-        >>> drive = Layout((Port("drive", (1,), "V", "of the pump"),))
-        >>> pump = Controller("pump", 0.1, level, drive, lambda x, u, p: Action(-2.0 * u["level"]))
-        >>> bundle = build_bundle(pump, {}, supplement=Licence())
-        >>> bundle.files["NOTICE.txt"]
-        'Pump controller of plant 7.\\n'
+        ...         return {"NOTICE.txt": "Brake of cart 7"}
+        >>> build_bundle(cart_system().controller, {"k": 1.0}, supplement=Licence()).files["NOTICE.txt"]
+        'Brake of cart 7'
     """
 
     @property

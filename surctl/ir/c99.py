@@ -261,24 +261,6 @@ def emit_c99(program: Program, *, symbol: str, real: Real = "float64", moves: Se
 
     Raises:
         InputError: `symbol` is not a valid C identifier.
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.ir import lower
-        >>> from surctl.ir.c99 import emit_c99
-        >>> v = ca.SX.sym("v", 2)
-        >>> print(emit_c99(lower(ca.Function("speed", [v], [ca.norm_2(v)])), symbol="speed"), end="")
-        /* 4 operations; outputs may alias inputs */
-        static void speed(const double in0[2], double out0[1])
-        {
-            const double v0 = in0[0];
-            const double v1 = v0 * v0;
-            const double v2 = in0[1];
-            const double v3 = v2 * v2;
-            const double v4 = v1 + v3;
-            const double v5 = sqrt(v4);
-            out0[0] = v5;
-        }
     """
     instructions, stores = remaining(program, moves)
     read = {i.args[0] for i in instructions if i.op == "input"} | {m.input for m in moves}

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Generic, TypeVar
 
 from surctl.ir.folding import Numbering
 from surctl.ir.program import Program, drop_dead
@@ -25,16 +26,20 @@ _ROOT = -1
 """The number of the region that contains the instructions outside all loops."""
 
 
+Symbol = TypeVar("Symbol")
+Value = TypeVar("Value")
+
+
 @dataclass(frozen=True)
-class Traced:
-    """A loop whose values are given as positions in the flat instruction list.
+class Traced(Generic[Symbol, Value]):
+    """A loop whose values are expressions, or positions in the flat instruction list.
 
     Attributes:
         name: name of the loop body.
         depth: nesting depth when the loop was traced; 1 for an outermost loop.
         count: number of iterations; 0 for a table row that is picked: the state is its index, and the result the row.
-        own: inputs of the list that represent the loop's state, then those for the table rows of the present iteration.
-        results: inputs of the list that represent the final state of the loop, then those for its stacked arrays.
+        own: symbols (inputs of the list) of the loop's state, then those of the table rows of the present iteration.
+        results: symbols (inputs of the list) of the final state of the loop, then those of its stacked arrays.
         state, tables: initial state of the loop, and tables that the loop reads row by row.
         next, rows: values that one iteration computes: `next` is the next state, and `rows` are rows of the stacked
             arrays.
@@ -44,21 +49,21 @@ class Traced:
     name: str
     depth: int
     count: int
-    own: tuple[int, ...]
-    results: tuple[int, ...]
-    state: tuple[Key, ...]
-    tables: tuple[Key, ...]
-    next: tuple[Key, ...]
-    rows: tuple[Key, ...]
+    own: tuple[Symbol, ...]
+    results: tuple[Symbol, ...]
+    state: tuple[Value, ...]
+    tables: tuple[Value, ...]
+    next: tuple[Value, ...]
+    rows: tuple[Value, ...]
     until: int | None = None
 
     @property
-    def before(self) -> tuple[Key, ...]:
+    def before(self) -> tuple[Value, ...]:
         """Return the values that exist before the loop: its initial state and its tables."""
         return (*self.state, *self.tables)
 
     @property
-    def after(self) -> tuple[Key, ...]:
+    def after(self) -> tuple[Value, ...]:
         """Return the values that the loop body computes: the next state and the rows of the stacked arrays."""
         return (*self.next, *self.rows)
 
@@ -66,7 +71,9 @@ class Traced:
 class _Regions:
     """The region of each value (the loop body that computes it, or the root outside all loops); parents of loops."""
 
-    def __init__(self, program: Program, inputs: int, outputs: Mapping[str, Key], loops: Sequence[Traced]) -> None:
+    def __init__(
+        self, program: Program, inputs: int, outputs: Mapping[str, Key], loops: Sequence[Traced[int, Key]]
+    ) -> None:
         self.program, self.inputs, self.loops = program, inputs, loops
         self.code = program.instructions
         self.maker = {j: k for k, loop in enumerate(loops) for j in loop.results}
@@ -223,7 +230,9 @@ def _postorder(roots: Iterable[int], children: Callable[[int], Iterable[int]]) -
             stack += [(child, False) for child in reversed(list(children(node))) if child not in visited]
 
 
-def routine(name: str, program: Program, inputs: int, outputs: Mapping[str, Key], loops: Sequence[Traced]) -> Block:
+def routine(
+    name: str, program: Program, inputs: int, outputs: Mapping[str, Key], loops: Sequence[Traced[int, Key]]
+) -> Block:
     """Return the instruction list as a routine with loops, or as a program if there is no loop.
 
     Args:

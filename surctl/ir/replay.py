@@ -67,7 +67,8 @@ def _run_procedure(procedure: Procedure, arrays: list[Value], real: Real) -> lis
 
 
 def _run_program(program: Program, arrays: list[Value], real: Real) -> list[Value]:
-    values = _python(program)(arrays, _constants(program, real), real)
+    constants = [real(i.value) for i in program.instructions if i.op == "const"]
+    values = _python(program)(arrays, constants, real)
     batch = np.broadcast_shapes(*(a.shape[:-1] for a in arrays))
     return [_stack([values[r] for r in refs], batch, real) for refs in program.output_refs]
 
@@ -249,10 +250,6 @@ def _operand(program: Program, at: int, *, truth: bool) -> str:
     if truth == is_truth:
         return f"v{at}"
     return f"(v{at} != 0)" if truth else f"where(v{at}, one, zero)"
-
-
-def _constants(program: Program, real: Real) -> list[Any]:
-    return [real(i.value) for i in program.instructions if i.op == "const"]
 
 
 def _called(operation: Callable[..., Any]) -> Callable[..., Any]:

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import NoReturn
 
-from surctl.errors import InputError
+from surctl.errors import InputError, mistakes_in
 from surctl.ir.procedure import Procedure
 from surctl.ir.program import OPERATIONS, Instruction, Program
 from surctl.ir.routine import Block, Call, Gather, Loop, Routine, Step, own_text
@@ -162,10 +162,8 @@ def _routine(lines: Sequence[str], first: int, blocks: Mapping[str, Block]) -> R
             steps.append(_step(line.split(" "), blocks))
         except _MALFORMED:
             _refuse("is not a step, or runs a block that does not precede it", at, line)
-    try:
+    with mistakes_in(f"line {first}"):
         routine = Routine(name, tuple(inputs), tuple(steps), tuple(lines[-1].split(" ")[1:]))
-    except InputError as error:
-        raise error.inside(f"line {first}") from None
     for at, (own, line) in enumerate(zip(own_text(routine).split("\n"), lines, strict=False), first):
         if own != line:
             _refuse(f"should be {own!r}", at, line)
@@ -191,10 +189,8 @@ def _procedure(lines: Sequence[str], first: int) -> Procedure:
     if not all(0 <= size <= _LARGEST for size in sizes):
         _refuse("has an array of impossible size", first, lines[0])
     inputs, outputs, constants = (tuple(each) for each in ports.values())
-    try:
+    with mistakes_in(f"line {first}"):
         procedure = Procedure(name, inputs, outputs, constants, tuple(memory), "\n".join(lines[at:]))
-    except InputError as error:
-        raise error.inside(f"line {first}") from None
     if procedure.text() != "\n".join([*lines, ""]):
         _refuse("is not written as a procedure is written", first, lines[0])
     return procedure

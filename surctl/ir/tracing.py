@@ -17,7 +17,6 @@ import math
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextvars import ContextVar, Token
-from dataclasses import dataclass
 from types import MappingProxyType, TracebackType
 from typing import Any, TypeAlias, overload
 
@@ -25,7 +24,7 @@ import casadi as ca
 
 from surctl.errors import InputError, UnsupportedOperation
 from surctl.ir.folding import Numbering
-from surctl.ir.nesting import Traced, routine
+from surctl.ir.nesting import Key, Traced, routine
 from surctl.ir.program import OPERATIONS, SUBSTITUTES, Instruction, Program, drop_dead
 from surctl.ir.routine import Block
 
@@ -204,27 +203,7 @@ Vectors: TypeAlias = Sequence[ca.SX]
 _open: ContextVar[Recording | None] = ContextVar("recording", default=None)
 
 
-@dataclass(frozen=True)
-class _Loop:
-    """One traced loop, with its values as expressions (in `regions.Traced`, values are list positions).
-
-    A row that `picked` reads is a loop of no iteration: its state is the index, its result the row.
-    """
-
-    name: str
-    depth: int
-    count: int
-    own: tuple[ca.SX, ...]
-    results: tuple[ca.SX, ...]
-    state: tuple[ca.SX, ...]
-    tables: tuple[ca.SX, ...]  # stored row by row
-    next: tuple[ca.SX, ...]
-    rows: tuple[ca.SX, ...]
-    until: int | None
-
-    @property
-    def expressions(self) -> tuple[ca.SX, ...]:
-        return (*self.state, *self.tables, *self.next, *self.rows)
+_Loop: TypeAlias = Traced[ca.SX, ca.SX]
 
 
 class Recording:
@@ -274,7 +253,7 @@ class Recording:
         dense = [ca.densify(_sx(value)) for value in outputs.values()]
         loops = self._reached(dense)
         arguments = [*inputs.values(), *(s for loop in loops for s in (*loop.own, *loop.results))]
-        results = [*dense, *(e for loop in loops for e in loop.expressions)]
+        results = [*dense, *(e for loop in loops for e in (*loop.before, *loop.after))]
         names = [*inputs, *(f"loop{k}" for k in range(len(arguments) - len(inputs)))]
         try:
             output_names = [*outputs, *(f"of_loop{k}" for k in range(len(results) - len(outputs)))]
@@ -287,7 +266,8 @@ class Recording:
         program = lower(function)
         if not loops:
             return program
-        traced, argument, result = [], len(inputs), len(dense)
+        traced: list[Traced[int, Key]] = []
+        argument, result = len(inputs), len(dense)
         for loop in loops:
             keys = iter(program.output_refs[result:])
             state, tables, after, rows = (
@@ -296,7 +276,7 @@ class Recording:
             held = argument + len(loop.own)
             own, ends = tuple(range(argument, held)), tuple(range(held, held + len(loop.results)))
             traced.append(Traced(loop.name, loop.depth, loop.count, own, ends, state, tables, after, rows, loop.until))
-            argument, result = held + len(ends), result + len(loop.expressions)
+            argument, result = held + len(ends), result + len(loop.before) + len(loop.after)
         refs = {out: program.output_refs[k] for k, out in enumerate(outputs)}
         return routine(name, program, len(inputs), refs, traced)
 
@@ -351,7 +331,7 @@ class Recording:
             symbols = ca.symvar(ca.vertcat(*todo))
             needed = {of[h] for s in symbols if (h := s.element_hash()) in of} - reached
             reached |= needed
-            todo = [e for k in needed for e in self._loops[k].expressions]
+            todo = [e for k in needed for e in (*self._loops[k].before, *self._loops[k].after)]
         return [self._loops[k] for k in sorted(reached)]
 
 

@@ -69,7 +69,7 @@ class Decision:
     def rule(self) -> str:
         """By what the claim is proved, in words; empty unless it is proved."""
         if "slopes" in self.document or "knots" in self.document:
-            return "secant slopes: a matrix inequality at every vertex of their ranges"
+            return "secant slopes: a matrix inequality at every vertex of the ranges of the slopes"
         cases = [case for proof in self.document.get("proofs", []) for case in proof]
         squares = ["squares" in case for case in cases]
         return " and ".join(["interval boxes"] * (not all(squares)) + ["sums of squares"] * any(squares))

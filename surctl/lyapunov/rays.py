@@ -141,7 +141,6 @@ def grid(
     rays: int,
     points: int,
     corners: Array,
-    box: Array | None = None,
     outer: Array | None = None,
     half: bool = False,
     beyond: int = _BEYOND,
@@ -154,7 +153,6 @@ def grid(
         rays: number of rays.
         points: number of points on each ray.
         corners: values (m, C) of the parameters.
-        box: lower and upper bounds (2, n) of the states, by default those of the dynamics.
         outer: relative radius (rays,) up to which the region may extend on each ray; beyond it, a few points up to the
             border of the box are still part of the grid.
         half: whether half of the rays suffice, because dynamics and template are symmetric to x*.
@@ -162,8 +160,7 @@ def grid(
     """
     d = template.dynamics
     u = directions(len(d.states), rays, half=half)
-    bounds = d.box if box is None else box
-    border = extent(d.equilibrium, bounds, u * scales[:, None])
+    border = extent(d.equilibrium, d.box, u * scales[:, None])
     far = border if outer is None else np.minimum(border, outer)
     radii = far[:, None] * np.linspace(_NEAREST, 1.0, points)
     if outer is not None:
@@ -179,7 +176,7 @@ def grid(
     if d.discrete:
         for corner in corners.T:
             after = d.evaluate(x, np.repeat(corner[:, None], x.shape[1], axis=1))
-            last |= np.any((after < bounds[0][:, None]) | (after > bounds[1][:, None]), axis=0)
+            last |= np.any((after < d.box[0][:, None]) | (after > d.box[1][:, None]), axis=0)
     return Grid(x, radii, read[0][0], np.array([change for _, change in read]), last, square)
 
 

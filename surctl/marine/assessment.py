@@ -354,11 +354,6 @@ def unstable_text(mode: Mode) -> str:
     return f"pole {mode.real:.3g} 1/s, dominant states {states}; stable {mode.remedy}"
 
 
-def _loop_part(*arguments: Any, **options: Any) -> Part:
-    """Return the part of an assessment; for the arguments see `_analyse_loop`."""
-    return _analyse_loop(*arguments, **options).part()
-
-
 def _analyse_loop(
     vehicle: Vehicle,
     gains: Gains,
@@ -542,7 +537,7 @@ class Mission:
         return parts
 
     def _loop(self) -> Part:
-        part = _loop_part(
+        part = _analyse_loop(
             self.vehicle,
             self.gains,
             law=self.law_ref,
@@ -551,7 +546,7 @@ class Mission:
             guidance=self.guidance,
             uncertainty=self.uncertainty,
             missions=self.scenarios,
-        )
+        ).part()
         mode = part.source.mode
         text = None if mode is None else cap_above(self.vehicle, mode.bearable, cap=self.cap)
         return part if text is None else part._replace(lines=(*part.lines, Line(None, text, "cap", counts=False)))

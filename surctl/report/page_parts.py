@@ -122,7 +122,7 @@ def _goal_panel(name: str, own: Sequence[Score], others: Sequence[Score]) -> Pan
     views = [(score, score.judgement.view, k, faint) for score, k, faint in shown if score.judgement.view is not None]
     if not views:
         bars = [
-            Curve(np.array([0.0, _most(s.judgement.normalised)]), np.full(2, float(-k)), s.point, k)
+            Curve(np.array([0.0, min(s.judgement.normalised, 2.0)]), np.full(2, float(-k)), s.point, k)
             for s, k, _ in shown
         ]
         edge = Curve(np.ones(2), np.array([0.5, 0.5 - len(own)]), "", 4)
@@ -229,10 +229,6 @@ def _about(shades: Sequence[Shade], curves: Sequence[Curve]) -> tuple[float, flo
 
 def _db(values: Array) -> Array:
     return np.asarray(20 * np.log10(np.maximum(values, 1e-12)), dtype=float)
-
-
-def _most(value: float) -> float:
-    return float(min(value, 2.0))
 
 
 def _unit() -> Curve:
@@ -407,7 +403,7 @@ def _goals(bench: DesignBench, request: Request) -> dict[str, Any]:
     worst = max((score.judgement.normalised for score in scores.scores), default=0.0)
     panels = _goal_panels(scores, compared=others)
     strip = _strip((panel.title.rpartition(" (")[0], panel.note, panel.mark) for panel in panels)
-    return {"html": "".join(map(panel_svg, panels)), "worst": _number(worst), "strip": strip}
+    return {"html": "".join(map(panel_svg, panels)), "worst": worst if np.isfinite(worst) else None, "strip": strip}
 
 
 def _strip(goals: Iterable[tuple[str, str, str]]) -> str:
@@ -506,10 +502,6 @@ def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 def _margin(value: float) -> str:
     return "none" if np.isinf(value) else f"{value:.3g}"
-
-
-def _number(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
 
 
 def _picture(picture: tuple[Figure, str] | None) -> str:

@@ -258,7 +258,7 @@ class Kinematics:
     def body(self, link: str) -> str:
         """Return the first link of the rigid body that contains a link: the child of the joint that moves it."""
         at = link
-        while at in self._parents and not self._moves(self._parents[at]):
+        while at in self._parents and self.position_of(self._parents[at].name)[1] is None:
             at = self._parents[at].parent
         return at
 
@@ -385,9 +385,6 @@ class Kinematics:
             raise InputError(
                 "is not the name of a link", key="frame", value=link, remedy=nearest(str(link), self.links)
             )
-
-    def _moves(self, joint: Joint) -> bool:
-        return self.position_of(joint.name)[1] is not None
 
     def _followers(self, place: Coordinate) -> Iterator[tuple[Joint, float, float]]:
         """Yield the joint itself, then those that mimic it, with multiplier and offset."""

@@ -88,7 +88,18 @@ def joint_limits(
     acceleration: float | Mapping[str, float] | None = None,
     velocity: float | Mapping[str, float] | None = None,
 ) -> JointLimits:
-    """Return the limits of all joints; see `Robot.joint_limits`."""
+    """Return the limits of position, speed and acceleration of the joints.
+
+    A joint may be as fast as it can still stop before its limit, √(2 a d) for the distance d; see `JointLimits`.
+    For joints that follow the commanded velocities, all limits hold exactly if they hold at the start.
+
+    Args:
+        acceleration: largest acceleration a [rad/s² or m/s²], one for all joints or by joint; None for no limit.
+        velocity: largest speeds [rad/s or m/s], in place of those in the file.
+
+    Raises:
+        InputError: the file has no limit of a joint, a joint is unknown, or a number is not positive.
+    """
     accelerations = _by_joint(robot, acceleration, "acceleration")
     velocities = _by_joint(robot, velocity, "velocity")
     for place in robot.coordinates:
@@ -169,7 +180,17 @@ def self_collision(
     gain: float = 5.0,
     shapes: Mapping[str, Sequence[Capsule]] | None = None,
 ) -> SelfCollision:
-    """Return barriers between the links of a robot; see `Robot.self_collision`."""
+    """Return barriers that keep links apart that are not neighbours.
+
+    Args:
+        srdf: SRDF file with pairs of links that need no barrier; None for no such pair.
+        margin: least distance [m]. gain: γ in ḋ ≥ −γ (d − margin) for the distance d [1/s].
+        shapes: capsules by link, in place of the collision geometry of the URDF file, whose spheres, cylinders and
+            boxes count as the smallest capsules around them; their edges may be further apart than the capsules.
+
+    Raises:
+        InputError: a link has a collision mesh and no shape is given, a name is unknown, or no pair is left.
+    """
     for key, value in (("margin", margin), ("gain", gain)):
         if not is_number(value) or value < 0.0 or (key == "gain" and value == 0.0):
             raise InputError("is out of range", key=key, value=value, remedy="give a positive number")

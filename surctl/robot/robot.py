@@ -14,12 +14,11 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from surctl.errors import InputError, nearest
+from surctl.errors import InputError, mistakes_in, nearest
 from surctl.ir import Port
 from surctl.robot import limits
 from surctl.robot.kinematics import Base, Kinematics, quaternion_of, rotation_of, rotation_vector
-from surctl.robot.limits import JointLimits, SelfCollision
-from surctl.robot.urdf import Capsule, read_urdf
+from surctl.robot.urdf import read_urdf
 from surctl.tasks import Task
 from surctl.units import as_numbers, is_number
 
@@ -89,101 +88,6 @@ class FrameTask:
         return self.build("orientation")
 
 
-def frame_task(
-    robot: Kinematics,
-    frame: str,
-    *,
-    target: str,
-    gain: float = 1.0,
-    max_speed: float | None = None,
-    max_rate: float | None = None,
-    relative_to: str | None = None,
-) -> FrameTask:
-    """Return tasks for position and orientation of a link; see `Robot.frame_task`."""
-    name = _checked_name(target)
-    moving = robot.frame(frame)
-    position, rotation, J = moving.position, moving.rotation, moving.jacobian
-    default = robot.pose(frame, robot.neutral())
-    if relative_to is not None:
-        other = robot.frame(relative_to)
-        R, apart = other.rotation, position - other.position
-        # seen in the other frame, whose rotation moves the frame too
-        linear = J[:3, :] - other.jacobian[:3, :] + _cross(apart) @ other.jacobian[3:, :]
-        J = ca.vertcat(R.T @ linear, R.T @ (J[3:, :] - other.jacobian[3:, :]))
-        position, rotation = R.T @ apart, R.T @ rotation
-        default = np.linalg.inv(robot.pose(relative_to, robot.neutral())) @ default
-    where = "the world" if relative_to is None else relative_to
-    goal = _vector(name, 7, "m, m, m, 1, 1, 1, 1", f"pose in {where}: position, quaternion x y z w", flat_pose(default))
-    rate = _number(f"{name}_gain", gain, "1/s", "convergence gain")
-    speed = _capped(f"{name}_max_speed", max_speed, "m/s", "largest speed of the frame")
-    turn = _capped(f"{name}_max_rate", max_rate, "rad/s", "largest angular velocity of the frame")
-    error = rotation_vector(rotation_of(goal.symbol[3:]) @ rotation.T)
-    parts = {
-        "position": (position - goal.symbol[:3], J[:3, :], "m", (goal, rate), speed),
-        "orientation": (-error, J[3:, :], "rad", (goal, rate), turn),
-    }
-    return FrameTask(lambda part: _task(robot, f"{name}_{part}", *parts[part]))
-
-
-def com_task(robot: Kinematics, target: str, *, gain: float = 1.0, max_speed: float | None = None) -> RobotTask:
-    """Return a task for the centre of mass; see `Robot.com_task`."""
-    name = _checked_name(target)
-    position, J = robot.centre_of_mass
-    start = ca.Function("com", [robot.q], [position])(robot.neutral())
-    goal = _vector(name, 3, "m", "centre of mass in the world", np.array(start).reshape(-1))
-    speed = _capped(f"{name}_max_speed", max_speed, "m/s", "largest speed of the centre of mass")
-    rate = _number(f"{name}_gain", gain, "1/s", "convergence gain")
-    return _task(robot, name, position - goal.symbol, J, "m", (goal, rate), speed, suffix="_position")
-
-
-def posture_task(
-    robot: Kinematics, name: str, target: ArrayLike | Mapping[str, float] | None = None, *, gain: float = 1.0
-) -> RobotTask:
-    """Return a task for the positions of the joints; see `Robot.posture_task`."""
-    places = [place for place in robot.coordinates if place.single]
-    if not places:
-        raise InputError("has no joint with one position", file=robot.urdf.path, key=name, remedy="use a frame task")
-    rows, columns = [place.q for place in places], [place.v for place in places]
-    default = robot.neutral()
-    if isinstance(target, Mapping):
-        for joint, position in target.items():
-            default[robot.coordinate(joint).q] = robot.checked([position], 1, f"{name}: {joint}")[0]
-    elif target is not None:
-        default = robot.checked(target, robot.nq, name)
-    units = ", ".join("m" if place.joint.type == "prismatic" else "rad" for place in places)
-    port = Port(_checked_name(name), (len(rows),), units, "desired joint positions", default[rows])  # type: ignore[arg-type]
-    goal = Input(port, ca.SX.sym(name, len(rows)), tunable=True)
-    J = ca.SX.eye(robot.nv)[columns, :]
-    rate = _number(f"{name}_gain", gain, "1/s", "convergence gain")
-    unit = "rad" if "m" not in units.split(", ") else ""
-    return _task(robot, name, robot.q[rows] - goal.symbol, J, unit, (goal, rate), None, suffix="_posture")
-
-
-def look_at_task(
-    robot: Kinematics, frame: str, *, target: str, axis: Sequence[float] = (1.0, 0.0, 0.0), gain: float = 1.0
-) -> RobotTask:
-    """Return a task that turns an axis of a frame towards a point; see `Robot.look_at_task`."""
-    name = _checked_name(target)
-    moving = robot.frame(frame)
-    direction = as_numbers(axis, key=f"{name}: axis")
-    length = float(np.sqrt(direction @ direction)) if direction.shape == (3,) else 0.0
-    if not length > 0.0:
-        raise InputError("is not a direction", key=f"{name}: axis", value=axis, remedy="give three numbers, not all 0")
-    basis = np.linalg.svd(direction[None] / length)[2]  # rows: the axis up to its sign, then two across
-    start = robot.pose(frame, robot.neutral())
-    ahead = start[:3, 3] + start[:3, :3] @ direction / length
-    goal = _vector(name, 3, "m", "point in the world to look at", ahead)
-    rate = _number(f"{name}_gain", gain, "1/s", "convergence gain")
-    local = moving.rotation.T @ (goal.symbol - moving.position)
-    across, along = ca.DM(basis[1:]) @ local, ca.dot(ca.DM(direction / length), local)
-    # the angle to the point, in the direction across the axis; the square root is never differentiated at 0
-    size = ca.sqrt(ca.sumsqr(across) + 1e-24 * ca.sumsqr(local))
-    return RobotTask(
-        robot=robot, name=f"{name}_direction", eta=robot.q, sigma=across * ca.atan2(size, along) / size,
-        gain=rate.symbol, unit="rad",        kinematics=robot.rate_map, inputs=(goal, rate),
-    )  # fmt: skip
-
-
 def flat_pose(pose: ArrayLike) -> Array:
     """Return position and quaternion (7,): x, y, z [m], then x, y, z, w; from these, or from a matrix (4, 4)."""
     matrix = as_numbers(pose, key="target")
@@ -230,10 +134,6 @@ def _capped(name: str, value: float | None, unit: str, meaning: str) -> Input | 
     return None if value is None else _number(name, value, unit, meaning)
 
 
-def _cross(vector: ca.SX) -> ca.SX:
-    return ca.skew(vector)
-
-
 class Robot(Kinematics):
     """A robot: its kinematics, and tasks and limits for a `StackController`. Build it with `load_urdf`."""
 
@@ -259,9 +159,31 @@ class Robot(Kinematics):
         Raises:
             InputError: a link is unknown, the name is not an identifier, or a number is not positive.
         """
-        return frame_task(
-            self, frame, target=target, gain=gain, max_speed=max_speed, max_rate=max_rate, relative_to=relative_to
+        name = _checked_name(target)
+        moving = self.frame(frame)
+        position, rotation, J = moving.position, moving.rotation, moving.jacobian
+        default = self.pose(frame, self.neutral())
+        if relative_to is not None:
+            other = self.frame(relative_to)
+            R, apart = other.rotation, position - other.position
+            # seen in the other frame, whose rotation moves the frame too
+            linear = J[:3, :] - other.jacobian[:3, :] + ca.skew(apart) @ other.jacobian[3:, :]
+            J = ca.vertcat(R.T @ linear, R.T @ (J[3:, :] - other.jacobian[3:, :]))
+            position, rotation = R.T @ apart, R.T @ rotation
+            default = np.linalg.inv(self.pose(relative_to, self.neutral())) @ default
+        where = "the world" if relative_to is None else relative_to
+        goal = _vector(
+            name, 7, "m, m, m, 1, 1, 1, 1", f"pose in {where}: position, quaternion x y z w", flat_pose(default)
         )
+        rate = _number(f"{name}_gain", gain, "1/s", "convergence gain")
+        speed = _capped(f"{name}_max_speed", max_speed, "m/s", "largest speed of the frame")
+        turn = _capped(f"{name}_max_rate", max_rate, "rad/s", "largest angular velocity of the frame")
+        error = rotation_vector(rotation_of(goal.symbol[3:]) @ rotation.T)
+        parts = {
+            "position": (position - goal.symbol[:3], J[:3, :], "m", (goal, rate), speed),
+            "orientation": (-error, J[3:, :], "rad", (goal, rate), turn),
+        }
+        return FrameTask(lambda part: _task(self, f"{name}_{part}", *parts[part]))
 
     def posture_task(
         self, name: str, target: ArrayLike | Mapping[str, float] | None = None, *, gain: float = 1.0
@@ -274,7 +196,23 @@ class Robot(Kinematics):
                 `neutral`.
             gain: convergence gain [1/s].
         """
-        return posture_task(self, name, target, gain=gain)
+        places = [place for place in self.coordinates if place.single]
+        if not places:
+            raise InputError("has no joint with one position", file=self.urdf.path, key=name, remedy="use a frame task")
+        rows, columns = [place.q for place in places], [place.v for place in places]
+        default = self.neutral()
+        if isinstance(target, Mapping):
+            for joint, position in target.items():
+                default[self.coordinate(joint).q] = self.checked([position], 1, f"{name}: {joint}")[0]
+        elif target is not None:
+            default = self.checked(target, self.nq, name)
+        units = ", ".join("m" if place.joint.type == "prismatic" else "rad" for place in places)
+        port = Port(_checked_name(name), (len(rows),), units, "desired joint positions", default[rows])  # type: ignore[arg-type]
+        goal = Input(port, ca.SX.sym(name, len(rows)), tunable=True)
+        J = ca.SX.eye(self.nv)[columns, :]
+        rate = _number(f"{name}_gain", gain, "1/s", "convergence gain")
+        unit = "rad" if "m" not in units.split(", ") else ""
+        return _task(self, name, self.q[rows] - goal.symbol, J, unit, (goal, rate), None, suffix="_posture")
 
     def com_task(self, target: str, *, gain: float = 1.0, max_speed: float | None = None) -> RobotTask:
         """Return a task that moves the centre of mass to the point `target` (3,) in the world [m].
@@ -284,7 +222,13 @@ class Robot(Kinematics):
             gain: convergence gain [1/s].
             max_speed: largest desired speed [m/s]; None for no such limit.
         """
-        return com_task(self, target, gain=gain, max_speed=max_speed)
+        name = _checked_name(target)
+        position, J = self.centre_of_mass
+        start = ca.Function("com", [self.q], [position])(self.neutral())
+        goal = _vector(name, 3, "m", "centre of mass in the world", np.array(start).reshape(-1))
+        speed = _capped(f"{name}_max_speed", max_speed, "m/s", "largest speed of the centre of mass")
+        rate = _number(f"{name}_gain", gain, "1/s", "convergence gain")
+        return _task(self, name, position - goal.symbol, J, "m", (goal, rate), speed, suffix="_position")
 
     def look_at_task(
         self, frame: str, *, target: str, axis: Sequence[float] = (1.0, 0.0, 0.0), gain: float = 1.0
@@ -298,48 +242,30 @@ class Robot(Kinematics):
             frame: name of a link. target: name of the point. axis: direction (3,) in the frame.
             gain: convergence gain [1/s].
         """
-        return look_at_task(self, frame, target=target, axis=axis, gain=gain)
+        name = _checked_name(target)
+        moving = self.frame(frame)
+        direction = as_numbers(axis, key="axis")
+        length = float(np.sqrt(direction @ direction)) if direction.shape == (3,) else 0.0
+        if not length > 0.0:
+            raise InputError(
+                "is not a direction", key=f"{name}: axis", value=axis, remedy="give three numbers, not all 0"
+            )
+        basis = np.linalg.svd(direction[None] / length)[2]  # rows: the axis up to its sign, then two across
+        start = self.pose(frame, self.neutral())
+        ahead = start[:3, 3] + start[:3, :3] @ direction / length
+        goal = _vector(name, 3, "m", "point in the world to look at", ahead)
+        rate = _number(f"{name}_gain", gain, "1/s", "convergence gain")
+        local = moving.rotation.T @ (goal.symbol - moving.position)
+        across, along = ca.DM(basis[1:]) @ local, ca.dot(ca.DM(direction / length), local)
+        # the angle to the point, in the direction across the axis; the square root is never differentiated at 0
+        size = ca.sqrt(ca.sumsqr(across) + 1e-24 * ca.sumsqr(local))
+        return RobotTask(
+            robot=self, name=f"{name}_direction", eta=self.q, sigma=across * ca.atan2(size, along) / size,
+            gain=rate.symbol, unit="rad",        kinematics=self.rate_map, inputs=(goal, rate),
+        )  # fmt: skip
 
-    def joint_limits(
-        self,
-        *,
-        acceleration: float | Mapping[str, float] | None = None,
-        velocity: float | Mapping[str, float] | None = None,
-    ) -> JointLimits:
-        """Return the limits of position, speed and acceleration of the joints.
-
-        A joint may be as fast as it can still stop before its limit, √(2 a d) for the distance d; see `JointLimits`.
-        For joints that follow the commanded velocities, all limits hold exactly if they hold at the start.
-
-        Args:
-            acceleration: largest acceleration a [rad/s² or m/s²], one for all joints or by joint; None for no limit.
-            velocity: largest speeds [rad/s or m/s], in place of those in the file.
-
-        Raises:
-            InputError: the file has no limit of a joint, a joint is unknown, or a number is not positive.
-        """
-        return limits.joint_limits(self, acceleration=acceleration, velocity=velocity)
-
-    def self_collision(
-        self,
-        srdf: str | Path | None = None,
-        *,
-        margin: float = 0.0,
-        gain: float = 5.0,
-        shapes: Mapping[str, Sequence[Capsule]] | None = None,
-    ) -> SelfCollision:
-        """Return barriers that keep links apart that are not neighbours.
-
-        Args:
-            srdf: SRDF file with pairs of links that need no barrier; None for no such pair.
-            margin: least distance [m]. gain: γ in ḋ ≥ −γ (d − margin) for the distance d [1/s].
-            shapes: capsules by link, in place of the collision geometry of the URDF file, whose spheres, cylinders and
-                boxes count as the smallest capsules around them; their edges may be further apart than the capsules.
-
-        Raises:
-            InputError: a link has a collision mesh and no shape is given, a name is unknown, or no pair is left.
-        """
-        return limits.self_collision(self, srdf, margin=margin, gain=gain, shapes=shapes)
+    joint_limits = limits.joint_limits
+    self_collision = limits.self_collision
 
 
 def load_urdf(path: str | Path, *, lock: Sequence[str] | Mapping[str, float] = (), base: Base = "fixed") -> Robot:
@@ -373,7 +299,5 @@ def load_urdf(path: str | Path, *, lock: Sequence[str] | Mapping[str, float] = (
         if known[name].type in ("planar", "floating") or not math.isfinite(position):
             remedy = "give one finite position"
             raise InputError("cannot be locked there", file=path, key=f"lock {name}", value=position, remedy=remedy)
-    try:
+    with mistakes_in(path):
         return Robot(urdf, lock=positions, base=base)
-    except InputError as error:
-        raise error.inside(path) from None

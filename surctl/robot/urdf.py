@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.errors import InputError, nearest
+from surctl.errors import InputError, mistakes_in, nearest
 
 # Capsules (and spheres) around the links of a robot, and the distance between two of them
 
@@ -215,7 +215,7 @@ def read_urdf(path: str | Path) -> Urdf:
     """
     path = Path(path)
     root = read_xml(path, "robot")
-    try:
+    with mistakes_in(path):
         links: dict[str, Link] = {}
         for element in root.findall("link"):
             link = _link(element)
@@ -231,8 +231,6 @@ def read_urdf(path: str | Path) -> Urdf:
         base = _check_tree(links, joints)
         _check_mimics(joints)
         return Urdf(path, root.get("name", ""), base, links, tuple(_ordered(base, joints)))
-    except InputError as error:
-        raise error.inside(path) from None
 
 
 def read_xml(path: Path, tag: str) -> Element:

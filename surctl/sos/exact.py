@@ -27,6 +27,7 @@ from surctl.sos.program import Affine, Program, Solution, Squares
 
 _SMALL = 8  # up to this size, integers are faster than floats
 _MOST_EXACT = 40  # largest size of a nearly singular matrix that is decomposed in integers
+_LARGEST = 120  # largest size of a Gram matrix
 
 
 def is_semidefinite(matrix: Sequence[Sequence[int]]) -> bool:
@@ -249,7 +250,6 @@ def certify(
     relations: Sequence[Polynomial] = (),
     zeros: Sequence[Sequence[Fraction | float]] = (),
     degree: int | None = None,
-    largest: int = 120,
     seconds: float = 60.0,
 ) -> Certificate | None:
     """Prove that a polynomial is not negative where all weights are not negative and all relations are 0.
@@ -263,7 +263,6 @@ def certify(
         relations: polynomials with exact coefficients that are 0.
         zeros: points of the set, other than 0, at which the target is 0; a proof then needs all of them.
         degree: largest degree of the products in the identity; by default the largest of the given degrees.
-        largest: largest size of a Gram matrix.
         seconds: limit of the processor time [s]; the solver stops after four times as much wall-clock time.
 
     Returns:
@@ -287,7 +286,7 @@ def certify(
     grams = pruned(target, grams, [(relations[j], f) for j, f in enumerate(free)])
     grams = [gram for gram in (restricted(g, zeros) for g in grams) if gram.basis]
     grams.sort(key=lambda gram: bool(gram.forms))  # a remainder goes to the first block that can take it
-    if not grams or max(len(g.basis) for g in grams) > largest or _expected(grams) > seconds:
+    if not grams or max(len(g.basis) for g in grams) > _LARGEST or _expected(grams) > seconds:
         return None
     if not relations and all(gram.at < 0 and not gram.forms for gram in grams):
         pairs = _pairs(grams)

@@ -45,35 +45,16 @@ class Action(NamedTuple):
 
 
 class ControllerStep(NamedTuple):
-    """Results of one step of a controller: command (m,), next state (n,), status, and telemetry (k,)."""
+    """Results of one step of a controller: command (m,), next state (n,), status, and telemetry (k,).
+
+    The status is a sum of bits (0 if no bit is set), or a negative error code. For a law of the robot, the command is
+    the thrust (4,) in {B}: F_u, F_v, F_w [N] and F_r [N m].
+    """
 
     tau: Vector
     x_next: Vector
     status: int
     telemetry: Vector
-
-
-class Step(Protocol):
-    """Result of one step of a controller."""
-
-    @property
-    def tau(self) -> Vector:
-        """Return the command (m,).
-
-        For a law of the robot, the command is the thrust (4,) in the body frame: F_u, F_v, F_w [N] and F_r [N m].
-        """
-
-    @property
-    def x_next(self) -> Vector:
-        """Return the controller state after the step (nx,)."""
-
-    @property
-    def status(self) -> int:
-        """Return the status of the step: a sum of bits (0 if no bit is set), or a negative error code."""
-
-    @property
-    def telemetry(self) -> Vector:
-        """Return the telemetry of the step (k,)."""
 
 
 class SampledController(Protocol):
@@ -116,7 +97,7 @@ class SampledController(Protocol):
     def initial_state(self) -> Vector:
         """Return the controller state before the first step (nx,)."""
 
-    def step(self, x: Vector, u: Vector, p: Vector) -> Step:
+    def step(self, x: Vector, u: Vector, p: Vector) -> ControllerStep:
         """Run one step; if a number is not finite, the result is tau = 0, x_next = x and the status `NONFINITE`."""
 
 

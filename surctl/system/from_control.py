@@ -37,14 +37,6 @@ def state_space(system: Any) -> Any:
 
     Raises:
         TypeError, ValueError: the system is not proper or not real.
-
-    Example:
-        >>> import control
-        >>> from surctl.system.from_control import state_space
-        >>> s = control.tf("s")
-        >>> both = control.combine_tf([[1 / s, 2 / s], [1 / (s + 1), 0]])
-        >>> sorted(state_space(both).poles().real.round(6).tolist())
-        [-1.0, 0.0]
     """
     import control  # takes seconds to import
     from scipy.linalg import block_diag, matrix_balance

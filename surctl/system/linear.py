@@ -291,21 +291,11 @@ def linearise(
             loop changes from one period to the next.
 
     Example:
-        >>> import casadi as ca
-        >>> from surctl.ir import Layout, Port
-        >>> from surctl.system import Controller, Plant, System, linearise
-        >>> angle, rate = Port("angle", (1,), "rad", "from upright"), Port("rate", (1,), "rad/s", "angular rate")
-        >>> torque = Port("torque", (1,), "1/s^2", "over the inertia")
-        >>> pendulum = Plant(
-        ...     "pendulum", Layout((angle, rate)), Layout((torque,)),
-        ...     lambda x, f, d, p: {"angle": x["rate"], "rate": 9.81 * ca.sin(x["angle"]) + f["torque"]},
-        ... )
-        >>> law = Controller(
-        ...     "pd", 0.01, Layout((angle, rate)), Layout((torque,)), lambda x, u, p: -20 * u["angle"] - 6 * u["rate"]
-        ... )
-        >>> linear = linearise(System(pendulum, law))
-        >>> linear.plant[0].round(2).tolist(), abs(linear.poles()).round(3).tolist()
-        ([[0.0, 1.0], [9.81, 0.0]], [0.97, 0.97])
+        >>> from surctl.system import linearise
+        >>> from surctl.testing import cart_system
+        >>> linear = linearise(cart_system(2.0))
+        >>> linear.plant[1].tolist(), linear.poles().real.round(3).tolist()
+        ([[1.0]], [0.8])
     """
     functions = _Rest.of(system, values) if at is None else _Rest(system, at.numbers)
     point = _equilibrium(functions, values) if at is None else at

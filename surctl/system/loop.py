@@ -14,7 +14,7 @@ from weakref import WeakKeyDictionary
 
 import casadi as ca
 
-from surctl.errors import InputError, nearest
+from surctl.errors import InputError, mistakes_in, nearest
 from surctl.files import Mistakes
 from surctl.ir import Layout, Port, Recording
 from surctl.ir.c99 import identifier
@@ -387,10 +387,8 @@ class System:
                 **{f"stops.{name}": stops[k] for k, name in enumerate(self.stops)},
             }
             for key, expression in functions.items():
-                try:
+                with mistakes_in(None, key):
                     recording.block("value", symbols, {"value": expression})
-                except InputError as error:
-                    raise error.inside(None, key) from None
 
     def evaluated(
         self, *, x: ca.SX, f: ca.SX, d: ca.SX, r: ca.SX, p: ca.SX, g: ca.SX, k: ca.SX, t: ca.SX, b: ca.SX

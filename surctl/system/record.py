@@ -105,12 +105,9 @@ def run_system(system: System, seconds: float, values: Mapping[str, ArrayLike] |
         InputError: `run_numbers` finds an error, or `values` are for several runs.
 
     Example:
-        >>> from surctl.ir import Layout, Port
-        >>> from surctl.system import Controller, Plant, System, run_system
-        >>> speed, force = Port("speed", (1,), "m/s", "of the cart", 1.0), Port("force", (1,), "m/s^2", "over the mass")
-        >>> cart = Plant("cart", Layout((speed,)), Layout((force,)), lambda x, f, d, p: {"speed": f["force"]})
-        >>> brake = Controller("brake", 0.1, Layout((speed,)), Layout((force,)), lambda x, u, p: -u["speed"])
-        >>> record = run_system(System(cart, brake), 2.0)
+        >>> from surctl.system import run_system
+        >>> from surctl.testing import cart_system
+        >>> record = run_system(cart_system(), 2.0)
         >>> record["speed"][[0, 10], 0].round(3)
         array([1.   , 0.349])
     """
@@ -270,13 +267,10 @@ def save_record(record: Record, path: Path | str, *, about: Mapping[str, str] | 
         InputError: the format is unknown, or the folder cannot be written.
 
     Example:
-        >>> from surctl.ir import Layout, Port
         >>> from surctl.recorded import read_recorded
-        >>> from surctl.system import Controller, Plant, System, run_system, save_record
-        >>> speed, force = Port("speed", (1,), "m/s", "of the cart", 1.0), Port("force", (1,), "m/s^2", "over the mass")
-        >>> cart = Plant("cart", Layout((speed,)), Layout((force,)), lambda x, f, d, p: {"speed": f["force"]})
-        >>> brake = Controller("brake", 0.1, Layout((speed,)), Layout((force,)), lambda x, u, p: -u["speed"])
-        >>> file = save_record(run_system(System(cart, brake), 2.0), "cart.nc")
+        >>> from surctl.system import run_system, save_record
+        >>> from surctl.testing import cart_system
+        >>> file = save_record(run_system(cart_system(), 2.0), "cart.nc")
         >>> read_recorded(file).numbers("speed")[:2].round(3).tolist()
         [1.0, 0.9]
     """

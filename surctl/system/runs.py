@@ -65,16 +65,10 @@ def simulate_system(
         ToolMissing: there is no C compiler; `run_system` needs no compiler.
 
     Example:
-        >>> from surctl.ir import Layout, Port
-        >>> from surctl.system import Controller, Cost, Plant, System, simulate_system
-        >>> speed, force = Port("speed", (1,), "m/s", "of the cart", 1.0), Port("force", (1,), "m/s^2", "over the mass")
-        >>> cart = Plant("cart", Layout((speed,)), Layout((force,)), lambda x, f, d, p: {"speed": f["force"]})
-        >>> gain = Layout((Port("k", (1,), "1/s", "gain", 1.0),))
-        >>> brake = Controller(
-        ...     "brake", 0.1, Layout((speed,)), Layout((force,)), lambda x, u, p: -p["k"] * u["speed"], gains=gain
-        ... )
+        >>> from surctl.system import Cost, simulate_system
+        >>> from surctl.testing import cart_system
         >>> slow = Cost(lambda s: s.x["speed"] - 0.1, "last_time", "s", "time to a tenth of the speed")
-        >>> simulate_system(System(cart, brake, costs={"slow": slow}), 5.0, {"k": [1.0, 2.0, 4.0]})["slow"].round(1)
+        >>> simulate_system(cart_system(costs={"slow": slow}), 5.0, {"k": [1.0, 2.0, 4.0]})["slow"].round(1)
         array([2.1, 1. , 0.4])
     """
     steps = periods(system, seconds)
@@ -108,12 +102,9 @@ def periods(system: System, seconds: float) -> int:
         InputError: the duration is not a positive number, or is less than half a period.
 
     Example:
-        >>> from surctl.ir import Layout, Port
-        >>> from surctl.system import Controller, Plant, System, periods
-        >>> speed, force = Port("speed", (1,), "m/s", "of the cart", 1.0), Port("force", (1,), "m/s^2", "over the mass")
-        >>> cart = Plant("cart", Layout((speed,)), Layout((force,)), lambda x, f, d, p: {"speed": f["force"]})
-        >>> brake = Controller("brake", 0.1, Layout((speed,)), Layout((force,)), lambda x, u, p: -u["speed"])
-        >>> periods(System(cart, brake), 2.0)
+        >>> from surctl.system import periods
+        >>> from surctl.testing import cart_system
+        >>> periods(cart_system(), 2.0)
         20
     """
     steps = round(seconds / system.dt) if is_number(seconds) and is_number(seconds / system.dt) else 0

@@ -31,13 +31,7 @@ class LoadedSystem:
 
 
 def is_subject(word: str) -> bool:
-    """Return whether a word names a system: FILE.py:FUNCTION or subject:NAME.
-
-    Example:
-        >>> from surctl.system.subjects import is_subject
-        >>> [is_subject(word) for word in ("cart.py:build", "subject:heron", "tank-static")]
-        [True, True, False]
-    """
+    """Return whether a word names a system: FILE.py:FUNCTION or subject:NAME."""
     return is_own(word) or word.startswith(_PREFIX)
 
 
@@ -47,13 +41,6 @@ def load_subject(word: str, *, key: str = "system") -> LoadedSystem:
     Args:
         word: FILE.py:FUNCTION, or subject:NAME for a function that an installed package registers as NAME, an entry
             point of the group `SUBJECTS`. The function takes no argument and returns a `System`.
-
-    Example:
-        >>> from surctl.system.subjects import load_subject
-        >>> load_subject("subject:heron")
-        Traceback (most recent call last):
-            ...
-        surctl.errors.InputError: system = 'heron': no installed package registers it; ...
     """
     if word.startswith(_PREFIX):
         return _registered(word.removeprefix(_PREFIX), key)
@@ -64,13 +51,7 @@ def load_subject(word: str, *, key: str = "system") -> LoadedSystem:
 
 
 def registered_subjects() -> dict[str, str]:
-    """Return the function MODULE:FUNCTION of each registered system by name.
-
-    Example:
-        >>> from surctl.system.subjects import registered_subjects
-        >>> isinstance(registered_subjects(), dict)
-        True
-    """
+    """Return the function MODULE:FUNCTION of each registered system by name."""
     return {entry.name: entry.value for entry in sorted(entry_points(group=SUBJECTS))}
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -142,11 +142,7 @@ def _spread(name: str, value: float | Sequence[float], size: int) -> Array:
     return np.broadcast_to(values, size).astype(float)
 
 
-def _names(symbol: ca.SX) -> Iterator[str]:
-    return (symbol[i].name() for i in range(symbol.numel()))
-
-
 def _name(symbol: ca.SX) -> str:
     # CasADi names the entries of a vector x_0, x_1, …
-    first = next(_names(symbol))
+    first = symbol[0].name()
     return str(first if symbol.numel() == 1 else first.rsplit("_", 1)[0])

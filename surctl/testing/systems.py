@@ -64,12 +64,8 @@ def check_plant(
         InputError: a range names no port, or is no range.
 
     Example:
-        >>> from surctl.ir import Layout, Port
-        >>> from surctl.system import Plant
-        >>> from surctl.testing import check_plant
-        >>> speed, force = Port("speed", (1,), "m/s", "of the cart"), Port("force", (1,), "m/s^2", "over the mass")
-        >>> cart = Plant("cart", Layout((speed,)), Layout((force,)), lambda x, f, d, p: {"speed": f["force"]})
-        >>> check_plant(cart).form_error
+        >>> from surctl.testing import cart_system, check_plant
+        >>> check_plant(cart_system().plant).form_error
         0.0
     """
     checked_count("samples", samples)
@@ -119,12 +115,8 @@ def check_controller(
         InputError: a range names no port, or is no range.
 
     Example:
-        >>> from surctl.ir import Layout, Port
-        >>> from surctl.system import Controller
-        >>> from surctl.testing import check_controller
-        >>> speed, force = Port("speed", (1,), "m/s", "measured"), Port("force", (1,), "m/s^2", "over the mass")
-        >>> brake = Controller("brake", 0.1, Layout((speed,)), Layout((force,)), lambda x, u, p: -u["speed"])
-        >>> check_controller(brake, ranges={"speed": (-3, 3)}).samples
+        >>> from surctl.testing import cart_system, check_controller
+        >>> check_controller(cart_system().controller, ranges={"speed": (-3, 3)}).samples
         200
     """
     checked_count("samples", samples)

@@ -248,7 +248,8 @@ def evaluated_chunks(
     chunks: list[list[Chunk]] = []
     for stage in stages:
         first = sum(map(len, chunks))
-        chunks.append([(first + k, stage.rows[at : at + stage.size]) for k, at in _starts(stage)])
+        starts = enumerate(range(0, len(stage.rows), stage.size))
+        chunks.append([(first + k, stage.rows[at : at + stage.size]) for k, at in starts])
     shapes = {i: (len(points), s.width) for s, part in zip(stages, chunks, strict=True) for i, points in part}
     store = ChunkStore(out / "sweep.chunks" / request[:16], request)
 
@@ -269,10 +270,6 @@ def evaluated_chunks(
             again.exit_status = error.exit_status
             raise again from None
     store.remove()
-
-
-def _starts(stage: SweepStage) -> Iterator[tuple[int, int]]:
-    return enumerate(range(0, len(stage.rows), stage.size))
 
 
 def run_chunks(

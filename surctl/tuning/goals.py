@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from surctl.errors import InputError, nearest
+from surctl.errors import InputError, mistakes_in, nearest
 from surctl.files import Quantity, Strict, load_model, pick
 from surctl.system import System
 from surctl.tuning.loop_goal_file import LoopGoalTable, PointTable, check_points, loop_goal
@@ -67,10 +67,8 @@ class GoalTable(LoopGoalTable):
             remedy = 'write at_most = { value = ..., unit = "..." }, or at_least'
             raise InputError("needs one bound", key=f"goals.{self.name}", remedy=remedy)
         [(sense, bound)] = stated
-        try:
+        with mistakes_in(None, f"goals.{self.name}.{sense.replace(' ', '_')}.unit"):
             return sense, bound if unit is None else bound.within(unit)
-        except InputError as error:
-            raise error.inside(None, f"goals.{self.name}.{sense.replace(' ', '_')}.unit") from None
 
 
 def check_names(tables: Sequence[GoalTable]) -> None:
@@ -252,14 +250,12 @@ def _load(
 ) -> tuple[tuple[LoopGoal, ...], dict[str, dict[str, Any]], tuple[RunGoal, ...]]:
     path = pick(str(path), LIBRARY, what="goals")
     content = load_model(path, GoalsFile)
-    try:
+    with mistakes_in(path):
         check_names(content.goals)
         runs = tuple(_run_goal(table, system) for table in content.goals if table.type is None)
         points = _points(content.points)
         goals = tuple(loop_goal(table.loop()) for table in content.goals if table.type is not None)
         check_points(goals, points)
-    except InputError as error:
-        raise error.inside(path) from None
     return goals, points, runs
 
 

@@ -71,14 +71,6 @@ class SensitivityBound(Opened):
 
     Attributes:
         at_most: bound of the largest singular value of S.
-
-    Example:
-        >>> from surctl.system import linearise
-        >>> from surctl.testing import cart_system
-        >>> from surctl.tuning import SensitivityBound
-        >>> goal = SensitivityBound(name="peak", at="force", at_most=2.0)
-        >>> round(goal.judge(linearise(cart_system(2.0))).value, 3)
-        1.111
     """
 
     TYPE: ClassVar[str] = "sensitivity"
@@ -96,15 +88,6 @@ class Rejection(Opened):
 
     Attributes:
         attenuation: least factor of attenuation, 1/|S|, over frequency.
-
-    Example:
-        >>> from surctl.system import linearise
-        >>> from surctl.testing import cart_system
-        >>> from surctl.tuning import Rejection
-        >>> from surctl.tuning.loop_goals import Profile
-        >>> goal = Rejection(name="waves", at=("force",), attenuation=Profile((0.02, 0.2), (100.0, 10.0)))
-        >>> round(goal.judge(linearise(cart_system(2.0))).normalised, 2)
-        1.0
     """
 
     TYPE: ClassVar[str] = "rejection"
@@ -123,14 +106,6 @@ class MaxGain(Between):
     Attributes:
         at_most: bound of the magnitude.
         unit: unit of the bound, such as "N m/deg"; empty: that of the end over that of the source.
-
-    Example:
-        >>> from surctl.system import linearise
-        >>> from surctl.testing import cart_system
-        >>> from surctl.tuning import MaxGain
-        >>> goal = MaxGain(name="peak of T", source="measured.speed", end="speed", at_most=1.5)
-        >>> round(goal.judge(linearise(cart_system(2.0))).value, 2)
-        1.0
     """
 
     TYPE: ClassVar[str] = "gain"
@@ -154,14 +129,6 @@ class Effort(MaxGain):
     """The magnitude from a reference, setpoint or disturbance to a command stays below a bound over frequency.
 
     From a setpoint, this is |K S|.
-
-    Example:
-        >>> from surctl.system import linearise
-        >>> from surctl.testing import cart_system
-        >>> from surctl.tuning import Effort
-        >>> goal = Effort(name="noise", source="measured.speed", end="force", at_most=2.5)
-        >>> round(goal.judge(linearise(cart_system(2.0))).value, 2)
-        2.22
     """
 
     TYPE: ClassVar[str] = "effort"
@@ -184,14 +151,6 @@ class Tracking(Between):
         response_s: response time [s].
         steady_error: largest error of a constant reference, as a share; greater than 0.
         peak_error: largest error over all frequencies, as a share.
-
-    Example:
-        >>> from surctl.system import linearise
-        >>> from surctl.testing import cart_system
-        >>> from surctl.tuning import Tracking
-        >>> goal = Tracking(name="follow", source="measured.speed", end="speed", response_s=1.0, peak_error=1.2)
-        >>> goal.judge(linearise(cart_system(2.0))).met
-        True
     """
 
     TYPE: ClassVar[str] = "tracking"

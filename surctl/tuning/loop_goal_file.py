@@ -8,7 +8,7 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import Field
 
-from surctl.errors import InputError, nearest
+from surctl.errors import InputError, mistakes_in, nearest
 from surctl.files import Quantity, Strict
 from surctl.tuning.loop_frequency_goals import Effort, LoopShape, MaxGain, Rejection, SensitivityBound, Tracking
 from surctl.tuning.loop_goals import Bound, LoopGoal, Profile
@@ -131,10 +131,8 @@ def _profile(table: LoopGoalTable, values: tuple[float, ...]) -> Profile:
 def _most(table: LoopGoalTable, unit: str | None) -> float:
     if table.at_most is None:
         raise InputError("is missing", key="at_most", remedy='write at_most = { value = ..., unit = "..." }')
-    try:
+    with mistakes_in(None, "at_most.unit"):
         return (table.at_most if unit is None else table.at_most.within(unit)).value
-    except InputError as error:
-        raise error.inside(None, "at_most.unit") from None
 
 
 def _shape(table: LoopGoalTable, about: dict[str, Any]) -> LoopGoal:

@@ -32,12 +32,6 @@ class Profile:
     Attributes:
         frequency: frequencies [rad/s], ascending.
         value: positive values at these frequencies, as factors (not dB).
-
-    Example:
-        >>> import numpy as np
-        >>> from surctl.tuning.loop_goals import Profile
-        >>> Profile((0.1, 10.0), (100.0, 1.0))(np.array([0.1, 1.0, 20.0])).round(6)
-        array([100.,  10.,  nan])
     """
 
     frequency: tuple[float, ...]

@@ -26,14 +26,6 @@ class Overshoot(Between):
 
     Attributes:
         at_most: largest overshoot as a share of the final value, such as 0.1 for 10 %.
-
-    Example:
-        >>> from surctl.system import linearise
-        >>> from surctl.testing import cart_system
-        >>> from surctl.tuning import Overshoot
-        >>> goal = Overshoot(name="calm", source="measured.speed", end="speed", at_most=0.1)
-        >>> round(goal.judge(linearise(cart_system(15.0))).value, 2)
-        0.5
     """
 
     TYPE: ClassVar[str] = "overshoot"
@@ -60,14 +52,6 @@ class Settling(Between):
 
     Attributes:
         at_most: longest settling time [s].
-
-    Example:
-        >>> from surctl.system import linearise
-        >>> from surctl.testing import cart_system
-        >>> from surctl.tuning import Settling
-        >>> goal = Settling(name="soon", source="measured.speed", end="speed", at_most=2.5)
-        >>> round(goal.judge(linearise(cart_system(2.0))).value, 2)
-        1.8
     """
 
     TYPE: ClassVar[str] = "settling"
@@ -157,14 +141,6 @@ class StepRejection(Between):
     Attributes:
         at_most: largest magnitude of the response, in units of the end for a step of one unit of the source.
         unit: unit of the bound; empty: that of the end.
-
-    Example:
-        >>> from surctl.system import linearise
-        >>> from surctl.testing import cart_system
-        >>> from surctl.tuning import StepRejection
-        >>> goal = StepRejection(name="load", source="command.force", end="speed", at_most=0.6)
-        >>> round(goal.judge(linearise(cart_system(2.0))).value, 2)
-        0.5
     """
 
     TYPE: ClassVar[str] = "step_rejection"
@@ -193,14 +169,6 @@ class Poles(LoopGoal):
         decay_per_s: least decay rate -Re(s) [1/s].
         damping: least damping ratio -Re(s)/|s| of complex poles.
         fastest_rad_per_s: largest |s| [rad/s].
-
-    Example:
-        >>> from surctl.system import linearise
-        >>> from surctl.testing import cart_system
-        >>> from surctl.tuning import Poles
-        >>> judged = Poles(name="region", decay_per_s=1.0, damping=0.7).judge(linearise(cart_system(2.0)))
-        >>> round(judged.normalised, 2), judged.where
-        (0.7, 'damping ratio 1')
     """
 
     TYPE: ClassVar[str] = "poles"
@@ -246,14 +214,6 @@ class Margins(Opened):
         phase_deg: least phase margin [deg].
         delay_s: least delay margin [s].
         disk: least disk margin α, 0 to 2.
-
-    Example:
-        >>> from surctl.system import linearise
-        >>> from surctl.testing import cart_system
-        >>> from surctl.tuning import Margins
-        >>> judged = Margins(name="robust", at="force", gain=2.0).judge(linearise(cart_system(2.0)))
-        >>> round(judged.normalised, 2), judged.where
-        (0.3, 'gain margin 10 at force')
     """
 
     TYPE: ClassVar[str] = "margins"

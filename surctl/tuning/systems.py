@@ -368,13 +368,6 @@ def assess_cases(
         cases: numbers of the cases, as in `tune_system`.
         gains: the gains by name.
         seconds: duration of a run [s]; None: the loop alone.
-
-    Example:
-        >>> from surctl.testing import cart_system
-        >>> from surctl.tuning.systems import assess_cases
-        >>> result = assess_cases(cart_system(), {"start.speed": [4.0, 1.0]}, {"k": 2.0}, seconds=2.0)
-        >>> result.figures["cost.way"].where
-        'case 1 (start.speed = 4)'
     """
     loops, named, omitted = dict[tuple[bytes, ...], Part](), dict[str, Assessment](), 0
     for condition in _conditions(cases):

@@ -337,10 +337,10 @@ class LoopMargins:
     def line(self) -> str:
         """Return the margins as one line of text."""
         least = f" (and above {self.least_gain:.3g})" if self.least_gain > 0 else ""
-        return (
-            f"{self.name}: gain factor below {self.gain_margin:.4g}{least}, phase {self.phase_margin_deg:.4g} deg, "
-            f"delay {self.delay_margin_s:.4g} s, disk margin {self.disk_margin:.3g}"
-        )
+        bounds = {"phase": (self.phase_margin_deg, "deg"), "delay": (self.delay_margin_s, "s")}
+        texts = [f"{n} {f'{v:.4g} {unit}' if np.isfinite(v) else 'never lost'}" for n, (v, unit) in bounds.items()]
+        gain = f"gain factor below {self.gain_margin:.4g}{least}"
+        return f"{self.name}: {gain}, {', '.join(texts)}, disk margin {self.disk_margin:.3g}"
 
 
 def margins_from(name: str, crossings: Crossings) -> LoopMargins:

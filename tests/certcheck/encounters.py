@@ -76,7 +76,7 @@ def way(document: Document, closing: float, obstacle: float, *, more: float = 0.
     for mass in document["claim"]["vehicle"]["mass_kg"]:
         top = max(closing + (swing(document) + more) / mass, 0.0)
         z = np.linspace(0.0, top, _FINE)
-        z_or = np.minimum(z, largest) if ratio > 1 else z  # no closing speed is larger
+        z_or = np.minimum(z, largest)  # no closing speed is larger
         left = document["claim"]["vehicle"]["brake_n"] - pushed(document, through) + drag(document, z_or - through)
         if left.min() <= 0:
             return np.inf

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from surctl.assessment import Line, assess
-from surctl.cli.study import changes, tunable
 from surctl.marine.assessment import Mission
+from surctl.marine.cli.study import changes, tunable
 from surctl.marine.control import GAINS, load_gains, write_gains
 from surctl.marine.simulation import load_scenario
 from surctl.marine.tuning import derived_gains

@@ -3,8 +3,8 @@ import json
 import pytest
 
 from surctl.certcheck import check_file
-from surctl.cli import claims as braking
 from surctl.errors import InputError
+from surctl.marine.cli import claims as braking
 from surctl.marine.verification import claims
 from surctl.marine.verification.braking import BRAKING_CLAIMS
 from tests.cli.process import surctl_here

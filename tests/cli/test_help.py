@@ -65,7 +65,7 @@ def test_each_help_has_examples(words: tuple[str, ...]) -> None:
     [
         ("surctl/cli/app.py", r"Exit status: (0 .*?)\.\n"),
         ("README.md", r"exit statuses are (0: .*?)\.\n"),
-        ("notebooks/guides/reference/index.md", r"\*\*Exit status\*\* of a command: (0 .*?)\.\n"),
+        ("notebooks/guides/reference/index.md", r"\*\*exit status\*\* of a command is (0 .*?)\.\s"),
     ],
 )
 def test_the_exit_statuses_of_each_page_are_those_that_are_returned(file: str, pattern: str) -> None:

@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
-from surctl.cli.claims import is_mission, prove_missions
 from surctl.errors import InputError, NotApplicable
+from surctl.marine.cli.claims import is_mission, prove_missions
 from surctl.marine.control import load_gains
 from surctl.marine.simulation import load_scenario
 from surctl.marine.vehicle import load_vehicle

@@ -10,8 +10,8 @@ import click
 import pytest
 
 from surctl.cli.output import finish, finite
-from surctl.cli.runs import activity_line, series_lines
-from surctl.cli.study import _margin_line
+from surctl.marine.cli.runs import activity_line, series_lines
+from surctl.verification import LoopMargins
 
 
 def test_json_holds_numbers_that_are_finite_alone() -> None:
@@ -49,10 +49,8 @@ def test_many_runs_have_a_summary_that_names_what_fails() -> None:
 
 
 def test_a_margin_without_bound_is_never_lost() -> None:
-    margin: Any = SimpleNamespace(
-        name="heave", gain_margin=2.5, phase_margin_deg=math.inf, delay_margin_s=math.inf, disk_margin=0.9
-    )
-    assert _margin_line(margin).split() == ["heave", "2.50", *2 * ["never", "lost"], "0.90"]
+    margin = LoopMargins("heave", True, 2.5, math.inf, math.inf, 0.9, 1.0, 0.0)
+    assert margin.line() == "heave: gain factor below 2.5, phase never lost, delay never lost, disk margin 0.9"
 
 
 @pytest.mark.parametrize(

@@ -7,11 +7,11 @@ from click.testing import CliRunner
 
 from surctl.assessment import assess
 from surctl.certcheck.belonging import compare
-from surctl.cli import claims as regions
 from surctl.cli.app import app
-from surctl.cli.robot_options import export_command
 from surctl.errors import NotApplicable
 from surctl.marine.assessment import Mission
+from surctl.marine.cli import claims as regions
+from surctl.marine.cli.robot_options import export_command
 from surctl.marine.control import LAW_NAMES, build_law, load_gains
 from surctl.marine.simulation import LIBRARY as SCENARIOS
 from surctl.marine.simulation import load_scenario

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from surctl.cli.sensor_options import SensorOptions, parse_chances, parse_fault
 from surctl.errors import InputError
+from surctl.marine.cli.sensor_options import SensorOptions, parse_chances, parse_fault
 from surctl.marine.sensing import Equipment, Fault, FaultChances, OwnState, SonarArray
 from surctl.marine.simulation import load_scenario
 from surctl.marine.simulation.scenario import LIBRARY

@@ -1,8 +1,8 @@
 """`surctl verify --cruise` with several speeds."""
 
 from surctl.assessment import assess
-from surctl.cli.linear_part import linear_part, over_speeds
 from surctl.marine.assessment import Mission
+from surctl.marine.cli.linear_part import linear_part, over_speeds
 from surctl.marine.control import load_gains
 from surctl.marine.vehicle import load_vehicle
 from surctl.marine.verification import loop_margins

@@ -2,8 +2,8 @@
 
 import pytest
 
-from surctl.cli.sensor_options import parse_thruster_fault, split_faults
 from surctl.errors import InputError
+from surctl.marine.cli.sensor_options import parse_thruster_fault, split_faults
 from surctl.marine.simulation import ThrusterFault
 from surctl.marine.simulation.fit import thruster_findings
 from surctl.marine.vehicle import load_vehicle

@@ -8,12 +8,12 @@ from pathlib import Path
 import pytest
 
 from surctl.assessment import assess
-from surctl.cli.linear_part import linear_part as linear_side_of
-from surctl.cli.robot_options import DEFAULT_VEHICLE, at_hand, choose_vehicle, export_command
-from surctl.cli.runs import failure, loop_lines_of_run
-from surctl.cli.verify import _speeds
 from surctl.errors import InputError
 from surctl.marine.assessment import Mission
+from surctl.marine.cli.linear_part import linear_part as linear_side_of
+from surctl.marine.cli.robot_options import DEFAULT_VEHICLE, at_hand, choose_vehicle, export_command
+from surctl.marine.cli.runs import failure, loop_lines_of_run
+from surctl.marine.cli.verify import _speeds
 from surctl.marine.control import build_law, load_gains
 from surctl.marine.simulation import LIBRARY as SCENARIOS
 from surctl.marine.simulation import load_scenario, simulate

@@ -14,13 +14,14 @@ from numpy.typing import NDArray
 from qpsolvers import solve_qp
 
 from surctl.errors import InputError
-from surctl.marine.control import CONTACT_SLOTS, DEGRADED, LAW_NAMES, LAWS, Law, LawStep, build_law, load_gains
+from surctl.marine.control import CONTACT_SLOTS, DEGRADED, LAW_NAMES, LAWS, Law, build_law, load_gains
 from surctl.marine.control.baselines import apf, cbf, dwa, vo
 from surctl.marine.control.baselines.situation import NEVER, time_to_contact
 from surctl.marine.control.ports import law_parameters
 from surctl.marine.guidance import Path
 from surctl.marine.guidance.contacts import disc_contact, wall_contacts
 from surctl.marine.vehicle import load_vehicle
+from surctl.system import ControllerStep
 
 Array = NDArray[np.float64]
 BASELINES = ("apf", "dwa", "vo", "cbf")
@@ -40,7 +41,9 @@ def _parameters() -> Array:
     )
 
 
-def _step(law: Law, *contacts: tuple[float, ...], y: float = 0.0, speed: tuple[float, float] = (0.2, 0.0)) -> LawStep:
+def _step(
+    law: Law, *contacts: tuple[float, ...], y: float = 0.0, speed: tuple[float, float] = (0.2, 0.0)
+) -> ControllerStep:
     """One step on the path at x = 1, on its way."""
     rows = np.zeros((CONTACT_SLOTS, 6))
     for row, contact in zip(rows, contacts, strict=False):

@@ -24,8 +24,8 @@ def step():
     """Face and foot after one firing of one sensor."""
     x, place, firing = STATE.symbols("x"), ca.SX.sym("place", 2), ca.SX.sym("firing", 9)
     one = Firing(firing[:2], firing[2:4], HALF, firing[4], firing[5], firing[6], firing[7], firing[8])
-    face = face_after(x[1], [one], place, dt=DT, blind=BLIND, hull=ca.SX(HULL), deep=ca.SX(DEEP))
-    return ca.Function("step", [x[0], place, firing], [STATE.join(face.state), face.foot])
+    face, foot = face_after(x[1], [one], place, dt=DT, blind=BLIND, hull=ca.SX(HULL), deep=ca.SX(DEEP))
+    return ca.Function("step", [x[0], place, firing], [STATE.join(face), foot])
 
 
 class Passing:

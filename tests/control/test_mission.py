@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 
 from surctl.ir import Layout
-from surctl.marine.control import ARC_LENGTHS, FED, LAWS, Law, LawStep, build_law, load_gains, ports
+from surctl.marine.control import ARC_LENGTHS, FED, LAWS, Law, build_law, load_gains, ports
 from surctl.marine.control.build import build_law_of
 from surctl.marine.control.ports import PARAMETERS, law_parameters
 from surctl.marine.guidance import BEND, PASS, VISIT, Path
 from surctl.marine.simulation import Obstacle, Scenario, load_scenario, simulate
 from surctl.marine.vehicle import load_vehicle
+from surctl.system import ControllerStep
 from tests.oracles.mission_loop import feeder_of
 
 VEHICLE, GAINS = load_vehicle("sur400"), load_gains("default")
@@ -48,7 +49,7 @@ def test_its_commands_are_those_of_a_law_that_holds_the_whole_mission(
     law, whole = build_law(name), _longer(monkeypatch, name, len(POINTS))
     held: dict[str, Any] = {"x": whole.initial_state(), "steps": 0, "moves": 0, "window": None}
 
-    def both(x: np.ndarray, u: np.ndarray, p: np.ndarray) -> LawStep:
+    def both(x: np.ndarray, u: np.ndarray, p: np.ndarray) -> ControllerStep:
         step = law.step(x, u, p)
         numbers = law.gains.unpack(p) | {"waypoints": POINTS}
         wanted = whole.step(held["x"], u, whole.gains.pack(numbers))

@@ -13,8 +13,8 @@ from click.testing import CliRunner
 
 import surctl.marine.control
 from surctl.cli.app import app
-from surctl.cli.run_options import ControllerOptions, PlantOptions
 from surctl.errors import InputError
+from surctl.marine.cli.run_options import ControllerOptions, PlantOptions
 from surctl.marine.control import load_gains, write_gains
 from surctl.marine.engine.mjcf import mujoco_library
 

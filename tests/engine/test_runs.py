@@ -17,7 +17,7 @@ import pytest
 from surctl.errors import InputError
 from surctl.export import connect, write_bundle
 from surctl.ir.cache import compile_program
-from surctl.marine.control import LawStep, build_law, load_gains
+from surctl.marine.control import build_law, load_gains
 from surctl.marine.engine import BatchCase, EngineOptions, MujocoPhysics, mujoco_physics
 from surctl.marine.engine.mjcf import write_mjcf
 from surctl.marine.engine.physics import simulate_seeds, simulate_with_steppers
@@ -26,6 +26,7 @@ from surctl.marine.simulation import Case, OwnPhysics, law_numbers, load_scenari
 from surctl.marine.simulation.metrics import LINK_LOST
 from surctl.marine.simulation.world import build_world
 from surctl.marine.vehicle import plant_state
+from surctl.system import ControllerStep
 from tests.engine.tools import STILL, library, load_vehicle, physics
 from tests.tools import need_compiler
 
@@ -116,7 +117,7 @@ def test_a_killed_controller_leaves_no_thrust_and_ends_the_run(tmp_path: Path) -
         with connect(controller.stdout.readline().split()[-1]) as line:
             linked, steps = LinkedLaw(CLOSED, p, line), []
 
-            def stepper(x: np.ndarray, u: np.ndarray, gains: np.ndarray) -> LawStep:
+            def stepper(x: np.ndarray, u: np.ndarray, gains: np.ndarray) -> ControllerStep:
                 if len(steps) == 60:
                     controller.kill()
                     controller.wait()

@@ -14,7 +14,7 @@ from click.testing import CliRunner
 
 import surctl.marine.simulation
 from surctl.certcheck.bundle import read_bundle
-from surctl.cli.export import export
+from surctl.cli.app import app
 from surctl.errors import InputError
 from surctl.export import Bundle, write_bundle
 from surctl.export.bundle import check_folder
@@ -31,7 +31,7 @@ def test_the_bundle_of_a_command_carries_what_was_run_and_compared(
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("SURCTL_CFLAGS", "-O0")
     more = ("--target", "fmu", "--check", "--targets", "gcc-O0", "--steps", "200")
-    done = CliRunner().invoke(export, [*OPTIONS, *more], catch_exceptions=False)
+    done = CliRunner().invoke(app, ["export", *OPTIONS, *more], catch_exceptions=False)
     assert done.exit_code == 0, done.output
     manifest = json.loads(Path("fw/manifest.json").read_text())
     evidence = manifest["evidence"]
@@ -60,7 +60,7 @@ def test_a_command_that_ends_half_way_leaves_no_bundle(tmp_path: Path, monkeypat
         raise KeyboardInterrupt
 
     monkeypatch.setattr(surctl.marine.simulation, "simulate", killed)
-    assert CliRunner().invoke(export, list(OPTIONS)).exit_code != 0
+    assert CliRunner().invoke(app, ["export", *OPTIONS]).exit_code != 0
     assert not list(tmp_path.iterdir())
 
 

@@ -26,11 +26,12 @@ from surctl.export.emulated import VERSION, Identity, LineDown, Reply
 from surctl.export.precision import Rounded
 from surctl.ir import Layout, Port, Real
 from surctl.ir.cache import compile_program
-from surctl.marine.control import Law, LawStep, build_law, load_gains
+from surctl.marine.control import Law, build_law, load_gains
 from surctl.marine.export import LinkedLaw, LinkFaults, build_bundle, closed_form
 from surctl.marine.simulation import Run, law_numbers, load_scenario, simulate
 from surctl.marine.simulation.metrics import GONE, LATE, LINK_LOST
 from surctl.marine.vehicle import load_vehicle
+from surctl.system import ControllerStep
 from tests.export import test_check
 from tests.export.altered import altered
 from tests.export.standin import StandIn
@@ -352,7 +353,7 @@ def mission() -> Mission:
     scenario = replace(load_scenario("pool-ahead"), time_limit=3.0)
     vehicle, gains, law = load_vehicle(scenario.vehicle), load_gains("default"), build_law("closed_form")
 
-    def fly(stepper: Callable[[Vector, Vector, Vector], LawStep], *, seconds: float = 3.0) -> Run:
+    def fly(stepper: Callable[[Vector, Vector, Vector], ControllerStep], *, seconds: float = 3.0) -> Run:
         flown = replace(scenario, time_limit=seconds)
         return simulate(flown, vehicle, gains=gains, law=law, seed=0, stepper=stepper)
 
@@ -381,7 +382,7 @@ def test_a_flight_through_a_process_is_the_flight_in_python_and_a_killed_one_coa
 
         linked = LinkedLaw(mission.law, mission.p, opened)
 
-        def killed(x: Vector, u: Vector, p: Vector) -> LawStep:
+        def killed(x: Vector, u: Vector, p: Vector) -> ControllerStep:
             if linked.report().steps == 40:
                 process.kill()
                 process.wait()

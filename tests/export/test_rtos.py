@@ -14,8 +14,9 @@ import pytest
 from surctl.export import write_bundle
 from surctl.export.process import compile_controller
 from surctl.ir.cache import compile_program
-from surctl.marine.control import Law, LawStep, load_gains
+from surctl.marine.control import Law, load_gains
 from surctl.marine.simulation import load_scenario, simulate
+from surctl.system import ControllerStep
 from tests.export.closed_form import vehicle
 from tests.export.standin import Vector
 from tests.export.test_gains_in_c import guarded
@@ -86,18 +87,18 @@ def test_a_task_controls_the_vehicle_to_the_last_bit_as_python(
     assert isinstance(law, Law)
     scenario, steps = load_scenario("pool-ahead"), iter(range(10**6))
 
-    def python(x: Vector, u: Vector, p: Vector) -> LawStep:
+    def python(x: Vector, u: Vector, p: Vector) -> ControllerStep:
         step = law.step(x, u, p)
-        return LawStep(np.zeros(4) if next(steps) < 19 else step.tau, step.x_next, step.status, step.telemetry)
+        return ControllerStep(np.zeros(4) if next(steps) < 19 else step.tau, step.x_next, step.status, step.telemetry)
 
     expected = simulate(scenario, vehicle(), gains=load_gains("default"), law=law, stepper=python).record
     with running(programs[kernel]) as task:
         for _ in range(waited):
             task.period(expected.law_input[0], armed=False)
 
-        def external(x: Vector, u: Vector, p: Vector) -> LawStep:
+        def external(x: Vector, u: Vector, p: Vector) -> ControllerStep:
             status, _, _, *tau, _ = task.period(u)
-            return LawStep(np.array(tau), x, int(status), np.zeros(law.outputs.size - 4))
+            return ControllerStep(np.array(tau), x, int(status), np.zeros(law.outputs.size - 4))
 
         run = simulate(scenario, vehicle(), gains=load_gains("default"), law=law, stepper=external)
     assert run.metrics.stopped_because == "reached" and len(expected.tau) > 200

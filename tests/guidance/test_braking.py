@@ -20,7 +20,6 @@ from surctl.marine.guidance.braking import (
     Brakes,
     BrakeSymbols,
     Watch,
-    admissible,
     beside,
     brakes_of,
     closing_bound,
@@ -228,10 +227,10 @@ def test_the_allowed_speed_is_the_inverse_of_the_range(distance: float, obstacle
     if speed + WATCH.speed_error + BRAKES.acceleration(obstacle) * WATCH.period + obstacle >= 0:
         assert range_needed(BRAKES, WATCH, speed, obstacle=obstacle) == pytest.approx(distance, abs=1e-12)
     assert allowed_speed(BRAKES, WATCH, distance + 0.01, obstacle=obstacle) > speed
-    assert admissible(BRAKES, WATCH, distance, speed + 1e-3, obstacle=obstacle) < 0
+    assert range_needed(BRAKES, WATCH, speed + 1e-3, obstacle=obstacle) > distance
 
 
-def test_the_closed_form_is_that_of_the_docstring() -> None:
+def test_the_closed_form_is_that_of_the_proof() -> None:
     b, s, left = replace(BRAKES, masses=(95.0, 95.0)), 0.2 + 0.05, BRAKES.left(0.05)
     swing = b.lag * (b.most + b.least)
     wanted = (95 * s**2 / 2 + s * swing + swing**2 / (2 * 95)) / left

@@ -64,7 +64,9 @@ def test_a_limited_uncertain_loop_is_proved_where_the_limit_acts(tmp_path: Path)
     assert isinstance(claim, Stability)
     assert claim.dynamics.box[1][0] > 3.0  # at x = 1, the command is at its limit
     assert solution.limits == ""
-    assert "  proved by secant slopes: a matrix inequality at every vertex of their ranges" in solution.lines()
+    assert (
+        "  proved by secant slopes: a matrix inequality at every vertex of the ranges of the slopes" in solution.lines()
+    )
     assert solution.to_dict()["rule"].startswith("secant slopes")
     assert check_document(solution.document).accepted
 

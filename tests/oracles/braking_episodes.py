@@ -17,8 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.certcheck.braking import disturbance, thrust_ahead, upper
+from surctl.certcheck.braking_claim import GuardedLaw
 from surctl.marine.guidance.braking import Brakes, Watch
-from surctl.marine.verification.braking.claim import BrakingClaim, LawNumbers
+from surctl.marine.verification.braking.claim import BrakingClaim
 from surctl.marine.verification.braking.proof import distance_of, stated
 
 __all__ = ["Episodes", "Rule", "rule_of", "run_episodes"]
@@ -65,9 +66,10 @@ def rule_of(claim: BrakingClaim, *, obstacle: float, share: float = 1.0) -> Rule
     if claim.law is not None:
         return _law_rule(claim, claim.law, obstacle)
     distance = distance_of(stated(claim), Fraction(repr(obstacle)))
-    scaled = tuple(tuple(Fraction(repr(share)) * x for x in row) for row in distance.factors)
-    distance, grid = replace(distance, factors=scaled), np.linspace(-1.0, claim.fastest + claim.watch.speed_error, 121)
-    still = claim.watch.range_error + np.array([float(distance.needed(Fraction(repr(float(v))))) for v in grid])
+    scaled = tuple(Fraction(repr(share)) * x for x in distance.slopes)
+    distance, grid = replace(distance, slopes=scaled), np.linspace(-1.0, claim.fastest + claim.watch.speed_error, 121)
+    still = np.array([float(distance.needed(v) - distance.stale(v)) for v in map(Fraction, map(repr, grid.tolist()))])
+    still += claim.watch.range_error
 
     def brakes(read: Vector, speed: Vector, since: Vector) -> NDArray[np.bool_]:
         late = np.maximum(np.maximum(since, speed) + claim.watch.speed_error + obstacle, 0.0) * claim.watch.age
@@ -76,9 +78,11 @@ def rule_of(claim: BrakingClaim, *, obstacle: float, share: float = 1.0) -> Rule
     return brakes
 
 
-def _law_rule(claim: BrakingClaim, law: LawNumbers, obstacle: float) -> Rule:
+def _law_rule(claim: BrakingClaim, law: GuardedLaw, obstacle: float) -> Rule:
     ranges = np.linspace(-1.0, _RANGES, 4001)
-    bound = np.array([_bound(law, Watch(period=claim.watch.period), float(d) - law.margin, obstacle) for d in ranges])
+    bound = np.array(
+        [_bound(law, Watch(period=claim.watch.period), float(d) - float(law.margin), obstacle) for d in ranges]
+    )
     over = np.array([_over(claim, law, float(b)) for b in bound])
 
     def brakes(read: Vector, speed: Vector, since: Vector) -> NDArray[np.bool_]:
@@ -88,11 +92,12 @@ def _law_rule(claim: BrakingClaim, law: LawNumbers, obstacle: float) -> Rule:
     return brakes
 
 
-def _over(claim: BrakingClaim, law: LawNumbers, bound: float) -> float:
+def _over(claim: BrakingClaim, law: GuardedLaw, bound: float) -> float:
     """Return the excess over a bound [m/s] at which the velocity loop commands the guaranteed braking force."""
-    gain, w = law.document()["gain"], claim.sideways
-    (low, high), (low2, high2) = sorted(law.linear), sorted(law.quadratic)
-    loop, aside = min(law.mass) * law.k_v, (max(law.mass) - min(law.mass)) * law.k_v * w
+    gain, w = float(law.gain), claim.sideways
+    (low, high), (low2, high2) = (sorted(map(float, pair)) for pair in (law.linear, law.quadratic))
+    light, heavy = sorted(map(float, law.mass))
+    loop, aside = light * float(law.k_v), (heavy - light) * float(law.k_v) * w
 
     def commanded(over: float) -> float:
         desired = bound - gain * over
@@ -112,10 +117,13 @@ def _over(claim: BrakingClaim, law: LawNumbers, bound: float) -> float:
     return float(most)
 
 
-def _bound(law: LawNumbers, watch: Watch, distance: float, obstacle: float) -> float:
+def _bound(law: GuardedLaw, watch: Watch, distance: float, obstacle: float) -> float:
     if law.barrier == "inertia":
-        return allowed_speed(law.own, watch, distance, obstacle=obstacle)
-    a, t = law.brake * law.limit / max(law.mass), law.reaction
+        lightest, heaviest, most, lag, linear, quadratic = map(float, law.stopping)
+        least = float(law.brake * law.limit)
+        own = Brakes((lightest, heaviest), least, most, lag, (0.0, linear), (0.0, quadratic))
+        return allowed_speed(own, watch, distance, obstacle=obstacle)
+    a, t = float(law.brake * law.limit / max(law.mass)), float(law.reaction)
     h = distance - t * obstacle
     return (h / t if h < 0 else float(np.sqrt((a * t) ** 2 + 2 * a * h)) - a * t) - obstacle
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from math import ceil
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -151,4 +153,5 @@ def arrives(delivery: Delivery, step: int, *, chance: float, dt: float) -> bool:
     """
     measured = step - delivery.late(dt)
     due = measured >= 0 and measured % delivery.every(dt) == 0
-    return due and chance >= delivery.lost_below and not any(a <= measured < b for a, b in delivery._blind(dt))
+    lost = any(ceil(a / dt - 1e-9) <= measured < ceil(b / dt - 1e-9) for a, b in delivery.gaps)
+    return due and chance >= delivery.lost_below and not lost

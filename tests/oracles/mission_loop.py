@@ -20,7 +20,6 @@ from surctl.marine.control import (
     WORKING,
     Gains,
     Law,
-    LawStep,
     build_law,
     check_forces,
     default_law,
@@ -40,6 +39,7 @@ from surctl.marine.simulation.world import FOOTPRINT, LONGEST, Body, World, besi
 from surctl.marine.vehicle import Vehicle
 from surctl.marine.world import Disc
 from surctl.noise import NoiseStream
+from surctl.system import ControllerStep
 from tests.oracles.echoes import (
     certain_range,
     corner_points,
@@ -293,7 +293,7 @@ class Loop:
         movers, own = rest[7:-1].reshape(self.slots, 4), rest[:6]
         return _StepNoise(samples, uniforms.reshape(instants, wide, 2), own, movers, float(rest[6]))
 
-    def _advance(self, time: float, step: LawStep, noise: _StepNoise) -> None:
+    def _advance(self, time: float, step: ControllerStep, noise: _StepNoise) -> None:
         psi, (east, north) = self.state[3], self.world.scenario.disturbance.current_m_per_s
         speed = float(self.state[4] - (np.cos(psi) * east + np.sin(psi) * north))
         shown = None if step.status < 0 else step.telemetry  # a step without command repeats an older telemetry

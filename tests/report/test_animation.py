@@ -16,9 +16,9 @@ import pytest
 from matplotlib.colors import to_rgb
 from PIL import Image
 
-from surctl.cli.run_options import check_animate
-from surctl.cli.simulate import simulate
+from surctl.cli.app import app
 from surctl.errors import InputError, ToolMissing
+from surctl.marine.cli.run_options import check_animate
 from surctl.marine.report import save_animation
 from surctl.marine.report.animation import _gif, check_animation, frame_steps, frames
 from surctl.marine.report.plan_view import INSTANT, beams_at
@@ -191,7 +191,7 @@ def test_the_command_writes_the_file_and_refuses_before_it_flies(
     monkeypatch.setattr("surctl.marine.report.animation.frame_steps", lambda run, apart: [0, len(run.record.time) - 1])
 
     def command(*words: str) -> int:
-        return int(simulate.main(["pool-behind", *words], standalone_mode=False))
+        return int(app.main(["simulate", "pool-behind", *words], standalone_mode=False))
 
     target = tmp_path / "run.gif"
     assert command("--animate", str(target), "--json") == 0

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from surctl.cli.runs import further_output
+from surctl.marine.cli.runs import further_output
 from surctl.marine.control import build_law, load_gains
 from surctl.marine.report.signals import plot_priority, relaxation_text
 from surctl.marine.simulation import Run, explain, load_scenario, priority_timeline, simulate

@@ -8,8 +8,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from surctl.cli.reproduce import row_lines
 from surctl.errors import InputError
+from surctl.marine.cli.reproduce import row_lines
 from surctl.marine.reproduction import Row, Simulations
 from surctl.marine.reproduction.reproduction import avoidances, instant_items
 from surctl.marine.reproduction.scenarios import (

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from scipy.linalg import solve_discrete_are
 
-from surctl.marine.sensing.localisation.own_state import growth, transition, white, yaw_gains
+from surctl.marine.sensing import OwnStateFilter
 from tests.oracles.steady_state import ahead, steady_covariance
 
 DT = 0.05
+DRIFTING = OwnStateFilter(dt=DT, acceleration_noise=0.01, disturbance_sd=0.03, disturbance_time=2.0)
 
 
 def test_white_noise_is_that_of_its_density():
@@ -20,12 +21,13 @@ def test_white_noise_is_that_of_its_density():
     velocity = np.cumsum(acceleration * h, axis=1)
     position = np.sum(velocity * h, axis=1)
     measured = np.cov(position, velocity[:, -1])
-    assert measured == pytest.approx(white(DT, size)[:2, :2], rel=0.05)
-    assert not white(DT, size)[2].any()
+    white = OwnStateFilter(dt=DT, model_noise=size).model_covariance
+    assert measured == pytest.approx(white[:2, :2], rel=0.05)
+    assert not white[2].any()
 
 
 def test_the_disturbance_keeps_its_deviation_and_forgets_itself():
-    step, noise = transition(DT, 2.0), growth(DT, acceleration_noise=0.01, disturbance_sd=0.03, disturbance_time=2.0)
+    step, noise = DRIFTING.step
     phi, Q = ahead(step, noise, 40)
     assert phi[2, 2] == pytest.approx(np.exp(-1.0))
     assert phi[2, 2] ** 2 * 0.03**2 + Q[2, 2] == pytest.approx(0.03**2)
@@ -34,7 +36,7 @@ def test_the_disturbance_keeps_its_deviation_and_forgets_itself():
 
 
 def test_the_settled_covariance_solves_its_riccati_equation():
-    step, noise = transition(DT, 2.0), growth(DT, acceleration_noise=0.01, disturbance_sd=0.03, disturbance_time=2.0)
+    step, noise = DRIFTING.step
     phi, Q = ahead(step, noise, 2)
     H, R = np.array([[1.0, 0.0, 0.0]]), np.array([[1e-4]])
     before = solve_discrete_are(phi.T, H.T, Q, R)
@@ -43,7 +45,8 @@ def test_the_settled_covariance_solves_its_riccati_equation():
 
 
 def test_the_yaw_gains_are_kalman_s():
-    F, Q, R = np.array([[1.0, DT], [0.0, 1.0]]), white(DT, 0.1)[:2, :2], np.diag([1e-4, 2.5e-5])
+    own = OwnStateFilter(dt=DT, yaw_sd=0.01, rate_sd=0.005, yaw_acceleration_noise=0.1, model_noise=0.1)
+    F, Q, R = np.array([[1.0, DT], [0.0, 1.0]]), own.model_covariance[:2, :2], np.diag([1e-4, 2.5e-5])
     P = solve_discrete_are(F.T, np.eye(2), Q, R)
     K = P @ np.linalg.inv(P + R)
-    assert yaw_gains(DT, yaw_sd=0.01, rate_sd=0.005, acceleration_noise=0.1) == pytest.approx(K, rel=1e-8)
+    assert own.yaw_gains == pytest.approx(K, rel=1e-8)

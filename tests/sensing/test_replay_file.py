@@ -55,7 +55,7 @@ def test_a_stuck_sensor_of_one_sample_is_not_healthy_and_a_repeated_sample_is_no
         names = ["range_m"] if samples == 1 else [f"sample_{j + 1}_m" for j in range(samples)]
         found = read(tmp_path, rows, header=",".join(["time_s", "sensor", *names]), sensors=1)
         summary = replay_readings(found.readings).summary(0)
-        return summary.healthy, summary.refused, found.notes
+        return summary.healthy_share, summary.refused, found.notes
 
     said = "the samples of each reading are equal: only one sample is used"
     for samples in (1, 5):

@@ -20,24 +20,8 @@ def test_water_agrees_with_bilaniuk_and_wong():
         assert speed_of_sound(temperature) == pytest.approx(other, abs=0.03)
 
 
-def test_air_is_that_of_an_ideal_gas():
-    for temperature in (-20.0, 0.0, 20.0, 50.0):
-        ideal = math.sqrt(1.4 * 8.314463 * (temperature + 273.15) / 0.0289652)  # CODATA, dry air
-        assert speed_of_sound(temperature, "air") == pytest.approx(ideal, abs=0.2)
-
-
-@pytest.mark.parametrize(
-    ("temperature", "medium", "key"),
-    [
-        (-0.1, "water", "temperature"),
-        (95.1, "water", "temperature"),
-        (math.nan, "water", "temperature"),
-        (-20.1, "air", "temperature"),
-        (50.1, "air", "temperature"),
-        (20.0, "sand", "medium"),
-    ],
-)
-def test_mistakes_are_named(temperature, medium, key):
+@pytest.mark.parametrize("temperature", [-0.1, 95.1, math.nan])
+def test_mistakes_are_named(temperature):
     with pytest.raises(InputError) as caught:
-        speed_of_sound(temperature, medium)
-    assert caught.value.key == key
+        speed_of_sound(temperature)
+    assert caught.value.key == "temperature"

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from surctl.cli.runs import run_line
+from surctl.marine.cli.runs import run_line
 from surctl.marine.control import load_gains
 from surctl.marine.guidance import Path
 from surctl.marine.simulation import Case, Scenario, load_scenario, simulate, simulate_batch

@@ -9,7 +9,7 @@ from pathlib import Path as FilePath
 import numpy as np
 import pytest
 
-from surctl.cli.runs import further_output
+from surctl.marine.cli.runs import further_output
 from surctl.marine.control import load_gains
 from surctl.marine.simulation import Case, Obstacle, Run, Scenario, Sensing, load_scenario, simulate, simulate_batch
 from surctl.marine.simulation.explanation import stop_reason

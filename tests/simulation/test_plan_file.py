@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from surctl.cli.mission import scenario
 from surctl.errors import InputError
+from surctl.marine.cli.mission import scenario
 from surctl.marine.simulation import load_scenario
 from surctl.marine.simulation.plan_file import mission_scenario, read_mission
 

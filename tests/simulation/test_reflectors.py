@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from surctl.cli.sensor_options import sensor_data
 from surctl.errors import InputError
 from surctl.files import read_toml
+from surctl.marine.cli.sensor_options import sensor_data
 from surctl.marine.control import load_gains
 from surctl.marine.sensing import REFLECTORS, Reflector
 from surctl.marine.simulation import ECHOES, LIBRARY, Case, Scenario, findings, load_scenario, simulate, simulate_batch

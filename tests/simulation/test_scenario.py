@@ -229,7 +229,7 @@ def test_findings_before_flight() -> None:
     assert any(f.level == "error" and "0.020 m inside a wall at the start" in f.text for f in large)  # E15
     small = findings(pool, load_vehicle("sur400"))
     assert not [f for f in small if f.level == "error"]
-    assert any("above the surface" in f.text for f in small)  # E16
+    assert any("above the water surface" in f.text for f in small)  # E16
 
 
 def test_what_ends_above_or_below_shares_no_water(tmp_path: Path) -> None:

@@ -6,7 +6,6 @@ from math import pi, radians, ulp
 
 import pytest
 
-from surctl.errors import InputError
 from surctl.marine.sensing import BaseStation, Delivery, Equipment, Fault, FaultChances, OwnState, SonarArray
 from surctl.marine.simulation import LIBRARY, Sensors, load_scenario
 from surctl.marine.simulation.scenario import scenario_from_table
@@ -64,12 +63,6 @@ def test_an_angle_of_a_file_comes_back_to_the_bit_and_any_other_to_the_next_numb
             sonar = Sensors(Equipment(array=SonarArray(beam_angle=given)))
             table = scenario_table(replace(load_scenario("tank-static"), sensors=sonar))
             assert abs(table["sonar"]["beam_deg"] * pi / 180.0 - given) <= apart * ulp(given)
-
-
-def test_what_no_file_can_state_is_refused():
-    air = Sensors(Equipment(array=SonarArray(medium="air", maximum=4.0)))
-    with pytest.raises(InputError, match="cannot be written to a scenario file"):
-        scenario_table(replace(load_scenario("tank-static"), sensors=air))
 
 
 def test_heights_and_depths_are_kept():

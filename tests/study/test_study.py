@@ -8,9 +8,9 @@ import pytest
 import xarray
 
 from surctl.assessment import assess
-from surctl.cli.verify import _chosen
 from surctl.errors import InputError
 from surctl.marine.assessment import LoopAnalysis, unstable_text
+from surctl.marine.cli.verify import _chosen
 from surctl.marine.control import build_law, load_gains
 from surctl.marine.simulation import LIBRARY as SCENARIOS
 from surctl.marine.simulation import simulate

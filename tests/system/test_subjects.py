@@ -85,6 +85,62 @@ def test_commands_take_the_system_of_a_package_by_its_name(heron: Path) -> None:
     assert data("export", "subject:heron", "--seconds", "1", "--out", "c")["sil"]["passed"]
 
 
+APP = """
+import click
+from surctl.cli.application import Application
+
+@click.command
+@click.option("--wide", is_flag=True, help="Spread the wings.")
+def feed(wide):
+    "Feed a heron."
+    click.echo(f"fed {wide}")
+
+@click.command
+@click.argument("words", nargs=-1, metavar="PLACE@")
+@click.option("--wind", default=0.0, help="Wind [m/s].")
+def simulate(words, wind, out, save, as_json):
+    "Herons fly."
+    click.echo(f"{words} {wind} {out} {as_json}")
+
+APPLICATION = Application(
+    takes=lambda words: words[:1] != () and words[0].endswith("@"),
+    commands={feed: "Feed a heron."}, branches={"simulate": simulate}, reserved=lambda: ("hold",),
+)
+"""
+
+
+SAID = """
+import sys
+sys.path.insert(0, "site")
+from click.testing import CliRunner
+from surctl.cli.app import app
+for line in (
+    "--help", "feed --wide", "simulate --help", "simulate lake@ --wind 3 --json", "simulate lake",
+    "simulate subject:heron --wind 3", "export subject:heron --seconds 1", "lint lake@",
+):
+    done = CliRunner().invoke(app, line.split())
+    print(">", line, " ".join(done.output.split()), done.exception)
+"""
+
+
+@pytest.mark.parametrize("module", ["app", "gone"])
+def test_a_package_brings_commands_options_and_subjects_of_its_own(heron: Path, module: str) -> None:
+    (heron / "app.py").write_text(APP)
+    entries = f"\n[surctl.applications]\nheron = heron_robot.{module}:APPLICATION\n"
+    (heron.parent / "heron_robot-1.0.dist-info" / "entry_points.txt").write_text(ENTRIES + entries)
+    done = _script(heron, SAID)
+    said = [line for line in done.stdout.splitlines() if line.startswith("> ")]
+    if module == "gone":
+        error = "application = 'heron': heron_robot.gone:APPLICATION fails with ModuleNotFoundError"
+        assert sum(error in line and "uninstall" in line for line in said) == len(said) == 8, said
+        return
+    parts = ["Feed a heron.", "fed True", "--wind", "('lake@',) 3.0 None True", "lake", "--wind: ", "hold", "lake@"]
+    assert len(said) == 8 and all(part in line for part, line in zip(parts, said, strict=True)), said
+    assert all(text in said[2] for text in ("--wind", "--sensing", "SCENARIO... | PLACE@ |", "Herons fly."))
+    assert "unknown scenario" in said[4] and "does not apply to a system" in said[5] and "unknown" in said[7]
+    assert "is the name of a built-in law" in said[6]
+
+
 def test_other_processes_load_the_package(heron: Path) -> None:
     need_compiler()
     subject, design = load_subject("subject:heron"), grid([parse_axis("k=0.5..4:100")])
@@ -125,13 +181,17 @@ print([name for name in sys.modules if name.startswith("surctl.marine")])
 """
 
 
-def test_commands_about_a_robot_of_a_package_load_no_other_application(heron: Path) -> None:
-    need_compiler()
+def _script(heron: Path, text: str) -> subprocess.CompletedProcess[str]:
     script = heron.parents[1] / "commands.py"
-    script.write_text(COMMANDS)
+    script.write_text(text)
     environment = os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])}
-    done = subprocess.run(
+    return subprocess.run(
         [sys.executable, str(script)], cwd=heron.parents[1], env=environment, capture_output=True, text=True,
         check=False, timeout=PATIENCE,
     )  # fmt: skip
+
+
+def test_commands_about_a_robot_of_a_package_load_no_other_application(heron: Path) -> None:
+    need_compiler()
+    done = _script(heron, COMMANDS)
     assert done.returncode == 0 and done.stdout.splitlines()[-1] == "[]", (done.stdout, done.stderr)

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from surctl.cli.robot_options import choose_gains
 from surctl.errors import InputError
+from surctl.marine.cli.robot_options import choose_gains
 from surctl.marine.control import GAINS, Gains, load_gains, write_gains
 from surctl.marine.simulation import findings
 from surctl.marine.tuning import default_cruise, derive_gains, derived_gains, gains_for

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from surctl.cli.lint import lint
+from surctl.cli.app import app
 from surctl.errors import InputError
 from surctl.marine.vehicle import load_vehicle, write_vehicle
 from surctl.marine.vehicle.gazebo import gazebo_vehicle
@@ -60,7 +60,7 @@ def test_an_axis_with_thrust_and_no_drag_is_said(tmp_path: Path) -> None:
     auv = gazebo_vehicle(tmp_path / "model.sdf", "auv", **GIVEN)
     assert auv.note.endswith("omitted; no drag found in surge, yaw")
     (tmp_path / "auv.toml").write_text(write_vehicle(auv))
-    result = CliRunner().invoke(lint, [str(tmp_path / "auv.toml")])
+    result = CliRunner().invoke(app, ["lint", str(tmp_path / "auv.toml")])
     assert [line.partition(": no drag")[0] for line in result.output.splitlines()[:2]] == [
         "warning: drag (surge)",
         "warning: drag (yaw)",

@@ -10,8 +10,8 @@ import pytest
 from click.testing import CliRunner
 from scipy.signal import lfilter
 
-from surctl.cli.vehicle import vehicle as vehicle_command
 from surctl.errors import InputError
+from surctl.marine.cli.vehicle import vehicle as vehicle_command
 from surctl.marine.vehicle import MotionLog, Vehicle, identify, load_vehicle, predict, write_vehicle
 from surctl.marine.vehicle.identification.identify import held_out_windows, velocity_notes
 from surctl.marine.vehicle.identification.intervals import spread_of

@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from surctl.cli.vehicle import _fit_lines
+from surctl.marine.cli.vehicle import _fit_lines
 from surctl.marine.vehicle import FITTED, MotionLog, identify
 from surctl.marine.vehicle.identification.model import Model, drift_sections_of, sections_of
 from surctl.marine.vehicle.identification.solve import minimise, outliers

@@ -9,8 +9,8 @@ import pytest
 from click.testing import CliRunner
 from scipy.linalg import expm
 
-from surctl.cli.gains import derive
 from surctl.errors import InputError
+from surctl.marine.cli.gains import derive
 from surctl.marine.simulation.physics import advance
 from surctl.marine.vehicle import PLANT_DISTURBANCE, PLANT_STATE, linearise, load_vehicle, plant_parameters, trim_thrust
 from surctl.marine.vehicle.linearise import check_cruise

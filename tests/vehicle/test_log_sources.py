@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from surctl.cli.vehicle import vehicle
 from surctl.errors import InputError
+from surctl.marine.cli.vehicle import vehicle
 from surctl.marine.vehicle.logs.read import read_mapped_log, read_recording
 from surctl.marine.vehicle.motion_log import read_motion_log
 from tests.vehicle import logs_written as written

@@ -12,11 +12,12 @@ from click.testing import CliRunner
 
 from surctl.cli.app import app
 from surctl.errors import InputError
-from surctl.marine.control import Law, LawStep, build_law, law_ref, law_source, load_gains
+from surctl.marine.control import Law, build_law, law_ref, law_source, load_gains
 from surctl.marine.guidance import Path as Route
 from surctl.marine.simulation import Disturbance, Run, load_scenario, simulate
 from surctl.marine.vehicle import load_vehicle
 from surctl.marine.verification import law_loop, steady_motion
+from surctl.system import ControllerStep
 
 FILES = Path(__file__).parents[2] / "analysis" / "27_own_law"
 WALL = law_ref(f"{FILES / 'wall.py'}:wall")
@@ -36,7 +37,7 @@ def along_the_wall(offset: float = 0.0, *, late: bool = False) -> Run:
     corners[0, 1] += offset
     held = [np.zeros(4)]
 
-    def one_period_late(x: np.ndarray, u: np.ndarray, p: np.ndarray) -> LawStep:
+    def one_period_late(x: np.ndarray, u: np.ndarray, p: np.ndarray) -> ControllerStep:
         step = wall_law().step(x, u, p)
         held.append(step.tau)
         return step._replace(tau=held.pop(0))
@@ -107,7 +108,7 @@ def test_the_command_line_judges_an_own_law_and_no_claim_of_another() -> None:
     words = ["verify", "--law", f"{FILES / 'wall.py'}:wall", "--scenario", str(FILES / "wall.toml")]
     judged = CliRunner().invoke(app, [*words, "v1-corrected", "--uncertainty", "0.1"], standalone_mode=False)
     assert judged.return_value == 1, judged.output
-    assert "about the steady motion at" in judged.output and "loop surge: gain 0 to" in judged.output
+    assert "about the steady motion at" in judged.output and "loop surge: gain factor below" in judged.output
     assert "no contact: not judged" in judged.output
     assert "v1-corrected           not applicable to law wall.py:wall" in judged.output
     region = CliRunner().invoke(app, [*words, "region-cruise-20"], standalone_mode=False)

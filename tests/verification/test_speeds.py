@@ -35,7 +35,7 @@ def test_a_speed_is_held_below_the_cap_and_by_the_thrust():
     check_held((0.05, 0.22), SUR, cap=0.22, key="--cruise")
     with pytest.raises(InputError, match=r"--cruise = 0.23: is above the cap, 0.22 m/s; lower it"):
         check_held((0.05, 0.23), SUR, cap=0.22, key="--cruise")
-    with pytest.raises(InputError, match=r"--cruise = 0.9: needs thrust .*, by sur400; lower it"):
+    with pytest.raises(InputError, match=r"--cruise = 0.9: sur400 needs thrust .*; lower the speed"):
         check_held((0.05, 0.9), SUR, cap=1.0, key="--cruise")
 
 

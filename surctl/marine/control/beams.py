@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from functools import partial
+from functools import partial, reduce
 from itertools import groupby
 from math import radians, sin
 from typing import NamedTuple, TypeVar
@@ -174,11 +174,8 @@ def honest(array: SonarArray, samples: ca.SX, ranging: Ranging, sensor: int, *, 
 
 
 def least_of(values: ca.SX) -> ca.SX:
-    """Return the least entry of a column."""
-    least = values[0]
-    for k in range(1, values.numel()):
-        least = ca.fmin(least, values[k])
-    return least
+    """Return the least entry of a column or a row."""
+    return reduce(ca.fmin, (values[k] for k in range(values.numel())))
 
 
 def slotted(firings: list[tuple[ca.SX, ca.SX]], slots: int) -> ca.SX:

@@ -226,11 +226,6 @@ CLIMB = 0.1
 """Largest heave velocity command [m/s]."""
 
 
-def _has_degraded(flags: ca.SX) -> ca.SX:
-    # `TRAPPED` is the only bit above `DEGRADED`
-    return flags - TRAPPED * (flags >= TRAPPED) >= DEGRADED
-
-
 def yaw_limit(p: dict[str, ca.SX]) -> ca.SX:
     """Return the steady yaw rate [rad/s] at which the drag moment equals 85 % of the largest yaw moment."""
     moment, linear, quadratic = YAW_SHARE * p["thrust_limit"][3], p["linear_drag"][3], p["quadratic_drag"][3]
@@ -292,8 +287,10 @@ class Closing:
         tau, integral, saturated, clamped = self._thrust(nu_reference, carried)
         if "held" in carried:
             carried = {**carried, "held": tau}
-        opened = ca.logic_and(stage >= RELAXED, ca.logic_not(_has_degraded(memory.flags)))
-        status = memory.flags + SATURATED * saturated + DEGRADED * opened
+        flags = memory.flags
+        degraded = flags - TRAPPED * (flags >= TRAPPED) >= DEGRADED  # `TRAPPED` is the only bit above `DEGRADED`
+        opened = ca.logic_and(stage >= RELAXED, ca.logic_not(degraded))
+        status = flags + SATURATED * saturated + DEGRADED * opened
         return {
             "tau": tau,
             "x_next": self.state.join({**carried, "integral": integral}),

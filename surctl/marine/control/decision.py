@@ -131,14 +131,6 @@ class Decision:
         degraded: 1 if no course satisfies the speed bounds of all obstacles.
         state: next values of the state entries by name; an entry that is not named does not change.
         stopped: 1 while the robot stops, or nearly stops, because it does not know what is ahead.
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.marine.control import Decision
-        >>> from surctl.tasks import depth_task
-        >>> eta = ca.SX.sym("eta", 4)
-        >>> [level.name for level in Decision([depth_task(eta, -0.5, gain=0.4)]).levels]
-        ['depth']
     """
 
     levels: Sequence[TaskLevel | Task]

@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
-from surctl.errors import InputError, nearest
+from surctl.errors import InputError, mistakes_in, nearest
 from surctl.files import Mistakes, Quantity, Strict, load_model, pick, quoted
 from surctl.units import is_number
 
@@ -25,11 +25,6 @@ class GainSpec:
     A gain file may omit a gain that has a `default`. `range` is the range in which sweeps and tuning vary the gain,
     unless the gain file states another range. A number with `from_vehicle` is no gain: it follows from vehicle and
     cruise speed (`law_parameters`), so no file states it.
-
-    Example:
-        >>> from surctl.marine.control import GainSpec
-        >>> GainSpec("m", "distance kept from the wall", default=0.5, range=(0.3, 0.8)).default
-        0.5
     """
 
     unit: str
@@ -216,10 +211,8 @@ def load_gains(name_or_path: str, *, own: Mapping[str, GainSpec] | None = None) 
 
 def _read_gain(name: str, quantity: Quantity, path: Path, specs: Mapping[str, GainSpec]) -> Quantity:
     _check_name(name, path, specs)
-    try:
+    with mistakes_in(path, f"gains.{name}.unit"):
         stated = quantity.within(specs[name].unit)
-    except InputError as error:
-        raise error.inside(path, f"gains.{name}.unit") from None
     for value in (stated.value, *(stated.range or ())):
         _check_value(name, value, path, specs)
     if stated.range is not None and not stated.range[0] <= stated.value <= stated.range[1]:

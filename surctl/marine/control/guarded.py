@@ -15,11 +15,21 @@ from typing import TypeAlias
 import casadi as ca
 
 from surctl.ir import each, fold, tabulated
-from surctl.marine.control.closing import BRAKE, BRAKE_AT_START, EVADE, HARD, beside_margin, eased, pushed
-from surctl.marine.control.decision import Decision, Perception, Scan, TaskLevel, lower_levels, weakest_acceleration
+from surctl.marine.control.baselines.situation import Situation
+from surctl.marine.control.closing import (
+    BRAKE,
+    BRAKE_AT_START,
+    EVADE,
+    HARD,
+    beside_margin,
+    calm_parameters,
+    eased,
+    pushed,
+)
+from surctl.marine.control.decision import Decision, Scan, TaskLevel, lower_levels, weakest_acceleration
 from surctl.marine.control.ports import LAUNCHED, SECTORS
 from surctl.marine.control.reference import DesiredMotion
-from surctl.marine.control.stopping import Bounds, Stop, braked
+from surctl.marine.control.stopping import BARRIERS, Bounds, Stop, braked
 from surctl.marine.guidance import FAR, SAME_CONTACT, Cone, Contact, Sector, inside
 from surctl.marine.guidance.contacts import collision_cone
 from surctl.marine.guidance.sectors import choose_velocity, round_unknown, slowed
@@ -46,19 +56,7 @@ _WAITING = 0.5  # share of the chosen speed below which the robot counts as wait
 _BESIDE = 0.03  # [m] distance from the path above which a detour around unknown space must not increase it
 
 
-def guarded_law(
-    desired: DesiredMotion,
-    perceived: Perception,
-    x: Mapping[str, ca.SX],
-    eta: ca.SX,
-    nu: ca.SX,
-    p: Mapping[str, ca.SX],
-    *,
-    stop: Stop,
-    scan: Scan | None = None,
-    moving: bool = True,
-    calm: float | None = None,
-) -> Decision:
+def guarded_law(s: Situation, calm: float | None = None) -> Decision:
     """Return the decision: of all velocities that no obstacle forbids, the one nearest to the desired velocity.
 
     The braking distance to each obstacle limits the closing speed. With sonars, the robot turns continuously, and its
@@ -68,6 +66,10 @@ def guarded_law(
     gradually (`closing.eased`), and only the velocity loop brakes before unknown space. The output `stopped` is
     then judged by the decision before smoothing and braking.
     """
+    desired, perceived, x, eta, nu, scan = s.desired, s.perceived, s.x, s.eta, s.nu, s.scan
+    p = s.p if calm is None else calm_parameters(s.p)
+    stop = BARRIERS[s.barrier](p, s.dt)
+    moving = s.moving and s.movers == "predict"
     marks = len(perceived.known) - SECTORS if scan is not None else len(perceived.all)
     movers = min(marks, len(perceived.known)) if moving else 0
     sectors, cones = _movers(perceived.known[:movers], desired, eta, p, stop)

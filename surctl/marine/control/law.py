@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
-from typing import NamedTuple, TypeAlias
+from typing import TypeAlias
 
 import casadi as ca
 import numpy as np
@@ -29,7 +29,7 @@ from surctl.marine.vehicle import Actuators
 from surctl.marine.vehicle.thruster_file import axis_limits
 from surctl.priority import Fallback, Level, Mode, PriorityProblem, PrioritySolution, Row, solve
 from surctl.priority.solver.elimination import FLOAT32, FLOAT64, Precision
-from surctl.system import NONFINITE
+from surctl.system.controller import NONFINITE, ControllerStep
 
 Vector: TypeAlias = NDArray[np.float64]
 
@@ -64,52 +64,36 @@ def scan_telemetry(sensors: int) -> tuple[Port, ...]:
     )
 
 
-class LawStep(NamedTuple):
-    """The result of one control step.
-
-    Attributes:
-        tau: thrust command (4,) [N, N m] in {B}.
-        x_next: next state as a flat vector.
-        status: 0, or a sum of the bits `SATURATED`, `SWITCHED`, `DEGRADED`, `TRAPPED`; or `NONFINITE`, in which case
-            tau is 0 and the state does not change.
-        telemetry: flat vector of all entries of `Law.outputs` except the first, which is tau.
-    """
-
-    tau: Vector
-    x_next: Vector
-    status: int
-    telemetry: Vector
-
-
 class Stages:
-    """Parts of a law; each part is built when it is first used, and calls libm functions such as sin.
-
-    Attributes:
-        closed: complete law with the closed form, equation (16) of the paper, in every mode; it maps (x, u, p) to (tau,
-            x_next, status, telemetry).
-        pre: part before the priority solver; it maps (x, u, p) to (J row by row, references, inequality constraints,
-            velocity bounds (8,), carried, reported, flags). `carried` is the next state before the velocity integral is
-            updated, `reported` is the telemetry except `nu_reference`, and `flags` is the sum of the status bits.
-        post: part after the priority solver; it maps (u, p, carried, reported, flags, nu_reference, number of the
-            solver's fallback) to (tau, x_next, status, telemetry).
-    """
+    """Parts of a law; each part is built when it is first used, and calls libm functions such as sin."""
 
     def __init__(self, closed: Callable[[], Block], pre: Callable[[], Block], post: Callable[[], Block]) -> None:
         self._closed, self._pre, self._post = closed, pre, post
 
     @cached_property
     def closed(self) -> Block:
-        """Return the complete law with the closed form, equation (16) of the paper."""
+        """Complete law with the closed form, equation (16) of the paper, in every mode.
+
+        It maps (x, u, p) to (tau, x_next, status, telemetry).
+        """
         return self._closed()
 
     @cached_property
     def pre(self) -> Block:
-        """Return the part of the law before the priority solver."""
+        """Part before the priority solver.
+
+        It maps (x, u, p) to (J row by row, references, inequality constraints, velocity bounds (8,)), and the entries
+        of `closing.Memory`.
+        """
         return self._pre()
 
     @cached_property
     def post(self) -> Block:
-        """Return the part of the law after the priority solver."""
+        """Part after the priority solver.
+
+        It maps (u, p, entries of `closing.Memory`, nu_reference, number of the solver's fallback) to (tau, x_next,
+        status, telemetry).
+        """
         return self._post()
 
 
@@ -168,10 +152,11 @@ class Law:
         """Return the state before the first step."""
         return self.state.pack()
 
-    def step(self, x: Vector, u: Vector, p: Vector) -> LawStep:
-        """Compute one control step.
+    def step(self, x: Vector, u: Vector, p: Vector) -> ControllerStep:
+        """Compute one control step; the status is 0, or a sum of `SATURATED`, `SWITCHED`, `DEGRADED`, `TRAPPED`.
 
-        If an input or a result contains a number that is not finite, the thrust is 0 and the status is `NONFINITE`.
+        If an input or a result contains a number that is not finite, the thrust is 0, the state does not change, and
+        the status is `NONFINITE`. The telemetry has all entries of `outputs` except the first, which is tau.
 
         Raises:
             InputError: a vector does not have the size of its layout.
@@ -183,7 +168,7 @@ class Law:
         if not all(np.isfinite(part).all() for part in parts):
             return self._fail_safe(x)
         tau, x_next, status, telemetry = parts
-        return LawStep(tau, x_next, int(status[0]), telemetry)
+        return ControllerStep(tau, x_next, int(status[0]), telemetry)
 
     @cached_property
     def _run(self) -> Callable[[Vector, Vector, Vector], list[Vector]]:
@@ -274,8 +259,8 @@ class Law:
             flat.append(array.astype(float, copy=False).reshape(-1))
         return flat
 
-    def _fail_safe(self, x: Vector) -> LawStep:
-        return LawStep(np.zeros(4), np.array(x, dtype=float), NONFINITE, np.zeros(self.outputs.size - 4))
+    def _fail_safe(self, x: Vector) -> ControllerStep:
+        return ControllerStep(np.zeros(4), np.array(x, dtype=float), NONFINITE, np.zeros(self.outputs.size - 4))
 
 
 # A law with allocation: the law's thrust command is distributed to the thrusters of the vehicle.

@@ -12,6 +12,7 @@ import casadi as ca
 import numpy as np
 
 from surctl.errors import InputError
+from surctl.marine.control.baselines.situation import Situation
 from surctl.marine.control.decision import (
     DECISION_PORTS,
     Decision,
@@ -22,7 +23,7 @@ from surctl.marine.control.decision import (
 )
 from surctl.marine.control.ports import DEFAULT_ARRAY
 from surctl.marine.control.reference import DesiredMotion
-from surctl.marine.guidance import FAR, AvoidanceForm, Contact
+from surctl.marine.guidance import FAR, Contact
 from surctl.marine.guidance.avoidance import avoidance_course, encounter_side
 from surctl.marine.guidance.contacts import nearest_in_quadrants
 from surctl.marine.vehicle import planar_rotation
@@ -68,47 +69,38 @@ def known_obstacle(u: Mapping[str, ca.SX], p: Mapping[str, ca.SX]) -> Perception
     )
 
 
-def closed_form_law(
-    desired: DesiredMotion, perceived: Perception, x: Mapping[str, ca.SX], eta: ca.SX, p: Mapping[str, ca.SX]
-) -> Decision:
+def closed_form_law(s: Situation) -> Decision:
     """Return the decision of the law `closed_form`; its tasks are combined by a damped null-space projection."""
-    (contact,) = perceived.known
+    desired, p = s.desired, s.p
+    (contact,) = s.perceived.known
     n, left = contact.normal, ca.vertcat(-contact.normal[1], contact.normal[0])
     bound = p["kappa"] * (contact.clearance - p["margin"]) + contact.closing
     near = contact.clearance < p["margin"] + _SENSE_RANGE
     avoiding = ca.logic_and(near, ca.dot(desired.velocity, n) > bound)
-    side = ca.if_else(x["side"] == 0, encounter_side(desired.velocity - contact.velocity, n), x["side"])
+    side = ca.if_else(s.x["side"] == 0, encounter_side(desired.velocity - contact.velocity, n), s.x["side"])
     speed = ca.fmin(p["cap"], ca.fmax(p["cruise"], ca.sqrt(ca.sumsqr(contact.velocity)) + _OVERTAKE))
     ratio = ca.fmin(ca.fmax(bound / ca.fmax(speed, _OVERTAKE), -1), 1)
     course = speed * (ratio * n + side * ca.sqrt(ca.fmax(1 - ratio * ratio, 0)) * left)
     chosen = ca.if_else(avoiding, course, desired.velocity)
-    to_body = planar_rotation(eta[3]).T
+    to_body = planar_rotation(s.eta[3]).T
     row = ca.if_else(avoiding, -(to_body @ n), 0)
     # in {B} the Jacobian is constant, and so is its projection
     ahead = TaskLevel("velocity", ca.horzcat(ca.SX.eye(2), ca.SX.zeros(2, 2)), to_body @ chosen, "m/s")
     levels = [
         TaskLevel("sensor", ca.horzcat(row.T, 0, 0), ca.if_else(avoiding, -bound, 0), "m/s"),
         ahead,
-        *lower_levels(eta, desired, p),
+        *lower_levels(s.eta, desired, p),
     ]
     return Decision(levels, [], chosen, avoiding, ca.SX(0), {"side": ca.if_else(avoiding, side, 0)})
 
 
-def paper_law(
-    form: AvoidanceForm,
-    desired: DesiredMotion,
-    perceived: Perception,
-    x: Mapping[str, ca.SX],
-    eta: ca.SX,
-    p: Mapping[str, ca.SX],
-    *,
-    dt: float,
-) -> Decision:
+def paper_law(s: Situation) -> Decision:
     """Return the decision of the paper's law: the sensor tasks by urgency, then velocity, depth and heading."""
+    desired, eta, p = s.desired, s.eta, s.p
     heading = ca.vertcat(ca.cos(eta[3]), ca.sin(eta[3]))
     left = ca.vertcat(-heading[1], heading[0])
-    sensed = nearest_in_quadrants(perceived.all, [heading, left, -heading, -left])
-    closing = [_sub_task_speed(c, p) for c in sensed]
+    sensed = nearest_in_quadrants(s.perceived.all, [heading, left, -heading, -left])
+    closing = [p["kappa"] * (c.clearance - p["margin"]) for c in sensed]  # speeds [m/s] that σ̇ = −κ σ requires
     threat = [
         ca.logic_and(c.clearance - p["margin"] < _SENSE_RANGE, ca.dot(desired.velocity, c.normal) > v)
         for c, v in zip(sensed, closing, strict=True)
@@ -116,7 +108,7 @@ def paper_law(
     avoiding = threat[0]
     for other in threat[1:]:
         avoiding = ca.logic_or(avoiding, other)
-    velocity, side = _avoidance_velocity(form, desired, _most_urgent(sensed, threat, desired), avoiding, x, p, dt=dt)
+    velocity, side = _avoidance_velocity(s, _most_urgent(sensed, threat, desired), avoiding)
     levels = _by_urgency(sensed, closing, velocity, eta, p)
     return Decision(
         [*levels, TaskLevel.of(velocity_task(eta, velocity)), *lower_levels(eta, desired, p)],
@@ -124,13 +116,8 @@ def paper_law(
         velocity,
         avoiding,
         ca.SX(0),
-        {"side": side, "blocker": x["blocker"], "last_velocity": velocity},
+        {"side": side, "blocker": s.x["blocker"], "last_velocity": velocity},
     )
-
-
-def _sub_task_speed(contact: Contact, p: Mapping[str, ca.SX]) -> ca.SX:
-    # the speed towards the contact [m/s] that σ̇ = −κ σ requires
-    return p["kappa"] * (contact.clearance - p["margin"])
 
 
 def _urgency(contact: Contact, speed: ca.SX) -> ca.SX:
@@ -143,35 +130,22 @@ def _most_urgent(sensed: Sequence[Contact], threat: Sequence[ca.SX], desired: De
     best, least = sensed[0], ca.SX(1e6)
     for contact, active in zip(sensed, threat, strict=True):
         time = ca.if_else(active, _urgency(contact, ca.dot(desired.velocity, contact.normal)), 1e6)
-        take = time < least
-        best = Contact(*(ca.if_else(take, a, b) for a, b in zip(_fields(contact), _fields(best), strict=True)))
+        best = best.or_else(contact, time < least)
         least = ca.fmin(time, least)
     return best
 
 
-def _fields(contact: Contact) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
-    return contact.normal, contact.clearance, contact.velocity, contact.combined_radius
-
-
-def _avoidance_velocity(
-    form: AvoidanceForm,
-    desired: DesiredMotion,
-    contact: Contact,
-    avoiding: ca.SX,
-    x: Mapping[str, ca.SX],
-    p: Mapping[str, ca.SX],
-    *,
-    dt: float,
-) -> tuple[ca.SX, ca.SX]:
+def _avoidance_velocity(s: Situation, contact: Contact, avoiding: ca.SX) -> tuple[ca.SX, ca.SX]:
     """Return the avoidance velocity (20) within the limits (19) of the paper, and the next passing side λ2.
 
     λ2 does not change during an encounter with an obstacle.
     """
+    desired, p = s.desired, s.p
     met = encounter_side(desired.velocity - contact.velocity, contact.normal)
-    side = ca.if_else(ca.fabs(x["side"]) > 0.5, x["side"], met)
+    side = ca.if_else(ca.fabs(s.x["side"]) > 0.5, s.x["side"], met)
     speed = ca.fmin(p["cap"], ca.fmax(p["cruise"], ca.sqrt(ca.sumsqr(contact.velocity)) + _OVERTAKE))
     course = avoidance_course(
-        form,
+        s.form,
         ca.atan2(contact.normal[1], contact.normal[0]),
         contact.clearance - p["margin"],
         radius=contact.combined_radius + p["margin"],
@@ -183,7 +157,7 @@ def _avoidance_velocity(
         kappa=p["kappa"],
         standoff=ca.SX(0),
     )
-    velocity = _window(speed, course, x["last_velocity"], contact.combined_radius + p["margin"], p, dt=dt)
+    velocity = _window(speed, course, s.x["last_velocity"], contact.combined_radius + p["margin"], p, dt=s.dt)
     return ca.if_else(avoiding, velocity, desired.velocity), ca.if_else(avoiding, side, 0)
 
 

@@ -95,14 +95,6 @@ class Firing(NamedTuple):
     blind: ca.SX
 
 
-@dataclass(frozen=True)
-class Face:
-    """The state after a period, and the foot of the perpendicular: offset x, y from the robot [m], squared distance."""
-
-    state: Mapping[str, ca.SX]
-    foot: ca.SX
-
-
 def face_after(
     x: Mapping[str, ca.SX],
     firings: Sequence[Firing],
@@ -112,14 +104,16 @@ def face_after(
     blind: float,
     hull: ca.SX,
     deep: ca.SX,
-) -> Face:
+) -> tuple[dict[str, ca.SX], ca.SX]:
     """Return the face beside the robot, by name as in `FACE_PORTS`, after the firings of one control period.
+
+    The second result is the foot of the perpendicular (3, 1): offset x, y from the robot [m], and squared distance.
 
     Args:
         position: the robot's place (2, 1) in {E} [m].
         blind: longest range that a sensor cannot measure [m].
         hull: radius of the hull [m].
-        deep: distance [m] by which the point in `foot` lies behind the face, as the centre of a marked cell does.
+        deep: distance [m] by which the foot lies behind the face, as the centre of a marked cell does.
     """
     late, early = x["face_echoes"][0, :].T, x["face_echoes"][1, :].T
     plane, age, close = x["face_plane"], x["face_age"][0] + dt, x["face_age"][1] + dt
@@ -175,8 +169,7 @@ def face_after(
     )
     away += deep
     foot = ca.if_else(holds, ca.vertcat(away * plane[:2], away * away), ca.DM([0, 0, _NO_FACE]))
-    state = {"face_echoes": echoes, "face_plane": plane, "face_age": ca.fmin(ca.vertcat(age, close), _NEVER)}
-    return Face(state, foot)
+    return {"face_echoes": echoes, "face_plane": plane, "face_age": ca.fmin(ca.vertcat(age, close), _NEVER)}, foot
 
 
 def with_face(marks: ca.SX, foot: ca.SX) -> ca.SX:
@@ -447,9 +440,10 @@ class _Builder:
         if "column" in self.outputs:
             perceived["column"] = inputs["column"]
         if local_map.smooth:
-            face = face_after(x, fired, around.eta[:2], dt=self.dt, blind=shortest, hull=known["hull"], deep=edge / 2)
-            after |= face.state
-            perceived["face"] = face.foot
+            face, perceived["face"] = face_after(
+                x, fired, around.eta[:2], dt=self.dt, blind=shortest, hull=known["hull"], deep=edge / 2
+            )
+            after |= face
         free = known["hull"] + ca.if_else(x["launched"], 0, known["launch"])
         outputs = {
             "small_next": self._small.join(

@@ -7,37 +7,15 @@ from pathlib import Path
 from types import MappingProxyType
 
 from surctl.errors import InputError, nearest
-from surctl.marine.control.baselines import Situation, apf_law, cbf_law, dwa_law, vo_law
-from surctl.marine.control.closing import ACCELERATION_NOISE, CALM_GAINS, CALM_PORTS, MODEL_NOISE, calm_parameters
-from surctl.marine.control.decision import Decision
+from surctl.marine.control.baselines import apf_law, cbf_law, dwa_law, vo_law
+from surctl.marine.control.closing import ACCELERATION_NOISE, CALM_GAINS, CALM_PORTS, MODEL_NOISE
 from surctl.marine.control.guarded import guarded_law
 from surctl.marine.control.paper import CLOSED_FORM_PORTS, DAMPING, closed_form_law, known_obstacle, paper_law
 from surctl.marine.control.source import AVOIDANCE, BARRIER, CASCADE, PATH_FOLLOWING, LawSource
 from surctl.marine.control.steered import STEERED_GAINS, STEERED_PORTS, steered_law, steered_thrust
 from surctl.marine.control.steering import steering_of
-from surctl.marine.control.stopping import BARRIERS
 from surctl.marine.vehicle import Vehicle
 from surctl.own_code import check_trusted, is_own, label, object_of, own_file, pinned
-
-
-def _guarded(s: Situation, calm: float | None = None) -> Decision:
-    p = s.p if calm is None else calm_parameters(s.p)
-    stop = BARRIERS[s.barrier](p, s.dt)
-    moving = s.moving and s.movers == "predict"
-    return guarded_law(s.desired, s.perceived, s.x, s.eta, s.nu, p, stop=stop, scan=s.scan, moving=moving, calm=calm)
-
-
-def _calm(s: Situation) -> Decision:
-    return _guarded(s, s.dt)
-
-
-def _paper(s: Situation) -> Decision:
-    return paper_law(s.form, s.desired, s.perceived, s.x, s.eta, s.p, dt=s.dt)
-
-
-def _closed_form(s: Situation) -> Decision:
-    return closed_form_law(s.desired, s.perceived, s.x, s.eta, s.p)
-
 
 _FOLLOWS = frozenset({PATH_FOLLOWING})
 _LINEAR = _FOLLOWS | {CASCADE}
@@ -46,17 +24,17 @@ LAWS: Mapping[str, LawSource] = MappingProxyType(
     {
         "guarded": LawSource(
             "surctl_guarded",
-            _guarded,
+            guarded_law,
             options=frozenset({"barrier", "movers", "depths"}),
             gives_up=True,
             parts=_LINEAR | {BARRIER},
         ),
         "paper": LawSource(
-            "surctl_paper", _paper, options=frozenset({"avoidance"}), scans=False, parts=_LINEAR | {AVOIDANCE}
+            "surctl_paper", paper_law, options=frozenset({"avoidance"}), scans=False, parts=_LINEAR | {AVOIDANCE}
         ),
         "closed_form": LawSource(
             "surctl_closed_form",
-            _closed_form,
+            closed_form_law,
             state=CLOSED_FORM_PORTS,
             sensing=("truth",),
             modes=("nsb",),
@@ -82,7 +60,7 @@ LAWS: Mapping[str, LawSource] = MappingProxyType(
         ),
         "calm": LawSource(
             "surctl_calm",
-            _calm,
+            lambda s: guarded_law(s, calm=s.dt),
             gains=CALM_GAINS,
             state=CALM_PORTS,
             options=frozenset({"barrier", "movers", "depths"}),

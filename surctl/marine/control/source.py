@@ -8,7 +8,7 @@ from typing import Any, cast, get_args
 
 import casadi as ca
 
-from surctl.errors import InputError, check_known, nearest
+from surctl.errors import InputError, check_known, mistakes_in, nearest
 from surctl.ir import Layout, Port
 from surctl.ir.c99 import identifier
 from surctl.marine.control.baselines import Situation
@@ -249,10 +249,8 @@ def _checked_decision(decision: object, source: LawSource, *, file: object) -> D
 
 
 def _symbolic(value: Any, source: LawSource, key: str, *, file: object) -> ca.SX:
-    try:
+    with mistakes_in(file):
         return expression(value, key=f"{source.name}.{key}")
-    except InputError as error:
-        raise error.inside(file) from None
 
 
 def _checked_thrust(returned: object, source: LawSource, *, file: object) -> tuple[ca.SX, ca.SX]:

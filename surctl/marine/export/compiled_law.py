@@ -39,10 +39,11 @@ from surctl.ir import (
 )
 from surctl.ir.folding import with_constants
 from surctl.ir.procedure import Procedure
-from surctl.marine.control import NONFINITE, Law, LawStep
+from surctl.marine.control import NONFINITE, Law
 from surctl.marine.control.build import in_real
 from surctl.marine.simulation.metrics import GONE, LATE
 from surctl.noise import NoiseStream
+from surctl.system import ControllerStep
 
 Vector = NDArray[np.float64]
 
@@ -74,13 +75,13 @@ class ClosedForm(WrappedLaw):
         """Return the controller state before the first step (nx,)."""
         return self.law.initial_state()
 
-    def step(self, x: Vector, u: Vector, p: Vector) -> LawStep:
+    def step(self, x: Vector, u: Vector, p: Vector) -> ControllerStep:
         """Run one step; if an input or a result is not finite, return tau = 0, x_next = x and status NONFINITE."""
         if all(np.isfinite(v).all() for v in (x, u, p)):
             parts = [np.asarray(part, dtype=np.float64) for part in replay(self.block, x, u, p)]
             if all(np.isfinite(part).all() for part in parts):
-                return LawStep(parts[0], parts[1], int(parts[2][0]), parts[3])
-        return LawStep(np.zeros(4), np.array(x, dtype=float), NONFINITE, np.zeros(self.outputs.size - 4))
+                return ControllerStep(parts[0], parts[1], int(parts[2][0]), parts[3])
+        return ControllerStep(np.zeros(4), np.array(x, dtype=float), NONFINITE, np.zeros(self.outputs.size - 4))
 
 
 def closed_form(law: Law, *, real: Real = "float64", constants: Vector | None = None) -> Exportable:
@@ -331,7 +332,7 @@ class LinkedLaw:
                 return constant, np.zeros(0)
         return closed_form(self.law, real=self.real), self.p
 
-    def __call__(self, x: Vector, u: Vector, p: Vector) -> LawStep:
+    def __call__(self, x: Vector, u: Vector, p: Vector) -> ControllerStep:
         """Return thrust, state and newest telemetry of this period; the other process uses its own state and gains."""
         if self._gone is None:
             self._request(x, u, p)
@@ -341,9 +342,9 @@ class LinkedLaw:
         period, now = self._period, self._current
         self._period += 1
         if now is not None and self._gone is None and period - now.requested <= self._believed:
-            return LawStep(now.reply.tau, self._state, now.reply.status, self._telemetry)
+            return ControllerStep(now.reply.tau, self._state, now.reply.status, self._telemetry)
         self._failsafe += 1
-        return LawStep(
+        return ControllerStep(
             np.zeros(command_size(self.law)), self._state, LATE if self._gone is None else GONE, self._telemetry
         )
 
@@ -458,7 +459,7 @@ class CompiledLaw:
     def __post_init__(self) -> None:
         self._native = compile_block(self.law.block)
 
-    def __call__(self, x: Vector, u: Vector, p: Vector) -> LawStep:
+    def __call__(self, x: Vector, u: Vector, p: Vector) -> ControllerStep:
         """Return one control step; numbers that are not finite are left to the law in Python."""
         began = time.perf_counter()
         parts = self._native(x, u, p)
@@ -467,7 +468,7 @@ class CompiledLaw:
         if not all(np.isfinite(one).all() for one in (x, u, p, *parts)):
             return self.law.step(x, u, p)
         tau, x_next, status, telemetry = parts
-        return LawStep(tau, x_next, int(status[0]), telemetry)
+        return ControllerStep(tau, x_next, int(status[0]), telemetry)
 
     def report(self) -> LinkReport:
         """Return the statistics of the run; every step is compared with the replay of the law in Python."""

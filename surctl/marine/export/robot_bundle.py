@@ -172,7 +172,7 @@ def _sonars(equipment: Equipment, origin: Origin) -> list[str]:
         "from firing to firing is taken as a stuck sensor. A quiet module in front of a robot at rest repeats "
         "too, and reads unhealthy: export with the true `step_m` and `samples` of the module (`step_m = 0.01`, "
         "`samples = 1` for whole centimetres, one number), which allows for such repeats.",
-        f"Speed of sound {array.speed:.0f} m/s ({array.medium}, {array.temperature:g} °C); readings are "
+        f"Speed of sound {array.speed:.0f} m/s (water, {array.temperature:g} °C); readings are "
         f"{array.scale:.4g} times the true range.",
         *search,
     ]

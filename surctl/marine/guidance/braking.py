@@ -1,68 +1,15 @@
-"""Braking with thrust lag and drag: stopping distance, largest closing speed, fastest obstacle, and their proof.
+"""Braking with thrust lag and drag: stopping distance, largest closing speed, fastest obstacle.
 
-Let n be the unit vector that points from robot to obstacle when the robot begins to brake. While the robot brakes, n is
-held fixed, even if the direction to the obstacle changes (step 5). If the masses in surge and sway are equal, m11 = m22
-= m, no Coriolis force acts along n, so m v̇ = F + f − D(v − c) and Ḟ = (u − F)/τ. Here v is the speed of the robot
-along n, F the thrust, τ the time constant of the thrust, u the thrust command, D the drag, c the speed of the water,
-all along n, and f any other force. While the robot brakes, u ≤ −F_b, where F_b is the guaranteed braking force. Let v_o
-be the largest speed of the obstacle towards the robot, s = v + v_o the closing speed, and z = s + τ max(F + F_b, 0)/m.
+While the robot brakes towards an obstacle in the direction n, m v̇ = F + f − D(v − c) and Ḟ = (u − F)/τ, with the speed
+v along n, the thrust F, its time constant τ, the command u ≤ −F_b with the guaranteed braking force F_b, the drag D,
+the speed c of the water and any other force f. Let v_o be the largest speed of the obstacle towards the robot, and s =
+v + v_o. The stopping distance is S = m z²/(2F') with z = s + τ max(F + F_b, 0)/m and F' = F_b − f − D(v_o + c); with
+the least drag, it is B ≤ S.
 
-1. By definition, z ≥ s. Let F' = F_b − f − D(v_o + c) be the net braking force for the largest drag. While s ≥ 0, ż ≤
-   −(F_b − f + D(v − c))/m ≤ −F'/m, because D is odd and increasing. (If the robot brakes with more than F_b, then F <
-   −F_b and z = s, and ż has the same upper bound −F'/m.)
-2. The stopping distance S = m z²/(2F') satisfies Ṡ = m z ż/F' ≤ −z ≤ −s, and the clearance l satisfies l̇ ≥ −s, so l −
-   S does not decrease. While s < 0, the clearance l increases, and S, evaluated at s = 0, decreases with F. So if l ≥ S
-   when braking begins, then l ≥ S ≥ 0 as long as the robot brakes. The function `stopping_distance` computes S = m
-   s²/(2F') + s τ(F + F_b)/F' + τ²(F + F_b)²/(2F' m). S increases with s and F, and S is convex in m, so the worst mass
-   is one of the two ends of the mass range. (S may also be evaluated while the robot retreats, at s = −r < 0 < z. The
-   drag D(v_o + c + r) then acts towards the obstacle, and l − S does not decrease as long as z (D(v_o + c + r) + f −
-   F_b) ≤ r F'. For z ≤ 0, S is 0. If the thrust lag is shorter than τ, z decreases faster, so steps 1 and 2 still
-   hold.)
-3. Drag shortens the stopping distance. Let B be the distance whose derivative B'(z) is the maximum over v ≤ z of m(v +
-   v_o)/(F_b − f + D(v − c)), with the least drag for v > c and the largest drag for v < c. Then Ḃ ≤ −(v + v_o), so if l
-   ≥ B when braking begins, l ≥ B as long as the robot brakes. For a present speed v_0, B has the form m G(v_0 + τ(F +
-   F_b)/m) with a convex function G; such a perspective function is convex in m. The function
-   `stopping_distance_with_drag` computes B by an upper sum; S is 1.1 to 2.2 times B.
-4. The law decides once per control period T whether to brake. The measured range d is `age` old and has an error of up
-   to ε, the measured speed v has an error of up to e_v, and during a period without braking any thrust up to F⁺ may
-   act. Let V be the largest speed of the robot since the echo, and a⁺ = (F⁺ + f + D(v_o + c))/m_min the largest
-   acceleration. If d − ε − (V + v_o) age − (v + e_v + v_o) T − a⁺T²/2 ≥ S(v + e_v + a⁺T, F⁺), then l ≥ S at the next
-   decision too. If this inequality fails, the robot brakes fully along n until the inequality holds again; meanwhile l
-   ≥ S by step 2. So the robot never hits an obstacle if the inequality of this step has held at one decision.
-5. The distance to a convex body is a convex function of the robot's position. So the distance that remains along n is
-   never larger than the clearance, where n is the direction to the obstacle at the last decision without braking.
-6. Instead of the inequality of step 4, a law may use its own speed bound b(d). Let x(b) be the excess of v over b at
-   which the law's velocity loop commands the braking force F_b. Such a law ensures l ≥ S (or l ≥ B) if, for every d ≥ 0
-   at which the law does not brake, d − ε is at least the range that step 4 requires at the speed v = b + x.
-
-7. If the masses in surge and sway differ, let m be the lighter one and ρ m the heavier one. With n = (c, s) in axes
-   of the hull, the light one first, and N = ρ c² + s², the acceleration along n is the force along n over μ = ρ m/N,
-   so m ≤ μ ≤ ρ m, if the light axis counts with ρ/N times its force and the heavy one with 1/N times. A force −F_b n
-   stays −F_b. Drag by axes acts as with coefficients between 1/ρ and ρ times their values. A force across n adds at
-   most κ = (ρ − 1)/(2√ρ) of itself, and a hull that turns at r adds the Coriolis force r m (ρ − 1)((ρ + 1) c s v + (ρ
-   c² − s²) w)/N. Both count as f. With z = s + τ max(F + F_b, 0)/m, ż ≤ −F'/μ ≤ −F'/(ρ m), so the distances of steps
-   2 and 3 are ρ times as long. If drag is too large for the retreat in step 2, the distance at s = 0 is used for all
-   s < 0: it suffices, as l increases and F decreases meanwhile.
-
-8. Speeds never exceed V, so B' may stay constant beyond z = V + v_o. A law's loop commands M k_v (v_d − v) + D(v_d)
-   with |v_d| ≤ cap, so F⁺ is at most k_v m (cap + V) + D(cap) of its model. In a period without braking, z rises by at
-   most (u + f + D) T/m with u at its speed (a command held in axes of the hull also turns, by up to r T), and at x the
-   drag of v_d = b − gain x brakes too.
-
-Assumptions: the robot meets one obstacle at a time (braking for one obstacle does not lead the robot into another
-obstacle); the bound v_o on the obstacle's speed holds at all times; m11 = m22, except in step 7. Drag acts on each
-axis of the vehicle separately and not along the velocity. So a sideways speed w at the start of braking adds the
-force `sideways_force` towards the obstacle. At a speed a along n and any heading, drag contributes at least (X a + X2
-a²/√2) minus `sideways_force` to braking, where X and X2 are the linear and quadratic drag coefficients. If drag acted
-along the velocity, the sideways speed would add a force of at most X2 w min(v_o + c, w/2). If the hull turns at r
-rad/s while the robot brakes without a sideways command, the lagging thrust turns with the hull. Then z = s + (τ max(F
-+ F_b, 0) + rτ²|F_across|)/m satisfies step 1 with the additional force (rτ)²F, where F_across is the thrust across n.
-The thrust limit acts on each axis separately, so the largest thrust on a diagonal is √2 times the largest thrust of
-one axis.
-
-`surctl verify` proves steps 1 and 2 as the claims `braking-keeps`, `braking-retreat` and `braking-mass`. For step 3, a
-table of the distance B is checked cell by cell. Certificates (`surctl.marine.verification.braking`) prove steps 4 to 6
-for one vehicle, one law, and one `Watch` (delay and accuracy of the measurements).
+`analysis/15_braking_barrier/proof.md` proves in eight steps that a robot that brakes whenever the measured range is
+below `range_needed` never hits the obstacle. `surctl verify` proves steps 1 and 2 as the claims `braking-keeps`,
+`braking-retreat` and `braking-mass`; certificates (`surctl.marine.verification.braking`) prove steps 4 to 6 for one
+vehicle, one law, and one `Watch`.
 """
 
 from __future__ import annotations
@@ -76,7 +23,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.errors import InputError
+from surctl.errors import InputError, check_number
 from surctl.marine.vehicle import Vehicle
 
 LEAST_THRUST = 0.85
@@ -116,17 +63,8 @@ class Brakes:
             if not (positive and low <= high and isfinite(high)):
                 remedy = "give the least value first, and no negative value"
                 raise InputError("is not a range", key=name, value=(low, high), remedy=remedy)
-        for name, strict in (
-            ("least", True),
-            ("most", True),
-            ("lag", False),
-            ("disturbance", False),
-            ("current", False),
-        ):
-            value = getattr(self, name)
-            if not isfinite(value) or value < 0 or (strict and value == 0):
-                bound = "must be greater than 0" if strict else "must be at least 0"
-                raise InputError(bound, key=name, value=value, remedy="correct the number")
+        for name, unit in {"least": "N", "most": "N", "lag": "s", "disturbance": "N", "current": "m/s"}.items():
+            check_number(name, getattr(self, name), unit=unit, zero=name not in ("least", "most"))
 
     def largest_drag(self, speed: float) -> float:
         """Return the drag force D(v) ≥ 0 [N] at a speed v ≥ 0 [m/s], for the largest drag coefficients."""
@@ -158,11 +96,8 @@ class Watch:
     speed_error: float = 0.0
 
     def __post_init__(self) -> None:
-        for name in ("period", "age", "range_error", "speed_error"):
-            value = getattr(self, name)
-            if not isfinite(value) or value < 0 or (name == "period" and value == 0):
-                remedy = "give no negative value, and a period above 0"
-                raise InputError("is out of its bounds", key=name, value=value, remedy=remedy)
+        for name, unit in {"period": "s", "age": "s", "range_error": "m", "speed_error": "m/s"}.items():
+            check_number(name, getattr(self, name), unit=unit, zero=name != "period")
 
 
 def brakes_of(
@@ -304,7 +239,7 @@ def range_needed(
     fastest: float | None = None,
     stopping: Callable[..., float] = stopping_distance,
 ) -> float:
-    """Return the smallest measured range [m] at which another period without braking is safe (step 4 in this module).
+    """Return the smallest measured range [m] at which another period without braking is safe (step 4 of the proof).
 
     Args:
         brakes, obstacle: see `stopping_distance`.
@@ -318,23 +253,6 @@ def range_needed(
     before = (v if fastest is None else fastest + watch.speed_error) + obstacle
     left = stopping(brakes, v + gain * period, obstacle=obstacle, thrust=thrust)
     return watch.range_error + before * watch.age + (v + obstacle) * period + gain * period**2 / 2 + left
-
-
-def admissible(
-    brakes: Brakes,
-    watch: Watch,
-    measured: float,
-    speed: float,
-    *,
-    obstacle: float = 0.0,
-    thrust: float | None = None,
-    fastest: float | None = None,
-) -> float:
-    """Return `measured` minus `range_needed` [m]; if it is at least 0, another period without braking is safe.
-
-    The result is −inf if the obstacle is too fast for braking.
-    """
-    return measured - range_needed(brakes, watch, speed, obstacle=obstacle, thrust=thrust, fastest=fastest)
 
 
 def fastest_obstacle(brakes: Brakes) -> float:

@@ -54,19 +54,15 @@ class Contact:
         """The attributes of the contact, as one row of an array of contacts."""
         return self.normal, self.clearance, self.velocity, self.combined_radius
 
+    def or_else(self, other: Contact, take: ca.SX) -> Contact:
+        """Return the other contact if `take` holds, else this one."""
+        return Contact(*(ca.if_else(take, b, a) for a, b in zip(self.row, other.row, strict=True)))
+
 
 def disc_contact(position: ca.SX, hull: ca.SX, centre: ca.SX, radius: ca.SX, velocity: ca.SX, valid: ca.SX) -> Contact:
     """Return the direction, clearance and velocity of a disc with a given radius [m] and velocity (2, 1) [m/s].
 
     The radius is 0 for a point.
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.marine.guidance.contacts import disc_contact
-        >>> here, centre, still = ca.DM([0, 0]), ca.DM([2, 0]), ca.DM([0, 0])
-        >>> contact = disc_contact(here, ca.DM(0.2), centre, ca.DM(0.5), still, ca.DM(1))
-        >>> float(contact.clearance)  # m, from hull to rim
-        1.3
     """
     offset = centre - position
     distance = ca.sqrt(ca.sumsqr(offset))
@@ -112,13 +108,7 @@ def nearest_in_quadrants(contacts: Sequence[Contact], axes: Sequence[ca.SX]) -> 
         best = Contact(axis, ca.SX(FAR), ca.SX.zeros(2), ca.SX(0.5))
         for contact in contacts:
             inside = ca.dot(contact.normal, axis) >= 0.7071
-            take = ca.logic_and(inside, contact.clearance < best.clearance)
-            best = Contact(
-                ca.if_else(take, contact.normal, best.normal),
-                ca.if_else(take, contact.clearance, best.clearance),
-                ca.if_else(take, contact.velocity, best.velocity),
-                ca.if_else(take, contact.combined_radius, best.combined_radius),
-            )
+            best = best.or_else(contact, ca.logic_and(inside, contact.clearance < best.clearance))
         chosen.append(best)
     return chosen
 

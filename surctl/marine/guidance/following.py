@@ -150,33 +150,6 @@ class Follower:
         self.along = min(max(self.along, (x - ax) * ux + (y - ay) * uy), length)
         if self.leg:
             self._before = min(self._before, (x - ax) ** 2 + (y - ay) ** 2)
-        if self._skips > 1:
-            self._move_on(x, y, length)
-            return
-        if self.last:
-            return
-        cx, cy = self._points[self.leg + 2]
-        after = hypot(cx - bx, cy - by)
-        vx, vy = (cx - bx) / after, (cy - by) / after
-        beyond = min(max((x - bx) * vx + (y - by) * vy, 0.0), after)
-        rest = (x - ax - self.along * ux) ** 2 + (y - ay - self.along * uy) ** 2
-        following = (x - bx - beyond * vx) ** 2 + (y - by - beyond * vy) ** 2
-        corner = (x - bx) ** 2 + (y - by) ** 2
-        self._nearest = min(self._nearest, corner)
-        visit = self._visit[self.leg + 1]
-        if visit is None:
-            left_out = length - self.along + beyond
-            moves = following < rest and left_out**2 <= _SHORT_CUT**2 * rest
-        else:
-            moves = corner <= visit**2
-        if moves:
-            self.leg, self.along = self.leg + 1, beyond
-            self._missed, self._before, self._nearest = max(self._missed, self._before), self._nearest, inf
-
-    def _move_on(self, x: float, y: float, length: float) -> None:
-        # as `move`, to one of the next segments
-        (ax, ay), (bx, by) = self._points[self.leg : self.leg + 2]
-        ux, uy = (bx - ax) / length, (by - ay) / length
         rest = (x - ax - self.along * ux) ** 2 + (y - ay - self.along * uy) ** 2
         self._nearest = min(self._nearest, (x - bx) ** 2 + (y - by) ** 2)
         most, least, left, skips, along = _SHORT_CUT**2 * rest, rest, length - self.along, 0, 0.0

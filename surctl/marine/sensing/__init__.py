@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from surctl.marine.sensing.ranging.filters import SensorFilter
     from surctl.marine.sensing.ranging.tracker import RangeTracker
     from surctl.marine.sensing.replay import Readings, Recording, Replay, Tracked, sonar_array, track
-    from surctl.marine.sensing.sonar.array import Medium, SonarArray
+    from surctl.marine.sensing.sonar.array import SonarArray
     from surctl.marine.sensing.sonar.faults import FAULT_KINDS, Fault, FaultChances
     from surctl.marine.sensing.sonar.returns import REFLECTORS, Reflector, Surfaces
 
@@ -32,7 +32,6 @@ __all__ = [
     "Fault",
     "FaultChances",
     "LocalMap",
-    "Medium",
     "OwnState",
     "OwnStateFilter",
     "RangeTest",

@@ -8,10 +8,9 @@ from __future__ import annotations
 
 import csv
 import io
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from math import pi
 from pathlib import Path
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -155,32 +154,20 @@ class SensorSummary:
     Attributes:
         readings: number of readings that arrived.
         refused: number of readings that the tracker did not accept.
-        healthy: share of steps with a reliable range among the steps from the first to the last reading of the sensor.
+        healthy_share: share of steps with a reliable range, from the first to the last reading of the sensor.
         gaps: number of gaps; in a gap, no reading arrives for more than 1.5 times the time after which a reading is
             due.
-        longest_gap: duration of the longest gap [s]; 0 without a gap.
-        median_bound: median of the bound over healthy steps [m]; NaN without a healthy step.
+        longest_gap_s: duration of the longest gap [s]; 0 without a gap.
+        median_bound_m: median of the bound over healthy steps [m]; NaN without a healthy step.
     """
 
     sensor: int
     readings: int
     refused: int
-    healthy: float
+    healthy_share: float
     gaps: int
-    longest_gap: float
-    median_bound: float
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the summary of the replay as plain data for JSON."""
-        return {
-            "sensor": self.sensor,
-            "readings": self.readings,
-            "refused": self.refused,
-            "healthy_share": self.healthy,
-            "gaps": self.gaps,
-            "longest_gap_s": self.longest_gap,
-            "median_bound_m": self.median_bound,
-        }
+    longest_gap_s: float
+    median_bound_m: float
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -202,35 +189,29 @@ class Replay:
         alive = slice(int(at[0]), int(at[-1]) + 1)
         healthy = t.healthy[alive, sensor]
         waits = np.diff(r.time[at])
-        gaps = waits[waits > _GAP * _tracker_of(r).due + 1e-9]
+        gaps = waits[waits > _GAP * RangeTracker(array=r.array, dt=r.dt).due + 1e-9]
         bounds = t.bound[alive, sensor][healthy]
         return SensorSummary(
             sensor=sensor,
             readings=len(at),
             refused=int(np.count_nonzero(~t.accepted[at, sensor])),
-            healthy=float(healthy.mean()),
+            healthy_share=float(healthy.mean()),
             gaps=len(gaps),
-            longest_gap=float(gaps.max(initial=0.0)),
-            median_bound=float(np.median(bounds)) if len(bounds) else float("nan"),
+            longest_gap_s=float(gaps.max(initial=0.0)),
+            median_bound_m=float(np.median(bounds)) if len(bounds) else float("nan"),
         )
 
 
 def replay_readings(readings: Readings) -> Replay:
     """Run the tracker over the readings, and return readings and results; no walls are known."""
     parts = np.split(np.arange(len(readings.time)), readings.first[1:])
-    tracker = _tracker_of(readings)
+    tracker = RangeTracker(array=readings.array, dt=readings.dt)
     tracks = [
         track(tracker, readings.samples[p], fresh=readings.fresh[p], closing=readings.closing[p], turn=readings.turn[p])
         for p in parts
     ]
-    names = ("reading", "range", "bound", "healthy", "age", "accepted")
-    whole = {name: np.concatenate([getattr(one, name) for one in tracks]) for name in names}
+    whole = {f.name: np.concatenate([getattr(one, f.name) for one in tracks]) for f in fields(Tracked)}
     return Replay(readings=readings, tracked=Tracked(**whole))
-
-
-def _tracker_of(readings: Readings) -> RangeTracker:
-    """Return a tracker for the sonar array and the step of the readings."""
-    return RangeTracker(array=readings.array, dt=readings.dt)
 
 
 def track(tracker: RangeTracker, samples: Array, *, fresh: NDArray[np.bool_], closing: Array, turn: Array) -> Tracked:
@@ -427,31 +408,18 @@ def filtered_rows(replayed: Replay) -> str:
 
     The column `reading_m` is empty if no reading arrived in the step.
     """
-    r = replayed.readings
+    r, t, sensors = replayed.readings, replayed.tracked, replayed.sensors
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
     writer.writerow(("time_s", "sensor", "reading_m", "range_m", "bound_m", "healthy", "age_s"))
-    sensors = replayed.sensors
-    clock = np.char.mod("%.6f", r.time)
     for begin in range(0, len(r.time), 100_000):
-        part = slice(begin, begin + 100_000)
-        rows = {i: _text_rows(replayed, part, i) for i in sensors}
-        for k, now in enumerate(clock[part].tolist()):
-            writer.writerows((now, i, *rows[i][k]) for i in sensors)
+        part = np.ix_(range(begin, min(begin + 100_000, len(r.time))), sensors)
+        time, sensor = np.broadcast_arrays(np.char.mod("%.6f", r.time[part[0]]), part[1])
+        reading, ranges, bound, age = (np.char.mod("%.5f", v[part]) for v in (t.reading, t.range, t.bound, t.age))
+        reading, age = np.where(r.fresh[part], reading, ""), np.where(np.isfinite(t.age[part]), age, "")
+        columns = (time, sensor, reading, ranges, bound, t.healthy[part].astype(int), age)
+        writer.writerows(zip(*(column.ravel().tolist() for column in columns), strict=True))
     return out.getvalue()
-
-
-def _text_rows(replayed: Replay, part: slice, sensor: int) -> list[tuple[str, ...]]:
-    t, fresh = replayed.tracked, replayed.readings.fresh[part, sensor]
-    reading, ranges, bound, age = (np.char.mod("%.5f", v[part, sensor]) for v in (t.reading, t.range, t.bound, t.age))
-    cells = (
-        np.where(fresh, reading, ""),
-        ranges,
-        bound,
-        np.where(t.healthy[part, sensor], "1", "0"),
-        np.where(np.isfinite(t.age[part, sensor]), age, ""),
-    )
-    return list(zip(*(c.tolist() for c in cells), strict=True))
 
 
 def _sample_columns(table: Recorded) -> list[str]:

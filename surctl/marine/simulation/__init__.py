@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 from surctl.lazy import load_at_first_use
 
 if TYPE_CHECKING:
+    from surctl.errors import Finding
     from surctl.marine.simulation.batch.case import Case
     from surctl.marine.simulation.batch.engines import BatchResult, simulate_batch
     from surctl.marine.simulation.explanation import explain, priority_timeline
@@ -23,7 +24,6 @@ if TYPE_CHECKING:
     from surctl.marine.simulation.scenario import (
         LIBRARY,
         Disturbance,
-        Finding,
         PaperFigure,
         Scenario,
         load_scenario,

@@ -9,17 +9,18 @@ adds the drift amplitude of an obstacle to its size, so that the clearance is av
 from __future__ import annotations
 
 import heapq
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import floor
 
 import numpy as np
 from numpy.typing import NDArray
 
+from surctl.errors import Finding
 from surctl.marine.control import Gains
 from surctl.marine.control.dead_end import SLACK
 from surctl.marine.simulation.obstacle import Obstacle
-from surctl.marine.simulation.scenario import Finding, Scenario
+from surctl.marine.simulation.scenario import Scenario
 from surctl.marine.simulation.world import BAND
 from surctl.marine.vehicle import Vehicle
 from surctl.marine.vehicle.geometry import floating_depth, missing_buoyancy
@@ -145,15 +146,11 @@ def _around(cell: _Cell, shape: tuple[int, ...]) -> list[_Cell]:
 
 def _uphill(clear: _Field, cell: _Cell, clearance: float) -> _Cell:
     while clear[cell] < clearance:
-        best = max(_around(cell, clear.shape), key=_at(clear))
+        best = max(_around(cell, clear.shape), key=clear.__getitem__)
         if clear[best] <= clear[cell]:
             break
         cell = best
     return cell
-
-
-def _at(clear: _Field) -> Callable[[_Cell], float]:
-    return lambda cell: float(clear[cell])
 
 
 def _connected(free: NDArray[np.bool_], start: _Cell, target: _Cell) -> bool:
@@ -373,11 +370,11 @@ def _surface(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
         return []
     radius, heave = vehicle["radius"], float(vehicle.thrust_range[1, 2])
     missing = missing_buoyancy(radius, scenario.depth_range[1])
-    text = f"the top of the hull is {out:.2f} m above the surface at this depth; the model has no buoyancy"
+    text = f"at this depth, the top of the hull is {out:.2f} m above the water surface; the model has no buoyancy"
     if missing > heave:
         sunk = floating_depth(radius, heave) if heave > 0 else -radius
         text += (
-            f"; a hull that keeps its water lacks {missing:.3g} N there, and heave thrust gives {heave:g} N: unless "
-            f"it is ballasted to float at this depth, it comes to rest at z = {sunk:.3f} m; use {-radius:g} m or less"
+            f"; a flooded hull needs {missing:.3g} N upwards at this depth, and the heave thrust gives {heave:g} N: "
+            f"unless ballast makes the hull float, the hull sinks to z = {sunk:.3f} m; use {-radius:g} m or less"
         )
     return [Finding("warning", "depth_m", text)]

@@ -16,12 +16,13 @@ from math import asin, atan2, degrees, floor, hypot, inf, pi, radians, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
+from surctl.errors import Finding
 from surctl.marine.control.beams import floor_range
 from surctl.marine.sensing import INCIDENCE_LIMITS, Reflector, SonarArray, Surfaces
 from surctl.marine.sensing.sonar.returns import level_range
 from surctl.marine.simulation.obstacle import Obstacle
 from surctl.marine.simulation.reflectors import ECHOES
-from surctl.marine.simulation.scenario import Finding, Scenario, escaped
+from surctl.marine.simulation.scenario import Scenario, escaped
 from surctl.marine.simulation.world import BAND
 from surctl.marine.vehicle import Vehicle
 

@@ -7,7 +7,7 @@ from math import atan, atan2, degrees, hypot, inf, pi, tan
 
 import numpy as np
 
-from surctl.errors import InputError
+from surctl.errors import Finding, InputError
 from surctl.marine.allocation import working_flags
 from surctl.marine.control import Gains, load_gains
 from surctl.marine.control.ports import YAW_SHARE
@@ -17,7 +17,7 @@ from surctl.marine.sensing.mapping.local_map import LocalMap
 from surctl.marine.simulation.clearance import clearance_findings
 from surctl.marine.simulation.echo_fit import detection_range, echo_findings
 from surctl.marine.simulation.motion import mission_findings, motion_findings, steering_findings
-from surctl.marine.simulation.scenario import Finding, Scenario
+from surctl.marine.simulation.scenario import Scenario
 from surctl.marine.simulation.world import build_world
 from surctl.marine.vehicle import Vehicle, attainable, plant_parameters
 from surctl.marine.vehicle.dynamics import trim_tilt

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from surctl.errors import InputError, SurctlError, nearest
 from surctl.ir import on_vectors, to_casadi
 from surctl.ir.cache import cached_bytes
-from surctl.marine.control import NONFINITE, WORKING, Gains, Law, LawStep, build_law, check_forces, default_law
+from surctl.marine.control import NONFINITE, WORKING, Gains, Law, build_law, check_forces, default_law
 from surctl.marine.guidance import ROW
 from surctl.marine.simulation.batch.case import Case
 from surctl.marine.simulation.batch.counting import metrics_table
@@ -36,6 +36,7 @@ from surctl.marine.simulation.sensors import FIRING, firing_plan
 from surctl.marine.simulation.thruster_faults import ThrusterFault, Thrusters
 from surctl.marine.simulation.world import World, build_world
 from surctl.marine.vehicle import Vehicle
+from surctl.system import ControllerStep
 
 Vector: TypeAlias = NDArray[np.float64]
 Values: TypeAlias = dict[str, Vector]
@@ -44,7 +45,7 @@ Values: TypeAlias = dict[str, Vector]
 class Stepper(Protocol):
     """What takes the place of a law in a run, for instance its C in another process."""
 
-    def __call__(self, x: Vector, u: Vector, p: Vector, /) -> LawStep:
+    def __call__(self, x: Vector, u: Vector, p: Vector, /) -> ControllerStep:
         """Return the control step from the law's state x, inputs u and parameters p."""
 
 
@@ -306,7 +307,7 @@ class SingleRun:
             self.parameters[: len(p)] = p
         return self.sense()
 
-    def thrust(self, step: LawStep, thrusters: Thrusters, time: float, plant: Vector) -> tuple[Vector, Vector]:
+    def thrust(self, step: ControllerStep, thrusters: Thrusters, time: float, plant: Vector) -> tuple[Vector, Vector]:
         """Return the thrust (4,) with the errors of the scenario, and the force components of the thrusters (N,)."""
         shown = None if step.status < 0 else step.telemetry  # a step without command repeats an older telemetry
         speed = float(plant[4] - (np.cos(plant[3]) * self._current[0] + np.sin(plant[3]) * self._current[1]))
@@ -319,7 +320,7 @@ class SingleRun:
         values |= self.call["between"](values)
         values["plant_next"] = self._move(values["plant_between"], thrust, values["d1"], self._plant)[0]
 
-    def close(self, values: Values, step: LawStep) -> None:
+    def close(self, values: Values, step: ControllerStep) -> None:
         """End the control period: the next state of the run and of its law."""
         values["total"] = np.array([np.nan if step.status == NONFINITE else 0.0])
         values |= {"tau": step.tau, "telemetry": step.telemetry, "status": np.array([float(step.status)])}

@@ -8,6 +8,7 @@ from math import acos, ceil, degrees, floor, inf, log10, sqrt, tan
 import numpy as np
 from numpy.typing import NDArray
 
+from surctl.errors import Finding
 from surctl.marine.control import Gains, default_law, law_source
 from surctl.marine.control.ports import YAW_SHARE
 from surctl.marine.control.steering import turning_radius
@@ -15,7 +16,7 @@ from surctl.marine.guidance import BEND
 from surctl.marine.guidance.braking import Watch, brakes_of, fastest_obstacle, range_needed, stopping_distance_with_drag
 from surctl.marine.simulation.clearance import tightest_gap
 from surctl.marine.simulation.obstacle import Obstacle
-from surctl.marine.simulation.scenario import Finding, Scenario
+from surctl.marine.simulation.scenario import Scenario
 from surctl.marine.vehicle import Vehicle
 from surctl.marine.vehicle.linearise import WITHIN_LAW, ahead_limit, command_range
 

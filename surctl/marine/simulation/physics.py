@@ -117,20 +117,7 @@ class PhysicsMaker(Protocol):
 
 
 class OwnPhysics:
-    """surctl's own plant: the vehicle's equations of motion by RK4, and distances in the plane.
-
-    Example:
-        >>> from surctl.marine.simulation import OwnPhysics, load_scenario
-        >>> from surctl.marine.simulation.world import build_world
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> scenario, boat = load_scenario("pool-behind"), load_vehicle("sur400")
-        >>> array = scenario.sensors.array_on(boat["radius"])
-        >>> physics = OwnPhysics(build_world(scenario, boat, seed=0), boat, array)
-        >>> for k in range(40):  # one second
-        ...     state = physics.advance([5.0, 0, 0, 0], k * 0.025)
-        >>> round(float(state[4]), 3)  # m/s
-        0.067
-    """
+    """surctl's own plant: the vehicle's equations of motion by RK4, and distances in the plane."""
 
     name = "own"
     contacts: Sequence[Contact] = ()

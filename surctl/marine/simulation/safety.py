@@ -123,7 +123,7 @@ def munk(difference: float, turning: float, speed: float) -> float:
 def turned(brakes: Brakes, turning: float) -> Brakes:
     """Return the braking data of a turning hull, on which the thrust lag reduces the braking force.
 
-    The module `guidance.braking` derives this reduction.
+    `analysis/15_braking_barrier/proof.md` derives this reduction.
     """
     return replace(brakes, least=brakes.least / (1 + (turning * brakes.lag) ** 2))
 
@@ -346,10 +346,10 @@ def safety_claim(
     The law bounds the speed towards an obstacle by the distance to it. The claim holds if the law's margin is at least
     the distance that the vehicle needs beyond this speed bound, with the worst values of the vehicle's parameter
     ranges. If the speed exceeds the bound by a certain excess, the velocity loop commands the least guaranteed thrust,
-    and the vehicle brakes with this thrust. The required margin follows from step 4 in `guidance.braking`; there, the
-    excess is an additional speed error, and drag adds to the braking force. The claim does not cover thrust limits that
-    act on each axis separately: a large simultaneous sideways command may reduce the braking force. The law commands no
-    sideways velocity once the vehicle is 0.02 m/s too fast.
+    and the vehicle brakes with this thrust. The required margin follows from step 4 of the proof of `guidance.braking`;
+    there, the excess is an additional speed error, and drag adds to the braking force. The claim does not cover thrust
+    limits that act on each axis separately: a large simultaneous sideways command may reduce the braking force. The law
+    commands no sideways velocity once the vehicle is 0.02 m/s too fast.
 
     If the vehicle may change its depth, the claim needs two more assumptions. First, the echo sounders detect every
     obstacle over or under the hull, since the horizontal sonars do not observe that water. Second, the depth error

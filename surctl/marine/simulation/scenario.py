@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import ceil
 from pathlib import Path as FilePath
@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from surctl.errors import InputError
+from surctl.errors import InputError, mistakes_in
 from surctl.files import Strict, pick, read_toml, validate
 from surctl.marine.guidance import MAX_WAYPOINTS, VISIT, Follower, Path
 from surctl.marine.sensing import Surfaces
@@ -297,10 +297,8 @@ def scenario_from_table(table: dict[str, Any], *, source: str) -> Scenario:
     """Return a scenario from the content of its TOML file; `source` names the file in error messages."""
     model = validate(table, _ScenarioFile, file=source)
     route, path = _route(model, source)
-    try:
+    with mistakes_in(source):
         sensors = replace(sensors_from_tables(model.sonar, model.base_station, model.own_state), source=source)
-    except InputError as error:
-        raise error.inside(source) from None
     scenario = Scenario(
         model.name,
         model.title,
@@ -367,11 +365,9 @@ def _check(scenario: Scenario) -> None:
         problem = f"is above cap_m_per_s = {scenario.cap:g}"
         remedy = "lower it or raise the cap"
         raise InputError(problem, file=source, key="cruise_m_per_s", value=scenario.cruise, remedy=remedy)
-    try:
+    with mistakes_in(source):
         _ = scenario.surfaces
         scenario.sensors.check_floor(scenario.deepest)
-    except InputError as error:
-        raise error.inside(source) from None
     _check_depths(scenario)
     check_spacing(scenario, cap=scenario.cap)
     inside = [("path_m", point) for point in scenario.path.waypoints.tolist()]
@@ -448,24 +444,6 @@ def _apart(still: Sequence[Obstacle], scenario: Scenario) -> None:
                     value=list(other.centre_m),
                     remedy="move one of them or make it smaller",
                 )
-
-
-@dataclass(frozen=True)
-class Finding:
-    """One finding about a scenario: an error (the mission cannot work), a warning, or a note (`info`).
-
-    `clearance_m` is the distance [m] from hull to wall or obstacle that an error reports; it is negative for an
-    overlap.
-    """
-
-    level: Literal["error", "warning", "info"]
-    key: str
-    text: str
-    clearance_m: float | None = None
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the finding as plain data for JSON; `clearance_m` is present only if the finding has a clearance."""
-        return {name: value for name, value in asdict(self).items() if value is not None}
 
 
 def escaped(name: str) -> str:

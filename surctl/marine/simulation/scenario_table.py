@@ -90,8 +90,6 @@ def _sensors(sensors: Sensors) -> dict[str, Any]:
 
 def _array(array: SonarArray) -> dict[str, Any]:
     plain = SonarArray()
-    if array.medium != plain.medium:
-        raise InputError("cannot be written to a scenario file", key="sonar", value=array.medium)
     table: dict[str, Any] = {
         "azimuths_deg": [_degrees(angle) for angle in array.azimuths],
         "order": list(array.order),

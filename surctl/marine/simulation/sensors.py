@@ -10,7 +10,7 @@ from typing import Annotated, Literal, TypeVar
 
 from pydantic import Field
 
-from surctl.errors import InputError, check_known
+from surctl.errors import InputError, check_known, mistakes_in
 from surctl.files import Strict
 from surctl.marine.sensing import (
     REFLECTORS,
@@ -130,10 +130,8 @@ class Sensors:
 
     def array_on(self, hull_radius: float) -> SonarArray:
         """Return the sonars on a hull of the given radius [m]; InputError as for `on`."""
-        try:
+        with mistakes_in(self.source or None):
             return _in_table("sonar", lambda: replace(self.equipment.array, hull_radius=hull_radius))
-        except InputError as error:
-            raise error.inside(self.source or None) from None
 
     def hearing(self, echoes: str) -> Sensors:
         """Return the sensors with an echo model by name (a key of `ECHOES`).

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from surctl.errors import InputError, nearest
+from surctl.errors import InputError, mistakes_in, nearest
 from surctl.files import load_model, pick
 from surctl.marine.simulation import METRICS
 from surctl.marine.simulation.metrics import MetricSpec
@@ -183,11 +183,9 @@ def _robot_goals(content: GoalsFile, path: Path) -> tuple[Goal, ...]:
 
 def goals_from_tables(tables: Sequence[GoalTable], *, file: object) -> tuple[Goal, ...]:
     """Build the goals that the `[[goals]]` tables of a file describe; an InputError names the file."""
-    try:
+    with mistakes_in(file):
         check_names(tables)
         return tuple(_goal(table) for table in tables)
-    except InputError as error:
-        raise error.inside(file) from None
 
 
 def _loop_goal(table: GoalTable) -> Goal:

@@ -96,18 +96,6 @@ class MissionSweep(SweepSubject):
 
     Raises:
         InputError: when it is swept, if `check_request` finds an error.
-
-    Example:
-        >>> from surctl.marine.control import load_gains
-        >>> from surctl.marine.simulation import load_scenario
-        >>> from surctl.marine.tuning import MissionSweep, build_cases
-        >>> from surctl.tuning import grid, parse_axis, sweep
-        >>> cases = build_cases([load_scenario("pool-behind")], gains=load_gains("default"), law="closed_form")
-        >>> table = sweep(MissionSweep(cases), grid([parse_axis("k_v=1,2"), parse_axis("lookahead=0.4,0.8,1.2")]))
-        >>> table.shape, table.column("disk_margin").round(2).tolist()
-        ((2, 3), [[0.76, 0.76, 0.76], [0.72, 0.74, 0.74]])
-        >>> table.column("time_s").round(1).tolist()
-        [[21.4, 21.4, 21.6], [20.0, 20.2, 20.4]]
     """
 
     cases: tuple[Case, ...]

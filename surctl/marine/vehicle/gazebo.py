@@ -229,7 +229,7 @@ def _uuv(link: ElementTree.Element, model: ElementTree.Element, body: _Body, pat
         entry = model.find(name)
         if entry is None:
             continue
-        numbers = _list(entry, path)
+        numbers = np.array([_parsed(word, name, path) for word in (entry.text or "").split()])
         if len(numbers) not in (6, 36):
             remedy = "give 6 numbers (the diagonal) or 36"
             raise InputError(f"has {len(numbers)} numbers", file=shown(path), key=name, remedy=remedy)
@@ -249,10 +249,6 @@ def _of(link: ElementTree.Element, where: str, attribute: str, path: Path) -> fl
 
 def _number(entry: ElementTree.Element, path: Path) -> float:
     return _parsed(entry.text or "", entry.tag, path)
-
-
-def _list(entry: ElementTree.Element, path: Path) -> Array:
-    return np.array([_parsed(word, entry.tag, path) for word in (entry.text or "").split()])
 
 
 def _parsed(text: str, key: str, path: Path) -> float:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from surctl.errors import InputError, nearest
+from surctl.errors import InputError, mistakes_in, nearest
 from surctl.files import Quantity, Strict, quoted, validate
 from surctl.marine.vehicle.specs import AXES
 from surctl.marine.vehicle.thrusters import (
@@ -83,10 +83,8 @@ def read_actuators(thrusters: Sequence[Any], allocation: Mapping[str, Any] | Non
         except InputError as error:
             raise error.inside(source, f"thruster.{k}.{error.key}") from None
     order = DEFAULT_ORDER if tables.allocation is None else tables.allocation.order
-    try:
+    with mistakes_in(source, "allocation.order"):
         _check_order(order)
-    except InputError as error:
-        raise error.inside(source, "allocation.order") from None
     return Actuators(tuple(read), order)
 
 
@@ -96,10 +94,8 @@ def common_lag(thrusters: Sequence[Any], *, known: float | None, source: str) ->
     for k, table in enumerate(validate({"thruster": list(thrusters)}, _Tables, file=source).thruster):
         if table.lag is None:
             continue
-        try:
+        with mistakes_in(source, f"thruster.{k}.lag"):
             own = table.lag.within("s").value
-        except InputError as error:
-            raise error.inside(source, f"thruster.{k}.lag") from None
         if not own >= 0 or (lag is not None and not isclose(own, lag, rel_tol=1e-9, abs_tol=1e-12)):
             raise InputError(
                 "differs from the lag of the other thrusters or of [thrust]; thrusters with different lags would turn "
@@ -212,10 +208,8 @@ def _finned(table: _ThrusterTable, fin: _FinTable, direction: tuple[float, float
         if getattr(table, key) not in (None, 0.0):
             problem = "does not go with a fin, whose force follows from its lift and its deflection"
             raise InputError(problem, key=key, value=key, remedy=f"remove {key}")
-    try:
+    with mistakes_in(None, "fin.lift"):
         lift = fin.lift.within(_LIFT).value
-    except InputError as error:
-        raise error.inside(None, "fin.lift") from None
     if not lift <= _LARGEST:
         raise InputError(f"must be at most {_LARGEST:g} {_LIFT}", key="fin.lift", value=lift, remedy="correct it")
     if lift <= 0:
@@ -235,10 +229,8 @@ def _finned(table: _ThrusterTable, fin: _FinTable, direction: tuple[float, float
 
 
 def _newtons(quantity: Quantity, key: str) -> float:
-    try:
+    with mistakes_in(None, key):
         force = quantity.within("N").value
-    except InputError as error:
-        raise error.inside(None, key) from None
     if not abs(force) <= _LARGEST:
         raise InputError(f"must be at most {_LARGEST:g} N", key=key, value=force, remedy="correct it")
     return force

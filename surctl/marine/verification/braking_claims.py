@@ -1,6 +1,6 @@
 """Claims `braking-keeps`, `-retreat` and `-mass`: the steps of the proof that a vehicle brakes before an obstacle.
 
-The docstring of `surctl.marine.guidance.braking` contains the proof. For a law with sampled control and given numerical
+`analysis/15_braking_barrier/proof.md` contains the proof. For a law with sampled control and given numerical
 values, `surctl.marine.verification.braking` issues a separate certificate.
 """
 

@@ -259,7 +259,7 @@ def cruise_loops(
     nu[:, 0] = speed
     A, B, _ = plant_jacobians(plant, nu, form=form)
     names = (*STATE_NAMES, *TILT_NAMES)
-    moving = _moving(A, By, D, lagged=bool(lag[0] > 0))
+    moving = _moving(A, D, lagged=bool(lag[0] > 0))
     own = in_loop(Az, By, Cz)
     inner = [port.name for port in built.state.ports for _ in range(port.size)]
     states = (*(names[k] for k in moving), *(inner[k] for k in own))
@@ -267,7 +267,7 @@ def cruise_loops(
     return CruiseLoop((A[:, moving][:, :, moving], B[:, moving]), slopes, states, built.dt).resampled(dt)
 
 
-def _moving(A: Array, By: Array, D: Array, *, lagged: bool) -> list[int]:
+def _moving(A: Array, D: Array, *, lagged: bool) -> list[int]:
     # places of the plant's states that belong to the loop
     acting = np.abs(D).max(axis=(0, 2)) > COUPLED
     tilt = range(len(STATE_NAMES), A.shape[-1])
@@ -279,7 +279,7 @@ def _moving(A: Array, By: Array, D: Array, *, lagged: bool) -> list[int]:
 
 def _numbers(law: Law, model: Vehicle, gains: Mapping[str, Array], cruise: Array, believed: Array | None) -> Array:
     # (n, …) parameters of the law; a cruise far from everything depends on no gains but those in `gains`
-    layout, row = law.gains, law_numbers(law, model, _some_gains(law.ref), cruise=float(cruise[0]))
+    layout, row = law.gains, law_numbers(model, _some_gains(law.ref), cruise=float(cruise[0]))
     numbers = np.tile(row, (len(cruise), 1))
     own = plant_parameters(model)
     rows = np.tile(own, (len(cruise), 1)) if believed is None else believed
@@ -307,7 +307,7 @@ def _some_gains(law: str) -> Gains:
     return load_gains("default", own=law_source(law).gains)
 
 
-def law_numbers(law: Law, model: Vehicle, gains: Gains, *, cruise: float) -> Array:
+def law_numbers(model: Vehicle, gains: Gains, *, cruise: float) -> Array:
     """Return the law's parameters for a straight cruise in the middle of a path without end."""
     return law_parameters(gains, model, path=_PATH, depth=0.0, cruise=cruise, cap=_HEADROOM * cruise, walls=_SITE)
 

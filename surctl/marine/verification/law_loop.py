@@ -219,12 +219,7 @@ class LawLoop(SampledLoop):
             return [f"{head}UNSTABLE, largest pole |z| = {abs(self.poles[0]):.5f}", *notes]
         disks = ", ".join(f"{each.guaranteed:.2f} ({each.place})" for each in self.disks)
         lines = [f"{head}stable, disk margin {self.disk:.2f}; all loops at once: {disks}"]
-        for m in self.margins:
-            gain = f"gain {m.least_gain:.2g} to {m.gain_margin:.2g}"
-            phase = "phase never lost" if np.isinf(m.phase_margin_deg) else f"phase {m.phase_margin_deg:.0f} deg"
-            delay = "" if np.isinf(m.delay_margin_s) else f", delay {m.delay_margin_s:.2f} s"
-            lines.append(f"  loop {m.name}: {gain}, {phase}{delay}, disk {m.disk_margin:.2f}")
-        return lines + notes
+        return [*lines, *(f"  loop {margin.line()}" for margin in self.margins), *notes]
 
     def to_dict(self) -> dict[str, Any]:
         """Return the stability of the loop as plain data for JSON."""
@@ -277,7 +272,7 @@ def law_loop(
     if at is not None:
         return _loop(law, vehicle, at, place=at.text)
     check_cruise(vehicle, cruise)
-    p = law_numbers(law, model or vehicle, gains.with_own(law_source(law.ref).gains), cruise=cruise)
+    p = law_numbers(model or vehicle, gains.with_own(law_source(law.ref).gains), cruise=cruise)
     nu, x = np.array([cruise, 0.0, 0.0, 0.0]), law.initial_state()
     x[law.state.slice("progress")] = FAR  # arc length of the path's middle
     if "surge" in law.state:  # in a cruise, a law that predicts its speed through the water has found it

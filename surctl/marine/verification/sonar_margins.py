@@ -167,7 +167,7 @@ def sonar_loop(
         yaw_sd=own.yaw_sd, rate_sd=own.rate_sd, model_noise=noise,
         acceleration_noise=float(np.hypot(source.acceleration_noise, noise * manoeuvre)),
     )  # fmt: skip
-    p = law_numbers(law, vehicle, gains.with_own(source.gains), cruise=cruise)
+    p = law_numbers(vehicle, gains.with_own(source.gains), cruise=cruise)
     p[law.gains.slice("spin")] = 0.0
     nu = np.array([cruise, 0.0, 0.0, 0.0])
     numbers = plant_parameters(vehicle)

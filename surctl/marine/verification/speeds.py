@@ -58,8 +58,8 @@ def check_held(speeds: Sequence[float], vehicle: Vehicle, *, cap: float, key: st
         try:
             check_cruise(vehicle, speed)
         except InputError as error:
-            remedy = "lower it or raise Fu_reverse" if error.remedy == WITHIN_LAW else "lower it"
-            problem = f"{error.problem}, by {vehicle.name}"
+            remedy = "lower the speed" + " or raise Fu_reverse" * (error.remedy == WITHIN_LAW)
+            problem = f"{vehicle.name} {error.problem}"
             raise InputError(problem, key=key, value=speed, remedy=remedy) from None
 
 

@@ -14,15 +14,13 @@ from dataclasses import dataclass
 from fractions import Fraction
 from math import isqrt
 
-from surctl.sos.polynomial import ONE, Polynomial
+from surctl.sos.polynomial import ONE, Monomial, Polynomial, joined
 from surctl.verification.formula import Node, number, ordered, power, variable
 from surctl.verification.formula.node import PI
 
 # Polynomials with exact rational coefficients; their indeterminates are the atoms of `proving.algebra`, by index
 
 
-Monomial = tuple[tuple[int, int], ...]
-"""A monomial: pairs (atom, exponent ≥ 1) in the order of the atoms."""
 Poly = dict[Monomial, Fraction]
 """A polynomial: the coefficient of each monomial; no coefficient is 0."""
 
@@ -72,7 +70,7 @@ def multiplied(a: Mapping[Monomial, Fraction], b: Mapping[Monomial, Fraction]) -
     total: Poly = {}
     for m, c in a.items():
         for n, d in b.items():
-            product = _joined(m, n)
+            product = joined(m, n)
             value = d if c is ONE else c if d is ONE else c * d
             if product in total:
                 value += total[product]
@@ -94,15 +92,6 @@ def leading(a: Mapping[Monomial, Fraction]) -> tuple[Monomial, Fraction]:
 def key_of(a: Mapping[Monomial, Fraction]) -> frozenset[tuple[Monomial, Fraction]]:
     """Return a hashable key of the polynomial; equal polynomials have equal keys."""
     return _KEY(a.items())
-
-
-def _joined(m: Monomial, n: Monomial) -> Monomial:
-    if not m or not n:
-        return m or n
-    powers = dict(m)
-    for atom, exponent in n:
-        powers[atom] = powers.get(atom, 0) + exponent
-    return tuple(sorted(powers.items()))
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from fractions import Fraction
 
 import numpy as np
 
+from surctl.sos.polynomial import Monomial
 from surctl.verification.claim import Claim
 from surctl.verification.formula import (
     BRANCHING,
@@ -23,7 +24,7 @@ from surctl.verification.formula import (
     text_of,
     variable,
 )
-from surctl.verification.proving.algebra import Algebra, Monomial, Poly, Ratio, SplitAngles, TooLarge, Written, added
+from surctl.verification.proving.algebra import Algebra, Poly, Ratio, SplitAngles, TooLarge, Written, added
 from surctl.verification.proving.intervals import Ends
 from surctl.verification.proving.tape import build_tape
 from surctl.verification.proving.touching import touching_form

@@ -17,11 +17,10 @@ from numpy.typing import NDArray
 
 from surctl.errors import InputError
 from surctl.sos.exact import Certificate, certify, completed
-from surctl.sos.polynomial import Polynomial, quotient
+from surctl.sos.polynomial import Monomial, Polynomial, quotient
 from surctl.verification.formula import Node, number, ordered, text_of
 from surctl.verification.proving.algebra import (
     MOST_TERMS,
-    Monomial,
     Poly,
     Ratio,
     SplitAngles,

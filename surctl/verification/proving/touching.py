@@ -9,9 +9,9 @@ from fractions import Fraction
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.sos.polynomial import Polynomial
+from surctl.sos.polynomial import Monomial, Polynomial
 from surctl.verification.formula import Node, number, ordered, parse, power, substitute, variable
-from surctl.verification.proving.algebra import Algebra, Monomial, Poly, Ratio, SplitAngles, TooLarge, Written, constant
+from surctl.verification.proving.algebra import Algebra, Poly, Ratio, SplitAngles, TooLarge, Written, constant
 from surctl.verification.proving.intervals import Ends
 from surctl.verification.proving.tape import build_tape
 

@@ -5,8 +5,8 @@ from dataclasses import replace
 import pytest
 
 from surctl.assessment import assess
-from surctl.cli.linear_part import linear_part, speed_lines
 from surctl.marine.assessment import Mission
+from surctl.marine.cli.linear_part import linear_part, speed_lines
 from surctl.marine.control import load_gains
 from surctl.marine.vehicle import Vehicle, load_vehicle
 from surctl.marine.verification.linear import cap_above

@@ -275,6 +275,28 @@ def test_all_vertices_of_a_turning_cruise_are_judged_at_once() -> None:
     assert worst == pytest.approx(values.max(), abs=1e-8) and values[known[0]] == pytest.approx(worst)
 
 
+def test_on_a_curve_the_steady_error_along_the_path_moves_the_position_across_it() -> None:
+    claim = turning_claim("test", load_vehicle("sur540-flooded"), load_gains("default"), cruise=0.1, curvature=1.0)
+    cruise, P = steady_turning(claim, cells=4), np.diag([50.0, 12.0, 250.0, 160.0])
+    at = vertices(claim, cruise, np.linalg.inv(P), 1.0)
+    assert at is not None
+    every, change = at.matrices(P, claim.rate, 0.05, 0.3), np.linalg.inv(np.linalg.cholesky(P))
+    some = np.random.default_rng(0).integers(every.shape[2], size=200)
+    h, _, t = np.unravel_index(some, at.shape)[:3]
+    A = at.select(some)[0]
+    force = (
+        np.moveaxis(every[..., some], -1, 0)
+        - change @ (A.swapaxes(1, 2) @ P + P @ A + (claim.rate + 0.05) * P) @ change.T
+    )
+    shift = np.array([-moved / claim.gains["k1"] for moved in cruise.moved])  # x_e*
+    assert np.abs(at.aside).max() == pytest.approx(0.1 * np.abs(shift).max(), rel=1e-9)
+    steady = at.effect[h, t] @ (change @ P[:, 2:]).T + at.aside[t, None] * (change @ P[:, 1])
+    least = np.linalg.eigvalsh(force - np.einsum("ki,kj->kij", steady, steady) / (0.05 * 0.3))[:, 0]
+    assert least.min() > -1e-9
+    without = replace(at, aside=0 * at.aside).matrices(P, claim.rate, 0.05, 0.3)
+    assert worst_rate(without, np.zeros(0, dtype=int))[0] < worst_rate(every, np.zeros(0, dtype=int))[0] - 1e-4
+
+
 def test_unequal_masses_are_proved_and_a_weak_yaw_thrust_is_not() -> None:
     claim = turning_claim(
         "test", load_vehicle("bluerov2-wu"), load_gains("default"), share=0.0, mass_share=0.0, rate=0.02, rest=True

@@ -6,6 +6,7 @@ import csv
 import io
 import os
 import re
+import tomllib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError, nearest
-from surctl.files import Strict, load_model
 from surctl.marine.sensing.calibration.estimation import Calibration, Estimate, calibrate
 from surctl.recorded import Recorded, read_recorded, shown
 
@@ -60,47 +60,14 @@ class RangeTest:
         return self.air if medium == "air" else self.water
 
 
-class _Distances(Strict):
-    unit: Literal["cm"]
-    values: tuple[float, ...]
-
-
-class _Medium(Strict):
-    unit: Literal["cm"]
-    measured: tuple[float, ...]
-    error_percent: tuple[float, ...]
-
-
-class _File(Strict):
-    kind: Literal["range-test"]
-    name: str
-    provenance: str
-    desired: _Distances
-    air: _Medium
-    water: _Medium
-
-
 def table_ii() -> RangeTest:
     """Return Table II: readings at 18 distances from 0.25 to 1.95 m."""
-    path = Path(__file__).with_name("table2.toml")
-    model = load_model(path, _File)
-    count = len(model.desired.values)
-    for key, medium in (("air", model.air), ("water", model.water)):
-        if {len(medium.measured), len(medium.error_percent)} != {count}:
-            raise InputError(
-                f"columns differ in length from the {count} distances", file=path, key=key, remedy="restore the file"
-            )
-    return RangeTest(
-        _metres(model.desired.values), _medium_test(model.air), _medium_test(model.water), model.provenance
+    table = tomllib.loads(Path(__file__).with_name("table2.toml").read_text(encoding="utf-8"))
+    air, water = (
+        MediumTest(np.array(table[medium]["measured"]) / 100.0, np.array(table[medium]["error_percent"]))
+        for medium in MEDIA
     )
-
-
-def _medium_test(medium: _Medium) -> MediumTest:
-    return MediumTest(_metres(medium.measured), np.array(medium.error_percent))
-
-
-def _metres(centimetres: tuple[float, ...]) -> NDArray[np.float64]:
-    return np.array(centimetres) / 100.0
+    return RangeTest(np.array(table["desired"]["values"]) / 100.0, air, water, table["provenance"])
 
 
 BUILT_IN = "table-ii"

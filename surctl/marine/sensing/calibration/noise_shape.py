@@ -9,6 +9,7 @@ the values that a likelihood-ratio test does not reject, with t²(0.975; n − 3
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 from math import log, sqrt
@@ -21,7 +22,6 @@ _GRID = 401
 _ZOOMS = 5
 _DEEP = 25.0  # the grid spans log-likelihoods down to this far below the largest
 _THIN = 4
-_HALVINGS = 45  # bisections of an interval, or of its logarithm
 _CELLS = 4096  # with more distinct ranges, ranges within 1/4096 of the span share a weight
 
 
@@ -42,7 +42,7 @@ class NoiseShape:
     s1: tuple[float, float, float]
     level: tuple[float, float, float]
     relative: NDArray[np.float64]
-    _likelihoods: _Likelihoods = field(repr=False)
+    _line: Callable[[], NDArray[np.float64]] = field(repr=False)
 
     @cached_property
     def line(self) -> NDArray[np.float64]:
@@ -51,7 +51,7 @@ class NoiseShape:
         Each interval comes from Student's t for a given λ, averaged over λ with a flat prior, so the interval accounts
         for the error of the estimated weights.
         """
-        return _marginal_line(self._likelihoods)
+        return self._line()
 
 
 def noise_shape(x: NDArray[np.float64], residuals: NDArray[np.float64]) -> NoiseShape:
@@ -89,7 +89,7 @@ def noise_shape(x: NDArray[np.float64], residuals: NDArray[np.float64]) -> Noise
         s1=interval(slope),
         level=interval(np.ones_like(profile.scale)),
         relative=chosen,
-        _likelihoods=_Likelihoods(profile=profile, centre=cells.centre, dof=dof, best=best),
+        _line=partial(_marginal_line, profile, cells.centre, dof, best),
     )
 
 
@@ -130,16 +130,6 @@ class _Profile:
     """(k, 3): variance of the intercept, covariance, and variance of the slope, at level 1."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Likelihoods:
-    """What `NoiseShape.line` is computed from: the profile, mean range [m], degrees of freedom, index of the best λ."""
-
-    profile: _Profile
-    centre: float
-    dof: int
-    best: int
-
-
 def _profile(cells: _Cells, shape: NDArray[np.float64]) -> _Profile:
     dof = cells.rows - 2
     bent = 1.0 + np.expm1(shape)[:, None] * ((cells.at - cells.start) / cells.span)
@@ -158,31 +148,27 @@ def _profile(cells: _Cells, shape: NDArray[np.float64]) -> _Profile:
 def _level_limits(dof: int, drop: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the factors t < 1 and t > 1 on the noise level that lower the log-likelihood by `drop`.
 
-    Each factor solves ln t + (1/t² − 1)/2 = drop/dof.
+    Each factor solves ln t + (1/t² − 1)/2 = drop/dof: −1/t² is a value of Lambert's function W.
     """
+    from scipy.special import lambertw
 
-    def lost(t: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.log(t) + 0.5 * (t**-2 - 1.0) - drop / dof
-
-    ends = []
-    for outer in (1e-6, 1e6):
-        inner, far = np.ones_like(drop), np.full_like(drop, outer)
-        for _ in range(_HALVINGS):
-            middle = np.sqrt(inner * far)
-            beyond = lost(middle) > 0
-            inner, far = np.where(beyond, inner, middle), np.where(beyond, middle, far)
-        ends.append(far)
-    return ends[0], ends[1]
+    x = -np.exp(-1.0 - 2.0 * drop / dof)
+    short, long = (np.sqrt(-1.0 / lambertw(x, branch).real) for branch in (-1, 0))
+    return short, long
 
 
-def _marginal_line(likelihoods: _Likelihoods) -> NDArray[np.float64]:
+def _marginal_line(profile: _Profile, centre: float, dof: int, best: int) -> NDArray[np.float64]:
     """Return (2, 3): intercept and slope, each with the ends of its 95 % interval.
 
-    The ends are the 2.5 % and 97.5 % points of Student's t distribution, averaged over λ.
+    The ends are the 2.5 % and 97.5 % points of Student's t distribution, averaged over λ; `centre` is the mean range
+    [m], `dof` the degrees of freedom, and `best` the index of the best λ.
     """
     from scipy.optimize import brentq
+    from scipy.special import stdtr  # without the overhead of scipy.stats
 
-    profile, centre, dof, best = likelihoods.profile, likelihoods.centre, likelihoods.dof, likelihoods.best
+    def excess(at: float, p: float, value: NDArray[np.float64], sd: NDArray[np.float64]) -> float:
+        return float(weight @ stdtr(dof, (at - value) / sd)) - p
+
     some = slice(best % _THIN, None, _THIN)  # sufficient for the integral
     weight = np.exp(profile.likelihood[some] - profile.likelihood[best])
     weight /= weight.sum()
@@ -195,16 +181,6 @@ def _marginal_line(likelihoods: _Likelihoods) -> NDArray[np.float64]:
         row = [float(value[best])]
         for p in (0.025, 0.975):
             low, high = float((value - 60.0 * sd).min()), float((value + 60.0 * sd).max())
-            excess = partial(_excess, p=p, dof=dof, weight=weight, value=value, sd=sd)
-            row.append(float(brentq(excess, low, high, xtol=1e-12 * (high - low))))
+            row.append(float(brentq(excess, low, high, (p, value, sd), xtol=1e-12 * (high - low))))
         rows.append(row)
     return np.array(rows)
-
-
-def _excess(
-    at: float, *, p: float, dof: int, weight: NDArray[np.float64], value: NDArray[np.float64], sd: NDArray[np.float64]
-) -> float:
-    # Student's distribution function at `at`, averaged over λ, minus p
-    from scipy.special import stdtr  # without the overhead of scipy.stats
-
-    return float(weight @ stdtr(dof, (at - value) / sd)) - p

@@ -74,13 +74,10 @@ class Delivery:
         measured, every = step - self.late(dt), self.every(dt)
         there = ca.logic_and(measured >= 0, measured - every * ca.floor(measured / every) == 0)
         there = ca.logic_and(there, chance >= self.lost_below)
-        for start, end in self._blind(dt):
+        for gap in self.gaps:
+            start, end = (ceil(time / dt - _ROUNDING) for time in gap)  # first control periods in and after the gap
             there = ca.logic_and(there, ca.logic_or(measured < start, measured >= end))
         return there
-
-    def _blind(self, dt: float) -> list[tuple[int, int]]:
-        # for each gap: the first control period in the gap, and the first control period after the gap
-        return [(ceil(a / dt - _ROUNDING), ceil(b / dt - _ROUNDING)) for a, b in self.gaps]
 
 
 def whole_steps(key: str, time: float, *, dt: float) -> int:

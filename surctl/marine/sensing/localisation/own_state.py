@@ -61,54 +61,9 @@ def _wrapped(angle: ca.SX) -> ca.SX:
 
 
 Matrix = NDArray[np.float64]
+T = TypeVar("T")
 
 _RECURSION_STEPS = 4000  # steps; the slowest error decays within a few hundred
-
-
-def transition(dt: float, disturbance_time: float) -> Matrix:
-    """Return the transition matrix Φ (3, 3) over a step dt [s] for one axis of {E}: position, velocity, disturbance.
-
-    The disturbance acceleration is constant within a step and decays with the time constant `disturbance_time` [s]
-    (first-order Gauss-Markov process).
-    """
-    return np.array([[1.0, dt, 0.5 * dt * dt], [0.0, 1.0, dt], [0.0, 0.0, exp(-dt / disturbance_time)]])
-
-
-def white(dt: float, size: float) -> Matrix:
-    """Return the covariance (3, 3) that white acceleration noise [m/s^1.5] adds to the states of one axis in a step."""
-    return size**2 * np.array([[dt**3 / 3, dt**2 / 2, 0.0], [dt**2 / 2, dt, 0.0], [0.0, 0.0, 0.0]])
-
-
-def growth(dt: float, *, acceleration_noise: float, disturbance_sd: float, disturbance_time: float) -> Matrix:
-    """Return the process-noise covariance Q (3, 3) of one axis for one step.
-
-    Q is the sum of two parts: white acceleration noise [m/s^1.5], and the noise that keeps the standard deviation of
-    the disturbance acceleration [m/s²] constant.
-    """
-    fresh = disturbance_sd**2 * (1.0 - exp(-2.0 * dt / disturbance_time))
-    return white(dt, acceleration_noise) + np.diag([0.0, 0.0, fresh])
-
-
-def yaw_gains(dt: float, *, yaw_sd: float, rate_sd: float, acceleration_noise: float) -> Matrix:
-    """Return the steady Kalman gains (2, 2): rows for estimated, columns for measured yaw and yaw rate.
-
-    The standard deviations of the measurements are in [rad] and [rad/s]; `acceleration_noise` is the white noise
-    [rad/s^1.5] that represents the unmodelled yaw acceleration.
-    """
-    F, Q = np.array([[1.0, dt], [0.0, 1.0]]), white(dt, acceleration_noise)[:2, :2]
-    R = np.diag([yaw_sd**2, rate_sd**2])
-    P, K = R.copy(), np.zeros((2, 2))
-    for _ in range(_RECURSION_STEPS):
-        before = P
-        P = F @ P @ F.T + Q
-        K = P @ np.linalg.inv(P + R)
-        P = P - K @ P
-        if np.array_equal(P, before):
-            break
-    return K
-
-
-T = TypeVar("T")
 
 LONGEST_LATENCY = 1.0  # [s] with a longer latency the model no longer predicts the present (design choice)
 LONGEST_AGE = 60.0  # [s] limit of a fix's age; this value also means that no fix has arrived
@@ -188,27 +143,42 @@ class OwnStateFilter:
         return whole_steps("own_state.latency", self.latency, dt=self.dt)
 
     @cached_property
-    def step(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Transition matrix Φ and process-noise covariance Q (3, 3) of a step, for one axis of {E}."""
-        noise = growth(
-            self.dt,
-            acceleration_noise=self.acceleration_noise,
-            disturbance_sd=self.disturbance_sd,
-            disturbance_time=self.disturbance_time,
-        )
-        return transition(self.dt, self.disturbance_time), noise
+    def step(self) -> tuple[Matrix, Matrix]:
+        """Transition matrix Φ and process-noise covariance Q (3, 3) of a step for one axis of {E}.
+
+        The states are position, velocity, and a disturbance acceleration, which is constant within a step and decays
+        with the time constant `disturbance_time` (first-order Gauss-Markov process). Q is the sum of the white noise
+        and of the noise that keeps the standard deviation of the disturbance constant.
+        """
+        dt, time = self.dt, self.disturbance_time
+        fresh = self.disturbance_sd**2 * (1.0 - exp(-2.0 * dt / time))
+        noise = self._white(self.acceleration_noise) + np.diag([0.0, 0.0, fresh])
+        return np.array([[1.0, dt, 0.5 * dt * dt], [0.0, 1.0, dt], [0.0, 0.0, exp(-dt / time)]]), noise
+
+    def _white(self, size: float) -> Matrix:
+        # covariance (3, 3) that white acceleration noise [m/s^1.5] adds to the states of one axis in a step
+        dt = self.dt
+        return size**2 * np.array([[dt**3 / 3, dt**2 / 2, 0.0], [dt**2 / 2, dt, 0.0], [0.0, 0.0, 0.0]])
 
     @cached_property
-    def model_covariance(self) -> NDArray[np.float64]:
+    def model_covariance(self) -> Matrix:
         """Covariance (3, 3) that is added to Q in a step for each (m/s²)² of modelled acceleration."""
-        return white(self.dt, self.model_noise)
+        return self._white(self.model_noise)
 
     @cached_property
-    def yaw_gains(self) -> NDArray[np.float64]:
+    def yaw_gains(self) -> Matrix:
         """Steady Kalman gains (2, 2): rows for estimated, columns for measured yaw and yaw rate."""
-        return yaw_gains(
-            self.dt, yaw_sd=self.yaw_sd, rate_sd=self.rate_sd, acceleration_noise=self.yaw_acceleration_noise
-        )
+        F, Q = np.array([[1.0, self.dt], [0.0, 1.0]]), self._white(self.yaw_acceleration_noise)[:2, :2]
+        R = np.diag([self.yaw_sd**2, self.rate_sd**2])
+        P, K = R.copy(), np.zeros((2, 2))
+        for _ in range(_RECURSION_STEPS):
+            before = P
+            P = F @ P @ F.T + Q
+            K = P @ np.linalg.inv(P + R)
+            P = P - K @ P
+            if np.array_equal(P, before):
+                break
+        return K
 
     @property
     def start_variances(self) -> tuple[float, float, float]:

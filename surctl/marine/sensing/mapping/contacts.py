@@ -19,6 +19,8 @@ from surctl.ir import Port, fold
 from surctl.marine.sensing.sonar.array import SonarArray
 from surctl.marine.sensing.sonar.solids import disc_range, turned, wall_range
 
+_TOLERANCE = 0.1  # [m]
+
 
 def expected_range(
     position: ca.SX,
@@ -92,19 +94,17 @@ def sonar_contacts(
     heading: ca.SX,
     hull_radius: ca.SX | float,
     expected: ca.SX,
-    margin: float = 0.1,
-    tolerance: float = 0.1,
 ) -> Contacts:
     """Return one point per sensor, on the beam's axis at `range_hat`; the point is valid if the echo is unexplained.
 
-    A range is an echo if range_hat < maximum − margin. The known walls and obstacles explain it if range_hat ≥ expected
-    − tolerance. Ranges are (n,) [m]; `position` and `heading` are as for `expected_range`.
+    A range is an echo if it is 0.1 m below the maximum or more. The known walls and obstacles explain it if it is at
+    least `expected` − 0.1 m. Ranges are (n,) [m]; `position` and `heading` are as for `expected_range`.
     """
     points = []
     for i, azimuth in enumerate(array.azimuths):
         points.append((position + (hull_radius + range_hat[i]) * turned(heading, azimuth)).T)
-    is_echo = range_hat < array.maximum - margin
-    explained = range_hat >= expected - tolerance
+    is_echo = range_hat < array.maximum - _TOLERANCE
+    explained = range_hat >= expected - _TOLERANCE
     return Contacts(ca.vertcat(*points), ca.logic_and(is_echo, ca.logic_not(explained)))
 
 

@@ -18,88 +18,26 @@ becomes 1 and fades to 0 within `mark_time`. When a cell is cleared, its number 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TypeAlias
 
 import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from surctl.errors import InputError, check_number
+from surctl.errors import InputError
 from surctl.ir import Call, Gather, Loop, Port, Program, Routine, Step, lower
 from surctl.marine.sensing.mapping.firing import READING_SIZE
-from surctl.marine.sensing.mapping.programs import BASE, BEAM, NONE, MapPrograms
+from surctl.marine.sensing.mapping.programs import BASE, BEAM, NONE, MapParameters, MapPrograms
 
 Vector: TypeAlias = NDArray[np.float64]
 
-_HOLDS = 3  # cells; a disc two cells wide with its centre in a block touches at least this many of its cells
 _NOWHERE = 1e6  # cells; lowest corner of the window before the first update
 _WIDEST = 8  # largest number of cells processed together
 _WHERE = ("is_row", "place", "walls", "slots", "corner", "corner_next")  # inputs that determine a column or row
 
 
-@dataclass(frozen=True, kw_only=True)
-class LocalMap:
-    """The local map with its numbers of cells and its times.
-
-    Attributes:
-        dt: period of the updates [s].
-        slots: largest number of firings in one period.
-        blocks: number of blocks (square groups of cells) along one side of the map.
-        block: number of cells along one side of a block, a square group of cells; in each block the map finds the
-            nearest marked cell and the nearest unknown cell.
-        sectors: number of directions in which the map returns the nearest cells, a multiple of 4.
-        mark_time: time [s] until a marked cell has faded to 0 (design choice).
-        free_time: time [s] until a cleared cell has faded to 0 (design choice).
-        known: fraction of `free_time` (design choice); in this last part of `free_time`, a cleared cell no longer
-            counts as known to be free.
-        smooth: whether surfaces answer only near their normal: marks then store the directions from which they were
-            heard, and for 9 s silence clears a mark only from within these directions (see `directions`).
-        specular: whether surfaces are mirrors: as `smooth`, but as long as the mark lasts, and also for marks of blind
-            firings; and a cell that was silent may cause an echo from another direction.
-    """
-
-    dt: float
-    slots: int = 2
-    blocks: int = 12
-    block: int = 4
-    sectors: int = 16
-    mark_time: float = 60.0
-    free_time: float = 60.0
-    known: float = 0.3
-    smooth: bool = False
-    specular: bool = False
-
-    def __post_init__(self) -> None:
-        for name in ("dt", "mark_time", "free_time"):
-            check_number(f"map.{name}", getattr(self, name), unit="s")
-        for name in ("slots", "blocks", "block"):
-            value = getattr(self, name)
-            if not isinstance(value, int) or value < 1:
-                raise InputError("must be a whole number, at least 1", key=f"map.{name}", value=value)
-        if not isinstance(self.sectors, int) or self.sectors < 4 or self.sectors % 4:
-            raise InputError("must be a multiple of 4", key="map.sectors", value=self.sectors)
-        if not 0 < self.known < 1:
-            raise InputError("must lie between 0 and 1", key="map.known", value=self.known)
-
-    @property
-    def side(self) -> int:
-        """Number N of cells along one side of the map."""
-        return self.blocks * self.block
-
-    @property
-    def held(self) -> int:
-        """Number of cells not known to be free below which the unknown cells of a block are ignored.
-
-        Of the five cells that a disc two cells wide touches, the centre's and its neighbours, at least three lie in one
-        block. So no object of this size can hide in blocks with fewer such cells.
-        """
-        return min(_HOLDS, self.block * self.block)
-
-    @property
-    def memory(self) -> float:
-        """Time [s] for which a cleared cell counts as known to be free."""
-        return (1.0 - self.known) * self.free_time
+class LocalMap(MapParameters):
+    """The local map of a law; `MapParameters` describes its numbers of cells and its times."""
 
     def ports(self, prefix: str = "") -> tuple[Port, ...]:
         """Return the entries (name, shape, initial value) of the state.
@@ -159,18 +97,7 @@ class _Steps:
         self.local_map, self.block, self.lanes = local_map, local_map.block, 1
         while self.lanes < _WIDEST and self.block % (2 * self.lanes) == 0:
             self.lanes *= 2
-        self.programs = MapPrograms(
-            slots=local_map.slots,
-            side=local_map.side,
-            block=self.block,
-            lanes=self.lanes,
-            sectors=local_map.sectors,
-            fades=(local_map.dt / local_map.mark_time, local_map.dt / local_map.free_time),
-            known=local_map.known,
-            held=local_map.held,
-            smooth=local_map.smooth,
-            specular=local_map.specular,
-        )
+        self.programs = MapPrograms(local_map, self.lanes)
         self.limits, self.explained, self.explained_next, self.idle = (
             tuple(f"{name}_{s}" for s in range(local_map.slots))
             for name in ("limits", "explained", "explained_next", "idle")

@@ -11,11 +11,12 @@ vectors of a cell's column and row gives the squared distance of the cell from t
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, reduce
 from math import cos, pi, sin
 
 import casadi as ca
 
+from surctl.errors import InputError, check_number
 from surctl.ir import Program, lower_named
 from surctl.marine.sensing.mapping.firing import (
     AXIS,
@@ -41,6 +42,7 @@ BASE, BEAM = 4, 3
 _BOUNDS = 5  # per firing, for the columns or rows of a block: most along, least, most across, least, most squared range
 
 _AT_A_WALL = 2  # cells beside a wall where unknown cells are ignored: a larger object also extends into the third cell
+_HOLDS = 3  # cells; a disc two cells wide with its centre in a block touches at least this many of its cells
 _SLACK = 1e-3  # cells; a wall may be this far from a grid line
 _FAR = 1e6  # m², squared distance for a block without a marked or unknown cell
 _TOUCHED = 0.55  # cells; a block this far outside a cone is skipped (cells on the arc are at most 0.5 outside)
@@ -49,37 +51,84 @@ NONE = (0.0, 0.0, _FAR)
 
 
 @dataclass(frozen=True, kw_only=True)
-class MapPrograms:
-    """The programs of a local map with given numbers of cells.
+class MapParameters:
+    """The numbers of cells of a `LocalMap`, and its times.
 
     Attributes:
+        dt: period of the updates [s].
         slots: largest number of firings in one period.
-        side: number of cells along one side of the window.
-        block: number of cells along one side of a block.
-        lanes: number of neighbouring cells in a row that the processor computes at once (SIMD); the vectors of this
-            many columns are stored together, entry by entry.
-        sectors: number of directions in which the map returns the nearest cells.
-        fades: amounts by which the value of a marked cell and of a cleared cell approach 0 in one period.
-        known: smallest fraction of `free_time` that must remain for a cleared cell to count as known to be free.
-        held: number of cells not known to be free below which the unknown cells of a block are ignored.
-        smooth, specular: whether marks, or all cells, store directions (see `LocalMap`).
+        blocks: number of blocks (square groups of cells) along one side of the map.
+        block: number of cells along one side of a block, a square group of cells; in each block the map finds the
+            nearest marked cell and the nearest unknown cell.
+        sectors: number of directions in which the map returns the nearest cells, a multiple of 4.
+        mark_time: time [s] until a marked cell has faded to 0 (design choice).
+        free_time: time [s] until a cleared cell has faded to 0 (design choice).
+        known: fraction of `free_time` (design choice); in this last part of `free_time`, a cleared cell no longer
+            counts as known to be free.
+        smooth: whether surfaces answer only near their normal: marks then store the directions from which they were
+            heard, and for 9 s silence clears a mark only from within these directions (see `directions`).
+        specular: whether surfaces are mirrors: as `smooth`, but as long as the mark lasts, and also for marks of blind
+            firings; and a cell that was silent may cause an echo from another direction.
     """
 
-    slots: int
-    side: int
-    block: int
-    lanes: int
-    sectors: int
-    fades: tuple[float, float]
-    known: float
-    held: int
+    dt: float
+    slots: int = 2
+    blocks: int = 12
+    block: int = 4
+    sectors: int = 16
+    mark_time: float = 60.0
+    free_time: float = 60.0
+    known: float = 0.3
     smooth: bool = False
     specular: bool = False
 
+    def __post_init__(self) -> None:
+        for name in ("dt", "mark_time", "free_time"):
+            check_number(f"map.{name}", getattr(self, name), unit="s")
+        for name in ("slots", "blocks", "block"):
+            value = getattr(self, name)
+            if not isinstance(value, int) or value < 1:
+                raise InputError("must be a whole number, at least 1", key=f"map.{name}", value=value)
+        if not isinstance(self.sectors, int) or self.sectors < 4 or self.sectors % 4:
+            raise InputError("must be a multiple of 4", key="map.sectors", value=self.sectors)
+        if not 0 < self.known < 1:
+            raise InputError("must lie between 0 and 1", key="map.known", value=self.known)
+
     @property
-    def directed(self) -> bool:
-        """Whether cells store directions."""
-        return self.smooth or self.specular
+    def side(self) -> int:
+        """Number N of cells along one side of the map."""
+        return self.blocks * self.block
+
+    @property
+    def held(self) -> int:
+        """Number of cells not known to be free below which the unknown cells of a block are ignored.
+
+        Of the five cells that a disc two cells wide touches, the centre's and its neighbours, at least three lie in one
+        block. So no object of this size can hide in blocks with fewer such cells.
+        """
+        return min(_HOLDS, self.block * self.block)
+
+    @property
+    def memory(self) -> float:
+        """Time [s] for which a cleared cell counts as known to be free."""
+        return (1.0 - self.known) * self.free_time
+
+
+class MapPrograms:
+    """The programs of a local map.
+
+    Args:
+        lanes: number of neighbouring cells in a row that the processor computes at once (SIMD); the vectors of this
+            many columns are stored together, entry by entry.
+    """
+
+    def __init__(self, local_map: MapParameters, lanes: int) -> None:
+        self.lanes, self.block, self.slots = lanes, local_map.block, local_map.slots
+        self.sectors, self.side, self.held = local_map.sectors, local_map.side, local_map.held
+        self.known, self.specular = local_map.known, local_map.specular
+        self.directed = local_map.smooth or local_map.specular  # whether cells store directions
+        # amounts by which the value of a marked cell and of a cleared cell approach 0 in one period
+        self.fades = (local_map.dt / local_map.mark_time, local_map.dt / local_map.free_time)
 
     @property
     def limit_names(self) -> tuple[str, ...]:
@@ -113,10 +162,8 @@ class MapPrograms:
             limits[f"limits_{s}"] = ca.vertcat(*(values[name] for name in self.limit_names))
             explained[f"explained_{s}"] = values["far"] < values["near"]  # no cell is on an empty arc
         ring = hull + RING * edge
-        everything = explained["explained_0"]
-        for s in range(1, self.slots):
-            everything = ca.logic_and(everything, explained[f"explained_{s}"])
-        outputs = {**limits, "hull": ca.vertcat(hull * hull, ring * ring), "complete": everything, **explained}
+        complete = reduce(ca.logic_and, explained.values())
+        outputs = {**limits, "hull": ca.vertcat(hull * hull, ring * ring), "complete": complete, **explained}
         return lower_named("prepare", {"place": place, "slots": slots}, outputs)
 
     def line(self) -> Program:
@@ -161,10 +208,11 @@ class MapPrograms:
         def entries(array: ca.SX, size: int, entry: int) -> list[ca.SX]:
             return [array[self._entry(k, size, entry) if columns else size * k + entry] for k in range(self.block)]
 
-        bounds = [_least(entries(base, BASE, 1))]
+        bounds = [reduce(ca.fmin, entries(base, BASE, 1))]
         for beam in beams:
             along, across, square = (entries(beam, BEAM, e) for e in range(BEAM))
-            bounds += [_largest(along), _least(across), _largest(across), _least(square), _largest(square)]
+            bounds.append(reduce(ca.fmax, along))
+            bounds += [reduce(extreme, values) for values in (across, square) for extreme in (ca.fmin, ca.fmax)]
         inputs = {"base": base, **{f"beam_{s}": beam for s, beam in enumerate(beams)}}
         return lower_named("columns_bounds" if columns else "rows_bounds", inputs, {"bounds": ca.vertcat(*bounds)})
 
@@ -271,26 +319,18 @@ class MapPrograms:
         """Program that tests whether a block has no marked cell, and whether its unknown cells are ignored."""
         largest, count = ca.SX.sym("largest", self.lanes), ca.SX.sym("count", self.lanes)
         held = ca.sum1(count) < self.held
-        outputs = {"no_mark": _largest(ca.vertsplit(largest)) <= 0, "no_blank": held}
+        outputs = {"no_mark": reduce(ca.fmax, ca.vertsplit(largest)) <= 0, "no_blank": held}
         return lower_named("without", {"largest": largest, "count": count}, outputs)
 
     def any_hit(self) -> Program:
         """Program that tests whether any of the cells that the processor computes at once explains the firing."""
         hits = ca.SX.sym("hits", self.lanes)
-        hit = hits[0]
-        for k in range(1, self.lanes):
-            hit = ca.logic_or(hit, hits[k])
-        return lower_named("any_hit", {"hits": hits}, {"hit": hit})
+        return lower_named("any_hit", {"hits": hits}, {"hit": reduce(ca.logic_or, ca.vertsplit(hits))})
 
     def all_explained(self) -> Program:
         """Program that tests whether every firing is explained by some cell, so that the search can end."""
-        explained = [ca.SX.sym(f"explained_{s}") for s in range(self.slots)]
-        complete = explained[0]
-        for one in explained[1:]:
-            complete = ca.logic_and(complete, one)
-        return lower_named(
-            "all_explained", {f"explained_{s}": one for s, one in enumerate(explained)}, {"complete": complete}
-        )
+        explained = {f"explained_{s}": ca.SX.sym(f"explained_{s}") for s in range(self.slots)}
+        return lower_named("all_explained", explained, {"complete": reduce(ca.logic_and, explained.values())})
 
     def nearest(self, *, unknown: bool) -> Program:
         """Program that extends the search for a block's nearest marked or unknown cell by one row of cells.
@@ -377,17 +417,3 @@ class MapPrograms:
     @staticmethod
     def _limit_symbols(limits: list[dict[str, ca.SX]]) -> dict[str, ca.SX]:
         return {f"limits_{s}": ca.vertcat(*one.values()) for s, one in enumerate(limits)}
-
-
-def _least(values: list[ca.SX]) -> ca.SX:
-    least = values[0]
-    for value in values[1:]:
-        least = ca.fmin(least, value)
-    return least
-
-
-def _largest(values: list[ca.SX]) -> ca.SX:
-    largest = values[0]
-    for value in values[1:]:
-        largest = ca.fmax(largest, value)
-    return largest

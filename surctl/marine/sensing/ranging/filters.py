@@ -10,11 +10,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal, NamedTuple, TypeAlias, get_args
+from typing import ClassVar, Literal, NamedTuple, TypeAlias, get_args
 
 import casadi as ca
 
-from surctl.errors import InputError, check_known
+from surctl.errors import check_known
 from surctl.ir import Port
 from surctl.marine.sensing.sonar.array import SonarArray
 
@@ -141,30 +141,24 @@ class SensorFilter:
 
     Attributes:
         array: the sonar array.
-        window: number n of values in the window of the gate, at least 2.
+        step: rule for the step size μ, `corrected` or `printed`, see `lms_step`.
+        window: number n of values in the window of the gate.
         taps: number m of values that Algorithm 1 uses for a prediction.
         memory: number N of residuals in the corrected error of equation (7) of the paper.
         refusals: number of consecutive refused values after which a sensor counts as unhealthy.
         jump: accepted change [m] between two firings that indicates another object (design choice; a closing speed of
             0.5 m/s gives 0.05 m). The LMS filter then restarts, so that it predicts no ranges between the two objects.
-        step: rule for the step size μ, `corrected` or `printed`, see `lms_step`.
     """
 
     array: SonarArray = field(default_factory=SonarArray)
-    window: int = 8
-    taps: int = 4
-    memory: int = 8
-    refusals: int = 3
-    jump: float = 0.3
     step: StepRule = "corrected"
+    window: ClassVar[int] = 8
+    taps: ClassVar[int] = 4
+    memory: ClassVar[int] = 8
+    refusals: ClassVar[int] = 3
+    jump: ClassVar[float] = 0.3
 
     def __post_init__(self) -> None:
-        for name, least in (("window", 2), ("taps", 1), ("memory", 1), ("refusals", 1)):
-            value = getattr(self, name)
-            if not isinstance(value, int) or value < least:
-                raise InputError(f"must be a whole number, at least {least}", key=f"filter.{name}", value=value)
-        if not self.jump > 0:
-            raise InputError("must be greater than 0", key="filter.jump", value=self.jump, remedy="give m")
         check_known(self.step, get_args(StepRule), "unknown LMS step", key="filter.step")
 
     def ports(self, prefix: str = "") -> tuple[Port, ...]:

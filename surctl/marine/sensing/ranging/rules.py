@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import reduce
+from operator import add
 from typing import Any, NamedTuple, TypeAlias
 
 import casadi as ca
@@ -171,10 +172,7 @@ def robust(tracker: TrackerParameters, samples: list[Value]) -> Value:
 
     If all samples equal the maximum, the result is the maximum.
     """
-    total = samples[0]
-    for value in samples[1:]:
-        total = total + value
-    count = len(samples)
+    total, count = reduce(add, samples), len(samples)
     if count >= 3:
         total, count = total - _least(*samples) - _most(*samples), count - 2
     nothing = _least(*samples) >= tracker.array.maximum - 0.5 * tracker.array.resolution

@@ -7,7 +7,7 @@ estimate is called the track. Additional rules (module `rules`) distinguish faul
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cache
 from math import ceil
@@ -88,7 +88,7 @@ class RangeTracker(TrackerParameters):
         columns = {n: ca.horzsplit(v) if n in wide else v for n, v in old.items()}
         beside = others(self, columns, [samples[:, j] for j in range(count)], fresh)
 
-        def sensor(before: ca.SX, values: ca.SX, around: ca.SX) -> tuple[ca.SX, ca.SX]:
+        def sensor(before: ca.SX, values: ca.SX, around: ca.SX) -> tuple[Any, Any]:
             own = Layout(tuple(replace(p, shape=p.shape[1:] or (1,)) for p in ports)).split(before)
             previous = {n: ca.vertsplit(v) if n in wide else v for n, v in own.items()}
             compared = [(around[3 * k], around[3 * k + 1], around[3 * k + 2]) for k in range(len(beside))]
@@ -97,7 +97,7 @@ class RangeTracker(TrackerParameters):
             inputs = StepInputs(ca.vertsplit(values[:count]), fired, own_motion, walls, farthest, turn, compared)
             after, outputs = range_step(self, previous, inputs)
             flat = [ca.vec(ca.vertcat(*v)) if isinstance(v, list) else v for v in (after[p.name] for p in ports)]
-            return _column(flat), _column(outputs)
+            return ca.vertcat(*flat), ca.vertcat(*outputs)
 
         after, readings = each(
             "range_track",
@@ -157,8 +157,3 @@ def _ports(tracker: RangeTracker, prefix: str) -> tuple[Port, ...]:
         port("shifts", "m", "predicted range 1, 2, ... steps ago minus the present one", width=delays),
         port("walls", "m", "expected range 1, 2, ... steps ago", far, width=delays + 1),
     )
-
-
-def _column(parts: Iterable[Any]) -> ca.SX:
-    whole: ca.SX = ca.vertcat(*parts)
-    return whole

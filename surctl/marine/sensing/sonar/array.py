@@ -8,31 +8,23 @@ water, longer than the time ΔT between two firings.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from math import acos, asin, atan2, ceil, cos, degrees, hypot, inf, isfinite, pi, remainder, sin, sqrt
-from typing import Literal, TypeAlias, get_args
+from math import acos, asin, atan2, ceil, cos, degrees, hypot, inf, isfinite, pi, remainder, sin
 
-from surctl.errors import InputError, check_known, check_number
+from surctl.errors import InputError, check_number
 from surctl.marine.world import Vector2
 
-Medium: TypeAlias = Literal["water", "air"]
-
 _MARCZAK = (1.402385e3, 5.038813, -5.799136e-2, 3.287156e-4, -1.398845e-6, 2.787860e-9)
-_RANGE = {"water": (0.0, 95.0), "air": (-20.0, 50.0)}  # °C; for air a design choice: temperatures of a test site
 
 
-def speed_of_sound(temperature: float, medium: Medium = "water") -> float:
-    """Return the speed of sound [m/s] at a temperature [°C] and atmospheric pressure.
+def speed_of_sound(temperature: float) -> float:
+    """Return the speed of sound [m/s] in pure water at a temperature [°C] and atmospheric pressure.
 
-    For pure water: Marczak 1997, "Water as a standard in the measurements of speed of sound in liquids", J. Acoust.
-    Soc. Am. 102, 2776 (0 to 95 °C, within 0.02 m/s). For dry, ideal air: 331.3·sqrt(1 + T/273.15) (−20 to 50 °C).
+    Marczak 1997, "Water as a standard in the measurements of speed of sound in liquids", J. Acoust. Soc. Am. 102, 2776
+    (0 to 95 °C, within 0.02 m/s).
     """
-    check_known(medium, get_args(Medium), key="medium")
-    low, high = _RANGE[medium]
-    if not low <= temperature <= high:
-        problem = f"lies outside the range of the formula for {medium}"
-        raise InputError(problem, key="temperature", value=temperature, remedy=f"give {low:g} to {high:g} °C")
-    if medium == "air":
-        return 331.3 * sqrt(1.0 + temperature / 273.15)
+    if not 0.0 <= temperature <= 95.0:
+        problem = "lies outside the range of the formula for water"
+        raise InputError(problem, key="temperature", value=temperature, remedy="give 0 to 95 °C")
     speed = 0.0
     for factor in reversed(_MARCZAK):
         speed = speed * temperature + factor
@@ -41,11 +33,6 @@ def speed_of_sound(temperature: float, medium: Medium = "water") -> float:
 
 _SLIVER = 1e-6  # rad; an opening narrower than twice this value is ignored
 _ON_HULL = 1e-9  # m; an apex up to this far inside the hull counts as on it
-
-
-def _inside_hull(mount: tuple[float, float], hull_radius: float) -> bool:
-    """Return whether an apex (x, y) in {B} [m] lies strictly inside the hull."""
-    return hypot(*mount) < hull_radius - _ON_HULL
 
 
 def open_cones(
@@ -96,8 +83,7 @@ class SonarArray:
         blind_time: time after a ping in which the sensor receives no echo [s]; if given, the blind time replaces
             `minimum`. With `blind_time`, the blind range is half the blind time, multiplied by the speed of sound.
         maximum: longest range [m] that the sensor measures; a sensor without an echo also reads `maximum`.
-        medium, temperature: medium in which the sound travels, and temperature of the medium [°C]; medium and
-            temperature determine the speed of sound.
+        temperature: temperature of the water [°C], which determines the speed of sound.
         calibrated_for: speed of sound [m/s] that the converter assumes; None: the true speed. A reading is the true
             range times `scale`, which is the assumed speed divided by the true speed.
         firing_period: time ΔT between two firings [s]; the echo from an object at `maximum` must arrive within ΔT.
@@ -122,7 +108,6 @@ class SonarArray:
     minimum: float = 0.2
     blind_time: float | None = None
     maximum: float = 4.5
-    medium: Medium = "water"
     temperature: float = 20.0
     calibrated_for: float | None = None
     firing_period: float = 0.025
@@ -167,7 +152,7 @@ class SonarArray:
     @property
     def speed(self) -> float:
         """True speed of sound [m/s]."""
-        return speed_of_sound(self.temperature, self.medium)
+        return speed_of_sound(self.temperature)
 
     @property
     def scale(self) -> float:
@@ -293,7 +278,7 @@ def _check_mounts(array: SonarArray) -> None:
     _require(array, "mounts", points, problem, "give x, y in {B} in m, or None for sensors on the hull")
     for i, mount in enumerate(array.mounts):
         problem = f"sensor {i} lies inside the hull of radius {array.hull_radius:g} m"
-        outside = not _inside_hull(mount, array.hull_radius)
+        outside = hypot(*mount) >= array.hull_radius - _ON_HULL
         _require(array, "mounts", outside, problem, "move it out to the hull or beyond", value=mount)
 
 
@@ -312,8 +297,7 @@ def _check_conversion(array: SonarArray) -> None:
         divides = divides and abs(array.top_code * array.step - array.maximum) <= 1e-9 * array.maximum
         remedy = "give m, for example 0.01 for whole centimetres, and a maximum that is a multiple of it"
         _require(array, "step", divides, f"must divide the maximum of {array.maximum:g} m", remedy)
-    steady = isfinite(array.noise_sd) and array.noise_sd >= 0
-    _require(array, "noise_sd", steady, "must be finite and at least 0", "give m")
+    check_number("array.noise_sd", array.noise_sd, unit="m", zero=True)
     _require(array, "bias", isfinite(array.bias), "must be finite", "give m")
 
 
@@ -349,7 +333,7 @@ def _check_timing(array: SonarArray) -> None:
     problem = f"gives a cycle of {array.cycle:g} s, longer than the cycle_limit of {array.cycle_limit:g} s"
     remedy = f"give {fits:g} s, or a longer cycle_limit"
     _require(array, "firing_period", array.cycle <= array.cycle_limit + _SLACK, problem, remedy)
-    echo = f"an echo from it takes {1e3 * array.echo_time:.1f} ms in {array.medium}"
+    echo = f"an echo from it takes {1e3 * array.echo_time:.1f} ms in water"
     problem = f"is too long for the cycle: {echo}, longer than the cycle_limit of {array.cycle_limit:g} s"
     remedy = f"give at most {0.5 * array.speed * array.firing_period:.3g} m"
     _require(array, "maximum", array.echo_time <= array.cycle_limit + _SLACK, problem, remedy)

@@ -27,11 +27,6 @@ from surctl.marine.simulation.sensors import FIRING, FiringPlan, firing_plan
 from surctl.noise import NOISE_STATE, draw_normals, draw_uniforms
 
 
-def _modulo(number: ca.SX, period: int) -> ca.SX:
-    """Return an integer modulo a period."""
-    return number - period * ca.floor(number / period)
-
-
 class Listening:
     """The sensors of a compiled loop: sonars, base station, and measurement of the robot's own state.
 
@@ -195,7 +190,7 @@ class Listening:
         after = {name: value for name, value in echoes.items() if name.startswith("sonar_")}
         fresh = [ca.SX(0)] * array.size
         period = plan.period // gcd(plan.period, self._instants)  # control steps
-        turn = _modulo(step, period)
+        turn = step - period * ca.floor(step / period)
         for k in range(wide):
             turns = [plan.sensors[(t * self._instants + instant) % plan.period][k] for t in range(period)]
             listed = [0 if i is None else i for i in turns]

@@ -242,7 +242,8 @@ def run_campaign(
         if value < 1:
             raise InputError("must be at least 1", key=key, value=value)
     parts, start, simulated = [], time.monotonic(), 0
-    for index, (first, count) in enumerate(_cut(runs, chunk)):
+    for index, first in enumerate(range(0, runs, chunk)):
+        count = min(chunk, runs - first)
         shape = (count, 1 + len(METRICS) + len(plan.names))
         if store is not None and store.has(index, shape):
             parts.append(np.column_stack([store.column(index, shape, k) for k in range(shape[1])]))
@@ -258,10 +259,6 @@ def run_campaign(
         )
     table = _table(plan, np.vstack(parts))
     return Campaign(plan, table, summarise(table))
-
-
-def _cut(runs: int, chunk: int) -> Iterator[tuple[int, int]]:
-    return ((first, min(chunk, runs - first)) for first in range(0, runs, chunk))
 
 
 def _simulate_chunk(plan: Plan, first: int, count: int, threads: int) -> NDArray[np.float64]:

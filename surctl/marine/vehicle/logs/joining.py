@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from surctl.errors import InputError
+from surctl.errors import InputError, mistakes_in
 from surctl.files import Strict, read_toml, validate
 from surctl.marine.vehicle.logs.recording import LogRecording, Topic, step_back
 from surctl.marine.vehicle.motion_log import Frame, MotionLog, heading_frame, swap_body, swapped
@@ -302,27 +302,21 @@ class _Sources:
                     raise InputError(problem, file=map_name, key=f"log.{key}", value=topic, remedy="remove the entry")
 
     def topic(self, name: str, part: Source) -> Topic:
-        try:
+        with mistakes_in(self.map_name):
             return self.recording.topic(part.topic, key=f"{name}.topic")
-        except InputError as error:
-            raise error.inside(self.map_name) from None
 
     def fields(self, name: str, part: Source) -> Array:
         # (n, fields); an empty name is an axis without thrust, or motion that was not measured
         topic = self.topic(name, part)
         absent = np.full(len(topic.time), 0.0 if name == "thrust" else np.nan)
-        try:
+        with mistakes_in(self.map_name):
             return np.column_stack(
                 [self.recording.column(part.topic, k, key=f"{name}.fields") if k else absent for k in part.fields]
             )
-        except InputError as error:
-            raise error.inside(self.map_name) from None
 
     def factor(self, name: str, unit: str, target: str) -> float:
-        try:
+        with mistakes_in(self.map_name, f"{name}.unit"):
             return in_unit(1.0, unit, target)
-        except InputError as error:
-            raise error.inside(self.map_name, f"{name}.unit") from None
 
     def time(self, name: str, part: Source) -> Array:
         topic, clock = self.topic(name, part), self.map.log

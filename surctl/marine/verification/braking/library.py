@@ -9,13 +9,14 @@ from dataclasses import replace
 from math import ceil, sqrt
 from typing import Literal, NamedTuple
 
+from surctl.certcheck.braking_claim import GuardedLaw
 from surctl.errors import InputError, NotApplicable, nearest
 from surctl.marine.control import Barrier, Gains, build_law
 from surctl.marine.guidance.braking import LEAST_THRUST, Brakes, Watch, brakes_of
 from surctl.marine.vehicle import Vehicle
 from surctl.marine.vehicle.dynamics import check_equation_3
 from surctl.marine.verification.assumptions import check_sway_force
-from surctl.marine.verification.braking.claim import BrakingClaim, LawNumbers, law_numbers
+from surctl.marine.verification.braking.claim import BrakingClaim, law_numbers
 from surctl.verification.setting import OVERSHOOT
 
 _SPREAD = 0.2
@@ -148,15 +149,17 @@ def _fastest(cap: float) -> float:
     return _FASTEST if cap <= _CAP else round(OVERSHOOT * cap, 9)
 
 
-def _attained(law: LawNumbers, brakes: Brakes) -> float:
+def _attained(law: GuardedLaw, brakes: Brakes) -> float:
     """Return the speed [m/s] at which the law ends up with the least drag of the claim, and what it overshoots by.
 
     The velocity loop pushes with m k_v (cap − v) and the drag of its model at the cap, on each axis with its own model.
     """
     steady, (low, low2) = 0.0, (brakes.linear[0], brakes.quadratic[0])
-    for mass, linear, quadratic in zip(law.mass, law.linear, law.quadratic, strict=True):
-        loop = mass * law.k_v
-        thrust, slope = loop * law.cap + linear * law.cap + quadratic * law.cap**2, loop + low
+    cap = float(law.cap)
+    for axis in zip(law.mass, law.linear, law.quadratic, strict=True):
+        mass, linear, quadratic = map(float, axis)
+        loop = mass * float(law.k_v)
+        thrust, slope = loop * cap + linear * cap + quadratic * cap**2, loop + low
         steady = max(steady, 2 * thrust / (slope + sqrt(slope**2 + 4 * low2 * thrust)))
     return ceil(_BEYOND * steady * 1e3) / 1e3
 

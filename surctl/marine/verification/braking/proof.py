@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -13,7 +12,7 @@ from numpy.typing import NDArray
 
 from surctl.certcheck import Rejected, check_document, seal
 from surctl.certcheck import braking_claim as checker
-from surctl.certcheck.braking import Distance, disturbance, drag_ranges, left_at, thrust_ahead, upper
+from surctl.certcheck.braking import Distance, disturbance, drag_ranges, left_at, upper
 from surctl.certcheck.motion import Obligation
 from surctl.lyapunov.near import point_text
 from surctl.marine.guidance.braking import LEAST_THRUST
@@ -22,10 +21,11 @@ from surctl.verification.certified import Certified
 from surctl.verification.formula import parse, values_of, variable
 from surctl.verification.proving import Statement, prove_by_boxes
 
-_FACTORS, _POINTS = 6, 150
+_KNOTS, _POINTS = 10, 2000  # knots of a braking distance, at most, and points at which it is compared
 _DIGITS = 9
-_LIFT = 1e-3  # by which the polynomial exceeds what is needed, relative to it
-_FIGURES = 10**4  # a distance is rounded up to 0.1 mm
+_DENSE = 1.3  # knots are denser near 0
+_LIFT, _ABOVE = 1e-3, 1e-7  # by which G' exceeds what is needed, relative to it and in m/(N s)
+_FIGURES = 10**4  # an obstacle speed is rounded down to 0.1 mm/s
 _SECONDS, _GRID = 10.0, 60  # limit of the processor time for an inequality; points of each variable
 _FAILS = 1e-6  # excess at a point that is no rounding
 
@@ -33,17 +33,12 @@ Vector = NDArray[np.float64]
 
 
 def stated(claim: BrakingClaim) -> checker.BrakingClaim:
-    """Return the claim as the checker reads it, with an empty table.
+    """Return the claim as the checker reads it, with ranges and a largest obstacle speed of 0.
 
     Raises:
         Rejected: the checker does not accept the numbers of the claim.
     """
-    return checker.read_claim(claim.document(_table(claim, 0.0), 0.0))
-
-
-def _table(claim: BrakingClaim, figure: float) -> dict[str, Any]:
-    rows = [[figure] * len(claim.obstacles) for _ in claim.speeds]
-    return {"speeds_m_per_s": list(claim.speeds), **dict.fromkeys(("closed_m", "distance_m", "needed_m"), rows)}
+    return checker.read_claim(claim.document([[0.0] * len(claim.obstacles) for _ in claim.speeds], 0.0))
 
 
 def largest_obstacle(claim: checker.BrakingClaim) -> float:
@@ -56,54 +51,33 @@ def largest_obstacle(claim: checker.BrakingClaim) -> float:
 
 
 def distance_of(claim: checker.BrakingClaim, obstacle: Fraction) -> Distance:
-    """Return a short braking distance before an obstacle, by a linear program for the coefficients of its polynomial.
+    """Return a short braking distance before an obstacle.
 
     Raises:
         Rejected: drag and disturbance are as large as the braking force, or the claim is not covered.
     """
     from scipy.optimize import linprog
 
-    rough = Distance(claim, obstacle, (Fraction(0), claim.fastest + obstacle), ((Fraction(0),),), retreats=True)
-    fastest, swing = claim.fastest + claim.speed_error, rough.swing / claim.mass[0]
-    top = claim.fastest + obstacle
-    if claim.ratio == 1:  # else the lag adds more than the largest closing speed
-        gain = upper(rough.gain(f"({-fastest})", f"({thrust_ahead(claim)})"))
-        top = Fraction(repr(round(float(fastest + obstacle + gain * claim.period + swing) + 0.01, _DIGITS)))
-    knots = sorted({Fraction(0), top, *({rough.through} if 0 < rough.through < top else ())})
-    starts, widths = np.array([[float(a), float(b - a)] for a, b in pairwise(knots)]).T[:, :, None]
-    z = np.unique(
-        [a + w * (1 - np.cos(np.linspace(0, np.pi, _POINTS))) / 2 for a, w in zip(starts, widths, strict=True)]
+    through, top = float(obstacle + claim.current), float(claim.fastest + obstacle)
+    knots = np.round(
+        np.union1d(top * np.linspace(0.0, 1.0, _KNOTS) ** _DENSE, [through] if through < top else []), _DIGITS
     )
+    knots[-1] = np.ceil(top * 10**_DIGITS) / 10**_DIGITS
+    s = np.linspace(0.0, knots[-1], _POINTS)
     (low, high), (low2, high2) = drag_ranges(claim)
-    left = float(claim.brake - upper(disturbance(claim, f"({rough.through})")))
-    v, share = z - float(rough.through), 1.0 if claim.drag == "along" else 0.5**0.5
+    left = float(claim.brake - upper(disturbance(claim, f"({obstacle + claim.current})")))
+    v, share = s - through, 1.0 if claim.drag == "along" else 0.5**0.5
     force = left + np.where(v >= 0, float(low) * v + share * float(low2) * v**2, float(high) * v - float(high2) * v**2)
-    powers = np.arange(_FACTORS)
-    inside = ((z >= starts) & (z <= starts + widths)).astype(float)
-    y = np.clip((z - starts) / widths, 0, 1)[:, :, None]  # of each piece, relative to its width
-    slopes, growth = y ** (powers + 1), inside[:, :, None] * y**powers * (powers + 1)
-    lengths = y ** (powers + 2) / (powers + 2) * widths[:, :, None] + np.maximum(z - starts - widths, 0)[:, :, None]
-    slopes, growth, lengths = (np.hstack(list(each)) for each in (slopes, growth, lengths))
-    exact = np.maximum.accumulate(z / force)
-    area = np.concatenate([[0], np.cumsum((exact[1:] + exact[:-1]) / 2 * np.diff(z))])
-    some = z > 0.1 * float(top)
-    # unknowns: the coefficients, and by how much the length exceeds the least one; at 0, G' rises by 1/force at least
-    first = np.zeros((1, slopes.shape[1]))
-    first[0, 0] = float(widths[0, 0])
-    rows, sides = (
-        np.vstack([-slopes, -first]),
-        -(1 + _LIFT) * np.concatenate([z, [float(widths[0, 0]) ** 2]]) / (np.concatenate([force, force[:1]])),
+    exact = np.maximum.accumulate(s / force)
+    hats = np.array([np.interp(s, knots, row) for row in np.eye(len(knots))]).T
+    steps = np.diff(np.eye(len(knots)), axis=0)  # G' must not fall
+    done = linprog(
+        hats.mean(axis=0), -np.vstack([hats, steps]), -np.append((1 + _LIFT) * exact + _ABOVE, np.zeros(len(steps)))
     )
-    rows, sides = np.vstack([rows, -growth]), np.concatenate([sides, np.full(len(z), -_LIFT * exact[-1])])
-    rows = np.block([[rows, np.zeros((len(rows), 1))], [lengths[some] / area[some, None], -np.ones((some.sum(), 1))]])
-    cost = np.zeros(rows.shape[1])
-    cost[-1] = 1.0
-    done = linprog(cost, rows, np.concatenate([sides, np.ones(some.sum())]), bounds=(None, None))
     if not done.success:
         raise Rejected("no braking distance was found")
-    factors = done.x[:-1].reshape(len(widths), -1) / widths ** (powers + 1)
-    plain = tuple(tuple(Fraction(repr(round(float(x), _DIGITS))) for x in row) for row in factors)
-    distance = Distance(claim, obstacle, tuple(knots), plain, retreats=True)
+    rows = [[Fraction(repr(round(float(x), _DIGITS))) for x in row] for row in (knots, np.maximum.accumulate(done.x))]
+    distance = Distance(claim, obstacle, tuple(rows[0]), tuple(rows[1]), retreats=True)
     try:
         for obligation in distance.obligations():
             if obligation.names == ("r",):
@@ -177,16 +151,20 @@ class BrakingProof(Certified):
 def prove_braking(claim: BrakingClaim) -> BrakingProof:
     """Propose the braking distances of the claim, prove their inequalities, and let the checker decide.
 
-    For a law of a vehicle with unequal masses, smaller braking forces are tried too: the velocity loop commands them at
-    a smaller excess over the speed bound, and the proof may count on any force up to the guaranteed one.
+    For a law of a vehicle with unequal masses, several braking forces are tried, the largest one first: the velocity
+    loop commands a smaller one at a smaller excess over the speed bound, and the proof may count on any force up to the
+    guaranteed one.
     """
-    began = time.perf_counter()
-    first = _attempt(claim, began)
-    if first.verdict == "proved" or claim.law is None or claim.ratio == 1:
-        return first
-    forces = [share * claim.law.limit for share in _SHARES]
-    attempts = (_attempt(claim.braking_with(force), began) for force in forces if force != claim.brakes.least)
-    return next((attempt for attempt in attempts if attempt.verdict == "proved"), first)
+    began, forces = time.perf_counter(), {claim.brakes.least}
+    if claim.law is not None and claim.ratio != 1:
+        forces |= {share * float(claim.law.limit) for share in _SHARES}
+    for force in sorted(forces, reverse=True):
+        attempt = _attempt(claim if force == claim.brakes.least else claim.braking_with(force), began)
+        if attempt.verdict == "proved":
+            return attempt
+        if force == claim.brakes.least:
+            own = attempt
+    return own
 
 
 def _attempt(claim: BrakingClaim, began: float) -> BrakingProof:
@@ -217,21 +195,14 @@ def _certificate(claim: BrakingClaim) -> dict[str, Any]:
         reason += f", so that drag leaves none from {limit:.4g} m/s on" if limit > 0 else ": none is left, even at rest"
         raise Rejected(reason)
     distances = [distance_of(own, obstacle) for obstacle in own.obstacles]
-    figures = [[d.figures(speed) for d in distances] for speed in own.speeds]
-    table: dict[str, Any] = {"speeds_m_per_s": list(claim.speeds)}
-    for k, name in enumerate(("closed_m", "distance_m", "needed_m")):
-        table[name] = [[float(entry[k]) for entry in row] for row in figures]
+    needed = [[float(distance.needed(speed)) for distance in distances] for speed in own.speeds]
     proofs = [
         _proved(obligation, f"{claim.name} before an obstacle at {float(d.obstacle):g} m/s")
         for d in distances
         for obligation in d.obligations()
     ]
     plain = [
-        {
-            "knots": [float(x) for x in d.knots],
-            "factors": [[float(x) for x in row] for row in d.factors],
-            "retreats": d.retreats,
-        }
+        {"knots": list(map(float, d.knots)), "slopes": list(map(float, d.slopes)), "retreats": d.retreats}
         for d in distances
     ]
-    return seal("braking", claim.document(table, limit), {"distances": plain, "proofs": proofs})
+    return seal("braking", claim.document(needed, limit), {"distances": plain, "proofs": proofs})

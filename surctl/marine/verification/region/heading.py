@@ -1,21 +1,24 @@
 """The heading-steered loop of eight states: the claim about it, and its matrices in floating point for the search.
 
-The checker does not use these matrices: `surctl.certcheck.heading_cells` computes them independently. In the path
-frame, the state is ξ = (x − x*, y, ψ, U_x − v, U_y, r), where x* is the steady along-track error and v the cruise
-speed; the heave states (z, w) are decoupled.
+The matrices are those of `surctl.certcheck.heading_cells` in the middle of a cell. In the path frame, the state is
+ξ = (x − x*, y, ψ, U_x − v, U_y, r), where x* is the steady along-track error and v the cruise speed; the heave states
+(z, w) are decoupled.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import product
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.certcheck.heading_claim import EXCLUDES
+from surctl.certcheck.heading_cells import rows
+from surctl.certcheck.heading_claim import EXCLUDES, read_claim
+from surctl.certcheck.heading_claim import HeadingClaim as Checked
 from surctl.marine.vehicle import Vehicle
 from surctl.marine.verification.assumptions import check_alike
 
@@ -57,25 +60,21 @@ class HeadingClaim:
     rate: float
     digest: str
 
+    @cached_property
+    def read(self) -> Checked:
+        """Return the claim as the checker reads it, without stated offsets."""
+        return read_claim(self.document(offset=1.0, beside=1.0, extent=(1.0, 1.0, 1.0), depth=1.0, ultimate_bound=1.0))
+
     @property
     def velocity_gain(self) -> float:
         """Return the product of mass and velocity gain k in the law's model [N s/m]."""
-        return self.law["mass_kg"] * self.law["k"]
-
-    @property
-    def trim(self) -> Range:
-        """Return the least and the largest surge drag at the cruise speed [N]."""
-        v = self.law["cruise"]
-        low, high = (self.ranges["surge_linear"][i] * v + self.ranges["surge_quadratic"][i] * v * v for i in (0, 1))
-        return low, high
+        return float(self.read.velocity_gain)
 
     @property
     def command(self) -> Range:
         """Return the least and the largest surge command [m/s] of a vehicle at rest relative to the target."""
-        v = self.law["cruise"]
-        fed = self.law["linear_drag"] * v + self.law["quadratic_drag"] * v * v
-        low, high = (v + (trim - fed) / self.velocity_gain for trim in self.trim)
-        return low, high
+        low, high = self.read.command
+        return float(low), float(high)
 
     def document(
         self, *, offset: float, beside: float, extent: tuple[float, ...], depth: float, ultimate_bound: float
@@ -151,26 +150,15 @@ class Limits:
     shares: tuple[Array, Array, Array]
 
 
-def rows_at(claim: HeadingClaim, psi: Array, y: Array, command: float) -> tuple[Array, Array, Array, Array]:
-    """Return four rows (n, 6) that map the state ξ to speeds, surge force and yaw moment at n points (ψ, y).
+def rows_at(claim: HeadingClaim, psi: Array, y: Array) -> tuple[Array, Array, list[Array], Array]:
+    """Return rows (n, 6) that map the state ξ to speeds, surge force and yaw moment at n points (ψ, y).
 
-    The rows give surge speed minus cruise speed, sway speed, surge force [N] and yaw moment [N m].
+    The rows give surge speed minus cruise speed, sway speed, surge force [N] for both extreme surge commands at rest,
+    and yaw moment [N m].
     """
-    law, n = claim.law, len(psi)
-    v, ahead = law["cruise"], law["lookahead"]
-    c, s = np.cos(psi), np.sin(psi)
-    safe = np.where(np.abs(psi) < 1e-9, 1.0, psi)
-    kappa = np.where(np.abs(psi) < 1e-9, 0.0, (1 - c) / safe)
-    q = np.hypot(y, ahead)
-    flat = np.abs(y) < 1e-9
-    lead = np.where(flat, 1 / ahead, np.arctan(y / ahead) / np.where(flat, 1.0, y))
-    surge, sway, force, yaw = (np.zeros((n, 6)) for _ in range(4))
-    surge[:, 2], surge[:, 3], surge[:, 4] = -kappa * v, c, s
-    sway[:, 2], sway[:, 3], sway[:, 4] = -np.sinc(psi / np.pi) * v, -s, c
-    force[:, 0], force[:, 1] = -law["k1"] * q / ahead, command * y / (ahead * (q + ahead))
-    force = claim.velocity_gain * (force - surge)
-    yaw[:, 1], yaw[:, 2], yaw[:, 5] = lead * law["k_psi"], law["k_psi"], 1.0
-    return surge, sway, force, -law["yaw_inertia_kg_m2"] * law["k_r"] * yaw
+    at = rows(claim.law, claim.command, psi, y, np.zeros(2))
+    forces = [claim.velocity_gain * (place.mid - at.surge.mid) for place in at.place]
+    return at.surge.mid, at.sway.mid, forces, at.yaw.mid
 
 
 def loops_at(claim: HeadingClaim, psi: Array, y: Array, limits: Limits) -> Array:
@@ -192,8 +180,8 @@ def loops_at(claim: HeadingClaim, psi: Array, y: Array, limits: Limits) -> Array
     c, s, eye = np.cos(psi), np.sin(psi), np.eye(6)
     ahead, abeam = (np.stack([a, b], 1)[:, :, None] for a, b in ((c, s), (-s, c)))
     matrices = []
-    for command in sorted(set(claim.command)):
-        surge, sway, force, yaw = rows_at(claim, psi, y, command)
+    surge, sway, forces, yaw = rows_at(claim, psi, y)
+    for force in forces:
         for mass, pu, du, stiff in product(sorted(set(ranges["mass_kg"])), (limits.shares[0], one), drag, held):
             moved = ahead * (pu[:, None] * force - du[:, None] * surge)[:, None]
             moved = moved - abeam * (stiff[:, None] * sway)[:, None]

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from surctl.certcheck import Rejected, check_document, seal
 from surctl.certcheck.heading_cells import check_cells
-from surctl.certcheck.heading_claim import read_claim
 from surctl.marine.verification.region.heading import HeadingClaim, Limits, loops_at, rows_at
 from surctl.marine.verification.region.proof import RegionProof
 from surctl.marine.verification.region.rates import heading_loop, level_ratios
@@ -59,10 +58,10 @@ def _limits(claim: HeadingClaim, covariance: Array, psi: Array, y: Array) -> Lim
         own = np.sqrt(np.clip(np.einsum("ni,ij,nj->n", row, rest, row), 0, None))
         return np.asarray(np.abs(np.einsum("ni,ni->n", row, z @ regression.T)) + own * left + 1e-9)
 
-    rows = [rows_at(claim, psi, y, command) for command in claim.command]
-    surge, sway, _, yaw = rows[0]
-    free = (claim.limits["surge_n"] - claim.trim[1], claim.limits["sway_n"], claim.limits["yaw_nm"])
-    force = np.maximum(*(most(one[2]) for one in rows))
+    surge, sway, forces, yaw = rows_at(claim, psi, y)
+    trim = float(claim.read.trim[1])
+    free = (claim.limits["surge_n"] - trim, claim.limits["sway_n"], claim.limits["yaw_nm"])
+    force = np.maximum(*(most(one) for one in forces))
     most_sway = most(sway)
     needed = (force, claim.velocity_gain * most_sway, most(yaw))
     shares = [np.minimum(1.0, 0.995 * f / m) for f, m in zip(free, needed, strict=True)]
@@ -171,13 +170,10 @@ def prove_heading(claim: HeadingClaim, *, rounds: int, cells: int) -> RegionProo
     for P in _shapes(claim, rounds=rounds):
         last = P
     if heave is not None and last is not None:
-        plain = read_claim(
-            claim.document(offset=1.0, beside=1.0, extent=(1.0, 1.0, 1.0), depth=1.0, ultimate_bound=1.0)
-        )
         for share in _SHARES:
             P = _rounded(last / share**2)
             try:
-                check_cells(plain, P, most=cells)
+                check_cells(claim.read, P, most=cells)
             except Rejected as rejected:
                 reason = str(rejected)
                 continue

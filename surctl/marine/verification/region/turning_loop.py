@@ -95,6 +95,7 @@ class Vertices:
         masses: 1/m of both axes and the entry β of M⁻¹ beside them (masses, 3) [1/kg].
         coriolis: r R [[0, e1], [e2, 0]] Rᵀ (headings, terms, 2, 2) [1/s].
         bends: turn rate of the path frame (terms,) [rad/s].
+        aside: rate of the position across the path (terms,) by this turn of x_e* [m/s].
         loose: norm [1/s] of the Coriolis terms that m12 adds.
         loops: stiffness and damping by the command, and drag (headings, 2, loops, 3), of each body axis [N s/m].
         plans: slopes of −δW in the position (laws, 2, 2) [1/s].
@@ -117,6 +118,7 @@ class Vertices:
     masses: Array
     coriolis: Array
     bends: Array
+    aside: Array
     loose: float
     loops: Array
     plans: Array
@@ -199,9 +201,11 @@ class Vertices:
         loose = 2 * self.loose * np.linalg.norm(side, axis=(-1, -2)).max() * np.linalg.norm(speed)
         fixed = kinematic + kinematic.T + (rate + growth + loose) * np.eye(n)
         turned = side[:, None] @ self.coriolis @ speed + self.bends[:, None, None] * _bent(change, P)
-        weighted, rear = self._weighted(side, change, P)
+        moved = self.effect @ side.swapaxes(-1, -2) + self.aside[:, None] * (change @ P[:, 1])  # (h, t, n)
+        weighted, share, rear = self._weighted(side, change, P, np.linalg.norm(moved, axis=-1).max(axis=1))
         outer = side[:, None, None]
         pushed = outer @ weighted @ outer.swapaxes(-1, -2)
+        pushed = pushed + share * np.einsum("hti,htj->htij", moved, moved)[:, None]
         base = fixed - (turned + turned.swapaxes(-1, -2))[:, None] + pushed / (growth * low)
         away = np.zeros((n, n, 1, 1, 1, 1, 1, 1))
         if self.behind is not None:
@@ -234,12 +238,13 @@ class Vertices:
         driven = self.behind is not None and self.behind.held and self.behind.driven
         return np.asarray(change @ P[:, -2:] * driven)
 
-    def _weighted(self, side: Array, change: Array, P: Array) -> tuple[Array, Array]:
-        """Return Q, and that of E alone (h, 2, 2), with the weights of the checker, which measures the parts of w by V.
+    def _weighted(self, side: Array, change: Array, P: Array, most: Array) -> tuple[Array, Array, Array]:
+        """Return Q without the steady part, the weight of that part, and Q of E alone (h, 2, 2).
 
-        `side` (headings, n, 2) is T P B.
+        The weights are those of the checker, which measures the parts of w by V. `side` (headings, n, 2) is T P B, and
+        `most` (headings,) bounds the steady part.
         """
-        most = np.linalg.norm(self.effect @ side.swapaxes(-1, -2), axis=-1).max(axis=1)[:, None, None]
+        most = most[:, None, None]
         spread = np.linalg.norm(side, axis=(-1, -2)).max()
         strayed, pushed = self.stray * spread, self.pushed * spread * self.masses[:, :2].max()  # (h,)
         gram = np.broadcast_to(side.swapaxes(-1, -2) @ side, (len(self.bodies), 2, 2))
@@ -257,7 +262,7 @@ class Vertices:
         rear = np.einsum("hi,hijk->hjk", most_late * late**2, self.bodies)
         if strayed:
             own = own + (total[:, :, 0] / strayed * self.stray**2)[..., None, None] * np.eye(2)
-        return share * np.einsum("hti,htj->htij", self.effect, self.effect)[:, None] + own[:, :, None], rear
+        return own[:, :, None], share, rear
 
 
 def _bent(change: Array, P: Array) -> Array:
@@ -335,6 +340,8 @@ def vertices(claim: TurningClaim, cruise: Cruise, covariance: Array, high: float
         return None
     loops, limits = extremes
     loose, masses, turns = claim.vertex_numbers
+    along = [-moved / k1 for moved in cruise.moved] if claim.curvature else [0.0]  # x_e*
+    turns, aside = np.repeat(turns, len(along), axis=0), np.outer(turns[:, 2], along).ravel()
     cross = np.array([[[0.0, a], [b, 0.0]] for a, b, *_ in turns])
     coriolis = turn[:, None] @ cross @ turn.swapaxes(-1, -2)[:, None]
     bodies, crossed = np.einsum("hji,hki->hijk", turn, turn), np.einsum("hji,hki->hijk", turn[..., ::-1], turn)
@@ -349,8 +356,8 @@ def vertices(claim: TurningClaim, cruise: Cruise, covariance: Array, high: float
     stray = outer_force(claim.stated, y + cruise.beside) * heavy.max()
     forced = _forces(bodies, effect, lack, stray, cruise.pushed, masses)
     return Vertices(
-        bodies, crossed, masses, coriolis, turns[:, 2], loose, loops, plans, forced, effect, lack, stray, cruise.pushed,
-        turn, behind, claim.lag, np.array(claim.mass), bodies.sum(axis=1), limits,
+        bodies, crossed, masses, coriolis, turns[:, 2], aside, loose, loops, plans, forced, effect, lack, stray,
+        cruise.pushed, turn, behind, claim.lag, np.array(claim.mass), bodies.sum(axis=1), limits,
     )  # fmt: skip
 
 

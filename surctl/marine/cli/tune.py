@@ -1,50 +1,102 @@
-"""`surctl tune` of missions and of systems: goals added or refused, gain file, lines about it, page with sliders."""
+"""`surctl tune` of missions: goals added or refused, gain file, lines about margins, page with sliders."""
 
 from __future__ import annotations
 
-import os
 import shlex
-import sys
-from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from surctl.cli.output import progress, waiting
-from surctl.cli.robot_options import at_hand, export_command, law_words
-from surctl.cli.subject import (
-    OwnSystem,
-    command_line,
-    cost_data,
-    gain_ranges_of,
-    listed_values,
-    load_system,
-)
+from surctl.cli.output import Count, progress
+from surctl.cli.tune import More, Task, parse_gain
 from surctl.errors import InputError, NotApplicable
+from surctl.marine.cli.robot_options import SPEEDS, at_hand, export_command, law_words, trust_option
 
 if TYPE_CHECKING:
     from surctl.assessment import Assessment, Figure, Part
     from surctl.marine.control import Gains
+    from surctl.marine.report.bench import Bench
     from surctl.marine.simulation import Case, Scenario
     from surctl.marine.study import Plan
     from surctl.marine.tuning import Goal, Request
     from surctl.marine.vehicle import Vehicle
-    from surctl.report.design_bench import DesignBench
-    from surctl.tuning import RunGoal, SystemRequest, Tuning
+    from surctl.tuning import Tuning
     from surctl.tuning.outcome import Finals, Miss
 
 
-@dataclass(frozen=True)
-class More:
-    """What is printed of a tuning besides goals and assessment: data, lines, and the commands to suggest next."""
+@click.command
+@click.argument("words", nargs=-1, metavar="[STUDY")
+@click.option("--cruise", type=SPEEDS, metavar="U1,U2,...", help="Cruise speeds [m/s] of loop goals without a speed.")
+@click.option(
+    "--seeds", type=Count(1, 1_000_000), default=4, help="Simulate each gain set with the seeds 0 to N-1 (default 4)."
+)
+@click.option(
+    "--vehicle",
+    "vehicles",
+    multiple=True,
+    metavar="FILE",
+    help="Vehicle: name or file; repeatable (default: the study's).",
+)
+@click.option(
+    "--guidance",
+    metavar="NAME",
+    help="Path guidance of the runs: los, ilos or alos (default: the study's). Loop margins always use los.",
+)
+@click.option("--law", metavar="NAME", help="Law: NAME or FILE.py:FUNCTION (default: the study's).")
+@click.option("--scenario", metavar="FILE", help="Scenario of --page (default: the first of the study).")
+@click.option("--gains", "gains_file", metavar="FILE", help="Initial gain set: name or file (default: the study's).")
+@trust_option
+def tune(
+    words: Sequence[str],
+    gain: Sequence[str],
+    goals_file: str | None,
+    cruise: tuple[float, ...] | None,
+    seed: int,
+    seeds: int,
+    vehicles: tuple[str, ...],
+    guidance: str | None,
+    workers: int,
+    out: Path,
+    page: bool,
+    law: str | None,
+    scenario: str | None,
+    gains_file: str | None,
+    trust: bool,
+    **_: Any,
+) -> Task | Bench:
+    """Search for gains that meet goals, test the gains in random runs, and search again with the runs that fail.
 
-    data: dict[str, Any]
-    then: list[str]
-    floor: list[str] = field(default_factory=list)
-    notes: list[str] = field(default_factory=list)
-    over: list[str] = field(default_factory=list)
+    The gains must meet the hard goals in every scenario, for every seed and at every corner of the parameter ranges of
+    the vehicle; the search minimises the soft goals. The built-in claims are a further test of the tuned gains. Exit
+    status: 1 if the gains miss a hard goal in the search or in the test, or if a line of the output says FAIL.
+
+    For FILE.py:FUNCTION, a system of your own, the search minimises the first cost of the system. All other costs must
+    stay within their bounds, and the disk margin must be at least 0.3, for every value of each NAME=V1,V2. With
+    --goals, the search minimises the worst soft goal.
+
+    Examples: surctl tune my-study.toml --gain k_v=0.5..3 --goals my-goals.toml; surctl tune my-system.py:build --page
+    """
+    if len(words) > 1:
+        raise click.UsageError(f"Got unexpected extra argument ({words[1]})")
+    file = words[0] if words else None
+    if page:
+        return mission_bench(
+            file, goals_file, vehicles, scenario=scenario, gains=gains_file, law=law, cruise=cruise, trust=trust
+        )
+    if scenario:
+        own = f'write [[runs]] with scenario = "{scenario}" in a study file and give the file: surctl tune STUDY.toml'
+        raise click.UsageError(f"--scenario selects the scenario of --page; to tune over chosen scenarios, {own}")
+    from surctl.ir.cache import find_compiler
+
+    find_compiler()  # thousands of runs: without compiled code, hours
+    plan = mission_plan(file, trust=trust, law=law, gains=gains_file, vehicles=vehicles, out=out)
+    ranges = dict(map(parse_gain, gain))
+    return missions_tuned(
+        plan, ranges, goals_file, cruise=cruise or (), guidance=guidance, seeds=seeds, seed=seed, threads=workers
+    )
 
 
 def _printed(lines: list[str]) -> list[str]:
@@ -54,11 +106,9 @@ def _printed(lines: list[str]) -> list[str]:
 
 
 @dataclass(frozen=True, eq=False)
-class _Missions:
-    plan: Plan
+class _Missions(Task):
     request: Request
-    finals: Sequence[Goal]
-    default: Collection[Goal]
+    plan: Plan
     unjudged: Sequence[Goal]
     derived: list[str]
     omitted: list[str]
@@ -66,11 +116,6 @@ class _Missions:
     @property
     def cases(self) -> Sequence[Case]:
         return self.request.cases
-
-    @property
-    def limit(self) -> dict[str, str]:
-        remedy = 'ask it of runs, such as metric = "time_s" or "deviation_m"'
-        return {"command": "a thrust", "run": "{}", "remedy": remedy}
 
     def assessed(
         self, gains: Mapping[str, float], parts: Collection[str] | None, computed: Mapping[str, Part] | None
@@ -203,96 +248,9 @@ def missions_tuned(
         raise error.inside(file) from None
     space = gain_ranges(plan.gains, ranges or default_tuned(plan.gains))
     request = Request(goals, runs, plan.gains, space, seed=seed, threads=threads)
-    return _Missions(plan, request, finals, default, unjudged, derived, omitted)
-
-
-@dataclass(frozen=True, eq=False)
-class _System:
-    own: OwnSystem
-    request: SystemRequest
-
-    @property
-    def finals(self) -> Sequence[RunGoal]:
-        from surctl.tuning.systems import margin_goals
-
-        return margin_goals(self.own.system)
-
-    default = finals
-
-    @property
-    def assessed(self) -> Callable[..., Assessment]:
-        return self.request.assessed
-
-    def gain_file(self, tuning: Tuning, out: Path, warning: str) -> tuple[Path, str]:
-        return out / "gains.csv", self.request.so_far(tuning.result.gains, "")[1]
-
-    def more(self, tuning: Tuning, checked: Finals, gains: str, trials: int) -> More:
-        own, duration = self.own, self.request.seconds
-        costs = {
-            when: cost_data(own.system, self.request.costs(values))
-            for when, values in (("before", self.request.begun), ("after", tuning.result.gains))
-        }
-        numbers = ["--gains", gains]
-        seconds = f"{duration or 100 * own.system.dt:g}"
-        then = [command_line("verify", own, *numbers), command_line("export", own, *numbers, "--seconds", seconds)]
-        data = {**own.names, "seconds": duration, "costs": costs}
-        return More(data, then, notes=self.request.scores(tuning.result.gains))
-
-    @property
-    def limit(self) -> dict[str, str]:
-        costs = self.own.system.costs
-        late = next((name for name, cost in costs.items() if cost.how == "last_time"), next(iter(costs), None))
-        remedy = f'ask it of the run, such as metric = "{late}"' if late else "give the system a cost of its runs"
-        return {"command": "command {}", "run": "the run", "remedy": remedy}
-
-    def pictures(self, tuning: Tuning, out: Path) -> list[Path]:
-        return []
-
-    def look(self, missed: Sequence[Miss], gains: str) -> list[str]:
-        return []
-
-
-Task: TypeAlias = _Missions | _System
-"""What is tuned: the request of the search, the goals checked at its end, and what is said and written besides."""
-
-
-def system_tuned(
-    words: Sequence[str],
-    ranges: Mapping[str, tuple[float, float] | None],
-    goals_file: str | None,
-    *,
-    seconds: float | None,
-    trials: int,
-    seed: int,
-    threads: int,
-) -> Task:
-    """Return the tuning of a system; words NAME=V1,V2,… are the numbers of its cases, one value is for all cases.
-
-    Raises:
-        InputError: a word, a range or a goal does not fit the system.
-    """
-    import numpy as np
-
-    from surctl.system.values import check_scalar
-    from surctl.tuning.goals import load_system_goals
-    from surctl.tuning.systems import system_request
-
-    own = load_system(words)
-    about, points, of_runs = ((), {}, ()) if goals_file is None else load_system_goals(goals_file, own.system)
-    duration = own.seconds(seconds) if own.system.costs or seconds is not None else 0.0
-    listed, space = listed_values(own.settings), gain_ranges_of(own, ranges)
-    for name in listed:
-        if len(listed[name]) > 1:
-            check_scalar(own.system, name)
-    cases = {name: np.array(v[0] if len(v) == 1 else v) for name, v in listed.items()}
-    try:
-        request = system_request(
-            own.system, duration, space,
-            cases=cases, trials=trials, seed=seed, threads=threads, goals=about, points=points, run_goals=of_runs,
-        )  # fmt: skip
-    except InputError as error:
-        raise (error.inside(goals_file) if (error.key or "").startswith(("goals.", "point ")) else error) from None
-    return _System(own, request)
+    remedy = 'ask it of runs, such as metric = "time_s" or "deviation_m"'
+    limit = {"command": "a thrust", "run": "{}", "remedy": remedy}
+    return _Missions(request, finals, default, limit, 2000, plan, unjudged, derived, omitted)
 
 
 def check_goal_cases(goals: Sequence[Goal], plan: Plan, file: str) -> None:
@@ -384,10 +342,7 @@ def region_words(law: str, scenario: Scenario, vehicle: Vehicle, gains: Gains) -
     return [] if isinstance(claim, NotApplicable) else [claim.name]
 
 
-_PERIODS = 600  # of a run, without --seconds
-
-
-def serve_page(
+def mission_bench(
     study: str | None,
     goals: str | None,
     vehicles: Sequence[str],
@@ -396,11 +351,9 @@ def serve_page(
     gains: str | None,
     law: str | None,
     cruise: Sequence[float] | None,
-    port: int | None,
-    browser: bool,
     trust: bool,
-) -> None:
-    """Serve the page for a law of the robot until Ctrl-C; arguments that are None take the study's values."""
+) -> Bench:
+    """Return what the page of a law of the robot shows; arguments that are None take the study's values."""
     from surctl.marine.control import law_ref, load_gains
     from surctl.marine.report.bench import Bench
     from surctl.marine.simulation import findings, load_scenario
@@ -431,71 +384,4 @@ def serve_page(
     values = {one.name: one.value for one in bench.sliders}
     bench.simulate(values)
     bench.judge(values)
-    _serve(bench, port=port, browser=browser)
-
-
-def serve_system_page(
-    words: Sequence[str],
-    ranges: Mapping[str, tuple[float, float] | None],
-    goals: str | None,
-    *,
-    seconds: float | None,
-    port: int | None,
-    browser: bool,
-) -> None:
-    """Serve the page for a system of the user's own until Ctrl-C; NAME=V1,V2 gives the operating points."""
-    from surctl.cli.subject import assigned
-    from surctl.cli.subject import region_words as words_of_region
-    from surctl.report.design_bench import SystemBench
-    from surctl.tuning import judge_loops, load_loop_goals
-
-    own = load_system(words)
-    others, region, uncertain = words_of_region(own.settings, own.system)
-    about_loop, stated = ((), {}) if goals is None else load_loop_goals(goals)
-    values = listed_values(others)
-    swept = {name: numbers for name, numbers in values.items() if len(numbers) > 1}
-    fixed = {name: numbers[0] for name, numbers in values.items() if len(numbers) == 1}
-    if len(swept) > 1:
-        raise InputError(
-            "are two lists", key=", ".join(swept), remedy="vary one number; use [[points]] of a goals file"
-        )
-    places = {name: {**fixed, **numbers} for name, numbers in stated.items()}
-    for name, numbers in swept.items():
-        places |= {f"{name}={number:g}": {**fixed, name: number} for number in numbers}
-    places = places or {"nominal": dict(fixed)}
-    gains = {name for name in fixed if "." not in name}
-    if gains:
-        raise InputError("is a gain", key=min(gains), remedy="move its slider")
-    duration = own.seconds(seconds or own.system.duration or _PERIODS * own.system.dt)
-
-    def problem(gains: Mapping[str, float]) -> object:
-        return None if region is None else region.problem(own.system, {**assigned(()), **fixed, **gains})
-
-    bench = SystemBench(
-        own.system, own.word, duration, gain_ranges_of(own, ranges), places, about_loop,
-        None if region is None else problem, own.origin, {**own.system.ranges, **uncertain},
-    )  # fmt: skip
-    start = {one.name: one.value for one in bench.sliders}
-    loops = {point: bench.loop(start, point) for point in bench.points}
-    judge_loops(about_loop, loops)  # reports unknown signals here
-    if region is not None:
-        problem(start)
-    _serve(bench, port=port, browser=browser)
-
-
-def _serve(bench: DesignBench, *, port: int | None, browser: bool) -> None:
-    from surctl.report.serve import serve
-
-    def ready(address: str) -> None:
-        waiting()
-        click.echo(f"{address}  (Ctrl-C stops the page)")
-        sys.stdout.flush()
-        if browser:
-            click.launch(address)
-
-    try:
-        serve(bench, port=port, ready=ready)
-    except KeyboardInterrupt:
-        click.echo("surctl: stopped; saved files stay", err=True)
-        sys.stdout.flush()
-        os._exit(130)  # a normal exit would wait for the threads of an open page; all files are complete
+    return bench

@@ -12,8 +12,8 @@ import click
 
 from surctl.cli.new import write_new
 from surctl.cli.output import FILE, FiniteRange, as_json, finish
-from surctl.cli.robot_options import derive_words, margin_short
 from surctl.errors import InputError
+from surctl.marine.cli.robot_options import derive_words, margin_short
 
 if TYPE_CHECKING:
     from surctl.marine.simulation import SafetyClaim
@@ -27,7 +27,7 @@ _SPEED = FiniteRange(min=0, max=100, min_open=True)
 
 @click.group()
 def gains() -> None:
-    """Write a gain file; the command derive computes the gains from a vehicle.
+    """Write a gain file: surctl gains derive computes gains from a vehicle.
 
     Example: surctl gains derive rov.toml --cruise 0.3 --out gains.toml
     """
@@ -39,7 +39,10 @@ def gains() -> None:
     "--cruise", type=_SPEED, metavar="V", help="Cruise speed [m/s] (default: 35 % of the speed at full thrust)."
 )
 @click.option(
-    "--margin", type=FiniteRange(min=0), metavar="D", help="Gain margin, a distance [m] (default: 0.2 radii, ≥ 0.05)."
+    "--margin",
+    type=FiniteRange(min=0),
+    metavar="D",
+    help="Distance to keep from obstacles, the gain `margin` [m] (default: 0.2 hull radii, at least 0.05).",
 )
 @click.option("--out", type=FILE, help="Gain file to write (default: none).")
 @click.option("--force", is_flag=True, help="Overwrite an existing file.")
@@ -47,10 +50,10 @@ def gains() -> None:
 def derive(
     vehicle: str, cruise: float | None, margin: float | None, out: Path | None, force: bool, as_json: bool
 ) -> None:
-    """Derive gains from the mass, drag, thrust, lag and hull of a vehicle, and print the margins with these gains.
+    """Derive gains from the mass, drag, thrust, lag and hull of a vehicle, and print the stability margins.
 
-    VEHICLE is the name of a built-in vehicle, or a vehicle file. If no derived gains have the required margins at the
-    cruise speed, the output gives the largest speed at which they have these margins, and the exit status is 1.
+    VEHICLE is the name of a built-in vehicle, or a vehicle file. If the derived gains miss the required margins at the
+    cruise speed, the output gives the largest speed with these margins, and the exit status is 1.
 
     Examples: surctl gains derive bluerov2-wu; surctl gains derive rov.toml --cruise 0.3 --out gains.toml
     """

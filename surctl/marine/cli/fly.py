@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from surctl.cli.output import FOLDER, Count, FiniteRange, Stopped, as_json, finish, progress, waiting
-from surctl.cli.robot_options import GAINS_HELP, choose_gains, choose_law, law_option
 from surctl.errors import InputError, SurctlError, check_known
+from surctl.marine.cli.robot_options import GAINS_HELP, choose_gains, choose_law, law_option
 
 if TYPE_CHECKING:
     from surctl.marine.bridge import Act, Address, Bridge, LinkQuality, RehearsalResult
@@ -21,47 +21,70 @@ _SYSTEM = click.IntRange(1, 255)
 
 @click.command
 @click.argument("scenario")
-@click.option("--mavlink", metavar="URL", help="Link to the autopilot: udp:HOST:PORT (listen) or udpout:HOST:PORT.")
+@click.option(
+    "--mavlink", metavar="URL", help="Link to the autopilot: udp:HOST:PORT (listen) or udpout:HOST:PORT (send)."
+)
 @click.option("--dry-run", is_flag=True, help="Rehearse with a simulated autopilot, in simulated time.")
 @click.option("--vehicle", metavar="FILE", help="Vehicle: name or file (default: the scenario's).")
 @click.option("--gains", metavar="FILE", help=GAINS_HELP)
 @law_option
 @click.option(
-    "--sensing", default="truth", metavar="NAME", help="Obstacles: truth (reported positions, default) or sonar."
+    "--sensing", default="truth", metavar="NAME", help="Obstacles: truth (of the scenario, default) or sonar."
 )
 @click.option(
-    "--mode", default="alt_hold", metavar="NAME", help="Autopilot mode: alt_hold (default), manual or guided."
+    "--mode",
+    default="alt_hold",
+    metavar="NAME",
+    help="Mode of the autopilot in which surctl steers: alt_hold (default), manual or guided.",
 )
 @click.option(
-    "--send", default="rc", metavar="NAME", help="Thrust as rc (channel overrides, default) or manual (MANUAL_CONTROL)."
+    "--send",
+    default="rc",
+    metavar="NAME",
+    help="MAVLink message for thrust: rc (channel overrides, default) or manual (MANUAL_CONTROL).",
 )
 @click.option(
     "--origin",
     default="0,0,90",
     metavar="X,Y,DEG",
-    help="Autopilot's origin in the scenario's frame [m]; compass direction of that frame's x axis (default 0,0,90).",
+    help="Origin of the autopilot's coordinates: X,Y in the scenario [m], and compass direction of the scenario's "
+    "x axis (default 0,0,90).",
 )
 @click.option(
     "--yaw-rate",
     type=FiniteRange(min=1.0, max=360.0),
     default=45.0,
     metavar="DEG/S",
-    help="Yaw rate at full stick [deg/s] (default 45).",
+    help="Yaw rate of the vehicle at full stick [deg/s] (default 45).",
 )
-@click.option("--target", type=_SYSTEM, default=1, metavar="N", help="System id of the autopilot (default 1).")
-@click.option("--system", type=_SYSTEM, default=255, metavar="N", help="System id of the bridge (default 255).")
-@click.option("--loss", type=FiniteRange(0.0, 1.0), default=0.0, metavar="P", help="Rehearsal: share of lost frames.")
-@click.option("--delay", type=FiniteRange(0.0, 60.0), default=0.0, metavar="S", help="Rehearsal: delay each way [s].")
+@click.option("--target", type=_SYSTEM, default=1, metavar="N", help="MAVLink id of the autopilot (default 1).")
+@click.option("--system", type=_SYSTEM, default=255, metavar="N", help="MAVLink id of surctl fly (default 255).")
+@click.option(
+    "--loss",
+    type=FiniteRange(0.0, 1.0),
+    default=0.0,
+    metavar="P",
+    help="Rehearsal: probability that a message is lost (default 0).",
+)
+@click.option(
+    "--delay",
+    type=FiniteRange(0.0, 60.0),
+    default=0.0,
+    metavar="S",
+    help="Rehearsal: delay of each message [s] (default 0).",
+)
 @click.option(
     "--act",
     "acts",
     multiple=True,
     metavar="S:ACT",
-    help="Rehearsal: event at S [s]: arm, disarm, a mode, reboot (of the autopilot), cut (the link), blind (no pose), "
-    "join (ends cut and blind) or quit (the bridge is killed).",
+    help="Rehearsal: event ACT at time S [s], repeatable: arm, disarm, a mode of --mode, reboot (of the autopilot), "
+    "cut (no link), blind (no position), join (ends cut and blind) or quit (surctl fly is killed).",
 )
-@click.option("--seed", type=Count(0), default=0, help="Rehearsal: seed of lost frames (default 0).")
-@click.option("--out", type=FOLDER, help="Folder of the record (default surctl-out/fly; rehearsal: no record).")
+@click.option("--seed", type=Count(0), default=0, help="Rehearsal: seed of lost messages (default 0).")
+@click.option(
+    "--out", type=FOLDER, help="Folder for the record (default surctl-out/fly; in a rehearsal, no record is written)."
+)
 @as_json
 def fly(
     scenario: str,
@@ -84,24 +107,24 @@ def fly(
     out: Path | None,
     as_json: bool,
 ) -> None:
-    """Steer an ArduSub vehicle along a scenario's path by the exported law, over MAVLink.
+    """Steer a vehicle with the autopilot ArduSub along the path of a scenario by an exported law, over MAVLink.
 
-    The bridge steers only after the operator arms the vehicle in the mode of --mode; the bridge never arms the vehicle.
-    If the link or the position is lost, the thrust is neutral; after a long loss, a restart or a change of mode, the
-    operator must disarm and arm again. Before the first use, read notebooks/guides/field.md. Exit status: 1 if the
-    vehicle does not arrive, or collides in a rehearsal.
+    surctl fly steers only after the operator arms the vehicle in the mode of --mode, and never arms the vehicle. If the
+    link or the measured position is lost, surctl fly sends neutral commands; after a long loss, a restart or a change
+    of mode, the operator must disarm and arm the vehicle again. Before the first use, read notebooks/guides/field.md.
+    Exit status: 1 if the vehicle does not arrive, or collides in a rehearsal.
 
     Examples: surctl fly tank-speed-015 --dry-run; surctl fly tank-speed-015 --mavlink udp:0.0.0.0:14550
     """
     from math import radians
 
-    from surctl.cli.robot_options import choose_vehicle
     from surctl.files import prepare_folder
     from surctl.marine.bridge import Bridge, LinkQuality, Wire
     from surctl.marine.bridge.bridge import plan_session
     from surctl.marine.bridge.inputs import parse_site
     from surctl.marine.bridge.live import parse_address
     from surctl.marine.bridge.wire import mode_of
+    from surctl.marine.cli.robot_options import choose_vehicle
     from surctl.marine.control import law_source
     from surctl.marine.simulation import SENSING, load_scenario
     from surctl.marine.vehicle import load_vehicle

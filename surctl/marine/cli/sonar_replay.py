@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from math import isfinite
 from pathlib import Path
 
@@ -15,21 +16,27 @@ _METRES = FiniteRange(min=0.0, min_open=True)
 
 @click.command("sonar-replay")
 @click.argument("file")
-@click.option("--sensors", type=Count(1, 16), default=4, help="Number of sensors in the array (default 4).")
-@click.option("--minimum", type=_METRES, default=0.2, metavar="M", help="Shortest range of a sensor [m] (default 0.2).")
+@click.option("--sensors", type=Count(1, 16), default=4, help="Number of sonars on the robot (default 4).")
+@click.option(
+    "--minimum", type=_METRES, default=0.2, metavar="M", help="Shortest range that a sonar measures [m] (default 0.2)."
+)
 @click.option(
     "--maximum",
     type=_METRES,
     default=4.5,
     metavar="M",
-    help="Longest range of a sensor [m] (default 4.5); the reading if no echo is received.",
+    help="Longest range that a sonar measures, and its reading without an echo [m] (default 4.5).",
 )
-@click.option("--bits", type=Count(1, 24), default=8, help="Resolution of the A/D converter in bits (default 8).")
+@click.option("--bits", type=Count(1, 24), default=8, help="Bits of the sonar's A/D converter (default 8).")
 @click.option(
     "--bias", type=float, default=0.0, metavar="M", help="Bias of a reading [m], from surctl calibrate (default 0)."
 )
 @click.option(
-    "--scale", type=_METRES, default=1.0, metavar="X", help="Scale of a reading, from surctl calibrate (default 1)."
+    "--scale",
+    type=_METRES,
+    default=1.0,
+    metavar="X",
+    help="Scale factor of a reading, from surctl calibrate (default 1).",
 )
 @click.option(
     "--noise-sd",
@@ -42,7 +49,7 @@ _METRES = FiniteRange(min=0.0, min_open=True)
     "--out",
     type=FOLDER,
     default=Path("surctl-out", "sonar-replay"),
-    help="Folder of the files (default surctl-out/sonar-replay).",
+    help="Folder for results (default surctl-out/sonar-replay).",
 )
 @as_json
 def sonar_replay(
@@ -57,10 +64,12 @@ def sonar_replay(
     out: Path,
     as_json: bool,
 ) -> None:
-    """Run recorded sonar readings through the filter of the controller: range, bound and health at each step.
+    """Run recorded sonar readings through the filter of the controller. At each step, the filter gives the range of
+    each sonar, the bound of its error, and whether the range is reliable.
 
-    The CSV file has the columns time_s, sensor (counted from 0), and either sample_1_m, sample_2_m, ... or one range_m.
-    Optional columns are closing_m_per_s (own speed along the beam) and turn_rad_per_s (yaw rate).
+    The CSV file has the columns time_s, sensor (counted from 0), and range_m or, with several samples per reading,
+    sample_1_m, sample_2_m and so on. Optional columns are closing_m_per_s (own speed along the beam) and turn_rad_per_s
+    (yaw rate).
 
     Examples: surctl sonar-replay log.csv --out replay; surctl sonar-replay log.csv --maximum 6 --noise-sd 0.02
     """
@@ -89,8 +98,8 @@ def sonar_replay(
         "sensor  readings  refused  healthy  gaps  longest gap  median bound",
     ]
     lines += [
-        f"{s.sensor:>6}  {s.readings:>8}  {s.refused:>7}  {100 * s.healthy:>6.1f}%  {s.gaps:>4}  "
-        f"{f'{s.longest_gap:.3g} s' if s.gaps else '-':>11}  {_bound(s.median_bound):>12}"
+        f"{s.sensor:>6}  {s.readings:>8}  {s.refused:>7}  {100 * s.healthy_share:>6.1f}%  {s.gaps:>4}  "
+        f"{f'{s.longest_gap_s:.3g} s' if s.gaps else '-':>11}  {_bound(s.median_bound_m):>12}"
         for s in summaries
     ]
     lines += [f"note: {text}" for text in recording.notes]
@@ -106,12 +115,12 @@ def sonar_replay(
         "skipped_crowded": recording.crowded,
         "beyond_maximum": recording.beyond,
         "restarts": len(recording.readings.first) - 1,
-        "sensors": [s.to_dict() for s in summaries],
+        "sensors": [asdict(s) for s in summaries],
         "notes": recording.notes,
         "files": [str(path) for path in files],
     }
-    poor = min(summaries, key=lambda one: one.healthy)
-    brief = [lines[0], f"least healthy: sensor {poor.sensor}, {poor.healthy:.1%} of the steps"]
+    poor = min(summaries, key=lambda one: one.healthy_share)
+    brief = [lines[0], f"least healthy: sensor {poor.sensor}, {poor.healthy_share:.1%} of the steps"]
     brief += [f"note: {text}" for text in recording.notes]
     finish(data, lines, as_json=as_json, passed=True, brief=brief, files=[f"files {out}"])
 

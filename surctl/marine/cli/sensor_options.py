@@ -32,20 +32,28 @@ sensor_options = together(
         "faults",
         multiple=True,
         metavar="FAULT",
-        help="Fault: KIND:SENSOR or thruster:NAME[:START[:SECONDS]].",
+        help="Fault: stuck:0:5:2 (sonar 0, 2 s from 5 s) or thruster:T2.",
     ),
     click.option(
-        "--chance", "chances", multiple=True, metavar="KIND=P", help="Probability of a fault per ping; may be repeated."
+        "--chance",
+        "chances",
+        multiple=True,
+        metavar="KIND=P",
+        help="Probability P of the fault KIND in each ping; repeatable.",
     ),
-    click.option("--beam", type=float, metavar="DEG", help="Sonar beam angle [deg] (default: the scenario's)."),
-    click.option("--own-state", metavar="NAME", help="Own pose: measured or truth (default: the scenario's)."),
+    click.option(
+        "--beam", type=float, metavar="DEG", help="Full sonar beam angle [deg] (default: as in the scenario)."
+    ),
+    click.option("--own-state", metavar="NAME", help="Law's state input: measured or truth (default: scenario's)."),
 )
 """A decorator that adds these options to a command.
 
 The command receives them as `faults`, `chances`, `beam` and `own_state`."""
 
 
-simulated_echoes = click.option("--echoes", metavar="NAME", help="Echo model: ideal, webots, specular or diffuse.")
+simulated_echoes = click.option(
+    "--echoes", metavar="NAME", help="Sonar echoes: ideal (default), webots, specular, diffuse."
+)
 """The option of the simulated echoes, which a law does not know."""
 
 

@@ -15,10 +15,10 @@ if TYPE_CHECKING:
 
 @click.command
 @click.argument("rows", nargs=-1)
-@click.option("--quick", is_flag=True, help="Use 3 seeds for each scenario and fewer samples.")
-@click.option("--seeds", type=Count(1), help="Number of seeds for each scenario (default 20).")
-@click.option("--independent", is_flag=True, help="Simulate each scenario in MuJoCo, too (adds a column).")
-@click.option("--webots", is_flag=True, help="Simulate with sonars and Webots' echoes, too (adds a column).")
+@click.option("--quick", is_flag=True, help="Faster: 3 seeds for each scenario and fewer samples.")
+@click.option("--seeds", type=Count(1), help="Number of runs (seeds) of each scenario (default 20).")
+@click.option("--independent", is_flag=True, help="Simulate each scenario in MuJoCo, too (one more column).")
+@click.option("--webots", is_flag=True, help="Simulate sonars with the echoes of Webots, too (one more column).")
 @out_folder
 @as_json
 def reproduce(
@@ -30,11 +30,12 @@ def reproduce(
     out: Path | None,
     as_json: bool,
 ) -> None:
-    """Compute the paper's results again and compare. Each result is a row; with ROWS, only these are computed.
+    """Compute the results of the robot's paper again, and compare them with the printed results. Each result is a row
+    of the output; name ROWS to compute only some results.
 
-    Exit status: 1 if a row is missing, a verdict differs from the recorded one, or a simulated run collides or does not
-    arrive. A travel time that differs from the paper's is printed with the reason. --out writes a page with the paper's
-    figures drawn again.
+    Exit status: 1 if a row is missing, a verdict differs from the recorded verdict, or a simulated run collides or does
+    not arrive. If a travel time differs from that in the paper, the row gives the reason. --out writes a page with the
+    figures of the paper, drawn again.
 
     Examples: surctl reproduce --quick; surctl reproduce tank-static E5 v1-printed; surctl reproduce --out paper
     """

@@ -71,7 +71,7 @@ def at_hand(scenario: Scenario, vehicle: Vehicle, gains: str) -> list[str]:
     return ["--scenario", mission, "--vehicle", robot, "--gains", gains]
 
 
-GAINS_HELP = "Gain set: name or file (default: the vehicle's)."
+GAINS_HELP = "Gain set: name or file (default: chosen for the vehicle)."
 """Help of the option `--gains`. The default is the set `default` for the SUR vehicles, and derived gains for others."""
 
 
@@ -148,7 +148,8 @@ def margin_of_all(assessment: Assessment) -> float:
 law_option = click.option(
     "--law",
     metavar="NAME",
-    help="guarded, calm, steered, paper, closed_form, apf, dwa, vo, cbf, FILE.py:FUNCTION (default: the vehicle's).",
+    help="Law: guarded, calm, steered, paper, closed_form, apf, dwa, vo, cbf or FILE.py:FUNCTION "
+    "(default: guarded or steered).",
 )
 
 
@@ -206,15 +207,18 @@ def law_words(reference: str) -> list[str]:
     return ["--law", own_file(reference)]
 
 
-trust_option = click.option("--trust", is_flag=True, help="Allow surctl to run the code of your own law in FILE.")
+trust_option = click.option("--trust", is_flag=True, help="Run the Python code of a law that a file names.")
 
 
 priority_options = together(
     click.option(
-        "--priority-mode", default="nsb", metavar="NAME", help="Mode: nsb (default), filter, projected, lexicographic."
+        "--priority-mode",
+        default="nsb",
+        metavar="M",
+        help="Solver for priorities of tasks: nsb (default, ignores limits), filter, projected or lexicographic.",
     ),
     click.option(
-        "--fallback", default="exact", metavar="NAME", help="If limits conflict: exact (default) or bounded time."
+        "--fallback", default="exact", metavar="NAME", help="Solver for conflicting limits: exact (default) or bounded."
     ),
 )
 """A decorator that adds these options to a command; the command receives them as `priority_mode` and `fallback`."""
@@ -222,10 +226,13 @@ priority_options = together(
 
 barrier_options = together(
     click.option(
-        "--barrier", default="simple", metavar="NAME", help="Speed limit near obstacles: simple (default), inertia."
+        "--barrier", default="simple", metavar="NAME", help="Braking model near obstacles: simple (default), inertia."
     ),
     click.option(
-        "--movers", default="predict", metavar="NAME", help="Rule for moving obstacles: predict (default), barrier."
+        "--movers",
+        default="predict",
+        metavar="NAME",
+        help="Method for moving obstacles: predict (default) or barrier.",
     ),
 )
 """A decorator that adds these options to a command; the command receives them as `barrier` and `movers`."""

@@ -23,17 +23,27 @@ def scenario() -> None:
 
 @scenario.command("from-plan")
 @click.argument("plan", type=click.Path(path_type=Path))
-@click.option("--name", metavar="TEXT", help="Name of the scenario (default: that of the file).")
-@click.option("--vehicle", default="sur540-flooded", metavar="FILE", help="Vehicle: name or file.")
-@click.option("--cruise", type=FiniteRange(min=0, min_open=True), metavar="X", help="Speed along the path [m/s].")
+@click.option("--name", metavar="TEXT", help="Name of the scenario (default: name of the plan file).")
+@click.option(
+    "--vehicle", default="sur540-flooded", metavar="FILE", help="Vehicle: name or file (default sur540-flooded)."
+)
+@click.option(
+    "--cruise",
+    type=FiniteRange(min=0, min_open=True),
+    metavar="X",
+    help="Speed along the path [m/s] (default: from the plan).",
+)
 @click.option(
     "--depth",
     type=FiniteRange(max=0),
     metavar="Z",
-    help="Height of the path [m], below 0 (default: the lowest of the plan).",
+    help="Height of the path [m], below 0; the water surface is at 0 (default: lowest height in the plan).",
 )
 @click.option(
-    "--margin", type=FiniteRange(min=0, min_open=True), default=5.0, help="Free water around the path [m] (default 5)."
+    "--margin",
+    type=FiniteRange(min=0, min_open=True),
+    default=5.0,
+    help="Width of free water around the path [m] (default 5).",
 )
 @click.option("--out", type=FILE, help="File to write (default NAME.toml).")
 @click.option("--force", is_flag=True, help="Overwrite an existing file.")
@@ -49,12 +59,12 @@ def from_plan(
     force: bool,
     as_json: bool,
 ) -> None:
-    """Take the path of a QGroundControl plan (.plan) or of a GPX file.
+    """Write a scenario file with the path of a QGroundControl plan (.plan) or of a GPX file.
 
-    Latitude and longitude become x east and y north in metres, in a site around the path. The home position of a plan
-    is at the surface; circles that the geofence of the plan excludes become cylinders. The output lists entries of the
-    plan that surctl does not use although they change the motion, such as hold times. The cruise speed is --cruise,
-    else the speed of the plan, else 0.15 m/s.
+    Latitude and longitude become x east and y north in metres. The site of the scenario is a rectangle around the path.
+    The home position of a plan counts as the water surface, height 0. Circles that the geofence of the plan excludes
+    become cylinders. The output lists entries of the plan that surctl does not use although these entries change the
+    motion, such as hold times. If neither --cruise nor the plan gives a cruise speed, the cruise speed is 0.15 m/s.
 
     Example: surctl scenario from-plan survey.plan --depth -2 --out survey.toml
     """

@@ -20,9 +20,18 @@ _FASTEST, _LARGEST = 100.0, 1e9  # [m/s], [N, N m]
 
 @click.command
 @click.argument("name", metavar="VEHICLE")
-@click.option("--failed", multiple=True, metavar="NAME", help="Thruster that gives no force; may be repeated.")
-@click.option("--speed", type=float, default=1.0, metavar="U", help="Forward speed at the rudders [m/s] (default 1).")
-@click.option("--force", "wrench", type=float, nargs=4, metavar="FU FV FW FR", help="Allocate this force [N, N m].")
+@click.option("--failed", multiple=True, metavar="NAME", help="Name of a thruster that gives no force; repeatable.")
+@click.option(
+    "--speed", type=float, default=1.0, metavar="U", help="Forward speed of a vehicle with rudders [m/s] (default 1)."
+)
+@click.option(
+    "--force",
+    "wrench",
+    type=float,
+    nargs=4,
+    metavar="FU FV FW FR",
+    help="Allocate this force: FU, FV, FW in N, FR in N m.",
+)
 @out_folder
 @as_json
 def thrusters(
@@ -33,7 +42,8 @@ def thrusters(
     out: Path | None,
     as_json: bool,
 ) -> None:
-    """Print the forces that the thrusters of a vehicle give on each axis and together; with --force, their allocation.
+    """Print the largest forces that the thrusters of a vehicle give on each axis alone and on all axes together. With
+    --force, print the force of each thruster for a given total force.
 
     Examples: surctl vehicle thrusters bluerov2-heavy --out pictures; surctl vehicle thrusters bluerov2-heavy --failed
     T2 --force 40 30 0 5
@@ -127,7 +137,7 @@ _name = click.option("--name", default="my-vehicle", metavar="TEXT", help="Name 
 
 @click.group()
 def vehicle() -> None:
-    """Write a vehicle file from dimensions, a log or a Gazebo model, or print the forces of a vehicle's thrusters.
+    """Write a vehicle file from dimensions, from a log or from a Gazebo model; print the forces of thrusters.
 
     Examples: surctl vehicle from-geometry --help; surctl vehicle from-log --help; surctl vehicle thrusters --help
     """
@@ -138,23 +148,32 @@ vehicle.add_command(thrusters)
 
 @vehicle.command("from-geometry")
 @_name
-@click.option("--diameter", type=_Measured("m"), required=True, help='Diameter of the sphere [m], or e.g. "54 cm".')
-@click.option("--mass", type=_Measured("kg"), required=True, help="Mass in air, with the water drained [kg].")
+@click.option(
+    "--diameter", type=_Measured("m"), required=True, help='Diameter of the sphere [m], or a text such as "54 cm".'
+)
+@click.option("--mass", type=_Measured("kg"), required=True, help="Mass in air, without water in the hull [kg].")
 @click.option(
     "--flooded",
     type=float,
     default=0.75,
     metavar="X",
-    help="Fraction of the water inside the hull that moves with it (default 0.75).",
+    help="Fraction of the water in the hull that moves with the hull (default 0.75).",
 )
 @click.option(
     "--cd", type=float, default=0.52, metavar="X", help="Drag coefficient of the frontal area (default 0.52)."
 )
 @click.option(
-    "--thrust", type=_Measured("N"), required=True, help="Largest force along each axis [N], or with kgf or lbf."
+    "--thrust",
+    type=_Measured("N"),
+    required=True,
+    help='Largest force along each axis [N], or a text such as "0.5 kgf".',
 )
-@click.option("--yaw-thrust", type=_Measured("N m"), required=True, help="Largest moment about the vertical [N m].")
-@click.option("--thrust-lag", type=_Measured("s"), default=0.3, help="First-order lag of the thrust [s] (default 0.3).")
+@click.option(
+    "--yaw-thrust", type=_Measured("N m"), required=True, help="Largest moment about the vertical axis [N m]."
+)
+@click.option(
+    "--thrust-lag", type=_Measured("s"), default=0.3, help="Time constant of the thrusters' lag [s] (default 0.3)."
+)
 @click.option(
     "--density", type=_Measured("kg/m^3"), default=1000.0, help="Density of the water [kg/m^3] (default 1000)."
 )
@@ -162,7 +181,7 @@ vehicle.add_command(thrusters)
 @_over
 @as_json
 def from_geometry(mass: float, cd: float, out: Path | None, force: bool, as_json: bool, **numbers: Any) -> None:
-    """Derive the parameters of a spherical vehicle, each with a range and its source.
+    """Write the file of a spherical vehicle: each parameter with its range and the source of its value.
 
     For a hull that is not a sphere, fit the parameters to a log (surctl vehicle from-log), or write known parameters
     into a file (surctl new vehicle).
@@ -179,24 +198,28 @@ def from_geometry(mass: float, cd: float, out: Path | None, force: bool, as_json
 @vehicle.command("from-gazebo")
 @click.argument("model", type=click.Path(path_type=Path))
 @_name
-@click.option("--link", metavar="NAME", help="Link with the hydrodynamics (default: the only one).")
+@click.option("--link", metavar="NAME", help="Name of the link with hydrodynamics (default: the only one).")
 @click.option("--diameter", type=_Measured("m"), required=True, help="Diameter of a circle around the hull [m].")
 @click.option("--thrust", type=_Measured("N"), required=True, help="Largest force in surge [N].")
-@click.option("--sway-thrust", type=_Measured("N"), help="Largest force in sway [N] (default: as in surge).")
-@click.option("--heave-thrust", type=_Measured("N"), help="Largest force in heave [N] (default: as in surge).")
-@click.option("--yaw-thrust", type=_Measured("N m"), required=True, help="Largest moment about the vertical [N m].")
-@click.option("--thrust-lag", type=_Measured("s"), default=0.3, help="First-order lag of the thrust [s] (default 0.3).")
+@click.option("--sway-thrust", type=_Measured("N"), help="Largest force in sway [N] (default: that of --thrust).")
+@click.option("--heave-thrust", type=_Measured("N"), help="Largest force in heave [N] (default: that of --thrust).")
+@click.option(
+    "--yaw-thrust", type=_Measured("N m"), required=True, help="Largest moment about the vertical axis [N m]."
+)
+@click.option(
+    "--thrust-lag", type=_Measured("s"), default=0.3, help="Time constant of the thrusters' lag [s] (default 0.3)."
+)
 @_out
 @_over
 @as_json
 def from_gazebo(
     model: Path, name: str, diameter: float, out: Path | None, force: bool, as_json: bool, **numbers: Any
 ) -> None:
-    """Take mass, added mass and drag from a Gazebo model: SDF, or URDF and xacro of uuv_simulator.
+    """Write a vehicle file with mass, added mass and drag of a Gazebo model: SDF, or URDF of uuv_simulator.
 
-    The command reads the plugin gz::sim::systems::Hydrodynamics, fluid_added_mass, and hydrodynamic_model of type
-    fossen. The vehicle file gets surge, sway, heave and yaw of the model, without roll and pitch. Expand xacro macros
-    before: xacro FILE > robot.urdf.
+    surctl reads the plugin gz::sim::systems::Hydrodynamics, the element fluid_added_mass, and a hydrodynamic_model of
+    type fossen. The vehicle file has surge, sway, heave and yaw of the model, without roll and pitch. If the model has
+    xacro macros, first run: xacro FILE > robot.urdf.
 
     Example: surctl vehicle from-gazebo model.sdf --name auv --diameter 0.5 --thrust 40 --yaw-thrust 6
     """
@@ -212,19 +235,19 @@ def from_gazebo(
     "--start",
     default="sur540-flooded",
     metavar="FILE",
-    help="Vehicle that supplies hull, limits and initial values: name or file (default sur540-flooded).",
+    help="Vehicle (name or file) with hull, limits, and initial values of the fit (default sur540-flooded).",
 )
 @click.option(
     "--map",
     "map_file",
     type=FILE,
-    help="Map (TOML) from the topics and fields of the log to motion and thrust; needed for all but tables.",
+    help="TOML file that says which topics and fields of the log are motion and thrust; a table needs none.",
 )
 @click.option("--topics", is_flag=True, help="Print the topics and fields of the log, and fit nothing.")
 @click.option(
     "--frame",
     metavar="NAME",
-    help="Frame of a table: enu (ENU/FLU) or ned (NED/FRD) (default: as in its first line, else enu).",
+    help="Axes of a table: enu (ENU/FLU) or ned (NED/FRD) (default: as in the table's first line, else enu).",
 )
 @click.option(
     "--held-out",
@@ -232,7 +255,7 @@ def from_gazebo(
     type=FiniteRange(0.0, 0.9),
     default=0.4,
     metavar="X",
-    help="Share of the log, at its end, predicted by a fit to the rest (default 0.4; 0: no prediction).",
+    help="Fraction of the log, at its end, to predict by a fit to the rest (default 0.4; 0: no prediction).",
 )
 @click.option(
     "--window",
@@ -241,9 +264,9 @@ def from_gazebo(
     multiple=True,
     default=(5.0,),
     metavar="S",
-    help="Length of predictions [s]; each begins at the measured motion (default 5; repeat for several).",
+    help="Length of a prediction [s], which begins at a measured state (default 5; repeatable).",
 )
-@click.option("--picture", type=FILE, help="PNG of the prediction (default: no picture).")
+@click.option("--picture", type=FILE, help="PNG file for a plot of the prediction (default: none).")
 @_name
 @_out
 @_over
@@ -264,21 +287,21 @@ def from_log(
 ) -> None:
     """Fit masses, drag, thrust lag and a constant force to logs of motion and thrust, with 95 % intervals.
 
-    Several logs of one vehicle are fitted together; each log starts from its own initial state.
+    Several logs of one vehicle give one fit; each log has its own initial state.
 
-    A log that is a table (CSV, .mat, .nc) has the columns t_s and Fu_N, Fv_N, Fw_N, Fr_N_m (commands, constant until
-    the next row). The table also has those of these columns that were measured: x_m, y_m, z_m, psi_rad, u_m_per_s,
-    v_m_per_s, w_m_per_s, r_rad_per_s. The axes are x forward, y left, z up; with --frame ned, they are x north, y east,
-    z down, v to the right, w down. The velocities in the log are in the heading frame, which turns by the heading
-    alone. For a vehicle with roll and pitch in --start, the table also needs at least one of roll_rad, pitch_rad,
-    p_rad_per_s, q_rad_per_s. surctl simulate --save csv (mat, nc) writes tables with these columns.
+    A log can be a table (CSV, .mat, .nc), as surctl simulate --save writes it: time t_s and commands Fu_N, Fv_N, Fw_N,
+    Fr_N_m (constant until the next row), and any measured columns of x_m, y_m, z_m, psi_rad, u_m_per_s, v_m_per_s,
+    w_m_per_s, r_rad_per_s. In such a table, x is east, y north, z up, u forward, v left, w up; with --frame ned, x is
+    north, y east, z down, v right, w down. The velocities in a table are along axes that turn with the heading, but not
+    with roll and pitch. If the vehicle of --start has roll and pitch, the table also needs at least one of roll_rad,
+    pitch_rad, p_rad_per_s, q_rad_per_s.
 
     Logs of ArduPilot (.BIN, .tlog), ROS (.bag, .db3 or folder, .mcap), PX4 (.ulg), and tables with other column names
     or none need --map. --topics prints the topics and fields of a log.
 
     If the log does not determine a parameter, the parameter keeps its value from --start, and the vehicle file says so.
     If a fitted mass or drag is below 0, no file is written, and the exit status is 1. As a test, a fit to the first
-    part of the log predicts the last part; the output compares this prediction with a constant velocity.
+    part of the log predicts the last part; the output compares the errors with those of a constant velocity.
 
     Example: surctl vehicle from-log trial.csv --start my-vehicle.toml --name fitted
     """

@@ -37,7 +37,10 @@ class NamedFile(click.Path):
 
 
 animate_option = click.option(
-    "--animate", type=NamedFile(path_type=Path), metavar="FILE", help="Animation to write: FILE.gif or FILE.mp4."
+    "--animate",
+    type=NamedFile(path_type=Path),
+    metavar="FILE",
+    help="Write an animation of the run: FILE.gif or FILE.mp4.",
 )
 
 
@@ -65,12 +68,15 @@ def check_animate(path: Path | None, *, runs: int, campaign: bool, film: Path | 
 
 plant_options = together(
     click.option(
-        "--plant", default="own", metavar="NAME", help="Simulated plant: own (default), mujoco[:KEY=VALUE,..]."
+        "--plant", default="own", metavar="NAME", help="Physics: own (surctl's, default), mujoco[:KEY=VALUE,..]."
     ),
     click.option(
-        "--film", type=NamedFile(path_type=Path), metavar="FILE", help="Film of --plant mujoco: FILE.gif or FILE.mp4."
+        "--film",
+        type=NamedFile(path_type=Path),
+        metavar="FILE",
+        help="Film of a run with --plant mujoco: FILE.gif or FILE.mp4.",
     ),
-    click.option("--view", is_flag=True, help="Show the run in MuJoCo's window."),
+    click.option("--view", is_flag=True, help="Show a run with --plant mujoco in a window."),
 )
 """A decorator that adds these options to a command, which receives them as `plant`, `film` and `view`."""
 
@@ -225,12 +231,20 @@ class PlantOptions:
 
 
 controller_options = together(
-    click.option("--controller", metavar="URL", help="Run exported C: c, tcp://HOST:PORT or qemu:cortex-m4f."),
-    click.option("--link-loss", type=float, metavar="P", help="Probability that a message is lost (default 0)."),
-    click.option("--link-delay", type=float, metavar="S", help="Delay of each command [s] (default 0)."),
-    click.option("--link-deadline", type=float, metavar="S", help="Largest age of a used command [s] (default 0.25)."),
-    click.option("--link-compact", is_flag=True, help="Request short replies, for a slow line."),
-    click.option("--link-timeout", type=float, metavar="S", help="Stop after S seconds without a message (default 5)."),
+    click.option("--controller", metavar="URL", help="C controller: c (local), tcp://HOST:PORT, qemu:cortex-m4f."),
+    click.option(
+        "--link-loss", type=float, metavar="P", help="Probability that a message of the link is lost (default 0)."
+    ),
+    click.option(
+        "--link-delay", type=float, metavar="S", help="Delay of each command from the C code [s] (default 0)."
+    ),
+    click.option(
+        "--link-deadline", type=float, metavar="S", help="Thrust is 0 if the command is older than S (default 0.25)."
+    ),
+    click.option("--link-compact", is_flag=True, help="Request short replies from the C code, for a slow link."),
+    click.option(
+        "--link-timeout", type=float, metavar="S", help="Stop after S seconds without a reply from C (default 5)."
+    ),
 )
 
 

@@ -21,9 +21,9 @@ def calibrate(file: str, out: Path | None, as_json: bool) -> None:
     """Calibrate range sensors from a CSV file of true and measured distances, with 95 % confidence intervals.
 
     The CSV file has the columns true_m and measured_m (or both in _cm or _mm), and for several sensors or media the
-    columns sensor and medium. Each sensor and medium needs at least 6 rows at 3 or more distances. --out writes a
-    residual plot and a [sonar] table to paste into a scenario. Instead of a file, table-ii names the measured distances
-    of the paper's Table II.
+    columns sensor and medium. Each sensor needs, in each medium, at least 6 rows at 3 or more distances. --out writes
+    a plot of the residuals and a [sonar] table to paste into a scenario file. The name table-ii in place of FILE stands
+    for the measured distances of Table II in the robot's paper.
 
     Examples: surctl calibrate table-ii; surctl calibrate range-test.csv --out lab
     """

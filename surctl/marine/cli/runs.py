@@ -11,11 +11,12 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from surctl.cli.output import FILE, Count, finish, progress, same_command, saving, stoppable, together
-from surctl.cli.robot_options import RobotOptions, choose_gains, choose_vehicle
+from surctl.cli.simulate import where
 from surctl.errors import InputError
+from surctl.marine.cli.robot_options import RobotOptions, choose_gains, choose_vehicle
 
 if TYPE_CHECKING:
-    from surctl.cli.sensor_options import SensorOptions
+    from surctl.marine.cli.sensor_options import SensorOptions
     from surctl.marine.simulation import Case, Run, SafetyClaim
     from surctl.marine.simulation.campaign.campaign import Campaign
     from surctl.marine.simulation.campaign.worlds import Plan
@@ -52,13 +53,9 @@ def activity_line(run: Run) -> str:
     return (
         f"  {angles}thrust varies by {varies} (N/s in surge, sway, heave, N m/s in "
         f"yaw); worst axis: {m.axis_sign_changes_per_s:.2g} sign changes/s, saturated {m.axis_saturated_share:.0%} of "
-        f"the time; wasted {m.wasted_impulse_n_s:.0f} N s ({m.wasted_share:.0%})"
+        f"the time; wasted thrust (beyond the drag along the path): {m.wasted_impulse_n_s:.0f} N s "
+        f"({m.wasted_share:.0%})"
     )
-
-
-def where(out: Path | None) -> list[str]:
-    """Return where the files of runs are, for a summary."""
-    return [] if out is None else [f"files {out}"]
 
 
 def failure(run: Run) -> str | None:
@@ -214,12 +211,12 @@ def further_output(
 MOST_ROWS = 100  # largest number of runs printed as JSON; the files in the output folder hold all runs
 
 campaign_options = together(
-    click.option("--monte-carlo", is_flag=True, help="Sample vehicle and obstacles of each run at random."),
-    click.option("--random-worlds", "worlds", type=Count(1, 1_000_000), help="Simulate N random worlds."),
-    click.option("--worst", type=Count(0, 1000), help="Number of worst runs to save (default 5)."),
-    click.option("--threads", type=Count(1, 1024), help="Parallel runs (default 2; MuJoCo 1)."),
-    click.option("--fresh", is_flag=True, help="Start the campaign again instead of resuming it."),
-    click.option("--from", "replayed", type=FILE, help="Repeat a run saved in DIR/worst."),
+    click.option("--monte-carlo", is_flag=True, help="Campaign: vary vehicle and obstacles of each run at random."),
+    click.option("--random-worlds", "worlds", type=Count(1, 1_000_000), help="Campaign: simulate N random missions."),
+    click.option("--worst", type=Count(0, 1000), help="Save N worst runs of a campaign (default 5)."),
+    click.option("--threads", type=Count(1, 1024), help="Runs in parallel (default 2; MuJoCo 1)."),
+    click.option("--fresh", is_flag=True, help="Do not resume the campaign in --out; start it again."),
+    click.option("--from", "replayed", type=FILE, help="Repeat a worst run that a campaign saved as FILE."),
 )
 """A decorator that adds these options to a command.
 
@@ -458,7 +455,7 @@ def simulate_again(
     for name, source in _typed().items():
         if name not in ("replayed", "trust", "explained", "out", "animate", "as_json") and source:
             known = {param.name: param for param in click.get_current_context().command.params}
-            what = known[name].opts[0] if isinstance(known[name], click.Option) else f"the {name}"
+            what = known[name].opts[0] if isinstance(known[name], click.Option) else "the scenarios"
             raise InputError(
                 f"already sets {what}", key="--from", value=str(path), remedy=f"drop {what}, or edit the file"
             )
