@@ -206,3 +206,13 @@ def test_claims_that_do_not_fit_are_the_users_mistake() -> None:
     assert law_numbers("inertia", FLOODED.with_values({"m22": 80.0}), GAINS).mass == (95, 80)
     with pytest.raises(InputError, match="braking-inertia-20"):
         braking_claim_named("braking-inertia-21", FLOODED, GAINS)
+
+
+def test_the_law_s_numbers_in_a_certificate_are_those_of_the_exported_law() -> None:
+    # a third has no short decimals; a rounded number would not be that of the law
+    claim = claimed("braking-inertia-20", margin=1 / 7, brake=2 / 3)
+    law = claim.law
+    assert law is not None
+    law = replace(law, stopping=tuple(Fraction(repr(float(x) / 3)) for x in law.stopping))
+    written = stated(replace(claim, law=law)).law
+    assert written == law and 1 / 7 == float(law.margin)
