@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 @click.command
 @click.argument("rows", nargs=-1)
-@click.option("--quick", is_flag=True, help="Faster: 3 seeds for each scenario and fewer samples.")
+@click.option("--quick", is_flag=True, help="Faster: 3 seeds for each scenario and fewer points per claim.")
 @click.option("--seeds", type=Count(1), help="Number of runs (seeds) of each scenario (default 20).")
 @click.option(
     "--independent", is_flag=True, help="Simulate each scenario in MuJoCo, too (one more column of the output)."

@@ -241,8 +241,8 @@ def from_gazebo(
     "--map",
     "map_file",
     type=FILE,
-    help="TOML file that says which topics and fields of the log are motion and thrust (not for tables of surctl "
-    "simulate).",
+    help="TOML file that says which topics and fields of the log are motion and thrust (not needed for tables of "
+    "surctl simulate).",
 )
 @click.option("--topics", is_flag=True, help="Print the topics and fields of the log, and fit nothing.")
 @click.option(
