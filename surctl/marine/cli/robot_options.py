@@ -235,7 +235,7 @@ barrier_options = together(
         "--movers",
         default="predict",
         metavar="NAME",
-        help="Method for moving obstacles: predict (default) or barrier.",
+        help="Avoid moving obstacles by predict (default) or barrier.",
     ),
 )
 """A decorator that adds these options to a command; the command receives them as `barrier` and `movers`."""
