@@ -34,8 +34,8 @@ def reproduce(
     out: Path | None,
     as_json: bool,
 ) -> None:
-    """Compute the results of the robot's paper again, and compare them with the printed results. Each result is a row
-    of the output; name ROWS to compute only some results.
+    """Compute the results of the robot's paper again, and compare them with the results in the paper. Each result is a
+    row of the output; name ROWS to compute only some results.
 
     Exit status: 1 if a row is missing, a verdict differs from the recorded verdict, or a simulated run collides or does
     not arrive. If a travel time differs from that in the paper, the row gives the reason. --out writes a page with the

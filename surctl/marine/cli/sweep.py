@@ -76,7 +76,7 @@ _EXPLAINED = ("deviation_m", "path_error_m")  # columns whose meaning is printed
     "--guidance",
     default="los",
     metavar="NAME",
-    help="Path guidance of the runs: los (default), ilos or alos. Loop margins and --locus always use los.",
+    help="Path guidance of simulated runs: los (default), ilos or alos. Loop margins and --locus always use los.",
 )
 @click.option("--locus", metavar="PARAMETER", help="Plot poles over a swept PARAMETER, at the best gains.")
 @click.option(

@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 @click.option(
     "--guidance",
     metavar="NAME",
-    help="Path guidance of the runs: los, ilos or alos (default: the study's). Loop margins always use los.",
+    help="Path guidance of simulated runs: los, ilos or alos (default: the study's). Loop margins always use los.",
 )
 @click.option("--law", metavar="NAME", help="Law: NAME or FILE.py:FUNCTION (default: the study's).")
 @click.option("--scenario", metavar="FILE", help="Scenario of --page (default: the first of the study).")

@@ -99,7 +99,7 @@ def verify(
     out: Path | None,
     as_json: bool,
 ) -> None:
-    """Prove or refute built-in claims or your own, and print margins of the loop.
+    """Prove or refute built-in claims or your own, and print loop margins.
 
     A claim is proved (with a certificate for `surctl check`), refuted (with a counterexample), unknown (neither), or
     not applicable (an assumption does not hold). The paper's claims assume velocities equal to their commands, at
