@@ -15,7 +15,7 @@ from typing import Any, ClassVar
 from surctl.assessment import Assessment, Line
 from surctl.export import Bundle, Exportable, ExportedFile, SilReport, build_controller, compare_runs, write_bundle
 from surctl.export.bundle import check_folder
-from surctl.export.evidence import Replay, write_evidence
+from surctl.export.evidence import ReplayedRun, write_evidence
 from surctl.files import prepare_folder, write_file
 from surctl.ir.cache import find_compiler
 from surctl.tuning import SweepTable
@@ -55,7 +55,7 @@ class StudyParts(ABC):
     sweep: SweepTable | None = None
     assessment: Assessment = field(init=False)
     files: Sequence[ExportedFile] = ()
-    replays: Sequence[Replay] = ()
+    replays: Sequence[ReplayedRun] = ()
     sil: tuple[SilReport, ...] = ()
     report: Path | None = None
     seconds: dict[str, float] = field(default_factory=dict)
@@ -73,7 +73,7 @@ class StudyParts(ABC):
         """Return the controller and its bundle; a study that chooses the gains does so first."""
 
     @abstractmethod
-    def simulate(self) -> Sequence[Replay]:
+    def simulate(self) -> Sequence[ReplayedRun]:
         """Simulate the runs; return those that the exported C repeats, that of its default mission first."""
 
     @abstractmethod

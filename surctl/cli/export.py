@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from surctl.export.bundle import Bundle
     from surctl.export.contract import Exportable
     from surctl.export.emulated import Target
-    from surctl.export.evidence import Replay
+    from surctl.export.evidence import ReplayedRun
     from surctl.ir import Real
     from surctl.system import Record
 
@@ -115,7 +115,7 @@ class ExportOptions:
         assessment: Assessment,
         *,
         proof: ProofReport | None,
-        replay: Replay,
+        replay: ReplayedRun,
         replayed: str,
         about: tuple[Sequence[str], Sequence[str]],
         data: Mapping[str, Any],
@@ -223,13 +223,13 @@ def system_bundle(
     return build_bundle(controller, gains, name=name, real=real, supplement=plant)
 
 
-def replay_of(own: OwnSystem, record: Record) -> Replay:
+def replay_of(own: OwnSystem, record: Record) -> ReplayedRun:
     """Return the run of a system for the comparison of C with Python, and for the manifest of its bundle."""
-    from surctl.export.evidence import Replay
+    from surctl.export.evidence import ReplayedRun
     from surctl.system import LOST
 
     failure = record.lost if record.stopped == LOST else None
-    return Replay({"system": own.label, "text": end_text(own, record), "failure": failure}, record)
+    return ReplayedRun({"system": own.label, "text": end_text(own, record), "failure": failure}, record)
 
 
 def export_system(words: Sequence[str], options: ExportOptions, *, seconds: float | None, as_json: bool) -> None:

@@ -27,9 +27,10 @@ if TYPE_CHECKING:
 def study(words: tuple[str, ...], out: Path, workers: int, seconds: float | None, as_json: bool, **_: Any) -> None:
     """Simulate, verify, sweep and export in one command, and write one report."""
     if is_system(words):
-        from surctl.cli.system_study import study_system
+        from surctl.cli.system_study import study_of
 
-        study_system(words, seconds=seconds, workers=workers, out=out, as_json=as_json)
+        one = study_of(words, seconds=seconds, workers=workers, out=out)
+        conduct_study(one, out, below=one.lines, then=one.next_commands, as_json=as_json)
     to_application(words)
 
 
@@ -57,7 +58,7 @@ def conduct_study(
         conduct_parts(study, out)
     assessment, report, code = study.assessment, study.report, out / "export"
     head, marked = f"study {study.title}: {study.verdict}", [f"{line.mark} {line.text}" for line in assessment.lines]
-    lines = [head, *above, *marked, *study.ran, *below(), ""]
+    lines = [head, *above, *marked, *below(), ""]
     lines += [f"gains  {study.gain_file}"] if study.gain_file else []
     lines += [f"code   {code} ({len(study.files)} files)"] if study.files else []
     lines += [f"report {report}"] if report else []

@@ -12,7 +12,6 @@ from surctl import __version__
 from surctl.assessment import Assessment, ClosedLoop, assess
 from surctl.cli.export import replay_of, system_bundle
 from surctl.cli.output import progress, saving, timed
-from surctl.cli.study import conduct_study
 from surctl.cli.subject import (
     OwnSystem,
     assigned,
@@ -29,7 +28,7 @@ from surctl.cli.subject import (
 from surctl.cli.sweep import best_line, best_points
 from surctl.errors import InputError, NotApplicable
 from surctl.export import Bundle, Exportable
-from surctl.export.evidence import Replay
+from surctl.export.evidence import ReplayedRun
 from surctl.ir.cache import find_compiler
 from surctl.lyapunov import Solution, solve
 from surctl.study import StudyParts
@@ -71,7 +70,7 @@ class _SystemStudy(StudyParts):
     def export(self, out: Path) -> tuple[Exportable, Bundle]:
         return self.own.system.controller, system_bundle(self.own, self.values)
 
-    def simulate(self) -> Sequence[Replay]:
+    def simulate(self) -> Sequence[ReplayedRun]:
         self.record = run_system(self.own.system, self.duration, self.values)
         self.ran += [end_text(self.own, self.record), *cost_lines(self.own.system, self.record.figures)]
         return [replay_of(self.own, self.record)]
@@ -144,6 +143,9 @@ class _SystemStudy(StudyParts):
             "sil": self.sil[0].to_dict(),  # the key before `export`
         }
 
+    def lines(self) -> list[str]:
+        return [*self.ran, *self.best_lines]
+
     def next_commands(self) -> list[str]:
         if not self.passed:
             return []
@@ -153,13 +155,12 @@ class _SystemStudy(StudyParts):
         return [command_line("verify", self.own, *self.about, *(f"{name}={value!r}" for name, value in at.items()))]
 
 
-def study_system(words: Sequence[str], *, seconds: float | None, workers: int, out: Path, as_json: bool) -> None:
-    """Write report.html and the C code of the controller; exit with status 1 if a check of the report fails."""
+def study_of(words: Sequence[str], *, seconds: float | None, workers: int, out: Path) -> _SystemStudy:
+    """Return the study of the system that the words of the command line name; InputError if they are not valid."""
     own = load_system(words)
     find_compiler()
     own.exported_name()
-    study = _SystemStudy(own, seconds, out, workers)
-    conduct_study(study, out, below=lambda: study.best_lines, then=study.next_commands, as_json=as_json)
+    return _SystemStudy(own, seconds, out, workers)
 
 
 def _design(

@@ -25,7 +25,7 @@ _MARK = "## Evidence\n"
 
 
 @dataclass(frozen=True)
-class Replay:
+class ReplayedRun:
     """A simulated run that the exported C repeats.
 
     Attributes:
@@ -50,7 +50,7 @@ class Replay:
 def write_evidence(
     bundle: Bundle,
     out: Path,
-    replays: Sequence[Replay],
+    replays: Sequence[ReplayedRun],
     sil: Sequence[SilReport],
     assessment: Assessment,
     *,

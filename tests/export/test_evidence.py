@@ -19,7 +19,7 @@ from surctl.cli.app import app
 from surctl.errors import InputError
 from surctl.export import Bundle, SilReport, write_bundle
 from surctl.export.bundle import check_folder
-from surctl.export.evidence import Replay, write_evidence
+from surctl.export.evidence import ReplayedRun, write_evidence
 from surctl.export.sil import Difference
 from tests.export.test_gains_in_c import guarded
 from tests.tools import need_compiler
@@ -57,7 +57,7 @@ def test_the_bundle_of_a_command_carries_what_was_run_and_compared(
 
 def test_each_replayed_run_is_evidence(tmp_path: Path) -> None:
     bundle, none = guarded()[1], Difference(0.0, 0.0, 0.0, None)
-    replays = [Replay({"system": "a.py:b", "text": text, "failure": None}, []) for text in ("one", "two")]
+    replays = [ReplayedRun({"system": "a.py:b", "text": text, "failure": None}, []) for text in ("one", "two")]
     reports = [SilReport("c", "1f", n, (), none, none, none, 0, 837, (), True, "cc 12", 9) for n in (400, 500)]
     figure = {"x": Figure("x", float("nan"), "1", "", "high")}
     write_evidence(bundle, tmp_path / "b", replays, reports, Assessment("a", figure, (), {}))

@@ -16,7 +16,7 @@ from surctl.errors import InputError
 from surctl.export import bundle as core
 from surctl.export.contract import DATA, MISSION_FILES, Exportable
 from surctl.export.envelope import Envelope, Records
-from surctl.export.evidence import Replay
+from surctl.export.evidence import ReplayedRun
 from surctl.export.supplement import UNKNOWN, Listed, Supplement, step_line
 from surctl.ir import Real, c_literal
 from surctl.marine.control import ARC_LENGTHS, FED
@@ -322,7 +322,7 @@ def build_bundle(
     return core.build_bundle(law, gains, name=name, real=real, envelope=envelope, supplement=added)
 
 
-def replay_of(run: Run) -> Replay:
+def replay_of(run: Run) -> ReplayedRun:
     """Return a run of a law for the comparison of C with Python, and for the manifest of the law's bundle."""
     mission, record, metrics = run.scenario, run.record, run.metrics
     about = {
@@ -337,4 +337,6 @@ def replay_of(run: Run) -> Replay:
         "time_s": metrics.time_s,
         "failure": failure(run),
     }
-    return Replay(about, Records(record.law_state, record.law_input, record.step_parameters), record.status, run.law.dt)
+    return ReplayedRun(
+        about, Records(record.law_state, record.law_input, record.step_parameters), record.status, run.law.dt
+    )

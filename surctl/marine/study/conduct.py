@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from surctl import __version__
 from surctl.assessment import Assessment, Line, assess
 from surctl.export import Bundle
-from surctl.export.evidence import Replay
+from surctl.export.evidence import ReplayedRun
 from surctl.files import write_file
 from surctl.marine.assessment import LoopAnalysis, Mission
 from surctl.marine.control import Gains, Law, build_law, law_source, write_gains
@@ -253,7 +253,7 @@ class Study(StudyParts):
         plan, legs = self.plan, self._legs
         self._laws = [build_law(plan.law, guidance=plan.guidance, actuators=leg.vehicle.actuators) for leg in legs]
         self._sonar_laws = [with_perception(plan, leg) for leg in legs]
-        self._drawn: Section | None = None
+        self._runs_section: Section | None = None
         self._first = next(k for k, leg in enumerate(legs) if leg.misfit is None)
 
     def export(self, out: Path) -> tuple[Law, Bundle]:
@@ -271,7 +271,7 @@ class Study(StudyParts):
             self._bundle = build_bundle(law, law.gains.unpack(numbers), origin=origin_of(law, leg.vehicle))
         return law, self._bundle
 
-    def simulate(self) -> list[Replay]:
+    def simulate(self) -> list[ReplayedRun]:
         """Simulate each mission with true positions, and with sonar; return the runs of the exported law."""
         plan = self.plan
         for leg, law_of_truth, sonar_law in zip(self._legs, self._laws, self._sonar_laws, strict=True):
@@ -302,7 +302,7 @@ class Study(StudyParts):
             self.verdicts, self.inapplicable = claims_of(plan, gains, _fastest(plan))
             self._regions = _unprovable_regions(plan, gains)
         with self.timed("pictures of the runs"), self.saving("plots of the runs"):
-            self._drawn = runs_section(self._data())
+            self._runs_section = runs_section(self._data())
         lines = notes_of(plan, self.sweep, self.loops, (*self.verdicts, *self.inapplicable), self.runs)
         return assessment.with_lines([*lines, *left_out(self._left_out)])
 
@@ -343,7 +343,7 @@ class Study(StudyParts):
         text = f"C99, double precision, prefix {bundle.name}, law {bundle.id}. The exported law {inputs}."
         runs = "; ".join(f"{k}: {run.scenario.name} by {run.vehicle.name}" for k, run in enumerate(self.replayed, 1))
         export = export_section(f"{text} Replayed runs: {runs}.", self.files, self.sil)
-        return render_page(replace(self._data(), export=export, assessment=self.assessment), runs=self._drawn)
+        return render_page(replace(self._data(), export=export, assessment=self.assessment), runs=self._runs_section)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the study as plain data; the writer converts numbers that are not finite."""
