@@ -400,6 +400,13 @@ class Comparison:
         return [(old, new) for old, new in self.rows if new.worse(old)]
 
     @property
+    def gained(self) -> list[str]:
+        """What got better, the largest share first."""
+        pairs = [(old, new) for old, new in self.rows if old.worse(new)]
+        pairs.sort(key=lambda pair: -_loss(pair[1], pair[0]))
+        return [f"{old.name} {_text(old)} -> {_text(new)}" for old, new in pairs]
+
+    @property
     def headline(self) -> str:
         """What got worse, or that nothing did, in one line."""
         if not self.worse:
@@ -413,7 +420,8 @@ class Comparison:
         for old, new in self.rows:
             mark = "  worse" if new.worse(old) else ""
             table.append(f"{new.name:<28}{new.unit:<6}{new.required:>10}{_text(old):>12}{_text(new):>12}{mark}")
-        return [self.headline, *table, self.after.verdict(), *self.after.decisive]
+        better = [f"better than before: {', '.join(self.gained)}"] if self.gained else []
+        return [self.headline, *better, *table, self.after.verdict(), *self.after.decisive]
 
     def to_dict(self) -> dict[str, Any]:
         """Return both assessments and the names of the figures that got worse as plain data for JSON."""

@@ -20,11 +20,12 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from math import isfinite
-from typing import Any, Literal
+from numbers import Integral
+from typing import Any, Literal, cast
 
 __all__ = [
     "LOSSES", "LOST", "EmptyDomain", "Finding", "InputError", "NotApplicable", "SolverError", "SurctlError",
-    "ToolMissing", "UnsupportedOperation", "cannot_write", "check_known", "check_number", "nearest",
+    "ToolMissing", "UnsupportedOperation", "cannot_write", "check_count", "check_known", "check_number", "nearest",
 ]  # fmt: skip
 
 
@@ -169,7 +170,7 @@ def cannot_write(
     return outcome
 
 
-def nearest(name: str, known: Iterable[str]) -> str:
+def nearest(name: object, known: Iterable[str]) -> str:
     """Return a remedy text that suggests the known name most similar to `name`, or lists all known names.
 
     Examples:
@@ -182,7 +183,7 @@ def nearest(name: str, known: Iterable[str]) -> str:
     names = sorted(known)
     if not names:
         return "no name is known here"
-    close = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
+    close = difflib.get_close_matches(str(name), names, n=1, cutoff=0.5)
     return f"did you mean {close[0]!r}?" if close else "known: " + ", ".join(names)
 
 
@@ -200,7 +201,7 @@ def check_known(
     """
     known = list(known)
     if name not in known:
-        raise InputError(problem, file=file, key=key, value=name, remedy=nearest(str(name), known))
+        raise InputError(problem, file=file, key=key, value=name, remedy=nearest(name, known))
 
 
 def check_number(key: str, value: float, *, unit: str, zero: bool = False) -> None:
@@ -213,6 +214,26 @@ def check_number(key: str, value: float, *, unit: str, zero: bool = False) -> No
             ...
         surctl.errors.InputError: latency = -0.1: must be at least 0; give s
     """
-    if not (isfinite(value) and (value >= 0 if zero else value > 0)):
-        problem = "must be at least 0" if zero else "must be greater than 0"
+    problem = "must be at least 0" if zero else "must be greater than 0"
+    try:
+        good = isfinite(value) and (value >= 0 if zero else value > 0)
+    except (TypeError, ValueError, OverflowError):  # a text, an array, an integer that no double holds
+        good, problem = False, "is not a number"
+    if not good:
         raise InputError(problem, key=key, value=value, remedy=f"give {unit}")
+
+
+def check_count(key: str, value: object, *, least: int = 0) -> None:
+    """Raise InputError unless a value is a whole number of at least `least`.
+
+    Example:
+        >>> from surctl.errors import check_count
+        >>> check_count("trials", 0, least=1)
+        Traceback (most recent call last):
+            ...
+        surctl.errors.InputError: trials = 0: must be at least 1; give a whole number
+    """
+    whole = isinstance(value, Integral) and not isinstance(value, bool)
+    if not (whole and cast("int", value) >= least):
+        problem = f"must be at least {least}" if whole else "is not a whole number"
+        raise InputError(problem, key=key, value=value, remedy="give a whole number")

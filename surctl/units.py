@@ -1,9 +1,10 @@
-"""Quantities such as "0.54 m", "12 kgf" or "5 cm", converted to SI units; proved numbers as text, rounded safely."""
+"""Numbers of a user; quantities such as "0.54 m" or "5 cm" in SI units; proved numbers as text, rounded safely."""
 
 from __future__ import annotations
 
 import math
 import re
+from contextlib import suppress
 from decimal import ROUND_CEILING, ROUND_FLOOR, Decimal
 from functools import cache
 from numbers import Real
@@ -12,9 +13,11 @@ from typing import TYPE_CHECKING, Any
 from surctl.errors import InputError
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
     from pint import UnitRegistry
 
-__all__ = ["converted_by_suffix", "in_unit", "is_number", "number_and_unit", "towards"]
+__all__ = ["as_numbers", "as_range", "converted_by_suffix", "in_unit", "is_number", "number_and_unit", "towards"]
 
 _SUFFIXES = {
     "_m_per_s": "m/s",
@@ -41,7 +44,62 @@ def is_number(value: object) -> bool:
         >>> [is_number(value) for value in (3, 2.5, True, "3", float("nan"))]
         [True, True, False, False, False]
     """
-    return not isinstance(value, bool) and isinstance(value, Real) and math.isfinite(value)
+    try:
+        return not isinstance(value, bool) and isinstance(value, Real) and math.isfinite(value)
+    except OverflowError:  # an integer that no double holds
+        return False
+
+
+def as_numbers(value: object, *, key: str) -> NDArray[np.float64]:
+    """Return a number, or a list or array of numbers, as an array of the same shape; they need not be finite.
+
+    Raises:
+        InputError: an entry is no real number (a text, None, a CasADi expression), no double holds an integer, or rows
+            have different lengths; the message names `key`.
+
+    Example:
+        >>> from surctl.units import as_numbers
+        >>> as_numbers([[1, 2.5]], key="start"), float(as_numbers(3, key="gain"))
+        (array([[1. , 2.5]]), 3.0)
+        >>> as_numbers("3", key="gain")
+        Traceback (most recent call last):
+            ...
+        surctl.errors.InputError: gain = '3': is not a number or an array of numbers; write digits without quotes
+    """
+    import numpy as np
+
+    with suppress(TypeError, ValueError, OverflowError, RuntimeError):
+        array = np.asarray(value)
+        # as objects, NumPy also holds fractions, and integers beyond 64 bits
+        if array.dtype.kind in "biuf" or (array.dtype.kind == "O" and all(isinstance(v, Real) for v in array.flat)):
+            return array.astype(np.float64, copy=False)
+    remedy = "write digits without quotes"
+    raise InputError("is not a number or an array of numbers", key=key, value=value, remedy=remedy)
+
+
+def as_range(ends: Any, *, key: str) -> tuple[float, float]:
+    """Return lower and upper bound as floats.
+
+    Raises:
+        InputError: they are not two finite numbers, or are reversed; the message names `key`.
+
+    Example:
+        >>> from surctl.units import as_range
+        >>> as_range((0, 2), key="plant.mass")
+        (0.0, 2.0)
+        >>> as_range((2, 0), key="plant.mass")
+        Traceback (most recent call last):
+            ...
+        surctl.errors.InputError: plant.mass = (2, 0): is not a range; give (low, high), two finite numbers with ...
+    """
+    try:
+        pair = tuple(ends)
+    except (TypeError, NotImplementedError):  # not iterable; CasADi raises the latter
+        pair = ()
+    if len(pair) == 2 and all(map(is_number, pair)) and pair[0] <= pair[1]:
+        return float(pair[0]), float(pair[1])
+    remedy = "give (low, high), two finite numbers with low <= high"
+    raise InputError("is not a range", key=key, value=ends, remedy=remedy)
 
 
 @cache

@@ -58,6 +58,7 @@ def test_public_names() -> None:
         "ToolMissing",
         "UnsupportedOperation",
         "cannot_write",
+        "check_count",
         "check_known",
         "check_number",
         "nearest",

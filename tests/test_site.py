@@ -194,6 +194,30 @@ def test_pages_fit_and_can_be_read_in_both_schemes(site: Path) -> None:
         assert opened.errors == [] and opened.outside == []
 
 
+ASKED = {
+    "phase margin of my own plant": "questions", "limit thrust": "questions", "run on STM32": "questions",
+    "ROS": "questions", "what does not proved mean": "what-is-proved", "resume a sweep": "questions",
+    "change the sampling time": "questions", "anti-windup": "questions", "Monte Carlo": "glossary",
+    "time delay": "questions", "state estimator": "questions", "without compiler": "questions", "license": "questions",
+    "cite": "project", "export to Simulink": "export", "what is a disk margin": "glossary",
+}  # fmt: skip
+
+
+def test_what_a_newcomer_asks_is_answered_by_the_first_three_hits(site: Path) -> None:
+    with open_page((site / "index.html").as_uri()) as opened:
+        page, missed = opened.page, []
+        page.keyboard.press("/")
+        for asked, answer in ASKED.items():
+            page.keyboard.press("Control+A")
+            page.keyboard.type(asked)
+            page.wait_for_timeout(1500)  # ms; the hits of the words before stay until then
+            hits = page.locator(".md-search-result__item").evaluate_all(
+                "all => all.slice(0, 3).map(item => item.querySelector('a').href)"
+            )
+            missed += [(asked, hits)] * all(f"/{answer}.html" not in hit for hit in hits)
+        assert not missed
+
+
 def search(opened: Opened, word: str) -> None:
     """The search finds pages although no server answers."""
     page = opened.page

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from surctl.export import TARGETS
 from surctl.ir import Block, Call, Gather, Loop, Program, Routine, Step, lower
+from surctl.ir.c99 import C_TYPE, Real
 from surctl.ir.c99_routine import emit_block
 from surctl.ir.cache import compile_program
 
@@ -23,16 +24,16 @@ __all__ = ["at_bounds", "counted", "counted_c"]
 _NAME = "alone"
 _MAIN = """
 #include <stdio.h>
-static float record[RECORD], answer[ANSWER];
+static REAL record[RECORD], answer[ANSWER];
 void stepped(void);
 __attribute__((noinline)) void step(void) { one(record, answer); }
 int main(int argc, char **argv)
 {
     (void)argc; (void)argv;
-    while (fread(record, sizeof(float), RECORD, stdin) == RECORD) {
+    while (fread(record, sizeof(REAL), RECORD, stdin) == RECORD) {
         step();
         stepped();
-        fwrite(answer, sizeof(float), ANSWER, stdout);
+        fwrite(answer, sizeof(REAL), ANSWER, stdout);
     }
     return 0;
 }
@@ -40,19 +41,24 @@ int main(int argc, char **argv)
 
 
 def counted(
-    routine: Routine, arrays: tuple[NDArray[np.float64], ...], *, target: str = "cortex-m4f", level: str = "-O2"
-) -> tuple[list[NDArray[np.float32]], NDArray[np.int64]]:
-    """Return outputs (N, size) each and instructions (N,) in float32, for inputs (N, size) each."""
+    routine: Block,
+    arrays: tuple[NDArray[np.float64], ...],
+    *,
+    target: str = "cortex-m4f",
+    level: str = "-O2",
+    real: Real = "float32",
+) -> tuple[list[NDArray[np.float64]], NDArray[np.int64]]:
+    """Return outputs (N, size) each and instructions (N,) in the number type, for inputs (N, size) each."""
     sizes, made = [size for _, size in routine.inputs], [size for _, size in routine.outputs]
     starts, ends = (np.cumsum([0, *part[:-1]]) for part in (sizes, made))
     given = ", ".join([*(f"record + {at}" for at in starts), *(f"answer + {at}" for at in ends)])
     text = f"""#include <math.h>
 #include <stddef.h>
 #include <string.h>
-{emit_block(routine, symbol="law", real="float32", folded=True)}
-static void one(const float *record, float *answer) {{ law({given}); }}
+{emit_block(routine, symbol="law", real=real, folded=True)}
+static void one(const {C_TYPE[real]} *record, {C_TYPE[real]} *answer) {{ law({given}); }}
 """
-    rows, counts = counted_c(text, np.hstack(arrays), sum(made), target=target, level=level)
+    rows, counts = counted_c(text, np.hstack(arrays), sum(made), target=target, level=level, real=real)
     return np.split(rows, ends[1:], axis=1), counts
 
 
@@ -107,8 +113,9 @@ def counted_c(
     flags: Sequence[str] = (),
     target: str = "cortex-m4f",
     level: str = "-O2",
-) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
-    """(answers (N, width), instructions (N,)) of `static void one(const float *record, float *answer)`.
+    real: Real = "float32",
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """(answers (N, width), instructions (N,)) of `static void one(const float *record, float *answer)`, or double.
 
     Args:
         text: C with that function. sources, flags: what is compiled with it, and how.
@@ -122,7 +129,7 @@ def counted_c(
             folder.joinpath(name).write_text(templates.joinpath(f"{name}.j2").read_text().replace("{{ name }}", _NAME))
         main = folder / "main.c"
         main.write_text(f"{text}\n{_MAIN}")
-        sizes = (f"-DRECORD={records.shape[1]}", f"-DANSWER={width}")
+        sizes = (f"-DRECORD={records.shape[1]}", f"-DANSWER={width}", f"-DREAL={C_TYPE[real]}")
         bare = ("--specs=rdimon.specs", "-nostartfiles", f"-T{folder / 'target.ld'}", "-w")
         program = compile_program(
             [folder / "target_start.c", main, *sources],
@@ -136,7 +143,7 @@ def counted_c(
         at = {words[2]: words[0] for words in map(str.split, listed.splitlines()) if len(words) == 3}
         option = f"{plugin},from=0x{at['step']},to=0x{at['stepped']},out={folder / 'counts'}"
         command = [*built.board(str(program)), "-plugin", option]
-        sent = records.astype(np.float32).tobytes()
+        sent = records.astype(real).tobytes()
         raw = subprocess.run(command, input=sent, capture_output=True, check=True).stdout
         counts = np.array([int(line) for line in (folder / "counts").read_text().split()])
-    return np.frombuffer(raw, dtype=np.float32).reshape(len(counts), width), counts
+    return np.frombuffer(raw, dtype=real).reshape(len(counts), width), counts

@@ -177,10 +177,21 @@ def on_post_page(output: str, page: Any, config: Any) -> str:
 
 
 def on_post_build(config: Any) -> None:
-    """Mend the search (lunr): the names of its nodes join digits, so that it confuses nodes and then fails."""
+    """Mend the search (lunr).
+
+    The names of its nodes join digits, so that it confuses nodes and then fails. And of a question such as "what is a
+    disk margin", it takes "a" for the start of every word with a.
+    """
     for worker in Path(config.site_dir).glob("assets/javascripts/workers/search.*.js"):
-        text = worker.read_text(encoding="utf-8")
-        worker.write_text(_NODE.sub(r"\1+','}\3", text), encoding="utf-8")
+        text = _NODE.sub(r"\1+','}\3", worker.read_text(encoding="utf-8"))
+        text, count = _ASKED.subn(lambda _: _WITHOUT_STOP_WORDS, text)
+        assert count == 1, f"{worker}: another search than the one that is mended here"
+        worker.write_text(text, encoding="utf-8")
 
 
 _NODE = re.compile(r"((\w)=\2\+\w\+\w\.id)\}(return \2\b)")
+_ASKED = re.compile(r"(?<=search\(e\)\{)(?=if\(e=e\.replace)")
+_WITHOUT_STOP_WORDS = (
+    r"let kept=e.split(/\s+/).filter(w=>lunr.stopWordFilter(w.replace(/\W/g,'').toLowerCase()));"
+    "if(kept.length)e=kept.join(' ');"
+)

@@ -181,6 +181,8 @@ class Distance:
             raise Rejected(
                 f"braking guarantees nothing for an obstacle that approaches at {float(self.obstacle):g} m/s"
             )
+        if self.obstacle > claim.fastest:  # braking ends with a retreat at the speed of the obstacle
+            raise Rejected(f"an obstacle of {float(self.obstacle):g} m/s is faster than fastest_m_per_s")
         if self.knots[0] or any(b <= a for a, b in pairwise(self.knots)) or len(self.slopes) != len(self.knots):
             raise Rejected("the knots of the braking distance must start at 0 and rise, with a slope for each knot")
         if self.slopes[0] < 0 or any(b < a for a, b in pairwise(self.slopes)):

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import shlex
+import shutil
 import tempfile
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
@@ -55,6 +56,14 @@ class ExportOptions:
     prove: bool
     out: Path
 
+    def for_processor(self) -> ExportOptions:
+        """Return the options with C as output, and `--check` on the compiler or processor that `--target` names."""
+        from surctl.export.emulated import TARGETS as PROCESSORS
+
+        if self.target not in PROCESSORS:
+            return self
+        return replace(self, target="c99", check=True, targets=",".join(filter(None, (self.targets, self.target))))
+
     def checked(self, targets: Sequence[str], *, of: str = "") -> tuple[Real, Tools]:
         """Return the number type, the compilers and processors of `--check`, and those that are not available.
 
@@ -63,11 +72,12 @@ class ExportOptions:
                 unknown.
             ToolMissing: there is no C compiler.
         """
+        from surctl.export.emulated import TARGETS as PROCESSORS
         from surctl.export.emulated import chosen_targets
         from surctl.export.precision import REALS
         from surctl.ir.cache import find_compiler
 
-        for key, value, known in (("--target", self.target, targets), ("--real", self.real, REALS)):
+        for key, value, known in (("--target", self.target, (*targets, *PROCESSORS)), ("--real", self.real, REALS)):
             if value not in known:
                 raise InputError(f"is not available{of}", key=key, value=value, remedy=nearest(value, known))
         if not self.check and (self.targets or self.steps):
@@ -155,8 +165,11 @@ class ExportOptions:
         first, last = about
         lines = [*first, *(f"{file.sha256[:12]}  {file.path}" for file in files), "", f"replayed: {replayed}", *last]
         lines += [sil.summary(), *further, verdict, *assessment.decisive]
-        brief = [_sil_line(sil), verdict, *filter(None, further)]
-        brief += [f"replayed: {replayed}"] * assessment.accepted()  # otherwise the worst line needs the room
+        brief = [_sil_line(sil), verdict, *([] if proof is None else [proof.summary()])]
+        if report is None:  # the worst line, or the figures of a target, need the room
+            brief += [f"replayed: {replayed}"] * assessment.accepted()
+        else:  # what differs first
+            brief += [" ".join(build.line().split()) for build in sorted(report.builds, key=lambda one: one.same)]
         passed = (report is None or report.passed) and (proof is None or proof.proved)
         finish(
             data, lines, as_json=as_json, passed=same and passed and assessment.accepted(), then=then,
@@ -176,9 +189,7 @@ class Compared(NamedTuple):
 @click.argument("words", nargs=-1, metavar="[FILE.py:FUNCTION [NAME=VALUE]...]")
 @seconds_option
 @click.option("--name", metavar="TEXT", help="Prefix of all names in C (default: name of the law).")
-@click.option(
-    "--target", default="c99", metavar="NAME", help="Format: c99 (default), fmu (FMI 2), fmu3, mjcf (MuJoCo)."
-)
+@click.option("--target", default="c99", metavar="NAME", help="c99 (default), fmu, fmu3, mjcf, one of --targets.")
 @click.option(
     "--real", default="float64", metavar="NAME", help="Number type of the C code: float64 (default) or float32."
 )
@@ -196,6 +207,7 @@ class Compared(NamedTuple):
 @collected(options=ExportOptions)
 def export(words: tuple[str, ...], seconds: float | None, options: ExportOptions, as_json: bool, **_: Any) -> None:
     """Write the controller as C99 and compare it with Python at each step of a run."""
+    options = options.for_processor()
     if is_system(words):
         export_system(words, options, seconds=seconds, as_json=as_json)
     to_application(words)
@@ -266,5 +278,7 @@ def export_system(words: Sequence[str], options: ExportOptions, *, seconds: floa
         compared, bundle, assess(ClosedLoop(own.system, values, record=record)),
         proof=proof, replay=replay_of(own, record), replayed=end_text(own, record),
         about=((), cost_lines(own.system, record.figures)), data=data, same=sil.exact,
-        then=[f"make -C {shlex.quote(str(options.out))} check"], as_json=as_json,
+        # not the same comparison again, after that of --check
+        then=[f"make -C {shlex.quote(str(options.out))} check"] if shutil.which("make") and not options.check else [],
+        as_json=as_json,
     )  # fmt: skip

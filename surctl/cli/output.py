@@ -297,6 +297,11 @@ class _PathTo(click.Path):
     def get_metavar(self, param: click.Parameter, ctx: click.Context) -> str:
         return self.metavar
 
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        if value == "":  # of a variable of the shell that is not set; Path("") is the working folder
+            self.fail("is empty; name a file or folder, or write . for the working folder", param, ctx)
+        return super().convert(value, param, ctx)
+
 
 FOLDER, FILE = _PathTo("DIR"), _PathTo("FILE")
 out_folder = click.option("--out", type=FOLDER, help="Folder for plots and files (default: no files).")

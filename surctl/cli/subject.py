@@ -118,7 +118,7 @@ class OwnSystem:
                 problem, remedy = "is the name of a built-in law", "choose another name"
                 raise InputError(problem, key="name", value=chosen, remedy=remedy)
         except InputError as error:
-            if error.key == "name" and name:
+            if error.key == "name" and name is not None:
                 raise InputError(error.problem, key="--name", value=name, remedy=error.remedy) from None
             raise error.inside(self.word, "controller" if error.key == "name" else error.key) from None
         return chosen
@@ -155,20 +155,41 @@ def refuse_others(what: str) -> None:
     own = own_parameters(context.command)
     for option in context.command.params:
         typed = context.get_parameter_source(option.name or "") != ParameterSource.DEFAULT
-        if isinstance(option, click.Option) and option not in own and typed:
+        # a table of gains replaces gains of a system, too
+        if isinstance(option, click.Option) and option not in own and typed and option.name != "gains":
             raise InputError(f"does not apply to {what}", key=option.opts[0], remedy="drop it")
 
 
 def load_system(words: Sequence[str]) -> OwnSystem:
     """Return the system that the first word names; what its file prints goes to stderr.
 
+    The gains of a table `--gains`, which `surctl tune` writes, become words NAME=VALUE before the typed ones.
+
     Raises:
-        InputError: the file or function does not exist, the function fails, or it does not return a system.
+        InputError: the file or function does not exist, the function fails, or it does not return a system; the table
+            has other columns than gains, or more than one row.
     """
     from surctl.system.subjects import load_subject
 
-    subject = load_subject(words[0])
-    return OwnSystem(subject.system, words[0], subject.label, tuple(words[1:]), subject.sha256)
+    subject, typed = load_subject(words[0]), words[1:]
+    file = click.get_current_context().params.get("gains")
+    known = {} if file is None else _tabled_gains(file, subject.system)
+    named = {word.partition("=")[0].strip() for word in typed}
+    settings = (*(f"{name}={value!r}" for name, value in known.items() if name not in named), *typed)
+    return OwnSystem(subject.system, words[0], subject.label, settings, subject.sha256)
+
+
+def _tabled_gains(file: str, system: System) -> dict[str, float]:
+    from surctl.recorded import read_recorded
+    from surctl.system import entry_labels
+
+    table = read_recorded(Path(file))
+    for name in table.columns:
+        check_known(name, entry_labels(system.controller.gains), "is not a gain of the system", key="column", file=file)
+    if len(table.lines) != 1:
+        remedy = "give the file gains.csv of surctl tune"
+        raise InputError(f"has {len(table.lines)} rows of gains", file=file, remedy=remedy)
+    return {name: float(table.numbers(name)[0]) for name in table.columns}
 
 
 def assigned(words: Sequence[str]) -> Mapping[str, NDArray[np.float64]]:
@@ -366,7 +387,8 @@ def region_words(
 ) -> tuple[list[str], RegionWords | None, dict[str, tuple[float, float]]]:
     """Separate the words about a region of attraction and the ranges from the others.
 
-    Without words `within.STATE`, the box is that of the system; if it has none, no region is asked for (None).
+    The box is that of the system; words `within.STATE` replace its range of that state, and hold the state constant if
+    both ends are equal. Without box and words, no region is asked for (None).
 
     Raises:
         InputError: a range is not LOW..HIGH, a name is given twice, or a claim is stated without `within.STATE`.
@@ -390,7 +412,7 @@ def region_words(
             table[key] = _range(text, name)
         else:
             others.append(word)
-    within = within or dict(system.within)
+    within = {**system.within, **within}
     if not within:
         if claim:
             key = f"{_CLAIM}{next(iter(claim))}"

@@ -165,6 +165,8 @@ def _pictures(
                 figures["sweep", *names, column] = partial(plot_heat_map, table, column, titles=job.titles)
         for words, draw in (figures | dict(more)).items():
             with saving(" ".join(words)):
+                if (stem := Path(str(table.path)).stem) != "sweep":  # the folder's sweep.nc is of another request
+                    words = (stem, *words[words[0] == "sweep" :])
                 pictures.append(save_figure(draw(), out, words))
     return pictures
 
@@ -226,7 +228,7 @@ def _run_summary(
         columns: dict[str, Sequence[Any]] = {name: values.tolist() for name, values in at.items()}
         columns |= {f"{name} [{c.unit}]": runs[name].tolist() for name, c in system.costs.items()}
         columns |= {"stopped": runs.stopped.tolist(), "duration [s]": runs.time.tolist()}
-        files["table"] = write_csv(out / "sweep.csv", columns)
+        files["table"] = write_csv(Path(str(table.path)).with_suffix(".csv"), columns)
     files["netCDF"] = Path(str(table.path))
     choices = chosen_points(table, system)
     best = best_points(table, system, choices)

@@ -153,7 +153,8 @@ def _search(task: Task, *, trials: int, rounds: int, runs: int, out: Path, as_js
         missed, (remedy, longer) = misses(tuning), advice(tuning, trials=trials)
         lines += ["", warning, *(f"  {miss.text}" for miss in missed), f"  {remedy}"]
         then = [same_command(trials=2 * trials, rounds=rounds + 2)] if longer else task.look(missed, str(gains_path))
-    brief = [headline, *([warning] if warning else []), *verdict, *more.floor, *summary(tuning)[-2:]]
+    brief = ["; better: ".join([headline, *comparison.gained[:1]]), *([warning] if warning else []), *verdict]
+    brief += [*more.floor, *summary(tuning)[-2:]]
     brief += [*doubtful, *more.over]
     finish(
         result, lines,
@@ -246,7 +247,7 @@ class _System(Task):
             when: cost_data(own.system, self.request.costs(values))
             for when, values in (("before", self.request.begun), ("after", tuning.result.gains))
         }
-        numbers = [f"{name}={value!r}" for name, value in tuning.result.gains.items()]
+        numbers = ["--gains", gains]
         seconds = f"{duration or 100 * own.system.dt:g}"
         then = [command_line("verify", own, *numbers), command_line("export", own, *numbers, "--seconds", seconds)]
         data = {**own.names, "seconds": duration, "costs": costs}

@@ -14,6 +14,7 @@ from surctl.errors import InputError
 from surctl.export.contract import SATURATED, Exportable, command_size
 from surctl.ir import Real
 from surctl.system import Record
+from surctl.units import as_numbers
 
 # Recorded runs of a law, in the form that the software-in-the-loop test replays
 
@@ -69,7 +70,7 @@ def as_records(law: Exportable, records: AnyRecord) -> Records:
 
 
 def _stack(rows: list[ArrayLike]) -> Vector:
-    return np.array([np.asarray(r, dtype=float).reshape(-1) for r in rows], dtype=float)
+    return np.array([as_numbers(r, key="records").reshape(-1) for r in rows], dtype=float)
 
 
 def _sized(array: ArrayLike, steps: int, size: int, key: str) -> Vector:

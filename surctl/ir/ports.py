@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError, nearest
-from surctl.units import is_number
+from surctl.units import as_numbers, is_number
 
 Gap: TypeAlias = Literal["keep", "age", "anew"]
 
@@ -75,7 +75,10 @@ class Layout:
     def __init__(self, ports: Iterable[Port] | Port) -> None:
         if isinstance(ports, Port):
             raise InputError("is one port", key=f"port {ports.name}", remedy="write Layout((port,))")
-        self.ports: tuple[Port, ...] = tuple(ports)
+        try:
+            self.ports: tuple[Port, ...] = tuple(ports)
+        except TypeError:
+            raise InputError("is no list of ports", key="Layout", value=ports, remedy="write Layout((port,))") from None
         for port in self.ports:
             if not isinstance(cast("object", port), Port):
                 raise InputError("is no Port", key="Layout", value=port, remedy="give surctl.ir.Port(...)")
@@ -112,9 +115,12 @@ class Layout:
     def pack(self, values: Mapping[str, object] | None = None) -> NDArray[np.float64]:
         """Return a flat vector from values by port name; a port without a value gets its default."""
         flat = self._defaults.copy()
-        for name, value in (values or {}).items():
+        values = {} if values is None else values
+        if not isinstance(cast("object", values), Mapping):
+            raise InputError("is not a dict of values by name", key="values", value=values, remedy='write {"k": 2.0}')
+        for name, value in values.items():
             port = self.port(name)
-            array = np.asarray(value, dtype=float)
+            array = as_numbers(value, key=name)
             if array.size != port.size:
                 raise InputError(
                     f"has {array.size} numbers, expected shape {port.shape}", key=name, remedy=port.meaning

@@ -12,7 +12,8 @@ function is the entry: it reads the inputs and writes the outputs, which are arr
 - `+ - *`, `/` on reals, comparisons, `and or not`, `a if c else b`, `sqrt`, `fabs`, and calls of earlier functions;
 - assignments, `if`, `return`, `break`, `continue`, `pass`;
 - `for i in range(stop)` with a constant, `for i in within(start, stop, most)`, which is `range(start, stop)` with at
-  most `most` (a constant) iterations, and `for i in back(start, stop, most)`, the same in reverse order.
+  most `most` (a constant) iterations, and `for i in back(start, stop, most)`, the same in reverse order;
+- what bounds the number of operations more closely, see module `bound`.
 
 There is no recursion and no unbounded loop, so the number of operations is bounded. A procedure has to write an entry
 of its memory before it reads it, and must stay inside its arrays for any input, NaN included: `replay` raises an error
@@ -24,8 +25,9 @@ from __future__ import annotations
 import ast
 import hashlib
 import math
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from types import FunctionType
 from typing import Any, NoReturn, TypeAlias
@@ -34,6 +36,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError
+from surctl.ir.bound import bound, called
 
 # Numbers with derivatives, with which a procedure is executed to differentiate it (forward mode)
 
@@ -118,6 +121,19 @@ def back(start: int, stop: int, most: int) -> range:
     return within(start, stop, most)[::-1]
 
 
+def seldom(most: int) -> bool:
+    """Return True, see module `bound`."""
+    return most >= 0
+
+
+def once(value: int, most: int) -> None:
+    """Do nothing, see module `bound`."""
+
+
+def anew() -> None:
+    """Do nothing, see module `bound`."""
+
+
 def sqrt(x: float) -> float:
     """Return √x in the precision of x; NaN for x < 0."""
     if type(x) is float:
@@ -148,6 +164,7 @@ class Procedure:
         sizes: (name, value) of each constant.
         memory: (name, "real" or "whole", number of entries) of each array, and of each variable, whose number is 0.
         source: the functions, as `ast.unparse` writes them; the last one is the entry.
+        bounded: the same with `assert` and `seldom`, see module `bound`.
     """
 
     name: str
@@ -156,6 +173,7 @@ class Procedure:
     sizes: tuple[tuple[str, int], ...]
     memory: tuple[tuple[str, str, int], ...]
     source: str
+    bounded: str = field(default="", compare=False, repr=False)
 
     @classmethod
     def of(
@@ -173,8 +191,9 @@ class Procedure:
         texts = [function if isinstance(function, str) else source_of(function) for function in functions]
         memory = [(key, "real", size) for key, size in reals.items()]
         memory += [(key, "whole", size) for key, size in wholes.items()]
-        own = tuple(sizes.items())
-        return cls(name, tuple(inputs), tuple(outputs), own, tuple(memory), "\n".join(texts))
+        own, bounded = tuple(sizes.items()), "\n".join(texts)
+        source = "\n".join(map(ast.unparse, _Unbounded().visit(ast.parse(bounded)).body))
+        return cls(name, tuple(inputs), tuple(outputs), own, tuple(memory), source, bounded)
 
     def __post_init__(self) -> None:
         """Raise InputError for a source that a back end could not run."""
@@ -187,11 +206,8 @@ class Procedure:
 
     @cached_property
     def operations(self) -> int:
-        """Return the largest number of operations on reals; every loop counts as often as it may run."""
-        counts: dict[str, int] = {}
-        for function in self.functions:
-            counts[function.name] = _cost(function.node.body, dict(self.sizes), counts)
-        return counts[self.functions[-1].name]
+        """Return a number of operations that no run exceeds, see module `bound`."""
+        return bound(self.bounded or self.source, self.sizes)
 
     @property
     def libm(self) -> frozenset[str]:
@@ -236,16 +252,46 @@ class Procedure:
 
     @cached_property
     def _entry(self) -> Callable[[_Memory], None]:
-        scope: dict[str, Any] = {"range": range, "within": within, "back": back, "_divided": _divided, **_FUNCTIONS}
-        tree = ast.fix_missing_locations(_Executable().visit(ast.parse(self.source)))
+        scope: dict[str, Any] = {
+            "range": range,
+            "within": within,
+            "back": back,
+            "_divided": _divided,
+            **_CHECKED,
+            **_FUNCTIONS,
+        }
+        tree = ast.fix_missing_locations(_Executable().visit(ast.parse(self.bounded or self.source)))
         scope["__builtins__"] = {}
         exec(compile(tree, self.name, "exec"), scope)  # `_typed` admits only the language above
         entry: Callable[[_Memory], None] = scope[self.functions[-1].name]
         return entry
 
 
+class _Unbounded(ast.NodeTransformer):
+    """Drops the statements of module `bound`, which are not part of the text of a procedure."""
+
+    def visit_Assert(self, node: ast.Assert) -> None:
+        return None
+
+    def visit_Expr(self, node: ast.Expr) -> ast.Expr | None:
+        return node if called(node.value, "once") is called(node.value, "anew") else None
+
+    def visit_BoolOp(self, node: ast.BoolOp) -> ast.expr:
+        self.generic_visit(node)
+        values = [value for value in node.values if called(value, "seldom") is None]
+        return values[0] if len(values) == 1 else ast.BoolOp(node.op, values)
+
+
 class _Executable(ast.NodeTransformer):
-    """Drops annotations, and replaces divisions by calls of `_divided`."""
+    """Drops annotations, and replaces divisions and the statements of module `bound` by calls that execute them."""
+
+    def visit_Call(self, node: ast.Call) -> ast.expr:
+        self.generic_visit(node)
+        name = getattr(node.func, "id", "")
+        if name not in ("seldom", "once", "anew"):
+            return node
+        place = ast.Constant(f"{node.lineno}:{node.col_offset}")
+        return ast.Call(ast.Name(f"_{name}", ast.Load()), [ast.Name("s", ast.Load()), place, *node.args], [])
 
     def visit_FunctionDef(self, node: ast.FunctionDef) -> ast.FunctionDef:
         node.returns = None
@@ -271,6 +317,28 @@ def _divided(a: Any, b: Any) -> Any:
 class _Memory:
     def __init__(self, space: Mapping[str, Any]) -> None:
         self.__dict__.update(space)
+        self.entered: Counter[str] = Counter()
+        self.values: set[int] = set()
+
+
+def _seldom(s: _Memory, place: str, most: int) -> bool:
+    s.entered[place] += 1
+    if s.entered[place] > most:
+        raise IndexError(f"a branch is entered {s.entered[place]} times, at most {most} were declared")
+    return True
+
+
+def _once(s: _Memory, place: str, value: int, most: int) -> None:
+    if value in s.values or not 0 <= value < most:
+        raise IndexError(f"a value comes twice, or is not below {most}: {value}")
+    s.values.add(value)
+
+
+def _anew(s: _Memory, place: str) -> None:
+    s.values.clear()
+
+
+_CHECKED = {"_seldom": _seldom, "_once": _once, "_anew": _anew}
 
 
 def source_of(function: Callable[..., Any]) -> str:
@@ -502,21 +570,3 @@ def _is_none(node: ast.expr | None) -> bool:
 def _loaded(target: ast.expr) -> ast.expr:
     # `_type` looks at no context (load or store)
     return target
-
-
-def _cost(body: Sequence[ast.AST], sizes: Mapping[str, int], counts: Mapping[str, int]) -> int:
-    total = 0
-    for node in body:
-        if isinstance(node, ast.For):
-            assert isinstance(node.iter, ast.Call)
-            total += _constant(node.iter.args[-1], sizes) * _cost(node.body, sizes, counts)
-        elif isinstance(node, ast.If):
-            branches = [_cost(part, sizes, counts) for part in (node.body, node.orelse)]
-            total += _cost([node.test], sizes, counts) + max(branches)
-        else:
-            total += isinstance(node, ast.BinOp | ast.Compare | ast.AugAssign | ast.UnaryOp)
-            if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
-                total += counts.get(node.func.id, 1)
-            if not isinstance(node, ast.Subscript):  # the index is whole
-                total += _cost(list(ast.iter_child_nodes(node)), sizes, counts)
-    return total

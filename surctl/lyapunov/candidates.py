@@ -393,6 +393,8 @@ def strict_variants(dynamics: Dynamics, linear: Linear, function: Node) -> Itera
     size = float(np.median(np.asarray(d.compiled(function)(x, np.repeat(d.corners()[:, :1], x.shape[1], axis=1)))))
     coefficients = quadratic(d, matrix)
     coefficients *= size / float(np.median(coefficients @ template.features(x, d.corners()[:, 0])[0]))
+    if not size or not np.isfinite(coefficients).all():  # no small part of such a function
+        return
     for share in (0.3, 0.1, 0.03, 0.01):
         added = template.function(share * coefficients)
         yield Candidate(f"given function plus {share:g} of a quadratic one", function + added, 0.0)

@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from fractions import Fraction
-from typing import Any
+from typing import Any, cast
 
 import casadi as ca
 import numpy as np
@@ -18,7 +18,8 @@ from surctl.lyapunov.dynamics import Command, Dynamics, Range, Sampling, State, 
 from surctl.lyapunov.equilibrium import refined
 from surctl.lyapunov.exact_rest import exact_values
 from surctl.system import System, entry_labels, entry_units, find_equilibrium
-from surctl.system.values import check_scalar, place_of, run_numbers, unit_of
+from surctl.system.values import checked_ranges, place_of, run_numbers, unit_of
+from surctl.units import as_range
 from surctl.verification.formula import IDENTIFIER, Node, Statement, from_casadi, number, rebuilt, substitute
 from surctl.verification.proving import prove_cases
 
@@ -142,24 +143,26 @@ def _dynamics(
         raise NotApplicable("its controller is compiled, without a symbolic law", to="the loop", key=controller.name)
     labels = entry_labels(plant.state) + entry_labels(controller.state, "controller.")
     units = entry_units(plant.state) + entry_units(controller.state)
+    if not isinstance(cast("object", within), Mapping):
+        raise InputError("is not a dict of ranges", key="within", value=within, remedy='write {"angle": (-1, 1)}')
     for label in within:
         if label not in labels:
             raise InputError("is not a state of the system", key=f"within.{label}", remedy=nearest(label, labels))
-    numbers = run_numbers(system, values or {})
+    within = {label: as_range(ends, key=f"within.{label}") for label, ends in within.items()}
+    numbers = run_numbers(system, values)
     if numbers.count != 1:
         raise InputError("has several runs", key="values", remedy="give one number for each name")
     groups = ("plant", "gains", "reference", "disturbance")
     constants = _Constants()
     flat = {group: constants.column(getattr(numbers, group)[0].tolist()) for group in groups}
     free, parameters = [], []
-    for name, (low, high) in (ranges or {}).items():
-        check_scalar(system, name)
+    for name, (low, high) in checked_ranges(system, ranges or {}, key="").items():
         group, place = place_of(system, name)
         if group == "start":
             raise InputError("is a state", key=name, remedy=f"write within.{name.removeprefix('start.')}")
         free.append(ca.SX.sym(name))
         flat[group][place] = free[-1]
-        parameters.append(Range(_identifier(name), float(low), float(high), unit_of(system, name)))
+        parameters.append(Range(_identifier(name), low, high, unit_of(system, name)))
     t = ca.SX.sym("t")
     moves = [k for k, label in enumerate(labels) if label in within and within[label][0] != within[label][1]]
     try:
@@ -186,7 +189,7 @@ def _dynamics(
     states = []
     for k in moves:
         low, high = within[labels[k]]
-        states.append(State(_identifier(labels[k]), float(low), float(high), units[k], "", rest[k], to_the_bit=True))
+        states.append(State(_identifier(labels[k]), low, high, units[k], "", rest[k], to_the_bit=True))
     names = [v.name for v in (*states, *parameters)]
     nodes = constants.expressions(ca.vertcat(symbols, *free), names, rates[moves])
     vectors = {"state": whole, **flat, "reference": reference, "disturbance": disturbance}

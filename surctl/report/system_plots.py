@@ -228,7 +228,7 @@ def plot_attainable_rates(
         if not (np.isfinite(limits[label]).all() and limits[label][0] < limits[label][1]):
             remedy = "give two finite numbers, the lower one first"
             raise InputError("is not a range", key=f"limits.{label}", value=list(limits[label]), remedy=remedy)
-    numbers = run_numbers(system, values or {})
+    numbers = run_numbers(system, values)
     low, high = np.array([limits[label] for label in commands]).T
     rows = [states.index(x), states.index(y)]
 

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from surctl.errors import InputError, nearest
 from surctl.ir import Port
 from surctl.robot.urdf import Joint, Urdf
+from surctl.units import as_numbers
 
 # Rotations as matrices, quaternions (x, y, z, w) and rotation vectors, in CasADi
 
@@ -364,10 +365,7 @@ class Kinematics:
 
     def checked(self, value: ArrayLike, size: int, key: str) -> Array:
         """Return a vector of `size` finite numbers; raise InputError otherwise."""
-        try:
-            vector = np.asarray(value, dtype=float).reshape(-1)
-        except (TypeError, ValueError):
-            vector = np.zeros(0)
+        vector = as_numbers(value, key=key).reshape(-1)
         if vector.size != size or not np.isfinite(vector).all():
             raise InputError(
                 f"is not {size} finite numbers", key=key, value=value, remedy=f"joints: {', '.join(self.names)}"

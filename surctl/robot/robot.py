@@ -20,7 +20,7 @@ from surctl.robot import limits
 from surctl.robot.kinematics import Base, Kinematics, quaternion_of, rotation_of, rotation_vector
 from surctl.robot.urdf import read_urdf
 from surctl.tasks import Task
-from surctl.units import is_number
+from surctl.units import as_numbers, is_number
 
 # Tasks of a robot: frames, centre of mass, posture and the direction in which a frame looks
 
@@ -90,7 +90,7 @@ class FrameTask:
 
 def flat_pose(pose: ArrayLike) -> Array:
     """Return position and quaternion (7,): x, y, z [m], then x, y, z, w; from these, or from a matrix (4, 4)."""
-    matrix = np.asarray(pose, dtype=float)
+    matrix = as_numbers(pose, key="target")
     if matrix.shape != (4, 4):
         return matrix.reshape(-1)
     R = matrix[:3, :3]
@@ -244,7 +244,7 @@ class Robot(Kinematics):
         """
         name = _checked_name(target)
         moving = self.frame(frame)
-        direction = np.asarray(axis, dtype=float)
+        direction = as_numbers(axis, key="axis")
         length = float(np.sqrt(direction @ direction)) if direction.shape == (3,) else 0.0
         if not length > 0.0:
             raise InputError(

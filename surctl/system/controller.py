@@ -16,7 +16,7 @@ from surctl.ir import Block, Layout, Port, Recording, replay, without_libm
 from surctl.ir.c99 import identifier
 from surctl.ir.native import runnable
 from surctl.system.parts import EMPTY, Parts, called, checked_layout, joined, not_finite
-from surctl.units import is_number
+from surctl.units import as_numbers, is_number
 
 Vector = NDArray[np.float64]
 
@@ -208,7 +208,7 @@ class Controller:
         Raises:
             InputError: the size of a vector differs from its layout.
         """
-        vectors = [np.asarray(v, dtype=float).reshape(-1) for v in (x, u, p)]
+        vectors = [as_numbers(v, key=name).reshape(-1) for v, name in zip((x, u, p), "xup", strict=True)]
         for vector, layout, name in zip(vectors, (self.state, self.inputs, self.gains), "xup", strict=True):
             if vector.size != layout.size:
                 raise InputError(f"has {vector.size} numbers, expected {layout.size}", key=f"{self.name}.{name}")

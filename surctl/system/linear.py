@@ -20,6 +20,7 @@ from surctl.system.parts import entry_labels, entry_units
 from surctl.system.plant import Plant
 from surctl.system.record import Record
 from surctl.system.values import RunNumbers, run_numbers
+from surctl.units import as_numbers
 
 # Operations of a function that have no finite value or derivative at a point
 
@@ -135,7 +136,7 @@ def state_space(plant: Plant, matrices: Sequence[Array]) -> Any:
 def _flat(layout: Layout, values: Mapping[str, ArrayLike] | ArrayLike, key: str) -> Array:
     if isinstance(values, Mapping):
         return layout.pack(values)
-    vector = np.asarray(values, dtype=float).reshape(-1)
+    vector = as_numbers(values, key=key).reshape(-1)
     if not vector.size:
         return layout.pack()
     if vector.size != layout.size:
@@ -318,7 +319,7 @@ class _Rest:
 
     @classmethod
     def of(cls, system: System, values: Mapping[str, ArrayLike] | None) -> _Rest:
-        numbers = run_numbers(system, values or {})
+        numbers = run_numbers(system, values)
         if numbers.count != 1:
             raise InputError(f"are for {numbers.count} runs", key="values", remedy="give one number each")
         return cls(system, numbers)

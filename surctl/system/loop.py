@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import difflib
 import hashlib
+import warnings
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -20,10 +22,11 @@ from surctl.system.controller import SampledController, command_ports, step_resu
 from surctl.system.parts import Parts, called, joined
 from surctl.system.plant import Plant
 from surctl.system.sampled import CLOCK, Blocks, Sampled, connected
-from surctl.units import is_number
+from surctl.units import as_range, is_number
 
 _FIGURE = Layout((Port("value", (1,), "1", "a figure"),))
 
+_MISSPELT = 0.75  # similarity of two names from which one is taken for a slip of the other
 _MOST = 1000  # steps of integration in a control period
 
 ENDED, LOST = "time", "not finite"
@@ -182,7 +185,7 @@ class System:
                 if name in named:
                     remedy = "choose another name for the cost"
                     raise InputError("is a signal or a gain of the system", key=f"costs.{name}", remedy=remedy)
-                if cost.how not in get_args(How):
+                if str(cost.how) not in get_args(How):
                     remedy = nearest(str(cost.how), get_args(How))
                     raise InputError("is not known", key=f"costs.{name}.how", value=cost.how, remedy=remedy)
         for name, ends in self.limits.items():
@@ -196,6 +199,7 @@ class System:
                 with mistakes.collected():
                     _connected(port, self.measurements, key=f"{self.controller.name}.inputs", to="measured output")
         mistakes.check()
+        self._warn_of_misspelt_inputs()
         self._check_compiles()
         _ = self.signals  # a metric that cannot be computed is reported here
 
@@ -324,6 +328,17 @@ class System:
         }  # fmt: skip
         return {name: ca.SX.sym(name, size) for name, size in sizes.items()}
 
+    def _warn_of_misspelt_inputs(self) -> None:
+        """Warn of a reference whose name is nearly that of a measured output which no input receives."""
+        layouts = [self.controller.inputs, *(block.inputs for block in self.blocks.all)]
+        read = {port.name for layout in layouts for port in layout}
+        free = [port.name for port in self.measurements if port.name not in read]
+        for port in self.references:
+            for name in difflib.get_close_matches(port.name, free, n=1, cutoff=_MISSPELT):
+                if port.unit == self.measurements.port(name).unit:
+                    text = f"{self.controller.name}.inputs.{port.name}: is a reference, because nothing measures it"
+                    warnings.warn(f"{text}; did you mean {name!r}?", stacklevel=3)
+
     def _check_blocks(self) -> None:
         """Raise InputError if a sensor or actuator is no block, or an input of it is not connected."""
         for kind, blocks in (("sensors", self.sensors), ("actuators", self.actuators)):
@@ -431,8 +446,9 @@ def _connected(port: Port, layout: Layout, *, key: str, to: str) -> None:
 def _check_limits(name: str, ends: object, shown: Collection[str]) -> None:
     if name not in shown:
         raise InputError("is no signal of a run", key=f"limits.{name}", remedy=nearest(name, sorted(shown)))
-    if not isinstance(ends, tuple) or len(ends) != 2 or not all(map(is_number, ends)) or not ends[0] < ends[1]:
-        raise InputError("is not (low, high)", key=f"limits.{name}", value=ends, remedy="write such as (-1, 1)")
+    low, high = as_range(ends, key=f"limits.{name}")
+    if low == high:
+        raise InputError("is empty", key=f"limits.{name}", value=ends, remedy="write such as (-1, 1)")
 
 
 def _check_cost(name: str, cost: object) -> None:
@@ -440,7 +456,7 @@ def _check_cost(name: str, cost: object) -> None:
     key = f"costs.{name}"
     if not isinstance(cost, Cost):
         raise InputError(f"is of type {type(cost).__name__}", key=key, remedy="give a surctl.system.Cost")
-    if not str(cost.unit or "").strip():
+    if not isinstance(cast("object", cost.unit), str) or not cost.unit.strip():
         raise InputError("has no unit", key=key, remedy='name it in SI, "1" if it has none')
     bound = cost.at_most
     if bound is not None and not is_number(bound):

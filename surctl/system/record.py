@@ -111,7 +111,7 @@ def run_system(system: System, seconds: float, values: Mapping[str, ArrayLike] |
         >>> record["speed"][[0, 10], 0].round(3)
         array([1.   , 0.349])
     """
-    numbers = run_numbers(system, values or {})
+    numbers = run_numbers(system, values)
     if numbers.count != 1:
         raise InputError(
             f"are for {numbers.count} runs", key="values", remedy="give the values of one run, or call simulate_system"

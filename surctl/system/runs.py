@@ -18,6 +18,7 @@ from surctl.noise import noise_states
 from surctl.plotted import Plotted
 from surctl.system.loop import ENDED, LOST, Cost, System, once_per_system
 from surctl.system.values import run_numbers
+from surctl.units import is_number
 
 Array = NDArray[np.float64]
 
@@ -71,7 +72,7 @@ def simulate_system(
         array([2.1, 1. , 0.4])
     """
     steps = periods(system, seconds)
-    numbers = run_numbers(system, values or {})
+    numbers = run_numbers(system, values)
     state, _ = _layouts(system)
     start = np.tile(state.pack({"controller": system.controller.initial_state()}), (numbers.count, 1))
     start[:, state.slice("plant")] = numbers.start
@@ -106,7 +107,7 @@ def periods(system: System, seconds: float) -> int:
         >>> periods(cart_system(), 2.0)
         20
     """
-    steps = round(seconds / system.dt) if np.isfinite(seconds) else 0
+    steps = round(seconds / system.dt) if is_number(seconds) and is_number(seconds / system.dt) else 0
     if steps < 1:
         remedy = f"give at least a period, {system.dt:g} s"
         raise InputError("is not a duration of a run", key="seconds", value=seconds, remedy=remedy)

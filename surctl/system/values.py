@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import hashlib
 import re
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
+from typing import cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,7 +16,7 @@ from surctl.errors import InputError, nearest
 from surctl.ir import Layout, Port
 from surctl.system.loop import System
 from surctl.system.parts import entry_units
-from surctl.units import is_number
+from surctl.units import as_numbers, as_range
 
 Array = NDArray[np.float64]
 _NAME = re.compile(r"(?:(?P<group>\w+)\.)?(?P<port>\w+)(?:\[(?P<entry>\d+)\])?")
@@ -54,7 +56,7 @@ class RunNumbers:
         return digest.hexdigest()
 
 
-def run_numbers(system: System, values: Mapping[str, ArrayLike]) -> RunNumbers:
+def run_numbers(system: System, values: Mapping[str, ArrayLike] | None) -> RunNumbers:
     """Return the numbers of all runs from the given values; a part (port) without a value has its default.
 
     Args:
@@ -63,12 +65,15 @@ def run_numbers(system: System, values: Mapping[str, ArrayLike]) -> RunNumbers:
             denotes one entry of a port. A scalar holds for every run and entry; an array (n,) has one number for each
             run (for a port with one entry); an array (n, size) has one row for each run.
     """
+    values = {} if values is None else values
+    if not isinstance(cast("object", values), Mapping):
+        raise InputError("is not a dict of numbers by name", key="values", value=values, remedy='write {"k": 2.0}')
     layouts = _layouts(system)
     placed: list[tuple[str, slice, Array]] = []
     count = 1
     for name, value in values.items():
         group, place = _place(name, layouts)
-        array = np.asarray(value, dtype=float)
+        array = as_numbers(value, key=name)
         if not np.isfinite(array).all():
             raise InputError("is not finite", key=name, remedy="give finite numbers")
         size = place.stop - place.start
@@ -120,7 +125,9 @@ def every_combination(*groups: Mapping[str, ArrayLike]) -> dict[str, Array]:
     combined: dict[str, Array] = {}
     count = 1
     for group in groups:
-        arrays = {name: np.asarray(value, dtype=float) for name, value in group.items()}
+        if not isinstance(cast("object", group), Mapping):
+            raise InputError("is not a dict of numbers by name", key="values", value=group, remedy='write {"k": 2.0}')
+        arrays = {name: as_numbers(value, key=name) for name, value in group.items()}
         rows = max((len(array) for array in arrays.values() if array.ndim), default=1)
         combined = {name: np.repeat(array, rows, axis=0) if array.ndim else array for name, array in combined.items()}
         for name, array in arrays.items():
@@ -149,11 +156,12 @@ def checked_ranges(
     checked = {}
     for name, ends in ranges.items():
         check_scalar(system, name)
-        pair: Array = np.asarray(ends, dtype=object)
-        if pair.shape != (2,) or not all(map(is_number, pair)) or not pair[0] <= pair[1]:
-            remedy = "give (low, high), two finite numbers with low <= high"
-            raise InputError("is not a range", key=f"{key}{name}", value=ends, remedy=remedy)
-        checked[name] = (float(pair[0]), float(pair[1]))
+        checked[name] = as_range(ends, key=f"{key}{name}")
+        if not checked[name][0] <= (nominal := default_of(system, name)) <= checked[name][1]:
+            text = f"{key}{name} = {checked[name]}: leaves out the nominal value, {nominal:g} {unit_of(system, name)}"
+            warnings.warn(
+                f"{text}, for which the nominal margins are; widen the range, or change the value", stacklevel=2
+            )
     if len(checked) > _MOST_RANGES:
         remedy = f"keep the {_MOST_RANGES} that matter most"
         raise InputError(f"are {len(checked)}: every corner is judged", key=key.rstrip("."), remedy=remedy)
@@ -194,7 +202,7 @@ def _layouts(system: System) -> dict[str, Layout]:
 
 
 def _place(name: str, layouts: Mapping[str, Layout]) -> tuple[str, slice]:
-    parts = _NAME.fullmatch(name)
+    parts = _NAME.fullmatch(name) if isinstance(cast("object", name), str) else None
     group = "gains" if parts is None or parts["group"] is None else parts["group"]
     if name == "seed" and name in layouts:
         group = name
@@ -204,7 +212,7 @@ def _place(name: str, layouts: Mapping[str, Layout]) -> tuple[str, slice]:
             for key, layout in layouts.items()
             for port in layout
         ]
-        raise InputError("no such number of the system", key=name, remedy=nearest(name, known))
+        raise InputError("no such number of the system", key=str(name), remedy=nearest(name, known))
     where = layouts[group].slice(parts["port"])
     if parts["entry"] is None:
         return group, where

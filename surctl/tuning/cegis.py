@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.errors import InputError
+from surctl.errors import InputError, check_count
 from surctl.files import write_file
 from surctl.tuning.chunked import Progress
 from surctl.tuning.gain_search import conflict, search
@@ -309,8 +309,7 @@ def _check(request: SearchRequest, trials: int, rounds: int, runs: int) -> None:
             "leaves no seeds for fresh runs", key="--seed", value=request.seed, remedy=f"write at most {MOST_SEED}"
         )
     for key, value, least in (("--trials", trials, 1), ("--rounds", rounds, 1), ("--monte-carlo", runs, 0)):
-        if value < least:
-            raise InputError(f"must be at least {least}", key=key, value=value, remedy="correct it")
+        check_count(key, value, least=least)
     most = APART // 2 // (1 + max(rounds, TRAINING))
     if runs > most:
         raise InputError(

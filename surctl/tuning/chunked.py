@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
+import re
 import signal
 import threading
 import time
@@ -179,6 +180,8 @@ Columns = Callable[[int, int], Floats]
 
 TABLE = "sweep.nc"
 """Name of the file of a finished sweep."""
+_FROM_TABLE = ("sweep.csv", "sweep-*.png", "sensitivity-*.png", "locus-*.png")  # that a command wrote beside it
+_RENAMED = re.compile(r"sweep-([0-9a-f]{12}|unreadable\d*)\b")
 _MOST_CHUNKS = 64  # chunks of a small sweep, so that an interruption loses little and every worker has work
 
 
@@ -305,7 +308,7 @@ def finished_table(out: Path, request: str, *, progress: Progress) -> Path | Non
 
 
 def _set_aside(target: Path, progress: Progress) -> None:
-    """Rename the file of another request."""
+    """Rename the file of another request, and what was written from it."""
     if not target.exists():
         return
     request = _request_of(target)
@@ -313,6 +316,10 @@ def _set_aside(target: Path, progress: Progress) -> None:
     free = next(name for name in names if not target.with_name(name).exists())
     other = target.with_name(free if request is None else f"sweep-{request[:12]}.nc")
     try:
+        for path in (path for pattern in _FROM_TABLE for path in sorted(target.parent.glob(pattern))):
+            if not _RENAMED.match(path.name):
+                rest = path.name.removeprefix("sweep") if path.name.startswith("sweep") else f"-{path.name}"
+                path.replace(path.with_name(other.stem + rest))
         target.replace(other)
     except OSError as error:
         raise cannot_write(target, error, **RESUME) from None

@@ -6,13 +6,13 @@ from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surctl.assessment import Assessment, ClosedLoop, Line, Part, assess, worst_of
-from surctl.errors import InputError, nearest
+from surctl.errors import InputError, check_count, check_number, nearest
 from surctl.ir.cache import find_compiler
 from surctl.system import LinearLoop, System, every_combination, linearise, simulate_system
 from surctl.system.loop import ENDED
@@ -28,6 +28,7 @@ from surctl.tuning.outcome import Tuned, check_finals
 from surctl.tuning.pool import CAP, Condition, SearchRequest, Sets, row
 from surctl.tuning.search import SearchRange
 from surctl.tuning.system_sweep import request_digest
+from surctl.units import as_range
 from surctl.verification.linear import LEAST_DISK_MARGIN
 
 Array = NDArray[np.float64]
@@ -233,6 +234,8 @@ def system_request(
     Raises:
         InputError: as in `tune_system`.
     """
+    check_count("trials", trials, least=1)
+    check_count("seed", seed)
     name = _checked(system, ranges, cases, objective, (*goals, *run_goals))
     for point, values in points.items():
         for gain in values.keys() & ranges.keys():
@@ -347,6 +350,7 @@ def tune_system(
         system, seconds, ranges, cases=cases, objective=objective, trials=trials, seed=seed, threads=threads,
         goals=goals, points=points, run_goals=run_goals,
     )  # fmt: skip
+    check_number("least_disk_margin", least_disk_margin, unit="a ratio", zero=True)
     tuning = tune(request, trials=trials, rounds=rounds, runs=runs, folder=out, progress=progress)
     finals = margin_goals(system, least_disk_margin)
     return check_finals(tuning, finals, request.assessed, default=finals, progress=progress)
@@ -402,11 +406,12 @@ def _checked(
         problem = "has no costs" if not system.costs else "no such cost"
         remedy = "give System(..., costs={...}) or a soft goal" if not system.costs else nearest(name, system.costs)
         raise InputError(problem, key="objective", value=objective, remedy=remedy)
-    if not ranges:
-        raise InputError("nothing is tuned", key="ranges", remedy="name at least one gain with (low, high)")
+    if not isinstance(cast("object", ranges), Mapping) or not ranges:
+        raise InputError("nothing is tuned", key="ranges", value=ranges, remedy='write {"k": (1, 4)}')
     for gain, ends in ranges.items():
-        if not (np.isfinite(ends).all() and ends[0] < ends[1]):
-            raise InputError("is not a range", key=gain, value=tuple(ends), remedy="give (low, high) with low < high")
+        low, high = as_range(ends, key=gain)
+        if low == high:
+            raise InputError("is not a range", key=gain, value=(low, high), remedy="give (low, high) with low < high")
         if gain.startswith(("plant.", "reference.", "disturbance.", "start.")):
             raise InputError("is not a gain", key=gain, remedy="tune gains of the controller; put it into the cases")
         if gain in cases:

@@ -66,7 +66,9 @@ def test_what_got_worse_comes_first_and_names_its_sizes() -> None:
     after = (replace(disk, value=0.38), replace(region, value=0.0), replace(time, value=1.2))
     told = Comparison(assessed(disk, region, time), assessed(*after))
     assert told.headline == "WORSE than before: region_m 0.26 -> 0, disk_margin 0.4 -> 0.38"
-    assert told.lines()[0] == told.headline and told.lines()[2].startswith("region_m")
+    assert told.lines()[0] == told.headline and told.lines()[3].startswith("region_m")
+    assert told.gained == ["time_ratio 1.4 -> 1.2"]
+    assert told.lines()[1] == "better than before: time_ratio 1.4 -> 1.2"
     assert told.to_dict()["worse"] == ["region_m", "disk_margin"]
     same = Comparison(assessed(disk), assessed(disk))
     assert same.headline == "no figure of the assessment is worse than before"

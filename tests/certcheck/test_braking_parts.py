@@ -46,6 +46,7 @@ def distance(own: BrakingClaim, *knots: int, obstacle: int = 0, slopes: tuple[in
     [
         (lambda: distance(claim(ratio=F(2), current=F(1, 100))), "a current together with unequal masses"),
         (lambda: distance(claim(), 0, 99, obstacle=9), "braking guarantees nothing for an obstacle that"),
+        (lambda: distance(claim(brake=F(999)), obstacle=1), "an obstacle of 1 m/s is faster than fastest_m_per_s"),
         (lambda: distance(claim(), 1, 9), "must start at 0 and rise"),
         (lambda: distance(claim(), 0, 0, 9, slopes=(0, 1, 2)), "must start at 0 and rise"),
         (lambda: distance(claim(), 0, 9, 9, slopes=(0, 1, 2)), "must start at 0 and rise"),

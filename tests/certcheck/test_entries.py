@@ -50,7 +50,8 @@ def test_lists_and_records() -> None:
     ("change", "says"),
     [
         ({"format": "other"}, "the format is not 'surctl-certificate'"),
-        ({"version": 1}, "this checker reads version 2 only"),
+        ({"version": 1}, "this checker reads version 2 of kind 'interval' only: prove the claim again"),
+        ({"version": 3}, "reads version 2"),
         ({"version": 2.0}, "the version is 2.0"),
         ({"kind": 3}, "the key kind or claim is missing"),
         ({"claim": []}, "the key kind or claim is missing"),
@@ -67,6 +68,13 @@ def test_the_frame_of_a_certificate(change: dict[str, Any], says: str, tmp_path:
         path = tmp_path / "c.json"
         path.write_text(json.dumps(good | change))
         refuses(says, read, path)
+
+
+def test_a_kind_whose_format_changed_has_a_version_of_its_own() -> None:
+    good = seal("braking", CLAIM, PROOF)
+    verify_frame(good)
+    says = "the version is 2, but this checker reads version 3 of kind 'braking' only: prove the claim again"
+    refuses(says, verify_frame, good | {"version": 2})
 
 
 def test_only_a_regular_file_of_limited_size_is_read(tmp_path: Path) -> None:

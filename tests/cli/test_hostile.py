@@ -34,6 +34,8 @@ HOSTILE = {
     "a file without an end": (["lint", "/dev/zero"], "is larger than"),
     "a part of a vehicle's name": (["lint", "bluerov2-w"], "'bluerov2-wu'"),
     "a vehicle for a vehicle": (["lint", "sur400", "--vehicle", "otter"], "--vehicle"),
+    "a folder whose name is empty": (["sweep", "k_v=1,2", "--out", ""], "--out"),
+    "a kind of file that is no text": (["lint", "list.toml"], "is not a kind of file"),
     "a folder that is no text": (["sweep", "k_v=1,2", "--out", "a\udcff"], "--out"),
     "points of two designs": (
         ["sweep", "k_v=1..2", "lookahead=1..2", "--design", "lhs", "--sensitivity", "score"],
@@ -47,7 +49,8 @@ HOSTILE = {
 def test_a_hostile_word(tmp_path: Path, case: str) -> None:
     words, told = HOSTILE[case]
     (tmp_path / "deep.toml").write_text("a=" + "[" * 3000)
+    (tmp_path / "list.toml").write_text("kind = []")
     done = surctl(*words, cwd=tmp_path)
     assert done.status == 2, done
     assert done.complaint.startswith("surctl: ") and told in done.complaint
-    assert done.out == "" and [path.name for path in tmp_path.iterdir()] == ["deep.toml"]
+    assert done.out == "" and {path.name for path in tmp_path.iterdir()} == {"deep.toml", "list.toml"}

@@ -6,6 +6,7 @@ import csv
 import json
 import re
 import shlex
+from dataclasses import replace
 from pathlib import Path
 from textwrap import dedent
 from types import ModuleType
@@ -17,6 +18,7 @@ import xarray
 from click.testing import CliRunner, Result
 
 from surctl.cli.app import app
+from surctl.cli.subject import region_words
 from surctl.errors import InputError
 from surctl.own_code import object_of, pinned
 from surctl.system import System, find_equilibrium, linearise, run_system, simulate_system
@@ -220,6 +222,22 @@ def test_a_sweep_gives_the_costs_of_each_run(file: str) -> None:
     assert data("sweep", file, "plant.blow=1", "k=0", "--seconds", "3", "--out", "swept", status=1)["best"] == {}
 
 
+def test_two_sweeps_in_one_folder_keep_their_files(file: str) -> None:
+    need_compiler()
+    first, second = (
+        ("sweep", file, "k=0.5,1", f"plant.blow={b}", "--seconds", "3", "--out", "both") for b in ("0", "0.1")
+    )
+    files = []
+    for words in (first, second, first):
+        done = data(*words)
+        files.append((done["table"], done["netcdf"], *done["pictures"]))
+        if len(files) == 1:
+            before = Path(done["table"]).read_text()
+    assert len({*files[1], *files[2]}) == len(files[1]) + len(files[2]), "no file of one is a file of the other"
+    assert Path(files[2][0]).read_text() == before and all(Path(name).is_file() for name in (*files[1], *files[2]))
+    assert len([*Path("both").iterdir()]) == len(files[1]) + len(files[2])
+
+
 def test_a_sweep_with_random_numbers_judges_a_point_by_its_worst_run(file: str) -> None:
     need_compiler()
     words = ("sweep", file, "k=0.5,2", "start.x=0.5..3", "--seconds", "1", "--out", "swept")
@@ -274,6 +292,17 @@ def test_a_system_is_exported_in_float_as_a_unit_with_its_evidence(file: str) ->
     assert "arrived" not in Path("c/README.md").read_text().split("## Evidence")[1]
 
 
+def test_c_for_a_target_is_checked_on_it(file: str) -> None:
+    need_compiler()
+    done = run("export", file, "--seconds", "1", "--target", "gcc-O0", "--steps", "60")
+    assert done.exit_code == 0, done.output
+    [figures] = [line for line in map(" ".join, map(str.split, done.stdout.splitlines())) if line.startswith("gcc-O0 ")]
+    assert figures.startswith("gcc-O0 160 steps, same bytes; ") and " B code and constants" in figures
+    assert "| gcc-O0 | same | " in Path("surctl-out/export/README.md").read_text()
+    wrong = complaint("export", file, "--seconds", "1", "--target", "cortex-m8")
+    assert wrong == "--target = 'cortex-m8': is not available for a system of your own; did you mean 'cortex-m7'?"
+
+
 def test_a_study_puts_run_margins_sweep_and_export_on_one_page(file: str) -> None:
     need_compiler()
     words = ("study", file, "reference.goal=0.5", "k=0.5..2:3", "--seconds", "0.5", "--out", "s")
@@ -316,6 +345,7 @@ MISTAKES = {
     "a number twice": (("verify", "mine.py:build", "k=1", "k=2"), "k: is given twice"),
     "an infinite number": (("verify", "mine.py:build", "k=inf"), "k: is not finite"),
     "too many entries": (("verify", "mine.py:build", "start.pose=1,2,3"), "start.pose: has shape"),
+    "a log of the robot": (("simulate", "mine.py:build", "--save", "mcap", "--out", "o"), "did you mean 'mat'?"),
     "no folder": (("simulate", "mine.py:build", "--save", "nc", "--seconds", "1"), "--save: needs an output folder"),
     "no duration": (("simulate", "mine.py:build"), "--seconds: is missing"),
     "duration 0": (("simulate", "mine.py:build", "--seconds", "0"), "--seconds = 0.0: is not a duration"),
@@ -331,7 +361,7 @@ MISTAKES = {
     "a grid without count": (("sweep", "mine.py:build", "k=1..2", "--seconds", "1"), "write k=1..2:COUNT"),
     "no axis": (("sweep", "mine.py:build", "--seconds", "1"), "nothing to sweep"),
     "no costs": (("sweep", "mine.py:bare", "k=1", "--seconds", "1"), "has no costs"),
-    "an option of the robot": (("simulate", "mine.py:build", "--gains", "x"), "--gains: does not apply"),
+    "an option of the robot": (("simulate", "mine.py:build", "--vehicle", "x"), "--vehicle: does not apply"),
     "its export": (("export", "mine.py:build", "--sensing", "truth", "--seconds", "1"), "--sensing: does not apply"),
     "a name of a law": (
         ("export", "mine.py:build", "--name", "guarded", "--seconds", "1"), "is the name of a built-in law",
@@ -389,7 +419,7 @@ def test_a_mistake_is_one_line(file: str, case: str) -> None:
         ("duration=-1.0", "duration = -1.0"),
         ("duration=1e9", "duration = 1000000000.0: is "),
         ("limits={'torq': (0, 1)}", "limits.torq: is no signal of a run"),
-        ("limits={'f': (1, 0)}", "limits.f = (1, 0): is not (low, high)"),
+        ("limits={'f': (1, 0)}", "limits.f = (1, 0): is not a range"),
     ],
 )
 def test_a_mistake_in_what_a_system_carries_is_one_line(file: str, words: str, fragment: str) -> None:
@@ -412,7 +442,20 @@ def test_tune_finds_gains_and_says_what_is_not_kept(file: str, tmp_path: Path) -
     assert {name: one["value"] for name, one in after["figures"].items()} == {n: f["value"] for n, f in worst.items()}
     assert after["figures"]["cost.final"]["where"] == "case 1 (start.x = 1)", "the worst of both cases"
     assert "k" in (tmp_path / "t" / "gains.csv").read_text()
-    assert found["next"][0].startswith(f"surctl verify {file} k=")
+    table = tmp_path / "t" / "gains.csv"
+    assert found["next"][0] == f"surctl verify {file} --gains {table}"
+    for command in ("simulate", "export"):
+        same = [data(command, file, *words, "--seconds", "3")["costs"] for words in (("--gains", table), (f"k={k!r}",))]
+        assert same[0] == same[1] != data(command, file, "--seconds", "3")["costs"]
+        typed = data(command, file, "--gains", table, "k=0.5", "--seconds", "3")["costs"]
+        assert typed == data(command, file, "k=0.5", "--seconds", "3")["costs"], "a typed gain wins"
+    table.write_text("q\n1.0\n")
+    assert (
+        complaint("verify", file, "--gains", str(table))
+        == f"{table}: column = 'q': is not a gain of the system; known: k"
+    )
+    table.write_text("k\n1.0\n2.0\n")
+    assert complaint("verify", file, "--gains", str(table)).startswith(f"{table}: has 2 rows of gains; ")
 
 
 @pytest.mark.parametrize(
@@ -467,6 +510,12 @@ def test_lint_of_a_system_lists_all_that_cannot_work(file: str) -> None:
     good = data("lint", file)
     assert {one["key"] for one in good["findings"]} == {"duration", "ranges", "within"}
     assert "write mine.py:build" in complaint("lint", "mine.py")
+
+
+def test_a_word_about_a_state_leaves_the_others_of_the_box(file: str) -> None:
+    system = replace(own(file), within={"x": (-1.0, 1.0), "pose[0]": (-2.0, 2.0)})
+    _, region, _ = region_words(["within.x=-0.5..0.5"], system)
+    assert region is not None and region.within == {"x": (-0.5, 0.5), "pose[0]": (-2.0, 2.0)}
 
 
 def test_a_region_of_a_system_is_proved_and_its_words_are_checked(

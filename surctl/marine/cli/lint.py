@@ -160,7 +160,7 @@ def lint(words: Sequence[str], vehicle: str | None, **_: Any) -> Linted:
             about_loop, derive = _loop_findings(assessed(plan, plan.gains), word if plan.derivation else None)
             problems += about_loop
         problems += _goal_findings(plan)
-    elif kind in plain:
+    elif isinstance(kind, str) and kind in plain:
         problems = _file_findings(plain[kind](path))
     else:
         known = ", ".join(f'"{name}"' for name in sorted([*plain, "scenario"]))

@@ -300,8 +300,9 @@ def from_log(
     or none need --map. --topics prints the topics and fields of a log.
 
     If the log does not determine a parameter, the parameter keeps its value from --start, and the vehicle file says so.
-    If a fitted mass or drag is below 0, no file is written, and the exit status is 1. As a test, a fit to the first
-    part of the log predicts the last part; the output compares the errors with those of a constant velocity.
+    If the 95 % interval of a fitted mass or drag lies below 0, no file is written, and the exit status is 1. As a test,
+    a fit to the first part of the log predicts the last part; the output compares the errors with those of a constant
+    velocity.
 
     Example: surctl vehicle from-log trial.csv --start my-vehicle.toml --name fitted
     """

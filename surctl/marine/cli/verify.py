@@ -303,6 +303,9 @@ def verify(
     if len(about_claims) > _MOST_CLAIMS:
         good = sum(line.startswith("ok") for line in about_claims)
         counted = f"ok   {good} of {len(about_claims)} claims as expected"
+        if aside := sum(line.startswith("n/a") for line in about_claims):
+            mark = "ok  " if good else "n/a "
+            counted = f"{mark} {good} of {len(about_claims)} claims as expected, {aside} not applicable"
         about_claims = [*(f"FAIL {text}" for text in unmet), counted]
     about_claims.sort(key=lambda line: not line.startswith("FAIL"))
     brief = [*missions.lines, *(f"FAIL {text}" for text in failing), *about_claims]

@@ -273,7 +273,7 @@ def _surface_notes(data: ReportData) -> list[Block]:
     return [
         Paragraph(
             f"At z = {number(depth)} m the hull of {name} stands {number(above, digits=3)} m out of the water; the "
-            "model in four degrees of freedom has no buoyancy (E16).",
+            "model in four degrees of freedom has no buoyancy.",
             "note",
         )
         for (name, depth), above in heights.items()

@@ -254,7 +254,7 @@ def _at_walls(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
         clearance = min(wall.nearest(point)[0] for wall in scenario.walls) - vehicle["radius"] + near
         if clearance < _CLEARANCE:
             where = f"{-clearance:.3f} m inside a wall" if clearance < 0 else f"only {clearance:.3f} m from a wall"
-            text = f"the {vehicle['radius']:g} m hull of {vehicle.name} is {where} at the {name} (E15)"
+            text = f"the {vehicle['radius']:g} m hull of {vehicle.name} is {where} at the {name}"
             results.append(Finding("error", "path_m", text, clearance))
     return results
 
@@ -271,7 +271,7 @@ def _at_still(obstacle: Obstacle, scenario: Scenario, vehicle: Vehicle) -> list[
         else:
             text = (
                 f"at the {name} the hull of {vehicle.name} is {clearance:.3f} m from obstacle {obstacle.name!r}, which "
-                f"drifts by up to {obstacle.drift_m:g} m: they may touch (E15)"
+                f"drifts by up to {obstacle.drift_m:g} m: they may touch"
             )
         results.append(Finding("error", f"obstacles.{obstacle.name}", text, clearance))
     return results
@@ -328,7 +328,7 @@ def _gap(scenario: Scenario, vehicle: Vehicle, gains: Gains) -> list[Finding]:
     )
     if gap.always >= hull:
         return [Finding("warning", "obstacles" if scenario.obstacles else "site", text)]
-    lost = "no passage is guaranteed (E15)" if gap.width >= hull else "no passage is wide enough"
+    lost = "no passage is guaranteed" if gap.width >= hull else "no passage is wide enough"
     if scenario.depths is None:
         return [Finding("error", "obstacles" if scenario.obstacles else "site", f"{lost}: {text}")]
     tried = layers(scenario, vehicle, gains)
@@ -370,7 +370,7 @@ def _surface(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
         return []
     radius, heave = vehicle["radius"], float(vehicle.thrust_range[1, 2])
     missing = missing_buoyancy(radius, scenario.depth_range[1])
-    text = f"at this depth, the top of the hull is {out:.2f} m above the water surface; the model has no buoyancy (E16)"
+    text = f"at this depth, the top of the hull is {out:.2f} m above the water surface; the model has no buoyancy"
     if missing > heave:
         sunk = floating_depth(radius, heave) if heave > 0 else -radius
         text += (

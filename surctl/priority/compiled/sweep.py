@@ -12,9 +12,11 @@ import casadi as ca
 
 from surctl.errors import InputError
 from surctl.ir import Call, Loop, Program, Step, lower
+from surctl.ir.procedure import Procedure
+from surctl.priority.compiled.projections import checks, projections
 from surctl.priority.settings import CUTOFF, ZERO_ROW, Settings
 from surctl.priority.shapes import StackShape, SymbolicLevel
-from surctl.priority.solver.elimination import LONGEST
+from surctl.priority.solver.elimination import LONGEST, LOOPED
 
 _DEPENDENT = 1e-12
 """A row of J is dependent if its squared distance from the rows above is below this fraction of its squared length."""
@@ -232,11 +234,13 @@ def _project(w: ca.SX, level: SymbolicLevel, *, damping: float) -> ca.SX:
     return w + parts.directions().T @ parts.coordinates(level.lower - level.J @ w)
 
 
-def sweep(shape: StackShape, *, damping: float, highest: int = 0) -> Program:
+def sweep(shape: StackShape, *, damping: float, highest: int = 0) -> Program | Procedure:
     """Return a program that projects w (n,) on one level after another, from the lowest up to level index `highest`.
 
     The inputs are w and the arrays J, lower, upper of all levels; the output is the projected w.
     """
+    if shape.n >= LOOPED:
+        return projections(shape, damping=damping, highest=highest)
     flat, levels = shape.symbols()
     start = ca.SX.sym("w", shape.n)
     w = start
@@ -253,12 +257,14 @@ def swept(shape: StackShape, settings: Settings) -> tuple[Step, ...]:
     return (Loop(one, settings.sweeps, ("zero",), ("swept",), fixed=fixed),)
 
 
-def gate(shape: StackShape) -> Program:
+def gate(shape: StackShape) -> Program | Procedure:
     """Return a program that checks the levels of a step, from the arrays J, lower and upper.
 
     Outputs: sound (1,), which is 1 if all numbers are finite, lower = upper for levels with one desired value, and
     lower ≤ upper for set-based levels; zero (n,) and none (1,), which are 0.
     """
+    if shape.n >= LOOPED:
+        return checks(shape)
     # each test is the condition that must hold, because every comparison with a NaN is false
     flat, levels = shape.symbols()
     sound = ca.SX(1)

@@ -9,14 +9,15 @@ search would go round. A set-based level stays behind W, with the rate as its bo
 
 from __future__ import annotations
 
-from surctl.ir.procedure import fabs, sqrt, within
-from surctl.priority.hierarchy.factors import Memory, along, enter, leave, multipliers, pivots, reflect_table
+from surctl.ir.procedure import anew, fabs, seldom, sqrt, within
+from surctl.priority.hierarchy.factors import along, enter, leave, multipliers, pivots, reflect_table
 from surctl.priority.hierarchy.judgement import at_v, bound_loss, remember
+from surctl.priority.hierarchy.memory import Memory
 
 
 def damp(s: Memory, level: int) -> None:
     """Begin a level: keep the openings, or the rates of the last level, and set w² = c ‖x‖ + 1e-6."""
-    if s.last == 0:
+    if s.last == 0 and seldom(1):
         for a in range(2):
             if s.on[a] != 0:
                 keep(s, a)
@@ -56,11 +57,13 @@ def keep_set(s: Memory, level: int) -> None:
 
 def keep(s: Memory, level: int) -> None:
     """Put the rows of a level before those of W, and drop limits from W that depend on them."""
+    anew()
     begin = s.first[level]
     end = s.first[level + 1]
     old = s.w
     f = s.f
     free = s.N - f
+    assert old - f <= s.n + 2 and end - begin <= s.b and free <= s.n + 2
     for i in within(f, old, s.x):
         s.near[i - f] = (s.W[i] + 1) * s.side[i]
         s.inside[s.W[i]] = 0
@@ -74,13 +77,16 @@ def keep(s: Memory, level: int) -> None:
     s.start[level] = 0
     s.used[level] = 0
     pivots(s, level, free, end)
+    assert s.rank[level] <= s.first[level + 1] - begin and s.rank[level] <= s.n + 2
     for number in within(0, s.rank[level], s.x):
         for j in within(number, free, s.x):
             s.h[f + j] = s.V[number * s.x + j]
+        assert s.N - (f + number) <= s.n + 2 - number
         s.factor = s.tau[number]
         reflect_table(s, f + number, s.N)
     s.f += s.rank[level]
     s.w = s.f
+    assert s.n + 2 >= s.N and s.f - f <= s.n + 2
     for j in range(s.x):
         s.d[j] = 0.0
     for j in within(0, s.N, s.x):
@@ -96,6 +102,7 @@ def keep(s: Memory, level: int) -> None:
 def confirm(s: Memory, level: int) -> None:
     """Note whether v is shown to be optimal for a level, and report the limits that are active there."""
     s.size = 1.0
+    assert s.n + 2 >= s.N and s.w - s.f <= s.n + 2 and level <= s.p
     for j in within(0, s.n, s.n):
         s.size = fabs(s.v[j]) if fabs(s.v[j]) > s.size else s.size
     radius = 2.0 * (1.0 + s.size)

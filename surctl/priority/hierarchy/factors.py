@@ -1,125 +1,9 @@
-"""Factors of the priority kernel: the table T behind the active limits W, and the levels eliminated behind W.
-
-`Memory` declares constants, arrays and variables of the kernel; their sizes are in `kernel`.
-"""
+"""Factors of the priority kernel: the table T behind the active limits W, and the levels eliminated behind W."""
 
 from __future__ import annotations
 
-from surctl.ir.procedure import back, fabs, sqrt, within
-
-
-class Memory:
-    """Constants, arrays and variables of the kernel; sizes are in `hierarchy`."""
-
-    n: int  # velocities
-    quarter: int
-    x: int  # unknowns, with both openings, padded to a multiple of 4
-    m: int  # limits
-    k: int  # rows of all levels, with the two of the openings, padded to a multiple of 4
-    p: int  # levels, with the two of the openings
-    b: int  # rows of the largest level
-    r: int  # rows of the table T
-    cap: int  # iterations
-    damped: int  # 1: module `damping`; else 0, and its branches are not part of the procedure
-    J: list[float]
-    lower: list[float]
-    upper: list[float]
-    rows: list[float]
-    box: list[float]
-    damping: list[float]
-    velocity: list[float]
-    target: list[float]
-    active: list[float]
-    multipliers: list[float]
-    opening: list[float]
-    status: list[float]
-    count: list[float]
-    first: list[int]  # first row of each level, and the end
-    is_set: list[int]
-    level_of: list[int]
-    At: list[float]  # limits of length 1: entry j of limit i at j·m + i
-    lo: list[float]
-    up: list[float]
-    lo_true: list[float]
-    up_true: list[float]
-    column: list[int]  # of the opening of a limit, or −1
-    T: list[float]
-    B: list[float]
-    L: list[float]
-    V: list[float]  # reflections of the levels
-    tau: list[float]
-    h: list[float]
-    sums: list[float]
-    y: list[float]
-    z: list[float]
-    g: list[float]
-    pivot: list[int]
-    many: list[int]  # rows of each level that are on
-    start: list[int]  # first column of each level behind W
-    used: list[int]  # reflections before each level
-    left: list[int]  # whether a level has a QR from the left
-    rank: list[int]
-    QR: list[float]
-    diagonal: list[float]
-    weight: list[float]  # of the reflections from the left
-    side_d: list[float]
-    norms: list[float]
-    rhs: list[float]
-    rest: list[float]
-    scale: list[float]
-    on: list[int]  # 1: the row belongs to its level; −1: at its lower bound
-    lock: list[int]
-    lock_set: list[int]
-    inside: list[int]
-    W: list[int]
-    side: list[int]
-    v: list[float]
-    goal: list[float]
-    step: list[float]
-    lam: list[float]
-    mu: list[float]
-    speed: list[float]
-    value: list[float]
-    slack: list[float]
-    toward: list[int]
-    near: list[int]  # limits that v + step exceeds
-    margin: list[float]  # to the upper bounds, then to the lower ones
-    hits: int  # number of limits in `near`
-    nearest: float  # share of the step up to the first limit
-    slack_set: list[float]
-    speed_set: list[float]
-    toward_set: list[int]
-    gap: list[float]
-    gap_set: list[float]
-    spread: list[float]
-    d: list[float]
-    N: int
-    w: int
-    valid: int
-    hard: int
-    soft: int
-    top: int
-    factor: float
-    head: float  # first entry of the normal of a reflection
-    size: float
-    moved: int
-    still: int
-    bad: int
-    reached: int
-    block: int
-    block_set: int
-    block_side: int
-    turns: int
-    R: list[float]  # of a damped level
-    ridge: list[float]  # squared weight of v in each level
-    low: list[float]  # bounds of set-based rows, as the damped levels leave them
-    high: list[float]
-    f: int  # columns of Q before those of W, along which the damped levels keep v
-    skip: int  # levels at the top that need no elimination
-    last: int  # number of the damped levels so far, and of those above
-    sure: int
-    limited: int
-    place: int
+from surctl.ir.procedure import anew, back, fabs, once, sqrt, within
+from surctl.priority.hierarchy.memory import Memory
 
 
 def reflection(s: Memory, head: float, square: float) -> float:
@@ -140,6 +24,7 @@ def reflection(s: Memory, head: float, square: float) -> float:
 
 def reflect_table(s: Memory, lo: int, hi: int) -> None:
     """Apply the reflection h to the columns lo … hi of T."""
+    assert hi - lo <= s.n + 2
     for row in range(s.r):
         total = 0.0
         for j in within(lo, hi, s.x):
@@ -152,6 +37,7 @@ def reflect_table(s: Memory, lo: int, hi: int) -> None:
 
 def reflect_levels(s: Memory, number: int, lo: int, hi: int, begin: int, end: int) -> None:
     """Apply reflection `number` to the columns lo … hi and rows begin … end of B."""
+    assert hi - lo <= s.n + 2 and end <= s.first[s.p] and end - begin <= s.later_rows
     for row in within(begin, end, s.k):
         total = 0.0
         for j in within(lo, hi, s.x):
@@ -174,6 +60,7 @@ def along(s: Memory, j: int) -> float:
 
 def enter(s: Memory, i: int, side: int) -> int:
     """Take limit i at its upper (1) or lower (−1) bound into W; return 0 if it depends on W."""
+    assert s.n + 2 >= s.N and s.w <= s.n + 2 and s.N - s.w <= s.n + 2
     if s.w >= s.N:
         return 0
     for j in range(s.n):
@@ -213,7 +100,9 @@ def leave(s: Memory, place: int) -> None:
         s.W[i - 1] = s.W[i]
         s.side[i - 1] = s.side[i]
     s.w -= 1
+    assert s.w - place <= s.n + 1
     for i in within(place, s.w, s.x):
+        assert s.w - (i + 1) <= s.n
         a = s.L[i * s.x + i]
         b = s.L[i * s.x + i + 1]
         length = sqrt(a * a + b * b)
@@ -237,6 +126,7 @@ def eliminate_left(s: Memory, level: int, cols: int) -> float:
     """QR from the left of the level's rows in `cols` columns; return the smallest |diagonal| entry."""
     base = s.first[level]
     cnt = s.many[level]
+    assert cnt <= s.first[level + 1] - base and cols <= s.first[level + 1] - base and cols <= s.n + 2
     least = 1e30
     for i in within(0, cnt, s.b):
         row = s.pivot[base + i]
@@ -279,6 +169,7 @@ def eliminate_left(s: Memory, level: int, cols: int) -> float:
 def solve_left(s: Memory, level: int, cols: int) -> None:
     """Solve the triangular system of the QR from the left."""
     base = s.first[level]
+    assert cols <= s.first[level + 1] - base and cols <= s.n + 2
     at = s.w + s.start[level]
     for j in back(0, cols, s.x):
         e = s.side_d[j]
@@ -290,6 +181,7 @@ def solve_left(s: Memory, level: int, cols: int) -> None:
 
 def take_off(s: Memory, begin: int, end: int, low: int, high: int) -> None:
     """Subtract the columns low … high of B, times y, from the remainders of the rows begin … end."""
+    assert high - low <= s.n + 2 and end <= s.first[s.p] and end - begin <= s.later_rows
     for row in within(begin, end, s.k):
         rest = s.rest[row]
         for j in within(low, high, s.x):
@@ -301,6 +193,7 @@ def pivots(s: Memory, level: int, free: int, end: int) -> None:
     """Eliminate the rows of a level from the right, longest remaining row first."""
     base = s.first[level]
     cnt = s.many[level]
+    assert cnt <= s.first[level + 1] - base and free - s.start[level] <= s.n + 2 and free <= s.n + 2
     for row in within(base, s.first[level + 1], s.b):
         total = 0.0
         for j in within(s.start[level], free, s.x):
@@ -314,6 +207,7 @@ def pivots(s: Memory, level: int, free: int, end: int) -> None:
     for done in within(0, cnt, s.b):
         if column >= free:
             break
+        assert free - column <= s.n + 2 - done and free - (column + 1) <= s.n + 1 - done
         best = done
         for i in within(done + 1, cnt, s.b):
             if s.norms[i] > s.norms[best]:
@@ -341,6 +235,7 @@ def pivots(s: Memory, level: int, free: int, end: int) -> None:
                 s.V[number * s.x + j] = s.B[j * s.k + row]
         if not square > cut * cut:
             break
+        once(column, s.n + 2)
         s.pivot[base + best] = s.pivot[base + done]
         s.pivot[base + done] = row
         s.norms[best] = s.norms[done]
@@ -365,6 +260,7 @@ def solve_damped(s: Memory, level: int, cols: int) -> None:
     base = s.first[level]
     cnt = s.many[level]
     at = s.w + s.start[level]
+    assert cnt <= s.first[level + 1] - base and cols <= s.first[level + 1] - base and cols <= s.n + 2
     weight = sqrt(s.ridge[level])
     for i in within(0, cnt, s.b):
         row = s.pivot[base + i]
@@ -378,6 +274,7 @@ def solve_damped(s: Memory, level: int, cols: int) -> None:
         s.R[i * s.x + i - cnt] = weight
     for j in within(0, cols, s.x):
         end = cnt + j + 1  # rows of w I below are still 0 in this column
+        assert end - j <= s.first[level + 1] - base + 1
         square = 0.0
         for i in within(j, end, s.b + 1):
             e = s.R[i * s.x + j]
@@ -429,12 +326,14 @@ def solve_level(s: Memory, level: int, end: int) -> None:
         return
     if s.damped != 0 and level > 1 and level + 1 == s.last:
         pivots(s, level, free, end)
+        assert s.rank[level] <= s.first[level + 1] - base and s.rank[level] <= s.n + 2
         s.start[level + 1] = begin + s.rank[level]
         solve_damped(s, level, s.rank[level])
         take_off(s, base, end, begin, begin + s.rank[level])
         return
     if cnt >= free - begin:
         s.rank[level] = free - begin
+        assert free - begin <= s.first[level + 1] - base
         if eliminate_left(s, level, free - begin) > 1e-6 * s.scale[level]:
             s.left[level] = 1
             s.start[level + 1] = free
@@ -443,6 +342,7 @@ def solve_level(s: Memory, level: int, end: int) -> None:
             return
     pivots(s, level, free, end)
     rank = s.rank[level]
+    assert rank <= s.first[level + 1] - base and rank <= s.n + 2
     s.start[level + 1] = begin + rank
     if rank == 0:
         return
@@ -462,11 +362,14 @@ def solve_level(s: Memory, level: int, end: int) -> None:
 
 def optimum(s: Memory, top: int) -> None:
     """Write the optimum of the levels before `top` on W into `goal`; what none fixes keeps its value, or is short."""
+    anew()
     levels = top if top < s.p else s.p
     end = s.first[levels]
     free = s.N - s.w
     known = s.valid if s.valid < levels else levels
     begin = s.first[s.valid]
+    assert known >= 0 and levels <= s.p and s.w <= s.n + 2 and free <= s.n + 2
+    assert end - begin <= s.later_rows and levels - known <= s.later and s.used[s.valid] <= s.n + 2
     if s.valid == (s.skip if s.damped != 0 else 0):
         for i in within(s.f if s.damped != 0 else 0, s.w, s.x):
             e = s.up[s.W[i]] if s.side[i] > 0 else s.lo[s.W[i]]
@@ -482,6 +385,7 @@ def optimum(s: Memory, top: int) -> None:
             for j in within(0, free, s.x):
                 s.B[j * s.k + row] = s.T[(s.w + j) * s.r + row]
         for number in within(0, s.used[s.valid], s.x):
+            once(number, s.n + 2)
             reflect_levels(s, number, number, free, begin, end)
         take_off(s, begin, end, 0, s.start[s.valid])
     for level in within(known, levels, s.p):
@@ -490,6 +394,7 @@ def optimum(s: Memory, top: int) -> None:
         s.valid = levels
     rank = s.start[levels]
     number = s.used[levels]
+    assert rank <= s.n + 2 and free - rank <= s.n + 2 and number <= s.n + 2
     for j in within(0, rank, s.x):
         s.z[j] = s.y[s.w + j]
     for j in within(rank, free, s.x):
@@ -529,6 +434,7 @@ def optimum(s: Memory, top: int) -> None:
 def multipliers(s: Memory, level: int) -> None:
     """Find lam of W and mu of the levels above for the objective of a level; number p is the length of v."""
     above = s.start[level]
+    assert s.w <= s.n + 2 and above <= s.n + 2 and level <= s.p and s.w + above <= s.n + 2
     if level < s.p:
         for j in within(0, s.w, s.x):
             e = 0.0
@@ -554,6 +460,8 @@ def multipliers(s: Memory, level: int) -> None:
             s.mu[row] = 0.0
         if rank == 0:
             continue
+        assert rank <= s.first[a + 1] - base and rank <= s.n + 2
+        assert cnt <= s.first[a + 1] - base and s.start[a] <= s.n + 2
         if s.left[a] == 0:
             for i in back(0, rank, s.x):
                 e = s.g[at + i]

@@ -14,7 +14,8 @@ whether a singular value near 1e-10·‖J‖ counts as 0. Then nothing is shown 
 from __future__ import annotations
 
 from surctl.ir.procedure import fabs, sqrt, within
-from surctl.priority.hierarchy.factors import Memory, along, multipliers
+from surctl.priority.hierarchy.factors import along, multipliers
+from surctl.priority.hierarchy.memory import Memory
 
 
 def at_goal(s: Memory, row: int) -> float:
@@ -47,6 +48,7 @@ def add_row(s: Memory, row: int, e: float) -> None:
 
 def bound_loss(s: Memory, level: int, radius: float) -> float:
     """Return how much half the squared objective of a level may be above its least value, from lam and mu."""
+    assert s.n + 2 >= s.N and s.w <= s.n + 2 and level <= s.p
     for j in range(s.x):
         s.d[j] = 0.0
     total = 0.0
@@ -124,6 +126,7 @@ def judge(s: Memory) -> int:
     good = 1
     limited = 0
     vague = 0
+    assert s.n + 2 >= s.N and s.w <= s.n + 2
     s.size = 1.0
     for j in within(0, s.n, s.n):
         s.size = fabs(s.v[j]) if fabs(s.v[j]) > s.size else s.size

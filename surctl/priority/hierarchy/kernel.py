@@ -27,8 +27,9 @@ from typing import Any
 
 from surctl.ir.procedure import Procedure, fabs, source_of, within
 from surctl.priority.hierarchy import damping, factors, judgement, search
-from surctl.priority.hierarchy.factors import Memory, optimum
+from surctl.priority.hierarchy.factors import optimum
 from surctl.priority.hierarchy.judgement import judge
+from surctl.priority.hierarchy.memory import Memory
 from surctl.priority.hierarchy.search import at_once, descend, prepare, restore
 from surctl.priority.shapes import StackShape
 from surctl.priority.solver.elimination import FLOAT32, FLOAT64, Precision
@@ -160,6 +161,10 @@ def hierarchy(shape: StackShape, rows: int, precision: Precision = FLOAT64, *, d
     n, starts = shape.n, (0, 1, *(2 + start for start in shape.starts), 2 + shape.rows)
     p, x, k = len(shape.levels) + 2, _padded(n + 2), _padded(2 + shape.rows)
     r, largest, more = k + x, max(level.rows for level in shape.levels), x * damped
+    begin = next((level for level in range(2, p) if shape.levels[level - 2].is_set), p) if damped else 0
+    known = {"s.later_rows": max(starts[p] - starts[begin], largest, 2), "s.later": max(p - begin, 2)}  # 2: openings
+    for name, value in known.items():  # in `assert`, which is not part of the text
+        functions = [function.replace(name, str(value)) for function in functions]
     arranged = ["def arrange(s):"]
     arranged += [f"    s.first[{level}] = {start}" for level, start in enumerate(starts)]
     for level in range(p):

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from surctl.ir.procedure import fabs, sqrt, within
+from surctl.ir.procedure import fabs, seldom, sqrt, within
 from surctl.priority.hierarchy.damping import confirm, damp
-from surctl.priority.hierarchy.factors import Memory, enter, leave, multipliers, optimum
+from surctl.priority.hierarchy.factors import enter, leave, multipliers, optimum
 from surctl.priority.hierarchy.judgement import at_goal, at_v
+from surctl.priority.hierarchy.memory import Memory
 
 
 def prepare(s: Memory) -> None:
@@ -172,6 +173,7 @@ def approach(s: Memory, i: int, side: int, rate: float, distance: float) -> None
 
 def ratio(s: Memory, limit: int) -> float:
     """Find the first limit between v and v + step, of nearly equal ones the one that is approached fastest."""
+    assert s.n + 2 >= s.N and limit <= s.p
     s.block = -1
     s.block_set = 0
     square = 0.0
@@ -286,6 +288,7 @@ def advance(s: Memory) -> int:
     optimum(s, s.top)
     levels = s.top if s.top < s.p else s.p
     longest = 0.0
+    assert s.n + 2 >= s.N
     s.size = 1.0
     for j in within(0, s.N, s.x):
         s.step[j] = s.goal[j] - s.v[j]
@@ -324,6 +327,7 @@ def advance(s: Memory) -> int:
 
 def unlocked(s: Memory, level: int) -> int:
     """Return whether an active limit, or an active row of a set-based level above, is not locked."""
+    assert s.w <= s.n + 2 and level <= s.p
     for i in within(s.f if s.damped != 0 else 0, s.w, s.x):
         if s.lock[s.W[i]] == 0:
             return 1
@@ -338,6 +342,7 @@ def unlocked(s: Memory, level: int) -> int:
 def release(s: Memory) -> int:
     """Drop the limit with the worst multiplier and return 1; lock those with a positive one and return 0 if none."""
     level = s.top - 1
+    assert s.n + 2 >= s.N and s.w <= s.n + 2 and level <= s.p
     worst = 0.0
     which = -1
     from_set = 0
@@ -365,6 +370,7 @@ def release(s: Memory) -> int:
         if which < 0 and (not largest > 1e-12 * s.size * unit or (s.w == 0 and level <= 2)):
             return 0
     else:
+        assert s.w + s.start[s.p] <= s.n + 2
         for j in within(0, s.w + s.start[s.p], s.x):
             largest = fabs(s.y[j]) if fabs(s.y[j]) > largest else largest
         if not largest > 0.0:
@@ -419,7 +425,7 @@ def descend(s: Memory) -> int:
     fresh = 1
     for turn in range(s.cap):
         s.turns = turn + 1
-        if fresh != 0:
+        if fresh != 0 and seldom(s.p + 1):
             fresh = 0
             for a in within(s.top - 1, s.p, s.p):
                 if s.is_set[a] != 0:
@@ -435,7 +441,8 @@ def descend(s: Memory) -> int:
         done = advance(s)
         if done < 0:
             return 0
-        if done > 0 and release(s) == 0:
+        # each limit or row that leaves was taken in before, or switched on, and there are p levels
+        if done > 0 and seldom(s.n + s.m + 2 * s.p) and release(s) == 0 and seldom(s.p + 1):
             if s.damped != 0:
                 confirm(s, s.top - 1)
             if s.top > s.p:

@@ -14,8 +14,8 @@ LONGEST = 1e140
 """Largest entry of a normal or a Jacobian in double: squares and their sums must not overflow."""
 
 LOOPED = 6
-"""Number of unknowns from which the active-set search has loops: the C text of unrolled code takes a compiler minutes.
-"""
+"""Number of unknowns from which the active-set search and the NSB law have loops: the C text of unrolled code takes a
+compiler minutes."""
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,8 @@
 """The safe step: the velocity nearest to a target that meets a first task within limits, and what replaces it.
 
 1. The active-set search of module `kernel` finds the velocity nearest to the target that meets the task J v = x and
-   satisfies every constraint row. Most steps of a controller end here, a few times faster than with stage 2.
+   satisfies every constraint row. Most steps of a controller end here, a few times faster than with stage 2. From
+   `LOOPED` velocities on, this is no longer faster, and only the bounded fallback makes it.
 2. If there is none, if it is not shown to be the nearest, or if the rows of J are nearly dependent, the kernel in
    package `hierarchy` solves the two levels J v = x and v = target. So soft rows are relaxed by the least amount, then
    the task is met as well as possible, then the target is approached.
@@ -36,7 +37,7 @@ from surctl.priority.hierarchy.kernel import hierarchy
 from surctl.priority.settings import ZERO_ROW, Fallback
 from surctl.priority.shapes import LevelShape, StackShape
 from surctl.priority.solver.dual_step import OPTIMAL, SKIPPED, dot
-from surctl.priority.solver.elimination import FLOAT64, Precision, as_matrix, reflect
+from surctl.priority.solver.elimination import FLOAT64, LOOPED, Precision, as_matrix, reflect
 from surctl.priority.solver.kernel import certificate, into, lanes_of, nearest_point, unit_rows
 
 MET, LIMITED, RELAXED, CLAMPED, BOUNDED, UNCONFIRMED = 1, 2, 3, 4, 5, 6
@@ -111,7 +112,8 @@ def limited_step(sizes: Sizes) -> Routine:
         Call(certificate(sizes.n, sizes.m, sizes.precision), ("unit", "v"), ("feasible",)),
         Call(_judge(sizes), ("target", *task, "v", "end", "shown", "feasible"), ("met", "opening", "fits")),
     )
-    if sizes.damping and not (sizes.level and sizes.level.is_set):
+    damped = sizes.damping != 0.0 and not (sizes.level and sizes.level.is_set)
+    if damped or (sizes.n >= LOOPED and sizes.fallback == "exact"):
         nothing = {name: ca.SX.zeros(size) for name, size in (*sizes.solution, ("fits", 1))}
         first = (Call(lower_named("nothing", {}, nothing), (), (*begun, "fits")),)
     if sizes.fallback == "exact":

@@ -12,13 +12,15 @@ from numpy.typing import NDArray
 from scipy.optimize import linprog
 
 from surctl.errors import InputError, SolverError, ToolMissing
-from surctl.ir import compile_block, replay, to_casadi
+from surctl.ir import Block, compile_block, replay, to_casadi
 from surctl.ir.native import SlowerEngine
 from surctl.priority import Level, Mode, PriorityProblem, Row, Settings, build_problem, solve
+from surctl.priority.compiled import sweep
 from surctl.priority.compiled.step import OUTPUTS, PriorityStep, priority_step
 from surctl.priority.optimality import is_optimal
 from surctl.priority.reference import polyhedron_of
-from surctl.priority.shapes import LevelShape
+from surctl.priority.shapes import LevelShape, StackShape
+from surctl.priority.solver.elimination import LOOPED
 from tests.oracles.priority_references import daqp_hierarchy, printed_law, svd_cascade
 from tests.oracles.shape_draws import draw_of_shape
 from tests.tools import need_compiler
@@ -418,8 +420,33 @@ def test_without_a_compiler_the_replay_answers(monkeypatch: pytest.MonkeyPatch) 
         assert getattr(tick, name).tobytes() == getattr(want, name).tobytes()
 
 
-@pytest.mark.parametrize("shapes", [(LevelShape(1),), (LevelShape(2),), (LevelShape(1, True),), (LevelShape(1),) * 2])
+@pytest.mark.parametrize("damping", [0.0, 0.05])
+def test_loops_and_expressions_give_equal_projections(damping: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    shape, rng = StackShape(LOOPED, (*VALUES, LevelShape(1, True), LevelShape(LOOPED))), np.random.default_rng(3)
+
+    def blocks() -> list[Block]:
+        return [*(sweep.sweep(shape, damping=damping, highest=k) for k in (0, 1)), sweep.gate(shape)]
+
+    loops = blocks()
+    monkeypatch.setattr(sweep, "LOOPED", LOOPED + 1)
+    unrolled = blocks()
+    for _ in range(20):
+        w, J, lower = (rng.normal(size=k) for k in (LOOPED, (shape.rows, LOOPED), shape.rows))
+        J[1], J[6], J[rng.integers(0, shape.rows)] = 2.0 * J[0], J[5] + 1e-13, 0.0
+        upper = lower + np.array([level.is_set for level in shape.levels for _ in range(level.rows)])
+        bad = lower.copy()
+        bad[rng.integers(0, shape.rows)] = rng.choice([np.nan, 1e301, 1e3])
+        for below, sound in ((lower, True), (bad, False)):
+            inputs = (J.ravel(), below, upper)
+            got = replay(loops[2], *inputs)
+            assert got[0] == sound and all(map(np.array_equal, got, replay(unrolled[2], *inputs)))
+        for loop, one in zip(loops[:2], unrolled[:2], strict=True):
+            a, b = replay(loop, w, J.ravel(), lower, upper)[0], replay(one, w, J.ravel(), lower, upper)[0]
+            assert np.abs(a - b).max() <= 1e-11 * size(a)
+
+
 @pytest.mark.parametrize("options", [{}, {"sweeps": 3}, {"damping": 0.1}, {"fallback": "bounded"}])
+@pytest.mark.parametrize("shapes", [(LevelShape(1),), (LevelShape(2),), (LevelShape(1, True),), (LevelShape(1),) * 2])
 def test_one_velocity_under_mode_projected(shapes: tuple[LevelShape, ...], options: dict[str, Any]) -> None:
     for bound, v in ((0.8, 0.5), (0.3, 0.3)):
         step = PriorityStep("projected", n=1, levels=shapes, rows=1, **options)

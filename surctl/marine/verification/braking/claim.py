@@ -95,7 +95,7 @@ class BrakingClaim:
         whole: dict[str, Any] = {"system": "braking", "assumes": list(ASSUMES)}
         for name, path in PLACES.items():
             group, _, key = path.partition(".")
-            whole.setdefault(group, {})[key] = _plain(values[name])
+            whole.setdefault(group, {})[key] = _plain(values[name], _DIGITS if name in _COMPUTED else None)
         whole["sha256_vehicle"], whole["sha256_law"] = self.digests
         whole["law"] = None
         if self.law is not None:
@@ -105,10 +105,16 @@ class BrakingClaim:
         return whole
 
 
-def _plain(value: Any) -> Any:
-    """Return numbers as floats, rounded to nine decimals, and texts as they are."""
+_COMPUTED, _DIGITS = ("mass", "ratio", "linear", "quadratic", "brake", "most", "side"), 9
+# all other numbers must equal those of the exported law and of the vehicle
+
+
+def _plain(value: Any, digits: int | None = None) -> Any:
+    """Return numbers as floats, rounded to some decimals if given, and texts as they are."""
     if isinstance(value, str):
         return value
     if isinstance(value, dict):
         return {key: _plain(entry) for key, entry in value.items()}
-    return [_plain(entry) for entry in value] if isinstance(value, tuple | list) else round(float(value), 9)
+    if isinstance(value, tuple | list):
+        return [_plain(entry, digits) for entry in value]
+    return float(value) if digits is None else round(float(value), digits)

@@ -60,7 +60,9 @@ def implies(strong: TurningClaim, weak: TurningClaim) -> bool:
 
 
 def _shorter(statement: RegionStatement) -> RegionStatement:
-    """Return the statement with a short search."""
+    """Return the statement with a short search; that of craft without sway force searches only once."""
+    if statement.loop == "steered":
+        return statement
     return statement.model_copy(update={"attempts": min(statement.attempts, _TRIED)})
 
 
@@ -87,10 +89,11 @@ def _weaker(statement: RegionStatement, *, cruise: float | None, cap: float | No
     if statement.at_rest:
         yield changed("without a start at rest", at_rest=False)
     yield changed(f"at a decay rate of {statement.rate_per_s / 4:.3g}/s", rate_per_s=statement.rate_per_s / 4)
-    if not statement.ranges and statement.share + statement.mass_share * (statement.loop == "turning") > 0:
-        turning = statement.loop == "turning"
-        halves = ("share", "asymmetry", *(("mass_share", "mass_asymmetry") if turning else ()))
-        masses = statement.mass_share if turning else statement.share
+    apart = statement.loop in ("turning", "steered")  # masses have an error of their own
+    if not statement.ranges and statement.share + statement.mass_share * apart > 0:
+        halves = ("share", *(("mass_share",) if apart else ()))
+        halves += {"turning": ("asymmetry", "mass_asymmetry"), "cruise": ("asymmetry",)}.get(statement.loop, ())
+        masses = statement.mass_share if apart else statement.share
         words = f"with masses off by up to {masses / 2:.3g} and drag by up to {statement.share / 2:.3g} of their values"
         yield changed(words, **{key: getattr(statement, key) / 2 for key in halves})
     for key, words in _CURRENTS.items():
@@ -101,7 +104,8 @@ def _weaker(statement: RegionStatement, *, cruise: float | None, cap: float | No
     for key, words in (("lagged", "without thrust lag"), ("sampled", "with commands that are not held")):
         if getattr(statement, key):
             yield changed(words, **{key: False})
-    for share in (0.75, 0.5):
+    # the force of a rudder grows with the speed
+    for share in (1.5, 2.0, 0.75, 0.5) if statement.loop == "steered" else (0.75, 0.5):
         yield changed(f"at a cruise speed of {share * speed:.3g} m/s", share)
 
 
@@ -335,11 +339,13 @@ def prove_statement(
     """
     claim = _of_law(statement.claim(vehicle, gains, cruise=cruise, cap=cap), forms)
     proof = _prove(statement, claim, seed=seed)
-    if proof.verdict == "proved" or not isinstance(claim, TurningClaim):
+    if proof.verdict == "proved" or not isinstance(claim, TurningClaim | SteeringClaim):
         return proof
     for other in REGION_CLAIMS.values():
         strong = _claim_or_none(other, vehicle, gains, cruise, cap) if other.loop == statement.loop else None
-        if strong is not None and strong.name != claim.name and implies(strong, claim):
+        if strong is None or not isinstance(claim, TurningClaim) or strong.name == claim.name:
+            continue
+        if implies(strong, claim):
             result = _prove(_shorter(other), _of_law(strong, forms), seed=seed)
             if result.verdict == "proved":
                 return replace(result, claim=claim, by=strong.name, seconds=proof.seconds + result.seconds)
