@@ -55,6 +55,15 @@ def test_every_small_matrix_is_semidefinite_exactly_if_no_principal_minor_is_neg
     assert len(seen) == 3
 
 
+def test_a_matrix_that_is_not_symmetric_is_not_definite() -> None:
+    whole = [[Fraction(9 * (i == j)) for j in range(3)] for i in range(3)]
+    assert is_positive_definite(whole)
+    for i, j in ((0, 1), (1, 0), (0, 2), (2, 0), (1, 2), (2, 1)):
+        assert not is_positive_definite(
+            [[e + ((i, j) == (k, n)) for n, e in enumerate(row)] for k, row in enumerate(whole)]
+        )
+
+
 def spread(small: Whole, size: int, factor: int) -> Whole:
     """A matrix of `size` axes that is as definite as the small one, with all axes mixed and scaled by powers of 2."""
     n = len(small)

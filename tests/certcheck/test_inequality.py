@@ -10,7 +10,7 @@ from surctl.certcheck.document import Rejected
 from surctl.certcheck.enclosure import exact
 from surctl.certcheck.expressions import ExpressionTable
 from surctl.certcheck.identity import Exact
-from surctl.certcheck.inequality import Inequality, _atom_range, _bends_down
+from surctl.certcheck.inequality import Inequality, _atom_range, _bends_down, halves
 
 CASE: dict[str, Any] = {"choice": "", "denominators": [], "multipliers": [], "tree": "n", "points": []}
 UNIT = ((-1.0, 1.0), (-1.0, 1.0))
@@ -110,3 +110,12 @@ def test_the_range_of_an_unknown_is_not_known() -> None:
     table = ExpressionTable(["x", "y"])
     with pytest.raises(Rejected, match="cannot be checked"):
         _atom_range("b7", Exact(table), list(UNIT))
+
+
+def test_a_box_is_halved_where_it_is_widest_relative_to_the_whole() -> None:
+    whole = [(0.0, 100.0), (0.0, 1.0), (2.0, 2.0)]
+    for part, cuts in (
+        ([(0.0, 40.0), (0.0, 0.5), (2.0, 2.0)], [[(0.0, 40.0), (0.0, 0.25)], [(0.0, 40.0), (0.25, 0.5)]]),
+        ([(0.0, 60.0), (0.0, 0.5), (2.0, 2.0)], [[(0.0, 30.0), (0.0, 0.5)], [(30.0, 60.0), (0.0, 0.5)]]),
+    ):
+        assert halves(part, whole) == [[*cut, (2.0, 2.0)] for cut in cuts]
