@@ -221,7 +221,7 @@ priority_options = together(
         "--fallback",
         default="exact",
         metavar="NAME",
-        help="Solver for conflicting limits: exact (default), or bounded in time.",
+        help="Solver for conflicting limits: exact (default) or bounded.",
     ),
 )
 """A decorator that adds these options to a command; the command receives them as `priority_mode` and `fallback`."""
