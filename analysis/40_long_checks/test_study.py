@@ -81,5 +81,5 @@ def test_only_flights_by_the_exported_law_are_replayed_and_claims_that_do_not_ap
     (report,) = data["export"]["sil"]
     assert report["scenario"] == "tank-speed-015" and report["passed"] and report["fault_failures"] == []
     assert max(report["tau"], report["state"], report["telemetry"]) == 0.0
-    (note,) = [note for note in data["summary"] if "other sensors" in note["text"]]
+    (note,) = [note for note in data["assessment"]["lines"] if "other sensors" in note["text"]]
     assert note["passed"] is None and note["text"].startswith("wide by sur400, sonar")

@@ -183,11 +183,11 @@ def one_vehicle(seed: int, found: Disagreements, *, runs: bool, study: bool) -> 
     if study:
         told, status = surctl("study", "s.toml", "--out", "s", "--workers", 1)
         for name, figure in finite(planned.to_dict())["figures"].items():
-            found.same("study", f"{about} {name}", told["figures"][name], figure)
+            found.same("study", f"{about} {name}", told["assessment"]["figures"][name], figure)
         found.same("study", f"{about} status", status, int(not told["passed"]))
-        fails = any(line["passed"] is False and line["counts"] for line in told["summary"])
+        fails = any(line["passed"] is False and line["counts"] for line in told["assessment"]["lines"])
         found.same("study", f"{about} passed", told["passed"], not fails)
-        _page(Path("s/report.html"), told["banner"], f"{about}", found)
+        _page(Path("s/report.html"), told["assessment"]["banner"], f"{about}", found)
 
 
 def _runs(craft: Vehicle, gains: Gains, cruise: float, about: str, found: Disagreements) -> None:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 import click
 
 from surctl.cli.application import to_application
-from surctl.cli.output import FOLDER, Count, as_json, collected, finish, finite, progress
+from surctl.cli.output import FOLDER, Count, as_json, collected, finish, progress
 from surctl.cli.subject import (
     OwnSystem,
     assigned,
@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from surctl.export.bundle import Bundle
     from surctl.export.contract import Exportable
     from surctl.export.emulated import Target
+    from surctl.export.evidence import ReplayedRun
     from surctl.ir import Real
     from surctl.system import Record
 
@@ -124,33 +125,30 @@ class ExportOptions:
         assessment: Assessment,
         *,
         proof: ProofReport | None,
-        run: Mapping[str, Any],
+        replay: ReplayedRun,
         replayed: str,
         about: tuple[Sequence[str], Sequence[str]],
         data: Mapping[str, Any],
         same: bool,
         then: Sequence[str],
         as_json: bool,
-        **statuses: Any,
     ) -> None:
         """Write the bundle with its evidence, print what was compared and assessed, and end the command.
 
         Args:
             compared, bundle, assessment, proof: what is exported, and what is known of it.
-            run: the replayed run, for the manifest; `replayed` is its line, `statuses` as in `evidence_of`.
+            replay: the replayed run, for the manifest; `replayed` is its line.
             about: lines before the verdict: on the choice of the subject, and on the run.
             data: further data for JSON.
             same: whether C and Python agree.
             then: the commands to suggest next.
         """
-        from surctl.export.bundle import write_bundle
-        from surctl.export.evidence import evidence_of, with_evidence
+        from surctl.export.evidence import write_evidence
 
         sil, report = compared.sil, compared.report
-        assessed = {"assessment": finite(assessment.to_dict())}
-        evidence = evidence_of(run=run, sil=sil, check=report, proof=proof, **statuses) | assessed
+        known: dict[str, Any] = {"check": report, "proof": proof, "binaries": compared.binaries}
         # a bundle appears when it is complete and checked, at once
-        files = write_bundle(with_evidence(bundle, evidence, binaries=compared.binaries), self.out)
+        files = write_evidence(bundle, self.out, [replay], [sil], assessment, **known)
         parts = {"sil": sil, "proof": proof, "check": report}
         data = {
             **data,
@@ -224,7 +222,7 @@ def _sil_line(sil: SilReport) -> str:
 
 
 def system_bundle(
-    own: OwnSystem, values: Mapping[str, ArrayLike], record: Record, *, name: str | None = None, real: Real = "float64"
+    own: OwnSystem, values: Mapping[str, ArrayLike], *, name: str | None = None, real: Real = "float64"
 ) -> Bundle:
     """Return the bundle of the system's controller with the gains of a run, and the plant's instruction lists."""
     from surctl.export.bundle import build_bundle
@@ -232,17 +230,18 @@ def system_bundle(
     from surctl.system.values import run_numbers
 
     controller = own.system.controller
-    plant = PlantLists(own.system.plant, run_numbers(own.system, values).plant[0])
-    gains = controller.gains.unpack(record.controller[2])
+    numbers = run_numbers(own.system, values)
+    plant, gains = PlantLists(own.system.plant, numbers.plant[0]), controller.gains.unpack(numbers.gains[0])
     return build_bundle(controller, gains, name=name, real=real, supplement=plant)
 
 
-def replayed_run(own: OwnSystem, record: Record) -> dict[str, Any]:
-    """Return the run of a system for the manifest of its bundle."""
+def replay_of(own: OwnSystem, record: Record) -> ReplayedRun:
+    """Return the run of a system for the comparison of C with Python, and for the manifest of its bundle."""
+    from surctl.export.evidence import ReplayedRun
     from surctl.system import LOST
 
     failure = record.lost if record.stopped == LOST else None
-    return {"system": own.label, "text": end_text(own, record), "failure": failure}
+    return ReplayedRun({"system": own.label, "text": end_text(own, record), "failure": failure}, record)
 
 
 def export_system(words: Sequence[str], options: ExportOptions, *, seconds: float | None, as_json: bool) -> None:
@@ -263,7 +262,7 @@ def export_system(words: Sequence[str], options: ExportOptions, *, seconds: floa
     check_folder(options.out)
     controller = own.system.controller
     record = run_system(own.system, duration, values)
-    bundle, proof = options.proved(controller, system_bundle(own, values, record, name=name, real=real))
+    bundle, proof = options.proved(controller, system_bundle(own, values, name=name, real=real))
     gains = controller.gains.unpack(record.controller[2])
     compared = options.compared(controller, bundle, as_records(controller, record), gains, tools)
     sil = compared.sil
@@ -277,7 +276,7 @@ def export_system(words: Sequence[str], options: ExportOptions, *, seconds: floa
     }
     options.finish(
         compared, bundle, assess(ClosedLoop(own.system, values, record=record)),
-        proof=proof, run=replayed_run(own, record), replayed=end_text(own, record),
+        proof=proof, replay=replay_of(own, record), replayed=end_text(own, record),
         about=((), cost_lines(own.system, record.figures)), data=data, same=sil.exact,
         # not the same comparison again, after that of --check
         then=[f"make -C {shlex.quote(str(options.out))} check"] if shutil.which("make") and not options.check else [],

@@ -90,18 +90,19 @@ def test_a_stopped_sweep_of_a_system_resumes(sent: signal.Signals, tmp_path: Pat
         assert f"sweep {4096 * stored}/1000000 runs" in running.err
 
 
-@pytest.mark.parametrize("part", ["surctl.assessment.assess", "surctl.tuning.sweep"])
-def test_a_stopped_study_of_a_system_prints_its_run_and_names_its_code(
+@pytest.mark.parametrize("part", ["assess", "sweep"])
+def test_a_stopped_study_of_a_system_prints_its_run_and_says_how_to_continue(
     part: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def stopped(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
     (tmp_path / "loop.py").write_text(LOOP)
-    monkeypatch.setattr(part, stopped)
+    monkeypatch.setattr(f"surctl.cli.system_study.{part}", stopped)
     done = surctl_here("study", "loop.py:build", "--seconds", "1", "--out", "out", cwd=tmp_path)
     assert done.status == 130 and "final" in done.out, done
-    assert done.err.splitlines()[-1].startswith("surctl: stopped; the code is in out/export")
+    last = done.err.splitlines()[-1]
+    assert last.startswith("surctl: stopped; what is finished is in out; to continue: surctl study loop.py:build")
     assert (tmp_path / "out" / "export" / "hold.c").exists()
 
 

@@ -315,6 +315,14 @@ def test_a_study_puts_run_margins_sweep_and_export_on_one_page(file: str) -> Non
     assert "https://" not in page and page.count("<img") == 4  # the run, the loop, and each cost over k
     for text in ("Costs of the run", "Margins", "at the end", "turn[1]", "surctl sweep mine.py:build k=0.5..2:3"):
         assert text in page
+    assert {"study", "passed", "assessment", "sweep", "export", "report", "seconds"} <= set(done)
+    assert done["export"]["sil"] == [{"system": "mine.py:build", **done["sil"]}] and done["sweep"]["axes"]["k"] == [
+        0.5,
+        1.25,
+        2,
+    ]
+    written = Path("s/sweep.nc").stat().st_mtime_ns
+    assert data(*words)["best"] == done["best"] and Path("s/sweep.nc").stat().st_mtime_ns == written, "not swept again"
     lost = data("study", file, "plant.blow=1", "k=0", "--seconds", "2", "--out", "s", status=1)
     lines = lost["assessment"]["lines"]
     assert [line["passed"] for line in lines].count(False) == 1 and "state x at" in lines[0]["text"]

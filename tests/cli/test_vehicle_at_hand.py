@@ -12,11 +12,12 @@ from surctl.errors import InputError
 from surctl.marine.assessment import Mission
 from surctl.marine.cli.linear_part import linear_part as linear_side_of
 from surctl.marine.cli.robot_options import DEFAULT_VEHICLE, at_hand, choose_vehicle, export_command
-from surctl.marine.cli.runs import failure, loop_lines_of_run
+from surctl.marine.cli.runs import loop_lines_of_run
 from surctl.marine.cli.verify import _speeds
 from surctl.marine.control import build_law, load_gains
 from surctl.marine.simulation import LIBRARY as SCENARIOS
 from surctl.marine.simulation import load_scenario, simulate
+from surctl.marine.simulation.explanation import failure
 from surctl.marine.vehicle import load_vehicle
 from surctl.marine.verification.speeds import check_held
 from tests.cli.process import surctl

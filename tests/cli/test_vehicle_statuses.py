@@ -47,7 +47,7 @@ def contact(data: dict[str, Any]) -> dict[str, Any]:
     if "assessments" in data:
         [table] = data["assessments"]
     else:
-        table = data.get("assessment", {"lines": data.get("summary")})
+        table = data["assessment"]
     lines = table["after"]["lines"] if "after" in table else table["lines"]
     [line] = [line for line in lines if line["text"].startswith("no contact")]
     return dict(line)

@@ -13,11 +13,14 @@ import pytest
 from click.testing import CliRunner
 
 import surctl.marine.simulation
+from surctl.assessment import Assessment, Figure
 from surctl.certcheck.bundle import read_bundle
 from surctl.cli.app import app
 from surctl.errors import InputError
-from surctl.export import Bundle, write_bundle
+from surctl.export import Bundle, SilReport, write_bundle
 from surctl.export.bundle import check_folder
+from surctl.export.evidence import ReplayedRun, write_evidence
+from surctl.export.sil import Difference
 from tests.export.test_gains_in_c import guarded
 from tests.tools import need_compiler
 
@@ -50,6 +53,22 @@ def test_the_bundle_of_a_command_carries_what_was_run_and_compared(
     assert "pool-behind by sur400, truth, seed 0: arrived without contact." in readme
     assert "| gcc-O0 | same |" in readme and "not a proved bound" in readme
     assert "MIT License" in Path("fw/LICENSE").read_text()
+
+
+def test_each_replayed_run_is_evidence(tmp_path: Path) -> None:
+    bundle, none = guarded()[1], Difference(0.0, 0.0, 0.0, None)
+    replays = [ReplayedRun({"system": "a.py:b", "text": text, "failure": None}, []) for text in ("one", "two")]
+    reports = [SilReport("c", "1f", n, (), none, none, none, 0, 837, (), True, "cc 12", 9) for n in (400, 500)]
+    figure = {"x": Figure("x", float("nan"), "1", "", "high")}
+    write_evidence(bundle, tmp_path / "b", replays, reports, Assessment("a", figure, (), {}))
+    evidence = json.loads((tmp_path / "b" / "manifest.json").read_text())["evidence"]
+    [further] = evidence["further_runs"]
+    assert (evidence["run"]["text"], evidence["sil"]["steps"]) == ("one", 400)
+    assert (further["run"]["text"], further["sil"]["steps"]) == ("two", 500)
+    assert evidence["assessment"]["figures"]["x"]["value"] is None, "JSON has no NaN"
+    readme = (tmp_path / "b" / "README.md").read_text()
+    assert [readme.count(f"Simulated run: {text}.") for text in ("one", "two")] == [1, 1]
+    assert "over 400 steps" in readme and "over 500 steps" in readme and read_bundle(tmp_path / "b").wrong == ()
 
 
 def test_a_command_that_ends_half_way_leaves_no_bundle(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

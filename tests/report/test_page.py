@@ -14,12 +14,12 @@ from surctl.assessment import Line
 from surctl.errors import InputError
 from surctl.export import ExportedFile, SilReport
 from surctl.export.sil import Difference
+from surctl.files import write_file
 from surctl.marine.control import write_gains
 from surctl.marine.report import ReportData, plot_run, render_page
 from surctl.marine.report.evidence_sections import runs_section
-from surctl.marine.report.page import write_page
 from surctl.report.document import Heading, Section, picture, render_sections
-from surctl.report.system_page import export_section
+from surctl.report.study_page import export_section
 from surctl.report.theme import png
 from tests.pictures import blank_pictures
 from tests.report.data import GAINS, report, run, said, sweep, vehicle
@@ -318,8 +318,8 @@ def test_an_unstable_loop_is_drawn_and_told() -> None:
 
 def test_writing_replaces_the_file_in_one_step(tmp_path: Path) -> None:
     target = tmp_path / "new" / "report.html"
-    assert write_page(bare(title="one"), target) == target
-    write_page(bare(title="two"), str(target))
+    assert write_file(target, render_page(bare(title="one"))) == target
+    write_file(target, render_page(bare(title="two")))
     assert "<h1>two</h1>" in target.read_text(encoding="utf-8")
     assert [p.name for p in target.parent.iterdir()] == ["report.html"]
 
@@ -336,7 +336,7 @@ def blocked(tmp_path: Path) -> Iterator[Path]:
 def test_a_folder_that_cannot_be_written_is_told_in_one_line(tmp_path: Path) -> None:
     for target in blocked(tmp_path):
         with pytest.raises(InputError, match="cannot be written") as caught:
-            write_page(bare(), target)
+            write_file(target, "page")
         assert str(target) in str(caught.value) and "\n" not in str(caught.value)
     assert not list(tmp_path.glob(".*"))
 

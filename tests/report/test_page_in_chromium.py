@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from surctl.assessment import Line
-from surctl.marine.report.page import write_page
+from surctl.files import write_file
+from surctl.marine.report import render_page
 from surctl.marine.simulation import Run
 from tests.browser import WIDTHS, Opened, open_page
 from tests.report.data import run, said, verdict
@@ -70,7 +71,7 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
             Line(None, "sonar does not decide", counts=False),
         ),
     )
-    return write_page(data, tmp_path_factory.mktemp("report") / "report.html")
+    return write_file(tmp_path_factory.mktemp("report") / "report.html", render_page(data))
 
 
 @pytest.fixture(scope="module")

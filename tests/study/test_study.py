@@ -1,4 +1,5 @@
 import hashlib
+import json
 import re
 import sys
 from pathlib import Path
@@ -8,6 +9,7 @@ import pytest
 import xarray
 
 from surctl.assessment import assess
+from surctl.certcheck.bundle import read_bundle
 from surctl.errors import InputError
 from surctl.marine.assessment import LoopAnalysis, unstable_text
 from surctl.marine.cli.verify import _chosen
@@ -15,7 +17,7 @@ from surctl.marine.control import build_law, load_gains
 from surctl.marine.simulation import LIBRARY as SCENARIOS
 from surctl.marine.simulation import simulate
 from surctl.marine.study import conduct, load_plan
-from surctl.marine.study.conduct import Loops, _speed_notes, assessed, claims_of, loops_of, summary, with_perception
+from surctl.marine.study.conduct import Loops, _speed_notes, assessed, claims_of, loops_of, notes_of, with_perception
 from surctl.marine.vehicle import LIBRARY, load_vehicle
 from surctl.marine.verification.linear import slowest_mode
 from surctl.marine.verification.speeds import OverSpeeds
@@ -71,9 +73,12 @@ def test_the_main_job_ends_well(study):
     verdicts = [(v["claim"], v["verdict"], v["expected"]) for v in data["verdicts"]]
     assert verdicts == [("v1-printed", "refuted", "refuted"), ("v1-corrected", "proved", "proved")]
     assert {m["name"] for m in data["margins"]} >= {"surge", "sway", "heave", "yaw", "cross_track"}
-    assert data["banner"] == "All that is assessed holds."
-    assert data["figures"]["disk_margin"]["value"] == data["linear"]["worst"]["disk_margin"]
-    assert data["figures"]["region_m"]["value"] > 0 and data["figures"]["contact_margin_m"]["value"] >= 0
+    assessment = data["assessment"]
+    assert assessment["banner"] == data["banner"] == "All that is assessed holds."
+    assert (data["figures"], data["summary"]) == (assessment["figures"], assessment["lines"]), "the deprecated keys"
+    figures = {name: figure["value"] for name, figure in assessment["figures"].items()}
+    assert figures["disk_margin"] == data["linear"]["worst"]["disk_margin"]
+    assert figures["region_m"] > 0 and figures["contact_margin_m"] >= 0
 
 
 def test_runs_by_sonar_decide_and_those_with_true_positions_are_shown(study):
@@ -104,8 +109,8 @@ def test_the_exported_law_senses_and_c_equals_python_over_every_flight_by_sonar(
     header = (folder / "surctl-out" / "export" / "surctl_guarded.h").read_text()
     assert "double samples[4][5];" in header and re.search(r"_at_map_cells = \d+", header)
     steps = sum(report["steps"] for report in reports)
-    (line,) = [note["text"] for note in data["summary"] if note["text"].startswith("export")]
-    assert f"over {steps} steps of 1 sonar run;" in line and "law with perception" in line
+    (line,) = [note["text"] for note in data["assessment"]["lines"] if note["text"].startswith("export")]
+    assert f"over {steps} steps of 1 run;" in line
 
 
 def test_files_are_there_and_hash_as_told(study, folder):
@@ -115,6 +120,18 @@ def test_files_are_there_and_hash_as_told(study, folder):
     gains = load_gains(str(folder / data["gains"]["file"]))
     assert dict(gains.values) == data["gains"]["values"]
     assert "picked by a grid sweep" in gains.provenance
+
+
+def test_the_bundle_has_the_evidence_of_the_study(study, folder):
+    code = folder / "surctl-out" / "export"
+    manifest, data = json.loads((code / "manifest.json").read_text()), study.json
+    evidence, (report,) = manifest["evidence"], data["export"]["sil"]
+    run = evidence["run"]
+    assert (run["scenario"], run["vehicle"], run["sensing"], run["failure"]) == ("pool-behind", "sur400", "sonar", None)
+    assert evidence["sil"] == {key: report[key] for key in evidence["sil"]} and "further_runs" not in evidence
+    assert evidence["assessment"] == data["assessment"]
+    assert "pool-behind by sur400, sonar, seed 0: arrived without contact." in (code / "README.md").read_text()
+    assert read_bundle(code).wrong == ()
 
 
 def test_the_report_stands_alone(study, folder):
@@ -134,9 +151,8 @@ def test_the_report_stands_alone(study, folder):
 
 def test_the_cruise_speeds_of_the_study_are_those_of_its_sweep_its_summary_and_its_json(study, folder):
     data = study.json
-    (speeds,) = [
-        n for n in data["summary"] if n["text"].startswith("margins at 0.05 and 0.15 m/s, worst corner: least delay")
-    ]
+    start = "margins at 0.05 and 0.15 m/s, worst corner: least delay"
+    (speeds,) = [line for line in data["assessment"]["lines"] if line["text"].startswith(start)]
     told = data["linear"]["speeds"]
     assert speeds["passed"] is True and [row["cruise_m_per_s"] for row in told["at"]] == [0.05, 0.15]
     with xarray.open_dataset(folder / "surctl-out" / "sweep.nc") as table:
@@ -319,7 +335,7 @@ def test_a_study_of_an_own_law_judges_nothing_of_another() -> None:
     loops = loops_of(plan, plan.gains, one)
     run = simulate(plan.legs[0].scenario, plan.vehicle, gains=plan.gains, law=build_law(plan.law))
     table = swept({"k_wall": (0.2, 0.4)}, {"score": np.array([1.0, 2.0]), "feasible": np.ones(2)})
-    notes = {note.about: note for note in summary(plan, table, assessment, loops, (), [run], ()).lines}
+    notes = {note.about: note for note in [*assessment.lines, *notes_of(plan, table, loops, (), [run])]}
     assert "disk margin 0.27" in notes["margins"].text and notes["margins"].passed is False  # at a corner
     assert notes["margins"].text.startswith("margins about the steady motion at ")
     assert "claims" not in notes

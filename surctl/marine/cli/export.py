@@ -96,10 +96,10 @@ def export(
     from surctl.export.bundle import check_folder
     from surctl.export.envelope import as_records
     from surctl.export.prove import gain_box
-    from surctl.marine.cli.runs import failure
     from surctl.marine.control import law_source
     from surctl.marine.export import build_bundle, closed_form, operating_envelope
     from surctl.marine.export.origin import load_certificates, origin_of
+    from surctl.marine.export.robot_bundle import replay_of
     from surctl.marine.guidance import MAX_WAYPOINTS
     from surctl.marine.simulation import law_numbers, load_scenario, simulate
     from surctl.marine.simulation.numbers import fed_ranges
@@ -146,22 +146,11 @@ def export(
     bundle, proof = options.proved(shipped, bundle, limit)
     progress(f"simulating {mission.name}")
     run = simulate(mission, vehicle, gains=tuned, law=built, sensing=sensing, seed=seed)
-    record, metrics, failed = run.record, run.metrics, failure(run)
+    record, metrics, replay = run.record, run.metrics, replay_of(run)
+    failed = replay.about["failure"]
     p = np.zeros((len(record.law_state), 0)) if constant_gains else record.step_parameters
     records = as_records(shipped, Records(record.law_state, record.law_input, p))
     compared = options.compared(shipped, bundle, records, fixed, tools)
-    replayed = {
-        "scenario": mission.name,
-        "vehicle": vehicle.name,
-        "sensing": sensing,
-        "seed": seed,
-        "path_length_m": mission.path.length,
-        "arrival_m": mission.arrival_radius,
-        "obstacles": [obstacle.model_dump(mode="json", exclude_defaults=True) for obstacle in mission.obstacles],
-        "stopped_because": metrics.stopped_because,
-        "time_s": metrics.time_s,
-        "failure": failed,
-    }
     data = {
         "failure": failed,
         "vehicle_from": choice.origin,
@@ -175,10 +164,9 @@ def export(
     runs = shutil.which("make") and not (mission.path.fed and options.real != "float64")
     options.finish(
         compared, bundle, _assessed(run, sensing),
-        proof=proof, run=replayed, replayed=f"{text}{metrics.time_s:.2f} s",
+        proof=proof, replay=replay, replayed=f"{text}{metrics.time_s:.2f} s",
         about=([*why, choice.line(vehicle.name), *chosen.lines], lost), data=data, same=compared.sil.conclusive,
         then=[*belong, *started] if runs else belong, as_json=as_json,
-        statuses=record.status, period=built.dt,
     )  # fmt: skip
 
 

@@ -58,14 +58,6 @@ def activity_line(run: Run) -> str:
     )
 
 
-def failure(run: Run) -> str | None:
-    """Return why a run fails (the command then exits with status 1); None if the robot arrives without contact."""
-    m = run.metrics
-    why = [] if m.reached else [f"it does not arrive ({m.stopped_because} at {m.time_s:.2f} s)"]
-    why += [f"the hull touches an obstacle or wall (clearance {m.min_clearance_m:.3f} m)"] * (m.min_clearance_m <= 0)
-    return f"{run.scenario.name} by {run.vehicle.name}: {', and '.join(why)}" if why else None
-
-
 def series_lines(runs: Sequence[Mapping[str, Any]]) -> list[str]:
     """Return at most five lines about runs of one scenario that differ in the seed.
 

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from surctl.cli.output import finish, progress, refusal_line, same_command, saving, stoppable
-from surctl.cli.study import report_files, weakest
+from surctl.cli.output import progress, refusal_line, saving
+from surctl.cli.study import conduct_study
 from surctl.marine.cli.claims import claim_line
 from surctl.marine.cli.robot_options import at_hand, derive_words, law_words, margin_of_all, trust_option
 
@@ -56,7 +56,7 @@ def study(
     from surctl.ir.cache import find_compiler
 
     find_compiler()  # before the imports and the plan, which take seconds
-    from surctl.marine.study import conduct, load_plan
+    from surctl.marine.study import Study, load_plan
 
     file = words[0] if words else None
 
@@ -69,30 +69,25 @@ def study(
         from surctl.marine.engine.pictures import check_pictures
 
         check_pictures()
-    with stoppable(f"the finished points are in {out}; to continue: {same_command()}"):
-        result = conduct(plan, out, workers=workers, progress=progress, command=command, film=film, saving=saving)
-    lines = [f"study {result.plan.name}: {result.assessment.verdict()}"]
-    lines += [] if plan.derivation is None else [f"started from {line.strip()}" for line in plan.derivation.lines()]
-    lines += [f"{line.mark} {line.text}" for line in result.notes]
-    loops = result.loops
-    stable = loops.margins and loops.margins[0].stable
-    lines += ["", "nominal; each loop alone, all others closed:"] if stable else []
-    lines += [f"  {margin.line()}" for margin in loops.margins if stable]
-    lines += ["", *(claim_line(v) for v in result.verdicts), *(refusal_line(v) for v in result.inapplicable)]
-    lines += ["", f"gains  {result.gain_file}", f"code   {out / 'export'}"]
-    lines += [f"report {result.report}"] if result.report else []
-    tuning = ["surctl", "tune", *([file] if file else []), *(["--trust"] if trust else [])]
-    about = at_hand(result.plan.deciding[0].scenario, plan.vehicle, str(result.gain_file))
-    cruise = None if plan.derivation is None else plan.derivation.cruise
-    then = changes(result.assessment, about[3], cruise)
-    # a search about missions that the study has made for the vehicle has no study file
-    then += [shlex.join(tuning)] if tunable(result.assessment) and not plan.unheard else []
-    then.append(shlex.join(_examined(plan.law, about)))
-    brief = [lines[0], *(f"{line.mark} {line.text}" for line in weakest(result.assessment))]
-    finish(
-        result.to_dict(), lines,
-        as_json=as_json, passed=result.passed, then=then, brief=brief, files=report_files(result.report, out),
-    )  # fmt: skip
+    study = Study(plan=plan, workers=workers, progress=progress, command=command, film=film, saving=saving)
+
+    def below() -> list[str]:
+        loops = study.loops
+        stable = loops.margins and loops.margins[0].stable
+        lines = ["", "nominal; each loop alone, all others closed:"] if stable else []
+        lines += [f"  {margin.line()}" for margin in loops.margins if stable]
+        return [*lines, "", *map(claim_line, study.verdicts), *map(refusal_line, study.inapplicable)]
+
+    def then() -> list[str]:
+        about = at_hand(study.plan.deciding[0].scenario, plan.vehicle, str(study.gain_file))
+        cruise = None if plan.derivation is None else plan.derivation.cruise
+        tuning = ["surctl", "tune", *([file] if file else []), *(["--trust"] if trust else [])]
+        # a search about missions that the study has made for the vehicle has no study file
+        search = [shlex.join(tuning)] if tunable(study.assessment) and not plan.unheard else []
+        return [*changes(study.assessment, about[3], cruise), *search, shlex.join(_examined(plan.law, about))]
+
+    above = [] if plan.derivation is None else [f"started from {line.strip()}" for line in plan.derivation.lines()]
+    conduct_study(study, out, above=above, below=below, then=then, as_json=as_json)
 
 
 def changes(assessment: Assessment, vehicle: str, cruise: float | None) -> list[str]:

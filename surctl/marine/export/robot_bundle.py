@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from surctl.errors import InputError
 from surctl.export import bundle as core
 from surctl.export.contract import DATA, MISSION_FILES, Exportable
-from surctl.export.envelope import Envelope
+from surctl.export.envelope import Envelope, Records
+from surctl.export.evidence import ReplayedRun
 from surctl.export.supplement import UNKNOWN, Listed, Supplement, step_line
 from surctl.ir import Real, c_literal
 from surctl.marine.control import ARC_LENGTHS, FED
@@ -24,6 +25,8 @@ from surctl.marine.guidance import AT_CORNER, MAX_WAYPOINTS, ROW
 from surctl.marine.guidance.following import SHORTEST
 from surctl.marine.sensing import INCIDENCE_LIMITS, Equipment, SonarArray
 from surctl.marine.sensing.localisation.own_state import LONGEST_AGE, LONGEST_LATENCY
+from surctl.marine.simulation import Run
+from surctl.marine.simulation.explanation import failure
 from surctl.marine.vehicle import Actuators
 
 
@@ -317,3 +320,23 @@ def build_bundle(
     """
     added = _Robot(origin, mission)
     return core.build_bundle(law, gains, name=name, real=real, envelope=envelope, supplement=added)
+
+
+def replay_of(run: Run) -> ReplayedRun:
+    """Return a run of a law for the comparison of C with Python, and for the manifest of the law's bundle."""
+    mission, record, metrics = run.scenario, run.record, run.metrics
+    about = {
+        "scenario": mission.name,
+        "vehicle": run.vehicle.name,
+        "sensing": run.sensing,
+        "seed": run.seed,
+        "path_length_m": mission.path.length,
+        "arrival_m": mission.arrival_radius,
+        "obstacles": [obstacle.model_dump(mode="json", exclude_defaults=True) for obstacle in mission.obstacles],
+        "stopped_because": metrics.stopped_because,
+        "time_s": metrics.time_s,
+        "failure": failure(run),
+    }
+    return ReplayedRun(
+        about, Records(record.law_state, record.law_input, record.step_parameters), record.status, run.law.dt
+    )

@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 from math import pi
-from pathlib import Path
 
-from surctl.files import write_file
 from surctl.marine.report.evidence_sections import claims_section, decisive_section, runs_section
 from surctl.marine.report.sections import (
     ReportData,
     gains_section,
     loops_section,
-    sweep_section,
-    time_section,
+    picked_section,
     vehicle_section,
 )
-from surctl.report.document import Cell, Paragraph, Section, Table, render_sections
+from surctl.report.document import Cell, Paragraph, Section, Table
 from surctl.report.evidence import claim_words
-from surctl.report.system_page import figures_table
+from surctl.report.study_page import StudyPage, figures_table
 from surctl.report.theme import interval, number
 from surctl.verification import Claim, Inapplicable, Verdict
 
@@ -132,37 +129,27 @@ def render_page(data: ReportData, *, runs: Section | None = None) -> str:
         >>> "margins suffice" in page, "https://" in page
         (True, False)
     """
-    return render_sections(
-        title=data.title,
-        subject=_subject(data),
-        version=data.version,
-        command=data.command,
-        passed=data.assessment.passed,
-        banner=data.assessment.verdict(),
-        lines=data.assessment.lines,
-        sections=_sections(data, runs),
-    )
-
-
-def _sections(data: ReportData, runs: Section | None) -> tuple[Section, ...]:
-    # decisive run, margins and claims, folded details, parameters
-    decisive = decisive_section(data)
-    sections = [] if decisive is None else [decisive]
+    evidence = [one for one in (decisive_section(data),) if one is not None]
     if data.margins or data.linear or data.verdicts or data.inapplicable:
-        sections.append(findings_section(data))
+        evidence.append(findings_section(data))
     if data.margins or data.loops:
-        sections.append(loops_section(data))
+        evidence.append(loops_section(data))
     if data.verdicts:
-        sections.append(claims_section(data))
+        evidence.append(claims_section(data))
     if data.runs:
-        sections.append(runs or runs_section(data))
-    if data.sweep is not None:
-        sections.append(sweep_section(data, data.sweep))
-    if data.export is not None:
-        sections.append(data.export)
-    if data.seconds:
-        sections.append(time_section(data))
-    return (*sections, vehicle_section(data), gains_section(data))
+        evidence.append(runs or runs_section(data))
+    return StudyPage(
+        title=data.title,
+        about=_subject(data),
+        command=data.command,
+        version=data.version,
+        assessment=data.assessment,
+        evidence=evidence,
+        sweep=None if data.sweep is None else picked_section(data, data.sweep),
+        export=data.export,
+        seconds=data.seconds,
+        numbers=[vehicle_section(data), gains_section(data)],
+    ).render()
 
 
 def _subject(data: ReportData) -> str:
@@ -171,15 +158,3 @@ def _subject(data: ReportData) -> str:
         cruise, cap = data.speeds
         speeds = f", cruise speed {number(cruise)} m/s, speed limit {number(cap)} m/s"
     return f"Vehicle {data.vehicle.name}, gains {data.gains.name}{speeds}."
-
-
-def write_page(data: ReportData, path: Path | str, *, runs: Section | None = None) -> Path:
-    """Render the report with `render_page` and write it; the file is replaced in one step or stays unchanged.
-
-    Returns:
-        The path of the written file.
-
-    Raises:
-        InputError: the folder cannot be written.
-    """
-    return write_file(Path(path), render_page(data, runs=runs))

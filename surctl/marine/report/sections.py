@@ -28,8 +28,8 @@ from surctl.report.document import (
     picture,
 )
 from surctl.report.page_parts import plot_tightest
+from surctl.report.study_page import disk_table, margins_table, sweep_pictures, sweep_section
 from surctl.report.sweep_plots import axis_title
-from surctl.report.system_page import disk_table, margins_table, sweep_pictures
 from surctl.report.theme import number
 from surctl.system import LinearLoop
 from surctl.tuning import SweepTable
@@ -218,7 +218,7 @@ def loops_section(data: ReportData) -> Section:
     return Section("loops", "Margins of each loop", tuple(blocks), folded=True)
 
 
-def sweep_section(data: ReportData, sweep: SweepTable) -> Section:
+def picked_section(data: ReportData, sweep: SweepTable) -> Section:
     """Return a section with plots of the columns of the sweep, and a table of the picked point."""
     feasible = sweep.column("feasible") > 0.5
     over = " and ".join(axis_title(axis) for axis in sweep.axes)
@@ -233,8 +233,7 @@ def sweep_section(data: ReportData, sweep: SweepTable) -> Section:
     else:
         blocks.append(_picked(sweep, sweep.picked))
     titles = {name: COLUMN_TITLES.get(name, name) for name in _SWEPT if name in sweep.columns}
-    pictures = sweep_pictures(sweep, titles, command=data.command)
-    return Section("sweep", "Sweep of the gains", (*blocks, *pictures), folded=True)
+    return sweep_section(blocks, sweep_pictures(sweep, titles, command=data.command))
 
 
 def _picked(sweep: SweepTable, at: tuple[int, ...]) -> Table:
@@ -246,10 +245,3 @@ def _picked(sweep: SweepTable, at: tuple[int, ...]) -> Table:
         if name in sweep.columns
     ]
     return Table("The picked point", ("quantity", "value", "unit"), tuple(rows))
-
-
-def time_section(data: ReportData) -> Section:
-    """Return a section with the computing time of each part of the study."""
-    rows = [(stage, Cell(number(value, digits=3), number=True)) for stage, value in data.seconds.items()]
-    rows.append(("total", Cell(number(sum(data.seconds.values()), digits=3), number=True)))
-    return Section("time", "Computing time", (Table("Time by stage", ("stage", "time [s]"), tuple(rows)),), folded=True)

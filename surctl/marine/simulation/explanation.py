@@ -84,6 +84,14 @@ _STILL = 0.2  # of the hull radius: a hull that stays within this distance rests
 _LEAST = 20.0  # [s] shortest rest at the end of a run that is said (*chosen*)
 
 
+def failure(run: Run) -> str | None:
+    """Return why a run fails (the command then exits with status 1); None if the robot arrives without contact."""
+    m = run.metrics
+    why = [] if m.reached else [f"it does not arrive ({m.stopped_because} at {m.time_s:.2f} s)"]
+    why += [f"the hull touches an obstacle or wall (clearance {m.min_clearance_m:.3f} m)"] * (m.min_clearance_m <= 0)
+    return f"{run.scenario.name} by {run.vehicle.name}: {', and '.join(why)}" if why else None
+
+
 def stop_reason(run: Run) -> str:
     """Return why a run ended as `standstill`, `dead end` or `fault`, in one sentence without a full stop.
 

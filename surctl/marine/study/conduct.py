@@ -2,34 +2,23 @@
 
 from __future__ import annotations
 
-import tempfile
-import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
-from dataclasses import asdict, dataclass, field, replace
+from collections.abc import Mapping, Sequence
+from contextlib import nullcontext
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from surctl import __version__
 from surctl.assessment import Assessment, Line, assess
-from surctl.export import (
-    Bundle,
-    Controller,
-    ExportedFile,
-    Records,
-    SilReport,
-    build_controller,
-    compare_runs,
-    write_bundle,
-)
-from surctl.files import prepare_folder, write_file
-from surctl.ir.cache import find_compiler
+from surctl.export import Bundle
+from surctl.export.evidence import ReplayedRun
+from surctl.files import write_file
 from surctl.marine.assessment import LoopAnalysis, Mission
 from surctl.marine.control import Gains, Law, build_law, law_source, write_gains
 from surctl.marine.export import build_bundle
 from surctl.marine.export.origin import origin_of
+from surctl.marine.export.robot_bundle import replay_of
 from surctl.marine.simulation import Run, Scenario, findings, law_numbers, simulate
 from surctl.marine.study.plan import Leg, Plan
 from surctl.marine.tuning import MissionSweep, picked_gains
@@ -38,12 +27,14 @@ from surctl.marine.verification import law_loop, over_speeds
 from surctl.marine.verification.library import applicable_claims
 from surctl.marine.verification.region import refused_regions
 from surctl.marine.verification.speeds import OverSpeeds, speeds_text
+from surctl.study import Progress, Saving, StudyParts, conduct_parts
 from surctl.system import LinearLoop
 from surctl.tuning import LocalExecutor, SweepTable, grid, sweep
 from surctl.verification import Inapplicable, LoopMargins, Verdict, decide
 from surctl.verification.linear import short_margins
 
 if TYPE_CHECKING:
+    from surctl.marine.report import ReportData
     from surctl.report.document import Section
 
 
@@ -93,25 +84,21 @@ def loops_of(plan: Plan, gains: Gains, analysis: LoopAnalysis) -> Loops:
     )
 
 
-def summary(
+def notes_of(
     plan: Plan,
     swept: SweepTable,
-    assessment: Assessment,
     loops: Loops,
     verdicts: Sequence[Verdict | Inapplicable],
     runs: Sequence[Run],
-    sil: Sequence[SilReport],
-) -> Assessment:
-    """Return the assessment of a study with the lines of its sweep, claims, runs and export.
+) -> list[Line]:
+    """Return the lines of a study about its sweep, its speeds, its claims, and the limits of its vehicle.
 
     Args:
         plan: the plan of the study.
         swept: the parameter sweep of the study.
-        assessment: what is assessed of the vehicle with the gains of the sweep.
         loops: linear analysis of the control loops; empty if the law has no linear model.
         verdicts: verdicts on the claims of the study.
         runs: runs of the study.
-        sil: software-in-the-loop (SIL) reports, one report for each run that the exported law replayed.
     """
     notes = list[Line]()
     feasible = int((swept.column("feasible") > 0.5).sum())
@@ -142,15 +129,8 @@ def summary(
         if leg.exclusion or leg.misfit:
             reason = leg.exclusion or leg.misfit
             notes.append(_remark(f"{leg.scenario.name} does not count towards the result: {reason}"))
-    worst = max((max(r.tau.mixed, r.state.mixed, r.telemetry.mixed) for r in sil), default=0.0)
-    steps, cases = sum(r.steps for r in sil), sum(r.fault_cases for r in sil)
-    passed = bool(sil) and all(r.conclusive for r in sil)
-    replays = f"{len(sil)} {'' if plan.unheard else 'sonar '}run{'s' * (len(sil) != 1)}"
-    which = "that takes obstacle positions" if plan.unheard else "with perception"
-    text = f"export of the law {which}: C and Python agree to {worst:.1e} over {steps} steps of {replays}; "
-    notes.append(Line(passed, text + f"{cases} inputs with NaN or infinity tested", "export"))
     notes += [_remark(f"no sonars are simulated, because {plan.unheard}")] if plan.unheard else []
-    return assessment.with_lines(notes + _limits(plan, runs))
+    return notes + _limits(plan, runs)
 
 
 def _remark(text: str, about: str = "") -> Line:
@@ -231,142 +211,162 @@ def with_perception(plan: Plan, leg: Leg) -> Law:
     )
 
 
-@dataclass(frozen=True, eq=False)
-class _Shipment:
-    """An exported law.
+@dataclass(eq=False, kw_only=True)
+class Study(StudyParts):
+    """The study of a plan and its results; see `surctl.study.StudyParts` for those of every study.
 
     Attributes:
-        law: the exported law.
-        bundle: the exported C code, with default gains and a default mission.
-        files: paths of the written files.
-        compiling: future (`concurrent.futures`) whose result is the compiled bundle.
-    """
-
-    law: Law
-    bundle: Bundle
-    files: tuple[ExportedFile, ...]
-    compiling: Future[Controller]
-
-    def carries(self, run: Run) -> bool:
-        """Return whether a run used the exported law; its gains and mission may differ from those of the export."""
-        return run.law is self.law or run.law.block.digest() == self.law.block.digest()
-
-    def replayed(self, runs: Sequence[Run]) -> tuple[SilReport, ...]:
-        """Replay the given runs of the exported law and return one report per run; wait for the compiler if necessary.
-
-        Raises:
-            SurctlError: the compiler rejects the bundle, or the compiled program crashes during a replay.
-        """
-        records = [Records(r.law_state, r.law_input, r.step_parameters) for r in (run.record for run in runs)]
-        return compare_runs(self.compiling.result(), records)
-
-
-@contextmanager
-def _shipping(law: Law, gains: Gains, leg: Leg, out: Path) -> Iterator[_Shipment]:
-    """Write the C code of the law to `out` and compile it in parallel with the body of the `with` statement.
-
-    Args:
-        law: the law to export.
-        gains: complete gain set.
-        leg: the study's mission whose scenario and vehicle become the defaults of the export.
-        out: folder of the exported bundle.
-
-    Raises:
-        InputError: the folder cannot be written.
-    """
-    numbers = law_numbers(leg.scenario, gains, leg.vehicle)
-    bundle = build_bundle(law, law.gains.unpack(numbers), origin=origin_of(law, leg.vehicle))
-    files = tuple(write_bundle(bundle, out))
-    with tempfile.TemporaryDirectory(prefix="surctl-sil-") as scratch, ThreadPoolExecutor(1) as beside:
-        yield _Shipment(law, bundle, files, beside.submit(build_controller, law, bundle, Path(scratch, bundle.name)))
-
-
-Progress = Callable[[str], None]
-
-
-@dataclass(frozen=True, eq=False)
-class Study:
-    """A finished study.
-
-    Attributes:
-        assessment: the figures and the lines of the summary, worst first.
-        runs: simulated runs with true positions and with sonar, in the plan's order.
+        plan: the plan of the study.
+        film: whether the report shows MuJoCo's pictures of the scene beside the plan view of the decisive run.
+        gains: the gains that the sweep picks.
+        loops: linear analysis of the control loops; empty if the law has no linear model.
+        verdicts: verdicts on the claims.
         inapplicable: claims that do not concern the vehicle, each with the reason; such a claim counts as failed if the
             plan names it.
+        runs: simulated runs with true positions and with sonar, in the plan's order.
         deciding: for each run, whether the run counts towards the result of the study.
         replayed: the sonar runs that were repeated with the exported C; without sonars (`Plan.unheard`), the runs with
             true positions. These are the runs of the exported law in which the hull fits the site.
-        loops: linear analysis of the control loops; empty if the law has no linear model.
-        sil: software-in-the-loop (SIL) reports, one report for each replayed run.
-        report: the written page; None if it could not be drawn or written.
     """
 
     plan: Plan
-    sweep: SweepTable
-    gains: Gains
-    loops: Loops
-    verdicts: tuple[Verdict, ...]
-    inapplicable: tuple[Inapplicable, ...]
-    runs: tuple[Run, ...]
-    deciding: tuple[bool, ...]
-    replayed: tuple[Run, ...]
-    files: tuple[ExportedFile, ...]
-    sil: tuple[SilReport, ...]
-    assessment: Assessment
-    report: Path | None
-    gain_file: Path
-    seconds: dict[str, float]
+    film: bool = False
+    gains: Gains = field(init=False)
+    loops: Loops = field(init=False)
+    verdicts: tuple[Verdict, ...] = ()
+    inapplicable: tuple[Inapplicable, ...] = ()
+    runs: tuple[Run, ...] = ()
+    deciding: tuple[bool, ...] = ()
+    replayed: tuple[Run, ...] = ()
 
     @property
-    def passed(self) -> bool:
-        """Whether the study is accepted: no line that counts towards the result fails."""
-        return self.assessment.accepted()
+    def title(self) -> str:
+        """Name of the plan."""
+        return self.plan.name
 
     @property
-    def notes(self) -> tuple[Line, ...]:
-        """The lines of the summary, worst first."""
-        return self.assessment.lines
+    def _legs(self) -> tuple[Leg, ...]:
+        return tuple(leg for leg in self.plan.legs if not leg.exclusion)
+
+    def __post_init__(self) -> None:
+        # the laws are built first: their errors come before the long computations
+        plan, legs = self.plan, self._legs
+        self._laws = [build_law(plan.law, guidance=plan.guidance, actuators=leg.vehicle.actuators) for leg in legs]
+        self._sonar_laws = [with_perception(plan, leg) for leg in legs]
+        self._runs_section: Section | None = None
+        self._first = next(k for k, leg in enumerate(legs) if leg.misfit is None)
+
+    def export(self, out: Path) -> tuple[Law, Bundle]:
+        """Pick the gains by a sweep; return the law of the first mission that counts, and its bundle."""
+        self.plan = plan = self.plan.written(out / "missions")
+        with self.timed("sweep"):
+            job = MissionSweep(plan.sweep_cases, plan.sweep_seeds, cruise=plan.cruise)
+            executor = LocalExecutor(self.workers)
+            self.sweep = sweep(job, grid(plan.grid), executor=executor, out=out, progress=self.progress)
+            self.gains = picked_gains(self.sweep)
+            self.gain_file = write_file(out / "gains.toml", write_gains(self.gains))
+        with self.timed("export"):
+            law, leg = self._sonar_laws[self._first], self._legs[self._first]
+            numbers = law_numbers(leg.scenario, self.gains, leg.vehicle)
+            self._bundle = build_bundle(law, law.gains.unpack(numbers), origin=origin_of(law, leg.vehicle))
+        return law, self._bundle
+
+    def simulate(self) -> list[ReplayedRun]:
+        """Simulate each mission with true positions, and with sonar; return the runs of the exported law."""
+        plan = self.plan
+        for leg, law_of_truth, sonar_law in zip(self._legs, self._laws, self._sonar_laws, strict=True):
+            for sensing, law in (("truth", law_of_truth), ("sonar", sonar_law))[: 1 if plan.unheard else 2]:
+                run = simulate(leg.scenario, leg.vehicle, gains=self.gains, law=law, sensing=sensing, seed=plan.seed)
+                line = f"{leg.scenario.name} {sensing}: {run.metrics.stopped_because} at {run.metrics.time_s:.1f} s"
+                self.progress(line)
+                self.ran.append(line)
+                self.runs += (run,)
+                self.deciding += (leg.misfit is None and sensing == _sensing(plan),)
+        digest = self._sonar_laws[self._first].block.digest()
+        counted = [run for run, counts in zip(self.runs, self.deciding, strict=True) if counts]
+        self.replayed = tuple(run for run in counted if run.law.block.digest() == digest)
+        self._left_out = [run for run in counted if run not in self.replayed]
+        return [replay_of(run) for run in self.replayed]
+
+    def assess(self) -> Assessment:
+        """Assess the vehicle with its gains in the missions that count, decide the claims, and draw the runs."""
+        from surctl.marine.report.evidence_sections import runs_section
+
+        assert self.sweep is not None  # it picks the gains
+        plan, gains = self.plan, self.gains
+        with self.timed("assessment"):
+            extra = tuple(not each for each in self.deciding)
+            assessment = assess(assessed(plan, gains, runs=self.runs, extra=extra))
+            self.loops = loops_of(plan, gains, assessment.sources["loop"])
+        with self.timed("claims"):
+            self.verdicts, self.inapplicable = claims_of(plan, gains, _fastest(plan))
+            self._regions = _unprovable_regions(plan, gains)
+        with self.timed("pictures of the runs"), self.saving("plots of the runs"):
+            self._runs_section = runs_section(self._data())
+        lines = notes_of(plan, self.sweep, self.loops, (*self.verdicts, *self.inapplicable), self.runs)
+        return assessment.with_lines([*lines, *left_out(self._left_out)])
+
+    def _data(self) -> ReportData:
+        from surctl.marine.report import ReportData
+
+        fastest = _fastest(self.plan)
+        return ReportData(
+            title=f"Study of {self.title}",
+            command=self.command,
+            version=__version__,
+            vehicle=self.plan.vehicle,
+            gains=self.gains,
+            speeds=(fastest.cruise, fastest.cap),
+            margins=self.loops.margins,
+            linear=self.loops.analysis.sides,
+            loops=self.loops.loops,
+            gains_file=str(self.gain_file),
+            verdicts=self.verdicts,
+            inapplicable=self.inapplicable,
+            regions=self._regions,
+            runs=self.runs,
+            deciding=self.deciding,
+            sweep=self.sweep,
+            film=self.film,
+            seconds=self.seconds,
+        )
+
+    def page(self) -> str:
+        """Return the page: decisive run, margins, claims, runs, sweep, export, parameters of the vehicle and gains."""
+        from surctl.marine.report import render_page
+        from surctl.report.study_page import export_section
+
+        plan, bundle = self.plan, self._bundle
+        inputs = "estimates its position and the obstacles from sonars, base station and IMU"
+        if plan.unheard:
+            inputs = f"takes the pose, the velocity and the obstacles as inputs, because {plan.unheard}"
+        text = f"C99, double precision, prefix {bundle.name}, law {bundle.id}. The exported law {inputs}."
+        runs = "; ".join(f"{k}: {run.scenario.name} by {run.vehicle.name}" for k, run in enumerate(self.replayed, 1))
+        export = export_section(f"{text} Replayed runs: {runs}.", self.files, self.sil)
+        return render_page(replace(self._data(), export=export, assessment=self.assessment), runs=self._runs_section)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the study as plain data; the writer converts numbers that are not finite."""
-        picked = self.sweep.picked
-        return {
-            "study": self.plan.name,
-            "vehicle": self.plan.vehicle.name,
-            "passed": self.passed,
-            "banner": self.assessment.banner,
-            "figures": self.assessment.to_dict()["figures"],
-            "summary": [asdict(note) for note in self.notes],
-            "gains": {
-                "file": str(self.gain_file),
-                "values": dict(self.gains.values),
-                "provenance": self.gains.provenance,
-            },
-            "sweep": {
-                "axes": {axis.name: axis.values.tolist() for axis in self.sweep.axes},
-                "picked": None if picked is None else list(picked),
-                "cases": list(self.sweep.cases),
-                "table": str(self.sweep.path),
-                "columns": {name: self.sweep.column(name).tolist() for name in self.sweep.columns},
-            },
+        data, swept, plan = self.common(), self.sweep, self.plan
+        assert swept is not None  # chosen before
+        picked = None if swept.picked is None else list(swept.picked)
+        gains = {"file": str(self.gain_file), "values": dict(self.gains.values), "provenance": self.gains.provenance}
+        return data | {
+            "vehicle": plan.vehicle.name,
+            "gains": gains,
+            "sweep": data["sweep"] | {"picked": picked, "cases": list(swept.cases)},
             "margins": [m.to_dict() for m in self.loops.margins],
             "linear": self.loops.to_dict(),
             "verdicts": [*(v.to_dict() for v in self.verdicts), *(v.to_dict() for v in self.inapplicable)],
             "runs": [run.to_dict() | {"decides": d} for run, d in zip(self.runs, self.deciding, strict=True)],
             "not_simulated": [
-                {"scenario": leg.scenario.name, "reason": leg.exclusion} for leg in self.plan.legs if leg.exclusion
+                {"scenario": leg.scenario.name, "reason": leg.exclusion} for leg in plan.legs if leg.exclusion
             ],
-            "export": {
-                "files": [str(f.path) for f in self.files],
-                "sha256": {f.path.relative_to(self.files[0].path.parent).as_posix(): f.sha256 for f in self.files},
-                "sensing": _sensing(self.plan),
-                "sil": [
-                    {"scenario": run.scenario.name, "vehicle": run.vehicle.name, **report.to_dict()}
-                    for run, report in zip(self.replayed, self.sil, strict=True)
-                ],
-            },
-            "report": None if self.report is None else str(self.report),
-            "seconds": self.seconds,
+            "export": data["export"] | {"sensing": _sensing(plan)},
+            # the keys before `assessment`
+            "banner": self.assessment.banner,
+            "figures": data["assessment"]["figures"],
+            "summary": data["assessment"]["lines"],
         }
 
 
@@ -378,7 +378,7 @@ def conduct(
     progress: Progress = lambda _: None,
     command: str = "",
     film: bool = False,
-    saving: Callable[[str], AbstractContextManager[object]] = nullcontext,
+    saving: Saving = nullcontext,
 ) -> Study:
     """Conduct all parts of the study that the plan contains and return the finished study.
 
@@ -415,96 +415,18 @@ def conduct(
         >>> study.verdicts[0].verdict, study.runs[0].metrics.stopped_because, study.sil[0].passed
         ('proved', 'reached', True)
     """
-    from surctl.marine.report import ReportData
-    from surctl.marine.report.evidence_sections import runs_section
-    from surctl.marine.report.page import write_page
-    from surctl.report.document import Section
+    study = Study(plan=plan, workers=workers, progress=progress, command=command, film=film, saving=saving)
+    conduct_parts(study, out)
+    return study
 
-    find_compiler()
-    prepare_folder(out)
-    plan = plan.written(out / "missions")
-    clock, legs = _Clock(progress), tuple(leg for leg in plan.legs if not leg.exclusion)
-    laws = tuple(build_law(plan.law, guidance=plan.guidance, actuators=leg.vehicle.actuators) for leg in legs)
-    sonar_laws = tuple(with_perception(plan, leg) for leg in legs)  # errors here come before the long work
-    first = next(k for k, leg in enumerate(legs) if leg.misfit is None)
-    with ExitStack() as stack:
-        with clock("sweep"):
-            swept = _sweep(plan, out, workers, progress)
-            gains = picked_gains(swept)
-            gain_file = write_file(out / "gains.toml", write_gains(gains))
-        with clock("export"):
-            shipment = stack.enter_context(_shipping(sonar_laws[first], gains, legs[first], out / "export"))
-        with clock("runs"):
-            leg_runs = _simulate_legs(plan, legs, (laws, sonar_laws), gains, progress)
-        runs = tuple(run for _, run in leg_runs)
-        deciding = tuple(leg.misfit is None and run.sensing == _sensing(plan) for leg, run in leg_runs)
-        with clock("assessment"):
-            assessment = assess(assessed(plan, gains, runs=runs, extra=tuple(not each for each in deciding)))
-            loops = loops_of(plan, gains, assessment.sources["loop"])
-        with clock("claims"):
-            fastest = max((leg.scenario for leg in plan.deciding), key=lambda scenario: scenario.cruise)
-            verdicts, inapplicable = claims_of(plan, gains, fastest)
-            regions = _unprovable_regions(plan, gains, speeds=(fastest.cruise, fastest.cap))
-        sonar_runs = [run for leg, run in leg_runs if leg.misfit is None and run.sensing == _sensing(plan)]
-        replayed = tuple(run for run in sonar_runs if shipment.carries(run))
-        with clock("pictures of the runs"):  # in parallel with the compiler
-            data = ReportData(
-                title=f"Study {plan.name}",
-                command=command,
-                version=__version__,
-                vehicle=plan.vehicle,
-                gains=gains,
-                speeds=(fastest.cruise, fastest.cap),
-                margins=loops.margins,
-                linear=loops.analysis.sides,
-                loops=loops.loops,
-                gains_file=str(gain_file),
-                verdicts=verdicts,
-                inapplicable=inapplicable,
-                regions=regions,
-                runs=runs,
-                deciding=deciding,
-                sweep=swept,
-                film=film,
-            )
-            section, report = Section("runs", "Closed-loop runs", ()), None
-            with saving("plots of the runs"):
-                section = runs_section(data)
-        with clock("software in the loop"):
-            sil = shipment.replayed(replayed)
-    assessment = summary(plan, swept, assessment, loops, (*verdicts, *inapplicable), runs, sil)
-    assessment = assessment.with_lines(left_out([run for run in sonar_runs if run not in replayed]))
-    with clock("report"), saving("report"):
-        data = replace(
-            data,
-            export=_export_section(plan, shipment, replayed, sil),
-            seconds=dict(clock.seconds),
-            assessment=assessment,
-        )
-        report = write_page(data, out / "report.html", runs=section)
-    seconds = dict(clock.seconds)
-    return Study(
-        plan,
-        swept,
-        gains,
-        loops,
-        verdicts,
-        inapplicable,
-        runs,
-        deciding,
-        replayed,
-        shipment.files,
-        sil,
-        assessment,
-        report,
-        gain_file,
-        seconds,
-    )
+
+def _fastest(plan: Plan) -> Scenario:
+    return max((leg.scenario for leg in plan.deciding), key=lambda scenario: scenario.cruise)
 
 
 def assessed(plan: Plan, gains: Gains, *, runs: tuple[Run, ...] | None = None, extra: tuple[bool, ...] = ()) -> Mission:
     """Return the subject of a study: its vehicle with these gains, in the missions that count; see `Mission`."""
-    fastest = max((leg.scenario for leg in plan.deciding), key=lambda scenario: scenario.cruise)
+    fastest = _fastest(plan)
     return Mission(
         plan.vehicle,
         gains,
@@ -520,61 +442,18 @@ def assessed(plan: Plan, gains: Gains, *, runs: tuple[Run, ...] | None = None, e
     )
 
 
-def _unprovable_regions(plan: Plan, gains: Gains, *, speeds: tuple[float, float]) -> tuple[Inapplicable, ...]:
+def _unprovable_regions(plan: Plan, gains: Gains) -> tuple[Inapplicable, ...]:
     """Return the region claims that cannot be proved for the vehicle, one record for each reason."""
     if not law_source(plan.law).parts:
         return ()
-    refused = refused_regions(plan.vehicle, gains, cruise=speeds[0], cap=speeds[1])
+    fastest = _fastest(plan)
+    refused = refused_regions(plan.vehicle, gains, cruise=fastest.cruise, cap=fastest.cap)
     return tuple(Inapplicable(", ".join(names), reason.because, reason.to) for reason, names in refused)
 
 
 _NO_PART = "the claim is about a part of the built-in laws"
 
 
-class _Clock:
-    def __init__(self, progress: Progress) -> None:
-        self.progress, self.seconds = progress, dict[str, float]()
-
-    @contextmanager
-    def __call__(self, stage: str) -> Iterator[None]:
-        self.progress(f"{stage} ...")
-        start = time.perf_counter()
-        yield
-        self.seconds[stage] = round(time.perf_counter() - start, 2)
-        self.progress(f"{stage} done in {self.seconds[stage]:.1f} s")
-
-
 def _sensing(plan: Plan) -> Literal["truth", "sonar"]:
     # what the exported law measures
     return "truth" if plan.unheard else "sonar"
-
-
-def _export_section(plan: Plan, shipment: _Shipment, replayed: Sequence[Run], sil: tuple[SilReport, ...]) -> Section:
-    from surctl.report.system_page import export_section
-
-    bundle = shipment.bundle
-    inputs = "estimates its position and the obstacles from sonars, base station and IMU"
-    if plan.unheard:
-        inputs = f"takes the pose, the velocity and the obstacles as inputs, because {plan.unheard}"
-    text = f"C99, double precision, prefix {bundle.name}, law {bundle.id}. The exported law {inputs}."
-    runs = "; ".join(f"{k}: {run.scenario.name} by {run.vehicle.name}" for k, run in enumerate(replayed, start=1))
-    return export_section(f"{text} Replayed runs: {runs}.", shipment.files, sil, folded=True)
-
-
-def _sweep(plan: Plan, out: Path, workers: int, progress: Progress) -> SweepTable:
-    subject = MissionSweep(plan.sweep_cases, plan.sweep_seeds, cruise=plan.cruise)
-    return sweep(subject, grid(plan.grid), executor=LocalExecutor(workers), out=out, progress=progress)
-
-
-def _simulate_legs(
-    plan: Plan, legs: Sequence[Leg], laws: tuple[Sequence[Law], Sequence[Law]], gains: Gains, progress: Progress
-) -> list[tuple[Leg, Run]]:
-    # with true positions by the law in `laws[0]`, with sonar by the law in `laws[1]`
-    leg_runs = []
-    for leg, law_of_truth, sonar_law in zip(legs, *laws, strict=True):
-        for sensing, law in (("truth", law_of_truth), ("sonar", sonar_law))[: 1 if plan.unheard else 2]:
-            run = simulate(leg.scenario, leg.vehicle, gains=gains, law=law, sensing=sensing, seed=plan.seed)
-            m = run.metrics
-            progress(f"{leg.scenario.name} {sensing}: {m.stopped_because} at {m.time_s:.1f} s")
-            leg_runs.append((leg, run))
-    return leg_runs

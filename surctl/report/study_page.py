@@ -1,4 +1,4 @@
-"""The report of a study of a system of the user's own, on one page; tables of figures and margins of any report."""
+"""The page of a study: its order of sections, its tables of figures and margins, and the sections of a system."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Literal
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from surctl.assessment import Assessment, Line
+from surctl.assessment import Assessment
 from surctl.errors import InputError
 from surctl.export import ExportedFile, SilReport
 from surctl.ir import Layout
@@ -30,53 +30,66 @@ from surctl.report.page_parts import plot_loop
 from surctl.report.sweep_plots import plot_heat_map
 from surctl.report.system_plots import plot_dependence, plot_record
 from surctl.report.theme import file_size, number
-from surctl.system import Record, entry_labels, entry_units
+from surctl.system import Record, System, entry_labels, entry_units
 from surctl.tuning import SweepTable
 from surctl.verification import Inapplicable, LoopMargins
 from surctl.verification.linear import DiskMargin
 
 
-@dataclass(frozen=True)
-class SystemStudy:
-    """The results of a study of a system.
+@dataclass(frozen=True, kw_only=True)
+class StudyPage:
+    """The page of a study, of a system or of a robot.
 
     Attributes:
-        title: names of plant and controller.
-        record: the run.
-        assessment: what is assessed of the system, with the comparison of C and Python.
-        resting: (label, value, unit) of every number at the equilibrium, by kind; empty if there is none.
-        mode: what the slowest mode does.
-        swept: the sweep; None if nothing was swept.
-        best: lines with the best point of each cost.
-        files: the exported files.
-        sil: comparison of C and Python.
-        commands: the command lines of the study, of the run, of the margins and claim, and of the sweep.
+        title: heading of the page.
+        about: the sentence below the heading.
+        command: the command line of the study.
         version: version of surctl.
+        assessment: what is assessed, for the first line and the summary.
+        decided: parts of the assessment that must hold, as for `Assessment.accepted`.
+        evidence: the sections about runs, margins and claims.
+        sweep: the section about the sweep, or None.
+        export: the section about the exported controller, or None.
+        seconds: computing time [s] of each part of the study.
+        numbers: the sections with parameters, gains and their units.
     """
 
     title: str
-    record: Record
-    assessment: Assessment
-    resting: Mapping[str, Sequence[tuple[str, float, str]]]
-    mode: str
-    swept: SweepTable | None
-    best: Sequence[str]
-    files: Sequence[ExportedFile]
-    sil: SilReport
-    commands: Mapping[str, str]
+    about: str
+    command: str
     version: str
+    assessment: Assessment
+    decided: Sequence[str] = ()
+    evidence: Sequence[Section]
+    sweep: Section | None
+    export: Section | None
+    seconds: Mapping[str, float]
+    numbers: Sequence[Section]
+
+    def render(self) -> str:
+        """Return the page as one HTML text without links to the network; all text is escaped."""
+        details = (self.sweep, self.export, _time_section(self.seconds))
+        sections = [*self.evidence, *filter(None, details), *self.numbers]
+        return render_sections(
+            title=self.title,
+            subject=self.about,
+            version=self.version,
+            command=self.command,
+            passed=self.assessment.passed,
+            banner=self.assessment.verdict(*self.decided),
+            lines=self.assessment.lines,
+            sections=[section for section in sections if section.blocks],
+        )
 
 
-def export_line(sil: SilReport) -> Line:
-    """Return the verdict on the exported C."""
-    most = max(sil.tau.mixed, sil.state.mixed, sil.telemetry.mixed)
-    text = f"C and Python differ by at most {most:.1e} over {sil.steps} steps, {sil.fault_cases} invalid inputs tried"
-    return Line(sil.passed, text, "export")
+def _time_section(seconds: Mapping[str, float]) -> Section:
+    rows = [(stage, Cell(number(value, digits=3), number=True)) for stage, value in seconds.items()]
+    rows.append(("total", Cell(number(sum(seconds.values()), digits=3), number=True)))
+    table = Table("Time by stage", ("stage", "time [s]"), tuple(rows))
+    return Section("time", "Computing time", (table,) if seconds else (), folded=True)
 
 
-def export_section(
-    text: str, files: Sequence[ExportedFile], reports: Sequence[SilReport], *, folded: bool = False
-) -> Section:
+def export_section(text: str, files: Sequence[ExportedFile], reports: Sequence[SilReport]) -> Section:
     """Return a section with the exported files (size, SHA-256), and the comparison of C and Python in each run."""
     rows = tuple(
         (Cell(f.path.name, code=True), Cell(file_size(f.path), number=True), Cell(f.sha256, code=True)) for f in files
@@ -87,7 +100,7 @@ def export_section(
         blocks += [Paragraph(head, "good" if report.conclusive else "bad"), *map(Paragraph, others)]
     if not reports:
         blocks.append(Paragraph("The C was not compiled and not compared with Python.", "note"))
-    return Section("export", "Exported controller", tuple(blocks), folded)
+    return Section("export", "Exported controller", tuple(blocks), folded=True)
 
 
 def figures_table(assessment: Assessment) -> Table:
@@ -143,38 +156,8 @@ def disk_table(disks: Sequence[tuple[str, DiskMargin]]) -> Table:
     return Table("Disk margins of all loops at once", heads, rows)
 
 
-def render_system_page(study: SystemStudy) -> str:
-    """Return the report as one HTML text without links to the network; all text is escaped.
-
-    `surctl study FILE.py:FUNCTION --seconds S` writes it.
-    """
-    assessment = study.assessment
-    system = study.record.system
-    return render_sections(
-        title=study.title,
-        subject=f"Plant {system.plant.name}, controller {system.controller.name}, control period {system.dt:g} s.",
-        version=study.version,
-        command=study.commands["study"],
-        passed=assessment.passed,
-        banner=assessment.verdict("region"),
-        lines=assessment.lines,
-        sections=[section for section in _sections(study) if section.blocks],
-    )
-
-
-def _sections(study: SystemStudy) -> list[Section]:
-    return [
-        Section("run", "Run", _run(study)),
-        Section("margins", "Equilibrium and margins", _margins(study)),
-        Section("region", "Region of attraction", _region(study)),
-        Section("sweep", "Sweep", _sweep(study)),
-        export_section("The step of the controller as C99.", study.files, [study.sil]),
-        Section("signals", "Signals, parameters and gains", _ports(study.record)),
-    ]
-
-
-def _run(study: SystemStudy) -> tuple[Block, ...]:
-    record, command = study.record, study.commands["run"]
+def run_section(record: Record, command: str) -> Section:
+    """Return the section about a run of a system, which the command repeats."""
     figures = picture(
         plot_record(record),
         alt=f"States, commands and references over {record.duration:.6g} s",
@@ -186,16 +169,26 @@ def _run(study: SystemStudy) -> tuple[Block, ...]:
         for name, cost in record.system.costs.items()
     )
     table = Table("Costs of the run", ("cost", "value", "unit", "over the run", "meaning"), rows)
-    return (Pictures((figures,)), *([table] if rows else []))
+    return Section("run", "Run", (Pictures((figures,)), *([table] if rows else [])))
 
 
-def _margins(study: SystemStudy) -> tuple[Block, ...]:
-    loop = study.assessment.sources["loop"]
+def margins_section(
+    assessment: Assessment, resting: Mapping[str, Sequence[tuple[str, float, str]]], mode: str, command: str
+) -> Section:
+    """Return the section about the linear loop of a system.
+
+    Args:
+        assessment: what is assessed of the system.
+        resting: (label, value, unit) of every number at the equilibrium, by kind; empty if there is none.
+        mode: what the slowest mode does.
+        command: the command that computes the margins.
+    """
+    loop, title = assessment.sources["loop"], "Equilibrium and margins"
     if isinstance(loop, InputError):
-        return (Paragraph(f"Not judged: {loop.problem}.", "note"),)
+        return Section("margins", title, (Paragraph(f"Not judged: {loop.problem}.", "note"),))
     rest = tuple(
         (kind, Cell(label, code=True), Cell(number(value, digits=6), number=True), unit)
-        for kind, rows in study.resting.items()
+        for kind, rows in resting.items()
         for label, value, unit in rows
     )
     text = "The sampled loop, linear about its equilibrium, is opened at one signal while all others stay closed."
@@ -203,25 +196,27 @@ def _margins(study: SystemStudy) -> tuple[Block, ...]:
         plot_loop(loop.nominal.linear),
         alt="Bode plot, sensitivities, Nyquist curve, step response and poles of the sampled loop",
         caption="The sampled loop: loop gain, sensitivities, Nyquist curve, step response and poles.",
-        command=study.commands["verify"],
+        command=command,
     )
-    return (
-        figures_table(study.assessment),
+    blocks = (
+        figures_table(assessment),
         Paragraph(text),
         Pictures((loops,)),
         margins_table("Margins of each loop alone, nominal", loop.nominal.margins),
         disk_table([("nominal", disk) for disk in loop.nominal.disks]),
-        Paragraph(f"Slowest mode: {study.mode}."),
+        Paragraph(f"Slowest mode: {mode}."),
         Table("Equilibrium", ("kind", "entry", "value", "unit"), rest),
     )
+    return Section("margins", title, blocks)
 
 
-def _region(study: SystemStudy) -> tuple[Block, ...]:
-    solution = study.assessment.sources.get("region")
+def region_section(assessment: Assessment, command: str) -> Section:
+    """Return the section about the region of attraction of a system; it is empty if none is claimed."""
+    solution, title = assessment.sources.get("region"), "Region of attraction"
     if solution is None:
-        return ()
+        return Section("region", title, ())
     if isinstance(solution, Inapplicable):
-        return (Paragraph(f"Not assessed: {solution.sentence}.", "note"),)
+        return Section("region", title, (Paragraph(f"Not assessed: {solution.sentence}.", "note"),))
     first, *others = (" ".join(line.split()) for line in solution.lines())
     marks: dict[str, Literal["good", "bad"]] = {"proved": "good", "refuted": "bad"}
     blocks: list[Block] = [Paragraph(first, marks.get(solution.verdict, "")), *map(Paragraph, others)]
@@ -229,18 +224,21 @@ def _region(study: SystemStudy) -> tuple[Block, ...]:
     if claim is not None and hasattr(claim, "level"):
         figures = plot_motion(solution.dynamics, claim.function, level=claim.level, falsified=solution.falsified)
         text = "Level set of the Lyapunov function, with solutions of the dynamics."
-        blocks.append(Pictures((picture(figures, alt=text, caption=text, command=study.commands["verify"]),)))
-    return (*blocks, Paragraph(f"The claim is about {solution.about}."))
+        blocks.append(Pictures((picture(figures, alt=text, caption=text, command=command),)))
+    return Section("region", title, (*blocks, Paragraph(f"The claim is about {solution.about}.")))
 
 
-def _sweep(study: SystemStudy) -> tuple[Block, ...]:
-    swept = study.swept
-    if swept is None:
-        return ()
-    titles = {name: cost.meaning or name for name, cost in study.record.system.costs.items()}
-    pictures = sweep_pictures(swept, titles, command=study.commands["sweep"])
+def costs_section(swept: SweepTable, system: System, best: Sequence[str], command: str) -> Section:
+    """Return the section about the costs of a system over its gains, with a line for the best point of each cost."""
+    titles = {name: cost.meaning or name for name, cost in system.costs.items()}
+    pictures = sweep_pictures(swept, titles, command=command)
     count = math.prod(swept.shape) * swept.each
-    return (Paragraph(f"{count:,} runs."), *map(Paragraph, study.best), *pictures)
+    return sweep_section([Paragraph(f"{count:,} runs."), *map(Paragraph, best)], pictures)
+
+
+def sweep_section(blocks: Sequence[Block], pictures: Sequence[Pictures]) -> Section:
+    """Return the section about a sweep."""
+    return Section("sweep", "Sweep of the gains", (*blocks, *pictures), folded=True)
 
 
 def sweep_pictures(table: SweepTable, titles: Mapping[str, str], *, command: str) -> tuple[Pictures, ...]:
@@ -258,7 +256,8 @@ def sweep_pictures(table: SweepTable, titles: Mapping[str, str], *, command: str
     return (Pictures(tuple(shown)),) if shown else ()
 
 
-def _ports(record: Record) -> tuple[Block, ...]:
+def signals_section(record: Record) -> Section:
+    """Return the section with all signals, parameters and gains of a run of a system, and their units."""
     system = record.system
     layouts: dict[str, Layout] = {
         "state": system.plant.state, "command": system.commands, "reference": system.references,
@@ -277,4 +276,5 @@ def _ports(record: Record) -> tuple[Block, ...]:
         ):
             rows.append((kind, Cell(label, code=True), Cell(number(float(value)), number=True), unit, meaning))
     heads = ("kind", "entry", "value by default", "unit", "meaning")
-    return (Table("Signals, parameters and gains of this run", heads, tuple(rows)),)
+    table = Table("Signals, parameters and gains of this run", heads, tuple(rows))
+    return Section("signals", "Signals, parameters and gains", (table,))
