@@ -64,8 +64,8 @@ def sonar_replay(
     out: Path,
     as_json: bool,
 ) -> None:
-    """Run recorded sonar readings through the filter of the controller. At each step, the filter gives the range of
-    each sonar, the bound of its error, and whether the range is reliable.
+    """Run recorded sonar readings through the filter of the controller. At each step, the sonar filter gives the range
+    of each sonar, the bound of its error, and whether the range is reliable.
 
     The CSV file has the columns time_s, sensor (counted from 0), and range_m or, with several samples per reading,
     sample_1_m, sample_2_m and so on. Optional columns are closing_m_per_s (own speed along the beam) and turn_rad_per_s
