@@ -219,6 +219,14 @@ def test_what_differs_from_a_braking_certificate_is_named(
     assert not found.belongs and any(text.startswith(told) for text in found.differs), found.differs
 
 
+def test_a_law_that_believes_in_a_smaller_hull_comes_nearer_than_certified() -> None:
+    document, radius = braking("braking-inertia-ranges"), VEHICLE["radius"]
+    for hull in (radius, 1.1 * radius):
+        assert not compare(document, manifest_for(law=INERTIA, hull=hull)).differs
+    told = f"hull: the vehicle has a radius of {radius!r} m, {0.99 * radius!r} m exported"
+    assert compare(document, manifest_for(law=INERTIA, hull=0.99 * radius)).differs == (told,)
+
+
 def test_another_vehicle_s_numbers_do_not_belong_though_every_hash_is_pasted() -> None:
     def pasted(change: Callable[[dict[str, Any]], None]) -> tuple[str, ...]:
         manifest = manifest_for(change, spin=0.0)
