@@ -91,8 +91,7 @@ def hardest(size: Size, *, damped: bool, draws: int, moves: int, seed: int = 0) 
             add(inputs_of(draw(np.random.default_rng([seed, size.n, place, k]), size, kind), size, damped=damped))
     some = hard[:: max(1, len(hard) // 300)]
     for _ in range(moves):
-        hard.sort(key=lambda one: -one[0])
-        del hard[30:]
+        hard = sorted({one[0]: one for one in hard}.values(), key=lambda one: -one[0])[:30]
         inputs, other = (hard[int(rng.integers(0, len(hard)))][2] for _ in range(2))
         add(changed(inputs, other, size, rng))
     return [*sorted(hard, key=lambda one: -one[0])[:30], *some]
@@ -113,8 +112,9 @@ def changed(inputs: list[Array], other: list[Array], size: Size, rng: np.random.
     J, lower, upper, rows, *rest = (array.copy() for array in inputs)
     for _ in range(rng.integers(1, 4)):
         J_rows, limits, part = J.reshape(-1, size.n), rows.reshape(size.rows, -1), 10.0 ** rng.uniform(-12, 0)
+        size_of = 0.3 * rng.normal()
         i, j = rng.integers(0, len(J_rows)), rng.integers(size.n, len(limits))
-        match rng.integers(0, 6):
+        match rng.integers(0, 7 + len(rest)):
             case 0:
                 J_rows[i] = other[0].reshape(-1, size.n)[i]
             case 1:
@@ -128,6 +128,12 @@ def changed(inputs: list[Array], other: list[Array], size: Size, rng: np.random.
                 limits[j, : size.n] = limits[rng.integers(0, len(limits)), : size.n] + part * rng.normal(size=size.n)
             case 5:
                 limits[j, size.n : size.n + 2] += part * rng.normal()
+            case 6:
+                J_rows[i] = J_rows[i] * 10.0 ** rng.normal()
+            case 7:
+                lower, upper = (array * 10.0 ** size_of for array in (lower, upper))
+            case 8:
+                rest[-1] = rest[-1] * 10.0 ** rng.normal()
     return [J, lower, upper, rows, *rest]
 
 

@@ -46,7 +46,7 @@ _MOST_JSON = 100_000  # largest number of points printed as JSON
 @click.option(
     "--sensitivity",
     metavar="COST",
-    help="Compute Sobol' indices of a cost from N (number of axes + 2) points, N = --points (default 64).",
+    help="Compute Sobol' indices of a cost from N (d + 2) points: d swept parameters, N = --points (default 64).",
 )
 @click.option(
     "--seeds", type=Count(1, 1_000_000), default=1, help="Simulate each point with the seeds 0 to N-1 (default 1)."

@@ -21,9 +21,10 @@ import ast
 import itertools
 import operator
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, field
 from functools import cache, lru_cache
+from typing import TypeAlias
 
 _VALUES: Mapping[type[ast.AST], Callable[[int, int], int]] = {
     **{ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul, ast.Lt: operator.lt, ast.LtE: operator.le},
@@ -66,16 +67,23 @@ class _Known:
     def copy(self) -> _Known:
         return _Known(dict(self.values), dict(self.upper), set(self.whole))
 
-    def forget(self, body: Sequence[ast.AST]) -> None:
-        """Forget what depends on variables that the statements assign."""
-        for name in frozenset[str]().union(*map(_stored, body)):
+    def with_value(self, name: str, value: int) -> _Known:
+        """Return the same with the value of a variable."""
+        known = self.copy()
+        known.values[name] = value
+        return known
+
+    def forget(self, names: Set[str]) -> None:
+        """Forget what depends on these variables."""
+        for name in names:
             self.values.pop(name, None)
             for text in [text for text in self.upper if name in _names(text)]:
                 del self.upper[text]
             self.whole.discard(name)
 
     def key(self) -> tuple[tuple[str, int], ...]:
-        return (*sorted(self.values.items()), ("", 0), *sorted(self.upper.items()))
+        whole = ((name, 0) for name in sorted(self.whole))
+        return (*sorted(self.values.items()), ("", 0), *sorted(self.upper.items()), ("", 0), *whole)
 
 
 @cache
@@ -94,104 +102,188 @@ _text = cache(ast.unparse)
 _difference = cache(lambda a, b: ast.BinOp(a, ast.Sub(), b))
 
 
+_Paths: TypeAlias = tuple[int, frozenset[str]]
+_NEVER = -(1 << 100)
+_MANY = 12
+
+
 class _Bound:
     def __init__(self, tree: ast.Module, sizes: Mapping[str, int]) -> None:
         self.functions = {node.name: node for node in tree.body if isinstance(node, ast.FunctionDef)}
         self.sizes, self.tables = sizes, _tables(tree)
-        self.calls: dict[tuple[object, ...], int] = {}
-        self.rare: dict[int, int] = {}  # of each branch with `seldom`, in the whole run
+        self.calls: dict[tuple[object, ...], tuple[_Paths, dict[int, int]]] = {}
+        self.rare: dict[tuple[int, int | None], int] = {}  # of each branch with `seldom`, in the whole run
         self.shared: dict[int, int] = {}  # of what follows `once`, for each value
+        self.uses: dict[str, tuple[frozenset[str], frozenset[str]]] = {}  # variables a function reads or assigns
+        self.sums = {name for name, _ in self.functions.items() if _has_anew(_)}
+        self.assigned: dict[int, frozenset[str]] = {}
+        self.ends: dict[str, list[int]] = {}  # upper bounds of the results of a function
+        for name, node in self.functions.items():
+            below = [self.uses[other] for other, _ in _calls(node)  if other in self.uses]
+            read = frozenset(_text(one) for one in ast.walk(node) if isinstance(one, ast.Attribute))
+            stored = frozenset(text for text in _stored(node) if "." in text)
+            self.uses[name] = read.union(*(one for one, _ in below)), stored.union(*(one for _, one in below))
+            most = [self._upper(one.value, _Known()) for one in ast.walk(node) if isinstance(one, ast.Return) and one.value]
+            loops = (one for one in ast.walk(node) if isinstance(one, ast.For))
+            inner = any(isinstance(one, ast.Return) for loop in loops for one in ast.walk(loop))
+            self.ends[name] = [] if inner or None in most else sorted({one for one in most if one is not None})
 
     def total(self) -> int:
         """Return the bound for the last function."""
-        return self._function(list(self.functions)[-1], _Known()) + sum(self.rare.values())
+        return self._function(list(self.functions)[-1], _Known())[0] + sum(self.rare.values())
 
-    def _function(self, name: str, known: _Known) -> int:
-        key = (name, known.key())
+    def _function(self, name: str, known: _Known, end: int | None = None) -> _Paths:
+        """Return the cost of a function, or of its paths to a result with this upper bound, and what they assign."""
+        key = (name, end, known.key())
         if key not in self.calls:
-            self.calls[key] = self._block(body := self.functions[name].body, known)
-            if any(called(node, "anew") is not None for one in body for node in ast.walk(one)):
-                self.calls[key] += sum(self.shared.values())
-        return self.calls[key]
+            before, self.shared = self.shared, {}
+            cost, stored = self._block(self.functions[name].body, known, end)
+            if name in self.sums:
+                cost, self.shared = cost + sum(self.shared.values()), {}
+            self.calls[key] = (cost, frozenset(text for text in stored if "." in text)), self.shared
+            self.shared = before
+        paths, shared = self.calls[key]
+        for at, most in shared.items():
+            self.shared[at] = max(self.shared.get(at, 0), most)
+        return paths
 
-    def _block(self, body: Sequence[ast.stmt], known: _Known) -> int:
-        total = 0
+    def _block(self, body: Sequence[ast.stmt], known: _Known, end: int | None = None) -> _Paths:
+        """Return the cost of statements, below 0 if no path through them is possible, and what the paths assign."""
+        total, stored = 0, frozenset[str]()
         for place, node in enumerate(body):
+            rest = body[place + 1 :]
+            if isinstance(node, ast.Assert) and isinstance(node.test, ast.BoolOp) and isinstance(node.test.op, ast.Or):
+                left = [value for value in node.test.values if self._value(value, known) != 0]
+                node = ast.Assert(left[0]) if len(left) == 1 else node
             match node:
                 case ast.For():
                     total += self._loop(node, known)
-                case ast.If(test=test):
-                    return total + self._branches(node, body[place + 1 :], known)
+                    stored |= self._stored(node)
+                    continue
+                case ast.If():
+                    cases = self._branches(node, rest, known, end)
+                case ast.Return(value=ast.expr() as value) if end is not None and self._upper(value, known) != end:
+                    return _NEVER, stored
                 case ast.Expr(value=call) if (args := called(call, "once")) is not None:
-                    self._once(args, body[place + 1 :], known)
-                    return total
+                    self._once(args, rest, known)
+                    return total, stored.union(*map(self._stored, rest))
                 case ast.Expr(value=call) if called(call, "anew") is not None:
-                    pass
+                    continue
+                case ast.Assert(test=ast.Compare(left=one, ops=[ast.In()], comparators=[ast.Call(args=args)])):
+                    if self._value(one, known) is not None:
+                        continue
+                    values = range(*(self._value(arg, known) or 0 for arg in args))
+                    if len(values) > _MANY:
+                        known.upper[_text(one)] = values[-1]
+                        continue
+                    cases = [self._block(rest, known.with_value(_text(one), at), end) for at in values]
                 case ast.Assert(test=test):
-                    for one in test.values if isinstance(test, ast.BoolOp) else [test]:
-                        self._learn(one, known)
+                    if self._value(test, known) == 0:
+                        return _NEVER, stored
+                    self._learn(test, known)
+                    continue
+                case ast.Assign(targets=[target], value=ast.Call(func=ast.Name(id=name)) as call) if self.ends.get(name):
+                    cases = [self._after(call, target, most, rest, known, end) for most in self.ends[name]]
                 case _:
                     total += self._expression(node, known)
-                    moved = self._moved(node, known)
-                    known.forget([node])
-                    known.upper |= moved
-                    if isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name):
-                        value = self._value(node.value, known)
-                        known.values |= {} if value is None else {node.targets[0].id: value}
-        return total
+                    self._assign(node, known)
+                    stored |= self._stored(node)
+                    continue
+            cases = [case for case in cases if case[0] >= 0]
+            costs = [cost for cost, _ in cases]
+            return total + max(costs, default=_NEVER), stored.union(*(names for _, names in cases))
+        return total, stored
 
-    def _moved(self, node: ast.AST, known: _Known) -> dict[str, int]:
-        """Return the bounds of differences `a - …` after a statement `a -= b`."""
-        if not isinstance(node, ast.AugAssign) or not isinstance(node.op, ast.Sub):
-            return {}
-        less, name = self._value(node.value, known), _text(node.target)
-        return {text: most - less for text, most in known.upper.items() if less and text.startswith(f"{name} - ")}
+    def _after(
+        self, call: ast.Call, target: ast.expr, most: int, rest: Sequence[ast.stmt], known: _Known, end: int | None
+    ) -> _Paths:
+        """Return the cost of a call with this upper bound of its result, and of the statements that follow it."""
+        assert isinstance(call.func, ast.Name)
+        name = call.func.id
+        cost, stored = self._function(name, self._passed(name, call, known), most)
+        inner = known.copy()
+        inner.forget(stored | {_text(target)})
+        inner.upper[_text(target)] = most
+        follow, names = self._block(rest, inner, end)
+        return cost + follow, stored | names
+
+    def _stored(self, node: ast.AST) -> frozenset[str]:
+        """Return the variables that a statement may assign, also in functions that it calls."""
+        if id(node) not in self.assigned:
+            below = (self.uses[name][1] for name, _ in _calls(node) if name in self.uses)
+            self.assigned[id(node)] = _stored(node).union(*below)
+        return self.assigned[id(node)]
+
+    def _assign(self, node: ast.AST, known: _Known) -> None:
+        """Note the value of the variable that a statement assigns, and bounds of `a - …` after `a -= b`."""
+        value, upper = None, dict[str, int]()
+        match node:
+            case ast.Assign(targets=[ast.Name() | ast.Attribute() as target], value=new):
+                value, most = self._value(new, known), self._upper(new, known)
+                upper |= {} if most is None else {_text(target): most}
+            case ast.AugAssign(target=ast.Name() | ast.Attribute() as target, op=op, value=new):
+                value, less, text = self._value(ast.BinOp(target, op, new), known), self._value(new, known), _text(target)
+                if isinstance(op, ast.Sub) and less is not None:
+                    upper |= {key: most - less for key, most in known.upper.items() if key.startswith(f"{text} - ")}
+        known.forget(self._stored(node))
+        known.upper |= upper
+        known.values |= {} if value is None else {_text(target): value}
 
     def _learn(self, test: ast.expr, known: _Known) -> None:
         match test:
-            case ast.Compare(left=less, ops=[ast.LtE()], comparators=[more]):
-                pass
-            case ast.Compare(left=more, ops=[ast.GtE()], comparators=[less]):
-                pass
-            case _:
-                return
-        if isinstance(less, ast.Constant) and less.value == 0:
-            known.whole.add(_text(more))
-        most = self._upper(more, known)
-        if most is not None:
-            known.upper[_text(less)] = min(most, known.upper.get(_text(less), most))
+            case ast.BoolOp(op=ast.And(), values=values):
+                for value in values:
+                    self._learn(value, known)
+            case ast.Compare(left=one, ops=[ast.Eq()], comparators=[other]) if (
+                value := self._value(other, known)
+            ) is not None:
+                known.values[_text(one)] = value
+            case ast.Compare(left=less, ops=[ast.LtE()], comparators=[more]) | ast.Compare(
+                left=more, ops=[ast.GtE()], comparators=[less]
+            ):
+                if isinstance(less, ast.Constant) and less.value == 0:
+                    known.whole.add(_text(more))
+                most = self._upper(more, known)
+                if most is not None:
+                    known.upper[_text(less)] = min(most, known.upper.get(_text(less), most))
 
-    def _branches(self, node: ast.If, rest: Sequence[ast.stmt], known: _Known) -> int:
-        tested, most = self._tests(node.test, known)
-        test, costs, after = self._value(node.test, known), list[int](), known.copy()
-        after.forget([*node.body, *node.orelse])
-        follow = self._block(rest, after)
+    def _branches(self, node: ast.If, rest: Sequence[ast.stmt], known: _Known, end: int | None) -> list[_Paths]:
+        """Return the cost of each branch with what follows it."""
+        cost, seldom = self._tests(node.test, known)
+        test, cases = self._value(node.test, known), list[_Paths]()
+        after = known.copy()
+        after.forget(self._stored(node))
+        follow, names = self._block(rest, after, end)
         for part, truth in ((node.body, True), (node.orelse, False)):
             if test is not None and bool(test) is not truth:
                 continue
-            cost = self._block(part, known.copy())
-            if most is not None and truth:
-                self._rare(node, most * cost)
-                cost = 0
-            ends = bool(part) and isinstance(part[-1], ast.Return | ast.Break | ast.Continue)
-            costs.append(cost if ends else cost + follow)
-        return tested + max(costs)
+            own, stored = self._block(part, known.copy(), end if seldom is None else None)
+            if truth and seldom is not None:
+                self._rare(node, seldom, own)
+                own = 0
+            if not part or not isinstance(part[-1], ast.Return | ast.Break | ast.Continue):
+                own, stored = own + follow, stored | names
+            cases.append((cost + own, stored | self._stored(node.test)))
+        return cases
 
-    def _tests(self, node: ast.expr, known: _Known) -> tuple[int, int | None]:
-        """Return the cost of a condition, and how often it is fulfilled at most, if `seldom` says so."""
-        total, most = 0, None
+    def _tests(self, node: ast.expr, known: _Known) -> tuple[int, tuple[int, int | None] | None]:
+        """Return the cost of a condition, and if `seldom` says so, how often it is fulfilled for which value."""
+        total, seldom = 0, None
         for value in node.values if isinstance(node, ast.BoolOp) else [node]:
             limit = called(value, "seldom")
             if limit is not None:
-                most = self._value(limit[0], known)
-            elif most is None:
+                seldom = self._value(limit[0], known) or 0, self._value(limit[-1], known)
+            elif seldom is None:
                 total += self._expression(value, known)
             else:
-                self._rare(value, most * self._expression(value, known))
-        return total, most
+                self._rare(value, seldom, self._expression(value, known))
+            if isinstance(node, ast.BoolOp) and isinstance(node.op, ast.And) and self._value(value, known) == 0:
+                break
+        return total, seldom
 
-    def _rare(self, node: ast.AST, cost: int) -> None:
-        self.rare[id(node)] = max(self.rare.get(id(node), 0), cost)
+    def _rare(self, node: ast.AST, seldom: tuple[int, int | None], cost: int) -> None:
+        most, value = seldom
+        self.rare[id(node), value] = max(self.rare.get((id(node), value), 0), most * cost)
 
     def _once(self, args: Sequence[ast.expr], rest: Sequence[ast.stmt], known: _Known) -> None:
         most = self._value(args[1], known) or 0
@@ -200,7 +292,7 @@ class _Bound:
             inner = known.copy()
             if isinstance(args[0], ast.Name):
                 inner.values[args[0].id] = at
-            self.shared[at] = max(self.shared.get(at, 0), self._block(rest, inner))
+            self.shared[at] = max(self.shared.get(at, 0), self._block(rest, inner)[0])
 
     def _loop(self, node: ast.For, known: _Known) -> int:
         assert isinstance(node.iter, ast.Call) and isinstance(node.target, ast.Name)
@@ -213,28 +305,26 @@ class _Bound:
             limits.append(stop - start)
         count = max(0, min(limit for limit in limits if limit is not None))
         whole = len(args) > 1 and _text(args[0]) in known.whole
-        known.forget([node])
+        known.forget(self._stored(node))
         if count == 0:
             return 0
         first = 0 if whole and start is None and stop is not None else start
         if first is None or not _matters(name, node):
-            return count * self._block(node.body, known.copy())
+            return count * max(0, self._block(node.body, known.copy())[0])
         costs = []
         for at in range(first, first + count if start is not None or stop is None else stop):
-            inner = known.copy()
-            inner.values[name] = at
-            costs.append(self._block(node.body, inner))
+            costs.append(max(0, self._block(node.body, known.with_value(name, at))[0]))
         return sum(sorted(costs)[-count:])
 
     def _expression(self, node: ast.AST, known: _Known) -> int:
         own = [(name, call) for name, call in _calls(node) if name in self.functions]
-        return operations_in(node) + sum(self._function(name, self._passed(name, call, known)) for name, call in own)
+        return operations_in(node) + sum(self._function(name, self._passed(name, call, known))[0] for name, call in own)
 
     def _passed(self, function: str, call: ast.Call, known: _Known) -> _Known:
         """Return what is known of the arguments of a call, and of their differences."""
         names = [arg.arg for arg in self.functions[function].args.args[1:]]
         pairs = dict(zip(names, call.args[1:], strict=True))
-        inner = _Known()
+        inner = _Known({text: value for text, value in known.values.items() if text in self.uses[function][0]})
         for name, arg in pairs.items():
             value, most = self._value(arg, known), self._upper(arg, known)
             inner.values |= {} if value is None else {name: value}
@@ -251,8 +341,18 @@ class _Bound:
             case ast.BinOp(left=ast.BinOp(left=a, op=ast.Add(), right=part), op=ast.Sub(), right=b):
                 if _text(a) == _text(b):
                     return self._upper(part, known)
+            case ast.IfExp(body=a, orelse=b):
+                bounds = [self._upper(a, known), self._upper(b, known)]
+                return None if None in bounds else max(most for most in bounds if most is not None)
         value = self._value(node, known)
-        return known.upper.get(_text(node)) if value is None else value
+        if value is not None:
+            return value
+        bounds = [known.upper.get(_text(node))]
+        if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Sub):
+            most, less = self._upper(node.left, known), self._value(node.right, known)
+            less = 0 if less is None and _text(node.right) in known.whole else less
+            bounds.append(None if most is None or less is None else most - less)
+        return min((most for most in bounds if most is not None), default=None)
 
     def _value(self, node: ast.expr, known: _Known) -> int | None:
         """Return the value of a whole expression or a condition, or None if it is not known."""
@@ -262,7 +362,18 @@ class _Bound:
             case ast.Name(id=name):
                 return known.values.get(name)
             case ast.Attribute(attr=name):
-                return self.sizes.get(name)
+                return known.values.get(_text(node), self.sizes.get(name))
+            case ast.UnaryOp(op=ast.USub(), operand=ast.Constant(value=int(value))):
+                return -value
+            case ast.Call(func=ast.Name(id="seldom")):
+                return 1
+            case ast.IfExp(test=test, body=body, orelse=orelse):
+                truth = self._value(test, known)
+                return None if truth is None else self._value(body if truth else orelse, known)
+            case ast.Compare(left=left, ops=[ast.Gt()], comparators=[ast.Constant(value=int(value))]) if (
+                known.upper.get(_text(left), value + 1) <= value
+            ):
+                return 0
             case ast.Subscript(value=ast.Attribute(attr=name), slice=at) if name in self.tables:
                 place = self._value(at, known)
                 return None if place is None else self.tables[name].get(place)
@@ -310,6 +421,10 @@ def _calls(node: ast.AST) -> list[tuple[str, ast.Call]]:
     return [
         (call.func.id, call) for call in ast.walk(node) if isinstance(call, ast.Call) if isinstance(call.func, ast.Name)
     ]
+
+
+def _has_anew(node: ast.AST) -> bool:
+    return any(called(one, "anew") is not None for one in ast.walk(node))
 
 
 @cache

@@ -121,7 +121,7 @@ def back(start: int, stop: int, most: int) -> range:
     return within(start, stop, most)[::-1]
 
 
-def seldom(most: int) -> bool:
+def seldom(most: int, value: int = 0) -> bool:
     """Return True, see module `bound`."""
     return most >= 0
 
@@ -317,14 +317,14 @@ def _divided(a: Any, b: Any) -> Any:
 class _Memory:
     def __init__(self, space: Mapping[str, Any]) -> None:
         self.__dict__.update(space)
-        self.entered: Counter[str] = Counter()
+        self.entered: Counter[tuple[str, int]] = Counter()
         self.values: set[int] = set()
 
 
-def _seldom(s: _Memory, place: str, most: int) -> bool:
-    s.entered[place] += 1
-    if s.entered[place] > most:
-        raise IndexError(f"a branch is entered {s.entered[place]} times, at most {most} were declared")
+def _seldom(s: _Memory, place: str, most: int, value: int = 0) -> bool:
+    s.entered[place, value] += 1
+    if s.entered[place, value] > most:
+        raise IndexError(f"a branch is entered {s.entered[place, value]} times, at most {most} were declared")
     return True
 
 

@@ -47,14 +47,14 @@ if TYPE_CHECKING:
     "--avoidance",
     default="corrected",
     metavar="NAME",
-    help="Equation 20: corrected (default), consistent, printed.",
+    help="Avoidance course: corrected (default), consistent, printed.",
 )
 @click.option(
     "--guidance", default="los", metavar="NAME", help="Path guidance: los (default); for currents ilos or alos."
 )
 @priority_options
 @barrier_options
-@click.option("--sensing", metavar="NAME", help="Obstacles: sonar (default if the law uses it) or truth.")
+@click.option("--sensing", metavar="NAME", help="Obstacles: sonar (default if usable) or truth (exact).")
 @sensor_options
 @click.option("--constant-gains", is_flag=True, help="Gains and mission as constants in C; needs --sensing truth.")
 @click.option(

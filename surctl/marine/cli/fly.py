@@ -28,9 +28,7 @@ _SYSTEM = click.IntRange(1, 255)
 @click.option("--vehicle", metavar="FILE", help="Vehicle: name or file (default: the scenario's).")
 @click.option("--gains", metavar="FILE", help=GAINS_HELP)
 @law_option
-@click.option(
-    "--sensing", default="truth", metavar="NAME", help="Obstacles: truth (of the scenario, default) or sonar."
-)
+@click.option("--sensing", default="truth", metavar="NAME", help="Obstacles: true positions (truth, default) or sonar.")
 @click.option(
     "--mode",
     default="alt_hold",

@@ -103,7 +103,7 @@ def _goal_findings(plan: Plan) -> list[Finding]:
 @click.option("--vehicle", metavar="FILE", help="Vehicle (name or file) with which to check a scenario.")
 def lint(words: Sequence[str], vehicle: str | None, **_: Any) -> Linted:
     """Check vehicle, scenario, study, gain, goal and claim files, or a system of your own (FILE.py:FUNCTION), and print
-    which entries cannot work, and why. Exit status: 1 if an entry cannot work.
+    which entries of the files cannot work, and why. Exit status: 1 if an entry of a file cannot work.
 
     Examples: surctl lint my-vehicle.toml my-mission.toml; surctl lint pool-static --vehicle sur540-flooded; surctl lint
     my_system.py:build

@@ -15,10 +15,14 @@ if TYPE_CHECKING:
 
 @click.command
 @click.argument("rows", nargs=-1)
-@click.option("--quick", is_flag=True, help="Faster: 3 seeds for each scenario and fewer samples.")
+@click.option("--quick", is_flag=True, help="Faster: 3 seeds for each scenario and fewer points per claim.")
 @click.option("--seeds", type=Count(1), help="Number of runs (seeds) of each scenario (default 20).")
-@click.option("--independent", is_flag=True, help="Simulate each scenario in MuJoCo, too (one more column).")
-@click.option("--webots", is_flag=True, help="Simulate sonars with the echoes of Webots, too (one more column).")
+@click.option(
+    "--independent", is_flag=True, help="Simulate each scenario in MuJoCo, too (one more column of the output)."
+)
+@click.option(
+    "--webots", is_flag=True, help="Simulate sonars with the echoes of Webots, too (one more column of the output)."
+)
 @out_folder
 @as_json
 def reproduce(

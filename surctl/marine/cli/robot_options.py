@@ -148,8 +148,8 @@ def margin_of_all(assessment: Assessment) -> float:
 law_option = click.option(
     "--law",
     metavar="NAME",
-    help="Law: guarded, calm, steered, paper, closed_form, apf, dwa, vo, cbf or FILE.py:FUNCTION "
-    "(default: guarded or steered).",
+    help="Law: guarded (default), steered (default if no sway), calm, paper, closed_form, apf, dwa, vo, cbf or "
+    "FILE.py:FUNCTION.",
 )
 
 
@@ -207,7 +207,7 @@ def law_words(reference: str) -> list[str]:
     return ["--law", own_file(reference)]
 
 
-trust_option = click.option("--trust", is_flag=True, help="Run the Python code of a law that a file names.")
+trust_option = click.option("--trust", is_flag=True, help="Run a law in Python that the study or saved run names.")
 
 
 priority_options = together(
@@ -215,10 +215,13 @@ priority_options = together(
         "--priority-mode",
         default="nsb",
         metavar="M",
-        help="Solver for priorities of tasks: nsb (default, ignores limits), filter, projected or lexicographic.",
+        help="How priorities of tasks are enforced: nsb (default, without limits), filter, projected or lexicographic.",
     ),
     click.option(
-        "--fallback", default="exact", metavar="NAME", help="Solver for conflicting limits: exact (default) or bounded."
+        "--fallback",
+        default="exact",
+        metavar="NAME",
+        help="Solver for conflicting limits: exact (default), or bounded in time.",
     ),
 )
 """A decorator that adds these options to a command; the command receives them as `priority_mode` and `fallback`."""
@@ -232,7 +235,7 @@ barrier_options = together(
         "--movers",
         default="predict",
         metavar="NAME",
-        help="Method for moving obstacles: predict (default) or barrier.",
+        help="Avoid moving obstacles by predict (default) or barrier.",
     ),
 )
 """A decorator that adds these options to a command; the command receives them as `barrier` and `movers`."""

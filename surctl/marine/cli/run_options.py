@@ -233,13 +233,19 @@ class PlantOptions:
 controller_options = together(
     click.option("--controller", metavar="URL", help="C controller: c (local), tcp://HOST:PORT, qemu:cortex-m4f."),
     click.option(
-        "--link-loss", type=float, metavar="P", help="Probability that a message of the link is lost (default 0)."
+        "--link-loss",
+        type=float,
+        metavar="P",
+        help="Probability of losing a message to or from C (default 0).",
     ),
     click.option(
         "--link-delay", type=float, metavar="S", help="Delay of each command from the C code [s] (default 0)."
     ),
     click.option(
-        "--link-deadline", type=float, metavar="S", help="Thrust is 0 if the command is older than S (default 0.25)."
+        "--link-deadline",
+        type=float,
+        metavar="S",
+        help="Thrust is 0 if C's command is older than S (default 0.25).",
     ),
     click.option("--link-compact", is_flag=True, help="Request short replies from the C code, for a slow link."),
     click.option(

@@ -39,7 +39,7 @@ sensor_options = together(
         "chances",
         multiple=True,
         metavar="KIND=P",
-        help="Probability P of the fault KIND in each ping; repeatable.",
+        help="Probability P of sonar fault KIND per ping; repeatable.",
     ),
     click.option(
         "--beam", type=float, metavar="DEG", help="Full sonar beam angle [deg] (default: as in the scenario)."

@@ -56,13 +56,13 @@ if TYPE_CHECKING:
     "--avoidance",
     default="corrected",
     metavar="NAME",
-    help="Equation 20: corrected (default), consistent, printed.",
+    help="Avoidance course: corrected (default), consistent, printed.",
 )
 @click.option(
     "--guidance", default="los", metavar="NAME", help="Path guidance: los (default); for currents ilos or alos."
 )
 @priority_options
-@click.option("--sensing", default="truth", metavar="NAME", help="Obstacle positions from truth (default) or sonar.")
+@click.option("--sensing", default="truth", metavar="NAME", help="Obstacles: true positions (truth, default) or sonar.")
 @barrier_options
 @sensor_options
 @simulated_echoes

@@ -44,9 +44,9 @@ def study(
     fit into a built-in scenario, surctl scales three missions to the vehicle: a straight path, a path with a corner,
     and the obstacles of the scenario tank-static.
 
-    For FILE.py:FUNCTION, a system of your own, the report has a simulated run, margins, costs over gains, and C code. A
-    WORD sets a number of the run (NAME=VALUE), the range of a swept gain (GAIN=LOW..HIGH:COUNT), or the range of a
-    state in which to prove a region of attraction (within.STATE=LOW..HIGH).
+    For FILE.py:FUNCTION, a system of your own, the report has a simulated run, margins, costs over a sweep of gains,
+    and C code. A WORD sets a number of the run (NAME=VALUE), the range of a swept gain (GAIN=LOW..HIGH:COUNT), or the
+    range of a state in the box in which to prove a region of attraction (within.STATE=LOW..HIGH).
 
     Examples: surctl study; surctl study my-vehicle.toml --out results; surctl study --vehicle otter --json >
     study.json; surctl study my_system.py:build --seconds 5

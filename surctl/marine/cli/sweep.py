@@ -59,18 +59,18 @@ _EXPLAINED = ("deviation_m", "path_error_m")  # columns whose meaning is printed
     metavar="FILE",
     help="Vehicle: name or file; repeatable (default: by scenario).",
 )
-@click.option("--sensing", default="truth", metavar="NAME", help="Obstacle positions from truth (default) or sonar.")
+@click.option("--sensing", default="truth", metavar="NAME", help="Obstacles: true positions (truth, default) or sonar.")
 @click.option(
     "--gains",
     metavar="FILE",
-    help="Gain set for gains that are not swept: name or file (default: chosen for the vehicle).",
+    help="Gains not swept: name or file (default: by vehicle).",
 )
 @law_option
 @click.option(
     "--priority-mode",
     default="nsb",
     metavar="M",
-    help="Solver for priorities of tasks: nsb (default, ignores limits), filter, projected or lexicographic.",
+    help="How priorities of tasks are enforced: nsb (default, without limits), filter, projected or lexicographic.",
 )
 @click.option(
     "--guidance",
@@ -83,7 +83,7 @@ _EXPLAINED = ("deviation_m", "path_error_m")  # columns whose meaning is printed
     "--cruise",
     type=SPEEDS,
     metavar="U1,U2,...",
-    help="Cruise speeds of the loop margins [m/s], of which the worst counts (default: speeds of the scenarios).",
+    help="Cruise speeds [m/s] of the loop margins; the worst margin counts (default: speeds of the scenarios).",
 )
 def sweep(
     words: Sequence[str],
@@ -110,8 +110,7 @@ def sweep(
     as best, or if margins, runs or claims fail at the best point.
 
     The parameters of a system of your own, FILE.py:FUNCTION, are its gains (by name), plant.NAME, reference.NAME,
-    disturbance.NAME and start.NAME. With --seeds N, each run takes a random plant.NAME=LOW..HIGH; the worst
-    run counts.
+    disturbance.NAME and start.NAME. With --seeds N, each run samples plant.NAME=LOW..HIGH; the worst run counts.
 
     Examples: surctl sweep --scenario pool-static lookahead=0.6,0.9,1.2 k_v=0.5..3:6:log;
     surctl sweep k_v=1..3 plant.m11=30..60 --sensitivity deviation_m;

@@ -198,7 +198,7 @@ def from_geometry(mass: float, cd: float, out: Path | None, force: bool, as_json
 @vehicle.command("from-gazebo")
 @click.argument("model", type=click.Path(path_type=Path))
 @_name
-@click.option("--link", metavar="NAME", help="Name of the link with hydrodynamics (default: the only one).")
+@click.option("--link", metavar="NAME", help="Link of the model that has hydrodynamics (default: the only one).")
 @click.option("--diameter", type=_Measured("m"), required=True, help="Diameter of a circle around the hull [m].")
 @click.option("--thrust", type=_Measured("N"), required=True, help="Largest force in surge [N].")
 @click.option("--sway-thrust", type=_Measured("N"), help="Largest force in sway [N] (default: that of --thrust).")
@@ -241,7 +241,8 @@ def from_gazebo(
     "--map",
     "map_file",
     type=FILE,
-    help="TOML file that says which topics and fields of the log are motion and thrust; a table needs none.",
+    help="TOML file that says which topics and fields of the log are motion and thrust (not needed for tables of "
+    "surctl simulate).",
 )
 @click.option("--topics", is_flag=True, help="Print the topics and fields of the log, and fit nothing.")
 @click.option(
@@ -291,9 +292,9 @@ def from_log(
 
     A log can be a table (CSV, .mat, .nc), as surctl simulate --save writes it: time t_s and commands Fu_N, Fv_N, Fw_N,
     Fr_N_m (constant until the next row), and any measured columns of x_m, y_m, z_m, psi_rad, u_m_per_s, v_m_per_s,
-    w_m_per_s, r_rad_per_s. In such a table, x is east, y north, z up, u forward, v left, w up; with --frame ned, x is
-    north, y east, z down, v right, w down. The velocities in a table are along axes that turn with the heading, but not
-    with roll and pitch. If the vehicle of --start has roll and pitch, the table also needs at least one of roll_rad,
+    w_m_per_s, r_rad_per_s. In a table, x is east, y north, z up, u forward, v left, w up; with --frame ned, x is north,
+    y east, z down, v right, w down. The velocities in a table are along axes that turn with the heading, but not with
+    roll and pitch. If the vehicle of --start has roll and pitch, the table also needs at least one of roll_rad,
     pitch_rad, p_rad_per_s, q_rad_per_s.
 
     Logs of ArduPilot (.BIN, .tlog), ROS (.bag, .db3 or folder, .mcap), PX4 (.ulg), and tables with other column names
@@ -301,7 +302,7 @@ def from_log(
 
     If the log does not determine a parameter, the parameter keeps its value from --start, and the vehicle file says so.
     If the 95 % interval of a fitted mass or drag lies below 0, no file is written, and the exit status is 1. As a test,
-    a fit to the first part of the log predicts the last part; the output compares the errors with those of a constant
+    a fit to the first part of the log predicts the last part; the output compares its errors with those of constant
     velocity.
 
     Example: surctl vehicle from-log trial.csv --start my-vehicle.toml --name fitted

@@ -49,7 +49,7 @@ _SPEED = FiniteRange(min=0, max=100, min_open=True)
 
 @click.command
 @click.argument("words", nargs=-1, metavar="[CLAIM | FILE.toml")
-@click.option("--vehicle", metavar="FILE", help="Vehicle (default: by --scenario, else sur540-flooded).")
+@click.option("--vehicle", metavar="FILE", help="Vehicle (default: that of --scenario, else sur540-flooded).")
 @click.option("--gains", metavar="FILE", help=GAINS_HELP)
 @click.option(
     "--uncertainty",
@@ -70,9 +70,13 @@ _SPEED = FiniteRange(min=0, max=100, min_open=True)
 )
 @click.option("--scenario", metavar="FILE", help="Scenario (name or file) for the no-contact claim.")
 @click.option("--law", metavar="NAME", help="Law: name or FILE.py:FUNCTION (default: by vehicle).")
-@click.option("--sensing", metavar="NAME", help="Obstacles: sonar (default if the law uses it) or truth.")
+@click.option("--sensing", metavar="NAME", help="Obstacles: sonar (default if usable) or truth (exact).")
 @click.option(
-    "--stack", "stacks", multiple=True, metavar="LAW", help="Print which tasks of law guarded or paper are independent."
+    "--stack",
+    "stacks",
+    multiple=True,
+    metavar="LAW",
+    help="Print independent task Jacobians of LAW: guarded or paper.",
 )
 @barrier_options
 @click.option("--show", is_flag=True, help="Print claims as claim files, and check no claim.")
@@ -98,20 +102,20 @@ def verify(
     """Prove or refute built-in claims or your own, and print margins of the loop.
 
     A claim is proved (with a certificate for `surctl check`), refuted (with a counterexample), unknown (neither), or
-    not applicable (an assumption does not hold). The paper's claims are about the kinematic loop at cruise speed, with
-    speeds limited to --cap. With --scenario, surctl also checks the no-contact claim: the robot touches no obstacle.
-    The claim mission says that the robot stays near the scenario's path; mission:REGION uses another region claim.
+    not applicable (an assumption does not hold). The paper's claims assume velocities equal to their commands, at
+    cruise speed, limited to --cap. With --scenario, surctl also checks the no-contact claim: the robot touches no
+    obstacle. The claim mission says that the robot stays near the scenario's path; mission:REGION uses the region claim
+    REGION.
 
-    surctl linearises the loop about straight cruise (with --law: about the law's steady motion), and prints margins,
-    poles, the slowest mode, stable speeds and sampling limits, for the nominal and the worst vehicle within
+    surctl linearises the closed loop about straight cruise (with --law: about the law's steady motion), and prints
+    margins, poles, slowest mode, stable speeds and control periods, for the nominal and the worst vehicle within
     --uncertainty or the vehicle's ranges. surctl list shows region and braking claims, which are checked only if you
-    name them. A claim file states an inequality (key kind = claim; --show prints examples), a region claim with other
+    name them. A claim file states an inequality (key kind = claim; --show prints examples), a region claim with your
     numbers (region), or a region of attraction or a barrier of any dynamics (lyapunov, barrier). Exit status: 1 if a
-    verdict differs from the expected one, a claim that you name is not applicable, or a margin or no-contact claim
-    fails.
+    verdict is not the expected one, a named claim is not applicable, or a margin or no-contact claim fails.
 
-    For FILE.py:FUNCTION, a system of your own, surctl prints equilibrium, poles and margins of the sampled loop. If
-    you give within.STATE=LOW..HIGH for every state, surctl proves a region of attraction.
+    For FILE.py:FUNCTION, a system of your own, surctl prints equilibrium, poles and margins of the sampled loop. With
+    arguments within.STATE=LOW..HIGH for all states, surctl proves a region of attraction in this box.
 
     Examples: surctl verify --out proofs; surctl verify region-cruise-20 claim.toml; surctl verify loop.py:build k=2
     """

@@ -17,6 +17,8 @@ from surctl.priority.hierarchy.memory import Memory
 
 def damp(s: Memory, level: int) -> None:
     """Begin a level: keep the openings, or the rates of the last level, and set w² = c ‖x‖ + 1e-6."""
+    assert s.last in range(level + 1)
+    assert s.last == 0 or s.last >= 3
     if s.last == 0 and seldom(1):
         for a in range(2):
             if s.on[a] != 0:
@@ -64,6 +66,8 @@ def keep(s: Memory, level: int) -> None:
     f = s.f
     free = s.N - f
     assert old - f <= s.n + 2 and end - begin <= s.b and free <= s.n + 2
+    assert s.last == 0 or free <= s.n  # the columns of the openings are kept first
+    assert s.last == 0 or old - f <= s.n
     for i in within(f, old, s.x):
         s.near[i - f] = (s.W[i] + 1) * s.side[i]
         s.inside[s.W[i]] = 0
@@ -102,7 +106,8 @@ def keep(s: Memory, level: int) -> None:
 def confirm(s: Memory, level: int) -> None:
     """Note whether v is shown to be optimal for a level, and report the limits that are active there."""
     s.size = 1.0
-    assert s.n + 2 >= s.N and s.w - s.f <= s.n + 2 and level <= s.p
+    assert s.w in range(s.n + 3)
+    assert s.n + 2 >= s.N and level <= s.p
     for j in within(0, s.n, s.n):
         s.size = fabs(s.v[j]) if fabs(s.v[j]) > s.size else s.size
     radius = 2.0 * (1.0 + s.size)

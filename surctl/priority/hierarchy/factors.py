@@ -37,7 +37,7 @@ def reflect_table(s: Memory, lo: int, hi: int) -> None:
 
 def reflect_levels(s: Memory, number: int, lo: int, hi: int, begin: int, end: int) -> None:
     """Apply reflection `number` to the columns lo … hi and rows begin … end of B."""
-    assert hi - lo <= s.n + 2 and end <= s.first[s.p] and end - begin <= s.later_rows
+    assert hi - lo <= s.n + 2 and end <= s.first[s.p] and 0 <= begin
     for row in within(begin, end, s.k):
         total = 0.0
         for j in within(lo, hi, s.x):
@@ -60,7 +60,9 @@ def along(s: Memory, j: int) -> float:
 
 def enter(s: Memory, i: int, side: int) -> int:
     """Take limit i at its upper (1) or lower (−1) bound into W; return 0 if it depends on W."""
-    assert s.n + 2 >= s.N and s.w <= s.n + 2 and s.N - s.w <= s.n + 2
+    assert s.w in range(s.n + 3)
+    assert s.n + 2 >= s.N
+    assert s.damped == 0 or s.last == 0 or s.N - s.w <= s.n
     if s.w >= s.N:
         return 0
     for j in range(s.n):
@@ -92,6 +94,8 @@ def enter(s: Memory, i: int, side: int) -> int:
 
 def leave(s: Memory, place: int) -> None:
     """Drop entry `place` of W; rotations make L triangular again."""
+    assert s.w in range(s.n + 3)
+    assert 0 <= place
     s.valid = s.skip if s.damped != 0 else 0
     s.inside[s.W[place]] = 0
     for i in within(place + 1, s.w, s.x):
@@ -181,7 +185,7 @@ def solve_left(s: Memory, level: int, cols: int) -> None:
 
 def take_off(s: Memory, begin: int, end: int, low: int, high: int) -> None:
     """Subtract the columns low … high of B, times y, from the remainders of the rows begin … end."""
-    assert high - low <= s.n + 2 and end <= s.first[s.p] and end - begin <= s.later_rows
+    assert high - low <= s.n + 2 and end <= s.first[s.p] and 0 <= begin
     for row in within(begin, end, s.k):
         rest = s.rest[row]
         for j in within(low, high, s.x):
@@ -310,12 +314,15 @@ def solve_damped(s: Memory, level: int, cols: int) -> None:
 def solve_level(s: Memory, level: int, end: int) -> None:
     """Eliminate one level behind those above, and find its part of y."""
     base = s.first[level]
+    assert s.n + 2 >= s.N
     free = s.N - s.w
+    assert s.damped == 0 or s.last == 0 or free <= s.n
     cnt = 0
     for row in within(base, s.first[level + 1], s.b):
         if s.on[row] != 0:
             s.pivot[base + cnt] = row
             cnt += 1
+    assert cnt == 0 or s.damped == 0 or level < 2 or s.is_set[level] != 0 or level + 1 == s.last
     s.many[level] = cnt
     s.left[level] = 0
     s.rank[level] = 0
@@ -326,7 +333,7 @@ def solve_level(s: Memory, level: int, end: int) -> None:
         return
     if s.damped != 0 and level > 1 and level + 1 == s.last:
         pivots(s, level, free, end)
-        assert s.rank[level] <= s.first[level + 1] - base and s.rank[level] <= s.n + 2
+        assert s.rank[level] <= s.first[level + 1] - base and s.rank[level] <= free
         s.start[level + 1] = begin + s.rank[level]
         solve_damped(s, level, s.rank[level])
         take_off(s, base, end, begin, begin + s.rank[level])
@@ -342,7 +349,7 @@ def solve_level(s: Memory, level: int, end: int) -> None:
             return
     pivots(s, level, free, end)
     rank = s.rank[level]
-    assert rank <= s.first[level + 1] - base and rank <= s.n + 2
+    assert rank <= s.first[level + 1] - base and rank <= free
     s.start[level + 1] = begin + rank
     if rank == 0:
         return
@@ -365,11 +372,16 @@ def optimum(s: Memory, top: int) -> None:
     anew()
     levels = top if top < s.p else s.p
     end = s.first[levels]
+    assert s.w in range(s.n + 3)
+    assert s.n + 2 >= s.N
     free = s.N - s.w
+    assert s.damped == 0 or s.last == 0 or free <= s.n
     known = s.valid if s.valid < levels else levels
     begin = s.first[s.valid]
-    assert known >= 0 and levels <= s.p and s.w <= s.n + 2 and free <= s.n + 2
-    assert end - begin <= s.later_rows and levels - known <= s.later and s.used[s.valid] <= s.n + 2
+    assert 0 <= known and 0 <= begin and s.used[s.valid] <= free
+    # damped levels above are kept, and only from the first set-based one on, levels are eliminated anew
+    assert s.damped == 0 or levels < 3 or s.last == levels
+    assert s.damped == 0 or levels < 3 or end - begin <= end - s.first[s.earliest if s.earliest < levels else levels - 1]
     if s.valid == (s.skip if s.damped != 0 else 0):
         for i in within(s.f if s.damped != 0 else 0, s.w, s.x):
             e = s.up[s.W[i]] if s.side[i] > 0 else s.lo[s.W[i]]
@@ -394,7 +406,7 @@ def optimum(s: Memory, top: int) -> None:
         s.valid = levels
     rank = s.start[levels]
     number = s.used[levels]
-    assert rank <= s.n + 2 and free - rank <= s.n + 2 and number <= s.n + 2
+    assert 0 <= rank and rank <= free and number <= free
     for j in within(0, rank, s.x):
         s.z[j] = s.y[s.w + j]
     for j in within(rank, free, s.x):
@@ -434,7 +446,7 @@ def optimum(s: Memory, top: int) -> None:
 def multipliers(s: Memory, level: int) -> None:
     """Find lam of W and mu of the levels above for the objective of a level; number p is the length of v."""
     above = s.start[level]
-    assert s.w <= s.n + 2 and above <= s.n + 2 and level <= s.p and s.w + above <= s.n + 2
+    assert above <= s.n + 2 - s.w
     if level < s.p:
         for j in within(0, s.w, s.x):
             e = 0.0
@@ -460,8 +472,8 @@ def multipliers(s: Memory, level: int) -> None:
             s.mu[row] = 0.0
         if rank == 0:
             continue
-        assert rank <= s.first[a + 1] - base and rank <= s.n + 2
-        assert cnt <= s.first[a + 1] - base and s.start[a] <= s.n + 2
+        assert rank <= s.first[a + 1] - base and rank <= s.n + 2 - s.w
+        assert cnt <= s.first[a + 1] - base and s.start[a] <= s.n + 2 - s.w
         if s.left[a] == 0:
             for i in back(0, rank, s.x):
                 e = s.g[at + i]

@@ -162,9 +162,7 @@ def hierarchy(shape: StackShape, rows: int, precision: Precision = FLOAT64, *, d
     p, x, k = len(shape.levels) + 2, _padded(n + 2), _padded(2 + shape.rows)
     r, largest, more = k + x, max(level.rows for level in shape.levels), x * damped
     begin = next((level for level in range(2, p) if shape.levels[level - 2].is_set), p) if damped else 0
-    known = {"s.later_rows": max(starts[p] - starts[begin], largest, 2), "s.later": max(p - begin, 2)}  # 2: openings
-    for name, value in known.items():  # in `assert`, which is not part of the text
-        functions = [function.replace(name, str(value)) for function in functions]
+    functions = [function.replace("s.earliest", str(begin)) for function in functions]  # in `assert` alone
     arranged = ["def arrange(s):"]
     arranged += [f"    s.first[{level}] = {start}" for level, start in enumerate(starts)]
     for level in range(p):

@@ -15,8 +15,7 @@ class Memory:
     b: int  # rows of the largest level
     r: int  # rows of the table T
     cap: int  # iterations
-    later: int  # levels that are eliminated together: all, or if damped, from the first set-based one on
-    later_rows: int  # rows of these levels
+    earliest: int  # the first set-based level
     damped: int  # 1: module `damping`; else 0, and its branches are not part of the procedure
     J: list[float]
     lower: list[float]

@@ -415,6 +415,7 @@ def release(s: Memory) -> int:
         a = s.level_of[which]
         s.valid = s.valid if s.valid < a else a
     else:
+        assert 0 <= which
         leave(s, which)
     return 1
 
@@ -436,13 +437,16 @@ def descend(s: Memory) -> int:
                 s.top += 1
             if s.damped != 0 and s.top > s.p:
                 return 1
-            if s.damped != 0 and s.top > 2:
+            assert s.top in range(1, s.p + 2)
+            if s.damped != 0 and s.top > 2 and seldom(1, s.top):
                 damp(s, s.top - 1)
+        assert s.top in range(1, s.p + 2)
+        assert s.damped == 0 or s.last == (s.top if s.top > 2 else 0)
+        assert s.w in range(s.n + 3)
         done = advance(s)
         if done < 0:
             return 0
-        # each limit or row that leaves was taken in before, or switched on, and there are p levels
-        if done > 0 and seldom(s.n + s.m + 2 * s.p) and release(s) == 0 and seldom(s.p + 1):
+        if done > 0 and release(s) == 0 and seldom(1, s.top):
             if s.damped != 0:
                 confirm(s, s.top - 1)
             if s.top > s.p:
@@ -460,6 +464,7 @@ def restore(s: Memory) -> None:
         s.lo[i] = s.lo_true[i]
         s.up[i] = s.up_true[i]
     s.valid = s.skip if s.damped != 0 else 0
+    assert s.damped == 0 or s.last in range(s.p + 1)
     if s.reached != 0:
         optimum(s, s.last if s.damped != 0 else s.p + 1)
         for j in within(0, s.N, s.x):
