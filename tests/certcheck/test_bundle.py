@@ -750,7 +750,9 @@ def test_the_dynamics_of_a_certificate_are_those_of_the_bundle() -> None:
         found = compared(change)
         assert [text[: len(message)] for text in found.differs] == [message], (name, found)
     assert compared(lambda c: c.update(more=1)).unbound == ("more = 1",)
-    outside = compared(lambda c: None, about(loop(), k=(2.1, 2.2)))
+    with pytest.warns(UserWarning, match="leaves out the nominal value"):
+        document = about(loop(), k=(2.1, 2.2))
+    outside = compared(lambda c: None, document)
     assert outside.differs == ("k[0]: the range of k does not contain the exported number",)
     without = bundled_without_plant(loop())
     assert compare({"kind": "lyapunov", "claim": about(loop())}, without).differs == (
