@@ -309,6 +309,9 @@ class _Comparison(Comparison):
             text = f"up to {both:.3g} N possible, up to {vehicle['most_n']!r} N certified"
             self.excludes.append(f"thrust of both axes together: {text}")
         self.at_most("thrust_lag", vehicle["lag_s"], "s", self.numbers("thrust_lag"))
+        for radius in self.numbers("radius"):  # the law measures the clearance from the radius hull
+            text = f"hull: the vehicle has a radius of {radius!r} m"
+            self.differs += [f"{text}, {own!r} m exported" for own in self.gains("hull") if own < radius]
         self.at_most("yaw rate", met["turn_rad_per_s"], "rad/s", self.gains("spin"))
         if claim.turn or claim.ratio > 1:
             self.at_most("thrust across", vehicle["side_n"], "N", limits)

@@ -219,6 +219,14 @@ def test_what_differs_from_a_braking_certificate_is_named(
     assert not found.belongs and any(text.startswith(told) for text in found.differs), found.differs
 
 
+def test_a_law_that_believes_in_a_smaller_hull_comes_nearer_than_certified() -> None:
+    document, radius = braking("braking-inertia-ranges"), VEHICLE["radius"]
+    for hull in (radius, 1.1 * radius):
+        assert not compare(document, manifest_for(law=INERTIA, hull=hull)).differs
+    told = f"hull: the vehicle has a radius of {radius!r} m, {0.99 * radius!r} m exported"
+    assert compare(document, manifest_for(law=INERTIA, hull=0.99 * radius)).differs == (told,)
+
+
 def test_another_vehicle_s_numbers_do_not_belong_though_every_hash_is_pasted() -> None:
     def pasted(change: Callable[[dict[str, Any]], None]) -> tuple[str, ...]:
         manifest = manifest_for(change, spin=0.0)
@@ -742,7 +750,9 @@ def test_the_dynamics_of_a_certificate_are_those_of_the_bundle() -> None:
         found = compared(change)
         assert [text[: len(message)] for text in found.differs] == [message], (name, found)
     assert compared(lambda c: c.update(more=1)).unbound == ("more = 1",)
-    outside = compared(lambda c: None, about(loop(), k=(2.1, 2.2)))
+    with pytest.warns(UserWarning, match="leaves out the nominal value"):
+        document = about(loop(), k=(2.1, 2.2))
+    outside = compared(lambda c: None, document)
     assert outside.differs == ("k[0]: the range of k does not contain the exported number",)
     without = bundled_without_plant(loop())
     assert compare({"kind": "lyapunov", "claim": about(loop())}, without).differs == (

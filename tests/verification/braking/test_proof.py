@@ -215,4 +215,4 @@ def test_the_law_s_numbers_in_a_certificate_are_those_of_the_exported_law() -> N
     assert law is not None
     law = replace(law, stopping=tuple(Fraction(repr(float(x) / 3)) for x in law.stopping))
     written = stated(replace(claim, law=law)).law
-    assert written == law and 1 / 7 == float(law.margin)
+    assert written == law and float(law.margin) == 1 / 7
