@@ -6,8 +6,8 @@ level, and the branches for another kind of level count nothing. Of the branches
 with what follows it. Four statements say more; none is part of the text of a procedure, or of its C code:
 
 - `assert a <= b` or `b >= a`, where one of them is known, bounds the other in what follows; for a loop from i to j, a
-  is `j - i`, or `j` if i is known. If i is not known, `assert i >= 0` says that its variable has different values from 0
-  on. `assert a in range(b)` makes cases, of which the most expensive counts, `assert a == b` gives a value, `or` of
+  is `j - i`, or `j` if i is known. If i is not known, `assert i >= 0` says that its variable has different values, from
+  0 on. `assert a in range(b)` makes cases, of which the most expensive counts, `assert a == b` gives a value, `or` of
   conditions bounds a if no other one can hold, and cases that contradict an `assert` do not count;
 - `seldom(most)` among the conditions of an `if`: a run evaluates the conditions behind it, and enters the branch, at
   most `most` times; with `seldom(most, a)`, at most as often for each a, which must be known;
