@@ -131,7 +131,7 @@ def changed(inputs: list[Array], other: list[Array], size: Size, rng: np.random.
             case 6:
                 J_rows[i] = J_rows[i] * 10.0 ** rng.normal()
             case 7:
-                lower, upper = (array * 10.0 ** size_of for array in (lower, upper))
+                lower, upper = (array * 10.0**size_of for array in (lower, upper))
             case 8:
                 rest[-1] = rest[-1] * 10.0 ** rng.normal()
     return [J, lower, upper, rows, *rest]
@@ -141,7 +141,7 @@ def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true", help="few problems")
-    draws, moves = (50, 200) if parser.parse_args().quick else (2000, 100_000)
+    draws, moves = (50, 200) if parser.parse_args().quick else (2000, 300_000)
     print(
         "| kernel | damped | iterations | operations: most found, bound, ratio "
         "| instructions: most found, bound, ratio |"
@@ -150,7 +150,8 @@ def main() -> None:
     for name, size in KERNELS.items():
         for damped in (False, True):
             kernel = kernel_of(size, damped=damped)
-            hard = hardest(size, damped=damped, draws=draws, moves=moves)
+            searches = [hardest(size, damped=damped, draws=draws, moves=moves, seed=seed) for seed in range(3)]
+            hard = max(searches, key=lambda runs: runs[0][0])
             records = tuple(np.array(part) for part in zip(*(inputs for _, _, inputs in hard), strict=True))
             _, counts = counted(kernel, records, target="cortex-m7", real="float64")
             operations, most = np.array([one[0] for one in hard]), kernel.operations

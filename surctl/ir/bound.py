@@ -5,12 +5,17 @@ number, and local variables and arguments with such values. So a loop over the r
 level, and the branches for another kind of level count nothing. Of the branches of an `if`, the most expensive counts,
 with what follows it. Four statements say more; none is part of the text of a procedure, or of its C code:
 
-- `assert a <= b` or `b >= a`, where b is known, bounds a in what follows; for a loop from i to j, a is `j - i`, or `j`
-  if i is known. If i is not known, `assert 0 <= i` says that its variable has different values from 0 on;
+- `assert a <= b` or `b >= a`, where one of them is known, bounds the other in what follows; for a loop from i to j, a
+  is `j - i`, or `j` if i is known. If i is not known, `assert i >= 0` says that its variable has different values, from
+  0 on. `assert a in range(b)` makes cases, of which the most expensive counts, `assert a == b` gives a value, `or` of
+  conditions bounds a if no other one can hold, and cases that contradict an `assert` do not count;
 - `seldom(most)` among the conditions of an `if`: a run evaluates the conditions behind it, and enters the branch, at
-  most `most` times;
+  most `most` times; with `seldom(most, a)`, at most as often for each a, which must be known;
 - `once(a, most)`: what follows in the block has another a from 0 to most − 1 each time, until `anew()`, so it counts
   once for each a in the function with `anew()`.
+
+After `x = f(…)`, paths of f that end with different results are different cases, each with the cost and the assignments
+of its own path.
 
 `Procedure.run` checks all of them.
 """
@@ -58,19 +63,23 @@ def called(node: ast.AST, name: str) -> list[ast.expr] | None:
 
 @dataclass
 class _Known:
-    """What is known at a statement: values of variables, upper bounds of expressions, which of these are at least 0."""
+    """What is known at a statement: values of variables, and upper and lower bounds of expressions."""
 
     values: dict[str, int] = field(default_factory=dict)
     upper: dict[str, int] = field(default_factory=dict)
-    whole: set[str] = field(default_factory=set)
+    lower: dict[str, int] = field(default_factory=dict)
 
     def copy(self) -> _Known:
-        return _Known(dict(self.values), dict(self.upper), set(self.whole))
+        return _Known(dict(self.values), dict(self.upper), dict(self.lower))
 
-    def with_value(self, name: str, value: int) -> _Known:
-        """Return the same with the value of a variable."""
+    def parts(self) -> tuple[dict[str, int], ...]:
+        return self.values, self.upper, self.lower
+
+    def between(self, name: str, least: int, most: int) -> _Known:
+        """Return the same with bounds of a variable."""
         known = self.copy()
-        known.values[name] = value
+        known.values |= {name: most} if least == most else {}
+        known.lower[name], known.upper[name] = least, most
         return known
 
     def forget(self, names: Set[str]) -> None:
@@ -79,11 +88,10 @@ class _Known:
             self.values.pop(name, None)
             for text in [text for text in self.upper if name in _names(text)]:
                 del self.upper[text]
-            self.whole.discard(name)
+            self.lower.pop(name, None)
 
     def key(self) -> tuple[tuple[str, int], ...]:
-        whole = ((name, 0) for name in sorted(self.whole))
-        return (*sorted(self.values.items()), ("", 0), *sorted(self.upper.items()), ("", 0), *whole)
+        return tuple(item for part in self.parts() for item in (*sorted(part.items()), ("", 0)))
 
 
 @cache
@@ -102,9 +110,9 @@ _text = cache(ast.unparse)
 _difference = cache(lambda a, b: ast.BinOp(a, ast.Sub(), b))
 
 
-_Paths: TypeAlias = tuple[int, frozenset[str]]
+_Paths: TypeAlias = tuple[int, frozenset[str]]  # operations at most, and variables that may be assigned
 _NEVER = -(1 << 100)
-_MANY = 12
+_CASES = 12
 
 
 class _Bound:
@@ -115,15 +123,21 @@ class _Bound:
         self.rare: dict[tuple[int, int | None], int] = {}  # of each branch with `seldom`, in the whole run
         self.shared: dict[int, int] = {}  # of what follows `once`, for each value
         self.uses: dict[str, tuple[frozenset[str], frozenset[str]]] = {}  # variables a function reads or assigns
-        self.sums = {name for name, _ in self.functions.items() if _has_anew(_)}
+        self.sums = {
+            name
+            for name, node in self.functions.items()
+            if any(called(one, "anew") is not None for one in ast.walk(node))
+        }
         self.assigned: dict[int, frozenset[str]] = {}
         self.ends: dict[str, list[int]] = {}  # upper bounds of the results of a function
         for name, node in self.functions.items():
-            below = [self.uses[other] for other, _ in _calls(node)  if other in self.uses]
+            below = [self.uses[other] for other, _ in _calls(node) if other in self.uses]
             read = frozenset(_text(one) for one in ast.walk(node) if isinstance(one, ast.Attribute))
             stored = frozenset(text for text in _stored(node) if "." in text)
             self.uses[name] = read.union(*(one for one, _ in below)), stored.union(*(one for _, one in below))
-            most = [self._upper(one.value, _Known()) for one in ast.walk(node) if isinstance(one, ast.Return) and one.value]
+            most = [
+                self._upper(one.value, _Known()) for one in ast.walk(node) if isinstance(one, ast.Return) and one.value
+            ]
             loops = (one for one in ast.walk(node) if isinstance(one, ast.For))
             inner = any(isinstance(one, ast.Return) for loop in loops for one in ast.walk(loop))
             self.ends[name] = [] if inner or None in most else sorted({one for one in most if one is not None})
@@ -170,19 +184,20 @@ class _Bound:
                 case ast.Expr(value=call) if called(call, "anew") is not None:
                     continue
                 case ast.Assert(test=ast.Compare(left=one, ops=[ast.In()], comparators=[ast.Call(args=args)])):
-                    if self._value(one, known) is not None:
+                    if self._value(one, known) is not None or _text(one) in known.lower:
                         continue
                     values = range(*(self._value(arg, known) or 0 for arg in args))
-                    if len(values) > _MANY:
-                        known.upper[_text(one)] = values[-1]
-                        continue
-                    cases = [self._block(rest, known.with_value(_text(one), at), end) for at in values]
+                    step = 1 if len(values) <= _CASES else -(-len(values) // 3)  # for the time that it takes
+                    parts = [values[at : at + step] for at in range(0, len(values), step)]
+                    cases = [self._block(rest, known.between(_text(one), part[0], part[-1]), end) for part in parts]
                 case ast.Assert(test=test):
                     if self._value(test, known) == 0:
                         return _NEVER, stored
                     self._learn(test, known)
                     continue
-                case ast.Assign(targets=[target], value=ast.Call(func=ast.Name(id=name)) as call) if self.ends.get(name):
+                case ast.Assign(targets=[target], value=ast.Call(func=ast.Name(id=name)) as call) if self.ends.get(
+                    name
+                ):
                     cases = [self._after(call, target, most, rest, known, end) for most in self.ends[name]]
                 case _:
                     total += self._expression(node, known)
@@ -222,9 +237,10 @@ class _Bound:
                 value, most = self._value(new, known), self._upper(new, known)
                 upper |= {} if most is None else {_text(target): most}
             case ast.AugAssign(target=ast.Name() | ast.Attribute() as target, op=op, value=new):
-                value, less, text = self._value(ast.BinOp(target, op, new), known), self._value(new, known), _text(target)
+                value, less = self._value(ast.BinOp(target, op, new), known), self._value(new, known)
                 if isinstance(op, ast.Sub) and less is not None:
-                    upper |= {key: most - less for key, most in known.upper.items() if key.startswith(f"{text} - ")}
+                    begin = f"{_text(target)} - "
+                    upper |= {key: bound - less for key, bound in known.upper.items() if key.startswith(begin)}
         known.forget(self._stored(node))
         known.upper |= upper
         known.values |= {} if value is None else {_text(target): value}
@@ -234,16 +250,16 @@ class _Bound:
             case ast.BoolOp(op=ast.And(), values=values):
                 for value in values:
                     self._learn(value, known)
-            case ast.Compare(left=one, ops=[ast.Eq()], comparators=[other]) if (
-                value := self._value(other, known)
-            ) is not None:
-                known.values[_text(one)] = value
-            case ast.Compare(left=less, ops=[ast.LtE()], comparators=[more]) | ast.Compare(
-                left=more, ops=[ast.GtE()], comparators=[less]
+            case ast.Compare(left=one, ops=[ast.Eq()], comparators=[other]):
+                most = self._value(other, known)
+                known.values |= {} if most is None else {_text(one): most}
+            case (
+                ast.Compare(left=less, ops=[ast.LtE()], comparators=[more])
+                | ast.Compare(left=more, ops=[ast.GtE()], comparators=[less])
             ):
-                if isinstance(less, ast.Constant) and less.value == 0:
-                    known.whole.add(_text(more))
-                most = self._upper(more, known)
+                least, most = self._value(less, known), self._upper(more, known)
+                if least is not None:
+                    known.lower[_text(more)] = max(least, known.lower.get(_text(more), least))
                 if most is not None:
                     known.upper[_text(less)] = min(most, known.upper.get(_text(less), most))
 
@@ -254,6 +270,7 @@ class _Bound:
         after = known.copy()
         after.forget(self._stored(node))
         follow, names = self._block(rest, after, end)
+        known.forget(self._stored(node.test))
         for part, truth in ((node.body, True), (node.orelse, False)):
             if test is not None and bool(test) is not truth:
                 continue
@@ -286,7 +303,7 @@ class _Bound:
         self.rare[id(node), value] = max(self.rare.get((id(node), value), 0), most * cost)
 
     def _once(self, args: Sequence[ast.expr], rest: Sequence[ast.stmt], known: _Known) -> None:
-        most = self._value(args[1], known) or 0
+        most = self._upper(args[1], known) or 0
         value = self._value(args[0], known)
         for at in range(most) if value is None else [value]:
             inner = known.copy()
@@ -304,27 +321,29 @@ class _Bound:
         if start is not None and stop is not None:
             limits.append(stop - start)
         count = max(0, min(limit for limit in limits if limit is not None))
-        whole = len(args) > 1 and _text(args[0]) in known.whole
+        whole = len(args) > 1 and known.lower.get(_text(args[0]), -1) >= 0
         known.forget(self._stored(node))
         if count == 0:
             return 0
         first = 0 if whole and start is None and stop is not None else start
         if first is None or not _matters(name, node):
             return count * max(0, self._block(node.body, known.copy())[0])
-        costs = []
-        for at in range(first, first + count if start is not None or stop is None else stop):
-            costs.append(max(0, self._block(node.body, known.with_value(name, at))[0]))
+        values = range(first, first + count if start is not None or stop is None else stop)
+        costs = (max(0, self._block(node.body, known.between(name, at, at))[0]) for at in values)
         return sum(sorted(costs)[-count:])
 
     def _expression(self, node: ast.AST, known: _Known) -> int:
         own = [(name, call) for name, call in _calls(node) if name in self.functions]
+        if len(own) > 1:  # the later ones may follow what the first assigns
+            known = known.copy()
+            known.forget(self._stored(node))
         return operations_in(node) + sum(self._function(name, self._passed(name, call, known))[0] for name, call in own)
 
     def _passed(self, function: str, call: ast.Call, known: _Known) -> _Known:
         """Return what is known of the arguments of a call, and of their differences."""
         names = [arg.arg for arg in self.functions[function].args.args[1:]]
         pairs = dict(zip(names, call.args[1:], strict=True))
-        inner = _Known({text: value for text, value in known.values.items() if text in self.uses[function][0]})
+        inner = _Known(*({t: n for t, n in part.items() if t in self.uses[function][0]} for part in known.parts()))
         for name, arg in pairs.items():
             value, most = self._value(arg, known), self._upper(arg, known)
             inner.values |= {} if value is None else {name: value}
@@ -350,7 +369,7 @@ class _Bound:
         bounds = [known.upper.get(_text(node))]
         if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Sub):
             most, less = self._upper(node.left, known), self._value(node.right, known)
-            less = 0 if less is None and _text(node.right) in known.whole else less
+            less = known.lower.get(_text(node.right)) if less is None else less
             bounds.append(None if most is None or less is None else most - less)
         return min((most for most in bounds if most is not None), default=None)
 
@@ -421,10 +440,6 @@ def _calls(node: ast.AST) -> list[tuple[str, ast.Call]]:
     return [
         (call.func.id, call) for call in ast.walk(node) if isinstance(call, ast.Call) if isinstance(call.func, ast.Name)
     ]
-
-
-def _has_anew(node: ast.AST) -> bool:
-    return any(called(one, "anew") is not None for one in ast.walk(node))
 
 
 @cache

@@ -86,6 +86,43 @@ def early(s: Memory) -> None:
     s.total[0] += s.x[2]
 
 
+def halves(s: Memory) -> None:
+    """Add n entries in two loops."""
+    s.total[0] = 0.0
+    stop = 1 if s.x[0] > 0.5 else 2
+    assert stop in range(s.n + 1)
+    for i in within(0, stop, s.n):
+        s.total[0] += s.x[i]
+    for i in within(stop, s.n, s.n):
+        s.total[0] += s.x[i]
+
+
+def positive(s: Memory, i: int) -> int:
+    """Return 1 for a positive entry; add another one and return 0."""
+    if s.x[i] > 0.0:
+        return 1
+    s.total[0] += s.x[i]
+    return 0
+
+
+def either(s: Memory) -> None:
+    """Add two entries if the first is positive."""
+    s.total[0] = 0.0
+    found = positive(s, 0)
+    if found > 0:
+        s.total[0] += s.x[1]
+        s.total[0] += s.x[2]
+
+
+def each(s: Memory) -> None:
+    """Add each entry once, in three turns."""
+    s.total[0] = 0.0
+    for turn in range(3):
+        for i in range(s.n):
+            if turn == 0 and seldom(1, i):
+                s.total[0] += s.x[i]
+
+
 def of(*functions: Callable[..., Any]) -> Procedure:
     return Procedure.of(
         "sums", functions, inputs=(("x", 4),), outputs=(("total", 1),), sizes={"n": 4}, reals={},
@@ -101,6 +138,9 @@ def of(*functions: Callable[..., Any]) -> Procedure:
         ((rarely,), 4 + 1),
         ((shared,), 10 + 2),
         ((early,), 1 + 2),
+        ((halves,), 1 + 4),
+        ((positive, either), 1 + 1 + 2),
+        ((each,), 3 * 4 + 4),
     ],
 )
 def test_the_bound_is_what_a_run_may_need(functions: tuple[Callable[..., Any], ...], most: int) -> None:
@@ -124,6 +164,8 @@ def test_statements_that_do_not_hold_are_errors() -> None:
         ((rarely,), "i == 2 and", "i >= 2 and", IndexError),
         ((shared,), "within(stop, s.n, s.n)", "within(stop - 1, s.n, s.n)", IndexError),
         ((shared,), "once(i, s.n)", "once(i, s.n - 1)", IndexError),
+        ((halves,), "range(s.n + 1)", "range(1)", AssertionError),
+        ((each,), "turn == 0", "turn <= 1", IndexError),
     ):
         with pytest.raises(error):
             replay(wrong(*functions, old=old, new=new), [1.0, 2.0, 3.0, 4.0])

@@ -37,7 +37,7 @@ def reflect_table(s: Memory, lo: int, hi: int) -> None:
 
 def reflect_levels(s: Memory, number: int, lo: int, hi: int, begin: int, end: int) -> None:
     """Apply reflection `number` to the columns lo … hi and rows begin … end of B."""
-    assert hi - lo <= s.n + 2 and end <= s.first[s.p] and 0 <= begin
+    assert hi - lo <= s.n + 2 and end <= s.first[s.p] and begin >= 0
     for row in within(begin, end, s.k):
         total = 0.0
         for j in within(lo, hi, s.x):
@@ -95,7 +95,7 @@ def enter(s: Memory, i: int, side: int) -> int:
 def leave(s: Memory, place: int) -> None:
     """Drop entry `place` of W; rotations make L triangular again."""
     assert s.w in range(s.n + 3)
-    assert 0 <= place
+    assert place >= 0
     s.valid = s.skip if s.damped != 0 else 0
     s.inside[s.W[place]] = 0
     for i in within(place + 1, s.w, s.x):
@@ -185,7 +185,7 @@ def solve_left(s: Memory, level: int, cols: int) -> None:
 
 def take_off(s: Memory, begin: int, end: int, low: int, high: int) -> None:
     """Subtract the columns low … high of B, times y, from the remainders of the rows begin … end."""
-    assert high - low <= s.n + 2 and end <= s.first[s.p] and 0 <= begin
+    assert high - low <= s.n + 2 and end <= s.first[s.p] and begin >= 0
     for row in within(begin, end, s.k):
         rest = s.rest[row]
         for j in within(low, high, s.x):
@@ -239,7 +239,7 @@ def pivots(s: Memory, level: int, free: int, end: int) -> None:
                 s.V[number * s.x + j] = s.B[j * s.k + row]
         if not square > cut * cut:
             break
-        once(column, s.n + 2)
+        once(column, free)
         s.pivot[base + best] = s.pivot[base + done]
         s.pivot[base + done] = row
         s.norms[best] = s.norms[done]
@@ -378,10 +378,12 @@ def optimum(s: Memory, top: int) -> None:
     assert s.damped == 0 or s.last == 0 or free <= s.n
     known = s.valid if s.valid < levels else levels
     begin = s.first[s.valid]
-    assert 0 <= known and 0 <= begin and s.used[s.valid] <= free
+    assert known >= 0 and begin >= 0 and s.used[s.valid] <= free
     # damped levels above are kept, and only from the first set-based one on, levels are eliminated anew
     assert s.damped == 0 or levels < 3 or s.last == levels
-    assert s.damped == 0 or levels < 3 or end - begin <= end - s.first[s.earliest if s.earliest < levels else levels - 1]
+    assert (
+        s.damped == 0 or levels < 3 or end - begin <= end - s.first[s.earliest if s.earliest < levels else levels - 1]
+    )
     if s.valid == (s.skip if s.damped != 0 else 0):
         for i in within(s.f if s.damped != 0 else 0, s.w, s.x):
             e = s.up[s.W[i]] if s.side[i] > 0 else s.lo[s.W[i]]
@@ -397,7 +399,7 @@ def optimum(s: Memory, top: int) -> None:
             for j in within(0, free, s.x):
                 s.B[j * s.k + row] = s.T[(s.w + j) * s.r + row]
         for number in within(0, s.used[s.valid], s.x):
-            once(number, s.n + 2)
+            once(number, free)
             reflect_levels(s, number, number, free, begin, end)
         take_off(s, begin, end, 0, s.start[s.valid])
     for level in within(known, levels, s.p):
@@ -406,7 +408,7 @@ def optimum(s: Memory, top: int) -> None:
         s.valid = levels
     rank = s.start[levels]
     number = s.used[levels]
-    assert 0 <= rank and rank <= free and number <= free
+    assert rank >= 0 and rank <= free and number <= free
     for j in within(0, rank, s.x):
         s.z[j] = s.y[s.w + j]
     for j in within(rank, free, s.x):

@@ -415,7 +415,7 @@ def release(s: Memory) -> int:
         a = s.level_of[which]
         s.valid = s.valid if s.valid < a else a
     else:
-        assert 0 <= which
+        assert which >= 0
         leave(s, which)
     return 1
 
