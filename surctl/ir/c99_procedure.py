@@ -47,7 +47,7 @@ def emit_procedure(procedure: Procedure, *, symbol: str, real: Real = "float64",
     names = [f"    s.{name} = in{k};" for k, (name, _) in enumerate(procedure.inputs)]
     names += [f"    s.{name} = out{k};" for k, (name, _) in enumerate(procedure.outputs)]
     names += [f"    s.{name} = 0;" for name, _, size in procedure.memory if not size]
-    top = [f"/* {procedure.operations} operations at most */", *signature(f"static void {symbol}", reads, writes, kind)]
+    top = signature(f"static void {symbol}", reads, writes, kind)
     entry = f"    {symbol}_{procedure.functions[-1].name}(&s);"
     ends = ["#if defined(FOUR)", "#undef FOUR", "#undef TO_FOUR", "#endif"] if vectors else []
     chunks.append("\n".join([*top, "{", f"    {memory} s;", *names, entry, "}", *ends]) + "\n")

@@ -37,11 +37,18 @@ _IN_PLACE = {  # operations that some dialects compute number by number
 }
 
 
-def _head(block: Block, symbol: str, outputs: int, operations: int) -> list[str]:
+def _large(block: Block) -> bool:
+    """Return whether a function must not be inlined; a procedure counts as large, because its bound takes seconds."""
+    steps = block.steps if isinstance(block, Routine) else ()
+    inner = any(_large(step.block) for step in steps if not isinstance(step, Gather))
+    return inner or isinstance(block, Procedure) or block.operations > _INLINE
+
+
+def _head(block: Block, symbol: str, outputs: int) -> list[str]:
     """Return the signature of a C function, and its opening brace."""
     arguments = [f"const double *in{k}" for k in range(len(block.inputs))]
     arguments += [f"double *out{k}" for k in range(outputs)]
-    apart = "APART " if operations > _INLINE else ""
+    apart = "APART " if _large(block) else ""
     return [f"{apart}static void {symbol}({', '.join([*arguments, 'double *work'])})", "{"]
 
 
@@ -89,7 +96,7 @@ def _text(
     read = {i.args[0] for i in instructions if i.op == "input"} | {m.input for m in moves}
     lines = [
         f"/* {program.operations} operations; outputs may alias inputs */",
-        *_head(program, symbol, len(program.outputs), program.operations),
+        *_head(program, symbol, len(program.outputs)),
         "    (void)work;",
         *(f"    (void)in{k};" for k in range(len(program.inputs)) if k not in read),
         *(f"    (void)out{k};" for k, entries in enumerate(program.output_refs) if not entries),
@@ -213,7 +220,7 @@ class _Writer:
         self.chunks.append(emit_procedure(procedure, symbol=one, vectors=True))
         sizes = [size for _, size in (*procedure.inputs, *procedure.outputs)]
         split, starts = len(procedure.inputs), [sum(sizes[:k]) for k in range(len(sizes))]
-        lines = [*_head(procedure, name, len(procedure.outputs), procedure.operations)]
+        lines = [*_head(procedure, name, len(procedure.outputs))]
         lines.append("    for (int lane = 0; lane < LANES; ++lane) {")
         for k, (size, start) in enumerate(zip(sizes[:split], starts, strict=False)):
             lines.append(f"        for (int k = 0; k < {size}; ++k) {{ work[{start} + k] = in{k}[k * LANES + lane]; }}")
@@ -293,7 +300,7 @@ class _Text:
             if local[name] != f"out{k}":
                 body.append(f"    copy(out{k}, {local[name]}, {self.sizes[name]});")
         meaning = ", ".join(f"{local[name]}: {identifier(name)} {size}" for name, size in self.sizes.items())
-        top = _head(routine, symbol, len(routine.results), routine.operations)
+        top = _head(routine, symbol, len(routine.results))
         rest = [f"    double *const rest = work + {self.own} * LANES;", "    (void)rest;"]
         comment = f"/* {meaning}; outputs may alias inputs */"
         return "\n".join([comment, *top, *self.lines, *rest, *idle, *body, "}"]) + "\n", self.own
