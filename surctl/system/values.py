@@ -157,14 +157,15 @@ def checked_ranges(
     for name, ends in ranges.items():
         check_scalar(system, name)
         checked[name] = as_range(ends, key=f"{key}{name}")
-        if not checked[name][0] <= (nominal := default_of(system, name)) <= checked[name][1]:
-            text = f"{key}{name} = {checked[name]}: leaves out the nominal value, {nominal:g} {unit_of(system, name)}"
-            warnings.warn(
-                f"{text}, for which the nominal margins are; widen the range, or change the value", stacklevel=2
-            )
     if len(checked) > _MOST_RANGES:
         remedy = f"keep the {_MOST_RANGES} that matter most"
         raise InputError(f"are {len(checked)}: every corner is judged", key=key.rstrip("."), remedy=remedy)
+    for name, (low, high) in checked.items():
+        if not low <= (nominal := default_of(system, name)) <= high:
+            text = f"{key}{name} = {(low, high)}: leaves out the nominal value, {nominal:g} {unit_of(system, name)}"
+            warnings.warn(
+                f"{text}, for which the nominal margins are; widen the range, or change the value", stacklevel=2
+            )
     return checked
 
 

@@ -200,7 +200,7 @@ def findings(scenario: Scenario, vehicle: Vehicle, *, gains: Gains | None = None
         >>> from surctl.marine.vehicle import load_vehicle
         >>> first, *_ = findings(load_scenario("pool-behind"), load_vehicle("sur540-flooded"))
         >>> print(f"{first.level}, {first.key}: {first.text}")
-        error, path_m: the 0.27 m hull of sur540-flooded is 0.020 m inside a wall at the target (E15)
+        error, path_m: the 0.27 m hull of sur540-flooded is 0.020 m inside a wall at the target
     """
     build_world(scenario, vehicle, seed=0)
     gains = gains or load_gains("default")
