@@ -163,7 +163,7 @@ def require_common(dynamics: Dynamics) -> None:
         alone = [(*middle[:k], p, *middle[k + 1 :]) for k, p in enumerate(d.parameters)]
         names = [p.name for p, one in zip(d.parameters, alone, strict=True) if not replace(d, parameters=one).rests()]
         moving = ", ".join(names or [p.name for p in d.parameters])
-        because = f"its equilibrium moves with {moving}, and a region about one point needs one value (LOW..LOW)"
+        because = f"its equilibrium moves with {moving}; a region is about one equilibrium: give one value, as m=2..2"
         raise NotApplicable(because, to="the loop", key=f"{d.name}.equilibrium")
 
 
@@ -184,7 +184,8 @@ def inexact(dynamics: Dynamics) -> str:
                 still = rational(s.rest if d.discrete else Fraction(0))
                 if libmp.mpf_gt(low, still[1]) or libmp.mpf_lt(high, still[0]):
                     at = ", ".join(f"{one.name} = {one.equilibrium:.9g}" for one in d.states)
-                    return f"{at} is an equilibrium only up to rounding, and a proof needs its exact value"
+                    remedy = "write rates that are exactly 0 there: ratios that are 1, as i/i_0, or numbers such as 0.25"
+                    return f"{at} is an equilibrium only up to rounding, and a proof needs its exact value; {remedy}"
     except Undefined:
         pass
     return ""
