@@ -184,7 +184,7 @@ def inexact(dynamics: Dynamics) -> str:
                 still = rational(s.rest if d.discrete else Fraction(0))
                 if libmp.mpf_gt(low, still[1]) or libmp.mpf_lt(high, still[0]):
                     at = ", ".join(f"{one.name} = {one.equilibrium:.9g}" for one in d.states)
-                    remedy = "write rates that are exactly 0 there: ratios that are 1, as i/i_0, or numbers such as 0.25"
+                    remedy = "write rates that are exactly 0 there: ratios that are 1 (i/i_0), numbers such as 0.25"
                     return f"{at} is an equilibrium only up to rounding, and a proof needs its exact value; {remedy}"
     except Undefined:
         pass
