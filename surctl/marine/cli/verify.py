@@ -314,8 +314,8 @@ def verify(
     about_claims.sort(key=lambda line: not line.startswith("FAIL"))
     brief = [*missions.lines, *(f"FAIL {text}" for text in failing), *about_claims]
     brief += [f"{line.mark} {line.text}" for line in judged if line.rank] + beside + conditions_lines
-    where = [f"certificates {out}"] if certificates else [f"pictures {out}"] if result.get("pictures") else []
-    finish(result, lines, as_json=as_json, passed=not failures, then=then, brief=brief, files=where)
+    written = [f"certificates {out}"] if certificates else [f"pictures {out}"] if result.get("pictures") else []
+    finish(result, lines, as_json=as_json, passed=not failures, then=then, brief=brief, files=written)
 
 
 def _is_claim_file(word: str) -> bool:
