@@ -69,14 +69,14 @@ _SPEED = FiniteRange(min=0, max=100, min_open=True)
     "--cap", type=_SPEED, metavar="V", help="Largest commanded speed [m/s] (default: that of --scenario, else 0.22)."
 )
 @click.option("--scenario", metavar="FILE", help="Scenario (name or file) for the no-contact claim.")
-@click.option("--law", metavar="NAME", help="Law: name or FILE.py:FUNCTION (default: by vehicle).")
+@click.option("--law", metavar="NAME", help="Law: name or FILE.py:FUNCTION (default: guarded or steered).")
 @click.option("--sensing", metavar="NAME", help="Obstacles: sonar (default if usable) or truth (exact).")
 @click.option(
     "--stack",
     "stacks",
     multiple=True,
     metavar="LAW",
-    help="Print independent task Jacobians of LAW: guarded or paper.",
+    help="Print whether the tasks of LAW converge: guarded or paper.",
 )
 @barrier_options
 @click.option("--show", is_flag=True, help="Print claims as claim files, and check no claim.")
