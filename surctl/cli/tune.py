@@ -69,7 +69,7 @@ if TYPE_CHECKING:
     default=Path("surctl-out"),
     help="Folder for results (default surctl-out). The same command continues an interrupted search.",
 )
-@click.option("--page", is_flag=True, help="Open a web page with a slider per gain, not a search.")
+@click.option("--page", is_flag=True, help="Do not search: open a web page with a slider per gain.")
 @click.option("--port", type=Count(1, 65535), help="TCP port of --page (default: a free port).")
 @click.option("--no-browser", is_flag=True, help="Print the address of --page, and open no browser.")
 @seconds_option

@@ -45,8 +45,8 @@ _SYSTEM = click.IntRange(1, 255)
     "--origin",
     default="0,0,90",
     metavar="X,Y,DEG",
-    help="Origin of the autopilot's coordinates: X,Y in the scenario [m], and compass direction of the scenario's "
-    "x axis (default 0,0,90).",
+    help="Origin of the autopilot's coordinates: X,Y in the scenario [m], and compass direction [deg] of the "
+    "scenario's x axis (default 0,0,90).",
 )
 @click.option(
     "--yaw-rate",

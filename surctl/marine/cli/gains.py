@@ -36,7 +36,7 @@ def gains() -> None:
 @gains.command()
 @click.argument("vehicle")
 @click.option(
-    "--cruise", type=_SPEED, metavar="V", help="Cruise speed [m/s] (default: 35 % of the speed at full thrust)."
+    "--cruise", type=_SPEED, metavar="V", help="Cruise speed [m/s] (default: 35 % of the surge speed at full thrust)."
 )
 @click.option(
     "--margin",

@@ -71,7 +71,7 @@ def at_hand(scenario: Scenario, vehicle: Vehicle, gains: str) -> list[str]:
     return ["--scenario", mission, "--vehicle", robot, "--gains", gains]
 
 
-GAINS_HELP = "Gain set: name or file (default: chosen for the vehicle)."
+GAINS_HELP = "Gain set: name or file (default: built-in, else derived)."
 """Help of the option `--gains`. The default is the set `default` for the SUR vehicles, and derived gains for others."""
 
 
@@ -215,13 +215,14 @@ priority_options = together(
         "--priority-mode",
         default="nsb",
         metavar="M",
-        help="How priorities of tasks are enforced: nsb (default, without limits), filter, projected or lexicographic.",
+        help="Task priorities: nsb (default, ignores limits), or within limits: filter, projected, lexicographic "
+        "(strict).",
     ),
     click.option(
         "--fallback",
         default="exact",
         metavar="NAME",
-        help="Solver for conflicting limits: exact (default) or bounded.",
+        help="Solver if limits conflict: exact (default), bounded (time).",
     ),
 )
 """A decorator that adds these options to a command; the command receives them as `priority_mode` and `fallback`."""
@@ -235,7 +236,7 @@ barrier_options = together(
         "--movers",
         default="predict",
         metavar="NAME",
-        help="Avoid moving obstacles by predict (default) or barrier.",
+        help="Moving obstacles: predict (default), barrier (brakes only).",
     ),
 )
 """A decorator that adds these options to a command; the command receives them as `barrier` and `movers`."""

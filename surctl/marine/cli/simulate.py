@@ -56,7 +56,7 @@ if TYPE_CHECKING:
     "--avoidance",
     default="corrected",
     metavar="NAME",
-    help="Avoidance course: corrected (default), consistent, printed.",
+    help="Eq. (20): corrected (default), printed, consistent (signs).",
 )
 @click.option(
     "--guidance", default="los", metavar="NAME", help="Path guidance: los (default); for currents ilos or alos."

@@ -29,14 +29,18 @@ _METRES = FiniteRange(min=0.0, min_open=True)
 )
 @click.option("--bits", type=Count(1, 24), default=8, help="Bits of the sonar's A/D converter (default 8).")
 @click.option(
-    "--bias", type=float, default=0.0, metavar="M", help="Bias of a reading [m], from surctl calibrate (default 0)."
+    "--bias",
+    type=float,
+    default=0.0,
+    metavar="M",
+    help="Reading minus scale times distance [m], from surctl calibrate (default 0).",
 )
 @click.option(
     "--scale",
     type=_METRES,
     default=1.0,
     metavar="X",
-    help="Scale factor of a reading, from surctl calibrate (default 1).",
+    help="Change of the reading per change of the distance, from surctl calibrate (default 1).",
 )
 @click.option(
     "--noise-sd",

@@ -57,20 +57,20 @@ _EXPLAINED = ("deviation_m", "path_error_m")  # columns whose meaning is printed
     "vehicles",
     multiple=True,
     metavar="FILE",
-    help="Vehicle: name or file; repeatable (default: by scenario).",
+    help="Vehicle: name or file; repeatable (default: scenario's).",
 )
 @click.option("--sensing", default="truth", metavar="NAME", help="Obstacles: true positions (truth, default) or sonar.")
 @click.option(
     "--gains",
     metavar="FILE",
-    help="Gains not swept: name or file (default: by vehicle).",
+    help="Gains not swept (default: built-in, else derived).",
 )
 @law_option
 @click.option(
     "--priority-mode",
     default="nsb",
     metavar="M",
-    help="How priorities of tasks are enforced: nsb (default, without limits), filter, projected or lexicographic.",
+    help="Task priorities: nsb (default, ignores limits), or within limits: filter, projected, lexicographic (strict).",
 )
 @click.option(
     "--guidance",

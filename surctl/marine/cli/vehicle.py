@@ -30,7 +30,7 @@ _FASTEST, _LARGEST = 100.0, 1e9  # [m/s], [N, N m]
     type=float,
     nargs=4,
     metavar="FU FV FW FR",
-    help="Allocate this force: FU, FV, FW in N, FR in N m.",
+    help="Allocate to the thrusters: forces forward, left and up [N], moment counter-clockwise [N m].",
 )
 @out_folder
 @as_json

@@ -56,7 +56,7 @@ _SPEED = FiniteRange(min=0, max=100, min_open=True)
     type=float,
     default=0.0,
     metavar="X",
-    help="Error of mass and drag: 0.2 means ±20 % (default 0).",
+    help="Error of mass, drag: 0.2 = ±20 % (default: vehicle's ranges).",
 )
 @click.option(
     "--cruise",
@@ -69,14 +69,14 @@ _SPEED = FiniteRange(min=0, max=100, min_open=True)
     "--cap", type=_SPEED, metavar="V", help="Largest commanded speed [m/s] (default: that of --scenario, else 0.22)."
 )
 @click.option("--scenario", metavar="FILE", help="Scenario (name or file) for the no-contact claim.")
-@click.option("--law", metavar="NAME", help="Law: name or FILE.py:FUNCTION (default: by vehicle).")
+@click.option("--law", metavar="NAME", help="Law: name or FILE.py:FUNCTION (default: guarded or steered).")
 @click.option("--sensing", metavar="NAME", help="Obstacles: sonar (default if usable) or truth (exact).")
 @click.option(
     "--stack",
     "stacks",
     multiple=True,
     metavar="LAW",
-    help="Print independent task Jacobians of LAW: guarded or paper.",
+    help="Print whether the tasks of LAW converge: guarded or paper.",
 )
 @barrier_options
 @click.option("--show", is_flag=True, help="Print claims as claim files, and check no claim.")
@@ -102,10 +102,9 @@ def verify(
     """Prove or refute built-in claims or your own, and print loop margins.
 
     A claim is proved (with a certificate for `surctl check`), refuted (with a counterexample), unknown (neither), or
-    not applicable (an assumption does not hold). The paper's claims assume velocities equal to their commands, at
-    cruise speed, limited to --cap. With --scenario, surctl also checks the no-contact claim: the robot touches no
-    obstacle. The claim mission says that the robot stays near the scenario's path; mission:REGION uses the region claim
-    REGION.
+    not applicable (an assumption does not hold). The paper's claims assume cruise speed, and velocities equal to their
+    commands (at most --cap). With --scenario, surctl also checks the no-contact claim: the robot touches no obstacle.
+    The claim mission says that the robot stays near the scenario's path; mission:REGION uses the region claim REGION.
 
     surctl linearises the closed loop about straight cruise (with --law: about the law's steady motion), and prints
     margins, poles, slowest mode, stable speeds and control periods, for the nominal and the worst vehicle within
