@@ -6,19 +6,19 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field
 from functools import cache
-from importlib.metadata import EntryPoint, entry_points
 from inspect import cleandoc
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from surctl.errors import InputError
 
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
+
 APPLICATIONS = "surctl.applications"
 """Group of entry points under which a package registers an `Application`."""
-
-_BUILT_IN = EntryPoint("marine", "surctl.marine.cli:APPLICATION", APPLICATIONS)
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,10 @@ class Application:
 @cache
 def applications() -> tuple[Application, ...]:
     """Return the applications of installed packages by name, then the built-in one, which takes all words."""
-    return tuple(map(_loaded, (*sorted(entry_points(group=APPLICATIONS)), _BUILT_IN)))
+    from importlib.metadata import EntryPoint, entry_points
+
+    built_in = EntryPoint("marine", "surctl.marine.cli:APPLICATION", APPLICATIONS)
+    return tuple(map(_loaded, (*sorted(entry_points(group=APPLICATIONS)), built_in)))
 
 
 def _loaded(entry: EntryPoint) -> Application:
