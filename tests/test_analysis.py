@@ -926,9 +926,10 @@ def test_laws_are_compared_in_the_same_scenario(tmp_path: Path) -> None:
     done = run(ANALYSIS / "13_baselines" / "run.py", "--quick", "--out", str(out))
     assert done.returncode == 0, done.stdout + done.stderr
     flown = [row for row in table(done.stdout) if len(row) == 11][1:]
-    assert [row[2] for row in flown] == ["guarded", "paper"]
+    assert [row[2] for row in flown] == ["guarded", "paper", "cbf"]
     by_law = {row[2]: row for row in flown}
     assert by_law["guarded"][4:6] == ["2", "0"] and by_law["paper"][4:6] == ["0", "2"]
+    assert by_law["cbf"][4:6] == ["2", "0"]
     for row in flown:
         assert int(row[4]) + int(row[5]) <= int(row[3]) == 2
         assert (row[6] == "-") == (row[4] == "0")

@@ -88,11 +88,6 @@ def test_help_names_every_law(command, tmp_path):
         assert re.search(rf"\b{law}\b", told), law
 
 
-def test_a_textbook_law_is_flown_by_name(tmp_path):
-    run = surctl("simulate", "pool-behind", "--law", "vo", "--json", cwd=tmp_path).json["runs"][0]
-    assert run["law"] == "vo" and run["reached"]
-
-
 def test_verify_tells_expected_verdicts(tmp_path):
     done = surctl("verify", "v1-printed", "--stack", "guarded", "--json", cwd=tmp_path)
     (why,) = done.json["failures"]  # the default gains at a quarter of the yaw inertia

@@ -115,7 +115,6 @@ WORDS = {
     "unknown scenario": (["simulate", "tank-statik"], ["tank-static"]),
     "unknown vehicle": (["simulate", "tank-static", "--vehicle", "sur54"], ["vehicle", "sur54"]),
     "unknown law": (["simulate", "tank-static", "--law", "papr"], ["law", "'paper'"]),
-    "unknown textbook law": (["simulate", "tank-static", "--law", "cfb"], ["law", "'cbf'"]),
     "unknown form": (["simulate", "tank-static", "--law", "paper", "--avoidance", "print"], ["avoidance", "'printed'"]),
     "unknown guidance": (["simulate", "tank-static", "--guidance", "iloss"], ["guidance", "'iloss'", "ilos"]),
     "form that the law does not take": (

@@ -141,7 +141,7 @@ def verify(
         choose_vehicle,
         export_command,
     )
-    from surctl.marine.control import CASCADE, PATH_FOLLOWING, build_law, law_source
+    from surctl.marine.control import PATH_FOLLOWING, build_law, law_source
     from surctl.marine.simulation import load_scenario
     from surctl.marine.tuning import derive_gains
     from surctl.marine.vehicle import load_vehicle
@@ -189,7 +189,7 @@ def verify(
     check_regions(region_names, robot, tuned.gains, speeds, chosen_law)
     dt = build_law().dt
     options: dict[str, Any] = {"dt": dt, "uncertainty": uncertainty, "law": chosen_law}
-    cascaded = CASCADE in source.parts
+    cascaded = PATH_FOLLOWING in source.parts
     check_barrier(barrier, movers)
     scenarios = () if mission is None else (replace(mission, cruise=speeds[0], cap=speeds[1]),)
     forms = {"barrier": barrier, "movers": movers}
