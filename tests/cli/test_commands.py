@@ -41,7 +41,6 @@ def test_help_names_every_command(tmp_path):
         "verify",
         "export",
         "calibrate",
-        "sonar-replay",
         "lint",
         "list",
     )

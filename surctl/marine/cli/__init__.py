@@ -14,7 +14,6 @@ from surctl.marine.cli.lint import lint
 from surctl.marine.cli.mission import scenario
 from surctl.marine.cli.reproduce import reproduce
 from surctl.marine.cli.simulate import simulate
-from surctl.marine.cli.sonar_replay import sonar_replay
 from surctl.marine.cli.study import study
 from surctl.marine.cli.sweep import sweep
 from surctl.marine.cli.tune import tune
@@ -56,7 +55,6 @@ APPLICATION = Application(
         gains: "Write the gains that follow from a vehicle.",
         scenario: "Write a scenario file from a mission of another program.",
         calibrate: "Calibrate range sensors from a CSV file.",
-        sonar_replay: "Run recorded sonar readings through the robot's filter.",
         fly: "Steer an ArduSub vehicle along a scenario's path.",
         reproduce: "Compute the results of the robot's paper again.",
     },

@@ -13,7 +13,6 @@ if TYPE_CHECKING:
     from surctl.marine.sensing.mapping.local_map import LocalMap
     from surctl.marine.sensing.ranging.filters import SensorFilter
     from surctl.marine.sensing.ranging.tracker import RangeTracker
-    from surctl.marine.sensing.replay import Readings, Recording, Replay, Tracked, sonar_array, track
     from surctl.marine.sensing.sonar.array import SonarArray
     from surctl.marine.sensing.sonar.faults import FAULT_KINDS, Fault, FaultChances
     from surctl.marine.sensing.sonar.returns import REFLECTORS, Reflector, Surfaces
@@ -36,20 +35,14 @@ __all__ = [
     "OwnStateFilter",
     "RangeTest",
     "RangeTracker",
-    "Readings",
-    "Recording",
     "Reflector",
-    "Replay",
     "SensorCalibration",
     "SensorFilter",
     "SonarArray",
     "Surfaces",
-    "Tracked",
     "calibrate",
     "calibrate_file",
     "calibrate_table_ii",
-    "sonar_array",
-    "track",
 ]
 
 load_at_first_use(__name__)
