@@ -40,7 +40,6 @@ def test_help_names_every_command(tmp_path):
         "sweep",
         "verify",
         "export",
-        "calibrate",
         "lint",
         "list",
     )

@@ -36,7 +36,6 @@ DRAWING = {  # command: the files of its result
         "nc", "toml",
     },
     ("verify", "v1-corrected", "--vehicle", "sur400", "--out", "out"): {"json"},
-    ("calibrate", "table-ii", "--out", "out"): {"csv", "toml"},
     ("vehicle", "thrusters", "bluerov2-heavy", "--out", "out"): set(),
 }  # fmt: skip
 

@@ -29,7 +29,6 @@ QUICK = (
     "vehicle thrusters bluerov2-heavy --failed T2 --force 40 40 0 5",
     "vehicle from-geometry --diameter 0.3 --mass 4 --thrust 8 --yaw-thrust 0.6",
     "scenario from-plan track.gpx --depth -2",
-    "calibrate table-ii --out fitted",
 )
 """In this order: some read what earlier ones write. Costly commands (study, export, fly, reproduce) are left out."""
 FILES = {

@@ -6,7 +6,6 @@ from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 
 from surctl.cli.application import Application
-from surctl.marine.cli.calibrate import calibrate
 from surctl.marine.cli.export import export
 from surctl.marine.cli.fly import fly
 from surctl.marine.cli.gains import gains
@@ -54,7 +53,6 @@ APPLICATION = Application(
         vehicle: "Write a vehicle file from dimensions, a log or a model.",
         gains: "Write the gains that follow from a vehicle.",
         scenario: "Write a scenario file from a mission of another program.",
-        calibrate: "Calibrate range sensors from a CSV file.",
         fly: "Steer an ArduSub vehicle along a scenario's path.",
         reproduce: "Compute the results of the robot's paper again.",
     },

@@ -5,8 +5,6 @@ from typing import TYPE_CHECKING
 from surctl.lazy import load_at_first_use
 
 if TYPE_CHECKING:
-    from surctl.marine.sensing.calibration.estimation import OUTLIER_RULE, Calibration, Estimate, calibrate
-    from surctl.marine.sensing.calibration.file import RangeTest, SensorCalibration, calibrate_file, calibrate_table_ii
     from surctl.marine.sensing.equipment import INCIDENCE_LIMITS, SURFACE_MODELS, Equipment
     from surctl.marine.sensing.localisation.base_station import BaseStation, Delivery, OwnState
     from surctl.marine.sensing.localisation.own_state import OwnStateFilter
@@ -20,29 +18,21 @@ if TYPE_CHECKING:
 __all__ = [
     "FAULT_KINDS",
     "INCIDENCE_LIMITS",
-    "OUTLIER_RULE",
     "REFLECTORS",
     "SURFACE_MODELS",
     "BaseStation",
-    "Calibration",
     "Delivery",
     "Equipment",
-    "Estimate",
     "Fault",
     "FaultChances",
     "LocalMap",
     "OwnState",
     "OwnStateFilter",
-    "RangeTest",
     "RangeTracker",
     "Reflector",
-    "SensorCalibration",
     "SensorFilter",
     "SonarArray",
     "Surfaces",
-    "calibrate",
-    "calibrate_file",
-    "calibrate_table_ii",
 ]
 
 load_at_first_use(__name__)
