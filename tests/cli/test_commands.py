@@ -87,14 +87,13 @@ def test_help_names_every_law(command, tmp_path):
 
 
 def test_verify_tells_expected_verdicts(tmp_path):
-    done = surctl("verify", "v1-printed", "--stack", "guarded", "--json", cwd=tmp_path)
+    done = surctl("verify", "v1-printed", "--json", cwd=tmp_path)
     (why,) = done.json["failures"]  # the default gains at a quarter of the yaw inertia
     assert done.status == 1 and "too small: a disk margin of " in why and done.json["claims"][0]["verdict"] == "refuted"
     nominal, worst = (done.json["linear"][k] for k in ("nominal", "worst"))
     for mild, bad in zip(nominal["disk_margins"], worst["disk_margins"], strict=True):
         assert 0 < bad["guaranteed"] < mild["guaranteed"] <= mild["reached"]
     assert worst["sampled"]["largest_period_s"]["1"] < nominal["sampled"]["largest_period_s"]["1"]
-    assert [level["outcome"] for level in done.json["stacks"]["guarded"]["levels"]] == ["converges"] * 3
     (printed,) = done.json["claims"]
     assert printed["verdict"] == printed["expected"] == "refuted"
     assert printed["counterexample"]["values"]

@@ -213,13 +213,6 @@ def test_a_finding_stays_on_one_line_whatever_the_name_of_an_obstacle(tmp_path):
     assert all(line.startswith(("error: ", "warning: ", "info: ")) for line in done.out.splitlines())
 
 
-def test_an_unknown_stack_is_refused_before_claims_are_decided(tmp_path, monkeypatch):
-    monkeypatch.setattr("surctl.verification.decide", lambda *_, **__: pytest.fail("a claim is decided"))
-    done = surctl_here("verify", "v1-printed", "--stack", "calm", cwd=tmp_path)
-    assert done.status == 2
-    assert "stack = 'calm': is not a shipped stack; known: guarded, paper" in done.complaint
-
-
 @pytest.mark.parametrize(
     "words",
     [
