@@ -405,13 +405,6 @@ def test_the_numbers_of_the_dynamics_of_a_steering_certificate_are_bound(name: s
     assert not compare(seal("lyapunov", claim | {"dynamics": dynamics}, {}), manifest).belongs
 
 
-def test_the_heading_steered_loop_is_not_what_is_exported() -> None:
-    found = compare(read(REGION.with_name("region-heading-20.json")), manifest_for())
-    assert found.differs == (
-        "law: the certificate covers the paper's law, which steers by heading; the exported law steers by velocity",
-    )
-
-
 def test_a_law_that_senses_for_itself_says_so() -> None:
     sensing = build_law(sonar=True, equipment=MISSION.sensors.on(VEHICLE["radius"]))
     manifest = manifest_of(sensing, P, Origin(VEHICLE, LAW))
