@@ -206,7 +206,9 @@ def test_export_in_float_is_checked_on_other_builds(tmp_path):
 
 def test_export_believes_in_the_sensors_it_is_told_of(tmp_path):
     need_compiler()
-    words = ("export", "--law", "paper", "--scenario", "pool-behind", "--own-state", "truth", "--name", "pilot")
+    known = (SCENARIOS / "pool-behind.toml").read_text() + "[own_state]\ntruth = true\n"
+    (tmp_path / "known.toml").write_text(known)
+    words = ("export", "--law", "paper", "--scenario", "known.toml", "--name", "pilot")
     done = surctl(*words, "--fault", "dropout:0:2:3", "--out", "c", "--json", cwd=tmp_path)
     assert done.status == 1 and done.json["run"]["law"] == "paper" and done.json["sil"]["passed"]
     assert done.json["failure"].startswith("pool-behind by sur400: it does not arrive")  # the law of the paper

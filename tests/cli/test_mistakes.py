@@ -184,7 +184,6 @@ WORDS = {
     "C keyword": (["export", "--name", "while"], ["while"]),
     "export by ear": (["export", "--sensing", "ear"], ["--sensing", "'ear'"]),
     "a fault that nobody hears": (["export", "--sensing", "truth", "--fault", "stuck:0"], ["--fault", "sonar"]),
-    "sonars that law paper has not": (["export", "--law", "paper", "--beam", "40"], ["--beam", "paper"]),
     "unknown target": (["export", "--target", "c98"], ["--target", "'c99'"]),
     "unknown precision": (["export", "--real", "float16"], ["--real", "'float64'"]),
     "unknown processor": (["export", "--check", "--targets", "cortex-m5"], ["targets", "'cortex-m7'"]),

@@ -32,8 +32,6 @@ SAME = (
     "--fault dropout:2 --sensing sonar",
     "--vehicle sur540-jets --fault thruster:j1",
     "--chance dropout=0.1 --sensing sonar",
-    "--beam 20 --sensing sonar",
-    "--own-state truth --sensing sonar",
     "--echoes webots --sensing sonar",
     "--controller c",
     "--controller tcp://127.0.0.1:9 --link-loss 0.1",
