@@ -14,7 +14,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from surctl.marine.control import Gains, Law
-from surctl.marine.report.goals import goal_bars, goal_views, plot_front, plot_goal_bars, plot_goal_view
+from surctl.marine.report.goals import goal_bars, plot_front, plot_goal_bars
 from surctl.marine.report.margin_plots import plot_disk_margins
 from surctl.marine.report.plan_view import plot_run
 from surctl.marine.report.signals import plot_run_signals
@@ -225,12 +225,10 @@ def run_labels(run: Run) -> tuple[str, ...]:
 
 
 def save_tuning(tuning: Tuning, folder: Path | str) -> list[Path]:
-    """Write PNGs of the overview, of the Pareto front, and of each goal with a metric over time; return their paths.
+    """Write PNGs of the overview and of the Pareto front; return their paths.
 
     Raises:
         InputError: the folder cannot be written.
     """
     axes = {"goals": plot_goal_bars(goal_bars(tuning)), "front": plot_front(tuning)}
-    for view in goal_views(tuning, tuning.request.goals):
-        axes[view.goal.name] = plot_goal_view(view)
     return [save_figure(ax, folder, ("tuning", name)) for name, ax in axes.items()]
