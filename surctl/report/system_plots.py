@@ -1,4 +1,4 @@
-"""Pictures of runs of any system: one run with limits, fans, phase planes, distributions, attainable rates."""
+"""Pictures of runs of any system: one run with limits, fans, phase planes, distributions."""
 
 from __future__ import annotations
 
