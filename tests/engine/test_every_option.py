@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -90,6 +91,7 @@ def reached(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[Any]:
         found.append(self)
         yield None
 
+    importlib.import_module("surctl.marine.verification.cruise_loop")  # derived gains need the true `build_law`
     monkeypatch.setattr(surctl.marine.control, "build_law", lambda name, **words: SimpleNamespace(name=name, **words))
     monkeypatch.setattr(PlantOptions, "runs", runs)
     monkeypatch.setattr(ControllerOptions, "opened", opened)
