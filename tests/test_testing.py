@@ -26,7 +26,8 @@ from surctl.tasks import (
     position_task,
     velocity_task,
 )
-from surctl.testing import CheckFailed, check_limit, check_task
+from surctl.testing import CheckFailed, check_task
+from tests.oracles.limit_rows import check_limit
 
 ETA = ca.SX.sym("eta", 4)
 NU = ca.SX.sym("nu", 4)
