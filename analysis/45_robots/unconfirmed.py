@@ -22,7 +22,7 @@ from surctl.priority.solver.fallback import UNCONFIRMED
 Array: TypeAlias = NDArray[np.float64]
 
 EVERY, DT = 12, 1e-3  # every 12th such step is solved again
-TARGETS = ((CASES[1], (4, 19)), (CASES[2], (24,)))
+ROBOT, TARGETS = CASES[1], (4, 19)
 
 
 class _Watched(_Memory):
@@ -40,9 +40,8 @@ def main() -> None:
     columns = ("robot", "target", "unconfirmed", "solved again: not shown, search ended, shown")
     print("| " + " | ".join((*columns, "distance: median, least", "multiplier: median, most")) + " |")
     print("|---|---|---|---|---|---|")
-    for case, targets in TARGETS:
-        for number in targets:
-            print(_row(case, number), flush=True)
+    for number in TARGETS:
+        print(_row(ROBOT, number), flush=True)
 
 
 def _row(case: Case, number: int) -> str:
