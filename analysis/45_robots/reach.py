@@ -13,14 +13,15 @@ from numpy.typing import NDArray
 from robots import ACCELERATION, MARGIN, Subject
 from scipy.optimize import minimize
 
-__all__ = ["LONGEST", "Run", "Target", "drawn_targets", "judge", "reach"]
+__all__ = ["Run", "Target", "drawn_targets", "judge", "reach"]
 
 Array: TypeAlias = NDArray[np.float64]
 Step: TypeAlias = Callable[[Array, Array, list[Array]], tuple[Array, str]]
 """From the configuration, the last velocity and the poses of the tools to velocity and status."""
 
-LONGEST, REST, STILL = 20.0, 0.5, 1e-4
-"""Longest time for a target [s]; a run ends earlier after REST [s] with all speeds below STILL [rad/s, m/s]."""
+LEAST, REST, STILL, STUCK = 20.0, 0.5, 1e-4, 1.0
+"""A run ends after REST [s] with all speeds below STILL [rad/s, m/s]. After LEAST [s], it also ends once the first tool
+has come less than NEAR closer to its target than ever before within STUCK [s]."""
 NEAR = 1e-3
 """Distance [m] from the best point within which a target counts as reached."""
 _STARTS, _AROUND = 8, 0.2  # of the search: drawn starts; distance [rad, m] of configurations around the end of a run
@@ -86,8 +87,8 @@ def reach(robot: Subject, targets: list[Target], step: Step, dt: float, reset: C
     for target in targets:
         reset()
         q, v, quiet, path = target.start, np.zeros(robot.robot.nv), 0, [np.zeros(robot.robot.nv)]
-        passed = []
-        for _ in range(round(LONGEST / dt)):
+        passed, nearest, since = [], np.inf, 0
+        while len(passed) * dt < LEAST or since * dt < STUCK:
             start = time.thread_time()
             v, stage = step(q, v, target.poses)
             run.seconds.append(time.thread_time() - start)
@@ -95,6 +96,8 @@ def reach(robot: Subject, targets: list[Target], step: Step, dt: float, reset: C
             q = q + dt * v
             path.append(v)
             passed.append(q)
+            distance = _distance(robot, q, target)
+            nearest, since = (distance, 0) if distance < nearest - NEAR else (nearest, since + 1)
             quiet = quiet + 1 if abs(v).max() < STILL else 0
             if quiet * dt > REST:
                 break
