@@ -161,20 +161,26 @@ _DAMPED = (
 
 
 def hierarchy(
-    shape: StackShape, rows: int, precision: Precision = FLOAT64, *, damped: bool = False, budget: int | None = None
+    shape: StackShape,
+    rows: int,
+    precision: Precision = FLOAT64,
+    *,
+    damped: bool = False,
+    budget: int | None = None,
+    others: int = 0,
 ) -> Procedure:
     """Return the kernel for levels of these shapes and a number of limits, with the ports of `priority_step`.
 
     damped: whether levels are damped, see module `damping`. One more input is c, `damping` (1,): w² = c ‖x‖ + 1e-6.
-    budget: most operations of a run, see `Procedure.operations`; None: as many as the problem needs. A search that does
-    not end within the budget ends early, and its velocity is unconfirmed.
+    budget: most operations of a run, see `Procedure.operations`, and of others; None: as many as the problem needs. If
+    the search does not end within the budget, it ends early, and its velocity is unconfirmed.
 
     Raises:
         InputError: the budget is too small for any search.
     """
     if budget is None:
         return _kernel(shape, rows, precision, damped, None)
-    rest = budget - _kernel(shape, rows, precision, damped, 0).operations
+    rest = budget - others - _kernel(shape, rows, precision, damped, 0).operations
     if rest < 0:
         raise InputError("is too small", key="budget", value=budget, remedy=f"give {budget - rest} or more operations")
     return _kernel(shape, rows, precision, damped, rest)
