@@ -15,7 +15,7 @@ with what follows it. Four statements say more; none is part of the text of a pr
   once for each a in the function with `anew()`.
 
 A procedure that counts its operations in `s.spent` (`spending`) can end early: where a run does not enter the branch of
-`if s.spent > s.budget`, it has executed at most `budget` operations. The counting itself costs nothing here.
+`if s.spent > s.budget`, it has executed at most `budget` operations. Counting and checks cost nothing here.
 
 After `x = f(…)`, paths of f that end with different results are different cases, each with the cost and the assignments
 of its own path.
@@ -54,7 +54,8 @@ def operations_in(node: ast.AST) -> int:
     """Return the number of operations of an expression or a statement, without those of functions that it calls."""
     if isinstance(node, ast.Subscript):  # the index is whole
         return 0
-    if isinstance(node, ast.AugAssign) and ast.unparse(node.target) == "s.spent":
+    counter = getattr(node, "target", getattr(node, "left", None))
+    if isinstance(counter, ast.Attribute) and counter.attr == "spent":
         return 0
     own = isinstance(node, ast.BinOp | ast.Compare | ast.AugAssign | ast.UnaryOp)
     root = isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in ("sqrt", "fabs")
@@ -243,7 +244,7 @@ class _Bound:
                     stored |= self._stored(node)
                     continue
                 case ast.If(test=ast.Compare(left=ast.Attribute(attr="spent"), comparators=[budget])):
-                    ended = isinstance(node.body[-1], ast.Return)
+                    ended = isinstance(node.body[-1], ast.Return | ast.Break | ast.Continue)
                     cost, names = self._block([*node.body, *([] if ended else rest)], known.copy(), end)
                     follow, others = self._block(rest, known, end)
                     since = max(follow.checked, follow.free + (self._value(budget, known) or 0))
