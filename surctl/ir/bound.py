@@ -65,10 +65,10 @@ def operations_in(node: ast.AST) -> int:
 def spending(source: str) -> str:
     """Return the source of a procedure that adds its operations to `s.spent`, before it executes them."""
     tree = ast.parse(source)
-    for node in tree.body:
-        assert isinstance(node, ast.FunctionDef)
-        node.body = _spending(node.body)
-    node.body = [*ast.parse("s.spent = 0").body, *node.body]
+    functions = [node for node in tree.body if isinstance(node, ast.FunctionDef)]
+    for function in functions:
+        function.body = _spending(function.body)
+    functions[-1].body.insert(0, ast.parse("s.spent = 0").body[0])
     return "\n".join(map(ast.unparse, map(ast.fix_missing_locations, tree.body)))
 
 
@@ -352,7 +352,7 @@ class _Bound:
             own, stored = self._block(part, known.copy(), end if seldom is None else None)
             if truth and seldom is not None:
                 self._rare(node, seldom, own)
-                own = _Cost(0)
+                own = _Cost(0, own.checked)
             if not part or not isinstance(part[-1], ast.Return | ast.Break | ast.Continue):
                 own, stored = own + follow, stored | names
             cases.append((cost + own, stored | self._stored(node.test)))

@@ -73,9 +73,10 @@ class StackController:
             may, because they are free at a singular configuration and bound next to it.
         budget: most operations of a step, for a hard real-time bound; `mode` must be lexicographic. An operation takes
             about five instructions of a Cortex-M7. If the search does not end within the budget, it ends early and the
-            stage is unconfirmed (clamped, if v = 0 is not within the actuator limits): v is within the actuator limits,
-            and no other limit is exceeded by more than by v = 0. All other steps have the same bytes as without a
-            budget. With None, a step takes as many operations as it needs, and the bound is several times higher.
+            stage is unconfirmed: v is within the actuator limits, and exceeds no other limit by more than v = 0 exceeds
+            the worst one. (If v = 0 is not within the actuator limits, v may not be either; the stage is clamped then.)
+            All other steps have the same bytes as without a budget. With None, a step takes as many operations as it
+            needs, and the bound on them is several times higher.
 
     Raises:
         InputError: tasks or limits are of different robots, two inputs have the same name but differ, the period is not
@@ -112,12 +113,12 @@ class StackController:
         self.stack, self.limits, self.dt = Stack(tuple(split)), tuple(limits), dt
         if not is_number(damping) or not 0.0 <= damping < math.inf:
             raise InputError("is not a number of at least 0", key="damping", value=damping, remedy="give 0, or 0.05")
-        for word in [*(["damping"] if damping else []), *([] if budget is None else ["budget"])]:
-            if mode != "lexicographic":
-                raise InputError(
-                    f"has no {word}", key="mode", value=mode, remedy=f"take lexicographic, or leave out {word}"
-                )
-        if budget is not None and type(budget) is not int:
+        if (damping or budget is not None) and mode != "lexicographic":
+            word = "damping" if damping else "budget"
+            raise InputError(
+                f"has no {word}", key="mode", value=mode, remedy=f"take lexicographic, or leave out {word}"
+            )
+        if budget is not None and (not isinstance(budget, int | np.integer) or isinstance(budget, bool)):
             raise InputError("is not a whole number", key="budget", value=budget, remedy="give operations of a step")
         targets, gains, symbols = _inputs_of(self.robot, self.stack)
         self._assembly = assemble(self.stack, self.limits, inputs=symbols)
@@ -129,7 +130,7 @@ class StackController:
         self.controller: Controller = _Law(
             name, dt, Layout((q, *targets)), Layout((v,)), _no_expressions, Layout(state), Layout(gains),
             Layout(outcome), assembly=self._assembly, mode=mode, damping=damping,
-            budget=budget,
+            budget=None if budget is None else int(budget),
         )  # fmt: skip
         _ = None if budget is None else self.controller.block  # an error if it is too small
         self._mode: Mode = mode
