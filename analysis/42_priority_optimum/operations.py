@@ -122,7 +122,7 @@ def changed(inputs: list[Array], other: list[Array], size: Size, rng: np.random.
         J_rows, limits, part = J.reshape(-1, size.n), rows.reshape(size.rows, -1), 10.0 ** rng.uniform(-12, 0)
         size_of = 0.3 * rng.normal()
         i, j = rng.integers(0, len(J_rows)), rng.integers(size.n, len(limits))
-        match rng.integers(0, 7 + len(rest)):
+        match rng.integers(0, 8 + len(rest)):
             case 0:
                 J_rows[i] = other[0].reshape(-1, size.n)[i]
             case 1:
@@ -138,9 +138,11 @@ def changed(inputs: list[Array], other: list[Array], size: Size, rng: np.random.
                 limits[j, size.n : size.n + 2] += part * rng.normal()
             case 6:
                 J_rows[i] = J_rows[i] * 10.0 ** rng.normal()
-            case 7:
-                lower, upper = (array * 10.0**size_of for array in (lower, upper))
+            case 7:  # levels above that fix nothing leave more to the search of those below
+                J_rows[i] = 0.0
             case 8:
+                lower, upper = (array * 10.0**size_of for array in (lower, upper))
+            case 9:
                 rest[-1] = rest[-1] * 10.0 ** rng.normal()
     return [J, lower, upper, rows, *rest]
 
