@@ -171,6 +171,15 @@ def print_hardest(draws: int, moves: int) -> None:
                 print(f"| {' | '.join(cells)} |", flush=True)
 
 
+def moving(inputs: list[Array], size: Size, rng: np.random.Generator) -> list[Array]:
+    """Return the same problem for v − u, where u is up to half as large again as the box: v = 0 is outside of it."""
+    J, lower, upper, rows, box, *rest = inputs
+    u = rng.uniform(-1.5, 1.5, size.n) * box[size.n :]
+    table, rates = rows.reshape(size.rows, -1).copy(), J.reshape(-1, size.n) @ u
+    table[:, size.n : size.n + 2] += (table[:, : size.n] @ u)[:, None]
+    return [J, lower + rates, upper + rates, table.ravel(), box + np.tile(u, 2), *rest]
+
+
 def print_shares(draws: int) -> None:
     """Print how many operations the drawn problems need, and how many are unconfirmed within each budget."""
     shares = ", ".join(f"{share:g} %" for share in SHARES)
@@ -181,17 +190,19 @@ def print_shares(draws: int) -> None:
     for name, size in KERNELS.items():
         for damped in (False, True):
             runs = [compile_block(counting(kernel_of(size, damped=damped, budget=b))) for b in (None, *BUDGETS)]
-            for kinds in (("plain", "saturated", "infeasible"), ("degenerate",), ("near_singular",)):
+            regular = ("plain", "saturated", "infeasible")
+            for kinds, moved in ((regular, ""), (("degenerate",), ""), (("near_singular",), ""), (regular, ", moving")):
                 found = []
                 for kind in kinds:
-                    for k in range(draws):
+                    for k in range(draws // 10 if moved else draws):
                         rng = np.random.default_rng([1, size.n, CLASSES.index(kind), k])
                         inputs = [*inputs_of(draw(rng, size, kind), size), *[DAMPING] * damped]
+                        inputs = moving(inputs, size, rng) if moved else inputs
                         found.append([(out[-1][0], out[4][0]) for out in (run(*inputs) for run in runs)])
                 table = np.array(found)
                 most = ", ".join(f"{most:,.0f}" for most in np.percentile(table[:, 0, 0], SHARES))
                 ended = " | ".join(f"{n:,}" for n in (table[:, 1:, 1] >= CLAMPED).sum(axis=0))
-                cells = (name, "yes" if damped else "no", f"{len(table):,} {', '.join(kinds)}", most, ended)
+                cells = (name, "yes" if damped else "no", f"{len(table):,} {', '.join(kinds)}{moved}", most, ended)
                 print(f"| {' | '.join(cells)} |", flush=True)
 
 
