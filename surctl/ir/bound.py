@@ -14,6 +14,9 @@ with what follows it. Four statements say more; none is part of the text of a pr
 - `once(a, most)`: what follows in the block has another a from 0 to most − 1 each time, until `anew()`, so it counts
   once for each a in the function with `anew()`.
 
+A procedure that counts its operations in `s.spent` (`spending`) can end early: where a run does not enter the branch of
+`if s.spent > s.budget`, it has executed at most `budget` operations. Counting and checks cost nothing here.
+
 After `x = f(…)`, paths of f that end with different results are different cases, each with the cost and the assignments
 of its own path.
 
@@ -28,7 +31,7 @@ import operator
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, field
-from functools import cache, lru_cache
+from functools import cache, lru_cache, reduce
 from typing import TypeAlias
 
 _VALUES: Mapping[type[ast.AST], Callable[[int, int], int]] = {
@@ -51,9 +54,41 @@ def operations_in(node: ast.AST) -> int:
     """Return the number of operations of an expression or a statement, without those of functions that it calls."""
     if isinstance(node, ast.Subscript):  # the index is whole
         return 0
+    counter = getattr(node, "target", getattr(node, "left", None))
+    if isinstance(counter, ast.Attribute) and counter.attr == "spent":
+        return 0
     own = isinstance(node, ast.BinOp | ast.Compare | ast.AugAssign | ast.UnaryOp)
     root = isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in ("sqrt", "fabs")
     return own + root + sum(map(operations_in, ast.iter_child_nodes(node)))
+
+
+def spending(source: str) -> str:
+    """Return the source of a procedure that adds its operations to `s.spent`, before it executes them."""
+    tree = ast.parse(source)
+    functions = [node for node in tree.body if isinstance(node, ast.FunctionDef)]
+    for function in functions:
+        function.body = _spending(function.body)
+    functions[-1].body.insert(0, ast.parse("s.spent = 0").body[0])
+    return "\n".join(map(ast.unparse, map(ast.fix_missing_locations, tree.body)))
+
+
+def _spending(body: Sequence[ast.stmt]) -> list[ast.stmt]:
+    """Add the operations of each group of statements that are executed together, before the group."""
+    lines, group, cost = list[ast.stmt](), list[ast.stmt](), 0
+    for node in body:
+        group.append(node)
+        if isinstance(node, ast.If | ast.For):
+            cost += operations_in(node.test) if isinstance(node, ast.If) else 0
+            lines += [*_spent(cost), *group]
+            group, cost = [], 0
+            node.body, node.orelse = _spending(node.body), _spending(node.orelse)
+        elif not isinstance(node, ast.Assert):
+            cost += operations_in(node)
+    return [*lines, *_spent(cost), *group]
+
+
+def _spent(cost: int) -> list[ast.stmt]:
+    return ast.parse(f"s.spent += {cost}").body if cost else []
 
 
 def called(node: ast.AST, name: str) -> list[ast.expr] | None:
@@ -110,8 +145,41 @@ _text = cache(ast.unparse)
 _difference = cache(lambda a, b: ast.BinOp(a, ast.Sub(), b))
 
 
-_Paths: TypeAlias = tuple[int, frozenset[str]]  # operations at most, and variables that may be assigned
-_NEVER = -(1 << 100)
+_NONE = -(1 << 100)
+
+
+@dataclass(frozen=True)
+class _Cost:
+    """Operations at most of paths without a check of `s.spent`; of those with one, since the last, with its budget.
+
+    Below 0 if there is no such path.
+    """
+
+    free: int
+    checked: int = _NONE
+
+    @property
+    def possible(self) -> bool:
+        return max(self.free, self.checked) >= 0
+
+    def __add__(self, other: _Cost | int) -> _Cost:
+        """Return the cost of paths that go on with others."""
+        more = _Cost(other) if isinstance(other, int) else other
+        if not self.possible:
+            return self
+        return _Cost(max(self.free + more.free, _NONE), max(self.checked + more.free, more.checked, _NONE))
+
+    def either(self, other: _Cost) -> _Cost:
+        return _Cost(max(self.free, other.free), max(self.checked, other.checked))
+
+    def repeated(self, most: int) -> _Cost:
+        """Return the cost of 0 to `most` repetitions."""
+        again = max(self.free, 0)
+        return _Cost(most * again, self.checked + (most - 1) * again)
+
+
+_Paths: TypeAlias = tuple[_Cost, frozenset[str]]  # the cost, and variables that may be assigned
+_NEVER = _Cost(_NONE)
 _CASES = 12
 
 
@@ -144,7 +212,8 @@ class _Bound:
 
     def total(self) -> int:
         """Return the bound for the last function."""
-        return self._function(list(self.functions)[-1], _Known())[0] + sum(self.rare.values())
+        cost = self._function(list(self.functions)[-1], _Known())[0]
+        return max(cost.free, cost.checked) + sum(self.rare.values())
 
     def _function(self, name: str, known: _Known, end: int | None = None) -> _Paths:
         """Return the cost of a function, or of its paths to a result with this upper bound, and what they assign."""
@@ -163,7 +232,7 @@ class _Bound:
 
     def _block(self, body: Sequence[ast.stmt], known: _Known, end: int | None = None) -> _Paths:
         """Return the cost of statements, below 0 if no path through them is possible, and what the paths assign."""
-        total, stored = 0, frozenset[str]()
+        total, stored = _Cost(0), frozenset[str]()
         for place, node in enumerate(body):
             rest = body[place + 1 :]
             if isinstance(node, ast.Assert) and isinstance(node.test, ast.BoolOp) and isinstance(node.test.op, ast.Or):
@@ -171,9 +240,15 @@ class _Bound:
                 node = ast.Assert(left[0]) if len(left) == 1 else node
             match node:
                 case ast.For():
-                    total += self._loop(node, known)
+                    total = total + self._loop(node, known)
                     stored |= self._stored(node)
                     continue
+                case ast.If(test=ast.Compare(left=ast.Attribute(attr="spent"), comparators=[budget])):
+                    ended = isinstance(node.body[-1], ast.Return | ast.Break | ast.Continue)
+                    cost, names = self._block([*node.body, *([] if ended else rest)], known.copy(), end)
+                    follow, others = self._block(rest, known, end)
+                    since = max(follow.checked, follow.free + (self._value(budget, known) or 0))
+                    return total + cost.either(_Cost(_NONE, since)), stored | names | others
                 case ast.If():
                     cases = self._branches(node, rest, known, end)
                 case ast.Return(value=ast.expr() as value) if end is not None and self._upper(value, known) != end:
@@ -200,13 +275,13 @@ class _Bound:
                 ):
                     cases = [self._after(call, target, most, rest, known, end) for most in self.ends[name]]
                 case _:
-                    total += self._expression(node, known)
+                    total = total + self._expression(node, known)
                     self._assign(node, known)
                     stored |= self._stored(node)
                     continue
-            cases = [case for case in cases if case[0] >= 0]
-            costs = [cost for cost, _ in cases]
-            return total + max(costs, default=_NEVER), stored.union(*(names for _, names in cases))
+            cases = [case for case in cases if case[0].possible]
+            most = reduce(_Cost.either, (cost for cost, _ in cases), _NEVER)
+            return total + most if cases else _NEVER, stored.union(*(names for _, names in cases))
         return total, stored
 
     def _after(
@@ -277,30 +352,30 @@ class _Bound:
             own, stored = self._block(part, known.copy(), end if seldom is None else None)
             if truth and seldom is not None:
                 self._rare(node, seldom, own)
-                own = 0
+                own = _Cost(0, own.checked)
             if not part or not isinstance(part[-1], ast.Return | ast.Break | ast.Continue):
                 own, stored = own + follow, stored | names
             cases.append((cost + own, stored | self._stored(node.test)))
         return cases
 
-    def _tests(self, node: ast.expr, known: _Known) -> tuple[int, tuple[int, int | None] | None]:
+    def _tests(self, node: ast.expr, known: _Known) -> tuple[_Cost, tuple[int, int | None] | None]:
         """Return the cost of a condition, and if `seldom` says so, how often it is fulfilled for which value."""
-        total, seldom = 0, None
+        total, seldom = _Cost(0), None
         for value in node.values if isinstance(node, ast.BoolOp) else [node]:
             limit = called(value, "seldom")
             if limit is not None:
                 seldom = self._value(limit[0], known) or 0, self._value(limit[-1], known)
             elif seldom is None:
-                total += self._expression(value, known)
+                total = total + self._expression(value, known)
             else:
                 self._rare(value, seldom, self._expression(value, known))
             if isinstance(node, ast.BoolOp) and isinstance(node.op, ast.And) and self._value(value, known) == 0:
                 break
         return total, seldom
 
-    def _rare(self, node: ast.AST, seldom: tuple[int, int | None], cost: int) -> None:
+    def _rare(self, node: ast.AST, seldom: tuple[int, int | None], cost: _Cost) -> None:
         most, value = seldom
-        self.rare[id(node), value] = max(self.rare.get((id(node), value), 0), most * cost)
+        self.rare[id(node), value] = max(self.rare.get((id(node), value), 0), most * cost.free)
 
     def _once(self, args: Sequence[ast.expr], rest: Sequence[ast.stmt], known: _Known) -> None:
         most = self._upper(args[1], known) or 0
@@ -309,9 +384,9 @@ class _Bound:
             inner = known.copy()
             if isinstance(args[0], ast.Name):
                 inner.values[args[0].id] = at
-            self.shared[at] = max(self.shared.get(at, 0), self._block(rest, inner)[0])
+            self.shared[at] = max(self.shared.get(at, 0), self._block(rest, inner)[0].free)
 
-    def _loop(self, node: ast.For, known: _Known) -> int:
+    def _loop(self, node: ast.For, known: _Known) -> _Cost:
         assert isinstance(node.iter, ast.Call) and isinstance(node.target, ast.Name)
         args, name = node.iter.args, node.target.id
         start = 0 if len(args) == 1 else self._value(args[0], known)
@@ -324,20 +399,22 @@ class _Bound:
         whole = len(args) > 1 and known.lower.get(_text(args[0]), -1) >= 0
         known.forget(self._stored(node))
         if count == 0:
-            return 0
+            return _Cost(0)
         first = 0 if whole and start is None and stop is not None else start
         if first is None or not _matters(name, node):
-            return count * max(0, self._block(node.body, known.copy())[0])
+            return self._block(node.body, known.copy())[0].repeated(count)
         values = range(first, first + count if start is not None or stop is None else stop)
-        costs = (max(0, self._block(node.body, known.between(name, at, at))[0]) for at in values)
-        return sum(sorted(costs)[-count:])
+        costs = [self._block(node.body, known.between(name, at, at))[0] for at in values]
+        most = reduce(_Cost.either, costs)
+        return most.repeated(count) if most.checked >= 0 else _Cost(sum(sorted(max(0, c.free) for c in costs)[-count:]))
 
-    def _expression(self, node: ast.AST, known: _Known) -> int:
+    def _expression(self, node: ast.AST, known: _Known) -> _Cost:
         own = [(name, call) for name, call in _calls(node) if name in self.functions]
         if len(own) > 1:  # the later ones may follow what the first assigns
             known = known.copy()
             known.forget(self._stored(node))
-        return operations_in(node) + sum(self._function(name, self._passed(name, call, known))[0] for name, call in own)
+        costs = (self._function(name, self._passed(name, call, known))[0] for name, call in own)
+        return reduce(_Cost.__add__, costs, _Cost(operations_in(node)))
 
     def _passed(self, function: str, call: ast.Call, known: _Known) -> _Known:
         """Return what is known of the arguments of a call, and of their differences."""

@@ -71,10 +71,17 @@ class StackController:
             part of x is multiplied by σ²/(σ² + c ‖x‖), which tends to 1 as the target is reached. With 0, velocities
             may chatter at such targets; with damping, those of the first task do not, but those that serve other tasks
             may, because they are free at a singular configuration and bound next to it.
+        budget: most operations of a step, for a hard real-time bound; `mode` must be lexicographic. An operation takes
+            about five instructions of a Cortex-M7. If the search does not end within the budget, it ends early and the
+            stage is unconfirmed: v is within the actuator limits, and exceeds no other limit by more than v = 0 exceeds
+            the worst one. (If v = 0 is not within the actuator limits, v may not be either; the stage is clamped then.)
+            All other steps have the same bytes as without a budget. With None, a step takes as many operations as it
+            needs, and the bound on them is several times higher.
 
     Raises:
         InputError: tasks or limits are of different robots, two inputs have the same name but differ, the period is not
-            positive, the damping is negative, or a mode other than lexicographic is damped.
+            positive, the damping is negative, the budget is too small for any search, or a mode other than
+            lexicographic has damping or a budget.
 
     Example:
         >>> from pathlib import Path
@@ -99,16 +106,20 @@ class StackController:
         name: str = "stack",
         mode: Mode = "lexicographic",
         damping: float = 0.0,
+        budget: int | None = None,
     ) -> None:
         self.robot = _robot_of(tasks, limits)
         split = (part for task in tasks for part in (task.split() if isinstance(task, SetTask) else (task,)))
         self.stack, self.limits, self.dt = Stack(tuple(split)), tuple(limits), dt
         if not is_number(damping) or not 0.0 <= damping < math.inf:
             raise InputError("is not a number of at least 0", key="damping", value=damping, remedy="give 0, or 0.05")
-        if damping and mode != "lexicographic":
+        if (damping or budget is not None) and mode != "lexicographic":
+            word = "damping" if damping else "budget"
             raise InputError(
-                "has no damping", key="mode", value=mode, remedy="take lexicographic, or leave out damping"
+                f"has no {word}", key="mode", value=mode, remedy=f"take lexicographic, or leave out {word}"
             )
+        if budget is not None and (not isinstance(budget, int | np.integer) or isinstance(budget, bool)):
+            raise InputError("is not a whole number", key="budget", value=budget, remedy="give operations of a step")
         targets, gains, symbols = _inputs_of(self.robot, self.stack)
         self._assembly = assemble(self.stack, self.limits, inputs=symbols)
         self._targets = tuple(port.name for port in targets)
@@ -119,7 +130,9 @@ class StackController:
         self.controller: Controller = _Law(
             name, dt, Layout((q, *targets)), Layout((v,)), _no_expressions, Layout(state), Layout(gains),
             Layout(outcome), assembly=self._assembly, mode=mode, damping=damping,
+            budget=None if budget is None else int(budget),
         )  # fmt: skip
+        _ = None if budget is None else self.controller.block  # an error if it is too small
         self._mode: Mode = mode
         self._state = self.controller.initial_state()
         self._last: tuple[Array, Array, Array] | None = None
@@ -275,6 +288,7 @@ class _Law(Controller):
     assembly: Assembly = field(kw_only=True)
     mode: Mode = field(kw_only=True)
     damping: float = field(kw_only=True)
+    budget: int | None = field(kw_only=True)
 
     @cached_property
     def block(self) -> Block:
@@ -300,17 +314,18 @@ class _Law(Controller):
         results = ("tau", "x_next", "status", "telemetry")
         steps = (
             Call(before, tuple(layouts), names[: len(outputs)]),
-            self._solution(),
+            self._solution(without_libm(before).operations + without_libm(after).operations),
             Call(after, ("step_v", "step_active", "step_status", "moved"), results),
         )
         sizes = tuple((name, layout.size) for name, layout in layouts.items())
         return without_libm(Routine(self.name, sizes, steps, results))
 
-    def _solution(self) -> Call:
-        """Return the call that solves the priority problem."""
+    def _solution(self, others: int) -> Call:
+        """Return the call that solves the priority problem; `others` are the operations of the rest of a step."""
         n, shapes, rows = self.assembly.stack.velocities, self.assembly.shapes, max(1, len(self.assembly.limits))
-        if self.damping:
-            step: Routine | Procedure = hierarchy(StackShape(n, shapes), rows, damped=True)
+        if self.damping or self.budget is not None:
+            shape, damped = StackShape(n, shapes), self.damping != 0.0
+            step: Routine | Procedure = hierarchy(shape, rows, damped=damped, budget=self.budget, others=others)
         else:
             step = priority_step(self.mode, n=n, levels=shapes, rows=rows)
         inputs = (*_PROBLEM, "box", "damping")[: len(step.inputs)]

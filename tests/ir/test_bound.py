@@ -8,11 +8,14 @@ from typing import Any
 import pytest
 
 from surctl.ir import replay
-from surctl.ir.procedure import Procedure, anew, back, fabs, once, seldom, within
+from surctl.ir.bound import spending
+from surctl.ir.procedure import Procedure, anew, back, fabs, once, seldom, source_of, within
 
 
 class Memory:
     n: int
+    budget: int
+    spent: int
     x: list[float]
     first: list[int]
     kind: list[int]
@@ -123,6 +126,20 @@ def each(s: Memory) -> None:
                 s.total[0] += s.x[i]
 
 
+def limited(s: Memory) -> None:
+    """Add entries, two in each turn, until the budget is used; then one more."""
+    s.total[0] = 0.0
+    for i in range(s.n):
+        if s.spent > s.budget:
+            break
+        for j in within(i, i + 2, 2):
+            s.total[0] += s.x[j]
+    if s.spent > s.budget:
+        s.total[0] -= s.x[0]
+        return
+    s.total[0] = s.total[0] + s.x[0] + s.x[0]
+
+
 def of(*functions: Callable[..., Any]) -> Procedure:
     return Procedure.of(
         "sums", functions, inputs=(("x", 4),), outputs=(("total", 1),), sizes={"n": 4}, reals={},
@@ -148,6 +165,16 @@ def test_the_bound_is_what_a_run_may_need(functions: tuple[Callable[..., Any], .
     assert procedure.operations == most
     assert not any(word in procedure.text() for word in ("assert", "seldom", "once", "anew"))
     assert replay(procedure, [1.0, 2.0, 3.0, 4.0])[0][0] > 0.0
+
+
+@pytest.mark.parametrize(("budget", "total"), [(1, 2.0), (2, 7.0), (5, 10.0)])
+def test_a_budget_ends_a_run_and_bounds_it(budget: int, total: float) -> None:
+    procedure = Procedure.of(
+        "sums", [spending(source_of(limited))], inputs=(("x", 4),), outputs=(("total", 1),),
+        sizes={"n": 2, "budget": budget}, reals={}, wholes={"spent": 0},
+    )  # fmt: skip
+    assert procedure.operations == budget + 3
+    assert replay(procedure, [1.0, 2.0, 3.0, 4.0])[0][0] == total
 
 
 def test_statements_that_do_not_hold_are_errors() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from surctl.errors import InputError
 from surctl.ir import compile_block, replay
 from surctl.priority import Level, LevelShape, PriorityProblem, Row, build_problem
 from surctl.priority.hierarchy.kernel import hierarchy
@@ -134,6 +136,27 @@ def test_limits_that_leave_no_velocity_clip_it_to_the_box() -> None:
     rows = [*problem.rows[:-1], Row("away", "actuator", np.eye(N)[0], 2.0, 3.0)]
     got = solved(PriorityProblem(problem.levels, tuple(rows)))
     assert got["status"][0] == CLAMPED and (np.abs(got["velocity"]) <= 1.0).all() and not got["active"].any()
+
+
+@pytest.mark.parametrize(("damped", "more"), [(False, 8000), (True, 12000)])
+def test_a_budget_holds_and_changes_no_other_result(damped: bool, more: int) -> None:
+    with pytest.raises(InputError, match="budget = 9: is too small; give") as caught:
+        hierarchy(SHAPE, ROWS, damped=damped, budget=9)
+    most = int(str(caught.value).split()[-4]) + more
+    free, short, seen = hierarchy(SHAPE, ROWS, damped=damped), hierarchy(SHAPE, ROWS, damped=damped, budget=most), set()
+    assert short.operations == most
+    spent = "\n    s.target[0] = 1.0 * s.spent"
+    short = replace(short, source=short.source + spent, bounded=short.bounded + spent)
+    for k in range(8):
+        inputs = [*arrays(drawn(np.random.default_rng(k), 3.0)), *([np.array([0.1])] if damped else [])]
+        outputs, same = replay(short, *inputs), replay(free, *inputs)
+        v, rows = outputs[0], inputs[3].reshape(ROWS, -1)
+        seen.add(outputs[4][0] == UNCONFIRMED)
+        assert 0.0 < outputs[-1][0] <= most
+        assert (rows[:, :N] @ v <= rows[:, N + 1] + 1e-9).all() and (abs(v) <= 1.0).all()
+        if outputs[4][0] != UNCONFIRMED:
+            assert [x.tobytes() for x in outputs[:-1]] == [x.tobytes() for x in same[:-1]]
+    assert seen == {True, False}
 
 
 def damped_cascade(problem: PriorityProblem, c: float) -> Array:

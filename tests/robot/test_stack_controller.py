@@ -137,6 +137,9 @@ def test_a_mistake_gives_one_line(arm: Robot, control: StackController) -> None:
         (lambda: StackController([posture], dt=0.0, mode="nsb"), "is not a control period"),
         (lambda: StackController([posture], dt=0.1, damping=-1.0), "damping = -1.0"),
         (lambda: StackController([posture], dt=0.1, damping=0.1, mode="nsb"), "mode = 'nsb': has no damping"),
+        (lambda: StackController([posture], dt=0.1, budget=9), "budget = 9: is too small; give"),
+        (lambda: StackController([posture], dt=0.1, budget=True), "budget = True: is not a whole number"),
+        (lambda: StackController([posture], dt=0.1, budget=9, mode="nsb"), "mode = 'nsb': has no budget"),
         (lambda: arm.frame_task("link9", target="tool"), "is not the name of a link"),
         (lambda: arm.frame_task("link3", target="my tool"), "is not a name for a target"),
         (lambda: arm.frame_task("link3", target="tool", gain=-1.0), "tool_gain = -1.0"),
@@ -156,6 +159,13 @@ def test_a_loop_with_it_is_linearised_through_the_loops_of_the_solver(arm: Robot
     pose = flat_pose(arm.pose("link3", q))
     poles = linearise(control.system(), {"start.q": [q], "reference.tool": pose[None]}).poles()
     assert sorted(abs(np.asarray(poles)))[-2:] == pytest.approx([1 - gain * DT] * 2, rel=1e-3)
+
+
+def test_a_budget_is_the_bound_of_a_step(arm: Robot) -> None:
+    tool = arm.frame_task("link3", target="tool").position
+    control = StackController([tool], limits=[arm.joint_limits(acceleration=ACCELERATION)], dt=DT, budget=9000)
+    assert control.controller.block.operations == 9000
+    assert control.step([0.3, 0.8], tool=arm.pose("link3", [0.4, 1.0])).any() and control.stage == "limited"
 
 
 def test_it_is_the_controller_of_a_system(arm: Robot, control: StackController) -> None:

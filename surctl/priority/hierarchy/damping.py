@@ -22,6 +22,8 @@ def damp(s: Memory, level: int) -> None:
     if s.last == 0 and seldom(1):
         for a in range(2):
             if s.on[a] != 0:
+                if s.budget != 0 and s.spent > s.budget:
+                    return
                 keep(s, a)
     elif s.is_set[s.last - 1] != 0:
         keep_set(s, s.last - 1)

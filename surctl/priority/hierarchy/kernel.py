@@ -22,9 +22,11 @@ The functions are the source of a `Procedure`; `hierarchy` returns it.
 from __future__ import annotations
 
 import ast
-from collections.abc import Callable
+from collections.abc import Callable, Set
 from typing import Any
 
+from surctl.errors import InputError
+from surctl.ir.bound import called, spending
 from surctl.ir.procedure import Procedure, fabs, source_of, within
 from surctl.priority.hierarchy import damping, factors, judgement, search
 from surctl.priority.hierarchy.factors import optimum
@@ -99,12 +101,18 @@ def solution(s: Memory) -> None:
         s.reached = 1
         if s.damped != 0 or s.hard >= 0 or s.soft >= 0 or at_once(s) == 0:
             s.reached = descend(s)
+        if s.budget != 0 and s.spent > s.budget:
+            s.reached = 0
         if s.damped != 0 and s.reached == 0:
             s.sure = 0
         restore(s)
-        if s.damped == 0 and s.valid < s.p:
+        if s.damped == 0 and s.budget == 0 and s.valid < s.p:
             optimum(s, s.p + 1)
-        outcome = judge(s)
+        if s.budget != 0 and s.reached == 0:
+            s.size = 1.0
+            outcome = 0
+        else:
+            outcome = judge(s)
         far = s.v[s.hard] if s.hard >= 0 else 0.0
         wide = s.v[s.soft] if s.soft >= 0 else 0.0
         if outcome == 0 or outcome == 2:
@@ -152,12 +160,36 @@ _DAMPED = (
 )  # fmt: skip
 
 
-def hierarchy(shape: StackShape, rows: int, precision: Precision = FLOAT64, *, damped: bool = False) -> Procedure:
+def hierarchy(
+    shape: StackShape,
+    rows: int,
+    precision: Precision = FLOAT64,
+    *,
+    damped: bool = False,
+    budget: int | None = None,
+    others: int = 0,
+) -> Procedure:
     """Return the kernel for levels of these shapes and a number of limits, with the ports of `priority_step`.
 
     damped: whether levels are damped, see module `damping`. One more input is c, `damping` (1,): w² = c ‖x‖ + 1e-6.
+    budget: most operations of a run, see `Procedure.operations`, and of others; None: as many as the problem needs. If
+    the search does not end within the budget, it ends early, and its velocity is unconfirmed.
+
+    Raises:
+        InputError: the budget is too small for any search.
     """
-    functions = [_source(function, damped, precision) for function in (_DAMPED if damped else _STRICT)]
+    if budget is None:
+        return _kernel(shape, rows, precision, damped, None)
+    rest = budget - others - _kernel(shape, rows, precision, damped, 0).operations
+    if rest < 0:
+        raise InputError("is too small", key="budget", value=budget, remedy=f"give {budget - rest} or more operations")
+    return _kernel(shape, rows, precision, damped, rest)
+
+
+def _kernel(shape: StackShape, rows: int, precision: Precision, damped: bool, budget: int | None) -> Procedure:
+    """Return the kernel; budget: most operations before those that do not check it."""
+    off = {*(() if damped else ("damped",)), *(("budget",) if budget is None else ())}
+    functions = [_source(function, off, precision) for function in (_DAMPED if damped else _STRICT)]
     n, starts = shape.n, (0, 1, *(2 + start for start in shape.starts), 2 + shape.rows)
     p, x, k = len(shape.levels) + 2, _padded(n + 2), _padded(2 + shape.rows)
     r, largest, more = k + x, max(level.rows for level in shape.levels), x * damped
@@ -168,9 +200,10 @@ def hierarchy(shape: StackShape, rows: int, precision: Precision = FLOAT64, *, d
     for level in range(p):
         arranged.append(f"    s.is_set[{level}] = {int(level > 1 and shape.levels[level - 2].is_set)}")
         arranged += [f"    s.level_of[{row}] = {level}" for row in range(starts[level], starts[level + 1])]
+    sources = ["\n".join(arranged), *functions]
     return Procedure.of(
         "hierarchy",
-        ["\n".join(arranged), *functions],
+        sources if budget is None else [spending("\n".join(sources))],
         inputs=(*shape.inputs, ("rows", rows * (n + 3)), ("box", 2 * n), *((("damping", 1),) if damped else ())),
         outputs=(
             ("velocity", n), ("active", n), ("multipliers", n), ("opening", 1), ("status", 1), ("count", 1),
@@ -179,6 +212,7 @@ def hierarchy(shape: StackShape, rows: int, precision: Precision = FLOAT64, *, d
         sizes={
             "n": n, "x": x, "quarter": x // 4, "m": rows, "k": k, "b": largest, "p": p, "r": r,
             "cap": 2 * (n + rows) + p, **({"damped": 1} if damped else {}),
+            **({} if budget is None else {"budget": budget}),
         },
         reals={
             "At": n * rows, "lo": rows, "up": rows, "lo_true": rows, "up_true": rows, "T": x * r, "B": x * k,
@@ -196,7 +230,8 @@ def hierarchy(shape: StackShape, rows: int, precision: Precision = FLOAT64, *, d
             **dict.fromkeys(
                 ("N", "w", "valid", "hard", "soft", "top", "moved", "still", "bad", "reached", "block", "block_set",
                  "block_side", "turns", "hits",
-                 *(("f", "skip", "last", "sure", "limited", "place") if damped else ())), 0,
+                 *(("f", "skip", "last", "sure", "limited", "place") if damped else ()),
+                 *(() if budget is None else ("spent",))), 0,
             ),
         },
     )  # fmt: skip
@@ -209,11 +244,9 @@ _FLOAT = {
 """The tolerances of the kernel for float, by those for double."""
 
 
-def _source(function: Callable[..., Any], damped: bool, precision: Precision) -> str:
-    """Return the source of a function, with the branches for damped levels if `damped`, and with its tolerances."""
-    tree = ast.parse(source_of(function))
-    if not damped:
-        tree = _Undamped().visit(tree)
+def _source(function: Callable[..., Any], off: Set[str], precision: Precision) -> str:
+    """Return the source of a function with its tolerances, without the branches for what is `off`."""
+    tree = _Without(off).visit(ast.parse(source_of(function)))
     if precision == FLOAT32:
         for node in ast.walk(tree):
             if isinstance(node, ast.Constant) and type(node.value) is float and not 1e-4 <= abs(node.value) <= 10.0:
@@ -221,22 +254,33 @@ def _source(function: Callable[..., Any], damped: bool, precision: Precision) ->
     return ast.unparse(tree)
 
 
-class _Undamped(ast.NodeTransformer):
-    """Takes `s.damped` as 0, and drops what is never reached then."""
+class _Without(ast.NodeTransformer):
+    """Takes `s.damped` or `s.budget` as 0 if it is off, and drops what is never reached then.
+
+    A budget may be 0 before the time of the search is known, so `s.budget` counts as not 0 if it is on; with it, each
+    iteration may be the last, so nothing is gained by `seldom`.
+    """
+
+    def __init__(self, off: Set[str]) -> None:
+        self.off = off
 
     def visit_Compare(self, node: ast.Compare) -> ast.expr:
         self.generic_visit(node)
-        text = ast.unparse(node)
-        return ast.Constant(text == "s.damped == 0") if text.startswith("s.damped ") else node
+        match node:
+            case ast.Compare(left=ast.Attribute(attr="damped" | "budget" as name), ops=[op]):
+                if name in self.off or name == "budget":
+                    return ast.Constant(isinstance(op, ast.Eq) is (name in self.off))
+        return node
 
     def visit_BoolOp(self, node: ast.BoolOp) -> ast.expr:
         self.generic_visit(node)
         neutral = isinstance(node.op, ast.And)
-        constants = [value.value for value in node.values if isinstance(value, ast.Constant)]
-        rest = [value for value in node.values if not isinstance(value, ast.Constant)]
+        values = [v for v in node.values if "budget" in self.off or called(v, "seldom") is None]
+        constants = [value.value for value in values if isinstance(value, ast.Constant)]
+        rest = [value for value in values if not isinstance(value, ast.Constant)]
         if (not neutral) in constants:
             return ast.Constant(not neutral)
-        return ast.BoolOp(node.op, rest) if len(rest) > 1 else rest[0]
+        return ast.BoolOp(node.op, rest) if len(rest) > 1 else rest[0] if rest else ast.Constant(neutral)
 
     def visit_IfExp(self, node: ast.IfExp) -> ast.expr:
         self.generic_visit(node)

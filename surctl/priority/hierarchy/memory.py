@@ -17,6 +17,7 @@ class Memory:
     cap: int  # iterations
     earliest: int  # the first set-based level
     damped: int  # 1: module `damping`; else 0, and its branches are not part of the procedure
+    budget: int  # operations after which the search ends; 0: none, as for `damped`
     J: list[float]
     lower: list[float]
     upper: list[float]
@@ -90,6 +91,7 @@ class Memory:
     spread: list[float]
     d: list[float]
     N: int
+    spent: int  # operations so far, see module `bound`
     w: int
     valid: int
     hard: int

@@ -425,6 +425,8 @@ def descend(s: Memory) -> int:
     s.top = 1
     fresh = 1
     for turn in range(s.cap):
+        if s.budget != 0 and s.spent > s.budget:
+            return 0
         s.turns = turn + 1
         if fresh != 0 and seldom(s.p + 1):
             fresh = 0
@@ -440,6 +442,8 @@ def descend(s: Memory) -> int:
             assert s.top in range(1, s.p + 2)
             if s.damped != 0 and s.top > 2 and seldom(1, s.top):
                 damp(s, s.top - 1)
+        if s.budget != 0 and s.spent > s.budget:
+            return 0
         assert s.top in range(1, s.p + 2)
         assert s.damped == 0 or s.last == (s.top if s.top > 2 else 0)
         assert s.w in range(s.n + 3)
