@@ -12,7 +12,7 @@ from surctl.assessment import assess
 from surctl.certcheck.bundle import read_bundle
 from surctl.errors import InputError
 from surctl.marine.assessment import LoopAnalysis, unstable_text
-from surctl.marine.cli.verify import _chosen
+from surctl.marine.cli.claims import library_claims
 from surctl.marine.control import build_law, load_gains
 from surctl.marine.simulation import LIBRARY as SCENARIOS
 from surctl.marine.simulation import simulate
@@ -221,7 +221,7 @@ def test_a_study_decides_the_claims_that_verify_decides(monkeypatch, name):
     fastest = plan.deciding[0].scenario
     decided, _ = claims_of(plan, plan.gains, fastest)
     at_hand = {**plan.gains.values, "speed": fastest.cruise, "speed_max": fastest.cap}
-    chosen, _ = _chosen([], at_hand, plan.vehicle)
+    chosen, _ = library_claims([], at_hand, plan.vehicle)
     assert [claim.name for claim in decided] == [claim.name for claim in chosen]
     assert ("braking-retreat" in {c.name for c in decided}) is (name == "sur540-flooded")
 
