@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from surctl.errors import InputError, SurctlError
 from surctl.marine.simulation.batch.case import Case
 from surctl.marine.simulation.fit import findings
-from surctl.marine.simulation.loop import simulate
+from surctl.marine.simulation.loop import simulate_case
 from surctl.marine.simulation.motion import closest
 from surctl.marine.simulation.obstacle import Obstacle
 from surctl.marine.simulation.run import Run
@@ -42,16 +42,7 @@ class SampledRun:
 
     def simulate(self) -> Run:
         """Simulate the run with `simulate`, that is, without compiled code."""
-        case = self.case
-        return simulate(
-            case.scenario,
-            case.vehicle.with_values(self.draw),
-            gains=case.gains,
-            law=case.build(),
-            sensing=case.sensing,
-            seed=self.seed,
-            model=case.model or case.vehicle,
-        )
+        return simulate_case(self.case, seed=self.seed, draw=self.draw)
 
 
 @dataclass(frozen=True)
