@@ -91,22 +91,21 @@ def series_lines(runs: Sequence[Mapping[str, Any]]) -> list[str]:
 def loop_lines_of_run(run: Run, result: dict[str, Any]) -> list[str]:
     """Add to `result` whether the linear loop at cruise speed is stable; return lines to print if its margin is low."""
     from surctl.marine.control import law_source
+    from surctl.marine.verification import law_loop
 
+    speed, result["linear"] = run.scenario.fastest, None
     if law_source(run.law.ref).steering is not None:
-        result["linear"] = None
-        return _sampled_part(run, result)
+        try:
+            loop = law_loop(run.law, run.vehicle, run.gains, cruise=speed)
+        except InputError:  # the thrust cannot hold this speed; lint reports it
+            return []
+        result["linear"] = {"cruise_m_per_s": loop.cruise, "stable": loop.stable, "sampled": loop.to_dict()}
+        return [] if loop.stable else ["  the linear loop at this speed is unstable:", f"    {loop.lines()[0]}"]
     attitude = run.attitude
-    crab = "" if attitude is None else f", mean crab angle {attitude.crab_angle_deg:.0f} deg"
-    data, lines = linear_warning(
-        run.vehicle,
-        run.gains.values,
-        cruise=run.scenario.fastest,
-        dt=run.law.dt,
-        law=run.law.ref,
-        guidance=run.law.guidance,
-        crab=crab,
-    )
-    result["linear"] = data
+    result["linear"], lines = linear_warning(
+        run.vehicle, run.gains.values, cruise=speed, dt=run.law.dt, law=run.law.ref, guidance=run.law.guidance,
+        crab="" if attitude is None else f", mean crab angle {attitude.crab_angle_deg:.0f} deg",
+    )  # fmt: skip
     return lines
 
 
@@ -147,17 +146,6 @@ def linear_warning(
         return data, [f"  the linear loop at this speed {word}{crab}"]
     head = f"  the linear loop at this speed is unstable{crab}:"
     return data, [head, *(f"    {line.strip()}" for line in mode.lines())]
-
-
-def _sampled_part(run: Run, result: dict[str, Any]) -> list[str]:
-    from surctl.marine.verification import law_loop
-
-    try:
-        loop = law_loop(run.law, run.vehicle, run.gains, cruise=run.scenario.fastest)
-    except InputError:  # the thrust cannot hold this speed; lint reports it
-        return []
-    result["linear"] = {"cruise_m_per_s": loop.cruise, "stable": loop.stable, "sampled": loop.to_dict()}
-    return [] if loop.stable else ["  the linear loop at this speed is unstable:", f"    {loop.lines()[0]}"]
 
 
 @dataclass(frozen=True)
@@ -392,7 +380,11 @@ class CampaignOptions:
             own = None if self.worlds is not None else (plan.case.scenario.name, plan.case.scenario.vehicle)
             choice = choose_vehicle(vehicle, own)
             reports[-1]["vehicle_from"] = choice.origin
-            reports[-1]["linear"], warning = _linear(plan.case)
+            case = plan.case  # with the unchanged scenario and vehicle
+            reports[-1]["linear"], warning = linear_warning(
+                case.vehicle, case.gains.values, cruise=case.scenario.cruise, dt=case.build().dt, law=case.law,
+                guidance=case.guidance, model=case.model,
+            )  # fmt: skip
             lines += [choice.line(plan.case.vehicle.name), *_lines(campaign, files, worst), *warning]
             counts = campaign.summary.stopped
             ends = [f"{one.count} {name}" for name, one in counts.items() if one.count]
@@ -433,19 +425,6 @@ def _report(campaign: Campaign, files: list[Path], worst: int) -> dict[str, Any]
         head["claim"] = _claim(case).to_dict()
     few = {"runs": [table.row(k) for k in range(len(table))]} if len(table) <= MOST_ROWS else {}
     return {**head, **campaign.summary.to_dict(), "worst": rows, **few}
-
-
-def _linear(case: Case) -> tuple[dict[str, Any] | None, list[str]]:
-    # the loop of the unchanged scenario and vehicle
-    return linear_warning(
-        case.vehicle,
-        case.gains.values,
-        cruise=case.scenario.cruise,
-        dt=case.build().dt,
-        law=case.law,
-        guidance=case.guidance,
-        model=case.model,
-    )
 
 
 def _claim(case: Case) -> SafetyClaim | Inapplicable:

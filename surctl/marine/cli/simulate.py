@@ -43,7 +43,7 @@ from surctl.marine.cli.sensor_options import SensorOptions, sensor_data, sensor_
 
 if TYPE_CHECKING:
     from surctl.marine.control import Law
-    from surctl.marine.simulation import Case, Sensing
+    from surctl.marine.simulation import Case
 
 
 @click.command
@@ -115,7 +115,7 @@ def simulate(
     _check_fallback(robot.fallback, mode=robot.priority_mode, explained=explained, campaign=campaign.any)
     from surctl.files import prepare_folder
     from surctl.marine.control import law_source, load_gains
-    from surctl.marine.simulation import Case, law_numbers, load_scenario
+    from surctl.marine.simulation import law_numbers, load_scenario
     from surctl.marine.vehicle import load_vehicle
 
     _check_save(save, frame, out=out, campaign=campaign.any)
@@ -137,9 +137,11 @@ def simulate(
     choices = [choose_vehicle(robot.vehicle, (scenario.name, scenario.vehicle)) for scenario in missions]
     vehicles = [load_vehicle(choice.word) for choice in choices]
     physics.fit(engine, vehicles)
+    speeds = [scenario.cruise for scenario in missions]
+    tuned = [choose_gains(robot.gains, v, cruise=u, own=own) for v, u in zip(vehicles, speeds, strict=True)]
+    cases = [robot.case(law, s, v, one.gains) for s, v, one in zip(missions, vehicles, tuned, strict=True)]
     # built after the other checks, because it takes a second
-    laws = [robot.build(law, scenario, vehicle) for scenario, vehicle in zip(missions, vehicles, strict=True)]
-    gone: list[str] = []
+    laws, gone = [case.build(robot.fallback) for case in cases], list[str]()
 
     def simulated(case: Case, built: Law, common: dict[str, Any]) -> Iterator[Ran]:
         p, about = law_numbers(case.scenario, case.gains, case.vehicle), (case.scenario, case.vehicle)
@@ -154,18 +156,15 @@ def simulate(
                     gone.append(f"  {report.line()}")
                     return
 
-    def cases() -> Iterator[tuple[list[str], Iterator[Ran]]]:
-        for scenario, choice, vehicle, built in zip(missions, choices, vehicles, laws, strict=True):
-            tuned = choose_gains(robot.gains, vehicle, cruise=scenario.cruise, own=own)
-            common: dict[str, Any] = {"vehicle_from": choice.origin, "derived_gains": tuned.data}
+    def each_case() -> Iterator[tuple[list[str], Iterator[Ran]]]:
+        for case, built, choice, one in zip(cases, laws, choices, tuned, strict=True):
+            common: dict[str, Any] = {"vehicle_from": choice.origin, "derived_gains": one.data}
             common |= {"thruster_faults": [fault.to_dict() for fault in broken]} if broken else {}
-            common |= {"sensors": sensor_data(scenario)} if sensed == "sonar" else {}
-            positions: Sensing = "sonar" if sensed == "sonar" else "truth"
-            case = Case(scenario, vehicle, tuned.gains, law, mode=built.mode, sensing=positions, **robot.forms)
-            yield [choice.line(vehicle.name), *tuned.lines], simulated(case, built, common)
+            common |= {"sensors": sensor_data(case.scenario)} if sensed == "sonar" else {}
+            yield [choice.line(case.vehicle.name), *one.lines], simulated(case, built, common)
 
     conduct_runs(
-        cases(), out=out, as_json=as_json, single=count == 1, above=above,
+        each_case(), out=out, as_json=as_json, single=count == 1, above=above,
         series=lambda several: [*series_lines(several), *gone], short=runs > 1 and out is None and not explained,
     )  # fmt: skip
 
