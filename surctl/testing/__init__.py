@@ -1,11 +1,10 @@
-"""Conformance checks for systems, tasks, limits and QP backends; a failed check states where it fails."""
+"""Conformance checks for systems, tasks and limits; a failed check states where it fails."""
 
-from surctl.testing.backends import check_backend, measure_backend
 from surctl.testing.ranges import CheckFailed, Parameter
 from surctl.testing.systems import cart_system, check_controller, check_plant
 from surctl.testing.tasks import TaskReport, check_limit, check_task
 
 __all__ = [
-    "CheckFailed", "Parameter", "TaskReport", "cart_system", "check_backend", "check_controller", "check_limit",
-    "check_plant", "check_task", "measure_backend",
+    "CheckFailed", "Parameter", "TaskReport", "cart_system", "check_controller", "check_limit",
+    "check_plant", "check_task",
 ]  # fmt: skip

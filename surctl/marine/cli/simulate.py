@@ -129,7 +129,7 @@ def simulate(
     alone = "simulate without --monte-carlo and --random-worlds" if campaign.any else None
     faults, broken = split_faults(sensors.faults, refused=alone)
     sensors = replace(sensors, faults=faults)
-    sensors.check(law=law, sensing=sensed)
+    sensors.check(sensing=sensed)
     if campaign.any:
         plans = campaign.plans(words, robot, sensors, law=law, seed=seed)
         campaign.run(plans, above, vehicle=robot.vehicle, runs=campaign.worlds or runs, out=out, as_json=as_json)

@@ -49,7 +49,6 @@ if TYPE_CHECKING:
     from surctl.marine.control import Gains
     from surctl.marine.vehicle import Vehicle
     from surctl.verification import Claim, Inapplicable, Verdict
-    from surctl.verification.stack import StackConditions
 
 _SHORT = 20.0  # s
 _MOST_CLAIMS = 3  # in a summary; more are counted
@@ -81,13 +80,6 @@ _SPEED = FiniteRange(min=0, max=100, min_open=True)
 @click.option("--scenario", metavar="FILE", help="Scenario (name or file) for the no-contact claim.")
 @click.option("--law", metavar="NAME", help="Law: name or FILE.py:FUNCTION (default: guarded or steered).")
 @click.option("--sensing", metavar="NAME", help="Obstacles: sonar (default if usable) or truth (exact).")
-@click.option(
-    "--stack",
-    "stacks",
-    multiple=True,
-    metavar="LAW",
-    help="Print whether the tasks of LAW converge: guarded or paper.",
-)
 @barrier_options
 @click.option("--show", is_flag=True, help="Print claims as claim files, and check no claim.")
 def verify(
@@ -100,7 +92,6 @@ def verify(
     scenario: str | None,
     law: str | None,
     sensing: str | None,
-    stacks: tuple[str, ...],
     barrier: str,
     movers: str,
     seed: int,
@@ -131,7 +122,7 @@ def verify(
     from surctl.assessment import assess
     from surctl.files import prepare_folder
     from surctl.marine.assessment import Mission
-    from surctl.marine.control import CASCADE, PATH_FOLLOWING, build_law, law_source
+    from surctl.marine.control import PATH_FOLLOWING, build_law, law_source
     from surctl.marine.simulation import load_scenario
     from surctl.marine.vehicle import load_vehicle
     from surctl.marine.verification.braking_claims import NOT_RESTED_ON
@@ -139,9 +130,8 @@ def verify(
     from surctl.own_code import label
     from surctl.verification import Inapplicable
 
-    conditions = {name: _stack(name) for name in stacks}  # first, because it refuses unknown names
     # claims of one's own alone concern no vehicle, so nothing is said of one
-    named_things = (vehicle, gains, cruise, cap, scenario, law, sensing, *stacks)
+    named_things = (vehicle, gains, cruise, cap, scenario, law, sensing)
     alone = bool(words) and all(map(_is_claim_file, words)) and all(word is None for word in named_things)
     mission = None if scenario is None else load_scenario(scenario)
     choice = choose_vehicle(vehicle, None if mission is None else (mission.name, mission.vehicle))
@@ -178,7 +168,7 @@ def verify(
         *(refused(one, counts=bool(named)) for one in left_out),
         *of_regions, *of_missions, *of_braking,
     ]  # fmt: skip
-    cascaded = CASCADE in source.parts
+    cascaded = PATH_FOLLOWING in source.parts
     scenarios = () if mission is None else (replace(mission, cruise=speeds[0], cap=speeds[1]),)
     judging: dict[str, Any] = {"uncertainty": uncertainty or None, "sensing": sensed, **forms}
     subjects = [
@@ -214,10 +204,7 @@ def verify(
             "cap_m_per_s": speeds[1], "speeds_m_per_s": held_data, **linear.data,
             "assessment": assessed[-1].to_dict(),
         }  # fmt: skip
-    beside = [line for stack in conditions.values() for line in stack.lines()]
-    lines += beside
-    if conditions:
-        result["stacks"] = {name: stack.to_dict() for name, stack in conditions.items()}
+    beside = list[str]()
     certificates = [file for one in done for file in one.files]
     if out is not None:
         result["pictures"] = _draw(done, verdicts, *subject, out, cruise=margins_at, law=chosen_law)
@@ -226,8 +213,8 @@ def verify(
         judges = not isinstance(safety, Inapplicable)
         lines += safety.lines() if judges else [f"no contact: {safety.sentence}"]
         lost = [v.claim.name for v in verdicts if v.verdict == "refuted" and judges and safety.holds]
-        unneeded = [f"no contact does not rest on {n}: {NOT_RESTED_ON[n]}" for n in lost if n in NOT_RESTED_ON]
-        lines, beside = [*lines, *unneeded], [*unneeded, *beside]
+        beside = [f"no contact does not rest on {n}: {NOT_RESTED_ON[n]}" for n in lost if n in NOT_RESTED_ON]
+        lines += beside
         result["safety"] = safety.to_dict()
     failing = [line.text for line in judged if line.rank == 0]
     failed, failures = failed_lines(done, failing)
@@ -287,11 +274,11 @@ def _after(
     certificates: Sequence[Path], *, law: str, sensing: str,
 ) -> list[str]:  # fmt: skip
     """Return the commands that write the gains and export the law, if its loop is stable with its margins."""
-    from surctl.marine.control import CASCADE, law_source
+    from surctl.marine.control import PATH_FOLLOWING, law_source
 
     if not linear.stable or linear.short:
         return []
-    file, cascaded = gains or (_GAIN_FILE if tuned.derived else "default"), CASCADE in law_source(law).parts
+    file, cascaded = gains or (_GAIN_FILE if tuned.derived else "default"), PATH_FOLLOWING in law_source(law).parts
     exported = export_command(
         scenario, choice.word, tuned.gains, certificates if cascaded else (), file=file, law=law,
         sensing=sensing if cascaded else "truth",
@@ -350,11 +337,3 @@ def _draw(
                 pictures.append(save_figure(plot, out, (one.data["claim"], "tube" if tube else "levels")))
         pictures += [] if cruise is None else save_margins(build_law(law), vehicle, gains, out, cruise=cruise)
     return [str(path) for path in pictures]
-
-
-def _stack(name: str) -> StackConditions:
-    from surctl.marine.verification.stack import shipped_stack
-    from surctl.verification.stack import stack_conditions
-
-    shipped = shipped_stack(name)
-    return stack_conditions(shipped.stack, shipped.region, parameters=shipped.parameters)
