@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from textwrap import fill
 
 import numpy as np
@@ -11,9 +11,10 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
-from surctl.marine.simulation import Run
-from surctl.marine.simulation.loop import simulate_case
+from surctl.marine.control import Gains
+from surctl.marine.simulation import Run, simulate
 from surctl.marine.tuning import Goal, figures
+from surctl.marine.vehicle import Vehicle
 from surctl.report.theme import (
     AVOIDING,
     BAD,
@@ -28,7 +29,7 @@ from surctl.report.theme import (
     new_axes,
     printable,
 )
-from surctl.tuning import Pool, Tuning
+from surctl.tuning import Condition, Pool, Tuning
 from surctl.tuning.pool import scope
 
 COLUMN_TITLES = {
@@ -231,11 +232,22 @@ def goal_views(tuning: Tuning, goals: Iterable[Goal]) -> Iterator[GoalView]:
         time, values = {}, {}
         for label, gains in sets.items():
             if (worst, label) not in runs:
-                one = conditions[worst]
-                draw = {name.removeprefix("plant."): value for name, value in one.plant.items()}
-                runs[worst, label] = simulate_case(replace(one.case, gains=gains), seed=one.seed, draw=draw)
+                runs[worst, label] = _simulated(conditions[worst], gains)
             time[label], values[label] = _course(runs[worst, label], goal.metric)
         yield GoalView(goal, conditions[worst].label, _OVER_TIME[goal.metric], time, values)
+
+
+def _simulated(condition: Condition, gains: Gains) -> Run:
+    case = condition.case
+    return simulate(
+        case.scenario,
+        _actual_vehicle(case.vehicle, condition),
+        gains=gains,
+        law=case.build(),
+        sensing=case.sensing,
+        seed=condition.seed,
+        model=case.model or case.vehicle,
+    )
 
 
 def _course(run: Run, metric: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -250,6 +262,10 @@ def _course(run: Run, metric: str) -> tuple[NDArray[np.float64], NDArray[np.floa
         "time_s": np.hypot(*(record.eta[:, :2] - run.scenario.target).T),
     }[metric]
     return record.time, np.asarray(course, dtype=float)
+
+
+def _actual_vehicle(vehicle: Vehicle, condition: Condition) -> Vehicle:
+    return vehicle.with_values({name.removeprefix("plant."): value for name, value in condition.plant.items()})
 
 
 def plot_goal_view(data: GoalView, ax: Axes | None = None) -> Axes:
