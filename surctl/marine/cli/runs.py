@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import nullcontext
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -311,10 +311,9 @@ class CampaignOptions:
         Raises:
             InputError: a name is unknown, or the law or a scenario does not support an option.
         """
-        from surctl.marine.control import law_source, load_gains
-        from surctl.marine.simulation import load_scenario
+        from surctl.marine.control import law_source
+        from surctl.marine.simulation import Case, load_scenario
         from surctl.marine.simulation.campaign.worlds import WORLDS_VEHICLE, MonteCarlo, RandomWorlds, world_template
-        from surctl.marine.tuning import build_cases
         from surctl.marine.vehicle import load_vehicle
 
         vehicles = [] if robot.vehicle is None else [load_vehicle(robot.vehicle)]
@@ -323,14 +322,14 @@ class CampaignOptions:
         else:
             vehicles = vehicles or [load_vehicle(WORLDS_VEHICLE)]
             missions = [sensors.over(world_template(vehicles[0]))]
-        own = law_source(law).gains
-        base = load_gains(robot.gains or "default", own=own)
-        kind = {"mode": robot.priority_mode, "sensing": robot.sensing or "truth", "guidance": robot.guidance}
-        cases = build_cases(missions, vehicles, gains=base, law=law, **kind)
-        tuned = [choose_gains(robot.gains, case.vehicle, cruise=case.scenario.cruise, own=own) for case in cases]
-        for line in dict.fromkeys(line for one in tuned for line in one.lines):
+        own, cases, lines = law_source(law).gains, list[Case](), list[str]()
+        for mission in missions:
+            craft = vehicles[0] if vehicles else load_vehicle(mission.vehicle)
+            tuned = choose_gains(robot.gains, craft, cruise=mission.cruise, own=own)
+            lines += tuned.lines
+            cases.append(robot.case(law, mission, craft, tuned.gains))
+        for line in dict.fromkeys(lines):
             progress(line)
-        cases = tuple(replace(case, gains=one.gains, **robot.forms) for case, one in zip(cases, tuned, strict=True))
         for case in cases[:1]:
             case.build()  # reports a mistake before any file is written
         if self.worlds is None:
