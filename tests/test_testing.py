@@ -10,7 +10,6 @@ from surctl.errors import InputError, SurctlError
 from surctl.marine.vehicle import PLANT_PARAMETERS, load_vehicle, plant_parameters, plant_thrust_limit
 from surctl.tasks import (
     AccelerationLimit,
-    ActuatorLimits,
     Barrier,
     BrakingBarrier,
     HalfPlane,
@@ -27,7 +26,8 @@ from surctl.tasks import (
     position_task,
     velocity_task,
 )
-from surctl.testing import CheckFailed, check_limit, check_task
+from surctl.testing import CheckFailed, check_task
+from tests.oracles.limit_rows import check_limit
 
 ETA = ca.SX.sym("eta", 4)
 NU = ca.SX.sym("nu", 4)
@@ -180,14 +180,6 @@ NUMBERS = PLANT_PARAMETERS.unpack(plant_parameters(load_vehicle("sur540-flooded"
         (HalfPlane("wall", ECHO[[0, 1, 0, 1]], 0.3), [(ECHO, -1, 1)]),
         (AccelerationLimit(NU, [0.1] * 4, dt=0.05), WIDE),
         (plant_thrust_limit(NU, NUMBERS, dt=0.05), WIDE),
-        (
-            ActuatorLimits(
-                VelocityBox([-0.1] * 4, [0.1] * 4),
-                plant_thrust_limit(NU, NUMBERS, dt=0.05),
-                AccelerationLimit(NU, [0.1] * 4, dt=0.05),
-            ),
-            [(NU, -3, 3)],
-        ),
         (Barrier("disc", ETA, h=DISC, kinematics="vehicle"), [(ETA, -3, 3)]),
         (
             BrakingBarrier("disc", ETA, h=DISC, deceleration=GAIN, reaction=0.4, kinematics="vehicle"),

@@ -91,7 +91,7 @@ def reached(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[Any]:
         found.append(self)
         yield None
 
-    importlib.import_module("surctl.marine.verification.cruise_loop")  # derived gains need the true `build_law`
+    importlib.import_module("surctl.marine.study.conduct")  # modules that are loaded now keep the true `build_law`
     monkeypatch.setattr(surctl.marine.control, "build_law", lambda name, **words: SimpleNamespace(name=name, **words))
     monkeypatch.setattr(PlantOptions, "runs", runs)
     monkeypatch.setattr(ControllerOptions, "opened", opened)

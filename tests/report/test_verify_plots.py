@@ -16,9 +16,8 @@ from surctl.marine.report.margin_plots import _rim
 from surctl.marine.vehicle import load_vehicle
 from surctl.marine.verification import claims
 from surctl.marine.verification.portrait import CRUISE_PLANES, portrait
-from surctl.report.evidence import plot_cells, plot_open_boxes
-from surctl.verification import decide, falsify, prove
-from surctl.verification.proving.search import cells_of
+from surctl.report.evidence import plot_open_boxes
+from surctl.verification import decide, falsify
 
 CERTIFICATES = Path(__file__).parents[1] / "certcheck"
 VEHICLE, GAINS = load_vehicle("sur540-flooded"), load_gains("default").values
@@ -60,20 +59,6 @@ def test_a_portrait_needs_a_region(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     assert scales == ["auto", "auto", 1.0]  # the last plane has two positions
 
 
-def test_the_boxes_of_a_proof_fill_the_domain_without_overlap() -> None:
-    (claim,) = claims(GAINS, ["v1-speed-cap-region"])
-    document = prove(claim, slack=1e-9).certificate
-    assert document is not None
-    for cells in cells_of(document):
-        size = cells.upper - cells.lower
-        assert np.all(size >= 0) and len(cells.rules) == size.shape[1]
-        whole = np.prod(claim.upper - claim.lower)
-        assert np.prod(size, axis=0).sum() == pytest.approx(whole, rel=1e-12)
-        for k in np.flatnonzero((claim.lower < 0) & (claim.upper > 0)):
-            assert 0.0 in cells.lower[k] or len(set(cells.lower[k])) == 1  # halved at 0 first
-        assert np.all(cells.lower.min(axis=1) == claim.lower) and np.all(cells.upper.max(axis=1) == claim.upper)
-
-
 @pytest.mark.usefixtures("blank")
 def test_claims_leave_pictures_of_what_came_of_them(tmp_path: Path) -> None:
     refuted, proved = claims(GAINS, ["v1-printed", "v1-corrected"])
@@ -82,10 +67,8 @@ def test_claims_leave_pictures_of_what_came_of_them(tmp_path: Path) -> None:
     left = replace(falsify(proved), verdict="unknown", open_boxes=(box,))
     names = {p.name for p in save_verdicts([falsify(refuted), settled, left], tmp_path)}
     assert names == {
-        "v1-printed-replay.png", "v1-printed-slice.png", "v1-corrected-cells.png", "v1-corrected-open.png",
+        "v1-printed-replay.png", "v1-printed-slice.png", "v1-corrected-open.png",
     }  # fmt: skip
-    with pytest.raises(InputError, match="is not proved"):
-        plot_cells(left)
     with pytest.raises(InputError, match="no open boxes"):
         plot_open_boxes(settled)
 

@@ -251,7 +251,7 @@ def refused_regions(
         >>> from surctl.marine.verification.region import refused_regions
         >>> refused = refused_regions(load_vehicle("bluerov2-wu"), load_gains("default"), cruise=0.15, cap=0.22)
         >>> [(reason.because[:31], names[0], len(names)) for reason, names in refused]
-        [('m11 = 17 kg and m22 = 24.2 kg d', 'region-cruise-20', 12)]
+        [('m11 = 17 kg and m22 = 24.2 kg d', 'region-cruise-20', 9)]
     """
     reasons: dict[tuple[str, str], tuple[NotApplicable, list[str]]] = {}
     for name, statement in REGION_CLAIMS.items():
