@@ -105,7 +105,7 @@ def conduct_runs(
                 brief[said:] = [line.strip() for line in series([one.data for one in done[first:]])]
     data = done[0].data if series is None else {"runs": [one.data for one in done]}
     files = [] if out is None else [f"files {out}"]
-    passed, then = all(one.passed for one in done), done[0].then
+    passed, then = all(one.passed for one in done), [command for one in done[:1] for command in one.then]
     finish(data, lines, as_json=as_json, passed=passed, then=then, brief=brief, files=files)
 
 
