@@ -295,10 +295,10 @@ def _panels(run: Run) -> list[Panel]:
     time, panels = run.record.time, list[Panel]()
     for title, unit, curves, bounds in run_signals(run):
         kind: Literal["steps", "line"] = "steps" if unit in _THRUST.values() else "line"
-        drawn = [Curve(time, values, label, k, kind) for label, values, k, _ in curves]
+        lines = [Curve(time, values, label, k, kind) for label, values, k, _ in curves]
         limits = [level for label, level, _ in bounds if label != "stand-off"]
         shades = [Shade(time, np.full(len(time), one), "above" if one > 0 else "below") for one in limits]
-        panels.append(Panel(f"Run: {title}", "time [s]", f"{title} [{unit}]", drawn, shades))
+        panels.append(Panel(f"Run: {title}", "time [s]", f"{title} [{unit}]", lines, shades))
     return panels
 
 
