@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 
 from surctl.marine.simulation import load_scenario
-from surctl.marine.study import conduct, load_plan
+from surctl.marine.study import Study, load_plan
+from surctl.study import conduct_parts
 from surctl.tuning import Axis
 from tests.cli.process import surctl
 from tests.pictures import blank_pictures
@@ -23,7 +24,8 @@ def test_the_study_of_a_rudder_craft_tells_margins_missions_and_limits(
     blank_pictures(monkeypatch)
     plan = load_plan(vehicle="lauv")
     plan = replace(plan, axes=(Axis("sideslip", (0.2,)),), legs=plan.legs[:1], sweep_seeds=(0,))
-    study = conduct(plan, tmp_path, workers=1)
+    study = Study(plan=plan, workers=1)
+    conduct_parts(study, tmp_path)
     assert study.passed and [run.sensing for run in study.runs] == ["truth"]
     texts = [note.text for note in study.notes]
     for words in (

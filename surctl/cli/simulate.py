@@ -1,16 +1,17 @@
-"""`surctl simulate` of a system: one run, costs, --save, plot; other words go to an application."""
+"""`surctl simulate`: how runs are conducted, printed and written; of a system, and of what an application brings."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
 from surctl.cli.application import to_application
-from surctl.cli.output import as_json, finish, out_folder, saving
+from surctl.cli.output import as_json, finish, out_folder, progress, saving, stoppable
 from surctl.cli.subject import (
     OwnSystem,
     assigned,
@@ -54,29 +55,84 @@ def check_save(save: str | None, formats: Sequence[str], *, out: Path | None) ->
             raise InputError("needs an output folder", key="--save", remedy="add --out DIR")
 
 
-def where(out: Path | None) -> list[str]:
-    """Return where the files of runs are, for a summary."""
-    return [] if out is None else [f"files {out}"]
+class Ran(NamedTuple):
+    """A run: plain data, lines to print, those that decide, whether it is as expected, and commands to run next."""
+
+    data: Mapping[str, Any]
+    lines: Sequence[str]
+    brief: Sequence[str]
+    passed: bool
+    then: Sequence[str] = ()
+
+
+def conduct_runs(
+    cases: Iterable[tuple[Sequence[str], Iterable[Ran]]],
+    *,
+    out: Path | None,
+    as_json: bool,
+    single: bool = True,
+    above: Sequence[str] = (),
+    series: Callable[[Sequence[Mapping[str, Any]]], list[str]] | None = None,
+    short: bool = False,
+) -> None:
+    """Simulate runs, print what they show, and end the command; Ctrl-C prints the finished ones.
+
+    Args:
+        cases: lines about each case, and its runs, which are simulated one after another.
+        out: folder of the files; it exists.
+        as_json: print the data in place of the lines.
+        single: whether there is one run, whose data are those of the command.
+        above: lines above all others.
+        series: returns lines about several runs of a case, which are what decides of them.
+        short: whether these lines take the place of those of the runs.
+    """
+    done, lines, brief = list[Ran](), list(above), list[str]()
+    message = "the run was not finished" if single else "--seed N starts at another seed"
+    finished = "" if single else "the runs above are finished" + ("" if out is None else f", files in {out}")
+    with stoppable(message, lines, above=finished, as_json=as_json):
+        for head, runs in cases:
+            lines += head
+            start, first, said = len(lines), len(done), len(brief)
+            for ran in runs:
+                done.append(ran)
+                lines += ran.lines
+                brief += ran.brief
+                if series is not None and as_json:
+                    progress(ran.lines[0])
+                elif series is not None and short:
+                    lines[start:] = series([one.data for one in done[first:]])
+            if series is not None and len(done) - first > 1:
+                brief[said:] = [line.strip() for line in series([one.data for one in done[first:]])]
+    data = done[0].data if series is None else {"runs": [one.data for one in done]}
+    files = [] if out is None else [f"files {out}"]
+    passed, then = all(one.passed for one in done), [command for one in done[:1] for command in one.then]
+    finish(data, lines, as_json=as_json, passed=passed, then=then, brief=brief, files=files)
 
 
 def simulate_own_system(
     words: Sequence[str], *, seconds: float | None, out: Path | None, save: str, as_json: bool
 ) -> None:
     """Simulate one run, print how it ended and its costs, and write signals (as csv, mat or nc) and plot to `out`."""
-    from surctl.assessment import ClosedLoop, assess
     from surctl.files import prepare_folder
-    from surctl.system import LOST, run_system
 
     own = load_system(words)
-    duration, values = own.seconds(seconds), assigned(own.settings)
+    duration = own.seconds(seconds)
+    assigned(own.settings)
     if out is not None:
         prepare_folder(out)
+    runs = map(partial(_ran, own, duration=duration, save=save), [out])
+    conduct_runs([((), runs)], out=out, as_json=as_json)
+
+
+def _ran(own: OwnSystem, out: Path | None, *, duration: float, save: str) -> Ran:
+    from surctl.assessment import ClosedLoop, assess
+    from surctl.system import LOST, run_system
+
+    values = assigned(own.settings)
     record = run_system(own.system, duration, values)
     assessment = assess(ClosedLoop(own.system, values, record=record), parts=["run"])
     judged = [f"{line.mark} {line.text}".strip() for line in assessment.lines if line.about]
-    lines = [end_text(own, record), *cost_lines(own.system, record.figures), *judged]
-    files = [] if out is None else _write(own, record, out, save)
-    lines += [f"  {file}" for file in files]
+    costs, files = cost_lines(own.system, record.figures), [] if out is None else _write(own, record, out, save)
     data = {
         **own.names,
         "values": {name: value.ravel().tolist() for name, value in values.items()},
@@ -87,15 +143,15 @@ def simulate_own_system(
         "assessment": assessment.to_dict(),
         "files": [str(file) for file in files],
     }
-    fine = record.stopped != LOST
     swept = [
         command_line("sweep", own, a, "--seconds", f"{duration:g}", "--out", "sweep") for a in own.default_axes({})
     ]
-    then = [command_line("verify", own, *own.settings), *swept[:1]] if fine else []
+    then = [command_line("verify", own, *own.settings), *swept[:1]] if record.stopped != LOST else []
     good = [line for line in judged if line.startswith("ok ")]
-    brief = [lines[0], *(line for line in judged if line not in good)]
-    brief += [" ".join(line.split()) for line in cost_lines(own.system, record.figures)] + good
-    finish(data, lines, as_json=as_json, passed=assessment.accepted(), then=then, brief=brief, files=where(out))
+    brief = [end_text(own, record), *(line for line in judged if line not in good)]
+    brief += [*(" ".join(line.split()) for line in costs), *good]
+    lines = [brief[0], *costs, *judged, *(f"  {file}" for file in files)]
+    return Ran(data, lines, brief, assessment.accepted(), then)
 
 
 def _write(own: OwnSystem, record: Record, out: Path, kind: str) -> list[Path]:

@@ -1,18 +1,31 @@
-"""`surctl verify` of a system, its margins and region, and of claims about dynamics; other words: an application."""
+"""`surctl verify`: claims are decided one after another; of a system, of dynamics, of what an application brings."""
 
 from __future__ import annotations
 
 import json
 import math
 import shlex
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
 from surctl.cli.application import to_application
-from surctl.cli.output import FOLDER, Count, FiniteRange, as_json, finish, progress, saving, stoppable, timed
+from surctl.cli.output import (
+    FOLDER,
+    Count,
+    FiniteRange,
+    as_json,
+    finish,
+    progress,
+    refusal_line,
+    same_command,
+    saving,
+    stoppable,
+    timed,
+)
 from surctl.cli.subject import (
     assigned,
     command_line,
@@ -26,7 +39,8 @@ from surctl.cli.subject import (
 from surctl.errors import InputError, NotApplicable
 
 if TYPE_CHECKING:
-    from surctl.lyapunov import Solution
+    from surctl.lyapunov import Problem, Solution
+    from surctl.verification import Inapplicable
 
 _LONG = 60.0  # s
 
@@ -56,6 +70,73 @@ def verify(
     to_application(words)
 
 
+class Decided(NamedTuple):
+    """A claim with its verdict: plain data, lines to print, files of certificate and picture, and the proof itself.
+
+    `failure` says why the verdict is not the expected one; it is empty if it is.
+    """
+
+    data: Mapping[str, Any]
+    lines: Sequence[str]
+    files: Sequence[Path] = ()
+    failure: str = ""
+    proof: Any = None
+
+
+class Claimed(NamedTuple):
+    """A claim to decide: its name, the function that decides it, and the limit of processor time [s] that it has."""
+
+    name: str
+    decide: Callable[[], Decided]
+    limit: float | None = None
+
+
+def refused(one: Inapplicable, *, counts: bool = True) -> Decided:
+    """Return what is said of a claim that does not apply; it fails the command if it `counts`."""
+    return Decided(one.to_dict(), [refusal_line(one)], failure=f"{one.claim} is not applicable" if counts else "")
+
+
+def decide_claims(
+    claims: Sequence[Claimed | Decided], message: str = "", *, out: Path | None, as_json: bool
+) -> list[Decided]:
+    """Decide claims one after another, except those that are decided already; Ctrl-C prints those that are finished."""
+    done, lines = list[Decided](), list[str]()
+    above = "the finished claims are above" + ("" if out is None or not message else f", certificates in {out}")
+    for claim in claims:
+        if isinstance(claim, Claimed):
+            with timed(claim.name, claim.limit), stoppable(message, lines, above=above, as_json=as_json):
+                done.append(claim.decide())
+        else:
+            done.append(claim)
+        lines += done[-1].lines
+    return done
+
+
+def written(name: str, document: Mapping[str, Any], out: Path) -> list[Path]:
+    """Write a certificate to `out` as NAME.json; return the file, or none if it cannot be written."""
+    from surctl.files import write_file
+
+    files = list[Path]()
+    with saving(f"certificate of {name}"):
+        text = json.dumps(document, ensure_ascii=False, separators=(",", ":"))
+        files.append(write_file(out / f"{name}.json", text + "\n"))
+    return files
+
+
+def failed_lines(done: Sequence[Decided], failing: Sequence[str] = ()) -> tuple[list[str], dict[str, list[str]]]:
+    """Return the line that names what fails, and the same for JSON; nothing if all is as expected."""
+    failures = [*failing, *(one.failure for one in done if one.failure)]
+    return ([f"NOT accepted: {'; '.join(failures)}"], {"failures": failures}) if failures else ([], {})
+
+
+def next_check(done: Sequence[Decided], out: Path | None, *words: str) -> list[str]:
+    """Return the command that checks the first certificate, or that writes one."""
+    files = [file for one in done for file in one.files[:1]]
+    if out is None and any(one.data["verdict"] == "proved" for one in done):
+        return [f"{same_command()} --out proofs"]
+    return [shlex.join(["surctl", "check", str(file), *words]) for file in files[:1]]
+
+
 def are_problems(words: Sequence[str]) -> bool:
     """Return whether the words are files about dynamics.
 
@@ -81,7 +162,7 @@ def are_problems(words: Sequence[str]) -> bool:
 
 
 def verify_motion(words: Sequence[str], *, seed: int, time_limit: float, out: Path | None, as_json: bool) -> None:
-    """Prove or refute the claims; exit with status 1 if a verdict is not the expected one."""
+    """Prove or refute claims about dynamics; exit with status 1 if a verdict is not the expected one."""
     from surctl.files import prepare_folder
     from surctl.lyapunov import load_problem, solve
 
@@ -92,60 +173,45 @@ def verify_motion(words: Sequence[str], *, seed: int, time_limit: float, out: Pa
         raise InputError("is given twice", key="claim", value=twice, remedy="rename or drop one of them")
     if out is not None:
         prepare_folder(out)
-    lines: list[str] = []
-    claims: list[dict[str, Any]] = []
-    failures: list[str] = []
-    files: list[Path] = []
-    for word, problem in problems.items():
-        with (
-            timed(problem.dynamics.name, time_limit),
-            stoppable("", lines, above="the finished claims are above", as_json=as_json),
-        ):
-            try:
-                solution = solve(problem, time_limit=time_limit, seed=seed, progress=progress)
-            except InputError as error:
-                raise (error if error.file else error.inside(Path(word))) from None
-        lines += solution.lines()
-        data = solution.to_dict() | {"expected": problem.expected}
-        if out is not None:
-            written = write_solution(solution, out)
-            files += written[:1]
-            data["files"] = [str(path) for path in written]
-            lines += [f"  {path}" for path in written]
-        claims.append(data)
-        if solution.verdict != problem.expected:
-            failures.append(f"{problem.dynamics.name} is {solution.verdict}, not {problem.expected}")
-    if failures:
-        lines.append(f"NOT accepted: {'; '.join(failures)}")
-    then = [shlex.join(["surctl", "check", str(file)]) for file in files[:1]]
-    if out is None and any(claim["verdict"] == "proved" for claim in claims):
-        then = [shlex.join(["surctl", "verify", *words, "--out", "proofs"])]
-    result = {"claims": claims} | ({"failures": failures} if failures else {})
-    where = [f"certificates, plots {out}"] if files else []
-    finish(result, lines, as_json=as_json, passed=not failures, then=then, files=where)
+
+    def decided(word: str, problem: Problem) -> Decided:
+        try:
+            solution = solve(problem, time_limit=time_limit, seed=seed, progress=progress)
+        except InputError as error:
+            raise (error if error.file else error.inside(Path(word))) from None
+        return solved(solution, out, expected=problem.expected)
+
+    claims = [Claimed(one.dynamics.name, partial(decided, word, one), time_limit) for word, one in problems.items()]
+    done = decide_claims(claims, out=out, as_json=as_json)
+    failed, failures = failed_lines(done)
+    where = [f"certificates, plots {out}"] if any(one.files for one in done) else []
+    finish(
+        {"claims": [one.data for one in done], **failures}, [*(line for one in done for line in one.lines), *failed],
+        as_json=as_json, passed=not failures, then=next_check(done, out), files=where,
+    )  # fmt: skip
 
 
-def write_solution(solution: Solution, out: Path) -> list[Path]:
-    """Write the certificate, if there is one, and the picture of a region; return the files."""
-    from surctl.files import write_file
+def solved(solution: Solution, out: Path | None, *, expected: str | None = None) -> Decided:
+    """Return the verdict on dynamics, and write the certificate, if there is one, and the picture of a region."""
     from surctl.lyapunov import Safety
 
-    if solution.decision is None or not solution.document:
-        return []
-    claim = solution.decision.claim
-    name = claim.dynamics.name
-    text = json.dumps(solution.document, ensure_ascii=False, separators=(",", ":"))
-    files = []
-    with saving("certificate"):
-        files.append(write_file(out / f"{name}.json", text + "\n"))
-    if not isinstance(claim, Safety):
-        with saving("plot"):
-            from surctl.report.motion_plots import plot_motion
-            from surctl.report.theme import save_figure
+    data = solution.to_dict() | ({} if expected is None else {"expected": expected})
+    files = list[Path]()
+    if out is not None and solution.decision is not None and solution.document:
+        claim = solution.decision.claim
+        files = written(claim.dynamics.name, solution.document, out)
+        if not isinstance(claim, Safety):
+            with saving("plot"):
+                from surctl.report.motion_plots import plot_motion
+                from surctl.report.theme import save_figure
 
-            figure = plot_motion(solution.dynamics, claim.function, level=claim.level, falsified=solution.falsified)
-            files.append(save_figure(figure, out, (name,)))
-    return files
+                figure = plot_motion(solution.dynamics, claim.function, level=claim.level, falsified=solution.falsified)
+                files.append(save_figure(figure, out, (claim.dynamics.name,)))
+    if out is not None:
+        data["files"] = [str(file) for file in files]
+    bad = expected is not None and solution.verdict != expected
+    failure = f"{data['claim']} is {solution.verdict}, not {expected}" if bad else ""
+    return Decided(data, [*solution.lines(), *(f"  {file}" for file in files)], files, failure, solution)
 
 
 def verify_system(words: Sequence[str], *, seed: int, time_limit: float, out: Path | None, as_json: bool) -> None:
@@ -164,22 +230,19 @@ def verify_system(words: Sequence[str], *, seed: int, time_limit: float, out: Pa
     if out is not None:
         if region is None:
             remedy = "add within.STATE=LOW..HIGH for every state, or drop it"
-            raise InputError(
-                "has no effect: no region of attraction is requested, so there is no certificate to write",
-                key="--out",
-                remedy=remedy,
-            )
+            problem = "has no effect: no region of attraction is requested, so there is no certificate to write"
+            raise InputError(problem, key="--out", remedy=remedy)
         prepare_folder(out)
-    problem = None if region is None else region.problem(own.system, values)
+    claim = None if region is None else region.problem(own.system, values)
 
-    def solved() -> Solution:
-        if isinstance(problem, NotApplicable):
-            raise problem
-        assert problem is not None  # the subject asks only then
+    def proved() -> Solution:
+        if isinstance(claim, NotApplicable):
+            raise claim
+        assert claim is not None  # the subject asks only then
         with timed("region of attraction", time_limit):
-            return solve(problem, time_limit=time_limit, seed=seed, progress=progress)
+            return solve(claim, time_limit=time_limit, seed=seed, progress=progress)
 
-    subject = ClosedLoop(own.system, values, uncertain, region=None if problem is None else solved)
+    subject = ClosedLoop(own.system, values, uncertain, region=None if claim is None else proved)
     ready = assess(subject, parts=["loop"])
     loop = ready.sources["loop"]
     if isinstance(loop, InputError):
@@ -189,27 +252,23 @@ def verify_system(words: Sequence[str], *, seed: int, time_limit: float, out: Pa
         assessment = assess(subject, computed=ready.parts)
     lines, data = loop_lines(own, loop), loop_data(own, loop)
     data |= {"values": {name: value.ravel().tolist() for name, value in values.items()}}
-    certificates = list[str]()
+    files: Sequence[Path] = ()
     solution = assessment.sources.get("region")
-    if solution is not None:
-        data["region"] = solution.to_dict()
     if isinstance(solution, Solution):
         about = f" of {solution.about}" if solution.decision is not None else ""
-        lines += [f"region of attraction{about}:", *solution.lines()]
-        if out is not None:
-            written = [str(path) for path in write_solution(solution, out)]
-            data["region"]["files"] = written
-            lines += [f"  {path}" for path in written]
-            certificates = written[:1]
+        decided = solved(solution, out)
+        lines += [f"region of attraction{about}:", *decided.lines]
+        data["region"], files = decided.data, decided.files
+    elif solution is not None:
+        data["region"] = solution.to_dict()
     lines += [f"{line.mark} {line.text}" for line in assessment.lines]
     decisive = sorted(assessment.lines, key=lambda line: (line.rank, line.about != "region"))
     passed = assessment.accepted("loop", "region")
-    data = {**own.names, **data, "assessment": assessment.to_dict()}
     settings = [word for word in others if not word.startswith("start.")]
     then = [command_line("export", own, *settings, "--seconds", f"{100 * own.system.dt:g}", "--out", "firmware")]
-    then += [shlex.join(["surctl", "check", path, "--bundle", "firmware"]) for path in certificates]
+    then += [shlex.join(["surctl", "check", str(file), "--bundle", "firmware"]) for file in files[:1]]
     finish(
-        data, lines, as_json=as_json, passed=passed, then=then if passed else (),
-        brief=[f"{line.mark} {line.text}" for line in decisive],
-        files=[f"certificate, plot {out}"] if certificates else [],
+        {**own.names, **data, "assessment": assessment.to_dict()}, lines, as_json=as_json, passed=passed,
+        then=then if passed else (), brief=[f"{line.mark} {line.text}" for line in decisive],
+        files=[f"certificate, plot {out}"] if files else [],
     )  # fmt: skip

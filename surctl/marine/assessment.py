@@ -16,6 +16,7 @@ from surctl.marine.guidance import Guidance, Path
 from surctl.marine.simulation import Case, Disturbance, Run, SafetyClaim, Scenario, Sensing, simulate
 from surctl.marine.simulation.echo_fit import detection_range
 from surctl.marine.simulation.explanation import stop_reason
+from surctl.marine.simulation.loop import simulate_case
 from surctl.marine.simulation.safety import safety_claim, turn_rate
 from surctl.marine.simulation.scaling import mission_size, straight_mission
 from surctl.marine.vehicle import Vehicle
@@ -564,11 +565,7 @@ class Mission:
 
     def _run(self, scenario: Scenario, vehicle: Vehicle) -> Run:
         options: dict[str, Any] = {"guidance": self.guidance, "barrier": self.barrier, "movers": self.movers}
-        if self.sensed == "sonar":
-            sensors = scenario.sensors.on(vehicle["radius"])
-            options |= {"sonar": True, "equipment": sensors, "depths": scenario.depths is not None}
-        law = build_law(self.law_ref, actuators=vehicle.actuators, **options)
-        return simulate(scenario, vehicle, gains=self.gains, law=law, sensing=self.sensed)
+        return simulate_case(Case(scenario, vehicle, self.gains, self.law_ref, sensing=self.sensed, **options))
 
 
 def missions_of(cases: Sequence[Case], gains: Gains) -> tuple[Mission, ...]:

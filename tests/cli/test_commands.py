@@ -124,7 +124,7 @@ def test_verify_proves_a_file_and_check_accepts_what_it_writes(tmp_path):
     checked = surctl("check", "proofs/sway.json", "--json", cwd=tmp_path)
     assert checked.status == 0 and checked.json["accepted"] and checked.json["claim"]["name"] == "sway"
     path = tmp_path / "proofs" / "sway.json"
-    path.write_text(path.read_text(encoding="utf-8").replace('"upper": 2.0', '"upper": 3.0'), encoding="utf-8")
+    path.write_text(path.read_text(encoding="utf-8").replace('"upper":2.0', '"upper":3.0'), encoding="utf-8")
     spoilt = surctl("check", "proofs/sway.json", cwd=tmp_path)
     assert spoilt.status == 1 and spoilt.out.startswith("rejected: the hash")
     assert surctl("check", "mine.toml", cwd=tmp_path).status == 2

@@ -9,10 +9,11 @@ from typing import Any
 
 import pytest
 
+from surctl.cli.verify import Decided, decide_claims
 from surctl.errors import InputError, NotApplicable
-from surctl.marine.cli.claims import is_mission, prove_missions
+from surctl.marine.cli.claims import is_mission, mission_claims
 from surctl.marine.control import load_gains
-from surctl.marine.simulation import load_scenario
+from surctl.marine.simulation import Scenario, load_scenario
 from surctl.marine.vehicle import load_vehicle
 from surctl.marine.verification import mission
 from surctl.marine.verification.mission import MissionClaim, MissionProof, certificate_of, mission_claim
@@ -21,7 +22,14 @@ from tests.cli.process import surctl_here
 
 MEMBER = Path(__file__).parents[1] / "certcheck" / "region-turning.json"
 VEHICLE, GAINS = load_vehicle("sur540-flooded"), load_gains("default")
-ABOUT: dict[str, Any] = {"vehicle": "sur540-flooded", "gains": GAINS, "law": "guarded", "speeds": (0.15, 0.22)}
+ABOUT: dict[str, Any] = {"vehicle": VEHICLE, "gains": GAINS, "law": "guarded", "speeds": (0.15, 0.22)}
+
+
+def decided(scenario: Scenario, **about: Any) -> Decided:
+    """The claim `mission` about a scenario, decided."""
+    claims = mission_claims(["mission"], scenario, **(ABOUT | about))
+    [done] = decide_claims(claims, out=about.get("out"), as_json=True)
+    return done
 
 
 def proof(claim: MissionClaim) -> MissionProof:
@@ -42,18 +50,18 @@ def test_a_mission_needs_its_scenario(tmp_path: Path) -> None:
     assert "is about the path of a scenario" in done.err
     assert "--scenario" in done.err
     with pytest.raises(InputError, match="second claim about the mission"):
-        prove_missions(["mission", "mission:region-turning"], load_scenario("tank-static"), **ABOUT)
+        mission_claims(["mission", "mission:region-turning"], load_scenario("tank-static"), **ABOUT)
 
 
 def test_a_proof_is_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(mission, "prove_mission", lambda claim, **_: proof(claim))
-    done = prove_missions(["mission"], load_scenario("tank-static"), out=tmp_path, **ABOUT)
+    done = decided(load_scenario("tank-static"), out=tmp_path)
     [line], [file] = done.lines, done.files
     assert line.startswith(
         "ok   mission-tank-static    proved without obstacles, walls, thrust lag and held commands: "
     )
     assert json.loads(file.read_text())["kind"] == "mission"
-    assert (done.claims[0]["verdict"], done.claims[0]["at_rest"]) == ("proved", True)
+    assert (done.data["verdict"], done.data["at_rest"]) == ("proved", True)
 
 
 def test_a_mission_that_is_not_proved_names_a_lower_speed(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -64,20 +72,20 @@ def test_a_mission_that_is_not_proved_names_a_lower_speed(monkeypatch: pytest.Mo
 
     monkeypatch.setattr(mission, "prove_mission", slow)
     for speed, word in ((0.15, "unknown: from rest, V may grow to 2"), (0.22, "not applicable to these speeds")):
-        done = prove_missions(["mission"], scenario, **{**ABOUT, "speeds": (speed, 0.22)})
+        done = decided(scenario, speeds=(speed, 0.22))
         assert word in done.lines[0]
         assert "; with --cruise 0.0" in done.lines[0]
-        assert done.claims[0]["at_lower_speed"]["verdict"] == "proved"
+        assert done.data["at_lower_speed"]["verdict"] == "proved"
 
 
 def test_a_mission_under_another_law_is_not_applicable() -> None:
-    done = prove_missions(["mission"], load_scenario("tank-static"), **{**ABOUT, "law": "calm"})
+    done = decided(load_scenario("tank-static"), law="calm")
     assert "not applicable to law calm" in done.lines[0]
 
 
 def test_a_mission_with_visits_is_not_applicable() -> None:
     scenario = replace(load_scenario("tank-slalom"), corners="visit")
-    done = prove_missions(["mission"], scenario, **ABOUT)
+    done = decided(scenario)
     assert "not applicable to this mission, because the robot stops at corners that it visits" in done.lines[0]
     with pytest.raises(NotApplicable):
         mission_claim(scenario, VEHICLE, GAINS, region_statement(mission.USUAL), cruise=0.15, cap=0.22, at_rest=True)

@@ -7,6 +7,7 @@ from click.testing import CliRunner
 from surctl.assessment import assess
 from surctl.certcheck.belonging import compare
 from surctl.cli.app import app
+from surctl.cli.verify import decide_claims
 from surctl.errors import NotApplicable
 from surctl.marine.assessment import Mission
 from surctl.marine.cli import claims as regions
@@ -16,6 +17,7 @@ from surctl.marine.vehicle import load_vehicle
 from surctl.marine.verification.region import REGION_CLAIMS, applicable_region, load_region
 from tests.certcheck import test_bundle
 from tests.cli.process import surctl, surctl_here
+from tests.cli.test_braking import decided
 
 
 def test_names_of_regions_are_told_apart() -> None:
@@ -27,10 +29,10 @@ def test_a_region_that_is_not_proved_fails_and_leaves_nothing(tmp_path, monkeypa
     name = "region-cruise-20"
     fast = REGION_CLAIMS[name].model_copy(update={"attempts": 1, "rate_per_s": 5.0})
     monkeypatch.setitem(REGION_CLAIMS, name, fast)
-    found = regions.prove_regions(
-        [name], vehicle="sur540-flooded", gains="default", law="guarded", speeds=(0.15, 0.22), out=tmp_path
-    )
-    assert found.claims[0]["verdict"] == "unknown" and "FAIL" in found.lines[0]
+    about = (load_vehicle("sur540-flooded"), load_gains("default"))
+    claims, _ = regions.region_claims([name], *about, law="guarded", speeds=(0.15, 0.22), out=tmp_path)
+    [found] = decide_claims(claims, out=tmp_path, as_json=True)
+    assert found.data["verdict"] == "unknown" and "FAIL" in found.lines[0]
     assert not list(tmp_path.iterdir())
 
 
@@ -86,9 +88,9 @@ def test_a_region_for_another_kind_of_vehicle_names_the_one_that_applies(tmp_pat
         (written("steered.toml", "50 kg", "0 N"), "steered", "region-steered-20"),
         (written("turning.toml", "60 kg", "5 N"), "guarded", "region-turning-20"),
     ):
-        about = {"vehicle": str(tmp_path / file), "gains": "default", "law": law}
-        found = regions.prove_regions(["region-cruise-20"], **about, speeds=(0.15, 0.22))
-        assert found.instead == kind and found.claims[0]["verdict"] == "not applicable"
+        about = (load_vehicle(str(tmp_path / file)), load_gains("default"))
+        [found], instead = regions.region_claims(["region-cruise-20"], *about, law=law, speeds=(0.15, 0.22))
+        assert instead == kind and found.data["verdict"] == "not applicable"
 
 
 def test_an_option_does_not_exchange_the_speed_of_a_region_file(tmp_path) -> None:
@@ -107,8 +109,8 @@ def test_a_claim_is_about_the_laws_that_its_certificate_fits(law: str, guidance:
     vehicle, gains, names = load_vehicle("sur400"), load_gains("default"), ("region-cruise-20",)
     speeds = {"cruise": 0.15, "cap": 0.22}
     claim = applicable_region(names, vehicle, gains, law=law, guidance=guidance, **speeds)
-    found = regions.prove_all(["braking-simple-20"], vehicle="sur400", gains="default", law=law, cap=0.22)
-    braked = found.claims[0]["verdict"] == "proved"
+    [found] = decided(["braking-simple-20"], "sur400", law=law)
+    braked = found.data["verdict"] == "proved"
     subject = Mission(vehicle, gains, 0.15, 0.22, law, guidance, (load_scenario("pool-static"),))
     judged = assess(subject, parts=["no contact"]).lines[0]
     assert ("the claim concerns law guarded" in judged.text) != braked

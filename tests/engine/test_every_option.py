@@ -92,7 +92,9 @@ def reached(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[Any]:
         yield None
 
     importlib.import_module("surctl.marine.study.conduct")  # modules that are loaded now keep the true `build_law`
-    monkeypatch.setattr(surctl.marine.control, "build_law", lambda name, **words: SimpleNamespace(name=name, **words))
+    case = importlib.import_module("surctl.marine.simulation.batch.case")
+    for module in (surctl.marine.control, case):
+        monkeypatch.setattr(module, "build_law", lambda name, **words: SimpleNamespace(name=name, **words))
     monkeypatch.setattr(PlantOptions, "runs", runs)
     monkeypatch.setattr(ControllerOptions, "opened", opened)
     return found

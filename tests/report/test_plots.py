@@ -14,7 +14,7 @@ from surctl.errors import InputError
 from surctl.marine.control import build_law
 from surctl.marine.guidance import Path as Route
 from surctl.marine.report import plot_run, save_run
-from surctl.marine.report.signals import plot_force, plot_run_signals, spans
+from surctl.marine.report.signals import plot_run_signals, spans
 from surctl.marine.simulation import Run, load_scenario, simulate
 from surctl.marine.vehicle import load_vehicle
 from surctl.marine.verification import law_loop
@@ -110,7 +110,7 @@ def test_the_signals_show_limits_and_avoidance() -> None:
 
 def test_the_limit_ahead_is_not_the_one_astern() -> None:
     flown = replace(run(), vehicle=load_vehicle("otter"))
-    lines = [line for line in plot_force(flown).lines if line.get_color() == BAD]
+    lines = [line for line in plot_run_signals(flown).axes[4].lines if line.get_color() == BAD]
     levels = {round(float(np.ravel(line.get_ydata())[0]), 3) for line in lines}
     assert levels == {-133.416, 0.0, 239.364, -0.0}
 

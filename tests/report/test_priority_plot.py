@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from surctl.marine.cli.runs import further_output
+from surctl.marine.cli.runs import RunOutput
 from surctl.marine.control import build_law, load_gains
 from surctl.marine.report.signals import plot_priority, relaxation_text
 from surctl.marine.simulation import Run, explain, load_scenario, priority_timeline, simulate
@@ -108,6 +108,6 @@ def test_only_the_rows_that_matter_longest_are_drawn() -> None:
 def test_explained_runs_are_drawn_as_well(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     blank_pictures(monkeypatch)
     result: dict[str, object] = {}
-    lines = further_output(flight(), result, explained=True, out=tmp_path)
+    lines = RunOutput(tmp_path, explained=True).further(flight(), result)
     (file,) = tmp_path.glob("*-priority.png")
     assert lines[-1] == f"  {file}" and result["explanations"]

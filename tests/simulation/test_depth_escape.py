@@ -9,7 +9,7 @@ from pathlib import Path as FilePath
 import numpy as np
 import pytest
 
-from surctl.marine.cli.runs import further_output
+from surctl.marine.cli.runs import RunOutput
 from surctl.marine.control import load_gains
 from surctl.marine.simulation import Case, Obstacle, Run, Scenario, Sensing, load_scenario, simulate, simulate_batch
 from surctl.marine.simulation.explanation import stop_reason
@@ -73,7 +73,7 @@ def test_where_only_another_depth_leads_on_it_is_found_and_left_again(scene: str
     assert run.record.eta[-1, 2] == pytest.approx(-2.0, abs=0.1)
     told = run.to_dict()["depth_changes"]
     assert [change["to_m"] for change in told] == [change.to_m for change in depth_changes(run)]
-    first, *_, last = further_output(run, {}, explained=False, out=None)
+    first, *_, last = RunOutput().further(run, {})
     assert "m from z -2.00 to -1.41 m: search for a passage at another depth" in first
     assert last.endswith("to -2.00 m: back to the path's depth")
 

@@ -12,15 +12,16 @@ from surctl.assessment import assess
 from surctl.certcheck.bundle import read_bundle
 from surctl.errors import InputError
 from surctl.marine.assessment import LoopAnalysis, unstable_text
-from surctl.marine.cli.verify import _chosen
+from surctl.marine.cli.claims import library_claims
 from surctl.marine.control import build_law, load_gains
 from surctl.marine.simulation import LIBRARY as SCENARIOS
 from surctl.marine.simulation import simulate
-from surctl.marine.study import conduct, load_plan
+from surctl.marine.study import Study, load_plan
 from surctl.marine.study.conduct import Loops, _speed_notes, assessed, claims_of, loops_of, notes_of, with_perception
 from surctl.marine.vehicle import LIBRARY, load_vehicle
 from surctl.marine.verification.linear import slowest_mode
 from surctl.marine.verification.speeds import OverSpeeds
+from surctl.study import conduct_parts
 from tests.cli.process import surctl
 from tests.report.data import swept
 from tests.tools import need_compiler
@@ -168,7 +169,7 @@ def test_sonars_that_the_law_cannot_hear_are_told_before_the_sweep(tmp_path):
     (tmp_path / "wide.toml").write_text(WIDE)
     (tmp_path / "s.toml").write_text(text.replace('"pool-behind"', '"wide.toml"'))
     with pytest.raises(InputError, match="four sonars of the paper"):
-        conduct(load_plan(str(tmp_path / "s.toml")), tmp_path / "out")
+        conduct_parts(Study(plan=load_plan(str(tmp_path / "s.toml"))), tmp_path / "out")
     assert not (tmp_path / "out" / "sweep.nc").exists()
 
 
@@ -215,12 +216,12 @@ def test_a_vehicle_file_flies_the_built_in_study_with_that_vehicle(tmp_path):
 
 @pytest.mark.parametrize("name", ["sur540-flooded", "girona500", "otter"])
 def test_a_study_decides_the_claims_that_verify_decides(monkeypatch, name):
-    monkeypatch.setattr(sys.modules[conduct.__module__], "decide", lambda claim: claim)
+    monkeypatch.setattr(sys.modules[Study.__module__], "decide", lambda claim: claim)
     plan = load_plan(vehicle=name)
     fastest = plan.deciding[0].scenario
     decided, _ = claims_of(plan, plan.gains, fastest)
     at_hand = {**plan.gains.values, "speed": fastest.cruise, "speed_max": fastest.cap}
-    chosen, _ = _chosen([], at_hand, plan.vehicle)
+    chosen, _ = library_claims([], at_hand, plan.vehicle)
     assert [claim.name for claim in decided] == [claim.name for claim in chosen]
     assert ("braking-retreat" in {c.name for c in decided}) is (name == "sur540-flooded")
 

@@ -1,24 +1,25 @@
-"""`surctl verify`, claims by word: region, mission, braking; line and certificate of each claim."""
+"""`surctl verify`, claims by word: of the library or a file, region, mission, braking; the line of each claim."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
-from surctl.cli.output import refusal_line, saving, timed
+from surctl.cli.output import progress, timed
+from surctl.cli.verify import Claimed, Decided, refused, written
 from surctl.errors import InputError, NotApplicable
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from surctl.marine.control import Gains
     from surctl.marine.simulation import Scenario
     from surctl.marine.vehicle import Vehicle
     from surctl.marine.verification.region import RegionStatement
-    from surctl.verification import Inapplicable, Verdict
+    from surctl.verification import Claim, Inapplicable, Verdict
     from surctl.verification.formula import Statement
+
+Claims = list[Claimed | Decided]
 
 
 def statement_lines(exact: Statement, certificate: Mapping[str, Any] | None) -> list[str]:
@@ -60,43 +61,64 @@ def claim_line(verdict: Verdict) -> str:
     return f"{mark} {verdict.claim.name:<22} {verdict.verdict}{where}"
 
 
-class Proofs(NamedTuple):
-    """The result of region or braking claims.
+def library_claims(
+    words: Sequence[str],
+    gains: Mapping[str, Any],
+    vehicle: Vehicle,
+    *,
+    law: str | None = None,
+) -> tuple[list[Claim], list[Inapplicable]]:
+    """Return the claims by name or file, or those of the library without any, and those that do not apply.
 
-    Attributes:
-        claims: plain data of each claim.
-        lines: lines to print.
-        files: certificate files.
-        instead: name of a region claim that applies to the vehicle, if a stated one does not; "" if there is none.
+    The claims of the library do not concern the law `law`, if it is given.
+
+    Raises:
+        InputError: a claim is unknown, has a mistake or is given twice.
     """
+    from surctl.marine.tuning.derived import has_tuned
+    from surctl.marine.verification.library import applicable_claims
+    from surctl.verification import Inapplicable, load_claim
 
-    claims: list[dict[str, Any]]
-    lines: list[str]
-    files: list[Path]
-    instead: str = ""
+    if not words:  # where the paper errs concerns its own robot
+        every, reasons = ((), {}) if law else applicable_claims(gains, vehicle=vehicle, errata=has_tuned(vehicle))
+        return list(every), [Inapplicable.of(name, reason) for name, reason in reasons.items()]
+    own = {word: load_claim(Path(word)) for word in words if word.endswith(".toml")}
+    rest, reasons = applicable_claims(gains, [w for w in dict.fromkeys(words) if w not in own], vehicle=vehicle)
+    if law is not None:
+        why = "it follows no path by equations (8)-(12)"
+        reasons = {claim.name: NotApplicable(why, to=f"law {law}", key=claim.name) for claim in rest} | dict(reasons)
+        rest = ()
+    known = {claim.name: claim for claim in rest}
+    chosen = [own[w] if w in own else known[w] for w in words if w not in reasons]
+    names = [claim.name for claim in chosen]
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise InputError("is given twice", key="claim", value=twice[0], remedy="rename or drop one of them")
+    return chosen, [Inapplicable.of(name, reason) for name, reason in reasons.items()]
 
-    def joined(self, other: Proofs) -> Proofs:
-        """Return these results, followed by others."""
-        return Proofs(self.claims + other.claims, self.lines + other.lines, self.files + other.files, self.instead)
+
+def decide_claim(claim: Claim, *, seed: int, time_limit: float, out: Path | None) -> Decided:
+    """Decide a claim of the library or of a file, and write its certificate."""
+    from surctl.verification import decide
+
+    verdict = decide(claim, seed=seed, time_limit=time_limit, progress=progress)
+    data, certificate, files = verdict.to_dict(), verdict.certificate, list[Path]()
+    if certificate is not None:
+        files = [] if out is None else written(claim.name, certificate, out)
+        data["certificate"]["file"] = str(files[0]) if files else None
+    lines = [claim_line(verdict), *([] if claim.exact is None else statement_lines(claim.exact, certificate))]
+    failure = "" if verdict.as_expected else f"{claim.name} is {verdict.verdict}, not {claim.expected}"
+    return Decided(data, lines, files, failure, verdict)
 
 
-def _proofs(todo: Sequence[tuple[str, Callable[[], Any]]], refused: Sequence[Inapplicable], out: Path | None) -> Proofs:
-    """Prove claims, each with its name and function, and write the certificates to `out` as NAME.json."""
-    proofs, files = [], []
-    for name, prove in todo:
-        with timed(name):
-            proof = prove()
-        proofs.append(proof)
-        if out is not None and proof.verdict == "proved":
-            with saving(f"certificate of {name}"):
-                out.mkdir(parents=True, exist_ok=True)
-                file = out / f"{name}.json"
-                proof.write(file)
-                files.append(file)
-    marks = ["FAIL" if p.verdict != "proved" else "ok  " if getattr(p, "useful", True) else "open" for p in proofs]
-    lines = [f"{mark} {p.claim.name:<22} {p.sentence}" for mark, p in zip(marks, proofs, strict=True)]
-    lines += [refusal_line(one) for one in refused]
-    return Proofs([*(p.to_dict() for p in proofs), *(one.to_dict() for one in refused)], lines, files)
+def _proved(prove: Callable[[], Any], out: Path | None) -> Decided:
+    """Prove a region, mission or braking claim, and write its certificate."""
+    proof = prove()
+    name, proved = proof.claim.name, proof.verdict == "proved"
+    mark = "FAIL" if not proved else "ok  " if getattr(proof, "useful", True) else "open"
+    files = written(name, proof.document, out) if proved and out is not None else []
+    failure = "" if proved else f"{name} is {proof.verdict}"
+    return Decided(proof.to_dict(), [f"{mark} {name:<22} {proof.sentence}"], files, failure, proof)
 
 
 def is_region(word: str) -> bool:
@@ -123,37 +145,6 @@ def region_of(word: str) -> RegionStatement:
     return load_region(Path(word)) if word.endswith(".toml") else region_statement(word)
 
 
-def check_regions(
-    words: Sequence[str], vehicle: Vehicle, gains: Gains, speeds: tuple[float, float], law: str
-) -> tuple[dict[str, RegionStatement], dict[str, Inapplicable]]:
-    """Return the region claims by word, and those that do not apply to the vehicle with their reason; proves nothing.
-
-    Args:
-        words: names and files of the claims.
-        vehicle: the vehicle.
-        gains: the gains.
-        speeds: (cruise speed, speed limit) [m/s] for claims whose text does not set these speeds.
-        law: reference of the law.
-
-    Raises:
-        InputError: a claim is unknown or has a mistake.
-    """
-    from surctl.verification import Inapplicable
-
-    cruise, cap = speeds
-    stated = {word: region_of(word) for word in words}
-    refused: dict[str, Inapplicable] = {}
-    for word, statement in stated.items():
-        try:
-            statement.claim(vehicle, gains, cruise=cruise, cap=cap)
-            statement.require(law)
-        except NotApplicable as reason:
-            refused[word] = Inapplicable.of(statement.name, reason)
-        except InputError as error:
-            raise (error.inside(word) if word.endswith(".toml") and not error.file else error) from None
-    return stated, refused
-
-
 def require_own_speeds(words: Sequence[str], cruise: float | None, cap: float | None) -> None:
     """Raise InputError if an option sets another speed than the one that a region claim states.
 
@@ -173,23 +164,23 @@ def require_own_speeds(words: Sequence[str], cruise: float | None, cap: float | 
                 raise InputError(problem, file=word, key=name, value=option, remedy=f"drop {name}, or change the claim")
 
 
-def prove_regions(
+def region_claims(
     words: Sequence[str],
+    vehicle: Vehicle,
+    gains: Gains,
     *,
-    vehicle: str,
-    gains: str | Gains,
     law: str,
     speeds: tuple[float, float],
     seed: int = 0,
     out: Path | None = None,
     forms: Mapping[str, Any] | None = None,
-) -> Proofs:
-    """Prove region claims for a vehicle and a gain file; the certificates are written to `out` as NAME.json.
+) -> tuple[Claims, str]:
+    """Return region claims to decide, and the name of one that applies to the vehicle if a stated one does not, or "".
 
     Args:
         words: names and files of the claims.
-        vehicle: name or file of the vehicle.
-        gains: name or file of the gains, or the gains.
+        vehicle: the vehicle.
+        gains: the gains.
         law: reference of the law.
         speeds: (cruise speed, speed limit) [m/s] for claims whose text does not set these speeds.
         seed: seed of the search for a certificate.
@@ -197,26 +188,29 @@ def prove_regions(
         forms: `barrier` and `movers` of the law.
 
     Raises:
-        InputError: a claim, vehicle or gain file is unknown; the error is raised before the first proof.
+        InputError: a claim is unknown or has a mistake.
     """
-    from surctl.marine.control import load_gains
-    from surctl.marine.vehicle import load_vehicle
     from surctl.marine.verification.region import RegionStatement, applicable_region, prove_statement
+    from surctl.verification import Inapplicable
 
-    robot = load_vehicle(vehicle)
-    values = load_gains(gains) if isinstance(gains, str) else gains
-    cruise, cap = speeds
-    stated, refused = check_regions(words, robot, values, speeds, law)
-    todo = [
-        (one.name, partial(prove_statement, one, robot, values, seed=seed, cruise=cruise, cap=cap, forms=forms))
-        for word, one in stated.items()
-        if word not in refused
-    ]
-    result = _proofs(todo, list(refused.values()), out)
-    known = {statement.name for statement in stated.values()}
-    others = [name for name in ("region-turning-20", "region-steered-20") if name not in known]
-    instead = applicable_region(others, robot, values, law=law, cruise=cruise, cap=cap) if refused and others else None
-    return result._replace(instead=instead.name if isinstance(instead, RegionStatement) else "")
+    about: dict[str, Any] = {"cruise": speeds[0], "cap": speeds[1]}
+    claims, names, others = list[Claimed](), set[str](), list[Decided]()
+    for word in words:
+        one = region_of(word)
+        names.add(one.name)
+        try:
+            one.claim(vehicle, gains, **about)
+            one.require(law)
+        except NotApplicable as reason:
+            others.append(refused(Inapplicable.of(one.name, reason)))
+        except InputError as error:
+            raise (error.inside(word) if word.endswith(".toml") and not error.file else error) from None
+        else:
+            prove = partial(prove_statement, one, vehicle, gains, seed=seed, forms=forms, **about)
+            claims.append(Claimed(one.name, partial(_proved, prove, out)))
+    usual = [name for name in ("region-turning-20", "region-steered-20") if name not in names]
+    instead = applicable_region(usual, vehicle, gains, law=law, **about) if others and usual else None
+    return [*claims, *others], instead.name if isinstance(instead, RegionStatement) else ""
 
 
 def is_mission(word: str) -> bool:
@@ -224,11 +218,11 @@ def is_mission(word: str) -> bool:
     return word.partition(":")[0] == "mission"
 
 
-def prove_missions(
-    words: Sequence[str], scenario: Scenario | None, *, vehicle: str, gains: Gains, law: str,
+def mission_claims(
+    words: Sequence[str], scenario: Scenario | None, vehicle: Vehicle, gains: Gains, *, law: str,
     speeds: tuple[float, float], seed: int = 0, out: Path | None = None,
-) -> Proofs:  # fmt: skip
-    """Prove the claim about the mission of a scenario, with the region claim that a word names for each leg.
+) -> Claims:  # fmt: skip
+    """Return the claim about the mission of a scenario, with the region claim that a word names for each leg.
 
     If the claim is not proved, its line ends with a lower cruise speed at which it is proved, if there is one.
 
@@ -236,8 +230,7 @@ def prove_missions(
         InputError: no scenario is given, or a region claim is unknown.
     """
     if not words:
-        return Proofs([], [], [])
-    from surctl.marine.vehicle import load_vehicle
+        return []
     from surctl.marine.verification.mission import USUAL, prove_scenario, slower
     from surctl.marine.verification.region import region_statement
     from surctl.verification import Inapplicable
@@ -247,27 +240,28 @@ def prove_missions(
         raise InputError("is about the path of a scenario", key="claim", value=words[0], remedy=remedy)
     if len(words) > 1:
         raise InputError("is a second claim about the mission", key="claim", value=words[1], remedy="drop one of them")
-    [word], robot, (cruise, cap) = words, load_vehicle(vehicle), speeds
+    [word], (cruise, cap) = words, speeds
     region = word.partition(":")[2]
     statement = region_of(region) if region else region_statement(USUAL)
-    about = (scenario, robot, gains, statement)
-    refused, proofs = list[Inapplicable](), Proofs([], [], [])
-    try:
-        statement.require(law)
-        with timed(word):
-            proof = prove_scenario(*about, cruise=cruise, cap=cap, seed=seed)
-        proofs = _proofs([(proof.claim.name, lambda: proof)], [], out)
-    except NotApplicable as reason:
-        refused = [Inapplicable.of(f"mission-{scenario.name}", reason)]
-        proofs = _proofs([], refused, out)
-    if refused[0].to != "these speeds" if refused else proof.verdict == "proved":
-        return proofs
-    with timed(f"{word} at lower speeds"):
-        lower = slower(*about, cruise=cruise, cap=cap, seed=seed)
-    proofs.claims[0]["at_lower_speed"] = None if lower is None else lower.to_dict()
-    speed = "" if lower is None else f"with --cruise {lower.claim.loop.cruise:g}, {lower.sentence}"
-    proofs.lines[0] += f"; {speed or 'no lower speed is proved'}"
-    return proofs
+    about = (scenario, vehicle, gains, statement)
+
+    def decided() -> Decided:
+        try:
+            statement.require(law)
+            done = _proved(partial(prove_scenario, *about, cruise=cruise, cap=cap, seed=seed), out)
+            final = not done.failure
+        except NotApplicable as reason:
+            one = Inapplicable.of(f"mission-{scenario.name}", reason)
+            done, final = refused(one), one.to != "these speeds"
+        if final:
+            return done
+        with timed(f"{word} at lower speeds"):
+            lower = slower(*about, cruise=cruise, cap=cap, seed=seed)
+        text = "" if lower is None else f"with --cruise {lower.claim.loop.cruise:g}, {lower.sentence}"
+        lines = [f"{done.lines[0]}; {text or 'no lower speed is proved'}"]
+        return done._replace(data={**done.data, "at_lower_speed": lower and lower.to_dict()}, lines=lines)
+
+    return [Claimed(word, decided)]
 
 
 _KINDS = ("braking-rule", "braking-inertia", "braking-simple")
@@ -278,35 +272,31 @@ def is_braking(name: str) -> bool:
     return name.startswith(_KINDS)
 
 
-def prove_all(
-    names: Sequence[str], *, vehicle: str, gains: str | Gains, law: str, cap: float, out: Path | None = None
-) -> Proofs:
-    """Prove the named braking claims for a vehicle, gains (or their file), a law and a speed limit `cap` [m/s].
+def braking_claims(
+    names: Sequence[str], vehicle: Vehicle, gains: Gains, *, law: str, cap: float, out: Path | None = None
+) -> Claims:
+    """Return the named braking claims for a vehicle, gains, a law and a speed limit `cap` [m/s].
 
-    The claims do not apply to a law without the barrier of law `guarded`. The certificates are written to the folder
-    `out` as NAME.json.
+    The claims do not apply to a law without the barrier of law `guarded`.
 
     Raises:
-        InputError: a claim, vehicle or gain file is unknown; the error is raised before the first proof.
+        InputError: a claim is unknown.
     """
     if not names:
-        return Proofs([], [], [])
-    from surctl.marine.control import BARRIER, law_source, load_gains
-    from surctl.marine.vehicle import load_vehicle
+        return []
+    from surctl.marine.control import BARRIER, law_source
     from surctl.marine.verification.braking import braking_claim_named, prove_braking
     from surctl.own_code import label
     from surctl.verification import Inapplicable
 
-    robot = load_vehicle(vehicle)
-    values = load_gains(gains) if isinstance(gains, str) else gains
-    todo, refused = list[tuple[str, Callable[[], Any]]](), []
+    claims, others = list[Claimed](), list[Decided]()
     for name in names:
         try:
-            claim = braking_claim_named(name, robot, values, cap=cap)
+            claim = braking_claim_named(name, vehicle, gains, cap=cap)
             if BARRIER not in law_source(law).parts:
                 raise NotApplicable("it has not the barrier of law guarded", to=f"law {label(law)}")
         except NotApplicable as reason:
-            refused.append(Inapplicable.of(name, reason))
+            others.append(refused(Inapplicable.of(name, reason)))
         else:
-            todo.append((claim.name, partial(prove_braking, claim)))
-    return _proofs(todo, refused, out)
+            claims.append(Claimed(claim.name, partial(_proved, partial(prove_braking, claim), out)))
+    return [*claims, *others]

@@ -121,9 +121,9 @@ def export(
     click.get_current_context().params["sensing"] = sensing
     sensors.check(sensing=sensing)
     mission = sensors.over(mission)
-    built = replace(robot, sensing=sensing).build(law, mission, vehicle)
     chosen = choose_gains(robot.gains, vehicle, cruise=mission.cruise, own=law_source(law).gains)
     tuned = chosen.gains
+    built = replace(robot, sensing=sensing).case(law, mission, vehicle, tuned).build(robot.fallback)
     numbers = law_numbers(mission, tuned, vehicle)
     if mission.path.fed and constant_gains:
         raise InputError(
@@ -158,8 +158,9 @@ def export(
         "run": run.to_dict() | ({"sensors": sensor_data(mission)} if sensing == "sonar" else {}),
     }
     started = _how_to_start(options.out, click.get_current_context())
+    alone = started[1].partition(" --controller ")[0]  # the run in Python
     text = f"{mission.name} by {vehicle.name}, {sensing}, seed {seed}: {metrics.stopped_because} at "
-    lost = [] if failed is None else [f"the replayed run failed: {failed}; see: {_again(started[1])}"]
+    lost = [] if failed is None else [f"the replayed run failed: {failed}; see: {alone}"]
     belong = [shlex.join(["surctl", "check", str(file), "--bundle", str(options.out)]) for file in certificates[:1]]
     runs = shutil.which("make") and not (mission.path.fed and options.real != "float64")
     options.finish(
@@ -174,11 +175,6 @@ _RUN_OPTIONS = (
     *("vehicle", "gains", "law", "avoidance", "guidance", "priority_mode", "fallback", "sensing"),
     *("faults", "chances", "seed"),
 )
-
-
-def _again(command: str) -> str:
-    """Return the command that simulates the replayed run in Python, without the exported controller."""
-    return command.partition(" --controller ")[0]
 
 
 def _assessed(run: Run, sensing: str) -> Assessment:

@@ -16,8 +16,8 @@ from surctl.errors import InputError, check_known
 
 if TYPE_CHECKING:
     from surctl.assessment import Assessment
-    from surctl.marine.control import Gains, GainSpec, Law
-    from surctl.marine.simulation import SafetyClaim, Scenario, Sensing
+    from surctl.marine.control import Gains, GainSpec
+    from surctl.marine.simulation import Case, SafetyClaim, Scenario, Sensing
     from surctl.marine.vehicle import Vehicle
     from surctl.verification import Inapplicable
 
@@ -274,20 +274,12 @@ class RobotOptions:
     movers: str = "predict"
     sensing: str | None = "truth"
 
-    def build(self, law: str, scenario: Scenario, vehicle: Vehicle) -> Law:
-        """Return the law for the sensors and depths of a scenario, and the actuators of a vehicle."""
-        from surctl.marine.control import build_law
+    def case(self, law: str, scenario: Scenario, vehicle: Vehicle, gains: Gains) -> Case:
+        """Return the case of a scenario with a vehicle, gains and a law."""
+        from surctl.marine.simulation import Case
 
-        return build_law(
-            law,
-            mode=self.priority_mode,
-            sonar=self.sensing == "sonar",
-            equipment=scenario.sensors.on(vehicle["radius"]),
-            fallback=self.fallback,
-            depths=scenario.depths is not None,
-            actuators=vehicle.actuators,
-            **self.forms,
-        )
+        kind: dict[str, Any] = {"mode": self.priority_mode, "sensing": self.sensing or "truth", **self.forms}
+        return Case(scenario, vehicle, gains, law, **kind)
 
     @property
     def forms(self) -> dict[str, Any]:

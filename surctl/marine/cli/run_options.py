@@ -143,10 +143,10 @@ class PlantOptions:
         if self.film is not None:
             from surctl.files import prepare_folder
             from surctl.marine.engine.pictures import check_pictures
-            from surctl.marine.report.animation import check_film
+            from surctl.marine.report.animation import check_animation
 
             check_pictures()
-            prepare_folder(check_film(self.film).parent, key="--film")
+            prepare_folder(check_animation(self.film, key="--film").parent, key="--film")
         if self.view:
             from surctl.marine.engine.pictures import check_screen
 
@@ -175,7 +175,8 @@ class PlantOptions:
         compiled: type[CompiledLaw] | None,
     ) -> Iterator[tuple[Run, Any]]:
         """Yield each run with the report of what computed its control steps in place of the law, or None."""
-        from surctl.marine.simulation import OwnPhysics, simulate
+        from surctl.marine.simulation import OwnPhysics
+        from surctl.marine.simulation.loop import simulate_case
 
         physics: Any = OwnPhysics
         if options is not None:
@@ -195,20 +196,10 @@ class PlantOptions:
         def watch(time: float) -> None:
             doing(f"{case.scenario.name}: {f'{time:.1f} s simulated' if time else 'building the law'}")
 
+        about: dict[str, Any] = {"law": law, "thruster_faults": faults, "physics": physics, "watch": watch}
         for seed in seeds:
             stepper = linked(seed=seed)
-            run = simulate(
-                case.scenario,
-                case.vehicle,
-                gains=case.gains,
-                law=law,
-                sensing=case.sensing,
-                seed=seed,
-                stepper=stepper,
-                thruster_faults=faults,
-                physics=physics,
-                watch=watch,
-            )
+            run = simulate_case(case, seed=seed, stepper=stepper, **about)
             yield run, None if stepper is None else stepper.report()
 
     def output(self, run: Run, options: EngineOptions | None, result: dict[str, Any]) -> list[str]:

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import nullcontext
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+from click.core import ParameterSource
 
 from surctl.cli.output import FILE, Count, finish, progress, same_command, saving, stoppable, together
-from surctl.cli.simulate import where
+from surctl.cli.simulate import Ran, conduct_runs
 from surctl.errors import InputError
 from surctl.marine.cli.robot_options import RobotOptions, choose_gains, choose_vehicle
 
@@ -90,22 +91,21 @@ def series_lines(runs: Sequence[Mapping[str, Any]]) -> list[str]:
 def loop_lines_of_run(run: Run, result: dict[str, Any]) -> list[str]:
     """Add to `result` whether the linear loop at cruise speed is stable; return lines to print if its margin is low."""
     from surctl.marine.control import law_source
+    from surctl.marine.verification import law_loop
 
+    speed, result["linear"] = run.scenario.fastest, None
     if law_source(run.law.ref).steering is not None:
-        result["linear"] = None
-        return _sampled_part(run, result)
+        try:
+            loop = law_loop(run.law, run.vehicle, run.gains, cruise=speed)
+        except InputError:  # the thrust cannot hold this speed; lint reports it
+            return []
+        result["linear"] = {"cruise_m_per_s": loop.cruise, "stable": loop.stable, "sampled": loop.to_dict()}
+        return [] if loop.stable else ["  the linear loop at this speed is unstable:", f"    {loop.lines()[0]}"]
     attitude = run.attitude
-    crab = "" if attitude is None else f", mean crab angle {attitude.crab_angle_deg:.0f} deg"
-    data, lines = linear_warning(
-        run.vehicle,
-        run.gains.values,
-        cruise=run.scenario.fastest,
-        dt=run.law.dt,
-        law=run.law.ref,
-        guidance=run.law.guidance,
-        crab=crab,
-    )
-    result["linear"] = data
+    result["linear"], lines = linear_warning(
+        run.vehicle, run.gains.values, cruise=speed, dt=run.law.dt, law=run.law.ref, guidance=run.law.guidance,
+        crab="" if attitude is None else f", mean crab angle {attitude.crab_angle_deg:.0f} deg",
+    )  # fmt: skip
     return lines
 
 
@@ -148,56 +148,96 @@ def linear_warning(
     return data, [head, *(f"    {line.strip()}" for line in mode.lines())]
 
 
-def _sampled_part(run: Run, result: dict[str, Any]) -> list[str]:
-    from surctl.marine.verification import law_loop
+@dataclass(frozen=True)
+class RunOutput:
+    """What is printed and written of each run.
 
-    try:
-        loop = law_loop(run.law, run.vehicle, run.gains, cruise=run.scenario.fastest)
-    except InputError:  # the thrust cannot hold this speed; lint reports it
-        return []
-    result["linear"] = {"cruise_m_per_s": loop.cruise, "stable": loop.stable, "sampled": loop.to_dict()}
-    return [] if loop.stable else ["  the linear loop at this speed is unstable:", f"    {loop.lines()[0]}"]
-
-
-def further_output(
-    run: Run, result: dict[str, Any], *, explained: bool, out: Path | None, animate: Path | None = None
-) -> list[str]:
-    """Return lines about depth changes, explanations, animation and plots, and write the plots to the folder `out`.
-
-    Explanations and the path of the animation are also added to `result`.
+    Attributes:
+        out: folder of files, or None.
+        save: format of `--save`, or None.
+        frame: axes in these files.
+        explained: whether to say when which limits override which tasks of the law.
+        animate: file of the animation, or None.
     """
-    from surctl.marine.simulation.run import depth_changes
-    from surctl.marine.simulation.thruster_faults import thruster_use
 
-    lines = [f"  {change}" for change in depth_changes(run)]
-    if (use := thruster_use(run)) is not None:
-        result["thrusters"] = use.to_dict()
-        lines.append(f"  {use.line()}")
-    if explained:
-        from surctl.marine.simulation import explain
+    out: Path | None = None
+    save: str | None = None
+    frame: str = "enu"
+    explained: bool = False
+    animate: Path | None = None
 
-        explanations = explain(run)
-        result["explanations"] = [asdict(one) for one in explanations]
-        lines += [f"  {one.time_s:6.2f} s  {one.text}" for one in explanations]
-    if out is not None:
-        with saving("plots"):
-            from surctl.marine.report import plot_priority, save_run
-            from surctl.marine.report.files import run_labels
-            from surctl.marine.report.plan_view import describe
-            from surctl.marine.simulation import priority_timeline
-            from surctl.report.theme import save_figure
+    def ran(
+        self, run: Run, data: dict[str, Any], *, head: str = "", passed: bool = True, middle: Sequence[str] = (),
+        link: Any = None,
+    ) -> Ran:  # fmt: skip
+        """Return what a run shows, and write its files.
 
-            lines.append(f"  {save_run(run, out)}")
-            if explained:
-                priorities = plot_priority(priority_timeline(run), title=describe(run))
-                lines.append(f"  {save_figure(priorities, out, (*run_labels(run), 'priority'))}")
-    if animate is not None:
-        with saving("animation"):
-            from surctl.marine.report import save_animation
+        Args:
+            run: the run.
+            data: its plain data, to which further ones are added.
+            head: the first line, if it is not `run_line`.
+            passed: whether the run is as expected apart from its end.
+            middle: lines about its physics.
+            link: report of what computed its control steps in place of the law, or None.
+        """
+        from surctl.marine.simulation import save_record
+        from surctl.marine.simulation.explanation import failure, stop_reason, time_limit_reason
 
-            result["animation"] = str(save_animation(run, animate))
-            lines.append(f"  {result['animation']}")
-    return lines
+        first, why = head or run_line(run), run.metrics.stopped_because
+        weak = loop_lines_of_run(run, data)
+        brief = [first, *(f"warning: {line.strip(' :')}" for line in weak[:1])]
+        lines = [first, activity_line(run), *middle, *weak]
+        reason = stop_reason(run) if why in ("standstill", "dead end", "fault") else ""
+        if reason := reason or (time_limit_reason(run) if why == "time limit" else ""):
+            data["stop_reason"] = reason
+            brief.append(f"{why}: {reason}")
+            lines.append(f"  {brief[-1]}")
+        if self.save is not None and self.out is not None:
+            with saving("record"):
+                data["file"] = str(save_record(run, self.out, kind=self.save, frame=self.frame))
+                lines.append(f"  {data['file']}")
+        lines += self.further(run, data)
+        if link is not None:
+            data["link"] = link.to_dict()
+            brief.append(link.line())
+            lines.append(f"  {brief[-1]}")
+            passed = passed and not data["link"]["differing"]
+        return Ran(data, lines, brief, passed and failure(run) is None)
+
+    def further(self, run: Run, data: dict[str, Any]) -> list[str]:
+        """Return lines about depth changes, thrusters, explanations, plots and animation, and write the last two."""
+        from surctl.marine.simulation.run import depth_changes
+        from surctl.marine.simulation.thruster_faults import thruster_use
+
+        lines = [f"  {change}" for change in depth_changes(run)]
+        if (use := thruster_use(run)) is not None:
+            data["thrusters"] = use.to_dict()
+            lines.append(f"  {use.line()}")
+        if self.explained:
+            from surctl.marine.simulation import explain
+
+            explanations = explain(run)
+            data["explanations"] = [asdict(one) for one in explanations]
+            lines += [f"  {one.time_s:6.2f} s  {one.text}" for one in explanations]
+        if self.out is not None:
+            with saving("plots"):
+                from surctl.marine.report import plot_priority, save_run
+                from surctl.marine.report.files import run_labels
+                from surctl.marine.report.plan_view import describe
+                from surctl.marine.simulation import priority_timeline
+                from surctl.report.theme import save_figure
+
+                lines.append(f"  {save_run(run, self.out)}")
+                if self.explained:
+                    priorities = plot_priority(priority_timeline(run), title=describe(run))
+                    lines.append(f"  {save_figure(priorities, self.out, (*run_labels(run), 'priority'))}")
+        if self.animate is not None:
+            with saving("animation"):
+                from surctl.marine.report import save_animation
+
+                data["animation"] = str(save_animation(run, self.animate))
+                lines.append(f"  {data['animation']}")
+        return lines
 
 
 MOST_ROWS = 100  # largest number of runs printed as JSON; the files in the output folder hold all runs
@@ -271,10 +311,9 @@ class CampaignOptions:
         Raises:
             InputError: a name is unknown, or the law or a scenario does not support an option.
         """
-        from surctl.marine.control import law_source, load_gains
-        from surctl.marine.simulation import load_scenario
+        from surctl.marine.control import law_source
+        from surctl.marine.simulation import Case, load_scenario
         from surctl.marine.simulation.campaign.worlds import WORLDS_VEHICLE, MonteCarlo, RandomWorlds, world_template
-        from surctl.marine.tuning import build_cases
         from surctl.marine.vehicle import load_vehicle
 
         vehicles = [] if robot.vehicle is None else [load_vehicle(robot.vehicle)]
@@ -283,14 +322,14 @@ class CampaignOptions:
         else:
             vehicles = vehicles or [load_vehicle(WORLDS_VEHICLE)]
             missions = [sensors.over(world_template(vehicles[0]))]
-        own = law_source(law).gains
-        base = load_gains(robot.gains or "default", own=own)
-        kind = {"mode": robot.priority_mode, "sensing": robot.sensing or "truth", "guidance": robot.guidance}
-        cases = build_cases(missions, vehicles, gains=base, law=law, **kind)
-        tuned = [choose_gains(robot.gains, case.vehicle, cruise=case.scenario.cruise, own=own) for case in cases]
-        for line in dict.fromkeys(line for one in tuned for line in one.lines):
+        own, cases, lines = law_source(law).gains, list[Case](), list[str]()
+        for mission in missions:
+            craft = vehicles[0] if vehicles else load_vehicle(mission.vehicle)
+            tuned = choose_gains(robot.gains, craft, cruise=mission.cruise, own=own)
+            lines += tuned.lines
+            cases.append(robot.case(law, mission, craft, tuned.gains))
+        for line in dict.fromkeys(lines):
             progress(line)
-        cases = tuple(replace(case, gains=one.gains, **robot.forms) for case, one in zip(cases, tuned, strict=True))
         for case in cases[:1]:
             case.build()  # reports a mistake before any file is written
         if self.worlds is None:
@@ -340,7 +379,11 @@ class CampaignOptions:
             own = None if self.worlds is not None else (plan.case.scenario.name, plan.case.scenario.vehicle)
             choice = choose_vehicle(vehicle, own)
             reports[-1]["vehicle_from"] = choice.origin
-            reports[-1]["linear"], warning = _linear(plan.case)
+            case = plan.case  # with the unchanged scenario and vehicle
+            reports[-1]["linear"], warning = linear_warning(
+                case.vehicle, case.gains.values, cruise=case.scenario.cruise, dt=case.build().dt, law=case.law,
+                guidance=case.guidance, model=case.model,
+            )  # fmt: skip
             lines += [choice.line(plan.case.vehicle.name), *_lines(campaign, files, worst), *warning]
             counts = campaign.summary.stopped
             ends = [f"{one.count} {name}" for name, one in counts.items() if one.count]
@@ -355,7 +398,8 @@ class CampaignOptions:
 
             with saving("summary"):
                 write_file(out / "summary.json", json.dumps(finite({"campaigns": reports}), indent=1) + "\n")
-        finish({"campaigns": reports}, lines, as_json=as_json, passed=good, brief=brief, files=where(out))
+        finish({"campaigns": reports}, lines, as_json=as_json, passed=good, brief=brief,
+               files=[] if out is None else [f"files {out}"])  # fmt: skip
 
 
 def _report(campaign: Campaign, files: list[Path], worst: int) -> dict[str, Any]:
@@ -380,19 +424,6 @@ def _report(campaign: Campaign, files: list[Path], worst: int) -> dict[str, Any]
         head["claim"] = _claim(case).to_dict()
     few = {"runs": [table.row(k) for k in range(len(table))]} if len(table) <= MOST_ROWS else {}
     return {**head, **campaign.summary.to_dict(), "worst": rows, **few}
-
-
-def _linear(case: Case) -> tuple[dict[str, Any] | None, list[str]]:
-    # the loop of the unchanged scenario and vehicle
-    return linear_warning(
-        case.vehicle,
-        case.gains.values,
-        cruise=case.scenario.cruise,
-        dt=case.build().dt,
-        law=case.law,
-        guidance=case.guidance,
-        model=case.model,
-    )
 
 
 def _claim(case: Case) -> SafetyClaim | Inapplicable:
@@ -434,9 +465,7 @@ def _lines(campaign: Campaign, files: list[Path], worst: int) -> list[str]:
     return lines
 
 
-def simulate_again(
-    path: Path, *, trust: bool, explained: bool, out: Path | None, animate: Path | None, as_json: bool
-) -> None:
+def simulate_again(path: Path, show: RunOutput, *, trust: bool, as_json: bool) -> None:
     """Simulate a saved run as a single run, compare the result with the campaign, and end the command.
 
     The exit status is 1 if the result differs from the campaign or if the run does not arrive.
@@ -444,32 +473,29 @@ def simulate_again(
     from surctl.files import prepare_folder
     from surctl.marine.simulation.campaign.campaign import load_replay
 
-    for name, source in _typed().items():
-        if name not in ("replayed", "trust", "explained", "out", "animate", "as_json") and source:
-            known = {param.name: param for param in click.get_current_context().command.params}
-            what = known[name].opts[0] if isinstance(known[name], click.Option) else "the scenarios"
-            raise InputError(
-                f"already sets {what}", key="--from", value=str(path), remedy=f"drop {what}, or edit the file"
-            )
-    if out is not None:
-        prepare_folder(out)
+    context = click.get_current_context()
+    for one in context.command.params:
+        typed = context.get_parameter_source(one.name or "") != ParameterSource.DEFAULT
+        allowed = one.name in ("replayed", "trust", "explained", "out", "animate", "as_json")
+        if typed and one.expose_value and not allowed:
+            what = one.opts[0] if isinstance(one, click.Option) else "the scenarios"
+            remedy = f"drop {what}, or edit the file"
+            raise InputError(f"already sets {what}", key="--from", value=str(path), remedy=remedy)
+    if show.out is not None:
+        prepare_folder(show.out)
     replay = load_replay(path, trust=trust)
-    run = replay.run.simulate()
-    difference = replay.difference(run)
-    same = difference <= SAME
-    result = run.to_dict() | {"campaign": replay.campaign, "same": same, "largest_difference": difference}
-    verdict = "as in the campaign" if same else f"NOT as in the campaign ({replay.stopped_because})"
-    lines = [f"{run_line(run)}: {verdict}, largest difference {difference:.1g}", activity_line(run)]
-    lines += further_output(run, result, explained=explained, out=out, animate=animate)
-    finish({"runs": [result]}, lines, as_json=as_json, passed=same and run.metrics.reached)
+
+    def again() -> Iterator[Ran]:
+        run = replay.run.simulate()
+        difference = replay.difference(run)
+        same = difference <= SAME
+        verdict = "as in the campaign" if same else f"NOT as in the campaign ({replay.stopped_because})"
+        head = f"{run_line(run)}: {verdict}, largest difference {difference:.1g}"
+        data = run.to_dict() | {"campaign": replay.campaign, "same": same, "largest_difference": difference}
+        yield show.ran(run, data, head=head, passed=same)
+
+    conduct_runs([((), again())], out=show.out, as_json=as_json, series=series_lines)
 
 
 SAME = 1e-9
 """The largest difference allowed between the compiled loop and a single run; see `Replay.difference`."""
-
-
-def _typed() -> dict[str, bool]:
-    # by parameter name: whether the parameter was given on the command line
-    context = click.get_current_context()
-    default = (click.core.ParameterSource.DEFAULT, click.core.ParameterSource.DEFAULT_MAP)
-    return {name: context.get_parameter_source(name) not in default for name in context.params}

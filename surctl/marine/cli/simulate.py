@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -9,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from surctl.cli.output import Count, collected, finish, progress, saving, stoppable
-from surctl.cli.simulate import check_save, where
+from surctl.cli.output import Count, collected
+from surctl.cli.simulate import Ran, check_save, conduct_runs
 from surctl.errors import InputError
 from surctl.marine.cli.robot_options import (
     GAINS_HELP,
@@ -33,18 +34,16 @@ from surctl.marine.cli.run_options import (
 )
 from surctl.marine.cli.runs import (
     CampaignOptions,
-    activity_line,
+    RunOutput,
     campaign_options,
-    further_output,
-    loop_lines_of_run,
-    run_line,
     series_lines,
     simulate_again,
 )
 from surctl.marine.cli.sensor_options import SensorOptions, sensor_data, sensor_options, simulated_echoes, split_faults
 
 if TYPE_CHECKING:
-    from surctl.marine.simulation import Sensing
+    from surctl.marine.control import Law
+    from surctl.marine.simulation import Case
 
 
 @click.command
@@ -99,108 +98,75 @@ def simulate(
     """Simulate scenarios, or a system of your own. Exit status: 1 if a run collides or does not arrive.
     Example: surctl simulate tank-static --runs 9
     """
-    scenarios = words
     link.check(campaign=campaign.any or replayed is not None)
-    run_count = 1 if replayed is not None else runs * len(scenarios)
-    check_animate(animate, runs=run_count, campaign=campaign.any and replayed is None, film=physics.film)
+    count = 1 if replayed is not None else runs * len(words)
+    check_animate(animate, runs=count, campaign=campaign.any and replayed is None, film=physics.film)
+    show = RunOutput(out, save, frame or "enu", explained, animate)
     if replayed is not None:
-        simulate_again(replayed, trust=trust, explained=explained, out=out, animate=animate, as_json=as_json)
+        simulate_again(replayed, show, trust=trust, as_json=as_json)
     if trust:
         remedy = "drop it: a law that --law names runs without it"
         raise InputError("applies only to a saved run", key="--trust", remedy=remedy)
+    sensed = robot.sensing or "truth"
     physics = replace(physics, threads=None) if campaign.any else physics
-    engine = physics.check(
-        campaign=campaign.any, runs=run_count, controller=link.controller, sensing=robot.sensing or "truth"
-    )
+    engine = physics.check(campaign=campaign.any, runs=count, controller=link.controller, sensing=sensed)
     apart = replace(campaign, threads=None) if engine is not None else campaign
-    apart.check(scenarios=scenarios, runs=runs, explained=explained, out=out)
+    apart.check(scenarios=words, runs=runs, explained=explained, out=out)
     _check_fallback(robot.fallback, mode=robot.priority_mode, explained=explained, campaign=campaign.any)
     from surctl.files import prepare_folder
     from surctl.marine.control import law_source, load_gains
-    from surctl.marine.simulation import Case, law_numbers, load_scenario, save_record
-    from surctl.marine.simulation.explanation import stop_reason, time_limit_reason
+    from surctl.marine.simulation import law_numbers, load_scenario
     from surctl.marine.vehicle import load_vehicle
 
     _check_save(save, frame, out=out, campaign=campaign.any)
     if out is not None:
         prepare_folder(out)
-    names = [load_scenario(name).vehicle for name in scenarios] if robot.vehicle is None else [robot.vehicle]
-    law, lines = choose_law(robot.law, [load_vehicle(name) for name in names])
+    names = [load_scenario(name).vehicle for name in words] if robot.vehicle is None else [robot.vehicle]
+    law, above = choose_law(robot.law, [load_vehicle(name) for name in names])
     own = law_source(law).gains
     if robot.gains is not None:
         load_gains(robot.gains, own=own)  # reports a mistake before anything is built
     alone = "simulate without --monte-carlo and --random-worlds" if campaign.any else None
     faults, broken = split_faults(sensors.faults, refused=alone)
     sensors = replace(sensors, faults=faults)
-    sensors.check(sensing=robot.sensing or "truth")
+    sensors.check(sensing=sensed)
     if campaign.any:
-        plans = campaign.plans(scenarios, robot, sensors, law=law, seed=seed)
-        campaign.run(plans, lines, vehicle=robot.vehicle, runs=campaign.worlds or runs, out=out, as_json=as_json)
-    missions = [sensors.over(load_scenario(name)) for name in scenarios]
+        plans = campaign.plans(words, robot, sensors, law=law, seed=seed)
+        campaign.run(plans, above, vehicle=robot.vehicle, runs=campaign.worlds or runs, out=out, as_json=as_json)
+    missions = [sensors.over(load_scenario(name)) for name in words]
     choices = [choose_vehicle(robot.vehicle, (scenario.name, scenario.vehicle)) for scenario in missions]
     vehicles = [load_vehicle(choice.word) for choice in choices]
     physics.fit(engine, vehicles)
+    speeds = [scenario.cruise for scenario in missions]
+    tuned = [choose_gains(robot.gains, v, cruise=u, own=own) for v, u in zip(vehicles, speeds, strict=True)]
+    cases = [robot.case(law, s, v, one.gains) for s, v, one in zip(missions, vehicles, tuned, strict=True)]
     # built after the other checks, because it takes a second
-    laws = [robot.build(law, scenario, vehicle) for scenario, vehicle in zip(missions, vehicles, strict=True)]
-    results: list[dict[str, Any]] = []
-    brief: list[str] = []
-    one = runs * len(missions) == 1
-    message = "the run was not finished" if one else "--seed N starts at another seed"
-    above = "" if one else "the runs above are finished" + (f", files in {out}" if out else "")
-    with stoppable(message, lines, above=above, as_json=as_json):
-        for scenario, choice, simulated, built in zip(missions, choices, vehicles, laws, strict=True):
-            tuned = choose_gains(robot.gains, simulated, cruise=scenario.cruise, own=own)
-            gains_used = tuned.gains
-            lines += [choice.line(simulated.name), *tuned.lines]
-            p = law_numbers(scenario, gains_used, simulated)
-            positions: Sensing = "sonar" if robot.sensing == "sonar" else "truth"
-            case = Case(scenario, simulated, gains_used, law, mode=built.mode, sensing=positions, **robot.forms)
-            start, first, said = len(lines), len(results), len(brief)
-            with link.opened(built, p, scenario, simulated) as line:
-                stepper = partial(link.linked, built, p, line, scenario, simulated)
-                seeds = range(seed, seed + runs)
-                for run, report in physics.runs(
-                    engine, case, built, seeds, fallback=robot.fallback, faults=tuple(broken), linked=stepper,
-                    compiled=link.compiled,
-                ):  # fmt: skip
-                    results.append(run.to_dict() | {"vehicle_from": choice.origin, "derived_gains": tuned.data})
-                    if broken:
-                        results[-1]["thruster_faults"] = [fault.to_dict() for fault in broken]
-                    if robot.sensing == "sonar":
-                        results[-1]["sensors"] = sensor_data(scenario)
-                    lines += [run_line(run), activity_line(run)]
-                    if as_json:
-                        progress(lines[-2])
-                    lines += physics.output(run, engine, results[-1])
-                    weak = loop_lines_of_run(run, results[-1])
-                    lines += weak
-                    brief += [run_line(run), *(f"warning: {line.strip(' :')}" for line in weak[:1])]
-                    if run.metrics.stopped_because in ("standstill", "dead end", "fault"):
-                        results[-1]["stop_reason"] = stop_reason(run)
-                        brief.append(f"{run.metrics.stopped_because}: {results[-1]['stop_reason']}")
-                        lines.append(f"  {brief[-1]}")
-                    if run.metrics.stopped_because == "time limit" and (why := time_limit_reason(run)):
-                        results[-1]["stop_reason"] = why
-                        brief.append(f"time limit: {why}")
-                        lines.append(f"  {brief[-1]}")
-                    if save is not None and out is not None:
-                        with saving("record"):
-                            results[-1]["file"] = str(save_record(run, out, kind=save, frame=frame or "enu"))
-                            lines.append(f"  {results[-1]['file']}")
-                    lines += further_output(run, results[-1], explained=explained, out=out, animate=animate)
-                    if report is not None:
-                        results[-1]["link"] = report.to_dict()
-                        brief.append(report.line())
-                        lines.append(f"  {brief[-1]}")
-                        if report.gone_s is not None:
-                            break
-                    elif runs > 1 and out is None and not explained:
-                        lines[start:] = series_lines(results[first:])
-            if len(results) - first > 1:
-                brief[said:] = [line.strip() for line in series_lines(results[first:])]
-    good = all(r["reached"] and r["min_clearance_m"] > 0 for r in results)  # as `failure` says of one run
-    good = good and not any("link" in r and r["link"]["differing"] for r in results)
-    finish({"runs": results}, lines, as_json=as_json, passed=good, brief=brief, files=where(out))
+    laws, gone = [case.build(robot.fallback) for case in cases], list[str]()
+
+    def simulated(case: Case, built: Law, common: dict[str, Any]) -> Iterator[Ran]:
+        p, about = law_numbers(case.scenario, case.gains, case.vehicle), (case.scenario, case.vehicle)
+        with link.opened(built, p, *about) as line:
+            for run, report in physics.runs(
+                engine, case, built, range(seed, seed + runs), fallback=robot.fallback, faults=tuple(broken),
+                linked=partial(link.linked, built, p, line, *about), compiled=link.compiled,
+            ):  # fmt: skip
+                data = run.to_dict() | common
+                yield show.ran(run, data, middle=physics.output(run, engine, data), link=report)
+                if report is not None and report.gone_s is not None:
+                    gone.append(f"  {report.line()}")
+                    return
+
+    def each_case() -> Iterator[tuple[list[str], Iterator[Ran]]]:
+        for case, built, choice, one in zip(cases, laws, choices, tuned, strict=True):
+            common: dict[str, Any] = {"vehicle_from": choice.origin, "derived_gains": one.data}
+            common |= {"thruster_faults": [fault.to_dict() for fault in broken]} if broken else {}
+            common |= {"sensors": sensor_data(case.scenario)} if sensed == "sonar" else {}
+            yield [choice.line(case.vehicle.name), *one.lines], simulated(case, built, common)
+
+    conduct_runs(
+        each_case(), out=out, as_json=as_json, single=count == 1, above=above,
+        series=lambda several: [*series_lines(several), *gone], short=runs > 1 and out is None and not explained,
+    )  # fmt: skip
 
 
 def _check_fallback(fallback: str, *, mode: str, explained: bool, campaign: bool) -> None:

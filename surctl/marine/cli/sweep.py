@@ -148,16 +148,11 @@ def sweep(
     if locus is not None:  # report a mistake before the simulations, not after them
         _locus(cases, tuned.gains, locus, chosen.points[:, chosen.names.index(locus)], {})
     subject = MissionSweep(cases, tuple(range(seeds)), cruise=tuple(cruise or ()))
-    head = [*why, *_vehicles(cases, vehicles), *tuned.lines]
+    option = next(iter(vehicles), None)
+    choices = [(choose_vehicle(option, (c.scenario.name, c.scenario.vehicle)), c.vehicle.name) for c in cases]
+    head = [*why, *dict.fromkeys(choice.line(name) for choice, name in choices), *tuned.lines]
     summary = partial(_mission_summary, cases, law, sensing, locus, head)
     return SweepJob(subject, chosen, len(chosen.points), "points", "sweep.nc", SHOWN, ["score"], COLUMN_TITLES, summary)
-
-
-def _vehicles(cases: Sequence[Case], typed: Sequence[str]) -> list[str]:
-    """Return a line for each vehicle of a scenario, with the origin of the choice."""
-    option = next(iter(typed), None)
-    choices = [(choose_vehicle(option, (c.scenario.name, c.scenario.vehicle)), c.vehicle.name) for c in cases]
-    return list(dict.fromkeys(choice.line(name) for choice, name in choices))
 
 
 def _set_aside(gains: Path) -> list[str]:

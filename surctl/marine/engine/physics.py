@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from surctl.errors import InputError
 from surctl.marine.engine.fluid import EngineOptions, body_of, environment
 from surctl.marine.engine.mjcf import HULL, OBSTACLE, WALLS, mjcf, mujoco_library, stepper
-from surctl.marine.simulation import Contact, OwnPhysics, simulate
+from surctl.marine.simulation import Contact, OwnPhysics
+from surctl.marine.simulation.loop import simulate_case
 from surctl.marine.vehicle import PLANT_STATE, plant_state
 from surctl.marine.vehicle.motion_log import quaternion
 from surctl.marine.world import Wall
@@ -406,18 +407,7 @@ def _in_process(batch_case: BatchCase, compared: bool, seed: int) -> tuple[Run, 
 
 
 def _simulated(batch_case: BatchCase, law: Law, compared: bool, seed: int) -> tuple[Run, Any]:
-    case = batch_case.case
     stepper = None if batch_case.stepper is None else batch_case.stepper(law)
-    run = simulate(
-        case.scenario,
-        case.vehicle,
-        gains=case.gains,
-        law=law,
-        sensing=case.sensing,
-        seed=seed,
-        model=case.model,
-        stepper=stepper,
-        thruster_faults=batch_case.thruster_faults,
-        physics=batch_case.physics,
-    )
+    options: dict[str, Any] = {"thruster_faults": batch_case.thruster_faults, "physics": batch_case.physics}
+    run = simulate_case(batch_case.case, seed=seed, law=law, stepper=stepper, **options)
     return run, stepper.report() if stepper is not None and compared else None

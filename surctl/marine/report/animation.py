@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 import json
 from base64 import b64encode
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from importlib.util import find_spec
 from io import BytesIO
@@ -139,14 +139,24 @@ def save_animation(run: Run, path: Path | str) -> Path:
         >>> path.name, path.read_bytes()[:6]
         ('run.gif', b'GIF89a')
     """
-    path = check_animation(path)
-    pictures = frames(run)
-    return write_file(
-        path, _gif(pictures) if path.suffix.lower() == ".gif" else mp4(pictures, rate=_RATE, key="--animate")
-    )
+    return _written(frames(run), path, _gif, key="--animate")
 
 
-def frames(run: Run) -> Iterator[NDArray[np.uint8]]:
+def _written(pictures: Iterator[Frame], path: Path | str, gif: Callable[[Iterator[Frame]], bytes], *, key: str) -> Path:
+    """Write pictures to an MP4, or to the GIF that `gif` makes of them; return the path."""
+    path = check_animation(path, key=key)
+    film = path.suffix.lower() == ".mp4"
+    return write_file(path, mp4(pictures, rate=_RATE, key=key) if film else gif(pictures))
+
+
+def _looped(images: Sequence[Image.Image]) -> bytes:
+    out, (first, *rest) = BytesIO(), images
+    duration = [1000 // _RATE] * len(rest) + [2000]  # the last frame stays for 2 s
+    first.save(out, "GIF", save_all=True, append_images=rest, duration=duration, loop=0, optimize=False)
+    return out.getvalue()
+
+
+def frames(run: Run) -> Iterator[Frame]:
     """Yield the frames (height, width, 3) in order; height and width are even, as video encoders require."""
     speed = _playback_speed(run)
     length, width, _ = run.scenario.site
@@ -241,15 +251,11 @@ def _handles(run: Run) -> list[Line2D | Patch]:
     return handles
 
 
-def _gif(pictures: Iterator[NDArray[np.uint8]]) -> bytes:
+def _gif(pictures: Iterator[Frame]) -> bytes:
     # every frame uses the palette of the first frame, which contains every colour
     begun = next(pictures)
     nearest, colours = _palette(begun)
-    first, *rest = (_indexed(nearest[_cells(p)], colours) for p in chain([begun], pictures))
-    out = BytesIO()
-    duration = [1000 // _RATE] * len(rest) + [2000]  # the last frame stays for 2 s
-    first.save(out, "GIF", save_all=True, append_images=rest, duration=duration, loop=0, optimize=False)
-    return out.getvalue()
+    return _looped([_indexed(nearest[_cells(p)], colours) for p in chain([begun], pictures)])
 
 
 def _cells(picture: NDArray[np.uint8]) -> NDArray[np.int_]:
@@ -276,22 +282,15 @@ def _indexed(indices: NDArray[np.uint8], colours: NDArray[np.uint8]) -> Image.Im
     return image
 
 
-_Pixels = NDArray[np.uint8]
-
 _WIDTH = 640  # [pixels]
 _PAGE_WIDTH, _PAGE_FRAMES = 480, 80  # of the film in a report, which has about 0.5 MB
-
-
-def check_film(path: Path | str) -> Path:
-    """Return the path if a film can be written to it; raise as `check_animation` otherwise."""
-    return check_animation(path, key="--film")
 
 
 def save_film(run: Run, path: Path | str, *, options: EngineOptions | None = None) -> Path:
     """Write a film of the run as a GIF, or as an MP4, by the suffix of the path; return the path.
 
     Raises:
-        InputError: see `check_film`; or the file cannot be written.
+        InputError: see `check_animation`; or the file cannot be written.
         ToolMissing: MuJoCo, or a library that renders without a screen, is not installed.
 
     Example:
@@ -305,10 +304,7 @@ def save_film(run: Run, path: Path | str, *, options: EngineOptions | None = Non
         >>> save_film(run, "run.gif").read_bytes()[:6]
         b'GIF89a'
     """
-    path = check_film(path)
-    frames = film_frames(run, options=options)
-    gif = path.suffix.lower() == ".gif"
-    return write_file(path, _film_gif(list(frames)) if gif else mp4(frames, rate=_RATE, key="--film"))
+    return _written(film_frames(run, options=options), path, _film_gif, key="--film")
 
 
 def film_pictures(run: Run) -> tuple[list[int], tuple[str, ...]]:
@@ -328,7 +324,7 @@ def film_pictures(run: Run) -> tuple[list[int], tuple[str, ...]]:
 
 def film_frames(
     run: Run, *, options: EngineOptions | None = None, apart: float | None = None, width: int = _WIDTH
-) -> Iterator[_Pixels]:
+) -> Iterator[Frame]:
     """Yield the frames (height, width, 3) of the film in order: the view from above, below it those of side and nose.
 
     Args:
@@ -372,7 +368,7 @@ def moment_of(run: Run, step: int) -> Moment:
     return Moment(record.eta[step], tilt, record.obstacles[step], record.eta[: step + 1, :3], beams)
 
 
-def _labelled(picture: _Pixels, run: Run, step: int, speed: int) -> _Pixels:
+def _labelled(picture: Frame, run: Run, step: int, speed: int) -> Frame:
     image = Image.fromarray(picture)
     pen = ImageDraw.Draw(image)
     fast = "" if speed == 1 else f"   {speed} x real time"
@@ -388,16 +384,13 @@ def _labelled(picture: _Pixels, run: Run, step: int, speed: int) -> _Pixels:
     return np.array(image)
 
 
-def _film_gif(pictures: list[_Pixels]) -> bytes:
+def _film_gif(frames: Iterator[Frame]) -> bytes:
     # one palette for all frames, from some of them; without dithering, which would flicker
+    pictures = list(frames)
     chosen = pictures[:: max(1, len(pictures) // 8)]
     sample = Image.fromarray(np.vstack([picture[::2, ::2] for picture in chosen]))
     palette = sample.quantize(256, method=Image.Quantize.MAXCOVERAGE)  # the median cut loses the colour of the hull
-    first, *rest = (Image.fromarray(p).quantize(palette=palette, dither=Image.Dither.NONE) for p in pictures)
-    out = BytesIO()
-    duration = [1000 // _RATE] * len(rest) + [2000]  # the last frame stays for 2 s
-    first.save(out, "GIF", save_all=True, append_images=rest, duration=duration, loop=0, optimize=False)
-    return out.getvalue()
+    return _looped([Image.fromarray(p).quantize(palette=palette, dither=Image.Dither.NONE) for p in pictures])
 
 
 _APART = 0.1  # [s] smallest time between two frames

@@ -8,7 +8,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -19,13 +19,13 @@ from surctl.marine.assessment import DEFAULT_REGIONS, Mission
 from surctl.marine.control import Gains, law_source, load_gains, write_gains
 from surctl.marine.report.files import plot_region
 from surctl.marine.report.plan_view import plot_run
+from surctl.marine.report.signals import run_signals
 from surctl.marine.simulation import METRICS, Case, Run, Scenario, simulate
 from surctl.marine.tuning import GainRange, Goal, case_loop, conditions, evaluate, gain_ranges
 from surctl.marine.tuning.derived import has_tuned
 from surctl.marine.tuning.evaluation import corners, judged_goals
 from surctl.marine.tuning.request import default_tuned
 from surctl.marine.vehicle import Vehicle
-from surctl.marine.vehicle.linearise import command_range
 from surctl.marine.verification import steady_motion
 from surctl.marine.verification.law_loop import OperatingPoint
 from surctl.marine.verification.library import applicable_claims
@@ -47,7 +47,6 @@ _RUN_FIGURES = (
     "axis_saturated_share",
 )
 _THRUST = {"surge": "N", "sway": "N", "heave": "N", "yaw": "N m"}
-_MOTION = ("u [m/s]", "v [m/s]", "r [rad/s]")
 
 
 @dataclass(frozen=True, eq=False)
@@ -293,20 +292,13 @@ class Bench:
 
 
 def _panels(run: Run) -> list[Panel]:
-    time, record = run.record.time, run.record
-    clearance = [Curve(time, record.clearance, "", 0)]
-    panels = [Panel("Run: clearance", "time [s]", "clearance [m]", clearance, [Shade(time, 0 * time, "below")])]
-    for k, name in zip((0, 1, 3), _MOTION, strict=True):
-        panels.append(Panel(f"Run: {name.partition(' ')[0]}", "time [s]", name, [Curve(time, record.nu[:, k], "", 0)]))
-    least, most = command_range(run.vehicle)
-    for k, (axis, unit) in enumerate(_THRUST.items()):
-        tau = record.tau[:, k]
-        if np.abs(tau).max(initial=0.0) > 0:
-            above, below = (np.full(len(time), float(limit[k])) for limit in (most, least))
-            shades = [Shade(time, above, "above"), Shade(time, below, "below")]
-            curve = [Curve(time, tau, "", 0, "steps")]
-            title = f"Run: thrust {axis}, with its limits"
-            panels.append(Panel(title, "time [s]", f"{axis} [{unit}]", curve, shades))
+    time, panels = run.record.time, list[Panel]()
+    for title, unit, curves, bounds in run_signals(run):
+        kind: Literal["steps", "line"] = "steps" if unit in _THRUST.values() else "line"
+        lines = [Curve(time, values, label, k, kind) for label, values, k, _ in curves]
+        limits = [level for label, level, _ in bounds if label != "stand-off"]
+        shades = [Shade(time, np.full(len(time), one), "above" if one > 0 else "below") for one in limits]
+        panels.append(Panel(f"Run: {title}", "time [s]", f"{title} [{unit}]", lines, shades))
     return panels
 
 

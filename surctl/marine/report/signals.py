@@ -62,87 +62,57 @@ def plot_run_signals(run: Run, ax: Sequence[Axes] | None = None) -> Figure:
         figure.set_layout_engine("none")  # its axes are always these: measuring their texts takes longer than drawing
         ends = {"left": 0.08, "right": 0.985, "bottom": 0.065, "top": 0.92, "wspace": 0.21, "hspace": 0.21}
         ax = figure.subplots(3, 2, sharex=True, gridspec_kw=ends).ravel().tolist()
-    plots = (plot_clearance, plot_path_error, plot_velocity, plot_yaw_rate, plot_force, plot_moment)
-    for plot, target in zip(plots, ax, strict=True):
-        plot(run, target)
+    for (title, unit, curves, bounds), target in zip(run_signals(run), ax, strict=True):
+        _axes(run, target, title=title, unit=unit)
+        for label, values, k, faint in curves:
+            curve(target, run.record.time, values, label=label, k=k, faint=faint)
+        for label, level, dashed in bounds:
+            colour, width = (MUTED if label == "stand-off" else BAD), 1.0 if dashed else 1.4
+            target.axhline(level, color=colour, linewidth=width, linestyle="--" if dashed else "-", label=label)
+        legend_above(target)
     for target in ax[:-2]:
         target.set_xlabel("")  # the label of the bottom row is valid for the whole column
     return ax[0].figure.figure
 
 
-def plot_clearance(run: Run, ax: Axes | None = None) -> Axes:
-    """Plot the clearance from hull to nearest obstacle or wall [m]: the true value, and the value known to the law."""
-    ax = _axes(run, ax, title="clearance", unit="m")
-    time = run.record.time
-    known = run.telemetry("nearest")[:, 0]
-    curve(ax, time, np.where(known < _UNKNOWN, known, np.nan), label="known to the law", k=1, faint=True)
-    curve(ax, time, run.record.clearance, label="true", k=0)
-    ax.axhline(0.0, color=BAD, linewidth=1.4, label="contact")
-    ax.axhline(run.gains["margin"], color=MUTED, linewidth=1.0, linestyle="--", label="stand-off")
-    legend_above(ax)
-    return ax
+Signal = tuple[str, str, list[tuple[str, NDArray[np.float64], int, bool]], list[tuple[str, float, bool]]]
 
 
-def plot_path_error(run: Run, ax: Axes | None = None) -> Axes:
-    """Plot path errors [m]: distance in the plane, depth error, and the law's y_e by equation (8) of the paper."""
-    ax = _axes(run, ax, title="path error", unit="m")
-    record, scenario = run.record, run.scenario
-    curve(ax, record.time, run.telemetry("path_error")[:, 1], label="y_e in the law", k=1, faint=True)
-    curve(ax, record.time, scenario.follower().track(record.eta[:, :2]), label="distance to path", k=0)
-    curve(ax, record.time, record.eta[:, 2] - path_depths(scenario, record.eta[:, :2]), label="z error", k=2)
-    legend_above(ax)
-    return ax
+def run_signals(run: Run) -> list[Signal]:
+    """Return title and unit of six plots, their curves (label, values, number, whether faint) and bounds.
+
+    The curves are: clearance from hull to nearest obstacle or wall [m], true and known to the law; path errors [m], in
+    the plane, in depth, and the law's y_e by equation (8) of the paper; ground velocity u, v, w in the body frame {B}
+    and horizontal speed [m/s]; yaw rate r [rad/s], of the robot and commanded; commanded forces in {B} [N]; commanded
+    yaw moment [N m]. A bound is (label, level, whether dashed).
+    """
+    record, scenario, known = run.record, run.scenario, run.telemetry("nearest")[:, 0]
+    away, depth = scenario.follower().track(record.eta[:, :2]), path_depths(scenario, record.eta[:, :2])
+    error, rate = run.telemetry("path_error")[:, 1], run.telemetry("nu_reference")[:, 3]
+    nu, forces = record.nu, [*enumerate(("F_u", "F_v", "F_w"))]
+    standoff = [("contact", 0.0, False), ("stand-off", run.gains["margin"], True)]
+    return [
+        ("clearance", "m", [("known to the law", np.where(known < _UNKNOWN, known, np.nan), 1, True),
+                            ("true", record.clearance, 0, False)], standoff),
+        ("path error", "m", [("y_e in the law", error, 1, True), ("distance to path", away, 0, False),
+                             ("z error", record.eta[:, 2] - depth, 2, False)], []),
+        ("velocity in {B}", "m/s", [*((name, nu[:, k], k, False) for k, name in enumerate("uvw")),
+                                    ("√(u² + v²)", np.hypot(nu[:, 0], nu[:, 1]), 3, False)],
+         [("speed limit", scenario.cap, True)]),
+        ("yaw rate", "rad/s", [("r commanded", rate, 1, True), ("r", nu[:, 3], 0, False)], []),
+        ("force", "N", [(name, record.tau[:, k], k, True) for k, name in reversed(forces)],  # surge on top
+         _limits(command_range(run.vehicle)[:, :3])),
+        ("yaw moment", "N m", [("F_r", record.tau[:, 3], 0, True)],
+         _limits(command_range(run.vehicle.at_speed(scenario.cruise))[:, 3:])),
+    ]  # fmt: skip
 
 
-def plot_velocity(run: Run, ax: Axes | None = None) -> Axes:
-    """Plot the ground velocity u, v, w in the body frame {B} and the horizontal speed [m/s], with the speed limit."""
-    ax = _axes(run, ax, title="velocity in {B}", unit="m/s")
-    nu = run.record.nu
-    for k, name in enumerate("uvw"):
-        curve(ax, run.record.time, nu[:, k], label=name, k=k)
-    curve(ax, run.record.time, np.hypot(nu[:, 0], nu[:, 1]), label="√(u² + v²)", k=3)
-    ax.axhline(run.scenario.cap, color=BAD, linewidth=1.0, linestyle="--", label="speed limit")
-    legend_above(ax)
-    return ax
+def _limits(limits: NDArray[np.float64]) -> list[tuple[str, float, bool]]:
+    return [("" if k else "limit", level, True) for k, level in enumerate(np.unique(limits).tolist())]
 
 
-def plot_yaw_rate(run: Run, ax: Axes | None = None) -> Axes:
-    """Plot the yaw rate r [rad/s] of the robot, and the yaw rate that the law commands."""
-    ax = _axes(run, ax, title="yaw rate", unit="rad/s")
-    curve(ax, run.record.time, run.telemetry("nu_reference")[:, 3], label="r commanded", k=1, faint=True)
-    curve(ax, run.record.time, run.record.nu[:, 3], label="r", k=0)
-    legend_above(ax)
-    return ax
-
-
-def plot_force(run: Run, ax: Axes | None = None) -> Axes:
-    """Plot the commanded forces F_u, F_v, F_w in the body frame {B} [N], with their limits."""
-    ax = _axes(run, ax, title="force", unit="N")
-    for k, name in reversed([*enumerate(("F_u", "F_v", "F_w"))]):  # surge on top
-        curve(ax, run.record.time, run.record.tau[:, k], label=name, k=k, faint=True)
-    _limits(ax, command_range(run.vehicle)[:, :3])
-    legend_above(ax)
-    return ax
-
-
-def plot_moment(run: Run, ax: Axes | None = None) -> Axes:
-    """Plot the commanded yaw moment F_r [N m], with its limit."""
-    ax = _axes(run, ax, title="yaw moment", unit="N m")
-    curve(ax, run.record.time, run.record.tau[:, 3], label="F_r", k=0, faint=True)
-    _limits(ax, command_range(run.vehicle.at_speed(run.scenario.cruise))[:, 3:])
-    legend_above(ax)
-    return ax
-
-
-def _limits(ax: Axes, limits: NDArray[np.float64]) -> None:
-    for k, limit in enumerate(np.unique(limits)):
-        ax.axhline(limit, color=BAD, linewidth=1.0, linestyle="--", label="" if k else "limit")
-
-
-def _axes(run: Run, ax: Axes | None, *, title: str, unit: str) -> Axes:
+def _axes(run: Run, ax: Axes, *, title: str, unit: str) -> None:
     # shaded dark where the law avoids and light where it returns to the path
-    if ax is None:
-        ax = new_figure(6.0, 3.0).add_subplot()
     dress(ax, x="time [s]", y=f"{title} [{unit}]")
     time = run.record.time
     if time[-1] > 0:
@@ -153,7 +123,6 @@ def _axes(run: Run, ax: Axes | None, *, title: str, unit: str) -> Axes:
     for mask, strength in ((avoiding > 0.5, 0.20), (returning, 0.07)):
         for begin, end in spans(time, mask):
             ax.axvspan(begin, end, color=AVOIDING, alpha=strength, linewidth=0.0, zorder=0)
-    return ax
 
 
 def spans(time: NDArray[np.float64], mask: NDArray[np.bool_]) -> list[tuple[float, float]]:

@@ -11,7 +11,7 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cache
-from typing import Protocol, TypeAlias
+from typing import Any, Protocol, TypeAlias
 
 import casadi as ca
 import numpy as np
@@ -185,6 +185,19 @@ def case_of(
         barrier=law.barrier,
         movers=law.movers,
     )
+
+
+def simulate_case(
+    case: Case, *, seed: int = 0, draw: Mapping[str, float] | None = None, law: Law | None = None, **options: Any
+) -> Run:
+    """Simulate a case by `simulate` with its further `options`.
+
+    `draw` are parameters in which the simulated vehicle differs from that of the case, in its file's units; the law has
+    the model of the case. `law` is the law of the case, if it was built before.
+    """
+    vehicle, law = case.vehicle.with_values(draw) if draw else case.vehicle, law or case.build()
+    about: dict[str, Any] = {"gains": case.gains, "sensing": case.sensing, "model": case.model or case.vehicle}
+    return simulate(case.scenario, vehicle, law=law, seed=seed, **about, **options)
 
 
 def _record(world: World, run: SingleRun, rows: Sequence[tuple[object, ...]], fed: Sequence[Vector]) -> Record:

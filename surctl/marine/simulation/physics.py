@@ -25,17 +25,13 @@ from surctl.marine.world import Box, Disc
 _RK4_STEPS = (0.010, 0.010, 0.005)
 
 
+@cache
 def advance(form: PlantForm = PAPER) -> ca.Function:
     """Return a CasADi function that integrates the plant over 25 ms by RK4, in steps of 10, 10 and 5 ms.
 
     From the plant state x, the commanded thrust, the disturbance d and the plant parameters p it computes the next
     state; `form` says which optional terms the dynamics have.
     """
-    return _advance(form)
-
-
-@cache
-def _advance(form: PlantForm) -> ca.Function:
     ode = build_plant(form).ode
     x, tau, d, p = (ca.SX.sym(n, ode.numel_in(i)) for i, n in enumerate(("x", "tau", "d", "p")))
     state = x
@@ -51,7 +47,7 @@ def _advance(form: PlantForm) -> ca.Function:
 @cache
 def advanced(form: PlantForm) -> Callable[..., list[NDArray[np.float64]]]:
     """Return `advance` as a function of NumPy vectors."""
-    return on_vectors(_advance(form))
+    return on_vectors(advance(form))
 
 
 Vector: TypeAlias = NDArray[np.float64]

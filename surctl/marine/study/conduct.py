@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -27,7 +26,7 @@ from surctl.marine.verification import law_loop, over_speeds
 from surctl.marine.verification.library import applicable_claims
 from surctl.marine.verification.region import refused_regions
 from surctl.marine.verification.speeds import OverSpeeds, speeds_text
-from surctl.study import Progress, Saving, StudyParts, conduct_parts
+from surctl.study import StudyParts
 from surctl.system import LinearLoop
 from surctl.tuning import LocalExecutor, SweepTable, grid, sweep
 from surctl.verification import Inapplicable, LoopMargins, Verdict, decide
@@ -227,6 +226,28 @@ class Study(StudyParts):
         deciding: for each run, whether the run counts towards the result of the study.
         replayed: the sonar runs that were repeated with the exported C; without sonars (`Plan.unheard`), the runs with
             true positions. These are the runs of the exported law in which the hull fits the site.
+
+    Example:
+        >>> from pathlib import Path
+        >>> from surctl.marine.study import Study, load_plan
+        >>> from surctl.study import conduct_parts
+        >>> _ = Path("mine.toml").write_text('''
+        ... kind = "study"
+        ... name = "mine"
+        ... vehicle = "sur400"
+        ... law = "paper"
+        ... claims = ["m-norm-corrected"]
+        ... [[runs]]
+        ... scenario = "pool-speed-010"
+        ... [sweep]
+        ... axes = [{ gain = "k_v", values = [1.5] }]
+        ... ''')
+        >>> study = Study(plan=load_plan("mine.toml"), workers=1)
+        >>> conduct_parts(study, Path("out"))
+        >>> sorted(path.name for path in Path("out").iterdir())
+        ['export', 'gains.toml', 'report.html', 'sweep.nc']
+        >>> study.verdicts[0].verdict, study.runs[0].metrics.stopped_because, study.sil[0].passed
+        ('proved', 'reached', True)
     """
 
     plan: Plan
@@ -364,56 +385,6 @@ class Study(StudyParts):
             ],
             "export": data["export"] | {"sensing": _sensing(plan)},
         }
-
-
-def conduct(
-    plan: Plan,
-    out: Path,
-    *,
-    workers: int = 2,
-    progress: Progress = lambda _: None,
-    command: str = "",
-    film: bool = False,
-    saving: Saving = nullcontext,
-) -> Study:
-    """Conduct all parts of the study that the plan contains and return the finished study.
-
-    Args:
-        plan: the plan of the study to conduct.
-        out: output folder for report, gain file, sweep table and exported C bundle.
-        workers: number of processes that compute the sweep.
-        progress: function that receives one line of text at each step of the work.
-        command: the command line that the report shows.
-        film: whether the report shows MuJoCo's pictures of the scene beside the plan view of the decisive run.
-        saving: returns a context for the named part of the report, which may suppress the errors of that part.
-
-    Raises:
-        InputError: the folder cannot be written, there is no compiler, or the law cannot use the
-            sonars of a scenario. All these errors are raised before the long computations start.
-
-    Example:
-        >>> from pathlib import Path
-        >>> from surctl.marine.study import conduct, load_plan
-        >>> _ = Path("mine.toml").write_text('''
-        ... kind = "study"
-        ... name = "mine"
-        ... vehicle = "sur400"
-        ... law = "paper"
-        ... claims = ["m-norm-corrected"]
-        ... [[runs]]
-        ... scenario = "pool-speed-010"
-        ... [sweep]
-        ... axes = [{ gain = "k_v", values = [1.5] }]
-        ... ''')
-        >>> study = conduct(load_plan("mine.toml"), Path("out"), workers=1)
-        >>> sorted(path.name for path in Path("out").iterdir())
-        ['export', 'gains.toml', 'report.html', 'sweep.nc']
-        >>> study.verdicts[0].verdict, study.runs[0].metrics.stopped_because, study.sil[0].passed
-        ('proved', 'reached', True)
-    """
-    study = Study(plan=plan, workers=workers, progress=progress, command=command, film=film, saving=saving)
-    conduct_parts(study, out)
-    return study
 
 
 def _fastest(plan: Plan) -> Scenario:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from surctl.errors import InputError, SurctlError
 from surctl.marine.simulation.batch.case import Case
 from surctl.marine.simulation.fit import findings
-from surctl.marine.simulation.loop import simulate
+from surctl.marine.simulation.loop import simulate_case
 from surctl.marine.simulation.motion import closest
 from surctl.marine.simulation.obstacle import Obstacle
 from surctl.marine.simulation.run import Run
@@ -42,16 +42,7 @@ class SampledRun:
 
     def simulate(self) -> Run:
         """Simulate the run with `simulate`, that is, without compiled code."""
-        case = self.case
-        return simulate(
-            case.scenario,
-            case.vehicle.with_values(self.draw),
-            gains=case.gains,
-            law=case.build(),
-            sensing=case.sensing,
-            seed=self.seed,
-            model=case.model or case.vehicle,
-        )
+        return simulate_case(self.case, seed=self.seed, draw=self.draw)
 
 
 @dataclass(frozen=True)
@@ -76,13 +67,18 @@ class Plan(ABC):
         return np.arange(self.first + first, self.first + first + count)
 
     @property
-    @abstractmethod
     def names(self) -> tuple[str, ...]:
         """Names of the parameters that the plan draws at random."""
+        return tuple(self._row(0))
 
-    @abstractmethod
     def values(self, first: int, count: int) -> Columns:
         """Return the drawn values (count,) of the runs from number `first` on, by parameter name."""
+        rows = [self._row(k) for k in range(first, first + count)]
+        return {name: np.array([row[name] for row in rows]) for name in self.names}
+
+    @abstractmethod
+    def _row(self, k: int) -> Mapping[str, float]:
+        """Return the drawn values of run number k, by parameter name."""
 
     @abstractmethod
     def run(self, k: int) -> SampledRun:
@@ -122,16 +118,6 @@ class MonteCarlo(Plan):
                 value=u.obstacle_size,
                 remedy="lower it",
             ) from None
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the drawn parameters, see `Plan.names`."""
-        return tuple(self._row(0))
-
-    def values(self, first: int, count: int) -> Mapping[str, NDArray[np.float64]]:
-        """Return the drawn values of `count` runs, see `Plan.values`."""
-        rows = [self._row(k) for k in range(first, first + count)]
-        return {name: np.array([row[name] for row in rows]) for name in (rows[0] if rows else ())}
 
     def run(self, k: int) -> SampledRun:
         """Return run number k, see `Plan.run`."""
@@ -292,17 +278,6 @@ class RandomWorlds(Plan):
         if force := self.case.scenario.disturbance.wave_force_n:
             problem = "must be 0, since random worlds have no waves"
             raise InputError(problem, key="disturbance.wave_force_n", value=force, remedy="write 0")
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the drawn parameters, see `Plan.names`."""
-        plant = [f"plant.{name}" for name in self._draw(0)]
-        return (*plant, *(name for o in self.case.scenario.obstacles for name in _values(o, there=False)))
-
-    def values(self, first: int, count: int) -> Mapping[str, NDArray[np.float64]]:
-        """Return the drawn values of `count` runs, see `Plan.values`."""
-        rows = [self._row(k) for k in range(first, first + count)]
-        return {name: np.array([row[name] for row in rows]) for name in self.names}
 
     def run(self, k: int) -> SampledRun:
         """Return run number k, see `Plan.run`."""
