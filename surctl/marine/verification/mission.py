@@ -43,7 +43,7 @@ USUAL = "region-turning-20-scale"
 
 _SLACK = 1e-6  # relative; covers the rounding of a level and of a multiplier
 _STEPS = 40  # bisections of the level at the start
-_RATE = 0.02  # 1/s, decay rate of the region with a start at rest
+_PACE = 0.6  # 1/m, largest decay rate that the search asks for, per distance of the target
 _SLOWER = (0.8, 0.6, 0.45, 0.3, 0.2, 0.14)  # shares of the cruise speed for which the next step is searched
 
 
@@ -140,19 +140,17 @@ def mission_claim(
         raise NotApplicable("its path changes the depth or the speed", to="this mission")
     if scenario.visit is not None:
         raise NotApplicable("the robot stops at corners that it visits", to="this mission")
-    if statement.loop != "turning":
-        raise NotApplicable(f"{statement.name} is not a region claim of the loop turning", to="this mission")
-    # at a corner, the heading loop asks for the gain times the turn
-    turns = np.abs(np.angle(np.exp(1j * np.diff(np.angle(np.diff(path.waypoints, axis=0) @ [1, 1j])))))
-    yaw = round(float(np.ceil(1e3 * gains["k_psi"] * turns.max(initial=0.0)) / 1e3), 3)
-    statement = statement.model_copy(update={
-        "at_rest": at_rest, "yaw_rate_rad_per_s": max(statement.yaw_rate_rad_per_s, yaw),
-        "rate_per_s": min(statement.rate_per_s, _RATE) if at_rest else statement.rate_per_s,
-    })  # fmt: skip
+    turns = np.diff(np.angle(np.diff(path.waypoints, axis=0) @ [1, 1j]))
     loop = statement.claim(vehicle, gains, cruise=cruise, cap=cap)
-    assert isinstance(loop, TurningClaim)
-    if loop.lag:
-        raise NotApplicable("the chain of regions does not cover thrust lag", to="this region claim")
+    if not isinstance(loop, TurningClaim):
+        raise NotApplicable(f"{statement.name} is not a claim about a cruise under the law guarded", to="this mission")
+    # at a corner, the heading loop asks for the gain times the turn, and the target's velocity jumps
+    yaw = float(np.abs(np.angle(np.exp(1j * turns))).max(initial=0.0) * gains["k_psi"])
+    jumps = [loop.cruise * (np.exp(1j * turn) - 1) for turn in turns] + [complex(-loop.cruise)] * at_rest
+    loop = replace(
+        loop, rest=False, yaw_rate=max(loop.yaw_rate, round(float(np.ceil(1e3 * yaw) / 1e3), 3)),
+        rate=min(loop.rate, _PACE * loop.cruise), jumps=tuple((float(jump.real), float(jump.imag)) for jump in jumps),
+    )  # fmt: skip
     current = float(np.hypot(*scenario.disturbance.current_m_per_s))
     if current > loop.current:
         why = f"its current of {current:.3g} m/s exceeds the {loop.current:g} m/s of {statement.name}"
