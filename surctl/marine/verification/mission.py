@@ -43,7 +43,8 @@ USUAL = "region-turning-20-scale"
 
 _SLACK = 1e-6  # relative; covers the rounding of a level and of a multiplier
 _STEPS = 40  # bisections of the level at the start
-_PACE = 0.6  # 1/m, largest decay rate that the search asks for, per distance of the target
+_LEFT = 1.0  # s, time in which the target moves as far as the robot may be beside the path at a corner
+_FALL = 0.6  # of −ln V on the shortest leg, by the decay rate that the search asks for in the largest region
 _SLOWER = (0.8, 0.6, 0.45, 0.3, 0.2, 0.14)  # shares of the cruise speed for which the next step is searched
 
 
@@ -146,10 +147,12 @@ def mission_claim(
         raise NotApplicable(f"{statement.name} is not a claim about a cruise under the law guarded", to="this mission")
     # at a corner, the heading loop asks for the gain times the turn, and the target's velocity jumps
     yaw = float(np.abs(np.angle(np.exp(1j * turns))).max(initial=0.0) * gains["k_psi"])
-    jumps = [loop.cruise * (np.exp(1j * turn) - 1) for turn in turns] + [complex(-loop.cruise)] * at_rest
+    leaps = [(side * _LEFT * loop.cruise, loop.cruise * (np.exp(1j * turn) - 1)) for turn in turns for side in (1, -1)]
+    jumps = leaps + [(0.0, complex(-loop.cruise))] * at_rest
     loop = replace(
         loop, rest=False, yaw_rate=max(loop.yaw_rate, round(float(np.ceil(1e3 * yaw) / 1e3), 3)),
-        rate=min(loop.rate, _PACE * loop.cruise), jumps=tuple((float(jump.real), float(jump.imag)) for jump in jumps),
+        rate=min(loop.rate, _FALL * loop.cruise / float(path.lengths.min())),
+        jumps=tuple((x, float(jump.real), float(jump.imag)) for x, jump in jumps),
     )  # fmt: skip
     current = float(np.hypot(*scenario.disturbance.current_m_per_s))
     if current > loop.current:

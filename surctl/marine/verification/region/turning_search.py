@@ -37,7 +37,7 @@ _FIRST = np.array([
 _SMALLER = np.array([0.7, 0.7, 0.7, 1, 2, 2, 0.7])  # of the first start values, if none of them has a V
 _SPREAD = np.array([0.2, 0.2, 0.12, 0.2, 0.4, 0.4, 0.15])  # of the start values near the first ones
 _REST = 1.35  # factor of the first velocity deviations if the region must contain a vehicle at rest
-_NARROW, _WIDER = 0.6, 1.1  # factors of the first extents in y and in the velocity, for jumps of the velocity
+_WIDER = 1.1  # factor of the jumps of the velocity in the first velocity deviations
 _ENOUGH = 4  # number of first regions after which the search enlarges the best one
 _GROWTH, _LEAST = 1.25, 1.01  # first and least factor of y in a step, by which the floor is lowered
 _OTHERS = 0.3  # exponent of that factor for x and U_x, without a start at rest
@@ -188,16 +188,16 @@ def _within(least: Array, basis: Array) -> list[Inequality]:
 
 def _starts(claim: TurningClaim, cruise: Cruise, units: Array, basis: Array) -> list[Inequality]:
     """Return x_k ≥ zᵀ P z for the deviation z along the path at the start, for each ω."""
-    rows = []
-    for omega, jump in product(sorted(set(cruise.moved)), jumps_of(claim)):
-        z = np.array([omega / claim.gains["k1"], 0, *jump]) / units
-        rows.append(np.append(-np.einsum("i,kij,j->k", z, basis[:, :4, :4], z), 1.0)[:, None, None])
+    starts = [one / units for one in _deviations(claim, cruise)]
+    rows = [np.append(-np.einsum("i,kij,j->k", z, basis[:, :4, :4], z), 1.0)[:, None, None] for z in starts]
     return [(np.zeros((len(rows), 1, 1)), np.array(rows))]
 
 
-def jumps_of(claim: TurningClaim) -> tuple[tuple[float, float], ...]:
-    """Return the deviations from the target's velocity [m/s] at the starts."""
-    return claim.jumps or ((-claim.cruise if claim.rest else 0.0, 0.0),)
+def _deviations(claim: TurningClaim, cruise: Cruise) -> list[Array]:
+    """Return the deviations (4,) at the starts on the path, for each ω."""
+    jumps = claim.jumps or ((0.0, -claim.cruise if claim.rest else 0.0, 0.0),)
+    pairs = product(sorted(set(cruise.moved)), jumps)
+    return [np.array([omega / claim.gains["k1"] + x, 0.0, u, w]) for omega, (x, u, w) in pairs]
 
 
 def _decay(
@@ -241,9 +241,8 @@ def _first(claim: TurningClaim, away: float, rng: np.random.Generator, k: int, *
     start = _FIRST[k % len(_FIRST)] * (along, beside, speed, fast / beside, 1, 1, beside)
     start = start * np.exp(rng.normal(scale=_SPREAD) * (k >= len(_FIRST)))
     start[0] += away
-    if claim.jumps:  # a short leg must bring V down before the next corner, so y has little room
-        fast = _WIDER * np.abs(claim.jumps).max(axis=0)
-        start[1] *= _NARROW
+    if claim.jumps:
+        fast = _WIDER * np.abs(claim.jumps).max(axis=0)[1:]
         start[2], start[3], start[6] = fast[0], max(fast[1] / start[1], start[3]), 0.0
     start = start * _SMALLER ** (min(smaller, 2) * (_SMALLER > 1) + smaller * (_SMALLER <= 1))
     levels = np.geomspace(min(start[4], _HIGHEST), 1.0, _SHELLS + 1)
@@ -328,7 +327,7 @@ def _grown(claim: TurningClaim, cruise: Cruise, region: _Region, most: int, acti
     while used < most and growth > _LEAST:
         stretch = np.full(len(region.P), growth ** (1.0 if claim.rest or claim.jumps or claim.behind else _OTHERS))
         stretch[[1, 3]] = growth
-        if claim.jumps:
+        if any(x for x, *_ in claim.jumps):  # what is left of y before a corner is a part of x after it
             stretch[1] = 1.0
         bound = np.linalg.inv(region.P) * stretch[:, None] * stretch
         floor = max(float(region.start.levels[0]) / growth, min(_LOWEST, float(region.start.levels[0])))
@@ -349,8 +348,6 @@ def _score(claim: TurningClaim, candidate: TurningCandidate) -> float:
 
 def _size(claim: TurningClaim, candidate: TurningCandidate) -> float:
     if claim.jumps:
-        pairs = product(candidate.cruise.moved, claim.jumps)
-        z = np.array([[omega / claim.gains["k1"], 0, *jump] for omega, jump in pairs])
-        return float(np.einsum("ki,ij,kj->k", z, candidate.P[:4, :4], z).max() ** -0.5)
+        return float(max(z @ candidate.P[:4, :4] @ z for z in _deviations(claim, candidate.cruise)) ** -0.5)
     start = candidate.start(claim, 0.0)
     return min(start, 1.25 * candidate.start(claim, -claim.cruise)) if claim.rest else start
