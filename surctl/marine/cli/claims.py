@@ -230,7 +230,7 @@ def prove_missions(
 ) -> Proofs:  # fmt: skip
     """Prove the claim about the mission of a scenario, with the region claim that a word names for each leg.
 
-    If the claim is not proved, its line ends with a lower cruise speed at which it is proved, if there is one.
+    If the claim is not proved, its line begins with the largest lower cruise speed at which it is proved.
 
     Raises:
         InputError: no scenario is given, or a region claim is unknown.
@@ -265,8 +265,11 @@ def prove_missions(
     with timed(f"{word} at lower speeds"):
         lower = slower(*about, cruise=cruise, cap=cap, seed=seed)
     proofs.claims[0]["at_lower_speed"] = None if lower is None else lower.to_dict()
-    speed = "" if lower is None else f"with --cruise {lower.claim.loop.cruise:g}, {lower.sentence}"
-    proofs.lines[0] += f"; {speed or 'no lower speed is proved'}"
+    sentence = refused[0].sentence if refused else proof.sentence
+    line = f"{sentence}; no lower speed is proved"
+    if lower is not None:
+        line = f"with --cruise {lower.claim.loop.cruise:g}, {lower.sentence}; at {cruise:g} m/s, {sentence}"
+    proofs.lines[0] = proofs.lines[0].replace(sentence, line)
     return proofs
 
 

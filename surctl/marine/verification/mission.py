@@ -45,7 +45,7 @@ _SLACK = 1e-6  # relative; covers the rounding of a level and of a multiplier
 _STEPS = 40  # bisections of the level at the start
 _LEFT = 1.0  # s, time in which the target moves as far as the robot may be beside the path at a corner
 _FALL = 0.6  # of −ln V on the shortest leg, by the decay rate that the search asks for in the largest region
-_SLOWER = (0.8, 0.6, 0.45, 0.3, 0.2, 0.14)  # shares of the cruise speed for which the next step is searched
+_SPEEDS, _HALVINGS = 8, 4  # most lower cruise speeds that are tried, and most halvings without a proof
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,8 @@ class MissionProof(Certified):
         loop, legs = self.claim.loop, len(self.claim.path) - 1
         begun = "at rest" if self.claim.at_rest else "at the target's velocity, not at rest,"
         seconds = float(np.linalg.norm(np.diff(self.claim.path, axis=0), axis=1).sum()) / loop.cruise
-        without = "obstacles, walls and thrust lag" if loop.period else "obstacles, walls, thrust lag and held commands"
+        left_out = ["obstacles", "walls", *["thrust lag"] * (not loop.lag), *["held commands"] * (not loop.period)]
+        without = f"{', '.join(left_out[:-1])} and {left_out[-1]}"
         along, across = self.within
         alike = "" if loop.mass_asymmetry else " by the same factor"
         return (
@@ -339,18 +340,26 @@ def slower(
     scenario: Scenario, vehicle: Vehicle, gains: Gains, region: RegionStatement | None = None,
     *, cruise: float, cap: float, seed: int = 0,
 ) -> MissionProof | None:  # fmt: skip
-    """Return a proof of the mission at a lower cruise speed, if possible from rest; None if there is none.
+    """Return the proof at the largest lower cruise speed that a bisection finds, if possible from rest, or None.
 
     The arguments are those of `prove_scenario`.
     """
-    best = None
-    for share in _SLOWER:
-        speed = float(f"{share * cruise:.2g}")
-        proof = prove_scenario(scenario, vehicle, gains, region, cruise=speed, cap=cap, seed=seed)
-        if proof.useful:
-            return proof
-        best = proof if best is None and proof.verdict == "proved" else best
-    return best
+    statement = region_statement(USUAL) if region is None else region
+    for at_rest in (True, False):
+        low, high, best = 0.0, cruise, None
+        for k in range(_SPEEDS):
+            speed = float(f"{np.sqrt(low * high) or high / 2:.2g}")
+            if speed in (low, high) or (best is None and k > _HALVINGS):
+                break
+            claim = mission_claim(scenario, vehicle, gains, statement, cruise=speed, cap=cap, at_rest=at_rest)
+            proof = prove_mission(claim, attempts=statement.attempts, seed=seed)
+            if proof.verdict == "proved":
+                best, low = proof, speed
+            else:
+                high = speed
+        if best is not None:
+            return best
+    return None
 
 
 def tube_radii(document: Mapping[str, Any], points: int = 41) -> list[Array]:
