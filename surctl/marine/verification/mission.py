@@ -44,7 +44,7 @@ USUAL = "region-turning-20-scale"
 _SLACK = 1e-6  # relative; covers the rounding of a level and of a multiplier
 _STEPS = 40  # bisections of the level at the start
 _LEFT = 1.0  # s, time in which the target moves as far as the robot may be beside the path at a corner
-_FALL = 0.6  # of −ln V on the shortest leg, by the decay rate that the search asks for in the largest region
+_FALL, _STRAIGHT = 0.6, 0.1  # of −ln V on the shortest leg, at the decay rate of the outermost shell
 _SPEEDS, _HALVINGS = 8, 4  # most lower cruise speeds that are tried, and most halvings without a proof
 
 
@@ -150,9 +150,11 @@ def mission_claim(
     yaw = float(np.abs(np.angle(np.exp(1j * turns))).max(initial=0.0) * gains["k_psi"])
     leaps = [(side * _LEFT * loop.cruise, loop.cruise * (np.exp(1j * turn) - 1)) for turn in turns for side in (1, -1)]
     jumps = leaps + [(0.0, complex(-loop.cruise))] * at_rest
+    # on a short leg V must fall before the next corner; without corners, a low rate allows a larger region
+    fall = _FALL if len(turns) else _STRAIGHT if at_rest else np.inf
     loop = replace(
         loop, rest=False, yaw_rate=max(loop.yaw_rate, round(float(np.ceil(1e3 * yaw) / 1e3), 3)),
-        rate=min(loop.rate, _FALL * loop.cruise / float(path.lengths.min())),
+        rate=min(loop.rate, fall * loop.cruise / float(path.lengths.min())),
         jumps=tuple((x, float(jump.real), float(jump.imag)) for x, jump in jumps),
     )  # fmt: skip
     current = float(np.hypot(*scenario.disturbance.current_m_per_s))
