@@ -24,7 +24,7 @@ from surctl.marine.verification.region.turning_loop import Cruise, Vertices, ver
 Array = NDArray[np.float64]
 Numbers = NDArray[np.intp]
 
-_RATIO = 0.82  # of the two levels of the outermost shell
+_RATIO, _THIN = 0.82, 0.95  # of the two levels of the outermost shell
 _THICKEST, _THINNEST = 0.4, 0.96  # ratios of the two levels of a shell
 _MOST = 20  # largest number of shells
 _MARGIN = 0.005  # [1/s] reserve of the decay rate, for points between the headings of the grid
@@ -164,7 +164,8 @@ def fitted(claim: TurningClaim, cruise: Cruise, P: Array, guess: float) -> Turni
     for _ in range(_STEPS):
         middle = np.sqrt(low * high)
         low, high = (middle, high) if holds(middle) else (low, middle)
-    top, ratio, growth = low, _RATIO, guess
+    # a region for jumps of the velocity is so large that V hardly decays at its border, but soon faster inside
+    top, ratio, growth = low, _THIN if claim.jumps else _RATIO, guess
     levels: list[float] = [1.0]
     growths, rates = list[float](), list[float]()
     while len(growths) < _MOST and ratio < _THINNEST:
