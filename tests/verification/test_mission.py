@@ -15,7 +15,14 @@ from surctl.marine.guidance import path as guidance
 from surctl.marine.simulation import Scenario, load_scenario
 from surctl.marine.vehicle import load_vehicle
 from surctl.marine.verification import mission
-from surctl.marine.verification.mission import MissionClaim, MissionProof, mission_claim, prove_scenario, slower
+from surctl.marine.verification.mission import (
+    MissionClaim,
+    MissionProof,
+    mission_claim,
+    prove_mission,
+    prove_scenario,
+    slower,
+)
 from surctl.marine.verification.region import RegionStatement, region_statement
 
 VEHICLE, GAINS = load_vehicle("sur540-flooded"), load_gains("default")
@@ -115,3 +122,12 @@ def test_the_largest_lower_speed(
     lower = slower(load_scenario("tank-static"), VEHICLE, GAINS, cruise=0.2, cap=0.22)
     assert (lower and (lower.claim.loop.cruise, lower.claim.at_rest)) == found
     assert len(tried) <= 16
+
+
+def test_the_longest_path_of_the_library_is_proved() -> None:
+    scenario, statement = load_scenario("tank-slalom"), region_statement(mission.USUAL)
+    one = mission_claim(scenario, VEHICLE, GAINS, statement, cruise=0.02, cap=0.22, at_rest=True)
+    proof = prove_mission(one, attempts=24)
+    assert (proof.verdict, proof.useful) == ("proved", True), proof.reason
+    rates = [shell["rate"] for shell in proof.document["proof"]["loop"]["shells"]]
+    assert max(rates) > 3 * rates[-1]  # V falls faster inside the region than at its border
