@@ -17,7 +17,17 @@ import pytest
 
 from surctl.certcheck import check_document, mission, turning
 from surctl.certcheck.document import Rejected
-from surctl.certcheck.mission import ON_LEG, Funnel, decayed, funnel_of, leg_length, places, read_claim, starts
+from surctl.certcheck.mission import (
+    ON_LEG,
+    Funnel,
+    decayed,
+    funnel_of,
+    leg_length,
+    places,
+    read_claim,
+    starts,
+    turned,
+)
 from surctl.certcheck.region_exact import root_up
 from surctl.certcheck.turning_claim import TurningClaim
 from surctl.certcheck.turning_law import commanded
@@ -220,9 +230,10 @@ def test_v_falls_at_the_rate_of_each_shell() -> None:
         time, high = until, low
 
 
+@pytest.mark.parametrize("member", [LAG_20, "region-cruise-20-lag"])  # axes with other and with equal drag
 @pytest.mark.parametrize("degrees", [0, 20, 45, 77, 90, 200, 301])
-def test_the_thrust_of_every_steady_cruise_is_covered(degrees: float) -> None:
-    whole = built(STRAIGHT, LAG_20)
+def test_the_thrust_of_every_steady_cruise_is_covered(degrees: float, member: str) -> None:
+    whole = built(STRAIGHT, member, at_rest=False)
     loop = read_claim(whole["claim"]).loop
     ends = sorted({tuple(map(float, e)) for e in funnel_of(loop, whole["proof"]["loop"]).steady})
     assert len(ends) == 8 and ends[0][0] < 0 < ends[-1][0]
@@ -231,8 +242,25 @@ def test_the_thrust_of_every_steady_cruise_is_covered(degrees: float) -> None:
         first, second = np.array(ends[:4])[:, 4:], np.array(ends[4:])[:, 4:]
         low, high = ((1 - share) * f(first, axis=0) + share * f(second, axis=0) for f in (np.min, np.max))
         q = thrust_of(loop, np.array([x]), np.radians([degrees]))[0]
-        assert np.all(low <= q) and np.all(q <= high)
+        assert np.all(low - 1e-12 <= q) and np.all(q <= high + 1e-12)
         assert high[0] - low[0] < 1.0 * abs(high[0])
+
+
+def test_the_thrust_of_a_corner_and_of_a_start_at_rest() -> None:
+    whole, psi, turn = built(SLIGHT, LAG), np.linspace(0, 2 * np.pi, 721), 1.1
+    stated = read_claim(whole["claim"])
+    loop, funnel = stated.loop, funnel_of(stated.loop, whole["proof"]["loop"])
+    c, s, x = np.cos(turn), np.sin(turn), float(funnel.steady[0][0]) + 0 * psi
+    before, after = thrust_of(loop, x, psi), thrust_of(loop, x, psi - turn)
+    jumps = before @ np.array([[c, -s], [s, c]]) - after
+    found = turned(stated, funnel, Fraction(c), Fraction(s))[1]
+    assert len(found) == 16  # the heading may be any before and after the corner
+    ways = np.stack([np.cos(psi), np.sin(psi)])
+    for states, true in ((found, jumps), (starts(stated, funnel), -before)):
+        allowed = np.array([[float(entry) for entry in state[4:]] for state in states]) @ ways
+        assert np.all((true @ ways).max(axis=0) <= allowed.max(axis=0) + 1e-12)
+    moving = starts(replace(stated, at_rest=False), funnel)
+    assert all(state[2:] == [0, 0, 0, 0] for state in moving)
 
 
 def thrust_of(loop: TurningClaim, x: Any, psi: Any) -> Any:
