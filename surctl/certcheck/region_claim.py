@@ -51,7 +51,7 @@ def read_shells(proof: Mapping[str, Any], most: int, rate: Fraction) -> list[tup
     shells = proof["shells"]
     if not isinstance(shells, list) or not 1 <= len(shells) <= most:
         raise Rejected(f"proof.shells must hold 1 to {most} shells")
-    low, read = number(proof["floor"], "proof.floor", above=True), []
+    low, read = number(proof["floor"], "proof.floor", above=True), list[tuple[Fraction, ...]]()
     for entry in shells:
         faster = isinstance(entry, dict) and "rate" in entry
         one = record(entry, ("level", "growth", "rate") if faster else ("level", "growth"), "a shell")
