@@ -2,33 +2,34 @@
 
 The certificate contains the claim and the proof of a `turning` certificate, which says: on a straight leg of any
 direction, V(t) ≤ max(e^(−a t) V(0), floor) from every state with V ≤ 1, where V = (ξ − ξ*)ᵀ P (ξ − ξ*), ξ = (x_e, y_e,
-U_x, U_y) in the frame of the leg, and ξ* = (x*, y*, v, 0) is the steady cruise. The chain has one level for each leg:
+U_x, U_y) in the frame of the leg, and ξ* = (x*, y*, v, 0) is the steady cruise. With thrust lag, ξ also has the thrust,
+whose steady value depends on the heading (`steady_states`). The chain has one level for each leg:
 
 - start: every state with |x_e| and |y_e| up to `within_m`, at rest or with the target's velocity, has V ≤ the level of
   the first leg;
 - leg: the target moves at v, so it needs at least T = L/v − h for a leg of length L, where h is the control period (0
-  if commands are not held). So V falls to at most max(e^(−a T) level, floor);
+  if commands are not held). In this time V falls through the shells of the region, each with its own decay rate;
 - corner: the law passes to the next leg at the first control instant at which the target has passed the corner, by a
-  distance d in [0, v h]. Let R be the rotation into the frame of the next leg. With e = (x*, y*) and e' the steady
-  position on the next leg, which is the same without a current,
+  distance d in [0, v h]. With the steady cruises ξ* and ξ*' on both legs, the rotation R of each pair of entries into
+  the frame of the next leg, and n = (1, 0, …),
 
-      ξ' − ξ*' = R (ξ − ξ*) + (R (e + d n) − d n − e', (R − 1) v n),    n = (1, 0).
+      ξ' − ξ*' = R (ξ − ξ*) + R (ξ* + d n) − d n − ξ*'.
 
   So V ≤ level on one leg implies V' ≤ level' on the next one if a matrix of the S-procedure is positive definite for
-  the ends of the ranges of e, e' and d, of which V' is convex;
+  the ends of the ranges of ξ*, ξ*' and d, of which V' is convex. Without a current, x* and y* do not change;
 - before a corner, the target could leave out a part of the path if the robot were far from the leg (`places`).
 
-All numbers are exact rational numbers. R has square roots; `_PRECISION` bounds the errors of its entries, and the level
-of the next leg is reduced by their largest effect.
+All numbers are exact rational numbers; e^x and ln x are rounded up. R has square roots; `_PRECISION` bounds the errors
+of its entries, and the level of the next leg is reduced by their largest effect.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from itertools import pairwise
-from math import isqrt
+from itertools import pairwise, product
 from typing import Any
 
 from surctl.certcheck import turning
@@ -39,25 +40,28 @@ from surctl.certcheck.region_exact import (
     Matrix,
     inverse,
     is_positive_definite,
-    product,
     quadratic,
     root_down,
     root_up,
     transpose,
 )
+from surctl.certcheck.region_exact import product as multiplied
+from surctl.certcheck.turning_cells import Trim
 from surctl.certcheck.turning_claim import EXCLUDES as LOOP_EXCLUDES
 from surctl.certcheck.turning_claim import TurningClaim
 from surctl.certcheck.turning_claim import read_claim as read_loop
+from surctl.certcheck.turning_terms import UP
 
 __all__ = [
     "EXCLUDES", "ON_LEG", "Funnel", "Mission", "check", "decayed", "funnel_of", "leg_length", "places", "read_claim",
-    "starts", "turn_of", "turned",
+    "starts", "steady_states", "turn_of", "turned",
 ]  # fmt: skip
 
 EXCLUDES = (
     "the path is a polyline whose corners are passed, not visited; the cruise speed and the depth are the same on all "
     "of it, and the target's position on it has no rounding error",
     "the motion after the target has reached the end of the path, where it stops, is not covered",
+    "a robot that begins at rest begins without thrust; one with the target's velocity has the thrust of steady cruise",
     *LOOP_EXCLUDES[1:],
 )
 """Restrictions of the claim; a certificate repeats the restrictions word for word."""
@@ -65,7 +69,7 @@ EXCLUDES = (
 ON_LEG = Fraction(1, 10)
 """Distance to a leg [m] within which the robot follows the leg to its end (`guidance.next_leg`)."""
 
-_MOST_POINTS, _TERMS = 400, 24
+_MOST_POINTS = 400
 _SCALE = 10**30
 _PRECISION = Fraction(1, 10**15)  # error of a cosine and of a sine, for legs of at least 1e-6 m
 _SHORTEST = Fraction(1, 10**6)  # m
@@ -100,30 +104,33 @@ class Mission:
 
 @dataclass(frozen=True)
 class Funnel:
-    """V and its steady cruise: P, the floor, the ranges of x* and of |y*| [m], and entries of the covariance P⁻¹.
+    """V and its steady cruise: P, the floor, and entries of the covariance P⁻¹.
 
-    `spread` are the variances of x_e and y_e, which have no covariance; `trace` is the trace of P⁻¹.
+    `steady` are states ξ*, of which every steady cruise is a convex combination. `spread` are the variances of x_e and
+    y_e, which have no covariance; `trace` is the trace of P⁻¹. `shells` has the lower level of each shell and the decay
+    rate in it [1/s], the outermost shell first.
     """
 
     p: Matrix
     floor: Fraction
-    along: tuple[Fraction, Fraction]
-    beside: Fraction
+    steady: list[list[Fraction]]
     spread: Pair
     trace: Fraction
+    shells: list[Pair]
+
+    @property
+    def away(self) -> Pair:
+        """Return the largest |x*| and |y*| [m]."""
+        return max(abs(e[0]) for e in self.steady), max(abs(e[1]) for e in self.steady)
 
     def extent(self, level: Fraction) -> Fraction:
         """Return the largest distance of the robot from the target in V ≤ level [m].
 
         With A and B the variances of x_e and y_e, (δx + x*)² ≤ (1 + t) δx² + (1 + 1/t) x*² for t = B/A − 1 > 0.
         """
-        (a, b), away = self.spread, max(map(abs, self.along))
+        (a, b), (away, beside) = self.spread, self.away
         far = root_up(max(a, b) * level) + away
-        return (min(far, root_up(b * level + away * away * b / (b - a))) if b > a else far) + self.beside
-
-    def steady(self) -> list[Pair]:
-        """Return the ends of the range of (x*, y*)."""
-        return [(x, y) for x in sorted(set(self.along)) for y in sorted({self.beside, -self.beside})]
+        return (min(far, root_up(b * level + away * away * b / (b - a))) if b > a else far) + beside
 
 
 def read_claim(value: Any) -> Mission:
@@ -177,8 +184,6 @@ def check(document: Mapping[str, Any]) -> None:
     record(document, ("format", "version", "kind", "claim", "proof", "sha256"), "the certificate")
     mission = read_claim(document.get("claim"))
     proof = record(document.get("proof"), ("loop", "levels", "multipliers"), "proof")
-    if mission.loop.lag[1]:
-        raise Rejected("a mission whose thrust lags behind its command is not covered: the command jumps at a corner")
     turning.check(seal("turning", document["claim"]["loop"], {"proof": proof["loop"]}))
     legs = len(mission.path) - 1
     for key, count in (("levels", legs), ("multipliers", legs - 1)):
@@ -210,40 +215,58 @@ def check(document: Mapping[str, Any]) -> None:
 
 def funnel_of(claim: TurningClaim, proof: Mapping[str, Any]) -> Funnel:
     """Return V and its steady cruise from a proof that the check of a `turning` certificate accepts."""
-    p, trim = triangle(proof["P"], 4, "proof.P"), turning.cruise_of(claim, proof)
-    covariance = inverse(p)
-    low, high = trim.moved
+    p = triangle(proof["P"], 6 if claim.lag[1] else 4, "proof.P")
+    covariance, shells = inverse(p), turning.shells_of(claim, proof)
     return Funnel(
         p,
-        number(proof["floor"], "proof.floor", above=True),
-        (-high / claim.k1, -low / claim.k1),
-        trim.beside,
+        shells[0][0],
+        steady_states(claim, turning.cruise_of(claim, proof)),
         (covariance[0][0], covariance[1][1]),
-        sum((covariance[i][i] for i in range(4)), Fraction(0)),
+        sum((covariance[i][i] for i in range(len(p))), Fraction(0)),
+        [(low, rate) for low, _, _, rate in reversed(shells)],
     )
+
+
+def steady_states(claim: TurningClaim, trim: Trim) -> list[list[Fraction]]:
+    """Return states ξ* = (x*, y*, v, 0), with thrust lag also q, of which every steady cruise is a convex combination.
+
+    Here ξ has the thrust in place of F, and q is the thrust of the steady cruise, each divided by the mass in the law's
+    model, in the frame of the leg. On axis i of the body, with the direction cosine n_i, it is a_i n_i + b_i n_i |n_i|.
+    So q_x = Σ a_i n_i² + Σ b_i |n_i|³, where Σ |n_i|³ is from 1/√2 to 1, and |q_y| ≤ |a_1 − a_2|/2 + 2/5 max b_i.
+    The lower bound is concave in the command of the steady cruise, and the upper ones are convex.
+    """
+    v, states = claim.cruise, []
+    for moved, beside in product(sorted(set(trim.moved)), sorted({trim.beside, -trim.beside})):
+        state = [-moved / claim.k1, beside, v, Fraction(0)]
+        if not claim.lag[1]:
+            states.append(state)
+            continue
+        a = [claim.k_v * moved + linear / m * (v + moved) for linear, m in zip(claim.linear, claim.mass, strict=True)]
+        b = [square / m for square, m in zip(claim.quadratic, claim.mass, strict=True)]
+        least = min(a) + min(b) * v * (v + 2 * moved) * Fraction(7, 10)
+        aside = (max(a) - min(a)) / 2 + max(b) * (v + moved) ** 2 * Fraction(2, 5)
+        states += [[*state, q, side * aside] for q in (least, max(a) + max(b) * (v + moved) ** 2) for side in (1, -1)]
+    return states
 
 
 def decayed(claim: TurningClaim, funnel: Funnel, level: Fraction, length: Fraction) -> Fraction:
     """Return a bound on V, from V ≤ level at the begin of a leg on, once the target has moved at least `length` [m]."""
-    x = claim.rate * (length / claim.cruise - claim.period)
-    if x > 0:
-        term = total = Fraction(1)
-        for k in range(1, _TERMS):
-            term = Fraction(int(term * x / k * _GRID), _GRID)  # rounded down, as e^x is in the denominator
-            total += term
-        level = level / total
+    left = length / claim.cruise - claim.period
+    for low, rate in funnel.shells:
+        if level > low and left > 0:
+            within = Fraction(math.log(level / low) + 1e-12) / rate  # the time in which V falls to `low`
+            level, left = max(level * Fraction(math.exp(-rate * left) * UP), low), left - within
     return max(Fraction(-(-level.numerator * _GRID // level.denominator), _GRID), funnel.floor)
 
 
 def starts(mission: Mission, funnel: Funnel) -> list[list[Fraction]]:
     """Return all extreme ξ − ξ* at the start."""
-    speed = -mission.loop.cruise if mission.at_rest else Fraction(0)
     x, y = mission.within
     return [
-        [side * x - u, end * y - w, speed, Fraction(0)]
+        [side * x - e[0], end * y - e[1], *(-entry if mission.at_rest else Fraction(0) for entry in e[2:])]
         for side in (1, -1)
         for end in (1, -1)
-        for u, w in funnel.steady()
+        for e in funnel.steady
     ]
 
 
@@ -272,23 +295,23 @@ def places(mission: Mission, funnel: Funnel, k: int, level: Fraction) -> list[tu
 def _turns(mission: Mission, funnel: Funnel, k: int, before: Fraction, after: Fraction, multiplier: Fraction) -> bool:
     """Return whether V ≤ before at the end of leg k implies V ≤ after on the next leg."""
     rotation, moved = turned(mission, funnel, *turn_of(*mission.path[k : k + 3]))
-    size = root_up(funnel.trace * before) + max(map(abs, funnel.along)) + funnel.beside
-    size += mission.overrun + mission.loop.cruise
-    left = root_down(after) - 2 * _PRECISION * size * root_up(sum((funnel.p[i][i] for i in range(4)), Fraction(0)))
+    size = root_up(funnel.trace * before) + max(sum(map(abs, e)) for e in funnel.steady) + mission.overrun
+    whole = sum((funnel.p[i][i] for i in range(len(funnel.p))), Fraction(0))
+    left = root_down(after) - 2 * _PRECISION * size * root_up(whole)
     return left > 0 and all(_inside(funnel.p, before, rotation, offset, left * left, multiplier) for offset in moved)
 
 
 def turned(mission: Mission, funnel: Funnel, c: Fraction, s: Fraction) -> tuple[Matrix, list[list[Fraction]]]:
     """Return M and all extreme w of ξ' − ξ*' = M (ξ − ξ*) + w at a corner, for the cosine and sine of its turn."""
-    v, one, zero = mission.loop.cruise, Fraction(1), Fraction(0)
-    rotation = [[c, s, zero, zero], [-s, c, zero, zero], [zero, zero, c, s], [zero, zero, -s, c]]
-    moved = [
-        [c * (x + d) + s * y - d - x_next, -s * (x + d) + c * y - y_next, (c - one) * v, -s * v]
-        for x, y in funnel.steady()
-        for d in sorted({zero, mission.overrun})
-        # without a current, the steady position is the same on each leg
-        for x_next, y_next in (funnel.steady() if mission.loop.current else [(x, y)])
-    ]
+    size, late = len(funnel.p), mission.overrun
+    rotation = [[Fraction(0)] * size for _ in range(size)]
+    for k in range(0, size, 2):
+        rotation[k][k : k + 2], rotation[k + 1][k : k + 2] = [c, s], [-s, c]
+    moved = []
+    for e, after, d in product(funnel.steady, funnel.steady, sorted({Fraction(0), late})):
+        if mission.loop.current or e[:2] == after[:2]:  # without a current, the steady position is the same on each leg
+            state = multiplied([[e[0] + d, *e[1:]]], transpose(rotation))[0]
+            moved.append([state[0] - d - after[0], *(x - y for x, y in zip(state[1:], after[1:], strict=True))])
     return rotation, moved
 
 
@@ -298,8 +321,8 @@ def _inside(
     """Return whether the S-procedure shows (M z + w)ᵀ P (M z + w) ≤ after for all z with zᵀ P z ≤ before."""
     go_on()
     size = range(len(p))
-    image = product(p, m)
-    own, pulled = product(transpose(m), image), product([list(w)], image)[0]
+    image = multiplied(p, m)
+    own, pulled = multiplied(transpose(m), image), multiplied([list(w)], image)[0]
     rows = [[multiplier * p[i][j] - own[i][j] for j in size] + [-pulled[i]] for i in size]
     return is_positive_definite([*rows, [*(-entry for entry in pulled), after - multiplier * before - quadratic(p, w)]])
 
@@ -318,4 +341,4 @@ def leg_length(a: Pair, b: Pair) -> Fraction:
 
 def _root(value: Fraction) -> Fraction:
     """Return √value, rounded down by less than 1e-30."""
-    return Fraction(isqrt(value.numerator * _SCALE**2 // value.denominator), _SCALE)
+    return Fraction(math.isqrt(value.numerator * _SCALE**2 // value.denominator), _SCALE)

@@ -43,19 +43,25 @@ def triangle(rows: Any, size: int, where: str) -> list[list[Fraction]]:
     return [[lower[max(i, j)][min(i, j)] for j in range(size)] for i in range(size)]
 
 
-def read_shells(proof: Mapping[str, Any], key: str, most: int) -> tuple[list[Fraction], list[Any]]:
-    """Return the levels of V from the floor to 1, and the entry `key` of each shell."""
+def read_shells(proof: Mapping[str, Any], most: int, rate: Fraction) -> list[tuple[Fraction, ...]]:
+    """Return (low, high, growth, rate) of each shell: its levels of V, its η [1/s], and the decay rate in it [1/s].
+
+    The shells divide V from the floor to 1. The rate is the claimed one, or a higher rate that the shell states.
+    """
     shells = proof["shells"]
     if not isinstance(shells, list) or not 1 <= len(shells) <= most:
         raise Rejected(f"proof.shells must hold 1 to {most} shells")
-    levels, entries = [number(proof["floor"], "proof.floor", above=True)], []
+    low, read = number(proof["floor"], "proof.floor", above=True), list[tuple[Fraction, ...]]()
     for entry in shells:
-        one = record(entry, ("level", key), "a shell")
-        levels.append(number(one["level"], "the level of a shell", least=levels[-1], above=True))
-        entries.append(one[key])
-    if levels[-1] != 1:
+        faster = isinstance(entry, dict) and "rate" in entry
+        one = record(entry, ("level", "growth", "rate") if faster else ("level", "growth"), "a shell")
+        high = number(one["level"], "the level of a shell", least=low, above=True)
+        pace = number(one["rate"], "the rate of a shell", least=rate) if faster else rate
+        read.append((low, high, number(one["growth"], "the growth of a shell"), pace))
+        low = high
+    if low != 1:
         raise Rejected("the last shell must end at level 1")
-    return levels, entries
+    return read
 
 
 def two(value: Any, where: str, *, least: Fraction | int = 0, above: bool = False) -> Pair:

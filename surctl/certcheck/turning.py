@@ -7,15 +7,16 @@ however the heading moves with |r| ≤ yaw_rate_rad_per_s and on any curve with 
 constant current of at most current_m_per_s. With thrust lag, V is a form in ξ and the thrust; with commands that are
 held for a period that begins at t = 0, it has a term that vanishes at each control instant (`turning_form`). The levels
 floor = ℓ_0 < ℓ_1 < … < 1 divide the region into shells, and `turning_cells` proves the decay in every shell and every
-cell of headings. P > 0, the offsets, the ultimate bound and the Munk moment are checked in exact rational arithmetic.
+cell of headings; a shell may state a higher rate than that of the claim. P > 0, the offsets, the ultimate bound and the
+Munk moment are checked in exact rational arithmetic.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from fractions import Fraction
-from itertools import pairwise
 from typing import Any
 
 from surctl.certcheck.document import Rejected, listed, record
@@ -33,7 +34,7 @@ from surctl.certcheck.turning_claim import Pair, TurningClaim, read_claim
 from surctl.certcheck.turning_form import Form, Phase
 from surctl.certcheck.turning_terms import STILL, coupled_mass, other_forces, other_moment
 
-__all__ = ["check", "cruise_of", "require_bound", "require_starts"]
+__all__ = ["check", "cruise_of", "require_bound", "require_starts", "shells_of"]
 
 _MOST_SHELLS = 24
 _CELLS = (4, 96)  # least and largest number of cells of headings
@@ -58,11 +59,10 @@ def check(document: Mapping[str, Any]) -> None:
     trim, cells = cruise_of(claim, proof), proof["cells"]
     if type(cells) is not int or not _CELLS[0] <= cells <= _CELLS[1]:
         raise Rejected(f"proof.cells must be a whole number from {_CELLS[0]} to {_CELLS[1]}")
-    levels, stated = read_shells(proof, "growth", _MOST_SHELLS)
-    growths = [number(growth, "the growth of a shell") for growth in stated]
+    shells = shells_of(claim, proof)
     covariance = inverse(p)
     require_starts(claim, p, trim.moved, trim.beside, claim.rest_offset)
-    require_bound(claim, covariance, trim.moved, trim.beside, levels[0])
+    require_bound(claim, covariance, trim.moved, trim.beside, shells[0][0])
     fastest = claim.cruise + claim.current + root_up(largest_eigenvalue([row[2:4] for row in covariance[2:4]]))
     _check_munk_moment(claim, fastest)
     forces = other_forces(claim, fastest)
@@ -70,8 +70,13 @@ def check(document: Mapping[str, Any]) -> None:
     weight, phases = _phases(claim, proof)
     for phase in phases:
         form = Form(p, weight, claim.k_v * phase.begins)
-        for (low, high), growth in zip(pairwise(levels), growths, strict=True):
-            check_shell(claim, trim, divided, form, low, high, growth, forces, phase)
+        for low, high, growth, rate in shells:
+            check_shell(replace(claim, rate=rate), trim, divided, form, low, high, growth, forces, phase)
+
+
+def shells_of(claim: TurningClaim, proof: Mapping[str, Any]) -> list[tuple[Fraction, ...]]:
+    """Return (low, high, growth, rate) of each shell from the floor to V = 1, see `read_shells`."""
+    return read_shells(proof, _MOST_SHELLS, claim.rate)
 
 
 def _phases(claim: TurningClaim, proof: Mapping[str, Any]) -> tuple[Fraction | None, list[Phase]]:

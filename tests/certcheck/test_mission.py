@@ -17,18 +17,34 @@ import pytest
 
 from surctl.certcheck import check_document, mission, turning
 from surctl.certcheck.document import Rejected
-from surctl.certcheck.mission import ON_LEG, Funnel, decayed, funnel_of, leg_length, places, read_claim, starts
+from surctl.certcheck.mission import (
+    ON_LEG,
+    Funnel,
+    decayed,
+    funnel_of,
+    leg_length,
+    places,
+    read_claim,
+    starts,
+    turned,
+)
 from surctl.certcheck.region_exact import root_up
+from surctl.certcheck.turning_claim import TurningClaim
+from surctl.certcheck.turning_law import commanded
 from surctl.marine.guidance.path import next_leg
 from surctl.marine.verification.mission import BrokenChain, MissionClaim, certificate_of, tube_radii
 from tests.certcheck.altering import put, sealed
 
 HERE = Path(__file__).parent
 STRAIGHT, BENT = ((0.5, 2.5), (9.5, 2.5)), ((0.0, 0.0), (14.0, 0.0), (28.0, 5.0), (43.0, 3.0))
-EXACT, REST, HELD, CURRENT = (f"region-turning{end}" for end in ("", "-20-rest", "-20-sampled", "-20-current"))
+SLIGHT = ((0.0, 0.0), (25.0, 0.0), (50.0, 3.0), (75.0, 2.0))
+EXACT, REST, HELD, CURRENT, LAG, LAG_20 = (
+    f"region-turning{end}" for end in ("", "-20-rest", "-20-sampled", "-20-current", "-lag", "-20-lag")
+)
 CASES = (
     (BENT, EXACT, {}), (BENT, EXACT, {"period": 0.05}), (BENT, EXACT, {"current": 0.003}),
-    (STRAIGHT, REST, {}), (STRAIGHT, HELD, {"at_rest": False}), (STRAIGHT, CURRENT, {"at_rest": False}),
+    (SLIGHT, LAG, {}), (SLIGHT, LAG, {"period": 0.05, "at_rest": False}), (STRAIGHT, LAG_20, {}), (STRAIGHT, REST, {}),
+    (STRAIGHT, HELD, {"at_rest": False}), (STRAIGHT, CURRENT, {"at_rest": False}),
 )  # fmt: skip
 
 
@@ -136,7 +152,8 @@ NEAR_MISSES: tuple[tuple[Callable[[dict[str, Any]], None], str], ...] = (
     (entry("proof", "levels", to=[1.0, 1.0]), "must have 3 entries"),
     (entry("claim", "loop", "law", "cruise", to=0.16), "start"),  # another speed
     (entry("claim", "loop", "motion", "rate_per_s", to=0.0198), "leave out"),
-    (entry("claim", "loop", "vehicle", "lag_s", to=[0.1, 0.1]), "lags behind"),
+    (entry("claim", "loop", "vehicle", "lag_s", to=[0.1, 0.1]), "6 rows"),
+    (entry("proof", "loop", "shells", 0, "rate", to=0.0199), "rate of a shell must be at least 1/50"),
     (entry("claim", "start", "at_rest", to=1), "true or false"),
     (entry("claim", "excludes", to=[]), "excludes differs"),
     (entry("claim", "path_m", to=[[0, 0]]), "2 to 400 points"),
@@ -195,30 +212,91 @@ def test_the_decay_is_bounded_from_above() -> None:
         assert bound <= exact * (1 + 1e-3)
 
 
-@pytest.mark.parametrize(("path", "member", "further"), CASES[:2])
+def test_v_falls_at_the_rate_of_each_shell() -> None:
+    whole = built(STRAIGHT)
+    shells = whole["proof"]["loop"]["shells"]
+    for k, shell in enumerate(shells):
+        shell["rate"] = 0.02 * (len(shells) - k)
+    stated = read_claim(whole["claim"])
+    funnel, floor = funnel_of(stated.loop, whole["proof"]["loop"]), whole["proof"]["loop"]["floor"]
+    time, high = 0.0, 0.7
+    for shell, low in zip(shells[::-1], [*(one["level"] for one in shells[-2::-1]), floor], strict=True):
+        if low >= high:
+            continue
+        for level in (low + 0.3 * (high - low), low):
+            until = time + np.log(high / level) / shell["rate"]
+            bound = float(decayed(stated.loop, funnel, Fraction(7, 10), Fraction(until) * stated.loop.cruise))
+            assert level * (1 - 1e-13) <= bound <= level * (1 + 1e-8)
+        time, high = until, low
+
+
+@pytest.mark.parametrize("member", [LAG_20, "region-cruise-20-lag"])  # axes with other and with equal drag
+@pytest.mark.parametrize("degrees", [0, 20, 45, 77, 90, 200, 301])
+def test_the_thrust_of_every_steady_cruise_is_covered(degrees: float, member: str) -> None:
+    whole = built(STRAIGHT, member, at_rest=False)
+    loop = read_claim(whole["claim"]).loop
+    ends = sorted({tuple(map(float, e)) for e in funnel_of(loop, whole["proof"]["loop"]).steady})
+    assert len(ends) == 8 and ends[0][0] < 0 < ends[-1][0]
+    for share in np.linspace(0, 1, 9):
+        x = (1 - share) * ends[0][0] + share * ends[-1][0]
+        first, second = np.array(ends[:4])[:, 4:], np.array(ends[4:])[:, 4:]
+        low, high = ((1 - share) * f(first, axis=0) + share * f(second, axis=0) for f in (np.min, np.max))
+        q = thrust_of(loop, np.array([x]), np.radians([degrees]))[0]
+        assert np.all(low - 1e-12 <= q) and np.all(q <= high + 1e-12)
+        assert high[0] - low[0] < 1.0 * abs(high[0])
+
+
+def test_the_thrust_of_a_corner_and_of_a_start_at_rest() -> None:
+    whole, psi, turn = built(SLIGHT, LAG), np.linspace(0, 2 * np.pi, 721), 1.1
+    stated = read_claim(whole["claim"])
+    loop, funnel = stated.loop, funnel_of(stated.loop, whole["proof"]["loop"])
+    c, s, x = np.cos(turn), np.sin(turn), float(funnel.steady[0][0]) + 0 * psi
+    before, after = thrust_of(loop, x, psi), thrust_of(loop, x, psi - turn)
+    jumps = before @ np.array([[c, -s], [s, c]]) - after
+    found = turned(stated, funnel, Fraction(c), Fraction(s))[1]
+    assert len(found) == 16  # the heading may be any before and after the corner
+    ways = np.stack([np.cos(psi), np.sin(psi)])
+    for states, true in ((found, jumps), (starts(stated, funnel), -before)):
+        allowed = np.array([[float(entry) for entry in state[4:]] for state in states]) @ ways
+        assert np.all((true @ ways).max(axis=0) <= allowed.max(axis=0) + 1e-12)
+    moving = starts(replace(stated, at_rest=False), funnel)
+    assert all(state[2:] == [0, 0, 0, 0] for state in moving)
+
+
+def thrust_of(loop: TurningClaim, x: Any, psi: Any) -> Any:
+    """Return the command of the steady cruise at x* (n,), by the law, per mass and in the frame of the leg (n, 2)."""
+    state = np.stack([x, 0 * x, 0 * x + float(loop.cruise), 0 * x], 1)
+    body = commanded(loop, state, psi) / np.array([float(m) for m in loop.mass])
+    c, s = np.cos(psi), np.sin(psi)
+    return np.stack([c * body[:, 0] - s * body[:, 1], s * body[:, 0] + c * body[:, 1]], 1)
+
+
+@pytest.mark.parametrize(("path", "member", "further"), [*CASES[:2], *CASES[3:5]])
 def test_states_at_a_corner_are_in_the_next_region(path: Any, member: str, further: Any, alone: None) -> None:
     """Turn states of the border by an angle, not by the checker's exact cosines."""
     whole, rng = built(path, member, **further), np.random.default_rng(1)
     stated, levels = read_claim(whole["claim"]), whole["proof"]["levels"]
     funnel, v, points = funnel_of(stated.loop, whole["proof"]["loop"]), float(stated.loop.cruise), np.array(path)
     p, late = np.array([[float(x) for x in row] for row in funnel.p]), float(stated.overrun)
-    worst = 0.0
+    worst, size, x = 0.0, len(p), np.array([float(funnel.steady[0][0])] * 20_000)
     for k in range(len(levels) - 1):
         before = float(decayed(stated.loop, funnel, Fraction(repr(levels[k])), leg_length(*stated.path[k : k + 2])))
         first, second = np.diff(points[k : k + 3], axis=0)
         angle = np.arctan2(second[1], second[0]) - np.arctan2(first[1], first[0])
         back = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
-        z = rng.normal(size=(20_000, 4))
+        z, psi = rng.normal(size=(20_000, size)), rng.uniform(0, 2 * np.pi, 20_000)
         z *= np.sqrt(before / np.einsum("ni,ij,nj->n", z, p, z))[:, None]
-        for x in map(float, funnel.along):
-            d = rng.choice([0.0, late], size=(len(z), 1))
-            place = (z[:, :2] + [x, 0] + d * [1, 0]) @ back.T - d * [1, 0]  # from the target on the next leg
-            speed = (z[:, 2:] + [v, 0]) @ back.T
-            after = np.hstack([place - [x, 0], speed - [v, 0]])
-            value = float(np.einsum("ni,ij,nj->n", after, p, after).max())
-            assert value <= levels[k + 1]
-            worst = max(worst, value / levels[k + 1])
-    assert worst > 0.9  # the bound is not far from the worst state
+        d = rng.choice([0.0, late], size=(len(z), 1))
+        place = (z[:, :2] + x[:, None] * [1, 0] + d * [1, 0]) @ back.T - d * [1, 0]  # from the target on the next leg
+        speed = (z[:, 2:4] + [v, 0]) @ back.T
+        after = [place - x[:, None] * [1, 0], speed - [v, 0]]
+        if size > 4:
+            after.append((z[:, 4:] + thrust_of(stated.loop, x, psi)) @ back.T - thrust_of(stated.loop, x, psi - angle))
+        after = np.hstack(after)
+        value = float(np.einsum("ni,ij,nj->n", after, p, after).max())
+        assert value <= levels[k + 1]
+        worst = max(worst, value / levels[k + 1])
+    assert worst > (0.9 if size == 4 else 0.1)  # the bound is not far from the worst state
 
 
 def test_starts_are_in_the_region() -> None:
@@ -296,7 +374,8 @@ def some_funnel(a: int, b: int, along: tuple[int, int] = (0, 0)) -> Funnel:
     """A funnel with the variances a/7 and b/7 of x_e and y_e."""
     spread = (Fraction(a, 7), Fraction(b, 7))
     p = [[1 / spread[i] if i == j and i < 2 else Fraction(i == j) for j in range(4)] for i in range(4)]
-    return Funnel(p, Fraction(0), (Fraction(along[0]), Fraction(along[1])), Fraction(0), spread, sum(spread) + 2)
+    steady = [[Fraction(x), Fraction(0), Fraction(3, 20), Fraction(0)] for x in sorted(set(along))]
+    return Funnel(p, Fraction(0), steady, spread, sum(spread) + 2, [])
 
 
 @pytest.mark.parametrize(("a", "b"), [(3, 2), (2, 3)])

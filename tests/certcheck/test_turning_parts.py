@@ -54,7 +54,7 @@ def test_a_matrix_is_a_triangle_of_lists(rows: object) -> None:
 @pytest.mark.parametrize("shells", [None, "a", {}, [], [{"level": 1.0, "growth": 0.1}] * 3])
 def test_shells_are_a_list_of_at_least_one_and_not_too_many(shells: object) -> None:
     with pytest.raises(Rejected, match="must hold 1 to 2 shells"):
-        read_shells({"floor": 0.1, "shells": shells}, "growth", 2)
+        read_shells({"floor": 0.1, "shells": shells}, 2, Fraction(1, 50))
 
 
 def test_the_largest_eigenvalue_is_rounded_up() -> None:

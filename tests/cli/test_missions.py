@@ -73,8 +73,8 @@ def test_a_mission_that_is_not_proved_names_a_lower_speed(monkeypatch: pytest.Mo
     monkeypatch.setattr(mission, "prove_mission", slow)
     for speed, word in ((0.15, "unknown: from rest, V may grow to 2"), (0.22, "not applicable to these speeds")):
         done = decided(scenario, speeds=(speed, 0.22))
-        assert word in done.lines[0]
-        assert "; with --cruise 0.0" in done.lines[0]
+        assert f"; at {speed} m/s, {word}" in done.lines[0]
+        assert done.lines[0][28:].startswith("with --cruise 0.09")
         assert done.data["at_lower_speed"]["verdict"] == "proved"
 
 

@@ -224,7 +224,7 @@ def mission_claims(
 ) -> Claims:  # fmt: skip
     """Return the claim about the mission of a scenario, with the region claim that a word names for each leg.
 
-    If the claim is not proved, its line ends with a lower cruise speed at which it is proved, if there is one.
+    If the claim is not proved, its line begins with the largest lower cruise speed at which it is proved.
 
     Raises:
         InputError: no scenario is given, or a region claim is unknown.
@@ -249,16 +249,18 @@ def mission_claims(
         try:
             statement.require(law)
             done = _proved(partial(prove_scenario, *about, cruise=cruise, cap=cap, seed=seed), out)
-            final = not done.failure
+            sentence, final = done.proof.sentence, not done.failure
         except NotApplicable as reason:
             one = Inapplicable.of(f"mission-{scenario.name}", reason)
-            done, final = refused(one), one.to != "these speeds"
+            done, sentence, final = refused(one), one.sentence, one.to != "these speeds"
         if final:
             return done
         with timed(f"{word} at lower speeds"):
             lower = slower(*about, cruise=cruise, cap=cap, seed=seed)
-        text = "" if lower is None else f"with --cruise {lower.claim.loop.cruise:g}, {lower.sentence}"
-        lines = [f"{done.lines[0]}; {text or 'no lower speed is proved'}"]
+        line = f"{sentence}; no lower speed is proved"
+        if lower is not None:
+            line = f"with --cruise {lower.claim.loop.cruise:g}, {lower.sentence}; at {cruise:g} m/s, {sentence}"
+        lines = [done.lines[0].replace(sentence, line)]
         return done._replace(data={**done.data, "at_lower_speed": lower and lower.to_dict()}, lines=lines)
 
     return [Claimed(word, decided)]

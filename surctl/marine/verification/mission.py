@@ -43,8 +43,9 @@ USUAL = "region-turning-20-scale"
 
 _SLACK = 1e-6  # relative; covers the rounding of a level and of a multiplier
 _STEPS = 40  # bisections of the level at the start
-_RATE = 0.02  # 1/s, decay rate of the region with a start at rest
-_SLOWER = (0.8, 0.6, 0.45, 0.3, 0.2, 0.14)  # shares of the cruise speed for which the next step is searched
+_LEFT = 1.0  # s, time in which the target moves as far as the robot may be beside the path at a corner
+_FALL, _STRAIGHT = 0.6, 0.1  # of −ln V on the shortest leg, at the decay rate of the outermost shell
+_SPEEDS, _HALVINGS = 8, 4  # most lower cruise speeds that are tried, and most halvings without a proof
 
 
 @dataclass(frozen=True)
@@ -96,7 +97,8 @@ class MissionProof(Certified):
         loop, legs = self.claim.loop, len(self.claim.path) - 1
         begun = "at rest" if self.claim.at_rest else "at the target's velocity, not at rest,"
         seconds = float(np.linalg.norm(np.diff(self.claim.path, axis=0), axis=1).sum()) / loop.cruise
-        without = "obstacles, walls and thrust lag" if loop.period else "obstacles, walls, thrust lag and held commands"
+        left_out = ["obstacles", "walls", *["thrust lag"] * (not loop.lag), *["held commands"] * (not loop.period)]
+        without = f"{', '.join(left_out[:-1])} and {left_out[-1]}"
         along, across = self.within
         alike = "" if loop.mass_asymmetry else " by the same factor"
         return (
@@ -140,19 +142,21 @@ def mission_claim(
         raise NotApplicable("its path changes the depth or the speed", to="this mission")
     if scenario.visit is not None:
         raise NotApplicable("the robot stops at corners that it visits", to="this mission")
-    if statement.loop != "turning":
-        raise NotApplicable(f"{statement.name} is not a region claim of the loop turning", to="this mission")
-    # at a corner, the heading loop asks for the gain times the turn
-    turns = np.abs(np.angle(np.exp(1j * np.diff(np.angle(np.diff(path.waypoints, axis=0) @ [1, 1j])))))
-    yaw = round(float(np.ceil(1e3 * gains["k_psi"] * turns.max(initial=0.0)) / 1e3), 3)
-    statement = statement.model_copy(update={
-        "at_rest": at_rest, "yaw_rate_rad_per_s": max(statement.yaw_rate_rad_per_s, yaw),
-        "rate_per_s": min(statement.rate_per_s, _RATE) if at_rest else statement.rate_per_s,
-    })  # fmt: skip
+    turns = np.diff(np.angle(np.diff(path.waypoints, axis=0) @ [1, 1j]))
     loop = statement.claim(vehicle, gains, cruise=cruise, cap=cap)
-    assert isinstance(loop, TurningClaim)
-    if loop.lag:
-        raise NotApplicable("the chain of regions does not cover thrust lag", to="this region claim")
+    if not isinstance(loop, TurningClaim):
+        raise NotApplicable(f"{statement.name} is not a claim about a cruise under the law guarded", to="this mission")
+    # at a corner, the heading loop asks for the gain times the turn, and the target's velocity jumps
+    yaw = float(np.abs(np.angle(np.exp(1j * turns))).max(initial=0.0) * gains["k_psi"])
+    leaps = [(side * _LEFT * loop.cruise, loop.cruise * (np.exp(1j * turn) - 1)) for turn in turns for side in (1, -1)]
+    jumps = leaps + [(0.0, complex(-loop.cruise))] * at_rest
+    # on a short leg V must fall before the next corner; without corners, a low rate allows a larger region
+    fall = _FALL if len(turns) else _STRAIGHT if at_rest else np.inf
+    loop = replace(
+        loop, rest=False, yaw_rate=max(loop.yaw_rate, round(float(np.ceil(1e3 * yaw) / 1e3), 3)),
+        rate=min(loop.rate, fall * loop.cruise / float(path.lengths.min())),
+        jumps=tuple((x, float(jump.real), float(jump.imag)) for x, jump in jumps),
+    )  # fmt: skip
     current = float(np.hypot(*scenario.disturbance.current_m_per_s))
     if current > loop.current:
         why = f"its current of {current:.3g} m/s exceeds the {loop.current:g} m/s of {statement.name}"
@@ -338,18 +342,26 @@ def slower(
     scenario: Scenario, vehicle: Vehicle, gains: Gains, region: RegionStatement | None = None,
     *, cruise: float, cap: float, seed: int = 0,
 ) -> MissionProof | None:  # fmt: skip
-    """Return a proof of the mission at a lower cruise speed, if possible from rest; None if there is none.
+    """Return the proof at the largest lower cruise speed that a bisection finds, if possible from rest, or None.
 
     The arguments are those of `prove_scenario`.
     """
-    best = None
-    for share in _SLOWER:
-        speed = float(f"{share * cruise:.2g}")
-        proof = prove_scenario(scenario, vehicle, gains, region, cruise=speed, cap=cap, seed=seed)
-        if proof.useful:
-            return proof
-        best = proof if best is None and proof.verdict == "proved" else best
-    return best
+    statement = region_statement(USUAL) if region is None else region
+    for at_rest in (True, False):
+        low, high, best = 0.0, cruise, None
+        for k in range(_SPEEDS):
+            speed = float(f"{np.sqrt(low * high) or high / 2:.2g}")
+            if speed in (low, high) or (best is None and k > _HALVINGS):
+                break
+            claim = mission_claim(scenario, vehicle, gains, statement, cruise=speed, cap=cap, at_rest=at_rest)
+            proof = prove_mission(claim, attempts=statement.attempts, seed=seed)
+            if proof.verdict == "proved":
+                best, low = proof, speed
+            else:
+                high = speed
+        if best is not None:
+            return best
+    return None
 
 
 def tube_radii(document: Mapping[str, Any], points: int = 41) -> list[Array]:

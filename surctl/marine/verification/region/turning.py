@@ -46,6 +46,8 @@ class TurningClaim:
         cruise, cap: speed of the target point on the path, and largest commanded speed [m/s].
         rate: decay rate a [1/s] of the Lyapunov function V: V̇ ≤ −a V.
         rest: whether the region must also contain a vehicle at rest.
+        jumps: deviations (δx_e, δU_x, δU_y) from the target [m, m/s] for which the search shapes the region; if there
+            are none, it shapes the region for starts beside the path.
         digests: SHA-256 of the vehicle's parameters, and SHA-256 of the law's instruction list.
         terms: the vehicle's terms beside equation (3), by name; inertia is off by `mass_factor`, the others by
             `drag_factor`.
@@ -74,6 +76,7 @@ class TurningClaim:
     cap: float
     rate: float
     rest: bool = False
+    jumps: tuple[tuple[float, float, float], ...] = ()
     digests: tuple[str, str] = ("0" * 64, "0" * 64)
     terms: Mapping[str, float] = field(default_factory=dict)
     heave: Pair = _HEAVE

@@ -10,13 +10,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
 
 from surctl.marine.verification.region.turning import TurningClaim
 from surctl.marine.verification.region.turning_loop import Cruise, Vertices, steady_turning, vertices
-from surctl.marine.verification.region.turning_shells import TurningCandidate, fitted, transformed, violated
+from surctl.marine.verification.region.turning_shells import TurningCandidate, fitted, slowness, transformed, violated
 from surctl.verification.conic import Inequality, minimise
 
 Array = NDArray[np.float64]
@@ -36,6 +37,7 @@ _FIRST = np.array([
 _SMALLER = np.array([0.7, 0.7, 0.7, 1, 2, 2, 0.7])  # of the first start values, if none of them has a V
 _SPREAD = np.array([0.2, 0.2, 0.12, 0.2, 0.4, 0.4, 0.15])  # of the start values near the first ones
 _REST = 1.35  # factor of the first velocity deviations if the region must contain a vehicle at rest
+_WIDER = 1.1  # factor of the jumps of the velocity in the first velocity deviations
 _ENOUGH = 4  # number of first regions after which the search enlarges the best one
 _GROWTH, _LEAST = 1.25, 1.01  # first and least factor of y in a step, by which the floor is lowered
 _OTHERS = 0.3  # exponent of that factor for x and U_x, without a start at rest
@@ -116,7 +118,7 @@ def _improve(
     units = np.append(units, np.tile(units[2:] * claim.gains["k_v"], claim.late_parts))
     if extent is None:
         fixed += _within(np.linalg.inv(bound) * units[:, None] * units, basis)
-    rng = np.random.default_rng(0)
+    rng, margin = np.random.default_rng(0), _MARGIN * slowness(claim)
     chosen = []
     for number, part in enumerate(parts):
         count = int(np.prod(part.shell.shape))
@@ -124,7 +126,7 @@ def _improve(
         chosen.append(earlier or set(rng.integers(count, size=_TIGHT).tolist()))
     for _ in range(_ROUNDS):
         own = [
-            _decay(part.shell, some, claim.rate, part.growth, part.low, units, basis)
+            _decay(part.shell, some, claim.rate + margin, part.growth, part.low, units, basis)
             for part, some in zip(parts, chosen, strict=True)
         ]
         decay = (np.concatenate([one[0] for one in own]), np.concatenate([one[1] for one in own]))
@@ -137,7 +139,7 @@ def _improve(
         fine = stuck = True
         for part, some in zip(parts, chosen, strict=True):
             matrices = part.shell.matrices(P, claim.rate, part.growth, part.low)
-            bad = violated(matrices, -_MARGIN / 2)
+            bad = violated(matrices, -margin / 2)
             if len(bad):
                 fine = False
                 bad = bad if len(bad) <= 600 else rng.choice(bad, size=600, replace=False)
@@ -186,11 +188,16 @@ def _within(least: Array, basis: Array) -> list[Inequality]:
 
 def _starts(claim: TurningClaim, cruise: Cruise, units: Array, basis: Array) -> list[Inequality]:
     """Return x_k ≥ zᵀ P z for the deviation z along the path at the start, for each ω."""
-    rows = []
-    for omega in sorted(set(cruise.moved)):
-        z = np.array([omega / claim.gains["k1"], 0, -claim.cruise if claim.rest else 0, 0]) / units
-        rows.append(np.append(-np.einsum("i,kij,j->k", z, basis[:, :4, :4], z), 1.0)[:, None, None])
+    starts = [one / units for one in _deviations(claim, cruise)]
+    rows = [np.append(-np.einsum("i,kij,j->k", z, basis[:, :4, :4], z), 1.0)[:, None, None] for z in starts]
     return [(np.zeros((len(rows), 1, 1)), np.array(rows))]
+
+
+def _deviations(claim: TurningClaim, cruise: Cruise) -> list[Array]:
+    """Return the deviations (4,) at the starts on the path, for each ω."""
+    jumps = claim.jumps or ((0.0, -claim.cruise if claim.rest else 0.0, 0.0),)
+    pairs = product(sorted(set(cruise.moved)), jumps)
+    return [np.array([omega / claim.gains["k1"] + x, 0.0, u, w]) for omega, (x, u, w) in pairs]
 
 
 def _decay(
@@ -201,7 +208,7 @@ def _decay(
     count, n, inner = len(basis), len(units), factor.shape[2]
     half = np.einsum("kij,njl->nkil", basis, A * units / units[:, None])
     whole = np.zeros((len(A), count + 1, n + inner, n + inner))
-    whole[:, :-1, :n, :n] = -(half + half.swapaxes(-1, -2) + (rate + growth + _MARGIN + _LOOSE * shell.loose) * basis)
+    whole[:, :-1, :n, :n] = -(half + half.swapaxes(-1, -2) + (rate + growth + _LOOSE * shell.loose) * basis)
     for k in range(4):  # the last entry of V is in units of |ε|²
         whole[:, count - 1, k, k] -= weights[:, k] * (units[k] / units[-1]) ** 2
     side = np.einsum("kij,njl->nkil", basis, factor / units[:, None])
@@ -234,6 +241,9 @@ def _first(claim: TurningClaim, away: float, rng: np.random.Generator, k: int, *
     start = _FIRST[k % len(_FIRST)] * (along, beside, speed, fast / beside, 1, 1, beside)
     start = start * np.exp(rng.normal(scale=_SPREAD) * (k >= len(_FIRST)))
     start[0] += away
+    if claim.jumps:
+        fast = _WIDER * np.abs(claim.jumps).max(axis=0)[1:]
+        start[2], start[3], start[6] = fast[0], max(fast[1] / start[1], start[3]), 0.0
     start = start * _SMALLER ** (min(smaller, 2) * (_SMALLER > 1) + smaller * (_SMALLER <= 1))
     levels = np.geomspace(min(start[4], _HIGHEST), 1.0, _SHELLS + 1)
     return _Start(levels, start[5] * levels[1:] ** -0.15, start[6]), start[:4] * (1, 1, 1, start[1])
@@ -303,8 +313,8 @@ def _held(claim: TurningClaim, fine: Cruise, without: Iterator[TurningCandidate]
 
 
 def _region(claim: TurningClaim, cruise: Cruise, start: _Start, P: Array, growths: Array) -> _Region:
-    candidate = TurningCandidate(P, (float(start.levels[0]),), (), cruise)
-    beside = _size(claim, candidate) or start.beside
+    candidate = TurningCandidate(P, (float(start.levels[0]),), (), (), cruise)
+    beside = 0.0 if claim.jumps else _size(claim, candidate) or start.beside
     return _Region(P, replace(start, growths=growths, beside=beside), _score(claim, candidate))
 
 
@@ -315,8 +325,10 @@ def _grown(claim: TurningClaim, cruise: Cruise, region: _Region, most: int, acti
     """
     growth, used = _GROWTH, 0
     while used < most and growth > _LEAST:
-        stretch = np.full(len(region.P), growth ** (1.0 if claim.rest or claim.behind else _OTHERS))
+        stretch = np.full(len(region.P), growth ** (1.0 if claim.rest or claim.jumps or claim.behind else _OTHERS))
         stretch[[1, 3]] = growth
+        if any(x for x, *_ in claim.jumps):  # what is left of y before a corner is a part of x after it
+            stretch[1] = 1.0
         bound = np.linalg.inv(region.P) * stretch[:, None] * stretch
         floor = max(float(region.start.levels[0]) / growth, min(_LOWEST, float(region.start.levels[0])))
         start = replace(region.start, levels=np.geomspace(floor, 1.0, _SHELLS + 1))
@@ -335,5 +347,7 @@ def _score(claim: TurningClaim, candidate: TurningCandidate) -> float:
 
 
 def _size(claim: TurningClaim, candidate: TurningCandidate) -> float:
+    if claim.jumps:
+        return float(max(z @ candidate.P[:4, :4] @ z for z in _deviations(claim, candidate.cruise)) ** -0.5)
     start = candidate.start(claim, 0.0)
     return min(start, 1.25 * candidate.start(claim, -claim.cruise)) if claim.rest else start

@@ -24,7 +24,7 @@ from surctl.marine.verification.region.turning_loop import Cruise, Vertices, ver
 Array = NDArray[np.float64]
 Numbers = NDArray[np.intp]
 
-_RATIO = 0.82  # of the two levels of the outermost shell
+_RATIO, _THIN = 0.82, 0.95  # of the two levels of the outermost shell
 _THICKEST, _THINNEST = 0.4, 0.96  # ratios of the two levels of a shell
 _MOST = 20  # largest number of shells
 _MARGIN = 0.005  # [1/s] reserve of the decay rate, for points between the headings of the grid
@@ -42,12 +42,14 @@ class TurningCandidate:
         P: matrix (n, n) of the Lyapunov function V = zᵀ P z; n is 6 with thrust lag or held commands, and 4 without.
         levels: levels of V that divide the region into k shells, in ascending order; the last is 1.
         growths: for each of the k shells, the coefficient η [1/s] in the condition on the decay rate.
+        rates: the decay rate in each of the k shells [1/s].
         cruise: the steady motion on the path.
     """
 
     P: Array
     levels: tuple[float, ...]
     growths: tuple[float, ...]
+    rates: tuple[float, ...]
     cruise: Cruise
 
     def start(self, claim: TurningClaim, speed: float) -> float:
@@ -57,6 +59,11 @@ class TurningCandidate:
             z = np.array([omega / claim.gains["k1"], speed])
             left = min(left, 1 - float(z @ self.P[np.ix_((0, 2), (0, 2))] @ z))
         return max(float(np.sqrt(max(left, 0.0) / self.P[1, 1])) - self.cruise.beside, 0.0)
+
+
+def slowness(claim: TurningClaim) -> float:
+    """Return the factor of the reserves of the decay rate, which fall with the cruise speed below 0.1 m/s."""
+    return min(claim.cruise / 0.1, 1.0)
 
 
 def violated(matrices: Array, bound: float) -> Numbers:
@@ -141,14 +148,14 @@ def fitted(claim: TurningClaim, cruise: Cruise, P: Array, guess: float) -> Turni
         P: shape of V; its region may be enlarged or reduced.
         guess: growth of the outermost shell to start from [1/s].
     """
-    covariance = np.asarray(np.linalg.inv(P), dtype=np.float64)
+    covariance, margin = np.asarray(np.linalg.inv(P), dtype=np.float64), _MARGIN * slowness(claim)
 
     def shell(low: float, high: float, growth: float) -> tuple[float, float]:
         at = vertices(claim, cruise, covariance, high)
         return (growth, np.inf) if at is None else _best_growth(P, at.phases(), claim.rate, low, growth)
 
     def holds(high: float) -> bool:
-        return shell(high * _RATIO, high, guess)[1] <= -_MARGIN
+        return shell(high * _RATIO, high, guess)[1] <= -margin
 
     low = next((level for level in _LEVELS if holds(level)), None)
     if low is None:
@@ -157,19 +164,23 @@ def fitted(claim: TurningClaim, cruise: Cruise, P: Array, guess: float) -> Turni
     for _ in range(_STEPS):
         middle = np.sqrt(low * high)
         low, high = (middle, high) if holds(middle) else (low, middle)
-    top, ratio, growth = low, _RATIO, guess
+    # a region for jumps of the velocity is so large that V hardly decays at its border, but soon faster inside
+    top, ratio, growth = low, _THIN if claim.jumps else _RATIO, guess
     levels: list[float] = [1.0]
-    growths: list[float] = []
+    growths, rates = list[float](), list[float]()
     while len(growths) < _MOST and ratio < _THINNEST:
         below = levels[-1] * ratio
         growth, value = shell(below * top, levels[-1] * top, growth)
-        if value > -_MARGIN:
+        if value > -margin:
             ratio = np.sqrt(ratio)
             continue
         levels.append(float(f"{below:.6g}"))
         growths.append(growth)
+        rates.append(max(float(f"{claim.rate + 0.99 * (-margin - value):.4g}"), claim.rate))
         ratio = max(0.85 * ratio, _THICKEST)
-    return TurningCandidate(P / top, tuple(levels[::-1]), tuple(growths[::-1]), cruise) if growths else None
+    if not growths:
+        return None
+    return TurningCandidate(P / top, tuple(levels[::-1]), tuple(growths[::-1]), tuple(rates[::-1]), cruise)
 
 
 _CELLS, _HELD = 48, 32  # cells of headings; with held commands, each of them is checked twice
@@ -188,13 +199,14 @@ class Region(NamedTuple):
 def raised(candidate: TurningCandidate) -> Iterator[TurningCandidate]:
     """Yield the candidate, then with a higher floor: between the headings of the search, a low shell may not hold."""
     for inner in range(len(candidate.growths)):
-        yield replace(candidate, levels=candidate.levels[inner:], growths=candidate.growths[inner:])
+        levels, growths, rates = candidate.levels, candidate.growths, candidate.rates
+        yield replace(candidate, levels=levels[inner:], growths=growths[inner:], rates=rates[inner:])
 
 
 def region_of(claim: TurningClaim, candidate: TurningCandidate) -> Region:
     """Return the numbers of the region and the proof of a candidate, without the slopes of ω."""
     P = np.array([[float(f"{entry:.9g}") for entry in row] for row in candidate.P])
-    rounded = TurningCandidate(P, candidate.levels, candidate.growths, candidate.cruise)
+    rounded = replace(candidate, P=P)
     covariance = np.linalg.inv(P)
     floor = np.sqrt(np.diag(covariance)[:2] * candidate.levels[0]) * 1.0001
     cruise = candidate.cruise
@@ -206,8 +218,8 @@ def region_of(claim: TurningClaim, candidate: TurningCandidate) -> Region:
         "floor": candidate.levels[0],
         "cells": _HELD if claim.period else _CELLS,
         "shells": [
-            {"level": level, "growth": growth}
-            for level, growth in zip(candidate.levels[1:], candidate.growths, strict=True)
+            {"level": level, "growth": growth, "rate": rate}
+            for level, growth, rate in zip(candidate.levels[1:], candidate.growths, candidate.rates, strict=True)
         ],
     }
     if claim.current:
