@@ -196,12 +196,12 @@ def _proves_motion(claim: Mapping[str, Any]) -> str:
         region = f"{held}: every solution that starts at an instant where V < {claim['level']:g} stays in the box"
     if claim["property"] == "bound":
         return f"{region}, and V decays to the stated bound"
-    goal = "the equilibrium"
+    goal, about = "the equilibrium", ""
     if "radius" in claim:
-        at = ", ".join(f"{name} = {float(Fraction(value)):g} ± {claim['radius'][name]:g}" for name, value in claim["equilibrium"].items())
-        goal = f"the equilibrium within {at}"
-        if any(row["lower"] < row["upper"] for row in claim["parameters"]):
-            goal = f"{at}, for constant parameters to the equilibrium there"
+        at, about = claim["equilibrium"], " about it"
+        box = ", ".join(f"{name} = {float(Fraction(at[name])):g} ± {r:g}" for name, r in claim["radius"].items())
+        varies = any(row["lower"] < row["upper"] for row in claim["parameters"])
+        goal = f"{box}, for constant parameters to the equilibrium there" if varies else f"the equilibrium at {box}"
     if claim["rate"] is None:
         return f"{region} and converges to {goal}, which is asymptotically stable"
     pace = (
@@ -211,7 +211,7 @@ def _proves_motion(claim: Mapping[str, Any]) -> str:
         if claim["time"] == "sampled"
         else (f"decays at least as exp(-{claim['rate']:g} t)")
     )
-    return f"{region} and converges to {goal}: V {pace}"
+    return f"{region} and converges to {goal}: V{about} {pace}"
 
 
 def _checker(kind: str) -> Any:

@@ -89,8 +89,8 @@ def check(document: Mapping[str, Any]) -> None:
     at_samples = [*states, *names[size:]], [*box, *whole[size:]]
     feedbacks = [_exact(row) for row in listed(document["feedbacks"])]
     texts = [*(after.get(name, name) for name in states), *(row["value"] for row in commands)]
-    whole_level = widened(p, level, radii[:n])
-    rows, drift = _rows(at_samples, texts, [cover], (centre[:n], radii[:n]), whole_level, feedbacks, centre)
+    wide = widened(p, level, radii[:n])
+    rows, drift = _rows(*at_samples, texts, [cover], centre[:n], wide, feedbacks, centre, radii[:n])
     ends = [(least(a, b)[0], greatest(a, b)[1]) for a, b in ((rows.range[k], rows.rest[k]) for k in rows.roots)]
     ranges = [(nextafter(libmp.to_float(low), -inf), nextafter(libmp.to_float(high), inf)) for low, high in ends]
     rates = [flow.get(name, "0") for name in names[:size]]  # a command is held
@@ -98,11 +98,11 @@ def check(document: Mapping[str, Any]) -> None:
     table = ExpressionTable(names)
     between.require_continuous(table, [table.read(text) for text in between.rates], "the dynamics contain")
     shapes = [inverse(knot) for knot in knots] if radii else []
-    moved = norm(shapes[0], drift) if radii else Fraction(0)
+    moved, time = norm(shapes[0], drift) if radii else Fraction(0), period / (len(knots) - 1)
     for k, pair in enumerate(pairwise(knots)):
         wide = max((widened(shape, level, radii) for shape in shapes[k : k + 2]), default=level)
-        drift = _piece(between, (centre, radii), wide, pair, period / (len(knots) - 1))
-        moved += period * max(norm(shape, drift) for shape in shapes[k : k + 2]) / (len(knots) - 1) if radii else 0
+        drift = _piece(between, centre, wide, pair, time, radii)
+        moved += time * max((norm(shape, drift) for shape in shapes[k : k + 2]), default=Fraction(0))
     rate = max(rate, least_rate(moved, [cover, *knots], radii)) if radii else rate
     _instant(rows, p, knots[0], rate)
 
@@ -123,14 +123,15 @@ def _instant(rows: Rows, p: Matrix, knot: Matrix, rate: Fraction) -> None:
 
 def _piece(
     between: Motion,
-    at: tuple[Sequence[Fraction], Sequence[Fraction]],
+    centre: Sequence[Fraction],
     level: Fraction,
     knots: tuple[Matrix, Matrix],
     time: Fraction,
+    radii: Sequence[Fraction] = (),
 ) -> list[Fraction]:
     """Return bounds on the rates at the centre; raise Rejected unless W decreases between two knots in this time."""
     still = [Fraction(0)] * len(between.states)
-    rows, drift = _rows((between.names, between.box), between.rates, knots, at, level, (), still)
+    rows, drift = _rows(between.names, between.box, between.rates, knots, centre, level, (), still, radii)
     for knot in knots:
         loss = [[(y - x) / time for x, y in zip(*pair, strict=True)] for pair in zip(*knots, strict=True)]
         moved = multiplied(rows, knot, [list(row) for row in zip(*rows.rows, strict=True)])  # Q Aᵀ
@@ -146,20 +147,21 @@ def _piece(
 
 
 def _rows(
-    variables: tuple[Sequence[str], Box],
+    names: Sequence[str],
+    box: Box,
     texts: Sequence[str],
     covers: Sequence[Matrix],
-    at: tuple[Sequence[Fraction], Sequence[Fraction]],
+    centre: Sequence[Fraction],
     level: Fraction,
     feedbacks: Sequence[Sequence[Fraction]],
     rests: Sequence[Fraction],
+    radii: Sequence[Fraction],
 ) -> tuple[Rows, list[Fraction]]:
     """Return rows of texts about a centre with radii, and bounds on how far their values there are from `rests`.
 
     Raises:
         Rejected: a text is not defined on the region, or they differ although there are no radii.
     """
-    (names, box), (centre, radii) = variables, at
     try:
         rows = Rows(names, [span(*ends) for ends in box], texts, covers, centre, level, (), feedbacks, radii)
         if len(rows.limits) != len(feedbacks):

@@ -1,10 +1,10 @@
 """Rows of slopes: every expression of dynamics as its value at x* plus a row times the distance from x*.
 
 With ξ = x − x*, an expression is e(x, w) = e(x*, w) + r(θ)·ξ on {V ≤ level}, where the row r is a polynomial in slopes
-θ, of degree at most 1 in each of them. If x* has radii, this holds for every x* within them. A slope is a parameter, a secant slope of a function of one variable, the value
-of a factor, or the value of an expression at x*; interval arithmetic encloses its range on {V ≤ level}. A slope that
-occurs twice in a product is replaced there by an independent copy, which only adds cases. Parameters that are
-disturbances are linear variables beside ξ.
+θ, of degree at most 1 in each of them. If x* has radii, this holds for every x* within them. A slope is a parameter, a
+secant slope of a function of one variable, the value of a factor, or the value of an expression at x*; interval
+arithmetic encloses its range on {V ≤ level}. A slope that occurs twice in a product is replaced there by an independent
+copy, which only adds cases. Parameters that are disturbances are linear variables beside ξ.
 
 A limit clip(y) of an expression y may have a feedback G, which only the proof uses. Where lower ≤ y* + G·ξ ≤ upper on
 the whole region, clip(y) lies between y and y* + G·ξ, so that its row is G + θ (r_y − G) with θ in [0, 1], and it is

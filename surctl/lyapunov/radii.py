@@ -26,7 +26,9 @@ _SPARE = 1.01
 _SHARE = 1e-3  # of the rate of the slowest decay, which shows the radii of a claim without a rate
 
 
-def drift(variables: Sequence[Range], values: Sequence[Node], at: Sequence[Fraction], rests: Sequence[Fraction]) -> Array:
+def drift(
+    variables: Sequence[Range], values: Sequence[Node], at: Sequence[Fraction], rests: Sequence[Fraction]
+) -> Array:
     """Return bounds on how far expressions are from `rests` at a point, for all parameters; 0 where they equal them.
 
     Args:

@@ -382,7 +382,8 @@ def _radii(dynamics: Dynamics, shapes: Shapes, share: float) -> dict[str, float]
     assert sampling is not None
     at, n, zero = [s.rest for s in d.states], len(d.states), number(0)
     rests = at + [c.rest for c in sampling.commands]
-    held = [Range(c.name, *(float(c.rest) + sign * (1 + abs(float(c.rest))) for sign in (-1, 1))) for c in sampling.commands]
+    far = [1 + abs(float(c.rest)) for c in sampling.commands]
+    held = [Range(c.name, float(c.rest) - x, float(c.rest) + x) for c, x in zip(sampling.commands, far, strict=True)]
     after = [*(sampling.next.get(s.name, variable(s.name)) for s in d.states), *(c.value for c in sampling.commands)]
     flow = [sampling.flow.get(s.name, zero) for s in d.states] + [zero] * len(held)
     jump = drift(d.variables, after, at, rests)

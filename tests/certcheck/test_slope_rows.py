@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from surctl.certcheck import Rejected
 from surctl.certcheck.enclosure import Undefined, span
-from surctl.certcheck.region_exact import inverse
-from surctl.certcheck.slope_rows import _MOST_EXPONENT, Number, Rows, _fraction, up
+from surctl.certcheck.region_exact import inverse, up
+from surctl.certcheck.slope_rows import _MOST_EXPONENT, Number, Rows, _fraction
 from surctl.verification.formula import parse, values_of, variable
 
 Array = NDArray[np.float64]
