@@ -180,3 +180,12 @@ def test_the_equilibrium_of_a_sampled_loop_lies_within_the_radii(
         document["claim"]["radius"] = {"x": x, "u": u}
     evidence = {key: document[key] for key in ("knots", "feedbacks")}
     assert check_document(seal("lyapunov", document["claim"], evidence)).accepted is good
+
+
+@pytest.mark.parametrize(("radius", "good"), [(0.02, True), (0.03, False)])
+def test_the_feedback_of_a_sampled_limit_has_room_for_the_radii(sampled: Document, radius: float, good: bool) -> None:
+    claim = sampled["claim"] | {"radius": {"x": radius, "u": radius}, "rate": None}
+    claim["level"] *= 0.9
+    checked = check_document(seal("lyapunov", claim, {key: sampled[key] for key in ("knots", "feedbacks")}))
+    assert checked.accepted is good
+    assert good or "the feedback of a limit does not stay" in checked.reason
