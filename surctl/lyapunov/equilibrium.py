@@ -118,7 +118,7 @@ def refined(dynamics: Dynamics) -> Dynamics:
     """Return the dynamics with their equilibrium, known to some digits, to the last digit and as short as possible.
 
     Parameters have the middle of their ranges. An equilibrium that no step of Newton's method improves is kept. If no
-    double is the equilibrium, it is exact where the rates are affine close to it.
+    double is the equilibrium, it is exact where the rates are affine close to it, and elsewhere the closest double.
     """
     d = dynamics
     size = d.size()
@@ -137,7 +137,10 @@ def refined(dynamics: Dynamics) -> Dynamics:
         if not np.abs(error).max() < np.abs(near).max():
             break
         x, near = trial, error
-    return _exact(_about(d, _short(d, x, size))) if np.isfinite(near).all() else d
+    if not np.isfinite(near).all():
+        return d
+    short = _exact(_about(d, _short(d, x, size)))
+    return _about(d, x) if inexact(short) else short
 
 
 def _exact(d: Dynamics) -> Dynamics:

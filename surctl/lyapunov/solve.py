@@ -249,6 +249,7 @@ class Solution:
             "vacuous": self.vacuous or None,
             "rule": self.decision.rule or None if self.decision is not None else None,
             "equilibrium": {s.name: s.equilibrium for s in self.problem.dynamics.states},
+            "radius": claim.get("radius"),
             "level": claim.get("level"),
             "rate": claim.get("rate"),
             "falsified_level": self.falsified,
@@ -384,8 +385,8 @@ def stated_lines(
     ranges = ", ".join(f"{v.name} in [{every_digit(v.lower)}, {every_digit(v.upper)}] {v.unit}" for v in d.variables)
     lines.append(f"  where {ranges}")
     if kind == "lyapunov":
-        near = radii or {}
-        texts = [f"{s.name} = {decimal_text(s.rest)}" + f" ± {near[s.name]:g}" * (s.name in near) for s in d.states]
+        near = {name: f" ± {radius:g}" for name, radius in (radii or {}).items()}
+        texts = (f"{s.name} = {decimal_text(s.rest)}{near.get(s.name, '')}" for s in d.states)
         lines.append(f"  equilibrium {', '.join(texts)}")
     return lines
 
