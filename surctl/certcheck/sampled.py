@@ -90,8 +90,8 @@ def check(document: Mapping[str, Any]) -> None:
     feedbacks = [_exact(row) for row in listed(document["feedbacks"])]
     texts = [*(after.get(name, name) for name in states), *(row["value"] for row in commands)]
     wide = widened(p, level, radii[:n])
-    rows, drift = _rows(*at_samples, texts, [cover], centre[:n], wide, feedbacks, centre, radii[:n])
-    ends = [(least(a, b)[0], greatest(a, b)[1]) for a, b in ((rows.range[k], rows.rest[k]) for k in rows.roots)]
+    jump, drift = _rows(*at_samples, texts, [cover], centre[:n], wide, feedbacks, centre, radii[:n])
+    ends = [(least(a, b)[0], greatest(a, b)[1]) for a, b in ((jump.range[k], jump.rest[k]) for k in jump.roots)]
     ranges = [(nextafter(libmp.to_float(low), -inf), nextafter(libmp.to_float(high), inf)) for low, high in ends]
     rates = [flow.get(name, "0") for name in names[:size]]  # a command is held
     between = Motion(names[:size], names, [*box, *ranges[n:], *whole[size:]], rates, discrete=False)
@@ -104,7 +104,7 @@ def check(document: Mapping[str, Any]) -> None:
         drift = _piece(between, centre, wide, pair, time, radii)
         moved += time * max((norm(shape, drift) for shape in shapes[k : k + 2]), default=Fraction(0))
     rate = max(rate, least_rate(moved, [cover, *knots], radii)) if radii else rate
-    _instant(rows, p, knots[0], rate)
+    _instant(jump, p, knots[0], rate)
 
 
 def _instant(rows: Rows, p: Matrix, knot: Matrix, rate: Fraction) -> None:
