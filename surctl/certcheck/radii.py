@@ -61,5 +61,5 @@ def widened(p: Matrix, level: Fraction, radii: Sequence[Fraction]) -> Fraction:
 
 def least_rate(drift: Fraction, covers: Sequence[Matrix], radii: Sequence[Fraction]) -> Fraction:
     """Return a rate with which {ξᵀ Q⁻¹ ξ ≤ (2 drift/rate)²} lies in B for all covers Q of the first coordinates."""
-    reach = (relative_root_up(q[k][k]) / radius for q in covers for k, radius in enumerate(radii[: len(q)]))
-    return 2 * drift * max(reach)
+    ratios = (relative_root_up(q[k][k]) / radius for q in covers for k, radius in enumerate(radii[: len(q)]))
+    return 2 * drift * max(ratios)

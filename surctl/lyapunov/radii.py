@@ -75,8 +75,8 @@ def radii(total: float, covers: Array, rate: float) -> Array:
         covers: the inverses (K, n, n) of the matrices of V and W.
         rate: the rate, as a share in discrete time.
     """
-    reach = np.sqrt(np.diagonal(covers, axis1=1, axis2=2).max(axis=0))
-    return np.array([float(f"{x:.2e}") for x in _SPARE * 2 * total / rate * reach])
+    extents = np.sqrt(np.diagonal(covers, axis1=1, axis2=2).max(axis=0))
+    return np.array([float(f"{x:.2e}") for x in _SPARE * 2 * total / rate * extents])
 
 
 def norm(p: Array, sizes: Array) -> float:
