@@ -19,6 +19,7 @@ import math
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -195,8 +196,14 @@ def _proves_motion(claim: Mapping[str, Any]) -> str:
         region = f"{held}: every solution that starts at an instant where V < {claim['level']:g} stays in the box"
     if claim["property"] == "bound":
         return f"{region}, and V decays to the stated bound"
+    goal, about = "the equilibrium", ""
+    if "radius" in claim:
+        at, about = claim["equilibrium"], " about it"
+        box = ", ".join(f"{name} = {float(Fraction(at[name])):g} ± {r:g}" for name, r in claim["radius"].items())
+        varies = any(row["lower"] < row["upper"] for row in claim["parameters"])
+        goal = f"{box}, for constant parameters to the equilibrium there" if varies else f"the equilibrium at {box}"
     if claim["rate"] is None:
-        return f"{region} and converges to the equilibrium, which is asymptotically stable"
+        return f"{region} and converges to {goal}, which is asymptotically stable"
     pace = (
         f"falls by at least {claim['rate']:g} of its value in every step"
         if discrete
@@ -204,7 +211,7 @@ def _proves_motion(claim: Mapping[str, Any]) -> str:
         if claim["time"] == "sampled"
         else (f"decays at least as exp(-{claim['rate']:g} t)")
     )
-    return f"{region} and converges to the equilibrium: V {pace}"
+    return f"{region} and converges to {goal}: V{about} {pace}"
 
 
 def _checker(kind: str) -> Any:

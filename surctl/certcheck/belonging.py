@@ -64,7 +64,9 @@ _GUARDED = (
 )  # fmt: skip
 _FORCE = re.compile("([YN][uvr]?[vru]|m12|m14|Y0|N0)")  # parameters of a vehicle that matter to the heading loop
 _VECTORS = ("plant_state", "controller_state", "gains", "parameters", "reference", "disturbance")
-_PROVED = {"function", "level", "rate", "equilibrium", "inner", "gains", "initial", "unsafe", "multiplier", "stays"}
+_PROVED = {
+    "function", "level", "rate", "equilibrium", "radius", "inner", "gains", "initial", "unsafe", "multiplier", "stays",
+}  # fmt: skip
 """Entries of a claim about dynamics that the certificate itself proves."""
 _DISTURBED = (
     "current_m_per_s", "force_n", "place_error_m", "velocity_error_m_per_s", "heave_m_per_s", "heave_m_per_s2",

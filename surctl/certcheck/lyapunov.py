@@ -19,8 +19,11 @@ not be positive.
 The change of V (`change`) is compared with the one that the checker computes from the dynamics.
 
 A certificate whose V is a quadratic form about the equilibrium may state `slopes` in the place of all these proofs,
-with feedbacks of the limits or none; then `surctl.certcheck.slopes` decides. `surctl.certcheck.sampled` decides about
-a plant under a sampled controller.
+with feedbacks of the limits or none; then `surctl.certcheck.slopes` decides. Only such a claim may have a `radius` of
+each coordinate: the equilibrium lies within these radii of the stated point, about which Ω is, and the rate is that of
+V about the equilibrium. If parameters vary in time, solutions converge to the box of the radii instead.
+
+`surctl.certcheck.sampled` decides about a plant under a sampled controller.
 """
 
 from __future__ import annotations
@@ -33,6 +36,7 @@ from surctl.certcheck.document import Rejected, record
 from surctl.certcheck.expressions import ExpressionTable
 from surctl.certcheck.inequality import listed, number
 from surctl.certcheck.motion import Motion, Obligation, check_all, decimal_text, read_motion, rest_of
+from surctl.certcheck.radii import read_radii
 from surctl.certcheck.region_exact import inverse
 from surctl.certcheck.sampled import check as check_sampled
 from surctl.certcheck.slopes import Decrease, check_decrease, quadratic_form, require_in_box
@@ -78,9 +82,10 @@ def _check_slopes(document: Mapping[str, Any], motion: Motion) -> None:
     if claim["rate"] is not None:
         _rate(claim["rate"], motion)
         rate = Fraction(repr(claim["rate"]))
-    gains, constant = dict[str, Fraction](), Fraction(0)
+    gains, constant, radii = dict[str, Fraction](), Fraction(0), list[Fraction]()
     if claim["property"] == "stability":
-        record(claim, _MOTION | {"equilibrium"}, "claim")
+        record(claim, _MOTION | {"equilibrium"} | claim.keys() & {"radius"}, "claim")
+        radii = read_radii(claim, motion.states)
         centre = [rest_of(value)[1] for value in _equilibrium(motion, claim["equilibrium"])]
     elif claim["property"] == "bound":
         gains, constant = _gains(claim, motion), rate * Fraction(repr(number(claim["inner"])))
@@ -92,7 +97,7 @@ def _check_slopes(document: Mapping[str, Any], motion: Motion) -> None:
     if not motion.discrete:
         table = ExpressionTable(motion.names)
         motion.require_continuous(table, [table.read(text) for text in motion.rates], "the dynamics contain")
-    needed = Decrease(p, centre, level, rate, gains, constant)
+    needed = Decrease(p, centre, level, rate, gains, constant, radii)
     check_decrease(motion.names, motion.box, motion.rates, needed, discrete=motion.discrete, feedbacks=feedbacks)
 
 

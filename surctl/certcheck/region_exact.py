@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from fractions import Fraction
-from math import isqrt, lcm
+from math import inf, isqrt, lcm, nextafter, sqrt
 
 from surctl.certcheck.definite import by_elimination
 from surctl.certcheck.patience import go_on
 
 __all__ = [
-    "Matrix", "inverse", "is_positive_definite", "largest_eigenvalue", "product", "quadratic", "root_down", "root_up",
-    "transpose",
+    "Matrix", "inverse", "is_positive_definite", "largest_eigenvalue", "magnitude", "product", "quadratic",
+    "relative_root_up", "root_down", "root_up", "transpose", "up",
 ]  # fmt: skip
 
 Matrix = list[list[Fraction]]
@@ -64,6 +64,22 @@ def is_positive_definite(a: Matrix) -> bool:
         return False
     common = lcm(*(entry.denominator for row in a for entry in row))
     return by_elimination([[int(entry * common) for entry in row] for row in a], strictly=True)
+
+
+def magnitude(x: Fraction) -> int:
+    """Return n with 2^(n − 1) < |x| < 2^(n + 1), for x ≠ 0; 0 for x = 0."""
+    return x.numerator.bit_length() - x.denominator.bit_length() if x else 0
+
+
+def up(x: Fraction) -> float:
+    """Return a double that is at least x ≥ 0."""
+    return nextafter(float(x), inf) if x else 0.0
+
+
+def relative_root_up(value: Fraction) -> Fraction:
+    """Return a number that is ≥ √value and at most a share of 1e-11 above √value, for a value ≥ 0 of any size."""
+    unit = Fraction(2) ** (magnitude(value) // 2)
+    return Fraction(sqrt(up(value / unit**2)) * (1 + 1e-12)) * unit
 
 
 def root_up(value: Fraction) -> Fraction:

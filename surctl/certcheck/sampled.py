@@ -35,6 +35,7 @@ from surctl.certcheck.expressions import ExpressionTable
 from surctl.certcheck.inequality import Box
 from surctl.certcheck.interval import printable, variables_of
 from surctl.certcheck.motion import Motion, require_loop, rest_of
+from surctl.certcheck.radii import least_rate, norm, read_radii, widened
 from surctl.certcheck.region_exact import Matrix, inverse, is_positive_definite
 from surctl.certcheck.slope_rows import Number, Rows
 from surctl.certcheck.slopes import constants, is_definite, multiplied, quadratic_form, require_in_box
@@ -50,7 +51,7 @@ _MOST_KNOTS = 65
 
 def check(document: Mapping[str, Any]) -> None:
     """Raise Rejected unless the certificate proves its claim about a sampled loop."""
-    claim = record(document["claim"], _CLAIM, "claim")
+    claim = record(document["claim"], _CLAIM | document["claim"].keys() & {"radius"}, "claim")
     record(document, {"format", "version", "kind", "claim", "sha256", "knots", "feedbacks"}, "the certificate")
     printable(claim["name"])
     if claim["property"] != "stability":
@@ -68,6 +69,7 @@ def check(document: Mapping[str, Any]) -> None:
     if set(claim["equilibrium"]) != set(names[:size]):
         raise Rejected("the equilibrium does not name every state and command once")
     centre = [rest_of(claim["equilibrium"][name])[1] for name in names[:size]]
+    radii = read_radii(claim, names[:size])
     period, level, rate = (
         Fraction(repr(number(claim[key]))) if claim[key] is not None else Fraction(0)
         for key in ("period_s", "level", "rate")
@@ -87,29 +89,27 @@ def check(document: Mapping[str, Any]) -> None:
     at_samples = [*states, *names[size:]], [*box, *whole[size:]]
     feedbacks = [_exact(row) for row in listed(document["feedbacks"])]
     texts = [*(after.get(name, name) for name in states), *(row["value"] for row in commands)]
-    ranges = _instant(at_samples, texts, centre, level, rate, (p, cover, knots[0]), feedbacks)
+    wide = widened(p, level, radii[:n])
+    jump, drift = _rows(*at_samples, texts, [cover], centre[:n], wide, feedbacks, centre, radii[:n])
+    ends = [(least(a, b)[0], greatest(a, b)[1]) for a, b in ((jump.range[k], jump.rest[k]) for k in jump.roots)]
+    ranges = [(nextafter(libmp.to_float(low), -inf), nextafter(libmp.to_float(high), inf)) for low, high in ends]
     rates = [flow.get(name, "0") for name in names[:size]]  # a command is held
     between = Motion(names[:size], names, [*box, *ranges[n:], *whole[size:]], rates, discrete=False)
     table = ExpressionTable(names)
     between.require_continuous(table, [table.read(text) for text in between.rates], "the dynamics contain")
-    for first, second in pairwise(knots):
-        _piece(between, centre, level, (first, second), period / (len(knots) - 1))
+    shapes = [inverse(knot) for knot in knots] if radii else []
+    moved, time = norm(shapes[0], drift) if radii else Fraction(0), period / (len(knots) - 1)
+    for k, pair in enumerate(pairwise(knots)):
+        wide = max((widened(shape, level, radii) for shape in shapes[k : k + 2]), default=level)
+        drift = _piece(between, centre, wide, pair, time, radii)
+        moved += time * max((norm(shape, drift) for shape in shapes[k : k + 2]), default=Fraction(0))
+    rate = max(rate, least_rate(moved, [cover, *knots], radii)) if radii else rate
+    _instant(jump, p, knots[0], rate)
 
 
-def _instant(
-    variables: tuple[Sequence[str], Box],
-    texts: Sequence[str],
-    centre: Sequence[Fraction],
-    level: Fraction,
-    rate: Fraction,
-    shapes: tuple[Matrix, Matrix, Matrix],
-    feedbacks: Sequence[Sequence[Fraction]],
-) -> Box:
-    """Raise Rejected unless W(0) < (1 − rate) V after an instant; return ranges of the texts on {V ≤ level}."""
-    names, box = variables
-    p, cover, knot = shapes
-    n, size = len(p), len(texts)
-    rows = _rows(names, box, texts, [cover], centre[:n], level, feedbacks, centre)
+def _instant(rows: Rows, p: Matrix, knot: Matrix, rate: Fraction) -> None:
+    """Raise Rejected unless W(0) < (1 − rate) V after an instant."""
+    n, size = len(p), len(knot)
     whole = constants([[Fraction(0)] * (n + size) for _ in range(n + size)])
     for i, row in enumerate(p):
         whole[i][:n] = constants([[(1 - rate) * x for x in row]])[0]
@@ -119,16 +119,19 @@ def _instant(
             whole[j][n + i] = rows.rows[i][j]
     if not is_definite(rows, whole):
         raise Rejected("the slope rule does not show that the function decreases at a sampling instant")
-    ends = [(least(a, b)[0], greatest(a, b)[1]) for a, b in ((rows.range[k], rows.rest[k]) for k in rows.roots)]
-    return [(nextafter(libmp.to_float(low), -inf), nextafter(libmp.to_float(high), inf)) for low, high in ends]
 
 
 def _piece(
-    between: Motion, centre: Sequence[Fraction], level: Fraction, knots: tuple[Matrix, Matrix], time: Fraction
-) -> None:
-    """Raise Rejected unless W decreases while Q goes from one knot to the next in this time."""
-    still = [Fraction(0)] * len(centre)
-    rows = _rows(between.names, between.box, between.rates, knots, centre, level, (), still)
+    between: Motion,
+    centre: Sequence[Fraction],
+    level: Fraction,
+    knots: tuple[Matrix, Matrix],
+    time: Fraction,
+    radii: Sequence[Fraction] = (),
+) -> list[Fraction]:
+    """Return bounds on the rates at the centre; raise Rejected unless W decreases between two knots in this time."""
+    still = [Fraction(0)] * len(between.states)
+    rows, drift = _rows(between.names, between.box, between.rates, knots, centre, level, (), still, radii)
     for knot in knots:
         loss = [[(y - x) / time for x, y in zip(*pair, strict=True)] for pair in zip(*knots, strict=True)]
         moved = multiplied(rows, knot, [list(row) for row in zip(*rows.rows, strict=True)])  # Q Aᵀ
@@ -140,6 +143,7 @@ def _piece(
                 whole[j][i] = rows.plus(whole[j][i], lost)  # the diagonal loses twice
         if not is_definite(rows, whole):
             raise Rejected("the slope rule does not show that W decreases between the sampling instants")
+    return drift
 
 
 def _rows(
@@ -151,18 +155,23 @@ def _rows(
     level: Fraction,
     feedbacks: Sequence[Sequence[Fraction]],
     rests: Sequence[Fraction],
-) -> Rows:
-    """Return rows of texts that have exactly the values `rests` at x*; raise Rejected if they have not."""
+    radii: Sequence[Fraction],
+) -> tuple[Rows, list[Fraction]]:
+    """Return rows of texts about a centre with radii, and bounds on how far their values there are from `rests`.
+
+    Raises:
+        Rejected: a text is not defined on the region, or they differ although there are no radii.
+    """
     try:
-        rows = Rows(names, [span(*ends) for ends in box], texts, covers, centre, level, (), feedbacks)
+        rows = Rows(names, [span(*ends) for ends in box], texts, covers, centre, level, (), feedbacks, radii)
         if len(rows.limits) != len(feedbacks):
             raise Rejected(f"there are {len(feedbacks)} feedbacks for {len(rows.limits)} limits")
-        moves = [rows.resting(k, rest) for k, rest in enumerate(rests)]
+        moves = [rows.size(rows.resting(k, rest)) for k, rest in enumerate(rests)]
     except Undefined as reason:
         raise Rejected(f"an expression is not defined on the region: {reason}") from None
-    if any(entry.poly or entry.error for entry in moves):
+    if any(moves) and not radii:
         raise Rejected("the loop does not rest at the equilibrium for all parameters")
-    return rows
+    return rows, moves
 
 
 def _exact(row: object) -> list[Fraction]:

@@ -1,10 +1,10 @@
 """Rows of slopes: every expression of dynamics as its value at x* plus a row times the distance from x*.
 
 With ξ = x − x*, an expression is e(x, w) = e(x*, w) + r(θ)·ξ on {V ≤ level}, where the row r is a polynomial in slopes
-θ, of degree at most 1 in each of them. A slope is a parameter, a secant slope of a function of one variable, the value
-of a factor, or the value of an expression at x*; interval arithmetic encloses its range on {V ≤ level}. A slope that
-occurs twice in a product is replaced there by an independent copy, which only adds cases. Parameters that are
-disturbances are linear variables beside ξ.
+θ, of degree at most 1 in each of them. If x* has radii, this holds for every x* within them. A slope is a parameter, a
+secant slope of a function of one variable, the value of a factor, or the value of an expression at x*; interval
+arithmetic encloses its range on {V ≤ level}. A slope that occurs twice in a product is replaced there by an independent
+copy, which only adds cases. Parameters that are disturbances are linear variables beside ξ.
 
 A limit clip(y) of an expression y may have a feedback G, which only the proof uses. Where lower ≤ y* + G·ξ ≤ upper on
 the whole region, clip(y) lies between y and y* + G·ξ, so that its row is G + θ (r_y − G) with θ in [0, 1], and it is
@@ -42,9 +42,9 @@ from surctl.certcheck.enclosure import (
 from surctl.certcheck.expressions import ExpressionTable
 from surctl.certcheck.identity import Exact
 from surctl.certcheck.patience import go_on
-from surctl.certcheck.region_exact import Matrix
+from surctl.certcheck.region_exact import Matrix, magnitude, relative_root_up
 
-__all__ = ["Number", "Poly", "Rows", "magnitude", "up"]
+__all__ = ["Number", "Poly", "Rows"]
 
 Array = NDArray[np.float64]
 Poly = dict[tuple[int, ...], Fraction]
@@ -86,10 +86,11 @@ class Rows:
         box: ranges of `names`, which hold on the region.
         rates: texts of the expressions.
         covers: matrices Q ≻ 0 (n, n); the only one is P⁻¹ if V = ξᵀ P ξ.
-        centre: x* (n,).
-        level: level of the region.
+        centre: x* (n,), or the middle of the values that it may have.
+        level: level of the region, about x*.
         disturbances: names of the parameters that are linear variables.
         feedbacks: G (n,) of each limit on both sides of its operand at x*, in the order in which `rates` name them.
+        radii: how far x* may be from `centre` (n,); empty if it is there.
     """
 
     def __init__(
@@ -102,8 +103,9 @@ class Rows:
         level: Fraction,
         disturbances: Sequence[str] = (),
         feedbacks: Sequence[Sequence[Fraction]] = (),
+        radii: Sequence[Fraction] = (),
     ) -> None:
-        self.names, self.centre = tuple(names), centre
+        self.names, self.centre, self.radii = tuple(names), centre, radii
         self.states = len(centre)
         self.linear = [*range(self.states), *(k for k, name in enumerate(names) if name in disturbances)]
         # powers of 2 scale the doubles to about 1, so that none is rounded to 0 or overflows
@@ -114,8 +116,7 @@ class Rows:
             for cover in covers
         ]
         self._inner = np.array([[[float(x) for x in row] for row in cover] for cover in scaled])
-        unit = Fraction(2) ** (magnitude(level) // 2)
-        self._radius = Fraction(float(np.sqrt(up(level / unit**2))) * (1 + 1e-12)) * unit
+        self._radius = relative_root_up(level)
         self.table = ExpressionTable(names)
         self.range: dict[int, Interval] = {}  # of each node on the region
         self.rest: dict[int, Interval] = {}  # of each node at x*, without disturbances
@@ -136,7 +137,7 @@ class Rows:
         ends = []
         for k, own in enumerate(box):
             if k < self.states:
-                at = rational(self.centre[k])
+                at = _around(rational(self.centre[k]), self.radii[k]) if self.radii else rational(self.centre[k])
                 extent = self._ellipsoid([Fraction(j == k) for j in range(self.states)])
                 ends.append((_common(own, _around(at, extent)), at))
             elif k in self.linear:
@@ -352,7 +353,7 @@ class Rows:
         """Return the value of a node at x*, without disturbances, as a polynomial in parameters, or as a slope."""
         key = "value", at
         if key not in self._values:
-            self._values[key] = self._exact_value(at) or self._slope(self.rest[at])
+            self._values[key] = self._exact_value(at) or self._slope(self.rest[at], self.range[at])
         return self._values[key]
 
     def _factor(self, at: int) -> Number:
@@ -376,8 +377,7 @@ class Rows:
             case "var" if self.base[at] < 0:
                 return self._slope(narrow)
             case "var":
-                centre = self.centre[entry.value.numerator]
-                return Number({(): centre})
+                return None if self.radii else Number({(): self.centre[entry.value.numerator]})
             case "neg":
                 return self.times(Number({(): Fraction(-1)}), self._value(args[0]))
             case "add":
@@ -404,11 +404,14 @@ class Rows:
                 self._values[key] = self._slope(over(rational(Fraction(1)), self.rest[at]))
         return self._values[key]
 
-    def _slope(self, ends: Interval) -> Number:
-        """Return a new slope with this range, or a number with an error if the range is narrow."""
+    def _slope(self, ends: Interval, whole: Interval = _ZERO) -> Number:
+        """Return a new slope with this range, or a number with an error if the range is narrow.
+
+        With radii, a range that is narrow relative to `whole`, the values in the region, is narrow too.
+        """
         low, high = (_fraction(end) for end in ends)
         middle, half = (low + high) / 2, (high - low) / 2
-        if half <= _NARROW * abs(middle):
+        if half <= _NARROW * max([abs(middle), *(abs(_fraction(end)) for end in whole if self.radii)]):
             return Number({(): middle} if middle else {}, half)
         self.slopes.append(_rounded(ends))
         return Number({(len(self.slopes) - 1,): Fraction(1)})
@@ -494,7 +497,7 @@ class Rows:
         return reduce(hull, (_secant_on(function, piece, c, value) for piece in _pieces(self.range[base], c)))
 
     def resting(self, k: int, moved: Fraction) -> Number:
-        """Return f_k(x*, w) − moved without disturbances; it is the number 0 only if it is exactly 0."""
+        """Return f_k(centre, w) − moved without disturbances; it is the number 0 only if it is exactly 0."""
         table, small = self.table, ExpressionTable(self.names)
         new: dict[int, int] = {}
         for at in table.needed([self.roots[k]]):
@@ -552,16 +555,6 @@ def _evaluated(poly: Poly, value: Mapping[int, Fraction]) -> Fraction:
             number *= value[k]
         total += number
     return total
-
-
-def magnitude(x: Fraction) -> int:
-    """Return n with 2^(n − 1) < |x| < 2^(n + 1), for x ≠ 0; 0 for x = 0."""
-    return x.numerator.bit_length() - x.denominator.bit_length() if x else 0
-
-
-def up(x: Fraction) -> float:
-    """Return a double that is at least x ≥ 0."""
-    return float(np.nextafter(float(x), np.inf)) if x else 0.0
 
 
 def _pieces(ends: Interval, c: Interval) -> list[Interval]:

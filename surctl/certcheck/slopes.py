@@ -11,7 +11,7 @@ variable beside x − x*, and f(x*, w) ≠ 0 multiplies the number 1.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from itertools import combinations
 from math import prod
@@ -26,8 +26,9 @@ from surctl.certcheck.expressions import ExpressionTable
 from surctl.certcheck.identity import Exact
 from surctl.certcheck.inequality import Box
 from surctl.certcheck.patience import afford, go_on
-from surctl.certcheck.region_exact import Matrix, inverse, is_positive_definite
-from surctl.certcheck.slope_rows import Number, Poly, Rows, magnitude, up
+from surctl.certcheck.radii import least_rate, norm, widened
+from surctl.certcheck.region_exact import Matrix, inverse, is_positive_definite, magnitude, up
+from surctl.certcheck.slope_rows import Number, Poly, Rows
 
 __all__ = [
     "Decrease", "check_decrease", "constants", "is_definite", "multiplied", "quadratic_form", "require_in_box",
@@ -53,6 +54,8 @@ class Decrease:
         rate: decay rate ≥ 0; in discrete time, V⁺ < (1 − rate) V + ...
         gains: gain of each parameter that is a disturbance, by name.
         constant: a number ≥ 0; if it is 0, the dynamics must rest at x*.
+        radii: radii (n,) of x* about `centre` (`surctl.certcheck.radii`); empty if it is there. With radii, V about
+            every x* within them decreases on the region {V ≤ level} about `centre`, which contains an equilibrium.
     """
 
     p: Matrix
@@ -61,6 +64,7 @@ class Decrease:
     rate: Fraction
     gains: Mapping[str, Fraction]
     constant: Fraction = Fraction(0)
+    radii: Sequence[Fraction] = ()
 
 
 def quadratic_form(states: Sequence[str], function: str, centre: Sequence[Fraction]) -> Matrix:
@@ -123,8 +127,9 @@ def check_decrease(
     """
     try:
         ends = [span(*bounds) for bounds in box]
-        cover, gains = inverse(needed.p), list(needed.gains)
-        rows = Rows(names, ends, rates, [cover], needed.centre, needed.level, gains, feedbacks)
+        cover, gains, radii = inverse(needed.p), list(needed.gains), needed.radii
+        level = widened(needed.p, needed.level, radii)
+        rows = Rows(names, ends, rates, [cover], needed.centre, level, gains, feedbacks, radii)
         free = [rows.resting(k, needed.centre[k] if discrete else Fraction(0)) for k in range(len(rates))]
     except Undefined as reason:
         raise Rejected(f"an expression is not defined on the region: {reason}") from None
@@ -133,6 +138,9 @@ def check_decrease(
     if needed.constant < 0:
         raise Rejected("V would have to become negative")
     moves = any(entry.poly or entry.error for entry in free)
+    if moves and radii:
+        least = least_rate(norm(needed.p, [rows.size(entry) for entry in free]), [cover], radii)
+        needed, moves = replace(needed, rate=max(needed.rate, least)), False
     if moves and not needed.constant:
         raise Rejected("the dynamics do not rest at the equilibrium for all parameters")
     if not is_definite(rows, _decrease(rows, free if moves else [], needed, discrete)):

@@ -55,12 +55,15 @@ class Stability:
         function: V, an expression of the states.
         level: level of the region.
         rate: with a number, V' ≤ −rate · V, or V⁺ − V ≤ −rate · V in discrete time; None means any strict decrease.
+        radii: for an equilibrium that is one only up to rounding, how far the true one may be from it, by name; then V
+            decreases where it is outside them, and its decay is that of V about the true one.
     """
 
     dynamics: Dynamics
     function: Node
     level: float
     rate: float | None = None
+    radii: Mapping[str, float] = field(default_factory=dict)
 
     kind = "lyapunov"
 
@@ -72,7 +75,16 @@ class Stability:
         """The claim in words."""
         pace = "" if self.rate is None else f" at the rate {every_digit(self.rate)}"
         region = f"where V < {every_digit(self.level)} in the box"
-        return f"{region}, V decreases{pace} and every solution converges to the equilibrium"
+        return f"{region}, V decreases{pace} and every solution converges to {self.goal}"
+
+    @property
+    def goal(self) -> str:
+        """To what solutions converge, in words."""
+        if not self.radii:
+            return "the equilibrium"
+        if any(w.lower < w.upper for w in self.dynamics.parameters):
+            return "the box of its radii, with constant parameters to the equilibrium there"
+        return "the equilibrium within its radii"
 
     def plain(self) -> dict[str, Any]:
         """Return the claim as plain data, as the certificate states it."""
@@ -82,6 +94,7 @@ class Stability:
             "equilibrium": {s.name: stated_number(s.rest) for s in self.dynamics.states},
             "level": float(self.level),
             "rate": None if self.rate is None else float(self.rate),
+            **({"radius": dict(self.radii)} if self.radii else {}),
         }
 
     def inequalities(self, scales: Sequence[float], positive: Power, decrease: Power | None) -> list[Inequality]:
@@ -102,6 +115,9 @@ class Stability:
         if loss is None:
             assert decrease is not None
             loss = self._power(scales, decrease)
+        if self.radii:  # outside the ellipsoid around their box
+            near = self._power([self.radii[s.name] for s in d.states], Power(1.0, 1))
+            inside, at = [*inside, number(len(d.states)) - near], {}
         return [*claims, _decrease(d, self.function, -loss, inside, at)]
 
     def _power(self, scales: Sequence[float], bound: Power) -> Node:

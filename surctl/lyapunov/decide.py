@@ -16,9 +16,10 @@ from surctl.certcheck import PATIENCE, check_document, seal
 from surctl.errors import EmptyDomain, InputError, UnsupportedOperation
 from surctl.lyapunov.claims import Bound, DynamicClaim, Inequality, Power, Safety, Stability
 from surctl.lyapunov.dynamics import Dynamics
-from surctl.lyapunov.equilibrium import linearisation
+from surctl.lyapunov.equilibrium import inexact, linearisation
 from surctl.lyapunov.falsified import least_level
 from surctl.lyapunov.near import fails_nearby, inward_speeds, point_text, short, stationary_state
+from surctl.lyapunov.radii import with_radii
 from surctl.verification.claim import Claim
 from surctl.verification.decide import confirmed
 from surctl.verification.doubtful import undefined_at
@@ -40,6 +41,11 @@ _HARD, _EASY = 0.7, 0.5  # shares of the remaining time for the first inequality
 _STEP, _NEAR = 1e-3, (1.0, 0.3, 0.1, 0.03, 0.01, 0.003)  # of the box: second differences; samples on lines
 _ALONG = np.array([t for near in _NEAR for t in (near, -near)])
 _CAUSES = {"decrease": "V decreases", "face": "V on a face", "successor": "the successor of a state"}
+_APART = 1e-6  # of the box: no counterexample is closer to an equilibrium that is one only up to rounding
+_ROUGH = (
+    "the equilibrium is one only up to rounding, so that only secant slopes and a quadratic V are tried: for others, "
+    "write rates that are exactly 0 there: ratios that are 1 (i/i_0), numbers such as 0.25"
+)
 _ZERO = 1e-9  # largest value of V at the equilibrium, relative to the level, that counts as rounding
 
 
@@ -129,6 +135,9 @@ def prove_motion(
 ) -> Decision:
     """Prove a claim as `decide_motion`, without a search for counterexamples, with at most `most` choices of bounds."""
     began, worked = time.perf_counter(), time.process_time()
+    if isinstance(claim, Stability) and inexact(claim.dynamics):
+        decision = prove_by_slopes(claim, time_limit=time_limit)
+        return decision if decision.verdict == "proved" else replace(decision, reason=f"{decision.reason}; {_ROUGH}")
     branches = has_branches(claim.dynamics)
     if branches and not isinstance(claim, Safety):
         decision = prove_by_slopes(claim, time_limit=_SLOPES * time_limit)
@@ -184,11 +193,15 @@ def prove_by_slopes(claim: Stability | Bound, *, time_limit: float, feedbacks: A
     """
     began = time.perf_counter()
     stated = {} if feedbacks is None or not len(feedbacks) else {"feedbacks": feedbacks.tolist()}
-    document = seal(claim.kind, claim.plain(), {"slopes": stated})
-    checked = check_document(document, time_limit=min(time_limit, PATIENCE))
-    if checked.accepted:
-        return Decision(claim, "proved", document, "", {}, time.perf_counter() - began, checked.vacuous)
-    return Decision(claim, "unknown", {}, checked.reason, {}, time.perf_counter() - began)
+    reason = ""
+    for trial in (lambda: claim, partial(with_radii, claim)):
+        if (one := trial()) is not None:
+            document = seal(one.kind, one.plain(), {"slopes": stated})
+            checked = check_document(document, time_limit=min(time_limit, PATIENCE))
+            reason = checked.reason
+            if checked.accepted:
+                return Decision(one, "proved", document, "", {}, time.perf_counter() - began, checked.vacuous)
+    return Decision(claim, "unknown", {}, reason, {}, time.perf_counter() - began)
 
 
 def _simply(inequality: Inequality, left: float) -> list[Any] | None:
@@ -240,9 +253,9 @@ def _refutation(claim: DynamicClaim, seed: int) -> tuple[str, Mapping[str, float
         inequalities = replace(claim, stays=False).inequalities(0.0)
     else:
         nothing = Power(0.0, 1)
-        inequalities = claim.inequalities(
-            [1.0] * len(claim.dynamics.states), nothing, None if claim.rate is not None else nothing
-        )
+        if inexact(d := claim.dynamics):
+            claim = replace(claim, radii={s.name: _APART * (s.upper - s.lower) for s in d.states})
+        inequalities = claim.inequalities([1.0] * len(d.states), nothing, None if claim.rate is not None else nothing)
     for k, inequality in enumerate(inequalities):
         # a region has two inequalities for each state, about its boundary; few samples are enough for these
         few = not isinstance(claim, Safety) and 0 < k < len(inequalities) - 1

@@ -118,7 +118,7 @@ def refined(dynamics: Dynamics) -> Dynamics:
     """Return the dynamics with their equilibrium, known to some digits, to the last digit and as short as possible.
 
     Parameters have the middle of their ranges. An equilibrium that no step of Newton's method improves is kept. If no
-    double is the equilibrium, it is exact where the rates are affine close to it.
+    double is the equilibrium, it is exact where the rates are affine close to it, and elsewhere the closest double.
     """
     d = dynamics
     size = d.size()
@@ -137,7 +137,10 @@ def refined(dynamics: Dynamics) -> Dynamics:
         if not np.abs(error).max() < np.abs(near).max():
             break
         x, near = trial, error
-    return _exact(_about(d, _short(d, x, size))) if np.isfinite(near).all() else d
+    if not np.isfinite(near).all():
+        return d
+    short = _exact(_about(d, _short(d, x, size)))
+    return _about(d, x) if inexact(short) else short
 
 
 def _exact(d: Dynamics) -> Dynamics:
@@ -167,28 +170,23 @@ def require_common(dynamics: Dynamics) -> None:
         raise NotApplicable(because, to="the loop", key=f"{d.name}.equilibrium")
 
 
-def inexact(dynamics: Dynamics) -> str:
-    """Return why no proof can be about the equilibrium, because it is one only up to rounding; empty if none is known.
-
-    Interval arithmetic shows that a state moves there.
-    """
+def inexact(dynamics: Dynamics) -> bool:
+    """Return whether the equilibrium is one only up to rounding: interval arithmetic shows that a state moves there."""
     d = dynamics
     table = ExpressionTable([v.name for v in d.variables])
     roots = [table.read(text_of(rate)) for rate in d.rates]
     rests = [s.rest for s in d.states]
     try:
-        for corner in d.corners().T:
+        for corner in d.corners(most=4).T:
             point = [rational(x) for x in (*rests, *(Fraction(repr(float(w))) for w in corner))]
             for s, jet in zip(d.states, enclose(table, roots, point), strict=True):
                 low, high = jet.value
                 still = rational(s.rest if d.discrete else Fraction(0))
                 if libmp.mpf_gt(low, still[1]) or libmp.mpf_lt(high, still[0]):
-                    at = ", ".join(f"{one.name} = {one.equilibrium:.9g}" for one in d.states)
-                    remedy = "write rates that are exactly 0 there: ratios that are 1 (i/i_0), numbers such as 0.25"
-                    return f"{at} is an equilibrium only up to rounding, and a proof needs its exact value; {remedy}"
+                    return True
     except Undefined:
         pass
-    return ""
+    return False
 
 
 def linearisation(dynamics: Dynamics) -> Linear:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from fractions import Fraction
 from functools import cached_property
 from typing import Any
 
@@ -20,7 +21,8 @@ from surctl.certcheck import PATIENCE, check_document, seal
 from surctl.errors import UnsupportedOperation
 from surctl.lyapunov.claims import Stability, every_digit, stated_number
 from surctl.lyapunov.decide import Decision
-from surctl.lyapunov.dynamics import Dynamics, State
+from surctl.lyapunov.dynamics import Dynamics, Range, State
+from surctl.lyapunov.radii import drift, norm, radii
 from surctl.lyapunov.rays import bounded
 from surctl.lyapunov.slope_search import Embedding, Family, quadratic, relative_volume
 from surctl.verification.conic import Inequality, minimise, symmetric_basis
@@ -302,7 +304,7 @@ class SampledStability(Stability):
         pace = "" if self.rate is None else f" by at least {every_digit(self.rate)} of its value"
         return (
             f"sampled every {every_digit(sampling.period)} s with held commands: where V < {every_digit(self.level)}, "
-            f"V decreases{pace} from sample to sample, and every solution converges to the equilibrium"
+            f"V decreases{pace} from sample to sample, and every solution converges to {self.goal}"
         )
 
     def plain(self) -> dict[str, Any]:
@@ -356,13 +358,14 @@ def sampled_region(
         return None
     p = np.asarray(np.linalg.inv(shapes.inverse), dtype=float)
     function, volume = quadratic(dynamics, p), relative_volume(dynamics, p)
+    radius = _radii(dynamics, shapes, share or 0.0)
     for level in _LEVELS:
         left = until - time.process_time()
         if left <= 0:
             break
         widest = np.vstack([shapes.inverse[None], shapes.knots[:, : len(shapes.inverse), : len(shapes.inverse)]])
         far = np.sqrt(level * np.diagonal(widest, axis1=1, axis2=2).max(axis=0))
-        claim = SampledStability(bounded(dynamics, np.array([far, far])), function, level, share)
+        claim = SampledStability(bounded(dynamics, np.array([far, far])), function, level, share, radius)
         document = seal(claim.kind, claim.plain(), _evidence(shapes))
         checked = check_document(document, time_limit=min(left, PATIENCE))
         if progress:
@@ -371,6 +374,28 @@ def sampled_region(
             decision = Decision(claim, "proved", document, "", {}, time.perf_counter() - began, checked.vacuous)
             return SampledRegion(decision, volume * level ** (len(far) / 2))
     return None
+
+
+def _radii(dynamics: Dynamics, shapes: Shapes, share: float) -> dict[str, float]:
+    """Return radii of states and commands, if the equilibrium is one only up to rounding; none if it is exact."""
+    d, sampling = dynamics, dynamics.sampling
+    assert sampling is not None
+    at, n, zero = [s.rest for s in d.states], len(d.states), number(0)
+    rests = at + [c.rest for c in sampling.commands]
+    far = [1 + abs(float(c.rest)) for c in sampling.commands]
+    held = [Range(c.name, float(c.rest) - x, float(c.rest) + x) for c, x in zip(sampling.commands, far, strict=True)]
+    after = [*(sampling.next.get(s.name, variable(s.name)) for s in d.states), *(c.value for c in sampling.commands)]
+    flow = [sampling.flow.get(s.name, zero) for s in d.states] + [zero] * len(held)
+    jump = drift(d.variables, after, at, rests)
+    moved = drift((*d.states, *held, *d.parameters), flow, rests, [Fraction(0)] * len(rests))
+    if not (jump.any() or moved.any()):
+        return {}
+    inverses = np.linalg.inv(shapes.knots)
+    total = norm(inverses[0], jump) + sampling.period * max(norm(p, moved) for p in inverses)
+    covers = np.zeros((len(shapes.knots) + 1, len(rests), len(rests)))
+    covers[:-1], covers[-1, :n, :n] = shapes.knots, shapes.inverse
+    names = [v.name for v in (*d.states, *held)]
+    return dict(zip(names, radii(total, covers, share or _LOSS / 4).tolist(), strict=True))
 
 
 def _evidence(shapes: Shapes) -> Mapping[str, Any]:

@@ -173,7 +173,7 @@ def find_stability(
             return _none("unknown", f"no region of the sampled loop is proved, and the law {_JUMPS}", began)
     few = len(d.states) <= _FEW
     searched = function is None and level is None and linear.verdict == "stable"
-    hard = has_branches(d) or len(d.variables) > _MANY
+    hard = has_branches(d) or len(d.variables) > _MANY or inexact(d)
     if searched and hard:
         slopes = _by_slopes(d, linear, demanded, time_limit, seed, progress)
         if slopes is not None and (first or not few) and rate != "largest":
@@ -239,11 +239,11 @@ _JUMPS = "may jump (if_else, select), for which no rule has a proof: write limit
 def unprovable(dynamics: Dynamics) -> str:
     """Return why no proof of a region can be found, whatever its function; empty if nothing is known.
 
-    The dynamics jump between sampling instants, or no double is their equilibrium.
+    The dynamics jump between sampling instants.
     """
     d = dynamics
     flow = d.rates if d.sampling is None else tuple(d.sampling.flow.values())
-    return f"the dynamics {_JUMPS}" if not d.discrete and _jumps(flow) else inexact(d)
+    return f"the dynamics {_JUMPS}" if not d.discrete and _jumps(flow) else ""
 
 
 def _jumps(expressions: tuple[Node, ...]) -> bool:

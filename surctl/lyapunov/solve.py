@@ -210,7 +210,7 @@ class Solution:
         lines = [
             f"{self.verdict:<8} {name}: {first} ({self.seconds:.1f} s)",
             f"  {letter} = {text_of(claim.function)}{f', from: {self.origin}' if self.origin else ''}",
-            *stated_lines(claim.dynamics, claim.kind, sampled=self.sampled),
+            *stated_lines(claim.dynamics, claim.kind, sampled=self.sampled, radii=getattr(claim, "radii", None)),
         ]
         if self.falsified is not None and self.verdict == "proved" and self.level is not None:
             share = self.level / self.falsified
@@ -249,6 +249,7 @@ class Solution:
             "vacuous": self.vacuous or None,
             "rule": self.decision.rule or None if self.decision is not None else None,
             "equilibrium": {s.name: s.equilibrium for s in self.problem.dynamics.states},
+            "radius": claim.get("radius"),
             "level": claim.get("level"),
             "rate": claim.get("rate"),
             "falsified_level": self.falsified,
@@ -370,7 +371,9 @@ def _moving(d: Dynamics) -> str:
     return ""
 
 
-def stated_lines(d: Dynamics, kind: str, *, sampled: bool = False) -> list[str]:
+def stated_lines(
+    d: Dynamics, kind: str, *, sampled: bool = False, radii: Mapping[str, float] | None = None
+) -> list[str]:
     """Return the dynamics, the box and the equilibrium as the certificate states them, as indented lines."""
     sign = "+" if d.discrete else "'"
     rows = [(f"{s.name}{sign}", rate) for s, rate in zip(d.states, d.rates, strict=True)]
@@ -382,7 +385,9 @@ def stated_lines(d: Dynamics, kind: str, *, sampled: bool = False) -> list[str]:
     ranges = ", ".join(f"{v.name} in [{every_digit(v.lower)}, {every_digit(v.upper)}] {v.unit}" for v in d.variables)
     lines.append(f"  where {ranges}")
     if kind == "lyapunov":
-        lines.append(f"  equilibrium {', '.join(f'{s.name} = {decimal_text(s.rest)}' for s in d.states)}")
+        near = {name: f" ± {radius:g}" for name, radius in (radii or {}).items()}
+        texts = (f"{s.name} = {decimal_text(s.rest)}{near.get(s.name, '')}" for s in d.states)
+        lines.append(f"  equilibrium {', '.join(texts)}")
     return lines
 
 

@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 
 from surctl.certcheck import Rejected
 from surctl.certcheck.enclosure import Undefined, span
-from surctl.certcheck.region_exact import inverse
-from surctl.certcheck.slope_rows import _MOST_EXPONENT, Number, Rows, _fraction, up
+from surctl.certcheck.radii import widened
+from surctl.certcheck.region_exact import inverse, up
+from surctl.certcheck.slope_rows import _MOST_EXPONENT, Number, Rows, _fraction
 from surctl.verification.formula import parse, values_of, variable
 
 Array = NDArray[np.float64]
@@ -69,13 +70,17 @@ def extremes(rows: Rows, row: list[Number], along: Array) -> tuple[Array, Array]
     return values.min(axis=0) - error[0], values.max(axis=0) + error[0]
 
 
+@pytest.mark.parametrize("radius", [Fraction(0), Fraction(1, 10), Fraction(1, 10**12)])
 @pytest.mark.parametrize("text", EXPRESSIONS)
-def test_a_row_contains_the_expression(text: str) -> None:
-    rows = rows_of(text)
+def test_a_row_contains_the_expression(text: str, radius: Fraction) -> None:
+    radii = [radius, radius / 2] if radius else []
+    rows = rows_of(text, level=widened(P, Fraction(1), radii), radii=radii)
     at = samples()
     node = parse(text, {name: variable(name) for name in NAMES})
     rest = at.copy()
     rest[:2], rest[3] = np.array([[float(c)] for c in CENTRE]), 0.0
+    if radii:  # about every point within them
+        rest[:2] += np.random.default_rng(2).choice([-1, -0.3, 1], at[:2].shape) * np.array([radii], dtype=float).T
     change = values_of([node], dict(zip(NAMES, at, strict=True)))[0]
     change = change - values_of([node], dict(zip(NAMES, rest, strict=True)))[0]
     low, high = extremes(rows, rows.rows[0], np.vstack([at[:2] - rest[:2], at[3]]))
