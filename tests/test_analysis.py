@@ -2,6 +2,7 @@ import csv
 import importlib
 import json
 import math
+import os
 import pickle
 import re
 import runpy
@@ -17,7 +18,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from surctl.marine.control import load_gains
+from surctl.marine.control import load_gains, perception
 from surctl.marine.sensing import SonarArray
 from surctl.marine.simulation import METRICS, STOPS, BatchResult, Case, simulate
 from surctl.marine.simulation.campaign.summary import RunTable
@@ -498,6 +499,31 @@ def test_the_closed_loop_of_one_law_by_sonar(monkeypatch: pytest.MonkeyPatch) ->
     first, second, length = study["edges"](np.stack(np.meshgrid(*[np.arange(24.0)] * 2, indexing="ij"), axis=-1))
     assert len(first) == 2 * (2 * 24 * 23 + 2 * 23 * 23) == len(set(zip(first, second, strict=True)))
     assert set(np.round(length, 9)) == {1.0, round(np.sqrt(2), 9)}
+
+
+def test_the_allowances_of_the_law_by_sonar(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = ANALYSIS / "41_one_sonar_law"
+    monkeypatch.syspath_prepend(str(folder))
+    study = runpy.run_path(str(folder / "budget.py"))
+    monkeypatch.setattr(perception, "_READING", perception._READING)
+    monkeypatch.setenv("SURCTL_CACHE", "the cache of the library's law")
+    end, laws = made_up({"sonar": [{"reached": 1, "time_s": 20.0}, {"collided": 1}]}), []
+
+    def simulate_batch(case: Case, *arguments: Any, **options: Any) -> BatchResult:
+        laws.append((perception._READING, os.environ["SURCTL_CACHE"], case.scenario.sensors.equipment.surface_model))
+        return end(case, *arguments, **options)
+
+    monkeypatch.setitem(study["row"].__globals__, "simulate_batch", simulate_batch)
+    assert study["main"](["--quick", "--smooth", "--allow", "reading=0.0115"]) == 0
+    assert table(capsys.readouterr().out)[-1][:6] == ["`pool-static`", "ideal", "1", "1", "0", "20.0"]
+    [(reading, cache, surfaces)] = laws
+    assert reading == 0.0115 and surfaces == "smooth" and not cache.startswith("the cache")
+    for wrong in ("breadth=1", "reading=wide"):
+        with pytest.raises(SystemExit):
+            study["main"](["--allow", wrong])
+        assert f"--allow {wrong.partition('=')[0]}: " in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("end", [-9.0, 1.5])
