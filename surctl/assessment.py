@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from surctl.errors import InputError, NotApplicable
-from surctl.system import LOST, Cost, Record, System, run_system
+from surctl.system import Cost, Record, System, run_system
 from surctl.system.linear import unresponsive
 from surctl.system.loop import ENDED
 from surctl.system.values import checked_ranges, run_numbers
@@ -23,7 +23,7 @@ from surctl.verification.verdict import Inapplicable
 
 __all__ = [
     "SATURATED", "Assessment", "Assumption", "ClosedLoop", "Comparison", "Figure", "Line", "Part", "Region", "Subject",
-    "assess", "cost_verdicts",
+    "assess", "cost_verdicts", "run_line",
 ]  # fmt: skip
 
 # An assessment: every figure and verdict about one subject, in the form that every page, command and status reads
@@ -219,9 +219,10 @@ class Assessment:
         lead = "Fails" if self.passed is False else "Nothing fails; open"
         return f"{lead}: {like[0].text}{more}"
 
-    def weakest(self, count: int) -> tuple[Line, ...]:
-        """Return the worst lines that count, at most `count`."""
-        return tuple(line for line in self.lines if line.counts)[:count]
+    def weakest(self, count: int, *first: str) -> tuple[Line, ...]:
+        """Return the worst lines that count, at most `count`; of equal ones, those about the parts `first` lead."""
+        lines = [line for line in self.lines if line.counts]
+        return tuple(sorted(lines, key=lambda line: (line.rank, line.about not in first))[:count])
 
     def to_dict(self) -> dict[str, Any]:
         """Return the assessment as plain data for JSON; the writer converts numbers that are not finite."""
@@ -519,9 +520,7 @@ class ClosedLoop:
             if self.seconds is None:
                 return None
             record = run_system(self.system, self.seconds, self.values)
-        how = f"the run ends after {record.duration:.6g} s ({record.lost or record.stopped})"
-        lines = [Line(record.stopped != LOST, how, "run", counts=record.stopped in (ENDED, LOST))]
-        figures = []
+        lines, figures = [run_line(record.stopped, record.duration, record.lost)], []
         for name, cost in self.system.costs.items():
             value = record.figures[name]
             meaning = cost.meaning or f"{cost.how} over the run"
@@ -556,6 +555,18 @@ class ClosedLoop:
             "region_share", share, "1", "certified level over the least level with a counterexample", "high"
         )
         return Part((figure,), (line,), solution)
+
+
+def run_line(stopped: str, duration: float, lost: str = "") -> Line:
+    """Return the verdict on the end of a run: only one that reaches its duration holds, as a stop is a failure.
+
+    Args:
+        stopped: why the run ended, as `Record.stopped`.
+        duration: when it ended [s].
+        lost: which number is not finite; may be empty.
+    """
+    ends = "ends" if stopped == ENDED else "stops"
+    return Line(stopped == ENDED, f"the run {ends} after {duration:.6g} s ({lost or stopped})", "run")
 
 
 def cost_verdicts(name: str, cost: Cost, value: float, *, duration: float, dt: float) -> list[Line]:

@@ -213,7 +213,7 @@ class _Comparison(Comparison):
         if sampled:
             self.excludes.append("delay: the command is assumed to act at the instant of its sample")
         else:
-            self.excludes.append("sampling: the certificate is about the control law in continuous time")
+            self.excludes.insert(0, "sampling: the certificate is about the control law in continuous time")
 
     def heading(self) -> None:
         self.differs.append(

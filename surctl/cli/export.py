@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 import click
 
 from surctl.cli.application import to_application
-from surctl.cli.output import FOLDER, Count, as_json, collected, finish, progress
+from surctl.cli.output import FOLDER, Count, as_json, collected, finish, note_replaced, progress, result_command
 from surctl.cli.subject import (
     OwnSystem,
     assigned,
@@ -147,8 +147,10 @@ class ExportOptions:
 
         sil, report = compared.sil, compared.report
         known: dict[str, Any] = {"check": report, "proof": proof, "binaries": compared.binaries}
+        command = result_command()
+        note_replaced(self.out / "manifest.json", command)
         # a bundle appears when it is complete and checked, at once
-        files = write_evidence(bundle, self.out, [replay], [sil], assessment, **known)
+        files = write_evidence(bundle, self.out, [replay], [sil], assessment, command=command, **known)
         parts = {"sil": sil, "proof": proof, "check": report}
         data = {
             **data,
@@ -240,9 +242,9 @@ def system_bundle(
 def replay_of(own: OwnSystem, record: Record) -> ReplayedRun:
     """Return the run of a system for the comparison of C with Python, and for the manifest of its bundle."""
     from surctl.export.evidence import ReplayedRun
-    from surctl.system import LOST
+    from surctl.system.loop import ENDED
 
-    failure = record.lost if record.stopped == LOST else None
+    failure = None if record.stopped == ENDED else record.lost or record.stopped
     return ReplayedRun({"system": own.label, "text": end_text(own, record), "failure": failure}, record)
 
 

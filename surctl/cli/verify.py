@@ -206,7 +206,9 @@ def verify_system(words: Sequence[str], *, seed: int, time_limit: float, out: Pa
     passed = assessment.accepted("loop", "region")
     data = {**own.names, **data, "assessment": assessment.to_dict()}
     settings = [word for word in others if not word.startswith("start.")]
-    then = [command_line("export", own, *settings, "--seconds", f"{100 * own.system.dt:g}", "--out", "firmware")]
+    # without a duration of the system, a run of 100 periods
+    time = () if own.system.duration else ("--seconds", f"{100 * own.system.dt:g}")
+    then = [command_line("export", own, *settings, *time, "--out", "firmware")]
     then += [shlex.join(["surctl", "check", path, "--bundle", "firmware"]) for path in certificates]
     finish(
         data, lines, as_json=as_json, passed=passed, then=then if passed else (),
