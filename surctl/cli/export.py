@@ -241,11 +241,16 @@ def system_bundle(
 
 def replay_of(own: OwnSystem, record: Record) -> ReplayedRun:
     """Return the run of a system for the comparison of C with Python, and for the manifest of its bundle."""
+    import numpy as np
+
     from surctl.export.evidence import ReplayedRun
     from surctl.system.loop import ENDED
 
     failure = None if record.stopped == ENDED else record.lost or record.stopped
-    return ReplayedRun({"system": own.label, "text": end_text(own, record), "failure": failure}, record)
+    reference = [float(x) for port in own.system.references for x in np.ravel(record[port.name][0])]
+    about = {"system": own.label, "text": end_text(own, record), "failure": failure}
+    about |= {"reference": reference} if np.isfinite(reference).all() else {}
+    return ReplayedRun(about, record)
 
 
 def export_system(words: Sequence[str], options: ExportOptions, *, seconds: float | None, as_json: bool) -> None:

@@ -30,7 +30,7 @@ class ReplayedRun:
 
     Attributes:
         about: scenario, vehicle, sensing and seed of the run, its result, and `failure` (None if it arrived without
-            contact); of a system of the user's own, `system`, `text` and `failure`.
+            contact); of a system of the user's own, `system`, `text`, `failure` and `reference` (at the start).
         record: the run as the exported step takes it.
         statuses: status (n,) of each step of a run of a robot, or None.
         period: time between two steps [s].

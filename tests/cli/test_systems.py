@@ -124,12 +124,12 @@ def test_the_commands_that_new_prints_run(tmp_path: Path, monkeypatch: pytest.Mo
         assert done.exit_code == 0, (line, done.output, done.exception)
     assert {path.name for path in Path("plots").iterdir()} == {"pendulum-balance.png", "pendulum-balance.csv"}
     page = Path("surctl-out/report.html").read_text()
-    assert "where the Lyapunov function V &lt; " in page and page.count("<img") == 5  # run, loop, region, and the map of each cost
-    assert "Nyquist" in page
+    assert page.count("<img") == 5  # run, loop, region, and the map of each cost
+    assert "where the Lyapunov function V &lt; " in page and "Nyquist" in page
     checked = run("check", "proofs/pendulum.json", "--bundle", "firmware")
     assert checked.exit_code == 0 and "belongs to the controller" in checked.output
     manifest = json.loads(Path("firmware/manifest.json").read_text())
-    assert manifest["commands"] == {"torque": "N m"}
+    assert manifest["commands"] == {"torque": "N m"} and manifest["evidence"]["run"]["reference"] == [0.0]
     assert "double torque; /* [N m] at the pivot */" in Path("firmware/balance.h").read_text()
 
 
