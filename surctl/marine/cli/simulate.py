@@ -118,7 +118,7 @@ def simulate(
     from surctl.files import prepare_folder
     from surctl.marine.control import law_source, load_gains
     from surctl.marine.simulation import Case, law_numbers, load_scenario, save_record
-    from surctl.marine.simulation.explanation import stop_reason, time_limit_reason
+    from surctl.marine.simulation.explanation import stop_reason
     from surctl.marine.vehicle import load_vehicle
 
     _check_save(save, frame, out=out, campaign=campaign.any)
@@ -175,13 +175,9 @@ def simulate(
                     weak = loop_lines_of_run(run, results[-1])
                     lines += weak
                     brief += [run_line(run), *(f"warning: {line.strip(' :')}" for line in weak[:1])]
-                    if run.metrics.stopped_because in ("standstill", "dead end", "fault"):
-                        results[-1]["stop_reason"] = stop_reason(run)
-                        brief.append(f"{run.metrics.stopped_because}: {results[-1]['stop_reason']}")
-                        lines.append(f"  {brief[-1]}")
-                    if run.metrics.stopped_because == "time limit" and (why := time_limit_reason(run)):
+                    if why := stop_reason(run):
                         results[-1]["stop_reason"] = why
-                        brief.append(f"time limit: {why}")
+                        brief.append(f"{run.metrics.stopped_because}: {why}")
                         lines.append(f"  {brief[-1]}")
                     if save is not None and out is not None:
                         with saving("record"):
