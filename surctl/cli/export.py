@@ -247,8 +247,8 @@ def replay_of(own: OwnSystem, record: Record) -> ReplayedRun:
     from surctl.system.loop import ENDED
 
     failure = None if record.stopped == ENDED else record.lost or record.stopped
-    reference = [float(x) for port in own.system.references for x in np.ravel(record[port.name][0])]
-    about = {"system": own.label, "text": end_text(own, record), "failure": failure}
+    reference = [float(x) for port in own.system.references for x in np.asarray(record[port.name])[0].ravel()]
+    about: dict[str, Any] = {"system": own.label, "text": end_text(own, record), "failure": failure}
     about |= {"reference": reference} if np.isfinite(reference).all() else {}
     return ReplayedRun(about, record)
 

@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from surctl.tuning.chunked import Progress
 from surctl.tuning.goals import RunGoal
-from surctl.tuning.pool import ClaimPoint, Condition, Figures, Pool, SearchRequest, Sets, merged, scope
+from surctl.tuning.pool import ClaimPoint, Condition, Figures, Pool, SearchRequest, Sets, Simulated, merged, scope
 from surctl.tuning.search import Journal
-
-Simulated: TypeAlias = Callable[[Sequence[RunGoal], Sequence[Condition], Sets], Figures]
-"""A function that simulates gain sets, such as `SearchRequest.figures`."""
 
 APART = 10_000_000  # seeds reserved for each tuning, so that two tunings never share a seed
 
@@ -195,7 +192,7 @@ def stored_figures(request: SearchRequest, journal: Journal, progress: Progress)
         if count > 1:
             parts = [({n: v[k : k + most] for n, v in sets.items()}, conditions) for k in range(0, count, most)]
         values = {name: np.asarray(value).tolist() for name, value in sets.items()}
-        about = f"{request.digest} {[goal.name for goal in goals]} {values} {[c.run for c in conditions]}"
+        about = f"{request.digest} {[goal.name for goal in goals]} {values} {[(c.run, c.goals) for c in conditions]}"
         batches, tables = journal.batches(about, width=1 + len(names)), list[NDArray[np.float64]]()
         known, done, whole, began = 0, 0, count * len(conditions), time.perf_counter()
         shown = began
@@ -259,7 +256,7 @@ def screen(
         left = _withstanding(request, pool, met, left[1:], refuting, figures)
     tougher = harder(request, counterexamples)
     if not left:
-        pool = reduced_pool(tougher, pool)
+        pool = reduced_pool(tougher, pool, figures=figures)
         left = [pool.best(pool.evaluation.normalised[0])]
     added = len(tougher.conditions) - len(request.conditions)
     if tested:
@@ -277,14 +274,16 @@ def _message(runs: int, failed: int, added: int) -> str:
     return f"{failed} {sets} failed in {runs:,} training runs; {added} {failed_runs} join the tuning runs."
 
 
-def reduced_pool(request: SearchRequest, pool: Pool, *others: Mapping[str, float]) -> Pool:
+def reduced_pool(
+    request: SearchRequest, pool: Pool, *others: Mapping[str, float], figures: Simulated | None = None
+) -> Pool:
     """Return a smaller pool, simulated in the runs of a request: start gains, best sets, Pareto front, `others`."""
     start = pool.evaluation.normalised[0]
     best = pool.ranked(start)[:_SHORT]
     front = pool.front(start)
     spread = [front[int(k)] for k in np.unique(np.linspace(0, len(front) - 1, _SHORT).astype(int))] if front else []
     chosen = pool.subset(list(dict.fromkeys([0, *best, *spread]))).sets
-    return request.judge({n: np.append(values, [o[n] for o in others]) for n, values in chosen.items()})
+    return request.judge({n: np.append(values, [o[n] for o in others]) for n, values in chosen.items()}, figures)
 
 
 def _withstanding(
