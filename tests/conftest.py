@@ -42,8 +42,8 @@ LONG = (
     *("study/test_study.py", "simulation/test_closed_loop.py", "test_notebooks.py"),
     *("reproduction/test_reproduction.py", "sensing/test_local_map.py", "cli/test_regions.py"),
     *("export/test_sensing_law.py", "simulation/test_batch.py"),
-    *("sensing/test_calibration.py", "lyapunov/test_search.py", "export/test_check.py", "certcheck/test_turning.py"),
-    *("simulation/test_depth_escape.py", "export/test_prove.py", "cli/test_campaign.py", "control/test_baselines.py"),
+    *("lyapunov/test_search.py", "export/test_check.py", "certcheck/test_turning.py"),
+    *("simulation/test_depth_escape.py", "export/test_prove.py", "cli/test_campaign.py"),
     *("sensing/test_simulated_table2.py", "sensing/test_echo.py", "cli/test_sensor_options.py"),
 )
 

@@ -115,7 +115,7 @@ def test_formulas_commands_keys_and_terms_are_set(site: Path) -> None:
     assert "<code>spacing_m</code>" in text["reference/files/scenario"]
     assert "<code>lookahead</code>" in text["reference/files/gains"]
     found = json.loads((site / "search" / "search_index.json").read_text(encoding="utf-8"))["docs"]
-    assert any("sonar-replay" in entry["title"] for entry in found)
+    assert any("from-plan" in entry["title"] for entry in found)
 
 
 @pytest.mark.usefixtures("tools")

@@ -5,14 +5,11 @@ import math
 import casadi as ca
 import numpy as np
 import pytest
-from scipy.optimize import linprog, nnls
 
 from surctl.errors import InputError, SurctlError
 from surctl.marine.vehicle import PLANT_PARAMETERS, load_vehicle, plant_parameters, plant_thrust_limit
-from surctl.priority.backends import BACKENDS, KernelSolution
 from surctl.tasks import (
     AccelerationLimit,
-    ActuatorLimits,
     Barrier,
     BrakingBarrier,
     HalfPlane,
@@ -29,8 +26,8 @@ from surctl.tasks import (
     position_task,
     velocity_task,
 )
-from surctl.testing import CheckFailed, check_backend, check_limit, check_task, measure_backend
-from surctl.testing.backends import BACKEND_FAMILIES, Known, _compared, draw_known
+from surctl.testing import CheckFailed, check_task
+from tests.oracles.limit_rows import check_limit
 
 ETA = ca.SX.sym("eta", 4)
 NU = ca.SX.sym("nu", 4)
@@ -183,14 +180,6 @@ NUMBERS = PLANT_PARAMETERS.unpack(plant_parameters(load_vehicle("sur540-flooded"
         (HalfPlane("wall", ECHO[[0, 1, 0, 1]], 0.3), [(ECHO, -1, 1)]),
         (AccelerationLimit(NU, [0.1] * 4, dt=0.05), WIDE),
         (plant_thrust_limit(NU, NUMBERS, dt=0.05), WIDE),
-        (
-            ActuatorLimits(
-                VelocityBox([-0.1] * 4, [0.1] * 4),
-                plant_thrust_limit(NU, NUMBERS, dt=0.05),
-                AccelerationLimit(NU, [0.1] * 4, dt=0.05),
-            ),
-            [(NU, -3, 3)],
-        ),
         (Barrier("disc", ETA, h=DISC, kinematics="vehicle"), [(ETA, -3, 3)]),
         (
             BrakingBarrier("disc", ETA, h=DISC, deceleration=GAIN, reaction=0.4, kinematics="vehicle"),
@@ -299,130 +288,6 @@ def test_a_predicate_is_compared_on_both_sides_of_every_bound():
     one_line(caught, "refuses v = [")
 
 
-# --- backends -----------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("backend", ["daqp", BACKENDS["daqp"]])
-def test_exact_backends_pass(backend):
-    report = check_backend(backend, problems=40)
-    assert max(report.error.values()) < 1e-10
-    assert max(report.violation.values()) < 1e-12
-    assert report.undetected == report.unnamed == 0
-    assert str(report).count("\n") == len(BACKEND_FAMILIES) + 1
-
-
-@pytest.mark.parametrize("family", BACKEND_FAMILIES)
-def test_known_problems_satisfy_their_optimality_conditions(family):
-    """Feasible, and −y* in the cone of the rows at their bounds (by non-negative least squares)."""
-    rng = np.random.default_rng(5)
-    for _ in range(30):
-        problem = draw_known(family, size=4, rng=rng)
-        G, lower, upper = problem.G, problem.lower, problem.upper
-        if problem.y is None:
-            finite = np.isfinite(upper), np.isfinite(lower)
-            A, b = np.vstack([G[finite[0]], -G[finite[1]]]), np.concatenate([upper[finite[0]], -lower[finite[1]]])
-            assert linprog(np.zeros(4), A_ub=A, b_ub=b, bounds=[(None, None)] * 4).status == 2
-            continue
-        length, value = np.linalg.norm(G, axis=1), G @ problem.y
-        assert (np.maximum(lower - value, value - upper) / length).max() < 1e-12
-        at = np.vstack([G[(upper - value) / length < 1e-10], -G[(value - lower) / length < 1e-10], np.zeros((1, 4))])
-        assert nnls(at.T, -problem.y)[1] < 1e-10
-        if family == "parallel":
-            assert problem.angle <= 1e-2
-
-
-def wrong(change):
-    """daqp with one thing wrong: change(answer, G, lower, upper) → Answer."""
-
-    def kernel(G, lower, upper):
-        return change(BACKENDS["daqp"](G, lower, upper), G, lower, upper)
-
-    return kernel
-
-
-def with_(answer, *, y=None, multipliers=None, status=None):
-    return KernelSolution(
-        answer.y if y is None else y,
-        answer.multipliers if multipliers is None else multipliers,
-        answer.iterations,
-        status or answer.status,
-    )
-
-
-def only_upper(G, lower, upper):
-    return BACKENDS["daqp"](G, np.full_like(lower, -np.inf), upper)
-
-
-def feasible_but_farther(answer, G, lower, upper):
-    """Keeps every row, but 1e-6 inside each: not the nearest point."""
-    inside = BACKENDS["daqp"](G, lower + 1e-6, upper - 1e-6)
-    return answer if answer.y is None or inside.y is None else inside
-
-
-def broken(G, lower, upper):
-    raise ValueError("no\nidea")
-
-
-def writes_into_its_arguments(G, lower, upper):
-    answer = BACKENDS["daqp"](G, lower, upper)
-    upper += 1.0
-    return answer
-
-
-@pytest.mark.parametrize(
-    ("kernel", "says"),
-    [
-        (only_upper, "a row is violated by"),
-        (wrong(feasible_but_farther), "allowed 1e-08"),
-        (wrong(lambda a, *_: a if a.y is None else with_(a, y=a.y + 1e-7)), "allowed 1e-08"),
-        (wrong(lambda a, *_: a if a.y is None else with_(a, y=np.full(4, np.nan))), "is not finite"),
-        (wrong(lambda a, *_: a if a.y is None else with_(a, y=a.y[:3])), "y has shape (3,)"),
-        (wrong(lambda a, *_: with_(a, multipliers=-a.multipliers)), "y + G'·multipliers is off by"),
-        (wrong(lambda a, *_: with_(a, multipliers=a.multipliers * 0)), "y + G'·multipliers is off by"),
-        (
-            wrong(lambda a, G, *_: with_(a, status="optimal", y=np.zeros(4) if a.y is None else a.y)),
-            "has no solution, but its status is optimal",
-        ),
-        (wrong(lambda a, *_: with_(a, status="infeasible")), "has a solution, but its status is infeasible"),
-        (wrong(lambda a, *_: with_(a, status="solved")), "unknown status 'solved'"),
-        (wrong(lambda a, *_: KernelSolution(None, a.multipliers, 0, "optimal")), "has status optimal, but no y"),
-        (broken, "raised ValueError: no idea"),
-        (writes_into_its_arguments, "changed its own arguments"),
-    ],
-)
-def test_wrong_backends_are_caught(kernel, says):
-    with pytest.raises(CheckFailed) as caught:
-        check_backend(kernel, problems=20)
-    one_line(caught, "backend ", " problem ", says)
-
-
-def test_multipliers_on_idle_rows_and_other_answers_are_caught():
-    """Rows that cancel: y and gradient are right, the multipliers are not."""
-    G = np.vstack([np.eye(4), -np.eye(4)[:1]])
-    problem = Known(G, np.full(5, -np.inf), np.array([-1.0, 5, 5, 5, 5]), np.array([-1.0, 0, 0, 0]))
-    good = _compared(KernelSolution(problem.y, np.array([1.0, 0, 0, 0, 0]), 1, "optimal"), problem, problem.y, 1e-8)
-    bad = _compared(KernelSolution(problem.y, np.array([2.0, 0, 0, 0, 1.0]), 1, "optimal"), problem, problem.y, 1e-8)
-    assert good.finding == ""
-    assert "away from its bound by" in bad.finding
-    elsewhere = _compared(
-        KernelSolution(problem.y, np.array([1.0, 0, 0, 0, 0]), 1, "optimal"), problem, problem.y + 1e-6, 1e-8
-    )
-    assert elsewhere.finding.startswith("y is wrong by 5e-07")
-
-
-def test_a_report_tells_every_family_and_never_raises():
-    report = measure_backend(only_upper, problems=20)
-    assert any(finding.startswith("plain problem") for finding in report.findings)
-    assert not any(finding.startswith("loose problem") for finding in report.findings)
-
-
-def test_unknown_names_are_refused():
-    with pytest.raises(InputError, match="did you mean 'daqp'"):
-        check_backend("dapq")
-    with pytest.raises(InputError, match="did you mean 'scaled'"):
-        check_backend("daqp", families=["scaledd"])
-
-
 PLAIN = Task(name="plain", eta=ETA, sigma=ETA[:2], kinematics="vehicle")
 KNOB = ca.SX.sym("knob")
 
@@ -438,11 +303,6 @@ KNOB = ca.SX.sym("knob")
         (lambda: check_task(PLAIN, parameters=[(KNOB, 0, 1), (KNOB, 0, 1)]), "knob: has two ranges"),
         (lambda: check_limit(VelocityBox([-1] * 4, [1] * 4), samples=0), "samples = 0"),
         (lambda: check_limit(VelocityBox([-1] * 4, [1] * 4), velocity=math.nan), "velocity = nan"),
-        (lambda: check_backend("daqp", problems=0), "problems = 0"),
-        (lambda: check_backend("daqp", size=1), "size = 1"),
-        (lambda: check_backend("daqp", tol=math.nan), "tol = nan"),
-        (lambda: check_backend("daqp", families=[]), "not a list of names"),
-        (lambda: check_backend(3), "no such QP backend"),
     ],
 )
 def test_a_check_of_nothing_is_refused(check, says):
@@ -461,24 +321,3 @@ def test_a_check_of_nothing_is_refused(check, says):
 def test_what_is_no_limit_at_all_is_a_finding(limit, says):
     with pytest.raises(CheckFailed, match=says):
         check_limit(limit)
-
-
-@pytest.mark.parametrize(
-    "answer",
-    [
-        None,
-        (1, 2),
-        KernelSolution(np.array(["a"] * 4), np.zeros(8), 0, "optimal"),
-        KernelSolution(np.zeros(4), np.zeros(8), None, "failed"),
-    ],
-)
-def test_what_is_no_answer_at_all_is_a_finding(answer):
-    report = measure_backend(lambda G, lower, upper: answer, families=["loose"], problems=2)
-    assert len(report.findings) == 1
-
-
-def test_an_answer_in_lists_is_an_answer():
-    zeros = measure_backend(
-        lambda G, lower, upper: KernelSolution([0.0] * G.shape[1], [0.0] * len(lower), 0, "optimal"), families=["loose"]
-    )
-    assert zeros.findings == ()

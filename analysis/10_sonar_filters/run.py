@@ -23,7 +23,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # the oracles are 
 
 from surctl.errors import InputError
 from surctl.files import Strict, load_model, prepare_folder
-from surctl.marine.sensing.calibration.file import table_ii
+from surctl.marine.reproduction.range_test import table_ii
 from surctl.marine.sensing.ranging.filters import StepRule
 from tests.oracles.range_filters import plain_lms_step
 

@@ -1,6 +1,7 @@
 """Study 13: the guarded law, the printed stack and four textbook laws, in every scenario and in random worlds.
 
     python analysis/13_baselines/run.py [--quick] [--out DIR]
+    surctl simulate pool-behind --law analysis/13_baselines/vo.py:law
 
 Prints Markdown; with --out it saves the picture there. Status 0; 2 for a bad option.
 """
@@ -20,7 +21,7 @@ from matplotlib.patches import Patch
 
 from surctl.errors import InputError
 from surctl.files import prepare_folder
-from surctl.marine.control import load_gains
+from surctl.marine.control import law_ref, load_gains
 from surctl.marine.simulation import BatchResult, Case, Sensing, load_scenario, simulate_batch
 from surctl.marine.simulation.campaign.worlds import RandomWorlds, world_template
 from surctl.marine.simulation.scenario import LIBRARY
@@ -28,7 +29,7 @@ from surctl.marine.vehicle import load_vehicle
 from surctl.report.theme import AVOIDING, GOOD, INK, MUTED, dress, legend_below, new_figure
 
 ENDS = {"reached": GOOD, "collided": AVOIDING, "neither": "#D5D8DC"}
-WORLDS = "random-worlds"
+HERE, WORLDS = Path(__file__).parent, "random-worlds"
 CONSTANTS = {
     "apf": ("RANGE", "STRENGTH", "NEAREST", "DAMPING"),
     "dwa": ("HORIZON", "GRID", "EXTRA", "FREE_DISTANCE", "HEADING", "CLEARANCE", "VELOCITY"),
@@ -58,7 +59,7 @@ class Line:
     def row(self) -> str:
         """Return its row of the table."""
         count = len(self.runs.table)
-        told = [f"`{self.scenario}`", self.sensing, self.law, str(count)]
+        told = [f"`{self.scenario}`", self.sensing, named(self.law), str(count)]
         told += [f"{round(count * self.share(name))}" for name in ("reached", "collided")]
         told += [_number(self.median("time_s"), 1), _number(self.median("length_m"), 2)]
         told += [_number(float(self.runs.column("min_clearance_m").min()), 3)]
@@ -66,17 +67,24 @@ class Line:
         return f"| {' | '.join(told)} |"
 
 
+def named(law: str) -> str:
+    """Return the name of a law in the tables: that of its file."""
+    return law.removesuffix(".py:law")
+
+
 def flown(scenario: str, sensing: Sensing, law: str, *, gains: str, seeds: int) -> Line:
     """Simulate all seeds; only one run if nothing depends on the seed."""
     mission = load_scenario(scenario)
-    case = Case(mission, load_vehicle(mission.vehicle), load_gains(gains), law=law, sensing=sensing)
+    case = Case(
+        mission, load_vehicle(mission.vehicle), load_gains(gains), law=law_ref(law, folder=HERE), sensing=sensing
+    )
     drawn = seeds if sensing == "sonar" or mission.seeded else 1
     return Line(scenario, sensing, law, simulate_batch(case, seeds=np.arange(drawn), threads=2))
 
 
 def flown_worlds(plan: RandomWorlds, sensing: Sensing, law: str, *, worlds: int) -> Line:
     """Simulate the first random worlds, which are the same for every law."""
-    case = replace(plan.case, law=law, sensing=sensing)
+    case = replace(plan.case, law=law_ref(law, folder=HERE), sensing=sensing)
     runs = simulate_batch(case, plan.values(0, worlds), seeds=plan.seeds(0, worlds), threads=2)
     return Line(WORLDS, sensing, law, runs)
 
@@ -87,7 +95,7 @@ def summary(lines: Sequence[Line], sensing: Sensing, law: str) -> str:
     reached, collided = (100 * float(np.mean([line.share(name) for line in mine])) for name in ("reached", "collided"))
     always = sum(line.share("reached") == 1.0 for line in mine)
     never = sum(line.share("collided") == 0.0 for line in mine)
-    return f"| {sensing} | {law} | {reached:.1f} % | {collided:.1f} % | {always} | {never} | {len(mine)} |"
+    return f"| {sensing} | {named(law)} | {reached:.1f} % | {collided:.1f} % | {always} | {never} | {len(mine)} |"
 
 
 def draw(lines: Sequence[Line], laws: Sequence[str], sensing: Sequence[Sensing], file: Path) -> None:
@@ -107,7 +115,7 @@ def draw(lines: Sequence[Line], laws: Sequence[str], sensing: Sequence[Sensing],
                     ax.bar(at, 100 * share, width * 0.9, bottom=bottom, color=colour)
                     bottom += 100 * share
                 back = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 0.8}
-                ax.text(at, 2, law, rotation=90, ha="center", va="bottom", fontsize=6, color=INK, bbox=back)
+                ax.text(at, 2, named(law), rotation=90, ha="center", va="bottom", fontsize=6, color=INK, bbox=back)
         ax.set_xticks(range(len(scenarios)), scenarios, fontsize=7, color=MUTED)
         dress(ax, title=f"sensing: {kind}", y="share of the runs [%]")
         if panel == len(sensing) - 1:
@@ -119,7 +127,7 @@ def parameters() -> str:
     """Return the constants of the textbook laws as text."""
     told = []
     for law, names in CONSTANTS.items():
-        module = import_module(f"surctl.marine.control.baselines.{law}")
+        module = import_module(law)
         told.append(f"{law}: " + ", ".join(f"{name} {getattr(module, name):g}" for name in names))
     return "; ".join(told)
 
@@ -127,10 +135,10 @@ def parameters() -> str:
 def main(words: list[str]) -> int:
     """Run the study and print the results."""
     parser = argparse.ArgumentParser(prog="run.py", description="Simulate every law in every scenario.")
-    parser.add_argument("--quick", action="store_true", help="two seeds, two laws, one scenario, true positions")
+    parser.add_argument("--quick", action="store_true", help="two seeds, three laws, one scenario, true positions")
     parser.add_argument("--out", help="folder for the picture")
     options = parser.parse_args(words)
-    config = tomllib.loads(Path(__file__).with_name("config.toml").read_text(encoding="utf-8"))
+    config = tomllib.loads((HERE / "config.toml").read_text(encoding="utf-8"))
     config |= config["quick" if options.quick else "full"]
     try:
         out = prepare_folder(Path(options.out)) if options.out else None

@@ -42,11 +42,7 @@ CALLS = Path("surctl-out") / "checker-calls.json"  # by digest of a file of test
 SLOW = "takes too long"
 _FIRST = "the first operation of a table has no operands, so it is a number or a variable"
 _ITSELF = "the first is compared to itself"
-_INNER = "relative to the mass, thrust and drag of the first and last vertex lie between those of the others"
-_HEAVE = 'heading: _check_heave: product(claim.ranges["heave_mass_kg"], drags, (share, Fraction(1))) -> '
 EQUIVALENT = {
-    f'{_HEAVE}[*(product(claim.ranges["heave_mass_kg"], drags, (share, Fraction(1))))][1:]': _INNER,
-    f'{_HEAVE}[*(product(claim.ranges["heave_mass_kg"], drags, (share, Fraction(1))))][:-1]': _INNER,
     "expressions: ExpressionTable.total: return all(self._is_total(self.entries[at]) for at in self.needed(roots)) -> "
     "return all(self._is_total(self.entries[at]) for at in [*(self.needed(roots))][1:])": _FIRST,
     "mission: _turns: size = root_up(funnel.trace * before) + max(map(abs, funnel.along)) + funnel.beside -> size = "

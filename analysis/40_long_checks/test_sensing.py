@@ -10,7 +10,7 @@ import pytest
 
 from surctl.ir import Program, replay
 from surctl.ir.routine import nested
-from surctl.marine.sensing import FaultChances, LocalMap, SonarArray, calibrate
+from surctl.marine.sensing import FaultChances, LocalMap, SonarArray
 from tests.sensing import (
     test_array,
     test_echo,
@@ -20,7 +20,6 @@ from tests.sensing import (
     test_own_state,
 )
 from tests.sensing.mapped import EDGE, EMPTY, HULL, OPEN, firing
-from tests.sensing.test_calibration import BIAS, SCALE
 from tests.sensing.test_local_map import DT
 from tests.sensing.test_simulated_table2 import printed, simulated
 
@@ -97,17 +96,6 @@ def test_an_average_of_a_firing_would_spread_half_as_much() -> None:
     assert inside < 0.06
     table = printed()
     assert np.mean([t.error_sd.value >= table.error_sd.low for t in averaged]) < 0.02
-
-
-def test_noise_that_grows_is_found_in_many_rows() -> None:
-    rng = np.random.default_rng(2)
-    x = rng.uniform(0.25, 4.45, 50_000)
-    found = calibrate(x, SCALE * x + BIAS + (0.005 + 0.004 * x) * rng.standard_normal(len(x)))
-    assert found.varies
-    assert found.noise_slope is not None and found.noise_at_zero is not None
-    assert found.noise_slope.value == pytest.approx(0.004, abs=1.4e-4)
-    assert found.noise_slope.high - found.noise_slope.low < 2.8e-4
-    assert found.scale.value == pytest.approx(SCALE, abs=1.4e-4)
 
 
 replaying = importlib.import_module("surctl.ir.replay")  # the package has a function of that name

@@ -16,12 +16,13 @@ from math import cos, pi, sin
 import casadi as ca
 
 from surctl.ir import Port, fold, tabulated
-from surctl.marine.control import Decision, GainSpec, LawSource
-from surctl.marine.control.baselines import Situation
-from surctl.marine.control.baselines.situation import decided, length, over_ground
+from surctl.marine.control import Decision, GainSpec, LawSource, Situation, TaskLevel
+from surctl.marine.control.decision import lower_levels
 from surctl.marine.control.registry import LAWS
 from surctl.marine.control.stopping import BARRIERS, braked
 from surctl.marine.guidance import Contact
+from surctl.marine.vehicle import planar_rotation
+from surctl.tasks import velocity_task
 
 SLOTS = 4  # obstacles of the static scenarios
 PERIOD = 10.0  # s of the slow error; a run among obstacles takes 20 to 60 s
@@ -37,6 +38,11 @@ STATE = (
     Port("clock", (1,), "s", "time since the start"),
     Port("believed", (SLOTS, 2), "m", "believed centres of the obstacles in {E}"),
 )
+
+
+def length(vector: ca.SX) -> ca.SX:
+    """Return the Euclidean norm of a vector."""
+    return ca.sqrt(ca.sumsqr(vector))
 
 
 def believed(s: Situation) -> tuple[Situation, dict[str, ca.SX]]:
@@ -61,7 +67,7 @@ def believed(s: Situation) -> tuple[Situation, dict[str, ca.SX]]:
 
 def fan_decision(s: Situation) -> Decision:
     """Return the decision for the best of 53 courses, each at its largest speed from which the robot can brake."""
-    stop, now = BARRIERS["simple"](s.p, s.dt), over_ground(s)
+    stop, now = BARRIERS["simple"](s.p, s.dt), planar_rotation(s.eta[3]) @ s.nu[:2]
     rows = [(c.normal, ca.fmax(stop(c.clearance - s.p["margin"], c.closing), -RETREAT)) for c in s.perceived.all]
     desired = ca.fmax(length(s.desired.velocity), 1e-3)
     ahead, last = s.desired.velocity / desired, s.x["last_velocity"]
@@ -82,8 +88,10 @@ def fan_decision(s: Situation) -> Decision:
     turns = [2 * pi * k / 72 for k in range(-HALF_FAN, HALF_FAN + 1)]
     start = [ca.SX.zeros(2), ca.SX(0)]
     chosen = fold("fan", judged, start, tabulated([ca.SX([cos(turn), sin(turn)])] for turn in turns))[0]
-    decision = decided(s, braked(chosen, now, rows, yields=ca.SX(1)), degraded=ca.SX(0))
-    return replace(decision, state={**decision.state, "last_velocity": chosen})
+    velocity = braked(chosen, now, rows, yields=ca.SX(1))
+    levels = [TaskLevel.of(velocity_task(s.eta, velocity)), *lower_levels(s.eta, s.desired, s.p, s.scan)]
+    avoiding = length(velocity - s.desired.velocity) > 1e-3
+    return Decision(levels, (), velocity, avoiding, ca.SX(0), {"last_velocity": chosen})
 
 
 def _law(name: str, decide: Callable[[Situation], Decision]) -> LawSource:

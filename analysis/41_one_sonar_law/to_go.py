@@ -13,13 +13,11 @@ from math import hypot
 
 import casadi as ca
 import numpy as np
-from laws import fan_decision
+from laws import fan_decision, length
 from numpy.typing import NDArray
 
 from surctl.ir import fold
-from surctl.marine.control import Decision, LawSource, load_gains
-from surctl.marine.control.baselines import Situation
-from surctl.marine.control.baselines.situation import length
+from surctl.marine.control import Decision, LawSource, Situation, load_gains
 from surctl.marine.simulation import Obstacle, Scenario, load_scenario
 from surctl.marine.vehicle import load_vehicle
 

@@ -32,7 +32,7 @@ from surctl.certcheck.patience import MEMORY, PATIENCE, patient
 
 __all__ = ["KINDS", "MEMORY", "PATIENCE", "Checked", "Rejected", "canonical", "check_document", "check_file", "seal"]
 
-KINDS = ("barrier", "braking", "heading", "interval", "lyapunov", "mission", "turning")
+KINDS = ("barrier", "braking", "interval", "lyapunov", "mission", "turning")
 """The kinds of certificate; each kind is a module of this package."""
 
 _LONGEST = 400  # largest number of characters of `reason`

@@ -116,7 +116,7 @@ def compare(document: Mapping[str, Any], manifest: Manifest) -> Belonging:
         return replace(inner, excludes=(_PATH, *inner.excludes))
     comparison = _Comparison(document["claim"], manifest)
     kinds = {
-        "braking": comparison.braking, "heading": comparison.heading,
+        "braking": comparison.braking,
         "turning": comparison.turning, "lyapunov": comparison.motion,
         "barrier": comparison.motion, "interval": comparison.inequality,
     }  # fmt: skip
@@ -216,11 +216,6 @@ class _Comparison(Comparison):
             self.excludes.append("delay: the command is assumed to act at the instant of its sample")
         else:
             self.excludes.insert(0, "sampling: the certificate is about the control law in continuous time")
-
-    def heading(self) -> None:
-        self.differs.append(
-            "law: the certificate covers the paper's law, which steers by heading; the exported law steers by velocity"
-        )
 
     def turning(self) -> None:
         claim = read_turning(self.claim)

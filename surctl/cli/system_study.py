@@ -140,7 +140,6 @@ class _SystemStudy(StudyParts):
             "linear": None if loop is None else loop_data(self.own, loop),
             "region": None if solution is None else solution.to_dict(),
             "best": self.best,
-            "sil": self.sil[0].to_dict(),  # the key before `export`
         }
 
     def lines(self) -> list[str]:

@@ -10,7 +10,6 @@ if TYPE_CHECKING:
     from surctl.report.page_parts import plot_loops
     from surctl.report.sweep_plots import plot_heat_map, plot_parallel
     from surctl.report.system_plots import (
-        plot_attainable_rates,
         plot_dependence,
         plot_fan,
         plot_phase_plane,
@@ -19,7 +18,7 @@ if TYPE_CHECKING:
     )
 
 __all__ = [
-    "margin_slice", "plot_attainable_rates", "plot_counterexample", "plot_dependence", "plot_fan", "plot_heat_map",
+    "margin_slice", "plot_counterexample", "plot_dependence", "plot_fan", "plot_heat_map",
     "plot_loops", "plot_motion", "plot_parallel", "plot_phase_plane", "plot_record", "plot_runs", "plot_slice",
 ]  # fmt: skip
 

@@ -1,4 +1,4 @@
-"""Plots about one claim: counterexample and replay, boxes of a proof, boxes left open; claims in words."""
+"""Plots about one claim: counterexample and replay, boxes left open; claims in words."""
 
 from __future__ import annotations
 
@@ -17,7 +17,6 @@ from surctl.errors import InputError
 from surctl.report.theme import AVOIDING, BAD, INK, ROBOT, curve, dress, legend_above, new_axes
 from surctl.verification.claim import Claim, Variable
 from surctl.verification.counterexample import Counterexample, Oracle, Replay, build_oracle, replay
-from surctl.verification.proving.search import Cells, cells_of
 from surctl.verification.verdict import Verdict
 
 _CELLS = 121
@@ -210,53 +209,6 @@ def _title(variable: Variable) -> str:
     return variable.name if variable.unit == "1" else f"{variable.name} [{variable.unit}]"
 
 
-_RULES = {
-    "i": "outside the domain", "j": "outside the domain, mean value", "n": "interval value", "m": "mean value",
-    "c": "concave, by a tangent", "s": "sums of squares",
-}  # fmt: skip
-_BESIDE = 0.507  # section as a share of the domain: not exactly the middle, where boxes meet
-_COLOURS = ("#0072B2", "#009E73", "#AA4499", "#E69F00", "#56B4E9", "#5F6368")
-
-
-def plot_cells(verdict: Verdict, ax: Axes | None = None) -> Axes:
-    """Plot the boxes of a proved claim's certificate over the two variables that the proof bisected most often.
-
-    If the claim has more than two variables, the plot shows a section near the middle of the other variables. If the
-    proof distinguishes several cases, the plot shows the case with the most boxes.
-
-    Raises:
-        InputError: the claim is not proved, or fewer than two of its variables vary.
-    """
-    claim = verdict.claim
-    if verdict.certificate is None:
-        raise InputError("is not proved", key=f"claim {claim.name}", remedy="plot proved claims only")
-    cases = cells_of(verdict.certificate)
-    most = max(cases, key=lambda c: len(c.rules))
-    first, second = _axes(claim, [most.lower, most.upper])
-    indices = _section(most, first, second)
-    ax = _dressed(claim, first, second, ax)
-    letters = sorted({most.rules[k] for k in indices})
-    for colour, letter in zip(_COLOURS, letters, strict=False):
-        boxes = [
-            Rectangle(
-                (most.lower[first, k], most.lower[second, k]),
-                most.upper[first, k] - most.lower[first, k],
-                most.upper[second, k] - most.lower[second, k],
-            )
-            for k in indices
-            if most.rules[k] == letter
-        ]
-        ax.add_collection(PatchCollection(boxes, facecolor=colour, alpha=0.35, edgecolor=INK, linewidth=0.5))
-        ax.plot([], [], "s", color=colour, alpha=0.5, label=_RULES.get(letter, f"rule {letter}"))
-    legend_above(ax, columns=2)
-    total = sum(len(c.rules) for c in cases)
-    note = f"{len(indices)} of {total} boxes lie in this section" + (
-        "; this case has the most boxes" if len(cases) > 1 else ""
-    )
-    ax.text(0.0, -0.2, note, transform=ax.transAxes, fontsize=8, color=INK)
-    return ax
-
-
 def plot_open_boxes(verdict: Verdict, ax: Axes | None = None) -> Axes:
     """Plot all boxes that an attempted proof left open, projected onto two variables.
 
@@ -291,17 +243,6 @@ def _axes(claim: Claim, ends: Sequence[NDArray[np.float64]]) -> tuple[int, int]:
     share = np.mean((ends[1] - ends[0]) / width[:, None], axis=1)
     first, second = sorted(sorted(free, key=lambda k: float(share[k]))[:2])
     return first, second
-
-
-def _section(cells: Cells, first: int, second: int) -> list[int]:
-    """Return the indices of the boxes that the section near the middle of all other variables cuts."""
-    low, high = cells.lower.min(axis=1), cells.upper.max(axis=1)
-    centre = low + _BESIDE * (high - low)
-    others = [k for k in range(len(centre)) if k not in (first, second)]
-    inside = np.all(
-        (cells.lower[others] <= centre[others, None]) & (centre[others, None] <= cells.upper[others]), axis=0
-    )
-    return [int(k) for k in np.flatnonzero(inside)]
 
 
 def _dressed(claim: Claim, first: int, second: int, ax: Axes | None) -> Axes:

@@ -1,4 +1,4 @@
-"""Pictures of runs of any system: one run with limits, fans, phase planes, distributions, attainable rates."""
+"""Pictures of runs of any system: one run with limits, fans, phase planes, distributions."""
 
 from __future__ import annotations
 
@@ -28,8 +28,7 @@ from surctl.report.theme import (
     new_figure,
     printable,
 )
-from surctl.system import Record, Runs, System, entry_labels, entry_units
-from surctl.system.values import run_numbers
+from surctl.system import Record, Runs, entry_labels, entry_units
 from surctl.tuning import SobolIndices
 
 _NONE: Mapping[str, tuple[float, float]] = MappingProxyType({})
@@ -99,7 +98,6 @@ Array = NDArray[np.float64]
 
 _BANDS = ((5, 95, 0.18), (25, 75, 0.32))  # percentiles and opacity
 _BINS = 24
-_SAMPLES, _AFFINE = 64, 1e-6  # commands at which the rates must be affine, and the largest relative deviation
 
 
 def plot_fan(records: Sequence[Record], signal: str, ax: Axes | None = None) -> Axes:
@@ -174,93 +172,6 @@ def plot_phase_plane(records: Sequence[Record], x: str, y: str, ax: Axes | None 
         ax.plot(across[:1], upwards[:1], "o", color=INK, markersize=4, fillstyle="none")
         ax.plot(across[-1:], upwards[-1:], "s", color=BAD if early else INK, markersize=4)
     return dress(ax, title=f"{y} over {x}, {len(records)} runs", x=f"{x} [{units[0]}]", y=f"{y} [{units[1]}]")
-
-
-def plot_attainable_rates(
-    system: System,
-    limits: Mapping[str, tuple[float, float]],
-    x: str,
-    y: str,
-    values: Mapping[str, ArrayLike] | None = None,
-    ax: Axes | None = None,
-) -> Axes:
-    """Plot the rates of two states that the commands of any system attain together within their limits, at one state.
-
-    The set is exact for a plant whose rates are affine in the commands between the limits, as M⁻¹ T f is for thrusters
-    with forces f and a mixing matrix T. A cross marks the rates without command. If the origin lies in the set, the
-    commands can hold the two states.
-
-    Args:
-        system: the closed loop; only its plant is used.
-        limits: lower and upper limit of each entry of the commands, by label, such as `force` or `tau[2]`.
-        x, y: labels of two states, such as `nu[0]`.
-        values: state, parameters and disturbances by name (`start.…`, `plant.…`, `disturbance.…`); default: those of
-            a run.
-        ax: the axes; None creates new ones.
-
-    Raises:
-        InputError: there is no such state or command, a command has no limits, or the rates are not affine in them.
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.ir import Layout, Port
-        >>> from surctl.report import plot_attainable_rates
-        >>> from surctl.system import Controller, Plant, System
-        >>> nu, f = Port("nu", (2,), "m/s, rad/s", "surge and yaw"), Port("f", (2,), "N", "left and right")
-        >>> raft = Plant("raft", Layout((nu,)), Layout((f,)), lambda x, f, d, p: {
-        ...     "nu": ca.vertcat((f["f"][0] + f["f"][1]) / 20, (f["f"][1] - f["f"][0]) / 4) - x["nu"]
-        ... })
-        >>> law = Controller("law", 0.1, Layout((nu,)), Layout((f,)), lambda x, u, p: -u["nu"])
-        >>> ax = plot_attainable_rates(System(raft, law), {"f[0]": (-5, 8), "f[1]": (-5, 8)}, "nu[0]", "nu[1]")
-        >>> ax.get_xlabel(), [float(round(end, 2)) for end in ax.dataLim.intervalx]
-        ('rate of nu[0] [(m/s)/s]', [-0.5, 0.8])
-    """
-    plant = system.plant
-    states, commands = entry_labels(plant.state), entry_labels(plant.inputs)
-    for label in (x, y):
-        if label not in states:
-            raise InputError("is not a state of the plant", key="state", value=label, remedy=nearest(label, states))
-    for label in (*limits, *commands):
-        if label not in commands:
-            raise InputError("is not a command", key="limits", value=label, remedy=nearest(label, commands))
-        if label not in limits:
-            raise InputError("has no limits", key="limits", value=label, remedy="give its lower and upper limit")
-        if not (np.isfinite(limits[label]).all() and limits[label][0] < limits[label][1]):
-            remedy = "give two finite numbers, the lower one first"
-            raise InputError("is not a range", key=f"limits.{label}", value=list(limits[label]), remedy=remedy)
-    numbers = run_numbers(system, values)
-    low, high = np.array([limits[label] for label in commands]).T
-    rows = [states.index(x), states.index(y)]
-
-    def rates(f: Array) -> Array:
-        read = plant.function(numbers.start[0], f.T, numbers.disturbance[0], numbers.plant[0])
-        return np.asarray(read)[rows].T
-
-    ends = rates(np.vstack([low, np.where(np.eye(len(low)) > 0, high, low)]))
-    columns = ends[1:] - ends[0]  # (m, 2): the effect of each command over its range
-    shares = np.random.default_rng(0).uniform(size=(_SAMPLES, len(low)))
-    gap = np.abs(rates(low + shares * (high - low)) - ends[0] - shares @ columns).max()
-    if not gap <= _AFFINE * max(float(np.abs(columns).max()), 1e-12):
-        remedy = "give limits between which the plant does not saturate"
-        raise InputError("are not between limits where the rates are affine in them", key="limits", remedy=remedy)
-    corners = ends[0] + _zonotope(columns)
-    names, units = (x, y), [entry_units(plant.state)[row] for row in rows]
-    across, upwards = (f"rate of {name} [({unit})/s]" for name, unit in zip(names, units, strict=True))
-    ax = dress(ax or new_axes(5.4, 4.6), title=f"{plant.name}: attainable rates", x=across, y=upwards)
-    ax.fill(*corners.T, color=ROBOT, alpha=0.15)
-    ax.plot(*np.vstack([corners, corners[:1]]).T, color=ROBOT, linewidth=1.6)
-    ax.plot(*rates(np.zeros((1, len(low)))).T, "x", color=INK, markersize=6)
-    ax.axhline(0.0, color=MUTED, linewidth=0.8)
-    ax.axvline(0.0, color=MUTED, linewidth=0.8)
-    return ax
-
-
-def _zonotope(columns: Array) -> Array:
-    """Return the corners (2 m, 2) of {Σ s_k columns_k : 0 ≤ s_k ≤ 1}, counter-clockwise."""
-    upward = np.where((columns[:, 1] < 0) | ((columns[:, 1] == 0) & (columns[:, 0] < 0)), -1.0, 1.0)[:, None] * columns
-    lowest = (columns - upward).sum(axis=0) / 2  # the sum of the columns that point downwards
-    edges = upward[np.argsort(np.arctan2(upward[:, 1], upward[:, 0]))]
-    return np.asarray(lowest + np.cumsum(np.vstack([np.zeros(2), edges, -edges[:-1]]), axis=0))
 
 
 def plot_runs(runs: Runs, names: Sequence[str] = ()) -> Figure:

@@ -1,11 +1,7 @@
-"""Conformance checks for systems, tasks, limits and QP backends; a failed check states where it fails."""
+"""A conformance check for tasks, which states where it fails; the system of the examples."""
 
-from surctl.testing.backends import check_backend, measure_backend
 from surctl.testing.ranges import CheckFailed, Parameter
-from surctl.testing.systems import cart_system, check_controller, check_plant
-from surctl.testing.tasks import TaskReport, check_limit, check_task
+from surctl.testing.systems import cart_system
+from surctl.testing.tasks import TaskReport, check_task
 
-__all__ = [
-    "CheckFailed", "Parameter", "TaskReport", "cart_system", "check_backend", "check_controller", "check_limit",
-    "check_plant", "check_task", "measure_backend",
-]  # fmt: skip
+__all__ = ["CheckFailed", "Parameter", "TaskReport", "cart_system", "check_task"]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
@@ -15,12 +14,12 @@ from surctl.errors import InputError, SurctlError
 
 
 class CheckFailed(SurctlError, AssertionError):
-    """Raised when a check fails; the message states the object (task, limit, backend), the error and the point.
+    """Raised when a check fails; the message states the object (task, law), the error and the point.
 
     The class is also an AssertionError, so that test runners count it as a failed test.
 
     Args:
-        what: the object that was checked, for example "task depth" or "limit wall".
+        what: the object that was checked, for example "task depth" or "law hover".
         problem: how the object fails the check, without a full stop.
         at: the values at which the object fails the check; "" if it fails at all values.
     """
@@ -35,8 +34,6 @@ Array: TypeAlias = NDArray[np.float64]
 Parameter: TypeAlias = tuple[ca.SX, float | Sequence[float], float | Sequence[float]]
 """(symbol (k, 1), lowest, highest); each range end is one number for all entries, or (k,)."""
 
-_MOST_CORNERS = 10  # largest number of entries for which all corners of the box are evaluated
-
 
 @dataclass(frozen=True, eq=False)
 class SymbolRanges:
@@ -49,15 +46,6 @@ class SymbolRanges:
     def draw(self, rng: np.random.Generator, count: int) -> Array:
         """Return (count, total) uniform random values within the ranges."""
         return rng.uniform(self.low, self.high, (count, self.low.size))
-
-    def corners(self) -> Array:
-        """Return corners of the ranges, one per row: for few entries all corners, else the lowest and the highest."""
-        if self.low.size == 0:
-            return np.zeros((1, 0))
-        if self.low.size > _MOST_CORNERS:
-            return np.vstack([self.low, self.high])
-        ends = itertools.product(*zip(self.low, self.high, strict=True))
-        return np.array(list(ends)).reshape(-1, self.low.size)
 
     def split(self, values: Array) -> list[Array]:
         """Split the flat values (total,) into one array for each symbol."""

@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from surctl.certcheck import braking_claim, check_document, heading_claim, turning_claim
+from surctl.certcheck import braking_claim, check_document, turning_claim
 from surctl.certcheck.document import Rejected, seal
 from surctl.certcheck.region_claim import axis_pairs, number
 from surctl.certcheck.turning_claim import read_terms
@@ -20,7 +20,6 @@ from tests.certcheck.altering import put, value_of
 
 READERS: dict[str, tuple[Callable[[Any], Any], str]] = {
     "turning": (turning_claim.read_claim, "region-turning-20"),
-    "heading": (heading_claim.read_claim, "region-heading-ranges"),
     "braking": (braking_claim.read_claim, "braking-inertia-ranges"),
 }
 
@@ -56,7 +55,6 @@ def test_every_list_of_a_claim_has_its_length(kind: str) -> None:
 RANGES = [
     *(("braking", key) for key in ("mass_kg", "linear_drag", "quadratic_drag")),
     *(("turning", key) for key in ("mass_factor", "drag_factor", "lag_s")),
-    *(("heading", key) for key in heading_claim._RANGES),
 ]
 
 
@@ -72,8 +70,7 @@ def test_a_range_is_least_then_largest(kind: str, key: str) -> None:
         *((kind, ("excludes",), ["another"], "claim.excludes differs") for kind in READERS if kind != "braking"),
         ("braking", ("assumes",), [], "claim.assumes differs"),
         *((kind, (key,), value, f"claim.{key} is not a SHA-256") for kind in READERS
-          for key in ("sha256_vehicle", "sha256_law") for value in (3, None, "A" * 64, "0" * 63)
-          if (kind, key) != ("heading", "sha256_law")),
+          for key in ("sha256_vehicle", "sha256_law") for value in (3, None, "A" * 64, "0" * 63)),
         *((kind, ("law", key), 0.1, "must be 0: the certified loop has no integral action")
           for kind, key in (("turning", "k_i"), ("braking", "k_i_per_s2"))),
         ("turning", ("vehicle", "mass_asymmetry"), 2.0, "an asymmetry must be below 2"),

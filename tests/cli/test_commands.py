@@ -40,8 +40,6 @@ def test_help_names_every_command(tmp_path):
         "sweep",
         "verify",
         "export",
-        "calibrate",
-        "sonar-replay",
         "lint",
         "list",
     )
@@ -88,20 +86,14 @@ def test_help_names_every_law(command, tmp_path):
         assert re.search(rf"\b{law}\b", told), law
 
 
-def test_a_textbook_law_is_flown_by_name(tmp_path):
-    run = surctl("simulate", "pool-behind", "--law", "vo", "--json", cwd=tmp_path).json["runs"][0]
-    assert run["law"] == "vo" and run["reached"]
-
-
 def test_verify_tells_expected_verdicts(tmp_path):
-    done = surctl("verify", "v1-printed", "--stack", "guarded", "--json", cwd=tmp_path)
+    done = surctl("verify", "v1-printed", "--json", cwd=tmp_path)
     (why,) = done.json["failures"]  # the default gains at a quarter of the yaw inertia
     assert done.status == 1 and "too small: a disk margin of " in why and done.json["claims"][0]["verdict"] == "refuted"
     nominal, worst = (done.json["linear"][k] for k in ("nominal", "worst"))
     for mild, bad in zip(nominal["disk_margins"], worst["disk_margins"], strict=True):
         assert 0 < bad["guaranteed"] < mild["guaranteed"] <= mild["reached"]
     assert worst["sampled"]["largest_period_s"]["1"] < nominal["sampled"]["largest_period_s"]["1"]
-    assert [level["outcome"] for level in done.json["stacks"]["guarded"]["levels"]] == ["converges"] * 3
     (printed,) = done.json["claims"]
     assert printed["verdict"] == printed["expected"] == "refuted"
     assert printed["counterexample"]["values"]
@@ -129,7 +121,6 @@ def test_verify_proves_a_file_and_check_accepts_what_it_writes(tmp_path):
     assert claim["verdict"] == "proved" and claim["remaining"] is None
     assert (claim["certificate"]["kind"], claim["certificate"]["file"]) == ("interval", "proofs/sway.json")
     assert {f"proofs/{p.name}" for p in (tmp_path / "proofs").glob("*.png")} == set(done.json["pictures"])
-    assert "proofs/sway-cells.png" in done.json["pictures"]
     checked = surctl("check", "proofs/sway.json", "--json", cwd=tmp_path)
     assert checked.status == 0 and checked.json["accepted"] and checked.json["claim"]["name"] == "sway"
     path = tmp_path / "proofs" / "sway.json"
@@ -214,7 +205,9 @@ def test_export_in_float_is_checked_on_other_builds(tmp_path):
 
 def test_export_believes_in_the_sensors_it_is_told_of(tmp_path):
     need_compiler()
-    words = ("export", "--law", "paper", "--scenario", "pool-behind", "--own-state", "truth", "--name", "pilot")
+    known = (SCENARIOS / "pool-behind.toml").read_text() + "[own_state]\ntruth = true\n"
+    (tmp_path / "known.toml").write_text(known)
+    words = ("export", "--law", "paper", "--scenario", "known.toml", "--name", "pilot")
     done = surctl(*words, "--fault", "dropout:0:2:3", "--out", "c", "--json", cwd=tmp_path)
     assert done.status == 1 and done.json["run"]["law"] == "paper" and done.json["sil"]["passed"]
     assert done.json["failure"].startswith("pool-behind by sur400: it does not arrive")  # the law of the paper

@@ -44,7 +44,6 @@ QUICK = (
     "surctl new vehicle my-robot",
     "surctl new scenario harbour --out sites/harbour.toml",
     "surctl lint pool-static --vehicle sur540-flooded",
-    "surctl calibrate table-ii",
     "surctl completion bash",
     "surctl vehicle from-log --help",
     'surctl vehicle from-geometry --name mine --diameter "40 cm" --mass "6 kg" --thrust 0.5kgf --yaw-thrust "0.4 N m"',

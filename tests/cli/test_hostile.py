@@ -27,7 +27,7 @@ HOSTILE = {
     "no vehicle's name": (["simulate", "pool-behind", "--vehicle", ""], "vehicle"),
     "no vehicle's name, exported": (["export", "--vehicle", ""], "vehicle"),
     "no vehicle's name, linted": (["lint", "pool-static", "--vehicle", ""], "vehicle"),
-    "a name too long to look for": (["calibrate", LONG], "no such file"),
+    "a name too long to look for": (["check", LONG], "File name too long"),
     "a run nested too deep": (["simulate", "--from", "deep.toml"], "deep.toml"),
     "a time of NaN": (["verify", "v1-printed", "--time-limit", "nan"], "--time-limit"),
     "endless time": (["verify", "v1-printed", "--time-limit", "inf"], "--time-limit"),

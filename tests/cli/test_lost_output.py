@@ -14,7 +14,6 @@ import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from tests.cli.process import LIBRARY, Outcome, surctl_here
-from tests.sensing.recording import recorded, write
 
 LOOP = """
 from surctl.ir import Layout, Port
@@ -37,8 +36,6 @@ DRAWING = {  # command: the files of its result
         "nc", "toml",
     },
     ("verify", "v1-corrected", "--vehicle", "sur400", "--out", "out"): {"json"},
-    ("calibrate", "table-ii", "--out", "out"): {"csv", "toml"},
-    ("sonar-replay", "log.csv", "--out", "out"): {"csv"},
     ("vehicle", "thrusters", "bluerov2-heavy", "--out", "out"): set(),
 }  # fmt: skip
 
@@ -52,7 +49,6 @@ def test_a_picture_that_cannot_be_drawn_loses_nothing_else(
 
     monkeypatch.setattr(FigureCanvasAgg, "__init__", broken)
     (tmp_path / "loop.py").write_text(LOOP)
-    write(tmp_path, recorded(2.0))
     done = surctl_here(*words, cwd=tmp_path)
     complaints = [line for line in done.err.splitlines() if not line.startswith("  ")]
     assert done.status == 3 and done.out, done

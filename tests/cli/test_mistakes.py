@@ -115,7 +115,6 @@ WORDS = {
     "unknown scenario": (["simulate", "tank-statik"], ["tank-static"]),
     "unknown vehicle": (["simulate", "tank-static", "--vehicle", "sur54"], ["vehicle", "sur54"]),
     "unknown law": (["simulate", "tank-static", "--law", "papr"], ["law", "'paper'"]),
-    "unknown textbook law": (["simulate", "tank-static", "--law", "cfb"], ["law", "'cbf'"]),
     "unknown form": (["simulate", "tank-static", "--law", "paper", "--avoidance", "print"], ["avoidance", "'printed'"]),
     "unknown guidance": (["simulate", "tank-static", "--guidance", "iloss"], ["guidance", "'iloss'", "ilos"]),
     "form that the law does not take": (
@@ -185,7 +184,6 @@ WORDS = {
     "C keyword": (["export", "--name", "while"], ["while"]),
     "export by ear": (["export", "--sensing", "ear"], ["--sensing", "'ear'"]),
     "a fault that nobody hears": (["export", "--sensing", "truth", "--fault", "stuck:0"], ["--fault", "sonar"]),
-    "sonars that law paper has not": (["export", "--law", "paper", "--beam", "40"], ["--beam", "paper"]),
     "unknown target": (["export", "--target", "c98"], ["--target", "'c99'"]),
     "unknown precision": (["export", "--real", "float16"], ["--real", "'float64'"]),
     "unknown processor": (["export", "--check", "--targets", "cortex-m5"], ["targets", "'cortex-m7'"]),
@@ -212,13 +210,6 @@ def test_a_finding_stays_on_one_line_whatever_the_name_of_an_obstacle(tmp_path):
     done = surctl_here("lint", "m.toml", "--vehicle", "sur540-flooded", cwd=tmp_path)
     assert done.status == 1 and "error: obstacles.a\\nb: at the start" in done.out
     assert all(line.startswith(("error: ", "warning: ", "info: ")) for line in done.out.splitlines())
-
-
-def test_an_unknown_stack_is_refused_before_claims_are_decided(tmp_path, monkeypatch):
-    monkeypatch.setattr("surctl.verification.decide", lambda *_, **__: pytest.fail("a claim is decided"))
-    done = surctl_here("verify", "v1-printed", "--stack", "calm", cwd=tmp_path)
-    assert done.status == 2
-    assert "stack = 'calm': is not a shipped stack; known: guarded, paper" in done.complaint
 
 
 @pytest.mark.parametrize(

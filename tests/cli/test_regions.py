@@ -1,6 +1,5 @@
 import json
 import re
-from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
@@ -11,9 +10,7 @@ from surctl.cli.app import app
 from surctl.errors import NotApplicable
 from surctl.marine.assessment import Mission
 from surctl.marine.cli import claims as regions
-from surctl.marine.cli.robot_options import export_command
 from surctl.marine.control import LAW_NAMES, build_law, load_gains
-from surctl.marine.simulation import LIBRARY as SCENARIOS
 from surctl.marine.simulation import load_scenario
 from surctl.marine.vehicle import load_vehicle
 from surctl.marine.verification.region import REGION_CLAIMS, applicable_region, load_region
@@ -47,25 +44,13 @@ def test_what_show_prints_is_the_claim_again(tmp_path) -> None:
     assert "nothing found" in surctl("lint", file.name, cwd=tmp_path).out
 
 
-def test_a_region_of_the_loop_steered_by_heading_does_not_travel(tmp_path) -> None:
-    """It is not about the law that is exported, but about the paper's."""
-    mission = (SCENARIOS / "tank-static.toml").read_text()
-    (tmp_path / "slow.toml").write_text(mission.replace("cruise_m_per_s = 0.2", "cruise_m_per_s = 0.15"))
-    (tmp_path / "cruise.json").write_text(json.dumps(test_bundle.region()))
-    both = [Path(test_bundle.__file__).with_name("region-heading-20.json"), tmp_path / "cruise.json"]
-    (export,) = export_command(str(tmp_path / "slow.toml"), "sur540-flooded", "default", both)
-    assert export.endswith(f"--sensing sonar --certificate {both[1]}")
-
-
 @pytest.mark.parametrize(
     ("text", "complaint"),
     [
         ("share = 1.5", "share = 1.5"),
         ("shar = 0.1", "did you mean 'share'"),
         ("force_n = nan", "force_n"),
-        ('loop = "heading"\nsampled = true', "sampled = True: has no effect on the heading-steered loop"),
-        ('loop = "heading"\n[gains]\nk_v = 1.0', "gains.k_v: is not a gain of the heading-steered loop"),
-        ('loop = "heading"\n[gains]\nk1 = -1.0', "gains.k1 = -1"),
+        ('loop = "steered"\nsampled = true', "sampled = True: has no effect on the heading loop of craft without"),
         ("[gains]\nk_w = 1.0", "gains.k_w: no such gain"),
         ("force_n = 0.05\nsampled = true", "force = 0.05"),
         ("cruise_m_per_s = 0.3", "cruise = 0.3"),
@@ -140,6 +125,6 @@ def test_a_claim_is_about_the_laws_that_its_certificate_fits(law: str, guidance:
 
 
 def test_verify_says_of_a_law_only_what_is_about_it() -> None:
-    words = ["verify", "region-cruise-20", "braking-inertia-20", "--law", "dwa", "--vehicle", "sur400", "--json"]
+    words = ["verify", "region-cruise-20", "braking-inertia-20", "--law", "calm", "--vehicle", "sur400", "--json"]
     done = CliRunner().invoke(app, words)
     assert [one["verdict"] for one in json.loads(done.stdout)["claims"]] == ["not applicable"] * 2

@@ -59,12 +59,6 @@ def test_what_is_given_replaces_and_the_rest_stays() -> None:
     assert told == replace(sensors, faults=(FAULTS["stuck:0:5"], FAULTS["delay=0.4:3"]))
     struck = SensorOptions(chances=["dropout=0.2"]).over(scenario).sensors
     assert struck == replace(sensors, chances=FaultChances(dropout=0.2))
-    wide = SensorOptions(beam=90.0).over(scenario).sensors
-    assert wide == replace(sensors, equipment=Equipment(array=replace(array, beam_angle=pi / 2), own=own))
-    assert SensorOptions(own_state="truth").over(scenario).sensors.equipment.own is None
-    assert SensorOptions(own_state="measured").over(scenario).sensors.equipment.own is own
-    blind = replace(scenario, sensors=Sensors(Equipment(own=None)))
-    assert SensorOptions(own_state="measured").over(blind).sensors.equipment.own == OwnState()
 
 
 def test_a_sensor_is_looked_for_in_the_scenario_s_own_array() -> None:
@@ -101,25 +95,13 @@ MISTAKES = {
     "chance of a word": (["--chance", "dropout=often"], ["--chance", "'dropout=often'", "0 to 1"]),
     "chances above 1": (["--chance", "dropout=0.6", "--chance", "spike=0.6"], ["--chance", "1.2"]),
     "a chance twice": (["--chance", "spike=0.1", "--chance", "spike=0.2"], ["--chance", "twice"]),
-    "a beam of nothing": (["--beam", "0"], ["--beam", "0.0", "180"]),
-    "a beam all round": (["--beam", "180"], ["--beam", "180.0", "0 and 180"]),
-    "a beam of nan": (["--beam", "nan"], ["--beam", "nan", "180"]),
-    "a beam too narrow for the pitch": (
-        ["{pitched}", "--beam", "30"],
-        ["--beam = 30.0", "too narrow for the pitch of 18 degrees", "give more than 36 degrees"],
-    ),
-    "a beam of a word": (["--beam", "wide"], ["--beam", "'wide'"]),
-    "an unknown own state": (["--own-state", "true"], ["--own-state", "'true'", "'truth'"]),
-    "a beam for the printed stack": (["--law", "paper", "--beam", "30"], ["--beam", "30.0", "guarded"]),
 }
 
 
 @pytest.mark.parametrize("case", MISTAKES)
 def test_a_mistake_is_one_line(tmp_path, case) -> None:
     words, expected = MISTAKES[case]
-    pitched = tmp_path / "pitched.toml"
-    pitched.write_text((LIBRARY / "pool-static.toml").read_text() + "\n[sonar]\npitch_deg = -18\n")
-    done = surctl_here(*SONAR, *(word.format(pitched=pitched) for word in words), cwd=tmp_path)
+    done = surctl_here(*SONAR, *words, cwd=tmp_path)
     assert done.status == 2, done
     for word in expected:
         assert word in done.complaint
@@ -128,7 +110,7 @@ def test_a_mistake_is_one_line(tmp_path, case) -> None:
 
 @pytest.mark.parametrize(
     "words",
-    [["--fault", "dead:0"], ["--chance", "dropout=0.1"], ["--beam", "30"], ["--own-state", "measured"]],
+    [["--fault", "dead:0"], ["--chance", "dropout=0.1"]],
     ids=lambda words: words[0],
 )
 def test_with_true_positions_they_are_refused(tmp_path, words) -> None:
@@ -149,13 +131,12 @@ def test_options_change_what_is_flown(tmp_path) -> None:
     """All at once that the smallest law with sonars takes: what each of them replaces is told above."""
     text = (LIBRARY / "pool-behind.toml").read_text()
     (tmp_path / "short.toml").write_text(text.replace("time_limit_s = 60.0", "time_limit_s = 6.0"))
-    options = ("--own-state", "truth", "--chance", "dropout=0.2", "--fault", "delay=0.4:0")
+    options = ("--chance", "dropout=0.2", "--fault", "delay=0.4:0")
     plain, changed = (
         surctl("simulate", "short.toml", "--law", "paper", *SONAR[2:], *more, "--json", cwd=tmp_path).json["runs"][0]
         for more in ((), options)
     )
     assert plain["length_m"] != changed["length_m"]
-    assert [run["sensors"]["own_state"] for run in (plain, changed)] == ["measured", "truth"]
     assert changed["sensors"]["chances"] == {"dropout": 0.2}
     assert changed["sensors"]["faults"] == [{"sensor": 0, "kind": "delay", "start_s": 0.0, "delay_s": 0.4}]
 
@@ -180,5 +161,5 @@ def test_the_echo_model_has_a_name_on_the_command_line_and_in_the_file(tmp_path)
     assert error.value.key == "sonar.echoes"
     for wrong, sensing, problem in (("webot", "sonar", "is not known"), ("webots", "truth", "has no effect")):
         with pytest.raises(InputError, match=problem) as error:
-            SensorOptions(echoes=wrong).check(law="guarded", sensing=sensing)
+            SensorOptions(echoes=wrong).check(sensing=sensing)
         assert error.value.key == "--echoes"

@@ -29,15 +29,12 @@ QUICK = (
     "vehicle thrusters bluerov2-heavy --failed T2 --force 40 40 0 5",
     "vehicle from-geometry --diameter 0.3 --mass 4 --thrust 8 --yaw-thrust 0.6",
     "scenario from-plan track.gpx --depth -2",
-    "calibrate table-ii --out fitted",
-    "sonar-replay readings.csv",
 )
 """In this order: some read what earlier ones write. Costly commands (study, export, fly, reproduce) are left out."""
 FILES = {
     "mine.toml": CLAIM,
     "track.gpx": '<gpx xmlns="http://www.topografix.com/GPX/1/1"><rte><rtept lat="59.0" lon="18.0"/>'
     '<rtept lat="59.0001" lon="18.0"/></rte></gpx>',
-    "readings.csv": "time_s,sensor,range_m\n" + "".join(f"{k / 10},0,{1 + k / 100}\n" for k in range(20)),
 }
 
 

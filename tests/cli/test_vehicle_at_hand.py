@@ -139,9 +139,9 @@ def test_a_run_that_arrives_on_an_unstable_loop_says_so() -> None:
         assert set(result["attitude"]) >= {"crab_angle_deg", "heading_error_deg", "oscillates"}
     run = simulate(fast, WU, gains=GAINS, law=build_law())
     assert "the linear loop at this speed is unstable" in loop_lines_of_run(run, {})[0]
-    held = replace(run, law=build_law("dwa"))
+    held = replace(run, law=build_law("calm"))
     result = {}
-    assert loop_lines_of_run(held, result) == [] and result["linear"] is None  # dwa has no linear loop
+    assert loop_lines_of_run(held, result) == [] and result["linear"] is None  # calm has no linear loop
 
 
 def test_lint_tells_a_name_that_is_no_file_s_and_a_region_whose_cruise_is_its_cap(tmp_path: Path) -> None:

@@ -115,7 +115,7 @@ def test_what_cannot_be_built_is_refused(kwargs: dict[str, str], fragment: str) 
 
 
 def test_the_choices() -> None:
-    assert LAW_NAMES == ("guarded", "paper", "closed_form", "apf", "dwa", "vo", "cbf", "steered", "calm")
+    assert LAW_NAMES == ("guarded", "paper", "closed_form", "steered", "calm")
     assert MODES == ("nsb", "filter", "projected", "lexicographic")
 
 

@@ -41,7 +41,7 @@ def _step(law: Law, x: Array, *, z: float, column: tuple[float, float] = (1.5, 1
 
 
 def test_only_the_guarded_law_takes_it_and_without_it_nothing_changes() -> None:
-    assert build_law("apf", depths=True) is not None and "column" not in build_law("apf", depths=True).inputs
+    assert "column" not in build_law("paper", depths=True).inputs
     plain, deep = _law(sonar=False, depths=False), _law(sonar=False)
     assert [p for p in deep.state if p not in plain.state.ports] == list(LAYER_PORTS)
     assert {p.name for p in deep.inputs} - {p.name for p in plain.inputs} == {"column"}

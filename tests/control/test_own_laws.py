@@ -134,7 +134,6 @@ def test_a_law_without_a_linear_model_has_no_margins(law: str) -> None:
     """Commands leave their margins out: study 40."""
     assert not has_cruise_loop(law, "los")
     assert has_cruise_loop("guarded", "los")
-    assert not has_cruise_loop("dwa", "los")
 
 
 def test_the_command_line_runs_an_own_law(law: str, mission: Path, tmp_path: Path) -> None:

@@ -96,7 +96,7 @@ def test_a_loop_with_too_little_damping_is_unstable() -> None:
 
 def test_the_numeric_loop_agrees_with_the_cascade() -> None:
     vehicle, default = load_vehicle("sur400"), load_gains("default")
-    loop = law_loop(build_law("vo"), vehicle, default, cruise=0.15)
+    loop = law_loop(build_law("paper"), vehicle, default, cruise=0.15)
     for ours, theirs in zip(loop.margins[:8], loop_margins(vehicle, default.values, cruise=0.15, dt=0.05), strict=True):
         assert ours.phase_margin_deg == pytest.approx(theirs.phase_margin_deg, rel=2e-3)
         assert ours.disk_margin == pytest.approx(theirs.disk_margin, rel=5e-3)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -32,8 +33,6 @@ SAME = (
     "--fault dropout:2 --sensing sonar",
     "--vehicle sur540-jets --fault thruster:j1",
     "--chance dropout=0.1 --sensing sonar",
-    "--beam 20 --sensing sonar",
-    "--own-state truth --sensing sonar",
     "--echoes webots --sensing sonar",
     "--controller c",
     "--controller tcp://127.0.0.1:9 --link-loss 0.1",
@@ -92,6 +91,7 @@ def reached(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[Any]:
         found.append(self)
         yield None
 
+    importlib.import_module("surctl.marine.study.conduct")  # modules that are loaded now keep the true `build_law`
     monkeypatch.setattr(surctl.marine.control, "build_law", lambda name, **words: SimpleNamespace(name=name, **words))
     monkeypatch.setattr(PlantOptions, "runs", runs)
     monkeypatch.setattr(ControllerOptions, "opened", opened)

@@ -35,7 +35,7 @@ def test_where_sections_are_folded_the_worst_three_lines_are_open() -> None:
 
 def test_claims_are_one_table_of_sentences_below_the_figures() -> None:
     unfit = Inapplicable("braking-rule-20", "m11 = 1 kg and m22 = 2 kg differ")
-    regions = (Inapplicable("region-cruise-20, region-heading-20", "m11 = 3 kg and m22 = 4 kg differ"),)
+    regions = (Inapplicable("region-cruise-20, region-cruise-20-soft", "m11 = 3 kg and m22 = 4 kg differ"),)
     margin = Figure("disk_margin", 0.31, "1", "all loops", "high", 0.3, "mass -5%")
     judged = replace(report().assessment, figures={margin.name: margin})
     section = findings_section(replace(report(), inapplicable=(unfit,), regions=regions, assessment=judged))

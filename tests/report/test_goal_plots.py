@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from surctl.marine.report import GoalBars, plot_goal_bars
-from surctl.marine.report.goals import goal_bars, goal_views, plot_front, plot_goal_view
-from surctl.marine.tuning import Goal
+from surctl.marine.report.goals import goal_bars, plot_front
 from surctl.tuning import tune
 from tests.pictures import rendered
 from tests.tuning.synthetic import CLEAR, MARGIN, NEAR, THRIFT, case, install, request
@@ -50,40 +49,3 @@ def test_the_front_marks_start_and_tuned(tuning):
     assert marked["tuned"][0] == pytest.approx([tuning.tuned.score(start)[0], tuning.tuned.evaluation.effort[0]])
     assert len(marked["undominated"]) == tuning.front.evaluation.effort.size
     assert (np.diff(marked["undominated"][:, 1]) < 0).all()
-
-
-def test_a_view_shades_the_bad_side_of_the_bound(tuning):
-    goals = {g.name: g for g in tuning.request.goals}
-    floor, cap = goal_views(tuning, [goals[name] for name in ("keep clear", "stay near")])
-    for view, below in ((floor, True), (cap, False)):
-        ax = drawn(plot_goal_view(view))
-        (shade,) = ax.patches
-        low, high = shade.get_y(), shade.get_y() + shade.get_height()
-        assert (high if below else low) == pytest.approx(view.goal.limit)
-        assert ax.get_position().width > 0.6 and view.label in " ".join(ax.get_xlabel().split())
-    assert floor.values["tuned"].min() > 0
-    assert not list(goal_views(tuning, [goals["delay margin"]]))
-
-
-def test_the_curve_ends_at_the_figure(tuning):
-    (view,) = goal_views(tuning, [Goal("near", "deviation_m", "m", 0.3)])
-    run_end = view.values["tuned"][-1]
-    assert np.isfinite(run_end) and len(view.time["tuned"]) == len(view.values["tuned"])
-
-
-def test_a_late_arrival_is_shaded_along_the_time(tuning):
-    (view,) = goal_views(tuning, [Goal("soon", "time_s", "s", 30.0)])
-    ax = drawn(plot_goal_view(view))
-    (shade,) = ax.patches
-    assert shade.get_x() == pytest.approx(30.0)
-    assert view.values["tuned"][-1] < view.values["tuned"][0]
-
-
-def test_a_goal_about_the_nominal_plant_shows_no_other(tuning):
-    runs = tuning.request.conditions
-    off = replace(runs[0], plant={"plant.m11": 46.0}, seed=2)  # the least lucky seed
-    odd = replace(tuning, request=replace(tuning.request, conditions=(off, *runs)))
-    near = Goal("near", "deviation_m", "m", 0.3)
-    every, nominal = goal_views(odd, [near, replace(near, plants="nominal")])
-    assert every.label == off.label and nominal.label in {c.label for c in runs}
-    assert not np.array_equal(every.values["tuned"], nominal.values["tuned"]), "each shows its own run"

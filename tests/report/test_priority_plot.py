@@ -57,12 +57,12 @@ def test_who_gave_up_what_to_which_row() -> None:
     assert "depth gave up" not in words
 
 
-def test_the_printed_stack_loses_to_levels_above_and_a_textbook_law_nothing() -> None:
+def test_the_printed_stack_loses_to_levels_above_and_the_closed_form_nothing() -> None:
     paper = priority_timeline(flight("paper", "nsb"))
     assert paper.rows == () and paper.eventful
     words = relaxation_text(paper)
     assert "velocity gave up at most" in words and "because of the levels above it" in words
-    quiet = priority_timeline(flight("apf", "nsb"))
+    quiet = priority_timeline(flight("closed_form", "nsb"))
     assert not quiet.eventful and relaxation_text(quiet) == "no level gave up anything"
 
 

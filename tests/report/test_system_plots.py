@@ -8,7 +8,6 @@ import sys
 from functools import cache
 from pathlib import Path
 
-import casadi as ca
 import numpy as np
 import pytest
 from matplotlib.colors import to_rgb
@@ -16,17 +15,15 @@ from PIL import Image
 
 import surctl
 from surctl.errors import InputError
-from surctl.ir import Layout, Port
 from surctl.plotted import Plotted
 from surctl.report import (
-    plot_attainable_rates,
     plot_dependence,
     plot_fan,
     plot_phase_plane,
     plot_record,
 )
 from surctl.report.theme import new_axes, save_figure
-from surctl.system import Controller, Plant, Record, Runs, System, run_system
+from surctl.system import Record, Runs, run_system
 from tests.system.examples import pendulum
 
 STARTS = np.linspace(-0.4, 0.4, 7)
@@ -83,51 +80,6 @@ def test_a_dependence_is_ordered_by_rank() -> None:
     assert figure.axes[0].get_title("left").endswith("1.00") or "0.9" in figure.axes[0].get_title("left")
     with pytest.raises(InputError, match="vary nothing"):
         plot_dependence({"fixed": 2.0}, runs, "cost")
-
-
-def raft(saturated: bool = False) -> System:
-    """Return a plant with two rates, three commands and a mixing matrix."""
-    nu, f = Port("nu", (2,), "m/s, rad/s", "surge and yaw"), Port("f", (3,), "N", "thrusters")
-
-    def ode(x, f, d, p):
-        force = ca.fmin(f["f"], 2.0) if saturated else f["f"]
-        return {"nu": MIX @ force - x["nu"]}
-
-    law = Controller("law", 0.1, Layout((nu,)), Layout((f,)), lambda x, u, p: ca.vertcat(u["nu"], 0))
-    return System(Plant("raft", Layout((nu,)), Layout((f,)), ode), law)
-
-
-MIX = np.array([[0.1, -0.2, 0.05], [-0.3, -0.1, 0.2]])
-LIMITS = {"f[0]": (-4.0, 5.0), "f[1]": (-3.0, 3.0), "f[2]": (-1.0, 6.0)}
-
-
-def test_attainable_rates_are_the_hull_of_all_corners_of_the_limits() -> None:
-    ax = plot_attainable_rates(raft(), LIMITS, "nu[0]", "nu[1]", {"start.nu[0]": 0.5})
-    corners = np.array(np.meshgrid(*LIMITS.values())).reshape(3, -1).T @ MIX.T - [0.5, 0.0]
-    outline = ax.lines[0].get_xydata()
-    for way in np.random.default_rng(1).normal(size=(50, 2)):
-        assert (outline @ way).max() == pytest.approx((corners @ way).max())
-    assert all(np.abs(corners - point).max(axis=1).min() < 1e-12 for point in outline)
-    assert ax.lines[1].get_xydata() == pytest.approx(np.array([[-0.5, 0.0]]))
-
-
-@pytest.mark.parametrize(
-    ("limits", "states", "message"),
-    [
-        (LIMITS | {"f[3]": (0.0, 1.0)}, ("nu[0]", "nu[1]"), r"limits = 'f\[3\]': is not a command"),
-        ({"f[0]": (-1.0, 1.0)}, ("nu[0]", "nu[1]"), r"limits = 'f\[1\]': has no limits"),
-        (LIMITS | {"f[2]": (0.0, np.inf)}, ("nu[0]", "nu[1]"), r"limits.f\[2\] = .* is not a range"),
-        (LIMITS, ("nu[0]", "nu"), "state = 'nu': is not a state"),
-    ],
-)
-def test_wrong_limits_of_attainable_rates_are_refused(limits, states, message) -> None:
-    with pytest.raises(InputError, match=message):
-        plot_attainable_rates(raft(), limits, *states)
-
-
-def test_attainable_rates_of_a_plant_that_saturates_are_refused() -> None:
-    with pytest.raises(InputError, match="rates are affine"):
-        plot_attainable_rates(raft(saturated=True), LIMITS, "nu[0]", "nu[1]")
 
 
 def test_limits_are_drawn_and_the_figure_turns_dark() -> None:

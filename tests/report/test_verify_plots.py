@@ -15,11 +15,9 @@ from surctl.marine.report.files import plot_region, save_margins, save_verdicts
 from surctl.marine.report.margin_plots import _rim
 from surctl.marine.vehicle import load_vehicle
 from surctl.marine.verification import claims
-from surctl.marine.verification.portrait import CRUISE_PLANES, HEADING_PLANES, portrait
-from surctl.report.evidence import plot_cells, plot_open_boxes
-from surctl.verification import decide, falsify, prove
-from surctl.verification.proving.search import cells_of
-from tests.certcheck.test_heading import RANGES, rate
+from surctl.marine.verification.portrait import CRUISE_PLANES, portrait
+from surctl.report.evidence import plot_open_boxes
+from surctl.verification import decide, falsify
 
 CERTIFICATES = Path(__file__).parents[1] / "certcheck"
 VEHICLE, GAINS = load_vehicle("sur540-flooded"), load_gains("default").values
@@ -27,27 +25,6 @@ VEHICLE, GAINS = load_vehicle("sur540-flooded"), load_gains("default").values
 
 def certificate(name: str) -> dict[str, Any]:
     return json.loads((CERTIFICATES / f"{name}.json").read_text(encoding="utf-8"))
-
-
-@pytest.mark.parametrize("plane", HEADING_PLANES)
-def test_nothing_fails_where_the_loop_steered_by_heading_is_certified(plane: str) -> None:
-    seen = portrait(certificate("region-heading-20"), plane, extent=3.0, points=41)
-    inside = (seen.level <= 1.0) & (seen.level > 1e-9)
-    assert inside.sum() > 80 and seen.excess[inside].max() < 0
-    assert seen.excess.max() > 0 or plane == "across"  # and far out it does fail
-
-
-@pytest.mark.parametrize("plane", ["across", "turning"])
-def test_the_flow_of_the_heading_loop_is_that_written_for_the_checkers_tests(plane: str) -> None:
-    document = certificate("region-heading-20")
-    seen, claim = portrait(document, plane), document["claim"]
-    xi = np.zeros((seen.level.size, 6))
-    pair = list(HEADING_PLANES[plane])
-    xi[:, pair] = np.stack([grid.ravel() for grid in np.meshgrid(seen.x, seen.y)], axis=1)
-    middle = {key: np.full(len(xi), sum(claim["vehicle"][key]) / 2) for key in RANGES}
-    rates = rate(claim, middle, xi)[:, pair]
-    assert np.abs(rates[:, 1]).max() > 0.01
-    np.testing.assert_allclose(seen.flow.reshape(2, -1).T, rates, atol=1e-12)
 
 
 @pytest.mark.parametrize("plane", CRUISE_PLANES)
@@ -80,21 +57,6 @@ def test_a_portrait_needs_a_region(tmp_path: Path, monkeypatch: pytest.MonkeyPat
         portrait(certificate("region-cruise-20"), "acros")
     scales = [ax.get_aspect() for ax in plot_region(certificate("region-cruise-20-lag")).axes]
     assert scales == ["auto", "auto", 1.0]  # the last plane has two positions
-    assert len(plot_region(certificate("region-heading-20")).axes) == 4
-
-
-def test_the_boxes_of_a_proof_fill_the_domain_without_overlap() -> None:
-    (claim,) = claims(GAINS, ["v1-speed-cap-region"])
-    document = prove(claim, slack=1e-9).certificate
-    assert document is not None
-    for cells in cells_of(document):
-        size = cells.upper - cells.lower
-        assert np.all(size >= 0) and len(cells.rules) == size.shape[1]
-        whole = np.prod(claim.upper - claim.lower)
-        assert np.prod(size, axis=0).sum() == pytest.approx(whole, rel=1e-12)
-        for k in np.flatnonzero((claim.lower < 0) & (claim.upper > 0)):
-            assert 0.0 in cells.lower[k] or len(set(cells.lower[k])) == 1  # halved at 0 first
-        assert np.all(cells.lower.min(axis=1) == claim.lower) and np.all(cells.upper.max(axis=1) == claim.upper)
 
 
 @pytest.mark.usefixtures("blank")
@@ -105,10 +67,8 @@ def test_claims_leave_pictures_of_what_came_of_them(tmp_path: Path) -> None:
     left = replace(falsify(proved), verdict="unknown", open_boxes=(box,))
     names = {p.name for p in save_verdicts([falsify(refuted), settled, left], tmp_path)}
     assert names == {
-        "v1-printed-replay.png", "v1-printed-slice.png", "v1-corrected-cells.png", "v1-corrected-open.png",
+        "v1-printed-replay.png", "v1-printed-slice.png", "v1-corrected-open.png",
     }  # fmt: skip
-    with pytest.raises(InputError, match="is not proved"):
-        plot_cells(left)
     with pytest.raises(InputError, match="no open boxes"):
         plot_open_boxes(settled)
 

@@ -18,10 +18,10 @@ from surctl.errors import InputError
 from surctl.marine.control import load_gains
 from surctl.marine.reproduction import WORDS, Item, Reproduction, Result, Simulations, items, reproduce, required
 from surctl.marine.reproduction import reproduction as reproducing
+from surctl.marine.reproduction.range_test import RangeTest
 from surctl.marine.reproduction.reproduction import claim_items, judged, table_items, write_reproduction
 from surctl.marine.reproduction.row import agrees
 from surctl.marine.reproduction.scenarios import scenario_names
-from surctl.marine.sensing.calibration.file import RangeTest
 from surctl.marine.simulation import load_scenario, simulate
 from surctl.marine.vehicle import load_vehicle
 from surctl.marine.verification import claims

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 import pytest
 from scipy import stats
 
-from surctl.marine.sensing import Calibration, Estimate, SonarArray, calibrate
-from surctl.marine.sensing.calibration.file import table_ii
+from surctl.marine.reproduction.range_test import table_ii
+from surctl.marine.sensing import SonarArray
 from surctl.marine.world import Wall
 from surctl.noise import NoiseStream
 from tests.oracles.echoes import fire
@@ -31,9 +32,17 @@ def firing(distance: float, noise: NoiseStream) -> np.ndarray:
     return fire(ARRAY, 0, position=(0.0, 0.0), heading=0.0, shapes=[wall], noise=drawn)
 
 
+class Estimate(NamedTuple):
+    """A number and its 95 % confidence interval."""
+
+    value: float
+    low: float
+    high: float
+
+
 @dataclass(frozen=True)
 class Table:
-    """What `calibrate` says of the errors of one table, without its line and the fit of its noise."""
+    """Mean and spread of the errors of one table."""
 
     errors: np.ndarray
     mean_error: Estimate
@@ -65,16 +74,8 @@ def simulated(kind: str, count: int = TABLES) -> list[Table]:
 
 
 @cache
-def printed() -> Calibration:
-    return calibrate(table_ii().desired, table_ii().water.measured)
-
-
-def test_the_errors_are_those_of_a_calibration() -> None:
-    for table in (*simulated("sample", 20), of_errors(printed().errors)):
-        whole = calibrate(table_ii().desired, table_ii().desired + table.errors)
-        for own, other in ((table.mean_error, whole.mean_error), (table.error_sd, whole.error_sd)):
-            assert own.to_list() == pytest.approx(other.to_list(), rel=1e-9, abs=1e-12)
-        assert abs(table.errors[table.largest]) == pytest.approx(abs(whole.errors[whole.largest]), abs=1e-12)
+def printed() -> Table:
+    return of_errors(table_ii().errors("water"))
 
 
 def test_spread_of_a_sample_is_that_of_noise_and_conversion() -> None:

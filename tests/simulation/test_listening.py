@@ -43,7 +43,7 @@ SENSORS = Sensors(
     chances=FaultChances(dropout=0.1, spike=0.05, zero=0.05, maximum=0.05, second_echo=0.05, crosstalk=0.05),
 )
 SCENARIO = replace(load_scenario("pool-behind"), sensors=SENSORS, time_limit=3.0)  # the obstacle approaches at once
-CASE = Case(SCENARIO, load_vehicle(SCENARIO.vehicle), load_gains("default"), sensing="sonar", law="apf")
+CASE = Case(SCENARIO, load_vehicle(SCENARIO.vehicle), load_gains("default"), sensing="sonar")
 
 
 def test_the_compiled_loop_hears_what_the_reference_hears() -> None:

@@ -8,7 +8,6 @@ from surctl.ir import lower
 from surctl.marine.vehicle import PLANT_PARAMETERS, plant_thrust_limit
 from surctl.tasks import (
     AccelerationLimit,
-    ActuatorLimits,
     Barrier,
     BrakingBarrier,
     RateLimit,
@@ -28,10 +27,10 @@ PLAIN = plant_thrust_limit(NU, PARTS, dt=0.05)
 @pytest.mark.parametrize(
     "limit",
     [
-        ActuatorLimits(
-            VelocityBox([-0.1] * 4, [0.1, 0.1, 0.1, np.inf]), PLAIN, AccelerationLimit(NU, [0.1] * 4, dt=0.05)
-        ),
-        ActuatorLimits(VelocityBox([-0.1] * 4, [0.1] * 4), FULL),
+        VelocityBox([-0.1] * 4, [0.1, 0.1, 0.1, np.inf]),
+        PLAIN,
+        FULL,
+        AccelerationLimit(NU, [0.1] * 4, dt=0.05),
         Barrier("disc", ETA, h=DISC, alpha=lambda s: ca.fmin(s, 1), kinematics="vehicle"),
         BrakingBarrier("disc", ETA, h=DISC, deceleration=0.1, reaction=0.3, kinematics="vehicle"),
         RateLimit(position_task(ETA, [1, 2]), 0.1),

@@ -11,7 +11,6 @@ from surctl.priority import assemble, solve
 from surctl.priority.diagnosis import diagnose
 from surctl.tasks import (
     AccelerationLimit,
-    ActuatorLimits,
     Barrier,
     BrakingBarrier,
     HalfPlane,
@@ -31,11 +30,9 @@ def test_a_stack_of_any_width_is_solved_as_by_hand(n: int) -> None:
     stack = Stack((Task(name="joints", eta=q, sigma=q, target=0.5, kinematics=S),))
     nu = np.zeros(n)
     limits = [
-        ActuatorLimits(
-            VelocityBox([-0.2] * n, [0.2] * n),
-            ThrustLimit(nu, np.ones(n), load=nu, lower=[-9.0] * n, upper=[9.0] * n, dt=0.1),
-            AccelerationLimit(nu, [9.0] * n, dt=0.1),
-        ),
+        VelocityBox([-0.2] * n, [0.2] * n),
+        ThrustLimit(nu, np.ones(n), load=nu, lower=[-9.0] * n, upper=[9.0] * n, dt=0.1),
+        AccelerationLimit(nu, [9.0] * n, dt=0.1),
         HalfPlane("half", np.ones(n), 0.15 * n),
         Barrier("wall", q, h=0.2 - q[0], kinematics=S),
     ]

@@ -11,7 +11,7 @@ from surctl.marine.tuning.sweep import LINEAR_COLUMNS, judged
 GAINS = load_gains("default")
 
 
-@pytest.mark.parametrize(("kind", "has"), [({}, True), ({"guidance": "ilos"}, False), ({"law": "dwa"}, False)])
+@pytest.mark.parametrize(("kind", "has"), [({}, True), ({"guidance": "ilos"}, False), ({"law": "calm"}, False)])
 def test_a_law_without_a_linear_loop_has_no_margins_and_never_another_law_s(kind: dict[str, str], has: bool) -> None:
     cases = build_cases([load_scenario("pool-behind")], gains=GAINS, **kind)
     evaluation = MissionSweep(cases)

@@ -25,12 +25,11 @@ SDF = """<?xml version="1.0"?>
 <xU>-4</xU><xUabsU>-20</xUabsU><yV>-5</yV><yVV>-30</yVV><zW>0</zW><zWabsW>-40</zWabsW><nR>-0.1</nR><nRabsR>-1</nRabsR>
 <yR>-0.5</yR><kP>-3</kP></plugin></model></sdf>"""
 UUV = """<?xml version="1.0"?>
-<robot xmlns:xacro="http://www.ros.org/wiki/xacro" name="rexrov">
-<xacro:property name="mass" value="1862.87"/><xacro:property name="double" value="${2 * mass}"/>
-<link name="r/base_link"><inertial><mass value="${mass}"/>
-<inertia ixx="525" ixy="0" ixz="0" iyy="794" iyz="0" izz="${691.23 + 0}"/></inertial></link>
+<robot name="rexrov">
+<link name="r/base_link"><inertial><mass value="1862.87"/>
+<inertia ixx="525" ixy="0" ixz="0" iyy="794" iyz="0" izz="691.23"/></inertial></link>
 <gazebo><plugin name="uuv" filename="libuuv_underwater_object_ros_plugin.so"><fluid_density>1028.0</fluid_density>
-<link name="r/base_link"><neutrally_buoyant>0</neutrally_buoyant><volume>${mass / 1000}</volume>
+<link name="r/base_link"><neutrally_buoyant>0</neutrally_buoyant><volume>1.86287</volume>
 <hydrodynamic_model><type>fossen</type><added_mass>
 779.79 -6.8773 -103.32 8.5426 -165.54 -7.8033
 -6.8773 1222 51.29 409.44 -5.8488 62.726
@@ -70,13 +69,13 @@ def test_an_axis_with_thrust_and_no_drag_is_said(tmp_path: Path) -> None:
 
 
 def test_hydrodynamics_of_uuv_simulator(tmp_path: Path) -> None:
-    (tmp_path / "rexrov.xacro").write_text(UUV)
-    rov = gazebo_vehicle(tmp_path / "rexrov.xacro", "rexrov", **GIVEN)
+    (tmp_path / "rexrov.urdf").write_text(UUV)
+    rov = gazebo_vehicle(tmp_path / "rexrov.urdf", "rexrov", **GIVEN)
     assert rov.mass == pytest.approx([1862.87 + 779.79, 1862.87 + 1222, 1862.87 + 3659.9, 691.23 + 224.32])
     assert rov["m24"] == pytest.approx(62.726) and rov["Zw"] == 728.4 and rov["Nrr"] == 523.27
     assert rov["Z0"] == pytest.approx(9.81 * (1028 * 1.86287 - 1862.87))
-    (tmp_path / "neutral.xacro").write_text(UUV.replace("<neutrally_buoyant>0", "<neutrally_buoyant>1"))
-    assert "Z0" not in gazebo_vehicle(tmp_path / "neutral.xacro", "rexrov", **GIVEN).parameters
+    (tmp_path / "neutral.urdf").write_text(UUV.replace("<neutrally_buoyant>0", "<neutrally_buoyant>1"))
+    assert "Z0" not in gazebo_vehicle(tmp_path / "neutral.urdf", "rexrov", **GIVEN).parameters
 
 
 @pytest.mark.parametrize(

@@ -73,11 +73,11 @@ def test_no_claim_is_offered_whose_assumptions_an_independent_look_finds_violate
             elif name in REGION_CLAIMS:
                 region = region_statement(name).claim(vehicle, GAINS, cruise=cruise, cap=cap)
                 kind = next(kind for kind in _PLACES if kind in name)
-                needs = {"heading": one_mass, "turning": True}.get(kind, one_mass and one_drag)
+                needs = kind == "turning" or (one_mass and one_drag)
                 document = region.document(**_PLACES[kind])
                 own = region_statement(name).model_fields_set & {"cruise_m_per_s", "cap_m_per_s"}
                 assert needs and (own or document["law"]["cruise"] == cruise)
-                assert "heading" in name or own or document["law"]["cap"] == cap
+                assert own or document["law"]["cap"] == cap
             elif name in STEPS:
                 [_] = claims(at_hand, [name], vehicle=vehicle)
                 assert one_mass and same_ranges(vehicle, MASS)
@@ -96,7 +96,6 @@ _CRUISE = {"offset": 1.0, "rest_offset": 1.0, "ultimate_bound": (1.0, 1.0), "mun
 _PLACES = {
     "cruise": _CRUISE,
     "turning": _CRUISE,
-    "heading": {"offset": 1.0, "beside": 1.0, "extent": (1.0, 1.0, 1.0), "depth": 1.0, "ultimate_bound": 1.0},
 }
 
 
@@ -116,10 +115,10 @@ def test_a_claim_over_ranges_of_surge_is_not_about_a_sway_of_other_ranges() -> N
     vehicle = load_vehicle("sur540-flooded")
     sway = replace(vehicle.parameters["m22"], range=(50.0, 200.0))
     other = replace(vehicle, parameters={**vehicle.parameters, "m22": sway})
-    for name in ("region-cruise-ranges", "region-heading-ranges"):
-        region_statement(name).claim(vehicle, GAINS)
-        with pytest.raises(NotApplicable, match="the ranges of m11 and m22 differ"):
-            region_statement(name).claim(other, GAINS)
+    statement = region_statement("region-cruise-ranges")
+    statement.claim(vehicle, GAINS)
+    with pytest.raises(NotApplicable, match="the ranges of m11 and m22 differ"):
+        statement.claim(other, GAINS)
     claim = braking_claim_named("braking-rule-ranges", other, GAINS)
     assert claim.ratio > 1
 

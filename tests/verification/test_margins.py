@@ -153,9 +153,7 @@ def test_the_controller_is_the_derivative_of_the_laws_own_expressions(name: str)
     assert np.block([[D, Cz], [By / dt, (Az - np.eye(4)) / dt]]) == pytest.approx(expected, abs=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("law", "rel"), [("closed_form", 2 * DAMPING**2), ("paper", 1e-9), ("apf", 1e-9), ("vo", 1e-9)]
-)
+@pytest.mark.parametrize(("law", "rel"), [("closed_form", 2 * DAMPING**2), ("paper", 1e-9)])
 def test_all_laws_that_track_have_one_loop(law: str, rel: float) -> None:
     one, other = (cruise_loop(VEHICLE, GAINS, cruise=0.15, dt=0.05, law=name) for name in ("guarded", law))
     assert other.law[3] == pytest.approx(one.law[3], rel=rel, abs=1e-9) and other.states == one.states

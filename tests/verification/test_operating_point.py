@@ -60,7 +60,7 @@ def test_the_distance_decays_as_the_pole_says() -> None:
 @pytest.mark.parametrize("direction", [2.0])
 def test_a_course_in_another_direction_has_the_same_loop(direction: float) -> None:
     law, scenario, vehicle, gains = (
-        build_law("vo"),
+        build_law("paper"),
         load_scenario("pool-behind"),
         load_vehicle("sur400"),
         load_gains("default"),

@@ -6,7 +6,6 @@ from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 
 from surctl.cli.application import Application
-from surctl.marine.cli.calibrate import calibrate
 from surctl.marine.cli.export import export
 from surctl.marine.cli.fly import fly
 from surctl.marine.cli.gains import gains
@@ -14,7 +13,6 @@ from surctl.marine.cli.lint import lint
 from surctl.marine.cli.mission import scenario
 from surctl.marine.cli.reproduce import reproduce
 from surctl.marine.cli.simulate import simulate
-from surctl.marine.cli.sonar_replay import sonar_replay
 from surctl.marine.cli.study import study
 from surctl.marine.cli.sweep import sweep
 from surctl.marine.cli.tune import tune
@@ -55,8 +53,6 @@ APPLICATION = Application(
         vehicle: "Write a vehicle file from dimensions, a log or a model.",
         gains: "Write the gains that follow from a vehicle.",
         scenario: "Write a scenario file from a mission of another program.",
-        calibrate: "Calibrate range sensors from a CSV file.",
-        sonar_replay: "Run recorded sonar readings through the robot's filter.",
         fly: "Steer an ArduSub vehicle along a scenario's path.",
         reproduce: "Compute the results of the robot's paper again.",
     },

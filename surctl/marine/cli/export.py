@@ -119,7 +119,7 @@ def export(
     law, why = choose_law(robot.law, [vehicle])
     sensing = choose_sensing(robot.sensing, law)
     click.get_current_context().params["sensing"] = sensing
-    sensors.check(law=law, sensing=sensing)
+    sensors.check(sensing=sensing)
     mission = sensors.over(mission)
     built = replace(robot, sensing=sensing).build(law, mission, vehicle)
     chosen = choose_gains(robot.gains, vehicle, cruise=mission.cruise, own=law_source(law).gains)
@@ -172,7 +172,7 @@ def export(
 
 _RUN_OPTIONS = (
     *("vehicle", "gains", "law", "avoidance", "guidance", "priority_mode", "fallback", "sensing"),
-    *("faults", "chances", "beam", "own_state", "seed"),
+    *("faults", "chances", "seed"),
 )
 
 

@@ -148,8 +148,7 @@ def margin_of_all(assessment: Assessment) -> float:
 law_option = click.option(
     "--law",
     metavar="NAME",
-    help="Law: guarded (default), steered (default if no sway), calm, paper, closed_form, apf, dwa, vo, cbf or "
-    "FILE.py:FUNCTION.",
+    help="Law: guarded (default), steered (default if no sway), calm, paper, closed_form or FILE.py:FUNCTION.",
 )
 
 

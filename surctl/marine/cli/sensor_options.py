@@ -1,10 +1,10 @@
-"""Options of sensors and failures (--fault, --chance, --beam, --echoes) of `simulate` and `export`."""
+"""Options of sensors and failures (--fault, --chance, --echoes) of `simulate` and `export`."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from math import degrees, inf, isfinite, radians
+from math import degrees, inf, isfinite
 from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from surctl.marine.simulation.sensors import Sensors
 
 FORM = "KIND:SENSOR[:START[:DURATION]]"
-OWN_STATES = ("measured", "truth")
 
 _PARTS = {
     "sensor": ("sensor", "count sensors from 0"),
@@ -41,14 +40,10 @@ sensor_options = together(
         metavar="KIND=P",
         help="Probability P of sonar fault KIND per ping; repeatable.",
     ),
-    click.option(
-        "--beam", type=float, metavar="DEG", help="Full sonar beam angle [deg] (default: as in the scenario)."
-    ),
-    click.option("--own-state", metavar="NAME", help="Law's state input: measured or truth (default: scenario's)."),
 )
 """A decorator that adds these options to a command.
 
-The command receives them as `faults`, `chances`, `beam` and `own_state`."""
+The command receives them as `faults` and `chances`."""
 
 
 simulated_echoes = click.option(
@@ -64,42 +59,28 @@ class SensorOptions:
     Attributes:
         faults: faults in the form of `parse_fault`; they replace all faults of the scenario.
         chances: fault probabilities in the form of `parse_chances`; they replace all probabilities of the scenario.
-        beam: full opening angle of the sonars [°].
-        own_state: which state of the robot the law receives: `measured` (with errors) or `truth` (exact).
         echoes: name of an echo model, see `surctl.marine.simulation.ECHOES`.
     """
 
     faults: Sequence[str] = ()
     chances: Sequence[str] = ()
-    beam: float | None = None
-    own_state: str | None = None
     echoes: str | None = None
 
-    def check(self, *, law: str, sensing: str) -> None:
+    def check(self, *, sensing: str) -> None:
         """Raise InputError for an option that has no effect on the runs, or for an unknown value."""
-        from surctl.marine.control import law_source
         from surctl.marine.simulation import SENSING
-        from surctl.own_code import label
 
         check_known(sensing, SENSING, key="--sensing")
         options = {
             "--fault": self.faults,
             "--chance": self.chances,
-            "--beam": self.beam,
-            "--own-state": self.own_state,
             "--echoes": self.echoes,
         }
         for key, value in options.items():
             if value is not None and value != () and sensing == "truth":
-                text = value if key in ("--beam", "--own-state", "--echoes") else " ".join(value)  # type: ignore[arg-type]
+                text = value if key == "--echoes" else " ".join(value)
                 remedy = "add --sensing sonar, or drop this option"
                 raise InputError("has no effect with true positions", key=key, value=text, remedy=remedy)
-        if self.beam is not None and not law_source(law).scans:
-            problem = f"does not apply to law {label(law)}, which has the four sonars of the paper"
-            raise InputError(problem, key="--beam", value=self.beam, remedy="use law guarded")
-        if self.own_state is not None and self.own_state not in OWN_STATES:
-            remedy = nearest(self.own_state, OWN_STATES)
-            raise InputError("is not known", key="--own-state", value=self.own_state, remedy=remedy)
         if self.echoes is not None:
             from surctl.marine.simulation import ECHOES
 
@@ -114,18 +95,12 @@ class SensorOptions:
         return replace(scenario, sensors=self._sensors(scenario.sensors))
 
     def _sensors(self, old: Sensors) -> Sensors:
-        from surctl.marine.sensing import OwnState
-
         if self.echoes is not None:
             old = old.hearing(self.echoes)
-        array, own = old.equipment.array, old.equipment.own
-        if self.beam is not None:
-            array = _widened(array, self.beam)
+        array = old.equipment.array
         faults = tuple(_checked(array, text) for text in self.faults) or old.faults
         chances = _possible(array, self.chances) if self.chances else old.chances
-        if self.own_state is not None:
-            own = None if self.own_state == "truth" else own or OwnState()
-        return replace(old, equipment=replace(old.equipment, array=array, own=own), faults=faults, chances=chances)
+        return replace(old, faults=faults, chances=chances)
 
 
 def parse_fault(text: str) -> Fault:
@@ -231,21 +206,6 @@ def _possible(array: SonarArray, texts: Sequence[str]) -> FaultChances:
     except InputError as error:
         _refuse(error.problem, " ".join(texts), error.remedy or "drop this option", key="--chance")
     return chances
-
-
-def _widened(array: SonarArray, beam: float) -> SonarArray:
-    if not 0 < beam < 180:
-        raise InputError("is not a beam angle", key="--beam", value=beam, remedy="give degrees between 0 and 180")
-    try:
-        return replace(array, beam_angle=radians(beam))
-    except InputError as error:
-        if error.key == "array.pitch":
-            pitch = abs(degrees(array.pitch))
-            problem = f"is too narrow for the pitch of {pitch:g} degrees: the beam must contain the horizontal plane"
-            remedy = f"give more than {2 * pitch:g} degrees"
-            raise InputError(problem, key="--beam", value=beam, remedy=remedy) from None
-        now = f"the scenario has {degrees(array.beam_angle):g} degrees"
-        raise InputError(error.problem, key="--beam", value=beam, remedy=error.remedy or now) from None
 
 
 def _number(part: str, text: str, key: str) -> float:

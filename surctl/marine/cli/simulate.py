@@ -132,7 +132,7 @@ def simulate(
     alone = "simulate without --monte-carlo and --random-worlds" if campaign.any else None
     faults, broken = split_faults(sensors.faults, refused=alone)
     sensors = replace(sensors, faults=faults)
-    sensors.check(law=law, sensing=robot.sensing or "truth")
+    sensors.check(sensing=robot.sensing or "truth")
     if campaign.any:
         plans = campaign.plans(scenarios, robot, sensors, law=law, seed=seed)
         campaign.run(plans, lines, vehicle=robot.vehicle, runs=campaign.worlds or runs, out=out, as_json=as_json)

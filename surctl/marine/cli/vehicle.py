@@ -218,8 +218,8 @@ def from_gazebo(
     """Write a vehicle file with mass, added mass and drag of a Gazebo model: SDF, or URDF of uuv_simulator.
 
     surctl reads the plugin gz::sim::systems::Hydrodynamics, the element fluid_added_mass, and a hydrodynamic_model of
-    type fossen. The vehicle file has surge, sway, heave and yaw of the model, without roll and pitch. If the model has
-    xacro macros, first run: xacro FILE > robot.urdf.
+    type fossen. The vehicle file has surge, sway, heave and yaw of the model, without roll and pitch. A xacro
+    file is expanded first: xacro FILE > robot.urdf.
 
     Example: surctl vehicle from-gazebo model.sdf --name auv --diameter 0.5 --thrust 40 --yaw-thrust 6
     """

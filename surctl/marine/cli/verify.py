@@ -39,7 +39,6 @@ if TYPE_CHECKING:
     from surctl.marine.control import Gains
     from surctl.marine.vehicle import Vehicle
     from surctl.verification import Claim, Verdict
-    from surctl.verification.stack import StackConditions
 
 _SHORT = 20.0  # s
 _MOST_CLAIMS = 3  # in a summary; more are counted
@@ -71,13 +70,6 @@ _SPEED = FiniteRange(min=0, max=100, min_open=True)
 @click.option("--scenario", metavar="FILE", help="Scenario (name or file) for the no-contact claim.")
 @click.option("--law", metavar="NAME", help="Law: name or FILE.py:FUNCTION (default: guarded or steered).")
 @click.option("--sensing", metavar="NAME", help="Obstacles: sonar (default if usable) or truth (exact).")
-@click.option(
-    "--stack",
-    "stacks",
-    multiple=True,
-    metavar="LAW",
-    help="Print whether the tasks of LAW converge: guarded or paper.",
-)
 @barrier_options
 @click.option("--show", is_flag=True, help="Print claims as claim files, and check no claim.")
 def verify(
@@ -90,7 +82,6 @@ def verify(
     scenario: str | None,
     law: str | None,
     sensing: str | None,
-    stacks: tuple[str, ...],
     barrier: str,
     movers: str,
     seed: int,
@@ -141,7 +132,7 @@ def verify(
         choose_vehicle,
         export_command,
     )
-    from surctl.marine.control import CASCADE, PATH_FOLLOWING, build_law, law_source
+    from surctl.marine.control import PATH_FOLLOWING, build_law, law_source
     from surctl.marine.simulation import load_scenario
     from surctl.marine.tuning import derive_gains
     from surctl.marine.vehicle import load_vehicle
@@ -152,9 +143,8 @@ def verify(
     from surctl.verification import Inapplicable, decide
     from surctl.verification.claim_file import write_claim
 
-    conditions = {name: _stack(name) for name in stacks}  # first, because it refuses unknown names
     # claims of one's own alone concern no vehicle, so nothing is said of one
-    named_things = (vehicle, gains, cruise, cap, scenario, law, sensing, *stacks)
+    named_things = (vehicle, gains, cruise, cap, scenario, law, sensing)
     alone = bool(claims) and all(map(_is_claim_file, claims)) and all(word is None for word in named_things)
     mission = None if scenario is None else load_scenario(scenario)
     choice = choose_vehicle(vehicle, None if mission is None else (mission.name, mission.vehicle))
@@ -189,7 +179,7 @@ def verify(
     check_regions(region_names, robot, tuned.gains, speeds, chosen_law)
     dt = build_law().dt
     options: dict[str, Any] = {"dt": dt, "uncertainty": uncertainty, "law": chosen_law}
-    cascaded = CASCADE in source.parts
+    cascaded = PATH_FOLLOWING in source.parts
     check_barrier(barrier, movers)
     scenarios = () if mission is None else (replace(mission, cruise=speeds[0], cap=speeds[1]),)
     forms = {"barrier": barrier, "movers": movers}
@@ -252,11 +242,6 @@ def verify(
     else:
         result["assessment"] = assessed[-1].to_dict()
         lines.append(f"not assessed: {', '.join(assessed[-1].omitted)} (surctl study assesses all)")
-    conditions_lines = list[str]()
-    for name, stack in conditions.items():
-        conditions_lines += stack.lines()
-        result.setdefault("stacks", {})[name] = stack.to_dict()
-    lines += conditions_lines
     certificates = [*files.values(), *regions.files, *braked.files]
     if out is not None:
         margins_at = None if linear.stable is None or not cascaded else cruise or speeds[:1]
@@ -312,7 +297,7 @@ def verify(
         about_claims = [*(f"FAIL {text}" for text in unmet), counted]
     about_claims.sort(key=lambda line: not line.startswith("FAIL"))
     brief = [*missions.lines, *(f"FAIL {text}" for text in failing), *about_claims]
-    brief += [f"{line.mark} {line.text}" for line in judged if line.rank] + beside + conditions_lines
+    brief += [f"{line.mark} {line.text}" for line in judged if line.rank] + beside
     written = [f"certificates {out}"] if certificates else [f"pictures {out}"] if result.get("pictures") else []
     finish(result, lines, as_json=as_json, passed=not failures, then=then, brief=brief, files=written)
 
@@ -368,14 +353,6 @@ def _draw(
             pictures.append(save_figure(plot, out, (name, "tube" if tube else "levels")))
         pictures += [] if cruise is None else save_margins(build_law(law), vehicle, gains, out, cruise=cruise)
     return [str(path) for path in pictures]
-
-
-def _stack(name: str) -> StackConditions:
-    from surctl.marine.verification.stack import shipped_stack
-    from surctl.verification.stack import stack_conditions
-
-    shipped = shipped_stack(name)
-    return stack_conditions(shipped.stack, shipped.region, parameters=shipped.parameters)
 
 
 def _chosen(

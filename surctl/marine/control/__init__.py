@@ -1,13 +1,12 @@
 """The controller: gain files, velocity control, and control laws (each law is one object)."""
 
-from surctl.marine.control.baselines import Situation
 from surctl.marine.control.build import MODES, build_law
-from surctl.marine.control.decision import Decision, TaskLevel
+from surctl.marine.control.decision import Decision, Situation, TaskLevel
 from surctl.marine.control.gains import GAINS, LIBRARY, Gains, GainSpec, load_gains, write_gains
 from surctl.marine.control.law import DEGRADED, SATURATED, SWITCHED, TRAPPED, WORKING, Law
 from surctl.marine.control.ports import ARC_LENGTHS, CONTACT_SLOTS, FED, INPUTS, PARAMETERS
 from surctl.marine.control.registry import LAW_NAMES, LAWS, SONARLESS, check_forces, default_law, law_ref, law_source
-from surctl.marine.control.source import AVOIDANCE, BARRIER, CASCADE, PATH_FOLLOWING, LawSource
+from surctl.marine.control.source import AVOIDANCE, BARRIER, PATH_FOLLOWING, LawSource
 from surctl.marine.control.stopping import BARRIER_NAMES, MOVERS, Barrier, Movers
 from surctl.system import NONFINITE
 
@@ -16,7 +15,6 @@ __all__ = [
     "AVOIDANCE",
     "BARRIER",
     "BARRIER_NAMES",
-    "CASCADE",
     "CONTACT_SLOTS",
     "DEGRADED",
     "FED",

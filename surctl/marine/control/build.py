@@ -21,10 +21,9 @@ from surctl.ir import Block, Call, Layout, Port, Real, Recording, Routine, fold,
 from surctl.ir.c99 import rearranged
 from surctl.ir.cache import cached_bytes, source_digest
 from surctl.ir.stored import read_block, write_block
-from surctl.marine.control.baselines import Situation
 from surctl.marine.control.closing import CLIMB, Closing, Memory, yaw_limit
 from surctl.marine.control.dead_end import aimed_depth, dead_end_next, forgetting, standing
-from surctl.marine.control.decision import Decision, Scan, TaskLevel, perceive
+from surctl.marine.control.decision import Decision, Scan, Situation, TaskLevel, perceive
 from surctl.marine.control.law import (
     DEGRADED,
     DEPTH_PORT,
@@ -259,7 +258,7 @@ def build_law(
 
     Args:
         law: `guarded`, `calm` (`guarded` by sonar with smoothed commands), `steered`, the paper's law `paper`,
-            `closed_form`, a textbook law (`apf`, `dwa`, `vo`, `cbf`), or FILE.py:FUNCTION (see `law_ref`).
+            `closed_form`, or FILE.py:FUNCTION (see `law_ref`).
         avoidance: form of the avoidance velocity, equation (20) of the paper; all laws except `paper` accept only
             `corrected`.
         mode: priority mode: `nsb` ignores limits; `filter`, `projected` and `lexicographic` respect them.

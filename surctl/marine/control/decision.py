@@ -10,7 +10,9 @@ import casadi as ca
 
 from surctl.ir import Port
 from surctl.marine.control.reference import DesiredMotion
-from surctl.marine.guidance import Contact
+from surctl.marine.control.steering import Steering
+from surctl.marine.control.stopping import Barrier, Movers
+from surctl.marine.guidance import AvoidanceForm, Contact
 from surctl.marine.guidance.contacts import disc_contacts, point_contact, wall_contacts
 from surctl.marine.sensing import SensorFilter, SonarArray
 from surctl.marine.sensing.mapping.contacts import ContactMemory, expected_range, sonar_contacts
@@ -157,6 +159,29 @@ class Scan(NamedTuple):
     placed: ca.SX
     echoed: ca.SX
     smooth: bool = False
+
+
+class Situation(NamedTuple):
+    """Symbolic inputs of a law's decision: desired motion, obstacle points, state, pose, velocity, gains and mission.
+
+    `form`, `dt`, `barrier` and `movers` are arguments of `build_law` (`form` is the argument `avoidance`). `scan` is
+    None for a law without sonars. `moving` is True if obstacles may move. `steering` is the result of
+    `LawSource.steering`.
+    """
+
+    form: AvoidanceForm
+    desired: DesiredMotion
+    perceived: Perception
+    x: Mapping[str, ca.SX]
+    eta: ca.SX
+    nu: ca.SX
+    p: Mapping[str, ca.SX]
+    dt: float
+    scan: Scan | None
+    moving: bool = True
+    barrier: Barrier = "simple"
+    movers: Movers = "predict"
+    steering: Steering | None = None
 
 
 def lower_levels(

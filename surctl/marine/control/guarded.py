@@ -15,7 +15,6 @@ from typing import TypeAlias
 import casadi as ca
 
 from surctl.ir import each, fold, tabulated
-from surctl.marine.control.baselines.situation import Situation
 from surctl.marine.control.closing import (
     BRAKE,
     BRAKE_AT_START,
@@ -26,7 +25,7 @@ from surctl.marine.control.closing import (
     eased,
     pushed,
 )
-from surctl.marine.control.decision import Decision, Scan, TaskLevel, lower_levels, weakest_acceleration
+from surctl.marine.control.decision import Decision, Scan, Situation, TaskLevel, lower_levels, weakest_acceleration
 from surctl.marine.control.ports import LAUNCHED, SECTORS
 from surctl.marine.control.reference import DesiredMotion
 from surctl.marine.control.stopping import BARRIERS, Bounds, Stop, braked

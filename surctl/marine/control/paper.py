@@ -12,11 +12,11 @@ import casadi as ca
 import numpy as np
 
 from surctl.errors import InputError
-from surctl.marine.control.baselines.situation import Situation
 from surctl.marine.control.decision import (
     DECISION_PORTS,
     Decision,
     Perception,
+    Situation,
     TaskLevel,
     lower_levels,
     weakest_acceleration,

@@ -7,18 +7,16 @@ from pathlib import Path
 from types import MappingProxyType
 
 from surctl.errors import InputError, nearest
-from surctl.marine.control.baselines import apf_law, cbf_law, dwa_law, vo_law
 from surctl.marine.control.closing import ACCELERATION_NOISE, CALM_GAINS, CALM_PORTS, MODEL_NOISE
 from surctl.marine.control.guarded import guarded_law
 from surctl.marine.control.paper import CLOSED_FORM_PORTS, DAMPING, closed_form_law, known_obstacle, paper_law
-from surctl.marine.control.source import AVOIDANCE, BARRIER, CASCADE, PATH_FOLLOWING, LawSource
+from surctl.marine.control.source import AVOIDANCE, BARRIER, PATH_FOLLOWING, LawSource
 from surctl.marine.control.steered import STEERED_GAINS, STEERED_PORTS, steered_law, steered_thrust
 from surctl.marine.control.steering import steering_of
 from surctl.marine.vehicle import Vehicle
 from surctl.own_code import check_trusted, is_own, label, object_of, own_file, pinned
 
 _FOLLOWS = frozenset({PATH_FOLLOWING})
-_LINEAR = _FOLLOWS | {CASCADE}
 
 LAWS: Mapping[str, LawSource] = MappingProxyType(
     {
@@ -27,10 +25,10 @@ LAWS: Mapping[str, LawSource] = MappingProxyType(
             guarded_law,
             options=frozenset({"barrier", "movers", "depths"}),
             gives_up=True,
-            parts=_LINEAR | {BARRIER},
+            parts=_FOLLOWS | {BARRIER},
         ),
         "paper": LawSource(
-            "surctl_paper", paper_law, options=frozenset({"avoidance"}), scans=False, parts=_LINEAR | {AVOIDANCE}
+            "surctl_paper", paper_law, options=frozenset({"avoidance"}), scans=False, parts=_FOLLOWS | {AVOIDANCE}
         ),
         "closed_form": LawSource(
             "surctl_closed_form",
@@ -42,13 +40,8 @@ LAWS: Mapping[str, LawSource] = MappingProxyType(
             slots=1,
             perceive=known_obstacle,
             damping=DAMPING,
-            parts=_LINEAR,
+            parts=_FOLLOWS,
         ),
-        "apf": LawSource("surctl_apf", apf_law, parts=_LINEAR),
-        # dwa chooses among discrete velocities, so it has no linear loop
-        "dwa": LawSource("surctl_dwa", dwa_law, parts=_FOLLOWS),
-        "vo": LawSource("surctl_vo", vo_law, parts=_LINEAR),
-        "cbf": LawSource("surctl_cbf", cbf_law, parts=_LINEAR),
         "steered": LawSource(
             "surctl_steered",
             steered_law,

@@ -11,10 +11,16 @@ import casadi as ca
 from surctl.errors import InputError, check_known, mistakes_in, nearest
 from surctl.ir import Layout, Port
 from surctl.ir.c99 import identifier
-from surctl.marine.control.baselines import Situation
 from surctl.marine.control.closing import Thrust
 from surctl.marine.control.dead_end import DEAD_END_PORTS, LAYER_PORTS, SEARCH_PORT
-from surctl.marine.control.decision import DECISION_PORTS, Decision, Perception, TaskLevel, perception_ports
+from surctl.marine.control.decision import (
+    DECISION_PORTS,
+    Decision,
+    Perception,
+    Situation,
+    TaskLevel,
+    perception_ports,
+)
 from surctl.marine.control.gains import GainSpec
 from surctl.marine.control.ports import PARAMETERS
 from surctl.marine.control.steering import Steering
@@ -25,9 +31,9 @@ from surctl.priority import Mode
 from surctl.system.parts import expression, symbolic
 from surctl.tasks import Task
 
-PATH_FOLLOWING, CASCADE, AVOIDANCE, BARRIER = "path following", "cascade", "avoidance (20)", "barrier"
-"""Parts of a law for which the library has claims and linear models: path following by equations (8)–(12) of the paper;
-the linear cascade of path following and velocity control; avoidance by equation (20); the barrier on closing speeds."""
+PATH_FOLLOWING, AVOIDANCE, BARRIER = "path following", "avoidance (20)", "barrier"
+"""Parts of a law for which the library has claims and linear models: path following by equations (8)–(12) of the paper,
+in a linear cascade with velocity control; avoidance by equation (20); the barrier on closing speeds."""
 
 _VELOCITIES = 4
 _OPTIONS = ("avoidance", "barrier", "movers", "depths")  # of build_law

@@ -30,9 +30,8 @@ import casadi as ca
 import numpy as np
 
 from surctl.ir import Port, fold, picked, repeat, tabulated
-from surctl.marine.control.baselines.situation import Situation, length
 from surctl.marine.control.closing import thrust_bounds
-from surctl.marine.control.decision import Decision, TaskLevel
+from surctl.marine.control.decision import Decision, Situation, TaskLevel
 from surctl.marine.control.gains import GainSpec
 from surctl.marine.control.steering import (
     FIN_STEERAGE,
@@ -108,8 +107,8 @@ def _best_course(
     aside = s.nu[1] - s.x["sway"]
     stream = ca.vertcat(-hull[1] * aside, hull[0] * aside)
     bodies, walls = _contacts(s)
-    to_end = length(p["waypoints"][MAX_WAYPOINTS - 1, :].T - s.eta[:2])
-    last = s.x["last_velocity"] / ca.fmax(length(s.x["last_velocity"]), 1e-6)
+    to_end = _length(p["waypoints"][MAX_WAYPOINTS - 1, :].T - s.eta[:2])
+    last = s.x["last_velocity"] / ca.fmax(_length(s.x["last_velocity"]), 1e-6)
     left, right, free = (tabulated(_ordered(k), 6) for k in (1, -1, 0))
     offset, share, skipped = s.x["offset"], s.x["share"], s.x["skipped"]
     other = _OTHER_SIDE * ca.logic_and(_sided(offset), offset * side < 0)
@@ -262,7 +261,7 @@ def steered_law(s: Situation) -> Decision:
     assert s.steering is not None
     p, psi = s.p, s.eta[3]
     on_path = ca.vertcat(s.desired.tangent[0], s.desired.tangent[1])
-    towards, desired_speed = length(s.desired.velocity), _desired_speed(s)
+    towards, desired_speed = _length(s.desired.velocity), _desired_speed(s)
     course = ca.if_else(towards > 1e-6, s.desired.velocity / ca.fmax(towards, 1e-6), on_path)
     hull = ca.vertcat(ca.cos(psi), ca.sin(psi))
     slip = ca.atan2(s.nu[1], ca.fmax(s.nu[0], SLOWEST * p["cruise"]))
@@ -299,12 +298,16 @@ def steered_law(s: Situation) -> Decision:
             depth._replace(J=heaves * depth.J, reference=heaves * depth.reference),
         ],
         velocity=velocity,
-        avoiding=length(velocity - s.desired.velocity) > _CHANGED,
+        avoiding=_length(velocity - s.desired.velocity) > _CHANGED,
         degraded=blocked,
         state={"side": side, "blocker": s.x["blocker"], "last_velocity": velocity, "crab": crab, "sway": sway}
         | {"surge": _propelled(s, surge), "away": away}
         | searched,
     )
+
+
+def _length(vector: ca.SX) -> ca.SX:
+    return ca.sqrt(ca.sumsqr(vector))
 
 
 def _desired_speed(s: Situation) -> ca.SX:
@@ -316,7 +319,7 @@ def _desired_speed(s: Situation) -> ca.SX:
     """
     p = s.p
     least = ca.fmin(ca.fmax(_against(s), FIN_STEERAGE * p["fin_share"] * p["cruise"]), p["cruise"])
-    speed = length(s.desired.velocity)
+    speed = _length(s.desired.velocity)
     return ca.if_else(s.desired.arriving, ca.fmax(speed, least), speed)
 
 

@@ -14,12 +14,11 @@ if TYPE_CHECKING:
     from surctl.marine.report.plan_view import plot_run
     from surctl.marine.report.sections import ReportData
     from surctl.marine.report.signals import plot_priority
-    from surctl.marine.report.sonar_plots import plot_calibration, plot_sonar_replay
     from surctl.marine.report.vehicle_plots import plot_attainable, plot_prediction
 
 __all__ = [
-    "GoalBars", "ReportData", "moment_of", "plot_attainable", "plot_calibration", "plot_goal_bars", "plot_locus",
-    "plot_mission", "plot_prediction", "plot_priority", "plot_region", "plot_run", "plot_sonar_replay", "render_page",
+    "GoalBars", "ReportData", "moment_of", "plot_attainable", "plot_goal_bars", "plot_locus",
+    "plot_mission", "plot_prediction", "plot_priority", "plot_region", "plot_run", "render_page",
     "save_animation", "save_film", "save_run",
 ]  # fmt: skip
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib
 import json
-import subprocess
 from base64 import b64encode
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -13,7 +12,6 @@ from io import BytesIO
 from itertools import chain
 from math import isfinite
 from pathlib import Path
-from shutil import which
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
@@ -48,7 +46,7 @@ from surctl.report.theme import BAD, GOOD, INK, MUTED, OBSTACLE, ROBOT, dress, f
 if TYPE_CHECKING:
     from surctl.marine.engine import EngineOptions, Moment
 
-# Films as MP4, by the program ffmpeg or, without it, by the package PyAV
+# Films as MP4, by the package PyAV
 
 
 Frame = NDArray[np.uint8]
@@ -56,17 +54,13 @@ Frame = NDArray[np.uint8]
 
 def _check_mp4(path: Path, *, key: str) -> None:
     """Raise ToolMissing if nothing here writes MP4; `key` is the option that names the file."""
-    if which("ffmpeg") is None and find_spec("av") is None:
-        remedy = "pip install 'surctl[film]', install ffmpeg, or end the name in .gif"
-        raise ToolMissing("needs PyAV or ffmpeg, and neither is installed", key=key, value=str(path), remedy=remedy)
+    if find_spec("av") is None:
+        remedy = "pip install 'surctl[film]', or end the name in .gif"
+        raise ToolMissing("needs PyAV, which is not installed", key=key, value=str(path), remedy=remedy)
 
 
 def mp4(pictures: Iterator[Frame], *, rate: int, key: str) -> bytes:
     """Return a film (H.264) of pictures (height, width, 3) whose sides are even, with `rate` pictures a second."""
-    return (_by_av if which("ffmpeg") is None else _by_ffmpeg)(pictures, rate, key)
-
-
-def _by_av(pictures: Iterator[Frame], rate: int, key: str) -> bytes:
     try:
         av: Any = importlib.import_module("av")
         with TemporaryDirectory() as folder:
@@ -85,21 +79,6 @@ def _by_av(pictures: Iterator[Frame], rate: int, key: str) -> bytes:
         raise InputError(f"PyAV failed ({error})", key=key, remedy="end the name in .gif") from None
 
 
-def _by_ffmpeg(pictures: Iterator[Frame], rate: int, key: str) -> bytes:
-    first = next(pictures)
-    size = f"{first.shape[1]}x{first.shape[0]}"
-    raw = ["-f", "rawvideo", "-pixel_format", "rgb24", "-video_size", size, "-framerate", str(rate), "-i", "-"]
-    with TemporaryDirectory() as folder:
-        target = Path(folder) / "run.mp4"
-        command = ["ffmpeg", "-loglevel", "error", *raw, "-pix_fmt", "yuv420p", "-movflags", "+faststart", str(target)]
-        sent = b"".join([first.tobytes(), *(p.tobytes() for p in pictures)])
-        done = subprocess.run(command, input=sent, capture_output=True, check=False)
-        if done.returncode or not target.exists():
-            said = done.stderr.decode(errors="replace").strip().splitlines() or ["no message"]
-            raise InputError(f"ffmpeg failed ({said[-1]})", key=key, remedy="end the name in .gif")
-        return target.read_bytes()
-
-
 _RATE = 10
 """Frames per second of an animation."""
 _SUFFIXES = (".gif", ".mp4")
@@ -113,7 +92,7 @@ def check_animation(path: Path | str, *, key: str = "--animate") -> Path:
 
     Raises:
         InputError: the name does not end in .gif or .mp4, or the path is a folder.
-        ToolMissing: the name ends in .mp4, and neither ffmpeg nor PyAV is installed.
+        ToolMissing: the name ends in .mp4, and PyAV is not installed.
     """
     path = Path(path)
     if path.suffix.lower() not in _SUFFIXES:

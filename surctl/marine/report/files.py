@@ -13,9 +13,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from surctl.errors import InputError
 from surctl.marine.control import Gains, Law
-from surctl.marine.report.goals import goal_bars, goal_views, plot_front, plot_goal_bars, plot_goal_view
+from surctl.marine.report.goals import goal_bars, plot_front, plot_goal_bars
 from surctl.marine.report.margin_plots import plot_disk_margins
 from surctl.marine.report.plan_view import plot_run
 from surctl.marine.report.signals import plot_run_signals
@@ -25,7 +24,7 @@ from surctl.marine.verification import cruise_loop, law_loop
 from surctl.marine.verification.cruise_loop import has_cruise_loop
 from surctl.marine.verification.linear import DISK_PLACES, open_loop
 from surctl.marine.verification.portrait import Portrait, planes_of, portrait
-from surctl.report.evidence import margin_slice, plot_cells, plot_counterexample, plot_open_boxes, plot_slice
+from surctl.report.evidence import margin_slice, plot_counterexample, plot_open_boxes, plot_slice
 from surctl.report.page_parts import plot_tightest
 from surctl.report.theme import (
     AVOIDING,
@@ -74,11 +73,11 @@ def plot_region(document: Mapping[str, Any], *, falsified: float | None = None) 
         >>> from surctl.marine.report import plot_region
         >>> from surctl.marine.vehicle import load_vehicle
         >>> from surctl.marine.verification.region import prove_statement, region_statement
-        >>> statement = region_statement("region-heading-20").model_copy(update={"attempts": 1})
+        >>> statement = region_statement("region-cruise-20").model_copy(update={"attempts": 1})
         >>> proof = prove_statement(statement, load_vehicle("sur540-flooded"), load_gains("default"))
         >>> figure = plot_region(proof.certificate())
-        >>> [ax.get_ylabel() for ax in figure.axes][:3]
-        ['velocity along it [m/s]', 'velocity across it [m/s]', 'yaw rate [rad/s]']
+        >>> [ax.get_ylabel() for ax in figure.axes]
+        ['velocity along it [m/s]', 'velocity across it [m/s]', 'across the path, y_e [m]']
     """
     shown = falsified is not None and falsified <= _MOST_LEVEL
     extent = max(_EXTENT, 1.1 * np.sqrt(falsified)) if falsified is not None and shown else _EXTENT
@@ -141,7 +140,7 @@ def _handles(one: Portrait) -> list[Artist]:
     handles.append(Patch(facecolor=AVOIDING, alpha=0.28, label="rate fails for some vehicle and heading"))
     if one.plane not in _STILL:
         handles.append(Line2D([], [], color=MUTED, marker=r"$\rightarrow$", linestyle="none", markersize=11,
-                           label=f"direction of the {one.whose} flow"))  # fmt: skip
+                           label="direction of the nominal flow"))  # fmt: skip
     return handles
 
 
@@ -167,7 +166,7 @@ def save_margins(
 
 
 def save_verdicts(verdicts: Sequence[Verdict], folder: Path | str) -> list[Path]:
-    """Write PNGs for each claim: a counterexample, the boxes of a proof, or the undecided boxes; return the paths.
+    """Write PNGs for each claim: a counterexample, or the undecided boxes; return the paths.
 
     Raises:
         InputError: the folder cannot be written.
@@ -187,11 +186,6 @@ def _pictures(verdict: Verdict) -> dict[str, Figure]:
             figures["replay"] = plot_counterexample(verdict).figure.figure
         if varying >= 2:
             figures["slice"] = plot_slice(margin_slice(verdict)).figure.figure
-    elif varying >= 2 and verdict.certificate is not None:
-        try:
-            figures["cells"] = plot_cells(verdict).figure.figure
-        except InputError:  # this kind of certificate has no cells
-            return figures
     elif varying >= 2 and verdict.open_boxes:
         figures["open"] = plot_open_boxes(verdict).figure.figure
     return figures
@@ -231,12 +225,10 @@ def run_labels(run: Run) -> tuple[str, ...]:
 
 
 def save_tuning(tuning: Tuning, folder: Path | str) -> list[Path]:
-    """Write PNGs of the overview, of the Pareto front, and of each goal with a metric over time; return their paths.
+    """Write PNGs of the overview and of the Pareto front; return their paths.
 
     Raises:
         InputError: the folder cannot be written.
     """
     axes = {"goals": plot_goal_bars(goal_bars(tuning)), "front": plot_front(tuning)}
-    for view in goal_views(tuning, tuning.request.goals):
-        axes[view.goal.name] = plot_goal_view(view)
     return [save_figure(ax, folder, ("tuning", name)) for name, ax in axes.items()]

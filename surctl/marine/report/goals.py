@@ -1,8 +1,7 @@
-"""Plots of goals: how well each goal is met, the Pareto front of a tuning, and a metric over time with its bound."""
+"""Plots of goals: how well each goal is met, and the Pareto front of a tuning."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from textwrap import fill
 
@@ -11,10 +10,6 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
-from surctl.marine.control import Gains
-from surctl.marine.simulation import Run, simulate
-from surctl.marine.tuning import Goal, figures
-from surctl.marine.vehicle import Vehicle
 from surctl.report.theme import (
     AVOIDING,
     BAD,
@@ -22,15 +17,12 @@ from surctl.report.theme import (
     INK,
     MUTED,
     ROBOT,
-    curve,
     dress,
-    legend_above,
     legend_below,
     new_axes,
     printable,
 )
-from surctl.tuning import Condition, Pool, Tuning
-from surctl.tuning.pool import scope
+from surctl.tuning import Pool, Tuning
 
 COLUMN_TITLES = {
     "score": "score (low is good)",
@@ -184,113 +176,3 @@ def _hard_misses(pool: Pool) -> list[str]:
     return [f"{goal.name} {share:.3g}" for goal, share in shares if goal.kind == "hard" and not share <= 1] + [
         "a claim" for over in pool.claims[0] if not over <= 0
     ][:1]
-
-
-@dataclass(frozen=True, eq=False)
-class GoalView:
-    """The metric of a goal over time, in the run that is worst for the goal.
-
-    Attributes:
-        goal: the goal.
-        label: name of the run.
-        course: name of the metric with its unit.
-        time: (k,) times [s], by label of the gain set.
-        values: (k,) values of the metric, by label of the gain set.
-    """
-
-    goal: Goal
-    label: str
-    course: str
-    time: dict[str, NDArray[np.float64]]
-    values: dict[str, NDArray[np.float64]]
-
-
-_OVER_TIME = {
-    "min_clearance_m": "clearance [m]",
-    "deviation_m": "deviation so far, rms [m]",
-    "max_deviation_m": "distance from the path [m]",
-    "effort_n": "thrust so far, mean [N]",
-    "time_s": "distance to the target [m]",  # the bound applies to the time axis
-}
-
-
-def goal_views(tuning: Tuning, goals: Iterable[Goal]) -> Iterator[GoalView]:
-    """Yield the view of each goal whose metric is a function of time, for start gains and tuned gains.
-
-    It is of the worst run of the tuned gains. A run that several goals show is simulated once.
-    """
-    conditions, base = tuning.request.conditions, tuning.request.base
-    sets = {"start gains": base, "tuned": base.with_values(tuning.result.gains)}
-    tuned = {name: np.array([value]) for name, value in tuning.result.gains.items()}
-    runs: dict[tuple[int, str], Run] = {}
-    for goal in goals:
-        if goal.metric not in _OVER_TIME:
-            continue
-        own = scope(goal, conditions)
-        measured = figures([goal], [conditions[k] for k in own], tuned)[goal.metric][0]
-        worst = own[int(goal.normalised(measured).argmax())]
-        time, values = {}, {}
-        for label, gains in sets.items():
-            if (worst, label) not in runs:
-                runs[worst, label] = _simulated(conditions[worst], gains)
-            time[label], values[label] = _course(runs[worst, label], goal.metric)
-        yield GoalView(goal, conditions[worst].label, _OVER_TIME[goal.metric], time, values)
-
-
-def _simulated(condition: Condition, gains: Gains) -> Run:
-    case = condition.case
-    return simulate(
-        case.scenario,
-        _actual_vehicle(case.vehicle, condition),
-        gains=gains,
-        law=case.build(),
-        sensing=case.sensing,
-        seed=condition.seed,
-        model=case.model or case.vehicle,
-    )
-
-
-def _course(run: Run, metric: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    record = run.record
-    away = run.scenario.follower().track(record.eta[:, :2])
-    counted = np.arange(1, len(away) + 1)
-    course = {
-        "min_clearance_m": record.clearance,
-        "deviation_m": np.sqrt(np.cumsum(away**2) / counted),  # the metric is the last value of the curve
-        "max_deviation_m": away,
-        "effort_n": np.cumsum(np.hypot(record.tau[:, 0], record.tau[:, 1])) / counted,
-        "time_s": np.hypot(*(record.eta[:, :2] - run.scenario.target).T),
-    }[metric]
-    return record.time, np.asarray(course, dtype=float)
-
-
-def _actual_vehicle(vehicle: Vehicle, condition: Condition) -> Vehicle:
-    return vehicle.with_values({name.removeprefix("plant."): value for name, value in condition.plant.items()})
-
-
-def plot_goal_view(data: GoalView, ax: Axes | None = None) -> Axes:
-    """Plot the metric of a goal over time; the side of the bound on which the goal is missed is shaded."""
-    goal = data.goal
-    ax = ax or new_axes(6.4, 3.9)
-    dress(ax, title=goal.name, x="time [s]", y=data.course)
-    for k, label in enumerate(data.time):
-        curve(ax, data.time[label], data.values[label], label=label, k=k)
-    # the goal of arrival bounds the time axis, every other goal bounds the axis of its metric
-    bounded_values, shade, line, bounded, free = (
-        (data.time, ax.axvspan, ax.axvline, ax.set_xlim, ax.set_ylim)
-        if goal.metric == "time_s"
-        else (data.values, ax.axhspan, ax.axhline, ax.set_ylim, ax.set_xlim)
-    )
-    ends = np.concatenate([*bounded_values.values(), [goal.limit]])
-    known = ends[np.isfinite(ends)]
-    spread = max(float(np.ptp(known)), 1e-6)
-    low, high = min(0.0, float(known.min())) - 0.02 * spread, float(known.max()) + 0.12 * spread
-    above = goal.bad_side() == "above"
-    shade(goal.limit if above else low, high if above else goal.limit, color=BAD, alpha=0.10, zorder=0)
-    line(goal.limit, color=BAD, linewidth=1.4, zorder=1, label=f"{goal.sense} {goal.limit:g} {goal.unit}")
-    bounded(low, high)
-    free(0.0)
-    legend_above(ax, columns=3)
-    label = fill(printable(data.label), 100)
-    ax.set_xlabel(f"{ax.get_xlabel()}\n\n{label}", fontsize=8, color=INK, parse_math=False)
-    return ax

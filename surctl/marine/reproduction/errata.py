@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from surctl.marine.guidance.avoidance import avoidance_course, clearance_rate, encounter_side, printed_side
 from surctl.marine.guidance.tracking import along_command, tracking_rate
+from surctl.marine.reproduction.range_test import MEDIA, RangeTest, table_ii
 from surctl.marine.reproduction.row import Item, Result, Word, agrees, differs, unreadable, wrong_in_print
 from surctl.marine.sensing import SonarArray
-from surctl.marine.sensing.calibration.file import MEDIA, RangeTest, table_ii
 from surctl.marine.sensing.ranging.filters import StepRule, lms_step
 from surctl.marine.simulation import Finding, findings, load_scenario
 from surctl.marine.simulation.metrics import path_error

@@ -18,6 +18,7 @@ from surctl.files import write_file
 from surctl.marine.report import plot_run
 from surctl.marine.report.paper_plots import plot_coordinates, plot_position_errors, plot_series
 from surctl.marine.reproduction.errata import errata_items
+from surctl.marine.reproduction.range_test import MEDIA, Medium, table_ii
 from surctl.marine.reproduction.row import WORDS, Item, Result, Row, Word, agrees, differs, wrong_in_print
 from surctl.marine.reproduction.scenarios import (
     ABOUT,
@@ -30,7 +31,6 @@ from surctl.marine.reproduction.scenarios import (
     time_verdict,
 )
 from surctl.marine.sensing import SonarArray
-from surctl.marine.sensing.calibration.file import MEDIA, Medium, table_ii
 from surctl.marine.simulation import Run
 from surctl.marine.verification import claims
 from surctl.marine.world import Box, Disc

@@ -5,15 +5,12 @@ from typing import TYPE_CHECKING
 from surctl.lazy import load_at_first_use
 
 if TYPE_CHECKING:
-    from surctl.marine.sensing.calibration.estimation import OUTLIER_RULE, Calibration, Estimate, calibrate
-    from surctl.marine.sensing.calibration.file import RangeTest, SensorCalibration, calibrate_file, calibrate_table_ii
     from surctl.marine.sensing.equipment import INCIDENCE_LIMITS, SURFACE_MODELS, Equipment
     from surctl.marine.sensing.localisation.base_station import BaseStation, Delivery, OwnState
     from surctl.marine.sensing.localisation.own_state import OwnStateFilter
     from surctl.marine.sensing.mapping.local_map import LocalMap
     from surctl.marine.sensing.ranging.filters import SensorFilter
     from surctl.marine.sensing.ranging.tracker import RangeTracker
-    from surctl.marine.sensing.replay import Readings, Recording, Replay, Tracked, sonar_array, track
     from surctl.marine.sensing.sonar.array import SonarArray
     from surctl.marine.sensing.sonar.faults import FAULT_KINDS, Fault, FaultChances
     from surctl.marine.sensing.sonar.returns import REFLECTORS, Reflector, Surfaces
@@ -21,35 +18,21 @@ if TYPE_CHECKING:
 __all__ = [
     "FAULT_KINDS",
     "INCIDENCE_LIMITS",
-    "OUTLIER_RULE",
     "REFLECTORS",
     "SURFACE_MODELS",
     "BaseStation",
-    "Calibration",
     "Delivery",
     "Equipment",
-    "Estimate",
     "Fault",
     "FaultChances",
     "LocalMap",
     "OwnState",
     "OwnStateFilter",
-    "RangeTest",
     "RangeTracker",
-    "Readings",
-    "Recording",
     "Reflector",
-    "Replay",
-    "SensorCalibration",
     "SensorFilter",
     "SonarArray",
     "Surfaces",
-    "Tracked",
-    "calibrate",
-    "calibrate_file",
-    "calibrate_table_ii",
-    "sonar_array",
-    "track",
 ]
 
 load_at_first_use(__name__)

@@ -363,10 +363,6 @@ class Study(StudyParts):
                 {"scenario": leg.scenario.name, "reason": leg.exclusion} for leg in plan.legs if leg.exclusion
             ],
             "export": data["export"] | {"sensing": _sensing(plan)},
-            # the keys before `assessment`
-            "banner": self.assessment.banner,
-            "figures": data["assessment"]["figures"],
-            "summary": data["assessment"]["lines"],
         }
 
 

@@ -1,4 +1,4 @@
-"""A vehicle from a Gazebo model: hydrodynamics and mass in SDF, or in URDF and xacro; what cannot be used.
+"""A vehicle from a Gazebo model: hydrodynamics and mass in SDF or URDF; what cannot be used.
 
 The models state derivatives in the SNAME notation: added mass −X_u̇ and drag −X_u. Their axes are those of the heading
 frame, x ahead, y to the left, z up, so surge, sway, heave and yaw are taken over as they are; roll and pitch are
@@ -7,10 +7,8 @@ omitted.
 
 from __future__ import annotations
 
-import ast
-import operator
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from itertools import product
 from pathlib import Path
@@ -61,10 +59,10 @@ def gazebo_vehicle(
     """Return the vehicle of a Gazebo model.
 
     The function reads the plugin gz::sim::systems::Hydrodynamics, `fluid_added_mass` of SDF, and the hydrodynamic_model
-    of uuv_simulator with type fossen. Of a xacro file it replaces properties; macros must be expanded before.
+    of uuv_simulator with type fossen. A xacro file must be expanded before: xacro FILE > robot.urdf.
 
     Args:
-        path: an SDF, URDF or xacro file.
+        path: an SDF or URDF file.
         radius: radius of the hull [m].
         thrust: largest force in surge [N].
         yaw_thrust: largest moment about the vertical [N m].
@@ -137,12 +135,8 @@ def _root(path: Path) -> ElementTree.Element:
     except FileNotFoundError:
         raise InputError("no such file", file=shown(path), remedy="check the path") from None
     except (OSError, ValueError) as error:
-        raise InputError(
-            f"cannot be read ({error})", file=shown(path), remedy="give an SDF, URDF or xacro file"
-        ) from None
-    root = xml_root(raw, file=path, remedy="correct that line")
-    _replace_properties(root)
-    return root
+        raise InputError(f"cannot be read ({error})", file=shown(path), remedy="give an SDF or URDF file") from None
+    return xml_root(raw, file=path, remedy="correct that line")
 
 
 def _bodies(root: ElementTree.Element, path: Path) -> dict[str, _Body]:
@@ -257,63 +251,3 @@ def _parsed(text: str, key: str, path: Path) -> float:
     except ValueError:
         remedy = "give a number; expand a xacro file first: xacro FILE > robot.urdf"
         raise InputError("is not a number", file=shown(path), key=key, value=text.strip(), remedy=remedy) from None
-
-
-def _replace_properties(root: ElementTree.Element) -> None:
-    """Replace ${expression} by numbers, with the properties (xacro:property) and arguments (xacro:arg) of the file."""
-    names = {e.get("name", ""): e.get("value", "") for e in root.iter("property") if e.get("value") is not None}
-    arguments = {e.get("name", ""): e.get("default", "") for e in root.iter("arg") if e.get("default") is not None}
-
-    def replaced(text: str, depth: int = 0) -> str:
-        text = re.sub(r"\$\(arg (\w+)\)", lambda m: arguments.get(m[1], m[0]), text)
-        if depth > 20 or "${" not in text:
-            return text
-
-        def value(match: re.Match[str]) -> str:
-            inner = {name: replaced(held, depth + 1) for name, held in names.items() if name in match[1]}
-            result = _calculated(match[1], inner)
-            return match[0] if result is None else result
-
-        return re.sub(r"\$\{([^{}]*)\}", value, text)
-
-    for element in root.iter():
-        if element.tag in ("property", "arg"):
-            continue
-        if element.text:
-            element.text = replaced(element.text)
-        for key, held in element.attrib.items():
-            element.set(key, replaced(held))
-
-
-_OPERATORS: Mapping[type[ast.operator], Callable[[float, float], float]] = {
-    ast.Add: operator.add,
-    ast.Sub: operator.sub,
-    ast.Mult: operator.mul,
-    ast.Div: operator.truediv,
-    ast.Pow: operator.pow,
-}
-
-
-def _calculated(expression: str, names: Mapping[str, str]) -> str | None:
-    """Return the value of an expression of numbers, properties, + - * / **, and pi; None if it has anything else."""
-    if expression.strip() in names:
-        return names[expression.strip()]
-    try:
-        return repr(_value(ast.parse(expression.strip(), mode="eval").body, names))
-    except (SyntaxError, ValueError, ZeroDivisionError, OverflowError, RecursionError):
-        return None
-
-
-def _value(node: ast.expr, names: Mapping[str, str]) -> float:
-    if isinstance(node, ast.Constant) and isinstance(node.value, int | float):
-        return float(node.value)
-    if isinstance(node, ast.Name):
-        return float(np.pi) if node.id == "pi" and "pi" not in names else float(names.get(node.id, "no number"))
-    if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub | ast.UAdd):
-        return -_value(node.operand, names) if isinstance(node.op, ast.USub) else _value(node.operand, names)
-    if isinstance(node, ast.BinOp) and type(node.op) in _OPERATORS:
-        result = _OPERATORS[type(node.op)](_value(node.left, names), _value(node.right, names))
-        if isinstance(result, complex):
-            raise ValueError
-        return float(result)
-    raise ValueError

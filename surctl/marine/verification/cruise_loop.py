@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from surctl.errors import InputError, nearest
 from surctl.ir.symbolic import on_columns
-from surctl.marine.control import CASCADE, Gains, Law, build_law, law_source, load_gains
+from surctl.marine.control import PATH_FOLLOWING, Gains, Law, build_law, law_source, load_gains
 from surctl.marine.control.ports import law_parameters
 from surctl.marine.guidance import Path
 from surctl.marine.vehicle import PLANT_PARAMETERS, PlantForm, Vehicle, plant_parameters
@@ -54,10 +54,9 @@ _DEADBEAT = 1e-9  # least modulus of a pole z: a signal that is gone after a per
 def has_cruise_loop(law: str, guidance: str) -> bool:
     """Return whether a law with a guidance tracks a straight cruise with the loop that `LINEAR_GAINS` determine.
 
-    The law `dwa` chooses among discrete velocities and has no linear loop. Guidance with an internal state has gains of
-    its own.
+    Guidance with an internal state has gains of its own.
     """
-    return guidance == "los" and CASCADE in law_source(law).parts
+    return guidance == "los" and PATH_FOLLOWING in law_source(law).parts
 
 
 @dataclass(frozen=True, eq=False)

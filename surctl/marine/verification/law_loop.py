@@ -263,7 +263,7 @@ def law_loop(
         >>> from surctl.marine.control import build_law, load_gains
         >>> from surctl.marine.vehicle import load_vehicle
         >>> from surctl.marine.verification import law_loop
-        >>> loop = law_loop(build_law("vo"), load_vehicle("sur400"), load_gains("default"), cruise=0.15)
+        >>> loop = law_loop(build_law("paper"), load_vehicle("sur400"), load_gains("default"), cruise=0.15)
         >>> loop.stable, [m.name for m in loop.margins]
         (True, ['surge', 'sway', 'heave', 'yaw', 'x', 'y', 'z', 'psi', 'u', 'v', 'w', 'r'])
     """

@@ -1,7 +1,7 @@
 """Phase portraits of a region certificate: flow, level sets in a plane of states, and violations of the decay.
 
-V is the Lyapunov function of the certificate, and a is its decay rate. The flow is that of the certified loop (the
-heading-steered loop or a cruise), but without thrust lag and sampling. The states are the position in the path frame
+V is the Lyapunov function of the certificate, and a is its decay rate. The flow is that of the certified loop,
+but without thrust lag and sampling. The states are the position in the path frame
 and the velocity over ground in the path frame; thrust limits and drag act along the body axes. Violations of V̇ ≤ −aV
 are searched at the corners of the vehicle's parameter ranges and over headings. An area without violations is therefore
 no proof; the proof is the certificate.
@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import product
 from typing import Any
 
 import numpy as np
@@ -22,8 +21,6 @@ from surctl.certcheck.turning_claim import read_claim
 from surctl.certcheck.turning_law import true_rate
 from surctl.errors import InputError, nearest
 from surctl.lyapunov.slope_search import form_of
-from surctl.marine.verification.region.heading import HeadingClaim
-from surctl.marine.verification.region.rates import heading_loop
 from surctl.verification.formula import parse, values_of, variable
 
 Array = NDArray[np.float64]
@@ -32,11 +29,6 @@ _Rates = Callable[[Array], Array]
 
 CRUISE_PLANES: Mapping[str, tuple[int, int]] = {"along": (0, 2), "across": (1, 3), "place": (0, 1)}
 """Planes of two states, with all other deviations 0: x_e and its velocity, y_e and its velocity, x_e and y_e."""
-
-HEADING_PLANES: Mapping[str, tuple[int, int]] = {
-    "along": (0, 3), "across": (1, 4), "turning": (2, 5), "steering": (1, 2),
-}  # fmt: skip
-"""Planes of two states, with all other deviations 0: x_e, y_e or ψ with its own rate, and y_e with ψ."""
 
 _STEERED_PLANES: Mapping[str, tuple[int, int]] = {"turning": (1, 3), "steering": (0, 1)}
 """Planes of two states of a craft without sway force, with all other states 0: ψ with its rate, and y_e with ψ."""
@@ -52,9 +44,7 @@ class Portrait:
     Attributes:
         plane: name of the plane, one of `planes_of`.
         x, y: grid values of the first deviation (m,) and of the second deviation (k,), in m, m/s, rad or rad/s.
-        flow: (2, k, m) time derivatives of the two deviations for the vehicle `whose`; in the cruise, this vehicle
-            heads along the path.
-        whose: vehicle for which the flow is computed: `nominal` or `mid-range`.
+        flow: (2, k, m) time derivatives of the two deviations for the nominal vehicle, which heads along the path.
         level: (k, m) values of V.
         excess: (k, m) largest V̇/V + a [1/s] found over vehicles and headings; where it is positive, V decays more
             slowly than the certified rate.
@@ -67,7 +57,6 @@ class Portrait:
     x: Array
     y: Array
     flow: Array
-    whose: str
     level: Array
     excess: Array
     levels: tuple[float, ...]
@@ -80,7 +69,6 @@ class _Loop:
 
     P: Array
     shown: _Rates
-    whose: str
     tried: Iterator[_Rates]
     levels: tuple[float, ...]
     lagged: bool
@@ -92,8 +80,6 @@ def planes_of(document: Mapping[str, Any]) -> Mapping[str, tuple[int, int]]:
     Raises:
         InputError: the certificate has no level sets.
     """
-    if document.get("kind") == "heading":
-        return HEADING_PLANES
     if document.get("kind") == "lyapunov" and (document["claim"]["about"] or {}).get("system") == "steered":
         return _STEERED_PLANES
     if document.get("kind") == "turning":
@@ -107,7 +93,7 @@ def portrait(document: Mapping[str, Any], plane: str, *, extent: float = 1.9, po
     """Compute the phase portrait of a region certificate.
 
     Args:
-        document: a certificate of kind `turning` or `heading`, or about the law `steered`.
+        document: a certificate of kind `turning`, or about the law `steered`.
         plane: name of the plane, one of `planes_of`.
         extent: half-width of the plotted area, as a multiple of the half-axes of the ellipse V = 1.
         points: number of grid points along each axis.
@@ -118,7 +104,7 @@ def portrait(document: Mapping[str, Any], plane: str, *, extent: float = 1.9, po
     planes = planes_of(document)
     if plane not in planes:
         raise InputError("is not known", key="plane", value=plane, remedy=nearest(plane, planes))
-    loop = {"heading": _heading, "turning": _turning, "lyapunov": _steering}[document["kind"]](document)
+    loop = {"turning": _turning, "lyapunov": _steering}[document["kind"]](document)
     first, second = planes[plane]
     # half-axes of the section of V = 1 through 0, not of its projection
     section = np.linalg.inv(loop.P[np.ix_((first, second), (first, second))])
@@ -137,7 +123,7 @@ def portrait(document: Mapping[str, Any], plane: str, *, extent: float = 1.9, po
     flow = loop.shown(xi)[:, [first, second]]
     shape = (points, points)
     return Portrait(
-        plane, x, y, flow.T.reshape(2, *shape), loop.whose, value.reshape(shape), excess.reshape(shape), loop.levels,
+        plane, x, y, flow.T.reshape(2, *shape), value.reshape(shape), excess.reshape(shape), loop.levels,
         loop.lagged,
     )  # fmt: skip
 
@@ -166,7 +152,6 @@ def _turning(document: Mapping[str, Any]) -> _Loop:
     return _Loop(
         P=_matrix(proof["P"])[:4, :4],
         shown=rates([[1.0, 1.0]] * 3, 0.0, 0.0),
-        whose="nominal",
         tried=(
             rates([mass, *drag], psi, r) for mass in masses for drag in drags for psi in _HEADINGS[:8] for r in turns
         ),
@@ -193,32 +178,7 @@ def _steering(document: Mapping[str, Any]) -> _Loop:
     return _Loop(
         P=form_of(parse(claim["function"], known), states) / claim["level"],
         shown=rates((low + high) / 2),
-        whose="nominal",
         tried=(rates(np.where(corner, high, low)) for corner in corners),
-        levels=(0.0, 1.0),
-        lagged=False,
-    )
-
-
-def _heading(document: Mapping[str, Any]) -> _Loop:
-    stated = document["claim"]
-    ranges = {key: (pair[0], pair[1]) for key, pair in stated["vehicle"].items() if key != "limits"}
-    claim = HeadingClaim(
-        name="", ranges=ranges, limits=stated["vehicle"]["limits"], law=stated["law"],
-        rate=stated["motion"]["rate_per_s"], digest=stated["sha256_vehicle"],
-    )  # fmt: skip
-    loop = heading_loop(claim)
-
-    def rates(share: Sequence[float]) -> _Rates:
-        return lambda xi: loop(xi, np.tile(share, (len(xi), 1)))[0]
-
-    varying = sum(not key.startswith("heave") for key in ranges)
-    corners = product((0.0, 1.0), repeat=varying)
-    return _Loop(
-        P=_matrix(document["proof"]["P"]),
-        shown=rates([0.5] * varying),
-        whose="mid-range",
-        tried=(rates(corner) for corner in corners),
         levels=(0.0, 1.0),
         lagged=False,
     )

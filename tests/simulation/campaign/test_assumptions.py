@@ -78,5 +78,5 @@ def test_masses_that_differ_are_told_where_the_hull_turns():
     one, two = {"m11": 100.0, "m22": 90.0}, {"m11": 125.0, "m22": 75.0}
     assert told(one) == () and told(two) == ("margin",)
     assert told(two, sensing="truth") == ()  # a straight path is flown without turning
-    assert told(two, law="vo") == ()  # makes no such claim
+    assert told(two, law="paper") == ()  # makes no such claim
     assert told(two, gains=CASE.gains.with_values({"margin": 2.0})) == ()

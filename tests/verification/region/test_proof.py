@@ -17,12 +17,9 @@ from surctl.marine.tuning import derived_gains
 from surctl.marine.vehicle import load_vehicle
 from surctl.marine.verification.region import (
     REGION_CLAIMS,
-    HeadingClaim,
     RegionProof,
     SteeringClaim,
     TurningClaim,
-    heading_claim,
-    prove_heading,
     prove_steering,
     prove_turning,
     refused_regions,
@@ -130,39 +127,18 @@ def test_the_library_builds_what_it_says(name: str) -> None:
     kept = KEPT / f"{name}.json"
     stated = json.loads(kept.read_text())["claim"]  # of another vehicle, law or claim it proves nothing about this one
     motion = stated["motion"]
-    if isinstance(claim, HeadingClaim):
-        assert claim.ranges["mass_kg"] == ((50, 125) if name == "region-heading-ranges" else (76, 114))
-        own = claim.document(
-            offset=motion["offset_m"], beside=motion["beside_m"], extent=tuple(motion["extent"]),
-            depth=motion["depth_m"], ultimate_bound=motion["ultimate_bound_m"],
-        )  # fmt: skip
-    else:
-        assert isinstance(claim, TurningClaim)
-        assert (claim.period > 0, claim.lag > 0) == (
-            name.endswith("-sampled") or name in ("region-cruise-20-lag", "region-cruise-20-spin"),
-            name.endswith(("-lag", "-spin")),
-        )
-        assert claim.mass == ((95.0, 95.0) if equal else (19.8567, 20.6206))
-        own = claim.document(
-            offset=motion["offset_m"], rest_offset=motion["rest_offset_m"],
-            ultimate_bound=tuple(motion["ultimate_bound_m"]), munk_moment=stated["vehicle"]["munk_moment_nm"],
-        )  # fmt: skip
+    assert isinstance(claim, TurningClaim)
+    assert (claim.period > 0, claim.lag > 0) == (
+        name.endswith("-sampled") or name in ("region-cruise-20-lag", "region-cruise-20-spin"),
+        name.endswith(("-lag", "-spin")),
+    )
+    assert claim.mass == ((95.0, 95.0) if equal else (19.8567, 20.6206))
+    own = claim.document(
+        offset=motion["offset_m"], rest_offset=motion["rest_offset_m"],
+        ultimate_bound=tuple(motion["ultimate_bound_m"]), munk_moment=stated["vehicle"]["munk_moment_nm"],
+    )  # fmt: skip
     own = json.loads(json.dumps(own))
     assert {k: v for k, v in stated.items() if k != "sha256_law"} == {k: v for k, v in own.items() if k != "sha256_law"}
-
-
-def test_the_heading_steered_loop_is_proved_and_compared_with_what_can_be() -> None:
-    claim = heading_claim("test", load_vehicle("sur540-flooded"))
-    proof = prove_heading(claim, rounds=1, cells=120)
-    assert proof.verdict == "proved", proof.reason
-    assert proof.offset > 0.2 and proof.ultimate_bound[0] < 0.07 and proof.ratios is not None
-    assert proof.ratios.falsifier < 1 < proof.ratios.thrust  # beyond where thrust binds, and not beyond what holds
-    assert "smallest level with a counterexample" in proof.sentence
-    assert proof.to_dict()["level_ratios"]["thrust"] == proof.ratios.thrust
-    found = prove_heading(replace(claim, rate=2.0), rounds=1, cells=20)
-    assert found.verdict == "unknown" and "found no" in found.reason
-    with pytest.raises(InputError, match="m22"):
-        heading_claim("test", load_vehicle("sur540-flooded").with_values({"m22": 80.0}))
 
 
 def test_the_ratio_to_the_falsifier_is_that_of_a_loop_with_a_known_level() -> None:

@@ -12,8 +12,6 @@ from surctl.errors import InputError, NotApplicable, nearest
 from surctl.marine.control import Gains, build_law
 from surctl.marine.guidance import Guidance
 from surctl.marine.vehicle import Vehicle
-from surctl.marine.verification.region.heading import HeadingClaim
-from surctl.marine.verification.region.heading_proof import prove_heading
 from surctl.marine.verification.region.proof import RegionProof, prove_turning
 from surctl.marine.verification.region.statement import RegionStatement
 from surctl.marine.verification.region.steering import SteeringClaim
@@ -21,7 +19,7 @@ from surctl.marine.verification.region.steering_proof import prove_steering
 from surctl.marine.verification.region.turning import TurningClaim
 from surctl.units import towards
 
-AnyClaim: TypeAlias = HeadingClaim | TurningClaim | SteeringClaim
+AnyClaim: TypeAlias = TurningClaim | SteeringClaim
 
 _RANGES = frozenset({"mass_factor", "drag_factor"})
 _AT_LEAST = frozenset(
@@ -225,21 +223,6 @@ REGION_CLAIMS: Mapping[str, RegionStatement] = _entries(
         "heading loop of a craft without sway force: drag off by ±20 %, each mass by ±2.5 %, surge speed by ±10 %",
         {"loop": "steered", "mass_share": 0.025, "rate_per_s": 0.02},
     ),
-    (
-        "region-heading-20",
-        "heading-steered loop of 8 states with its own soft gains, all parameters uncertain by ±20 %, thrust limits",
-        {"loop": "heading", "attempts": 3, "cells": 250},
-    ),
-    (
-        "region-heading-20-slow",
-        "as region-heading-20, at the lower rate of 0.01/s, with a region as large as the search finds",
-        {"loop": "heading", "rate_per_s": 0.01, "attempts": 30, "cells": 2500},
-    ),
-    (
-        "region-heading-ranges",
-        "as region-heading-20-slow, over the ranges of the vehicle file, with thrust limits lower by 15 %",
-        {"loop": "heading", "ranges": True, "thrust_share": 0.15, "rate_per_s": 0.01, "attempts": 20},
-    ),
 )  # fmt: skip
 
 
@@ -268,7 +251,7 @@ def refused_regions(
         >>> from surctl.marine.verification.region import refused_regions
         >>> refused = refused_regions(load_vehicle("bluerov2-wu"), load_gains("default"), cruise=0.15, cap=0.22)
         >>> [(reason.because[:31], names[0], len(names)) for reason, names in refused]
-        [('m11 = 17 kg and m22 = 24.2 kg d', 'region-cruise-20', 12)]
+        [('m11 = 17 kg and m22 = 24.2 kg d', 'region-cruise-20', 9)]
     """
     reasons: dict[tuple[str, str], tuple[NotApplicable, list[str]]] = {}
     for name, statement in REGION_CLAIMS.items():
@@ -339,7 +322,7 @@ def prove_statement(
     """
     claim = _of_law(statement.claim(vehicle, gains, cruise=cruise, cap=cap), forms)
     proof = _prove(statement, claim, seed=seed)
-    if proof.verdict == "proved" or not isinstance(claim, TurningClaim | SteeringClaim):
+    if proof.verdict == "proved":
         return proof
     for other in REGION_CLAIMS.values():
         strong = _claim_or_none(other, vehicle, gains, cruise, cap) if other.loop == statement.loop else None
@@ -378,8 +361,6 @@ def _claim_or_none(
 
 
 def _prove(statement: RegionStatement, claim: AnyClaim, *, seed: int) -> RegionProof:
-    if isinstance(claim, HeadingClaim):
-        return prove_heading(claim, rounds=statement.attempts, cells=statement.cells)
     if isinstance(claim, SteeringClaim):
         return prove_steering(claim)
     return prove_turning(claim, attempts=statement.attempts, seed=seed)

@@ -11,7 +11,6 @@ import numpy as np
 
 from surctl.certcheck import Checked, check_document, seal
 from surctl.ir.cache import stored_numbers
-from surctl.marine.verification.region.heading import HeadingClaim
 from surctl.marine.verification.region.rates import LevelRatios, cruise_loop, level_ratios
 from surctl.marine.verification.region.steering import SteeringClaim
 from surctl.marine.verification.region.turning import TurningClaim
@@ -42,7 +41,7 @@ class RegionProof(Certified):
         by: name of the stronger claim that the certificate states, if it is not the claim itself.
     """
 
-    claim: HeadingClaim | TurningClaim | SteeringClaim
+    claim: TurningClaim | SteeringClaim
     offset: float
     ultimate_bound: tuple[float, float]
     seconds: float

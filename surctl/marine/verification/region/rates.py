@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.certcheck.turning_law import Follower, followed, true_rate
-from surctl.marine.verification.region.heading import HeadingClaim
 from surctl.marine.verification.region.turning import TurningClaim
 
 Array = NDArray[np.float64]
@@ -25,40 +24,6 @@ _DRAWS = 10
 
 def _between(pair: tuple[float, float], share: Array) -> Array:
     return pair[0] + (pair[1] - pair[0]) * share
-
-
-def heading_loop(claim: HeadingClaim) -> Loop:
-    """Return the function that computes ξ̇ of the heading-steered loop with thrust limits."""
-    law, limits = claim.law, claim.limits
-    v, velocity_gain, ahead = law["cruise"], claim.velocity_gain, law["lookahead"]
-    fed = law["linear_drag"] * v + law["quadratic_drag"] * v * v
-    keys = [key for key in claim.ranges if not key.startswith("heave")]
-
-    def rate(xi: Array, draws: Array) -> tuple[Array, Array]:
-        boat = {key: _between(claim.ranges[key], draws[:, k]) for k, key in enumerate(keys)}
-
-        def drag(axis: str, n: Array) -> Array:
-            return np.asarray(boat[f"{axis}_linear"] * n + boat[f"{axis}_quadratic"] * n * np.abs(n))
-
-        command = v + (drag("surge", np.full(len(xi), v)) - fed) / velocity_gain
-        x_e, y, psi, r = xi[:, 0] + (v - command) / law["k1"], xi[:, 1], xi[:, 2], xi[:, 5]
-        c, s = np.cos(psi), np.sin(psi)
-        u, w = c * (v + xi[:, 3]) + s * xi[:, 4], -s * (v + xi[:, 3]) + c * xi[:, 4]
-        desired = (v - law["k1"] * x_e) * np.hypot(y, ahead) / ahead
-        pull = law["yaw_inertia_kg_m2"] * law["k_r"]
-        forces = (
-            velocity_gain * (desired - u) + fed,
-            -velocity_gain * w,
-            -pull * (r + law["k_psi"] * (psi + np.arctan(y / ahead))),
-        )
-        ends = [limits[k] for k in ("surge_n", "sway_n", "yaw_nm")]
-        f, g, n = (np.clip(t, -end, end) for t, end in zip(forces, ends, strict=True))
-        share = np.max([np.abs(t) / end for t, end in zip(forces, ends, strict=True)], axis=0)
-        a, b = (f - drag("surge", u)) / boat["mass_kg"], (g - drag("sway", w)) / boat["mass_kg"]
-        turn = (n - drag("yaw", r)) / boat["yaw_inertia_kg_m2"]
-        return np.stack([xi[:, 3], xi[:, 4], r, c * a - s * b, s * a + c * b, turn], axis=1), share
-
-    return rate
 
 
 def cruise_loop(claim: TurningClaim, slopes: tuple[float, float]) -> Loop:

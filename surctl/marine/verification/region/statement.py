@@ -16,14 +16,10 @@ from surctl.marine.guidance import Guidance
 from surctl.marine.vehicle import Vehicle
 from surctl.marine.verification.assumptions import check_alike
 from surctl.marine.verification.cruise_loop import has_cruise_loop
-from surctl.marine.verification.region.heading import HEADING_GAINS, HeadingClaim, heading_claim
 from surctl.marine.verification.region.steering import SteeringClaim, steering_claim
 from surctl.marine.verification.region.turning import TurningClaim, turning_claim
 from surctl.own_code import label
 
-_HEADING_KNOWS = frozenset(
-    {"kind", "name", "statement", "loop", "share", "ranges", "thrust_share", "rate_per_s", "gains", "attempts", "cells"}
-)
 _TURNING_KNOWS = frozenset(
     {
         "kind", "name", "statement", "loop", "share", "mass_share", "asymmetry", "mass_asymmetry", "thrust_share",
@@ -49,9 +45,8 @@ class RegionStatement(Strict):
         name: name of the claim.
         statement: the claim in words.
         loop: `cruise` for the exported law and equal masses in surge and sway, `turning` for the exported law and any
-            masses, `heading` for the heading-steered loop of 8 states with its own gains, `steered` for the heading
-            loop of craft without sway force under the law `steered`.
-        share: relative error of mass and drag (`heading`: of every parameter; `turning`: of drag only).
+            masses, `steered` for the heading loop of craft without sway force under the law `steered`.
+        share: relative error of mass and drag (`turning`: of drag only).
         mass_share: relative error of the masses (`turning` and `steered`).
         speed_share: largest relative deviation of the surge speed from the cruise speed (`steered` only).
         ranges: whether the ranges of the vehicle file replace `share`.
@@ -72,15 +67,13 @@ class RegionStatement(Strict):
         at_rest: whether the region must contain a vehicle at rest (`turning` only).
         curvature_per_m: largest curvature of the path (`turning` only).
         gains: gains that replace those of the gain file.
-        attempts: number of start values of the search (`turning`: of convex programs); for `heading`, number of
-            enlargements of the region.
-        cells: largest number of cells of (ψ, y) in a proof (`heading` only).
+        attempts: number of start values of the search (`turning`: of convex programs).
     """
 
     kind: Literal["region"] = "region"
     name: StrictStr = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,59}$")
     statement: StrictStr = ""
-    loop: Literal["cruise", "turning", "heading", "steered"] = "cruise"
+    loop: Literal["cruise", "turning", "steered"] = "cruise"
     share: StrictFloat = Field(default=0.2, ge=0, lt=1)
     mass_share: StrictFloat = Field(default=0.05, ge=0, lt=1)
     speed_share: StrictFloat = Field(default=0.1, ge=0, lt=1)
@@ -103,7 +96,6 @@ class RegionStatement(Strict):
     curvature_per_m: StrictFloat = Field(default=0.0, ge=0)
     gains: dict[str, StrictFloat] = Field(default_factory=dict)
     attempts: StrictInt = Field(default=80, ge=1)
-    cells: StrictInt = Field(default=1500, ge=1)
 
     def require(self, law: str, guidance: Guidance = "los") -> None:
         """Raise NotApplicable unless the claim is about the loop of a law with a guidance, given by their names."""
@@ -116,7 +108,7 @@ class RegionStatement(Strict):
 
     def claim(
         self, vehicle: Vehicle, gains: Gains, *, cruise: float | None = None, cap: float | None = None
-    ) -> HeadingClaim | TurningClaim | SteeringClaim:
+    ) -> TurningClaim | SteeringClaim:
         """Return the claim for a vehicle and its gains; `cruise` and `cap` [m/s] replace the default speeds.
 
         If the claim file sets one of the two speeds, both remain as the file states them.
@@ -128,8 +120,6 @@ class RegionStatement(Strict):
         """
         share = None if self.ranges else self.share
         own = {key for key in ("cruise_m_per_s", "cap_m_per_s") if key in self.model_fields_set}
-        if self.loop == "heading":
-            return self._heading(vehicle, share, cruise)
         cruise = self.cruise_m_per_s if cruise is None or own else cruise
         cap = self.cap_m_per_s if cap is None or own else cap
         if own and cruise >= cap:  # a mistake in the claim file, not in the caller's speeds
@@ -168,19 +158,6 @@ class RegionStatement(Strict):
             if getattr(self, key) != type(self).model_fields[key].default:
                 raise InputError(f"has no effect on {loop}", key=key, value=getattr(self, key), remedy="leave it out")
 
-    def _heading(self, vehicle: Vehicle, share: float | None, cruise: float | None) -> HeadingClaim:
-        self._used(_HEADING_KNOWS, "the heading-steered loop")
-        for key in sorted(set(self.gains) - set(HEADING_GAINS)):
-            remedy = f"known: {', '.join(HEADING_GAINS)}"
-            raise InputError("is not a gain of the heading-steered loop", key=f"gains.{key}", remedy=remedy)
-        for key, value in self.gains.items():
-            if not value > 0:
-                raise InputError("must be greater than 0", key=f"gains.{key}", value=value, remedy="correct it")
-        own = {**HEADING_GAINS, **({} if cruise is None else {"cruise": cruise}), **self.gains}
-        return heading_claim(
-            self.name, vehicle, share=share, thrust_share=self.thrust_share, rate=self.rate_per_s, gains=own
-        )
-
 
 def load_region(path: Path) -> RegionStatement:
     """Read a region claim from a TOML file.
@@ -214,7 +191,7 @@ def write_region(statement: RegionStatement) -> str:
         return quoted(value) if isinstance(value, str) else repr(value)
 
     plain = {key: value for key, value in statement.model_dump().items() if key != "gains"}
-    own = {"heading": _HEADING_KNOWS, "turning": _TURNING_KNOWS, "steered": _STEERED_KNOWS}
+    own = {"turning": _TURNING_KNOWS, "steered": _STEERED_KNOWS}
     known = own.get(statement.loop, plain.keys() - _TURNING_ALONE)
     plain = {key: value for key, value in plain.items() if key in known}
     lines = [f"{key} = {literal(value)}" for key, value in plain.items()]

@@ -1,18 +1,20 @@
-"""What the textbook laws share: their symbolic inputs, tasks of lower priority, and the time to contact."""
+"""What the textbook laws share: their tasks of lower priority, and the time to contact.
+
+The textbook laws use the same desired velocity, obstacle points and velocity loop as the law `guarded`. With sonars,
+the robot turns about its vertical axis as under `guarded`, and the obstacle points are the occupied cells of the sonar
+map. However, the textbook laws do not slow down before unknown space.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from collections.abc import Sequence
 
 import casadi as ca
 
 from surctl.ir import fold, tabulated
-from surctl.marine.control.decision import Decision, Perception, Scan, TaskLevel, lower_levels
-from surctl.marine.control.reference import DesiredMotion
-from surctl.marine.control.steering import Steering
-from surctl.marine.control.stopping import Barrier, Movers
-from surctl.marine.guidance import AvoidanceForm, Contact
+from surctl.marine.control import Decision, Situation, TaskLevel
+from surctl.marine.control.decision import lower_levels
+from surctl.marine.guidance import Contact
 from surctl.marine.vehicle import planar_rotation
 from surctl.tasks import HalfPlane, velocity_task
 
@@ -20,29 +22,6 @@ NEVER = 1e3
 """Time [s] to an obstacle that the robot never meets."""
 
 _CHANGED = 1e-3  # [m/s] difference above which a velocity counts as different from the desired velocity
-
-
-class Situation(NamedTuple):
-    """Symbolic inputs of a law's decision: desired motion, obstacle points, state, pose, velocity, gains and mission.
-
-    `form`, `dt`, `barrier` and `movers` are arguments of `build_law` (`form` is the argument `avoidance`). `scan` is
-    None for a law without sonars. `moving` is True if obstacles may move. `steering` is the result of
-    `LawSource.steering`.
-    """
-
-    form: AvoidanceForm
-    desired: DesiredMotion
-    perceived: Perception
-    x: Mapping[str, ca.SX]
-    eta: ca.SX
-    nu: ca.SX
-    p: Mapping[str, ca.SX]
-    dt: float
-    scan: Scan | None
-    moving: bool = True
-    barrier: Barrier = "simple"
-    movers: Movers = "predict"
-    steering: Steering | None = None
 
 
 def decided(s: Situation, velocity: ca.SX, *, degraded: ca.SX, rows: Sequence[HalfPlane] = ()) -> Decision:
@@ -57,7 +36,6 @@ def decided(s: Situation, velocity: ca.SX, *, degraded: ca.SX, rows: Sequence[Ha
         velocity,
         length(velocity - s.desired.velocity) > _CHANGED,
         degraded,
-        {"side": s.x["side"], "blocker": s.x["blocker"], "last_velocity": velocity},
     )
 
 

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from surctl.marine.sensing.calibration.file import table_ii
+from surctl.marine.reproduction.range_test import table_ii
 
 
 def test_thirty_five_of_thirty_six_percentages_agree():

@@ -16,10 +16,10 @@ from collections.abc import Sequence
 from math import cos, pi, sin  # NumPy's differ in the last bit between processors, and the law's digest with them
 
 import casadi as ca
+from textbook import decided, limited
 
 from surctl.ir import fold, tabulated
-from surctl.marine.control.baselines.situation import Situation, decided, limited
-from surctl.marine.control.decision import Decision
+from surctl.marine.control import Decision, LawSource, Situation
 from surctl.marine.vehicle import planar_rotation
 from surctl.tasks import HalfPlane
 
@@ -35,7 +35,7 @@ _FAN = 24
 _ROUNDING = 1e-9  # [m/s] tolerance of a constraint for rounding errors
 
 
-def cbf_law(s: Situation) -> Decision:
+def decide(s: Situation) -> Decision:
     """Return the decision: of all velocities that satisfy every barrier, the one nearest to the desired velocity.
 
     In the priority modes with inequalities, the barriers are also inequality constraints of the priority problem.
@@ -94,3 +94,8 @@ def _least_bad(desired: ca.SX, rows: Sequence[tuple[ca.SX, ca.SX]], cap: ca.SX) 
     fan = [ca.SX.zeros(2), *(cap * ca.SX([cos(a), sin(a)]) for a in angles)]
     best: ca.SX = fold("fan", judged, [desired, ca.SX(1e6)], tabulated([candidate] for candidate in fan))[0]
     return best
+
+
+def law() -> LawSource:
+    """Return the law."""
+    return LawSource("cbf", decide, latches=False)

@@ -16,10 +16,10 @@ from math import cos, sin
 
 import casadi as ca
 import numpy as np
+from textbook import decided, first_contact, length
 
 from surctl.ir import fold, tabulated
-from surctl.marine.control.baselines.situation import Situation, decided, first_contact, length
-from surctl.marine.control.decision import Decision
+from surctl.marine.control import Decision, LawSource, Situation
 
 HORIZON = 4.0
 """Prediction time [s] (tuned between 2 and 30); the heaviest vehicle needs this time to stop from full speed.
@@ -46,7 +46,7 @@ SPEEDS = (1.0, 0.5)
 _FORBIDDEN = 1e3
 
 
-def vo_law(s: Situation) -> Decision:
+def decide(s: Situation) -> Decision:
     """Return the decision: the allowed candidate velocity nearest to the desired velocity."""
     desired, best = s.desired.velocity, s.desired.velocity
     least_cost = _cost(s, desired)
@@ -73,3 +73,8 @@ def _cost(s: Situation, velocity: ca.SX) -> ca.SX:
 
 def _turned(unit: ca.SX, angle: float) -> ca.SX:
     return ca.vertcat(unit[0] * cos(angle) - unit[1] * sin(angle), unit[0] * sin(angle) + unit[1] * cos(angle))
+
+
+def law() -> LawSource:
+    """Return the law."""
+    return LawSource("vo", decide, latches=False)

@@ -13,10 +13,11 @@ from __future__ import annotations
 
 import casadi as ca
 import numpy as np
+from textbook import decided, first_contact, length, limited, over_ground
 
 from surctl.ir import fold, tabulated
-from surctl.marine.control.baselines.situation import Situation, decided, first_contact, length, limited, over_ground
-from surctl.marine.control.decision import Decision, weakest_acceleration
+from surctl.marine.control import Decision, LawSource, Situation
+from surctl.marine.control.decision import weakest_acceleration
 
 HORIZON = 0.5
 """Time [s]: the window contains the velocities that full acceleration reaches within it (tuned between 0.5 and 3).
@@ -37,7 +38,7 @@ HEADING, CLEARANCE, VELOCITY = 2.0, 2.0, 1.0
 """The weights α, β, γ of the objective (β tuned between 0.3 and 5, α and γ fixed; Fox et al. use 2, 0.2, 0.2)."""
 
 
-def dwa_law(s: Situation) -> Decision:
+def decide(s: Situation) -> Decision:
     """Return the decision: in the window around the present velocity, the admissible velocity with the best objective.
 
     The candidates include the velocity of the window that is nearest to the desired velocity.
@@ -73,3 +74,8 @@ def _value(s: Situation, velocity: ca.SX, speed: ca.SX, first: ca.SX) -> ca.SX:
     free = ca.fmin(first * ca.fmax(speed, desired_speed), FREE_DISTANCE) / FREE_DISTANCE
     fast = 1 - ca.fmin(ca.fabs(speed - desired_speed) / ca.fmax(desired_speed, 1e-3), 1)
     return HEADING * 0.5 * (1 + along) + CLEARANCE * free + VELOCITY * fast
+
+
+def law() -> LawSource:
+    """Return the law."""
+    return LawSource("dwa", decide, latches=False)

@@ -11,10 +11,10 @@ is damped further.
 from __future__ import annotations
 
 import casadi as ca
+from textbook import decided, limited, over_ground
 
 from surctl.ir import fold, tabulated
-from surctl.marine.control.baselines.situation import Situation, decided, limited, over_ground
-from surctl.marine.control.decision import Decision
+from surctl.marine.control import Decision, LawSource, Situation
 from surctl.marine.guidance import Contact
 
 RANGE = 0.5
@@ -30,7 +30,7 @@ DAMPING = 1.0
 """Multiple of the speed towards an obstacle within ρ_0 that is subtracted from the command (tuned between 0 and 4)."""
 
 
-def apf_law(s: Situation) -> Decision:
+def decide(s: Situation) -> Decision:
     """Return the desired velocity plus η (1/ρ − 1/ρ_0) / ρ² away from each obstacle point at a distance ρ < ρ_0."""
     now = over_ground(s)
 
@@ -43,3 +43,8 @@ def apf_law(s: Situation) -> Decision:
 
     total = fold("repulsion", repelled, ca.SX.zeros(2), tabulated((contact.row for contact in s.perceived.all), 6))
     return decided(s, limited(s.desired.velocity + total, s.p["cap"]), degraded=ca.SX(0))
+
+
+def law() -> LawSource:
+    """Return the law."""
+    return LawSource("apf", decide, latches=False)
