@@ -23,7 +23,7 @@ from surctl.verification.verdict import Inapplicable
 
 __all__ = [
     "SATURATED", "Assessment", "Assumption", "ClosedLoop", "Comparison", "Figure", "Line", "Part", "Region", "Subject",
-    "assess", "cost_verdicts", "run_line",
+    "assess", "cost_verdicts",
 ]  # fmt: skip
 
 # An assessment: every figure and verdict about one subject, in the form that every page, command and status reads
@@ -221,8 +221,8 @@ class Assessment:
 
     def weakest(self, count: int, *first: str) -> tuple[Line, ...]:
         """Return the worst lines that count, at most `count`; of equal ones, those about the parts `first` lead."""
-        lines = [line for line in self.lines if line.counts]
-        return tuple(sorted(lines, key=lambda line: (line.rank, line.about not in first))[:count])
+        lines = sorted(self.lines, key=lambda line: (line.rank, line.about not in first))
+        return tuple(line for line in lines if line.counts)[:count]
 
     def to_dict(self) -> dict[str, Any]:
         """Return the assessment as plain data for JSON; the writer converts numbers that are not finite."""
@@ -520,7 +520,9 @@ class ClosedLoop:
             if self.seconds is None:
                 return None
             record = run_system(self.system, self.seconds, self.values)
-        lines, figures = [run_line(record.stopped, record.duration, record.lost)], []
+        whole, why = record.stopped == ENDED, record.lost or record.stopped  # a stop is a failure
+        lines = [Line(whole, f"the run {'ends' if whole else 'stops'} after {record.duration:.6g} s ({why})", "run")]
+        figures = []
         for name, cost in self.system.costs.items():
             value = record.figures[name]
             meaning = cost.meaning or f"{cost.how} over the run"
@@ -555,18 +557,6 @@ class ClosedLoop:
             "region_share", share, "1", "certified level over the least level with a counterexample", "high"
         )
         return Part((figure,), (line,), solution)
-
-
-def run_line(stopped: str, duration: float, lost: str = "") -> Line:
-    """Return the verdict on the end of a run: only one that reaches its duration holds, as a stop is a failure.
-
-    Args:
-        stopped: why the run ended, as `Record.stopped`.
-        duration: when it ended [s].
-        lost: which number is not finite; may be empty.
-    """
-    ends = "ends" if stopped == ENDED else "stops"
-    return Line(stopped == ENDED, f"the run {ends} after {duration:.6g} s ({lost or stopped})", "run")
 
 
 def cost_verdicts(name: str, cost: Cost, value: float, *, duration: float, dt: float) -> list[Line]:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surctl import __version__
-from surctl.assessment import Assessment, ClosedLoop, assess, cost_verdicts, run_line
+from surctl.assessment import Assessment, ClosedLoop, Line, assess, cost_verdicts
 from surctl.errors import InputError, SurctlError
 from surctl.recorded_write import Column
 from surctl.system import LOST, Runs, System, entry_labels, entry_units, every_combination, periods, simulate_system
@@ -223,7 +223,8 @@ def chosen_points(
             loop = assess(ClosedLoop(system, {**values, **at, **random}, ranges), parts=["loop"])
             point, duration = run // table.each, float(durations[run])
             stopped = np.flatnonzero(early[point])[:1] + point * table.each
-            lines = [run_line(str(ends.reshape(-1)[k]), float(durations[k])) for k in stopped]
+            why = [f"the run stops after {durations[k]:.6g} s ({ends.reshape(-1)[k]})" for k in stopped]
+            lines = [Line(False, text, "run") for text in why]
             for name, cost in system.costs.items():
                 value = float(costs[name][point])
                 lines += cost_verdicts(name, cost, value, duration=duration, dt=system.dt)
