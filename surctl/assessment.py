@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from surctl.errors import InputError, NotApplicable
-from surctl.system import LOST, Cost, Record, System, run_system
+from surctl.system import Cost, Record, System, run_system
 from surctl.system.linear import unresponsive
 from surctl.system.loop import ENDED
 from surctl.system.values import checked_ranges, run_numbers
@@ -219,9 +219,10 @@ class Assessment:
         lead = "Fails" if self.passed is False else "Nothing fails; open"
         return f"{lead}: {like[0].text}{more}"
 
-    def weakest(self, count: int) -> tuple[Line, ...]:
-        """Return the worst lines that count, at most `count`."""
-        return tuple(line for line in self.lines if line.counts)[:count]
+    def weakest(self, count: int, *first: str) -> tuple[Line, ...]:
+        """Return the worst lines that count, at most `count`; of equal ones, those about the parts `first` lead."""
+        lines = sorted(self.lines, key=lambda line: (line.rank, line.about not in first))
+        return tuple(line for line in lines if line.counts)[:count]
 
     def to_dict(self) -> dict[str, Any]:
         """Return the assessment as plain data for JSON; the writer converts numbers that are not finite."""
@@ -519,8 +520,8 @@ class ClosedLoop:
             if self.seconds is None:
                 return None
             record = run_system(self.system, self.seconds, self.values)
-        how = f"the run ends after {record.duration:.6g} s ({record.lost or record.stopped})"
-        lines = [Line(record.stopped != LOST, how, "run", counts=record.stopped in (ENDED, LOST))]
+        whole, why = record.stopped == ENDED, record.lost or record.stopped  # a stop is a failure
+        lines = [Line(whole, f"the run {'ends' if whole else 'stops'} after {record.duration:.6g} s ({why})", "run")]
         figures = []
         for name, cost in self.system.costs.items():
             value = record.figures[name]

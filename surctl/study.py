@@ -166,7 +166,7 @@ def conduct_parts(study: StudyParts, out: Path) -> None:
             study.sil = compare_runs(compiling.result(), [replay.record for replay in study.replays])
     study.assessment = study.assessment.with_lines([_export_line(study.sil)])
     with saving("code"):
-        study.files = write_evidence(bundle, code, study.replays, study.sil, study.assessment)
+        study.files = write_evidence(bundle, code, study.replays, study.sil, study.assessment, command=study.command)
     study.explore(out)
     with timed("report"), saving("report"):
         study.report = write_file(out / "report.html", study.page())

@@ -209,13 +209,15 @@ class _Comparison(Comparison):
                 self.equal(f"state of the controller[{at}]", value, start[at : at + 1])
         rest = [value for value in about["plant_state"] if not isinstance(value, str)]
         for key, values in {"plant state at rest": rest, **{key: about[key] for key in _VECTORS[-2:]}}.items():
+            have = self.manifest.reference if key == "reference" else None
+            other = f"; {', '.join(map(str, have))} in the run of the bundle" if have and [*have] != values else ""
             if values:
-                self.excludes.append(f"{key}: it is assumed to be {', '.join(map(str, values))}")
+                self.excludes.append(f"{key}: it is assumed to be {', '.join(map(str, values))}{other}")
         self.excludes += [_MODEL, ROUNDING[self.manifest.real]]
         if sampled:
             self.excludes.append("delay: the command is assumed to act at the instant of its sample")
         else:
-            self.excludes.append("sampling: the certificate is about the control law in continuous time")
+            self.excludes.insert(0, "sampling: the certificate is about the control law in continuous time")
 
     def turning(self) -> None:
         claim = read_turning(self.claim)

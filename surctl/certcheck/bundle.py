@@ -91,6 +91,7 @@ class Manifest:
         extra: names of results of a compiler in the folder.
         fins: what the vehicle's fins do at the cruise speed, by name: `moment_nm`, and `side_per_m` if it is fixed;
             empty without fins.
+        reference: references at the start of the replayed run of a system of the user's own, or None.
     """
 
     id: str
@@ -107,6 +108,7 @@ class Manifest:
     lists: Mapping[str, Listed] = field(default_factory=dict)
     extra: tuple[str, ...] = ()
     fins: Mapping[str, float] = field(default_factory=dict)
+    reference: tuple[float, ...] | None = None
 
 
 def numbers_sha256(numbers: Sequence[float]) -> str:
@@ -200,6 +202,8 @@ def read_manifest(document: Any, texts: Mapping[str, str], path: Path | None = N
             values, _ranges(vehicle.get("ranges")), _text(document["gains"]["id"]),
         )  # fmt: skip
         fins = {_text(name): _number(value) for name, value in vehicle.get("fins", {}).items()}
+        reference = ((document.get("evidence") or {}).get("run") or {}).get("reference")
+        reference = None if reference is None else _numbers(reference)
         numbers = [v for row in gains.values() for v in row]
         flat = numbers_sha256(numbers)
         ports = ports_sha256(document["lists"][LAW])
@@ -231,7 +235,7 @@ def read_manifest(document: Any, texts: Mapping[str, str], path: Path | None = N
             wrong.append("the stated hash of the initial state is wrong")
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError, RecursionError):
         raise _no_manifest(path) from None
-    return replace(manifest, wrong=tuple(wrong), lists=lists, fins=fins)
+    return replace(manifest, wrong=tuple(wrong), lists=lists, fins=fins, reference=reference)
 
 
 def _no_manifest(path: Path | None) -> InputError:

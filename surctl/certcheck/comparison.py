@@ -246,6 +246,7 @@ class Comparison:
     def period(self, certified: float) -> None:
         """Compare the control period, or add that the claim does not cover held commands."""
         if certified == 0:
-            self.excludes.append("sampling: the certificate does not cover commands that are held for a control period")
+            text = "sampling: the certificate does not cover commands that are held for a control period"
+            self.excludes.insert(0, text)
         elif certified != self.manifest.period:
             self.differs.append(f"period: {certified!r} s certified, {self.manifest.period!r} s exported")

@@ -85,7 +85,7 @@ def check(document: Mapping[str, Any]) -> None:
         require_in_box(shape, centre, level, box)
     last = [[x - y for x, y in zip(*pair, strict=False)] for pair in zip(cover, knots[-1], strict=False)]
     if not is_positive_definite(last):
-        raise Rejected("V may exceed W at the end of a period")
+        raise Rejected("V may exceed W, the function between the instants, at the end of a period")
     at_samples = [*states, *names[size:]], [*box, *whole[size:]]
     feedbacks = [_exact(row) for row in listed(document["feedbacks"])]
     texts = [*(after.get(name, name) for name in states), *(row["value"] for row in commands)]
@@ -142,7 +142,7 @@ def _piece(
                 whole[i][j] = rows.plus(whole[i][j], lost)
                 whole[j][i] = rows.plus(whole[j][i], lost)  # the diagonal loses twice
         if not is_definite(rows, whole):
-            raise Rejected("the slope rule does not show that W decreases between the sampling instants")
+            raise Rejected("the slope rule does not show that W, the function between the instants, decreases there")
     return drift
 
 

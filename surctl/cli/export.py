@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 import click
 
 from surctl.cli.application import to_application
-from surctl.cli.output import FOLDER, Count, as_json, collected, finish, progress
+from surctl.cli.output import FOLDER, Count, as_json, collected, finish, note_replaced, progress, result_command
 from surctl.cli.subject import (
     OwnSystem,
     assigned,
@@ -147,8 +147,10 @@ class ExportOptions:
 
         sil, report = compared.sil, compared.report
         known: dict[str, Any] = {"check": report, "proof": proof, "binaries": compared.binaries}
+        command = result_command()
+        note_replaced(self.out / "manifest.json", command)
         # a bundle appears when it is complete and checked, at once
-        files = write_evidence(bundle, self.out, [replay], [sil], assessment, **known)
+        files = write_evidence(bundle, self.out, [replay], [sil], assessment, command=command, **known)
         parts = {"sil": sil, "proof": proof, "check": report}
         data = {
             **data,
@@ -239,11 +241,16 @@ def system_bundle(
 
 def replay_of(own: OwnSystem, record: Record) -> ReplayedRun:
     """Return the run of a system for the comparison of C with Python, and for the manifest of its bundle."""
-    from surctl.export.evidence import ReplayedRun
-    from surctl.system import LOST
+    import numpy as np
 
-    failure = record.lost if record.stopped == LOST else None
-    return ReplayedRun({"system": own.label, "text": end_text(own, record), "failure": failure}, record)
+    from surctl.export.evidence import ReplayedRun
+    from surctl.system.loop import ENDED
+
+    failure = None if record.stopped == ENDED else record.lost or record.stopped
+    reference = [float(x) for port in own.system.references for x in np.asarray(record[port.name])[0].ravel()]
+    about: dict[str, Any] = {"system": own.label, "text": end_text(own, record), "failure": failure}
+    about |= {"reference": reference} if np.isfinite(reference).all() else {}
+    return ReplayedRun(about, record)
 
 
 def export_system(words: Sequence[str], options: ExportOptions, *, seconds: float | None, as_json: bool) -> None:

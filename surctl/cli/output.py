@@ -557,6 +557,21 @@ def same_command(**changed: int) -> str:
     return shlex.join(["surctl", *words])
 
 
+def result_command() -> str:
+    """Return the command line of this process without the options about its output on the terminal."""
+    return shlex.join(word for word in shlex.split(same_command()) if word not in ("--json", "--verbose", "-v"))
+
+
+def note_replaced(file: Path, command: str) -> None:
+    """Print a line if a JSON file of results, which this command replaces, states another command that wrote it."""
+    before = command
+    with suppress(OSError, ValueError, LookupError, TypeError, AttributeError):
+        table = json.loads(file.read_text(encoding="utf-8"))
+        before = table.get("evidence", table)["command"]
+    if before != command:
+        progress(f"{file.parent} contains the results of another command, which are replaced: {before}")
+
+
 def print_message(text: str) -> None:
     """Print one line on stderr that names this program."""
     with suppress(OSError):  # if stderr cannot be written, the exit status still reports the error

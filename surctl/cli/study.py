@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from surctl.cli.application import to_application
-from surctl.cli.output import FOLDER, Count, as_json, finish, same_command, stoppable
+from surctl.cli.output import FOLDER, Count, as_json, finish, note_replaced, same_command, stoppable
 from surctl.cli.subject import is_system, seconds_option
 
 if TYPE_CHECKING:
@@ -54,6 +54,7 @@ def conduct_study(
     """
     from surctl.study import conduct_parts
 
+    note_replaced(out / "export" / "manifest.json", study.command)
     with stoppable(f"what is finished is in {out}; to continue: {same_command()}", study.ran, as_json=as_json):
         conduct_parts(study, out)
     assessment, report, code = study.assessment, study.report, out / "export"
@@ -63,7 +64,7 @@ def conduct_study(
     lines += [f"code   {code} ({len(study.files)} files)"] if study.files else []
     lines += [f"report {report}"] if report else []
     # the verdict itself is about the worst line unless all holds
-    weakest = assessment.weakest(3)[assessment.passed is not True :]
+    weakest = assessment.weakest(3, *study.decided)[assessment.passed is not True :]
     brief = [head, *(f"{line.mark} {line.text}" for line in weakest)]
     files = [*([f"report {report}"] if report else []), f"code {code}"]
     finish(study.to_dict(), lines, as_json=as_json, passed=study.passed, then=then(), brief=brief, files=files)

@@ -14,7 +14,20 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from surctl.cli.application import to_application
-from surctl.cli.output import FOLDER, Count, as_json, finish, finite, progress, same_command, saving, stoppable, waiting
+from surctl.cli.output import (
+    FOLDER,
+    Count,
+    as_json,
+    finish,
+    finite,
+    note_replaced,
+    progress,
+    result_command,
+    same_command,
+    saving,
+    stoppable,
+    waiting,
+)
 from surctl.cli.subject import (
     OwnSystem,
     assigned,
@@ -133,12 +146,18 @@ def _search(task: Task, *, trials: int, rounds: int, runs: int, out: Path, as_js
     accepted, verdict = not unmet and comparison.after.accepted(), [comparison.after.verdict()]
     verdict = verdict * (not comparison.after.accepted())
     note = warning or "".join(verdict)
+    note_replaced(out / "tuning.json", result_command())
     gains_path = write_file(*task.gain_file(tuning, out, note))
     (out / best).unlink(missing_ok=True)
     more = task.more(tuning, checked, str(gains_path), trials)
     doubtful = not_representative(task.request.goals, comparison.after, **task.limit)
     result = tuning_dict(tuning) | more.data | {"not_representative": doubtful, "accepted": accepted}
-    result |= {"unmet": list(unmet), "finals": checked.to_dict(), "assessment": comparison.to_dict()}
+    result |= {
+        "command": result_command(),
+        "unmet": list(unmet),
+        "finals": checked.to_dict(),
+        "assessment": comparison.to_dict(),
+    }
     everything = write_file(out / "tuning.json", json.dumps(finite(result), ensure_ascii=False, indent=1) + "\n")
     pictures = list[Path]()
     with saving("plots"):

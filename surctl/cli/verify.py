@@ -265,7 +265,9 @@ def verify_system(words: Sequence[str], *, seed: int, time_limit: float, out: Pa
     decisive = sorted(assessment.lines, key=lambda line: (line.rank, line.about != "region"))
     passed = assessment.accepted("loop", "region")
     settings = [word for word in others if not word.startswith("start.")]
-    then = [command_line("export", own, *settings, "--seconds", f"{100 * own.system.dt:g}", "--out", "firmware")]
+    # without a duration of the system, a run of 100 periods
+    time = () if own.system.duration else ("--seconds", f"{100 * own.system.dt:g}")
+    then = [command_line("export", own, *settings, *time, "--out", "firmware")]
     then += [shlex.join(["surctl", "check", str(file), "--bundle", "firmware"]) for file in files[:1]]
     finish(
         {**own.names, **data, "assessment": assessment.to_dict()}, lines, as_json=as_json, passed=passed,

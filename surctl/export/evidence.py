@@ -30,7 +30,7 @@ class ReplayedRun:
 
     Attributes:
         about: scenario, vehicle, sensing and seed of the run, its result, and `failure` (None if it arrived without
-            contact); of a system of the user's own, `system`, `text` and `failure`.
+            contact); of a system of the user's own, `system`, `text`, `failure` and `reference` (at the start).
         record: the run as the exported step takes it.
         statuses: status (n,) of each step of a run of a robot, or None.
         period: time between two steps [s].
@@ -54,6 +54,7 @@ def write_evidence(
     sil: Sequence[SilReport],
     assessment: Assessment,
     *,
+    command: str,
     check: CheckReport | None = None,
     proof: ProofReport | None = None,
     binaries: Mapping[str, bytes] | None = None,
@@ -66,11 +67,13 @@ def write_evidence(
         replays: the simulated runs; that of the default mission comes first.
         sil: comparison of C and Python in each of them.
         assessment: what is assessed of the controller.
+        command: command line that writes the bundle, without the options about its output on the terminal.
         check, proof: builds for several processors, and proof of the C code, or None.
         binaries: further files by name, such as an FMU.
     """
     first, *further = (replay.to_dict(report) for replay, report in zip(replays, sil, strict=True))
     evidence = first | {
+        "command": command,
         "check": None if check is None else check.to_dict(),
         "proof": None if proof is None else {k: v for k, v in proof.to_dict().items() if k != "alarms"},
         "instruction_bound": None,  # instructions are measured; no bound of them is proved

@@ -74,7 +74,7 @@ class Stability:
     def statement(self) -> str:
         """The claim in words."""
         pace = "" if self.rate is None else f" at the rate {every_digit(self.rate)}"
-        region = f"where V < {every_digit(self.level)} in the box"
+        region = f"where the Lyapunov function V < {every_digit(self.level)} in the box"
         return f"{region}, V decreases{pace} and every solution converges to {self.goal}"
 
     @property

@@ -166,7 +166,7 @@ def require_common(dynamics: Dynamics) -> None:
         alone = [(*middle[:k], p, *middle[k + 1 :]) for k, p in enumerate(d.parameters)]
         names = [p.name for p, one in zip(d.parameters, alone, strict=True) if not replace(d, parameters=one).rests()]
         moving = ", ".join(names or [p.name for p in d.parameters])
-        because = f"its equilibrium moves with {moving}; a region is about one point: give one value, as m=2..2"
+        because = f"its equilibrium moves with {moving}; a region is about one point: give NAME=VALUE..VALUE"
         raise NotApplicable(because, to="the loop", key=f"{d.name}.equilibrium")
 
 

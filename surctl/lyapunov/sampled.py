@@ -303,8 +303,9 @@ class SampledStability(Stability):
         assert sampling is not None
         pace = "" if self.rate is None else f" by at least {every_digit(self.rate)} of its value"
         return (
-            f"sampled every {every_digit(sampling.period)} s with held commands: where V < {every_digit(self.level)}, "
-            f"V decreases{pace} from sample to sample, and every solution converges to {self.goal}"
+            f"sampled every {every_digit(sampling.period)} s with held commands: where the Lyapunov function V < "
+            f"{every_digit(self.level)}, V decreases{pace} from sample to sample, and every solution converges to "
+            f"{self.goal}"
         )
 
     def plain(self) -> dict[str, Any]:

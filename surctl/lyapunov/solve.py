@@ -16,7 +16,7 @@ from surctl.lyapunov.claims import Safety, every_digit
 from surctl.lyapunov.decide import Decision, decide_motion
 from surctl.lyapunov.dynamics import Dynamics
 from surctl.lyapunov.equilibrium import at_equilibrium, equilibria, linearisation
-from surctl.lyapunov.from_system import HELD_COMMANDS
+from surctl.lyapunov.from_system import HELD_COMMANDS, NOT_COVERED
 from surctl.lyapunov.problem import Problem
 from surctl.lyapunov.sampled import SampledStability
 from surctl.lyapunov.search import find_stability, unprovable
@@ -192,8 +192,10 @@ class Solution:
     def lines(self) -> list[str]:
         """Return the lines that state the solution: verdict and claim, what the claim is about, reason."""
         name, decision = self.problem.dynamics.name, self.decision
-        if decision is not None and self.problem.dynamics.sampling is not None and not self.sampled:
-            name += ", law in continuous time"
+        if decision is not None and self.about.startswith(NOT_COVERED):
+            stated = self.problem.dynamics.sampling is None or self.problem.function or self.problem.level
+            remedy = "" if stated else " (a smaller box or a shorter period may prove the sampled loop)"
+            name += f", law in continuous time, without sampling{remedy}"
         then = [f"  a region is proved with {self.instead}"] if self.instead else []
         if decision is None:
             lines = [f"{self.verdict:<8} {name}: {self.reason} ({self.seconds:.1f} s)"]

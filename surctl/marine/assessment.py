@@ -237,6 +237,7 @@ def _runs_part(runs: Sequence[Run], *, extra: Sequence[bool] = ()) -> Part:
         m = run.metrics
         text = f"{run.scenario.name} by {run.vehicle.name}, {run.sensing}: {m.stopped_because} at {m.time_s:.1f} s"
         text += f", least clearance {m.min_clearance_m:.3f} m"
+        text += f": {why}" if (why := stop_reason(run)) else ""
         lines.append(Line(m.reached and m.min_clearance_m > 0, text, f"runs-{place}", counts=not beside))
         if m.axis_saturated_share > SATURATED:
             full = f"a thrust is at its limit {m.axis_saturated_share:.0%} of the time"

@@ -98,8 +98,8 @@ class System:
         substeps: number of fourth-order Runge-Kutta steps in a control period; at least one is taken between two
             samples of sensors or actuators.
         costs: metrics of a run by name.
-        stops: reasons to end a run, by name; each reason is a function that returns an expression of the signals
-            (`Signals`), and a run ends when this expression is not 0.
+        stops: failures that end a run, by name, such as a fall; each is a function that returns an expression of the
+            signals (`Signals`), and a run ends when this expression is not 0. The bound of a cost states a goal.
         reference: function that returns each reference at time t [s] from t and constants r, which a run sets; by
             default the references are r.
         disturbance: function that returns each disturbance at time t [s] from t and constants d, which a run sets; by

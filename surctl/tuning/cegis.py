@@ -27,6 +27,7 @@ from surctl.tuning.montecarlo import (
     monte_carlo,
     reduced_pool,
     screen,
+    stored_figures,
 )
 from surctl.tuning.pool import ClaimPoint, Pool, SearchRequest, joined_pools
 from surctl.tuning.search import Journal
@@ -258,7 +259,9 @@ def tune(
             pool = None
             if known is None:
                 pool = _searched(current, done, _longer(trials, done), journal, progress)
-                known, pool = _round(current, pool, runs, k, progress, used=1 + max(c.seed for c in request.conditions))
+                known, pool = _round(
+                    current, pool, runs, k, journal, progress, used=1 + max(c.seed for c in request.conditions)
+                )
                 record.add(known)
                 journal.note_best(*request.so_far(known.gains, f"the gains of round {k + 1} of an unfinished tuning"))
             done.append(known)
@@ -269,7 +272,8 @@ def tune(
         final = harder(current, done[-1].training)
         if pool is None:  # every round was loaded from the record
             pool = _searched(current, done[:-1], _longer(trials, done[:-1]), journal, progress)
-            pool = reduced_pool(final, pool, done[-1].gains)
+            figures = stored_figures(final, journal, progress)
+            pool = reduced_pool(final, pool, done[-1].gains, figures=figures)
     hand, candidates = (
         final.judge({name: np.array([value]) for name, value in request.begun.items()}),
         _candidates(final, done),
@@ -366,22 +370,23 @@ def _leading(pool: Pool, most: int) -> list[dict[str, float]]:
 
 
 def _round(
-    request: SearchRequest, pool: Pool, runs: int, number: int, progress: Progress, *, used: int
+    request: SearchRequest, pool: Pool, runs: int, number: int, journal: Journal, progress: Progress, *, used: int
 ) -> tuple[Round, Pool]:
     """Complete a round after its search; return the round and a pool of its best gain sets, the chosen set last.
 
     The best gain sets are the best over all known runs.
     """
     left, verified = Screened(request, pool.gains(pool.best(pool.evaluation.normalised[0])), ()), None
+    figures = stored_figures(request, journal, progress)
     if runs:
         progress(f"testing the best gain sets with {TRAINING * runs} training runs and {runs} fresh ones")
-        left = screen(request, pool, runs=TRAINING * runs, progress=progress)
+        left = screen(request, pool, runs=TRAINING * runs, figures=figures, progress=progress)
         conditions = request.fresh(runs=runs, first=used + number * runs)
-        verified = monte_carlo(request.figures, request.goals, conditions, left.gains)
+        verified = monte_carlo(figures, request.goals, conditions, left.gains)
         word = ", ".join(verified.refuted) or "nothing"
         progress(f"{runs} fresh runs, seeds {verified.seeds[0]} to {verified.seeds[1]}, refute {word}")
     points = request.refuted_claims(left.gains)
-    known = reduced_pool(left.request, pool, left.gains)
+    known = reduced_pool(left.request, pool, left.gains, figures=figures)
     start, own = known.evaluation.normalised[0], len(known.claims) - 1
     missed = tuple(g.name for g, n in zip(request.goals, known.evaluation.normalised[own], strict=True) if not n <= 1)
     others = [k for k in known.ranked(start) if k != own][: request.others]

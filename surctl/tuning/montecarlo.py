@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import time
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -11,7 +12,8 @@ from numpy.typing import NDArray
 
 from surctl.tuning.chunked import Progress
 from surctl.tuning.goals import RunGoal
-from surctl.tuning.pool import ClaimPoint, Condition, Figures, Pool, SearchRequest, Sets, merged, scope
+from surctl.tuning.pool import ClaimPoint, Condition, Figures, Pool, SearchRequest, Sets, Simulated, merged, scope
+from surctl.tuning.search import Journal
 
 APART = 10_000_000  # seeds reserved for each tuning, so that two tunings never share a seed
 
@@ -86,7 +88,7 @@ class MonteCarlo:
 
 
 def monte_carlo(
-    figures: Callable[[Sequence[RunGoal], Sequence[Condition], Sets], Figures],
+    figures: Simulated,
     goals: Sequence[RunGoal],
     conditions: Sequence[Condition],
     gains: Mapping[str, float],
@@ -177,7 +179,52 @@ def harder(
     return replace(request, conditions=(*requested, *refuting), claims=(*request.claims, *claims))
 
 
-def screen(request: SearchRequest, pool: Pool, *, runs: int, progress: Progress = lambda _: None) -> Screened:
+_PART, _PAUSE = 256, 2.0  # runs that are stored together; time between two lines of progress [s]
+
+
+def stored_figures(request: SearchRequest, journal: Journal, progress: Progress) -> Simulated:
+    """Return `SearchRequest.figures` in parts of some hundreds of runs, which the journal stores, with their pace."""
+
+    def figures(goals: Sequence[RunGoal], conditions: Sequence[Condition], sets: Sets) -> Figures:
+        names = sorted({"effort_n", *(name for goal in goals for name in goal.columns)})
+        count, most = len(next(iter(sets.values()))), max(1, _PART // len(conditions))
+        parts = [(sets, conditions[k : k + _PART]) for k in range(0, len(conditions), _PART)]
+        if count > 1:
+            parts = [({n: v[k : k + most] for n, v in sets.items()}, conditions) for k in range(0, count, most)]
+        values = {name: np.asarray(value).tolist() for name, value in sets.items()}
+        about = f"{request.digest} {[goal.name for goal in goals]} {values} {[(c.run, c.goals) for c in conditions]}"
+        batches, tables = journal.batches(about, width=1 + len(names)), list[NDArray[np.float64]]()
+        known, done, whole, began = 0, 0, count * len(conditions), time.perf_counter()
+        shown = began
+        for some, own in parts:
+            places = np.arange(done, done + len(next(iter(some.values()))) * len(own), dtype=float)[:, None]
+            restored = batches.known(len(places)) is not None
+
+            def simulated(_: object, some: Sets = some, own: Sequence[Condition] = own) -> NDArray[np.float64]:
+                table = request.figures(goals, own, some)
+                return np.column_stack([table[name].ravel() for name in names])
+
+            tables.append(batches.evaluated(places, simulated)[:, 1:])
+            done += len(places)
+            known += len(places) * restored
+            now = time.perf_counter()
+            if not restored and now - shown > _PAUSE:
+                shown, rate = now, (done - known) / (now - began)
+                progress(f"test run {done}/{whole}, {rate:.3g} runs/s, ETA {(whole - done) / rate:.0f} s")
+        every = np.concatenate(tables)
+        return {name: every[:, k].reshape(count, -1) for k, name in enumerate(names)}
+
+    return figures
+
+
+def screen(
+    request: SearchRequest,
+    pool: Pool,
+    *,
+    runs: int,
+    figures: Simulated | None = None,
+    progress: Progress = lambda _: None,
+) -> Screened:
     """Simulate training runs with the best gain set and drop all sets that a failed run refutes, until a set passes.
 
     The training runs are identical for all gain sets and all rounds of a tuning; they differ from the fresh runs. A
@@ -188,9 +235,10 @@ def screen(request: SearchRequest, pool: Pool, *, runs: int, progress: Progress 
         request: the request of the search.
         pool: simulated gain sets of the search, the start gains first.
         runs: number of training runs.
+        figures: function that simulates gain sets; None: that of the request.
         progress: function that receives one line of text at the end.
     """
-    start = pool.evaluation.normalised[0]
+    figures, start = figures or request.figures, pool.evaluation.normalised[0]
     met = pool.evaluation.normalised <= 1
     left = [k for k in pool.ranked(start) if pool.feasible[k]]
     tested = bool(left)
@@ -200,15 +248,15 @@ def screen(request: SearchRequest, pool: Pool, *, runs: int, progress: Progress 
     while left:
         goals = [g for g, m in zip(request.goals, met[left[0]], strict=True) if m]
         gains = pool.gains(left[0])
-        refuting = monte_carlo(request.figures, goals, training, gains, each=_EACH).counterexamples
+        refuting = monte_carlo(figures, goals, training, gains, each=_EACH).counterexamples
         if not refuting:
             break
         tried += 1
         counterexamples += refuting
-        left = _withstanding(request, pool, met, left[1:], refuting)
+        left = _withstanding(request, pool, met, left[1:], refuting, figures)
     tougher = harder(request, counterexamples)
     if not left:
-        pool = reduced_pool(tougher, pool)
+        pool = reduced_pool(tougher, pool, figures=figures)
         left = [pool.best(pool.evaluation.normalised[0])]
     added = len(tougher.conditions) - len(request.conditions)
     if tested:
@@ -226,19 +274,22 @@ def _message(runs: int, failed: int, added: int) -> str:
     return f"{failed} {sets} failed in {runs:,} training runs; {added} {failed_runs} join the tuning runs."
 
 
-def reduced_pool(request: SearchRequest, pool: Pool, *others: Mapping[str, float]) -> Pool:
+def reduced_pool(
+    request: SearchRequest, pool: Pool, *others: Mapping[str, float], figures: Simulated | None = None
+) -> Pool:
     """Return a smaller pool, simulated in the runs of a request: start gains, best sets, Pareto front, `others`."""
     start = pool.evaluation.normalised[0]
     best = pool.ranked(start)[:_SHORT]
     front = pool.front(start)
     spread = [front[int(k)] for k in np.unique(np.linspace(0, len(front) - 1, _SHORT).astype(int))] if front else []
     chosen = pool.subset(list(dict.fromkeys([0, *best, *spread]))).sets
-    return request.judge({n: np.append(values, [o[n] for o in others]) for n, values in chosen.items()})
+    return request.judge({n: np.append(values, [o[n] for o in others]) for n, values in chosen.items()}, figures)
 
 
 def _withstanding(
-    request: SearchRequest, pool: Pool, met: NDArray[np.bool_], left: list[int], refuting: Sequence[Counterexample]
-) -> list[int]:
+    request: SearchRequest, pool: Pool, met: NDArray[np.bool_], left: list[int], refuting: Sequence[Counterexample],
+    figures: Simulated,
+) -> list[int]:  # fmt: skip
     """Return the sets that still meet, in every refuting run, the goals that they met before the screening.
 
     Goals that bound a mean are left out, because one run cannot refute them.
@@ -250,7 +301,7 @@ def _withstanding(
     runs = [c.condition(request.cases) for c in refuting]
     conditions = merged(runs)
     column = {c.run: k for k, c in enumerate(conditions)}
-    table = request.figures(goals, conditions, pool.subset(left).sets)
+    table = figures(goals, conditions, pool.subset(left).sets)
     withstands = np.ones(len(left), dtype=bool)
     for one, run in zip(refuting, runs, strict=True):
         goal = goals[place[one.goal]]

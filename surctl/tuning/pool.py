@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import hashlib
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,8 @@ from surctl.tuning.search import SearchRange
 Floats = NDArray[np.float64]
 Sets = Mapping[str, Floats]
 Figures = Mapping[str, Floats]  # metric → (n, conditions)
+Simulated: TypeAlias = Callable[[Sequence[RunGoal], Sequence["Condition"], Sets], Figures]
+"""A function that simulates gain sets, such as `SearchRequest.figures`."""
 
 
 @dataclass(frozen=True)
@@ -249,20 +251,21 @@ class SearchRequest(ABC):
         lines += [f"run {c.label} {sorted(c.plant.items())!r} {c.goals}" for c in self.conditions]
         return hashlib.sha256("\n".join(lines).encode()).hexdigest()
 
-    def simulate(self, sets: Sets) -> tuple[Pool, Figures]:
+    def simulate(self, sets: Sets, figures: Simulated | None = None) -> tuple[Pool, Figures]:
         """Simulate gain sets; return a `Pool` and the metrics of every run.
 
         The `Pool` holds the values of the searched gains in each gain set, and for each gain set the evaluated goals
-        and claims. The metrics are arrays (gain sets, conditions) by metric name, as `figures` returns them.
+        and claims. The metrics are arrays (gain sets, conditions) by metric name, as `figures` returns them, by default
+        those of the request.
         """
-        table = self.figures(self.goals, self.conditions, sets)
+        table = (figures or self.figures)(self.goals, self.conditions, sets)
         values = {span.name: np.asarray(sets[span.name], dtype=float) for span in self.space}
         pool = Pool(values, judged(self.goals, self.conditions, table), self.excess(sets))
         return pool, table
 
-    def judge(self, sets: Sets) -> Pool:
+    def judge(self, sets: Sets, figures: Simulated | None = None) -> Pool:
         """Simulate gain sets and return them as a pool with evaluated goals."""
-        return self.simulate(sets)[0]
+        return self.simulate(sets, figures)[0]
 
     def named(self, sets: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
         """Return the values (n,) of each searched gain by name, from sets (n, gains)."""

@@ -211,18 +211,22 @@ def chosen_points(
         table: the sweep.
         system, values, ranges: as in `ClosedLoop`; the numbers of a point take the place of `values`.
     """
-    judged, durations = dict[int, Assessment](), table.column(_DURATION).reshape(-1)
+    judged, durations, ends = dict[int, Assessment](), table.column(_DURATION).reshape(-1), table.column(_STOPPED)
+    early = (ends != ENDED).reshape(-1, table.each)
     costs = {name: table.worst(name).reshape(-1) for name in system.costs}
     bounded = np.all([costs[n] <= c.at_most for n, c in system.costs.items() if c.at_most is not None], axis=0)
-    bounded = np.broadcast_to(bounded, len(durations) // table.each)
+    bounded = np.broadcast_to(bounded, len(early)) & ~early.any(axis=1)
 
     def assessed(run: int) -> Assessment:
         if run not in judged:
             at, random = run_at(table, run)
             loop = assess(ClosedLoop(system, {**values, **at, **random}, ranges), parts=["loop"])
-            lines, duration = list[Line](), float(durations[run])
+            point, duration = run // table.each, float(durations[run])
+            stopped = np.flatnonzero(early[point])[:1] + point * table.each
+            why = [f"the run stops after {durations[k]:.6g} s ({ends.reshape(-1)[k]})" for k in stopped]
+            lines = [Line(False, text, "run") for text in why]
             for name, cost in system.costs.items():
-                value = float(costs[name][run // table.each])
+                value = float(costs[name][point])
                 lines += cost_verdicts(name, cost, value, duration=duration, dt=system.dt)
             judged[run] = loop.with_lines(lines)
         return judged[run]

@@ -23,9 +23,8 @@ def test_an_expected_refutation_passes(tmp_path) -> None:
     written(tmp_path, MAP, ("rate = 0.2", 'rate = 0.9\nexpected = "refuted"'))
     done = surctl("verify", "problem.toml", cwd=tmp_path)
     assert done.status == 0, done.err
-    assert done.out.startswith(
-        "refuted  map: the claim that where V < 1 in the box, V decreases at the rate 0.9 and every "
-    )
+    claim = "where the Lyapunov function V < 1 in the box, V decreases at the rate 0.9 and every "
+    assert done.out.startswith(f"refuted  map: the claim that {claim}")
     assert "\n  x+ = 0.5*x + 0.2*y^2\n" in done.out and "\n  equilibrium x = 0, y = 0\n" in done.out
 
 

@@ -19,14 +19,14 @@ from surctl.system import Controller, Cost, Plant, System
 
 SPEED, FORCE = Port("speed", (1,), "m/s", "", 1.0), Port("force", (1,), "m/s^2", "")
 
-def loop(k, at_most, within):
+def loop(k, at_most, within, **stops):
     plant = Plant("cart", Layout((SPEED,)), Layout((FORCE,)), lambda x, f, d, p: {"speed": f["force"]})
     law = Controller(
         "hold", 0.1, Layout((SPEED,)), Layout((FORCE,)), lambda x, u, p: -p["k"] * u["speed"],
         gains=Layout((Port("k", (1,), "1/s", "", k),)),
     )
     slow = Cost(lambda s: ca.fabs(s.x["speed"]) - 0.2, "last_time", "s", at_most=at_most)
-    return System(plant, law, costs={"slow": slow}, duration=2.0, within=within)
+    return System(plant, law, costs={"slow": slow}, duration=2.0, within=within, stops=stops)
 
 BOX = {"speed": (-1.0, 1.0)}
 def good():
@@ -35,9 +35,11 @@ def slow():
     return loop(1.0, 1.0, BOX)
 def wild():
     return loop(18.5, 1.9, {})
+def halts():
+    return loop(2.0, None, BOX, slower=lambda s: s.x["speed"] < 0.5)
 """
-# k over which it is swept; whether a bound, and a margin, is not met
-SYSTEMS = {"good": ("2,3", 0, 0), "slow": ("0.5,1", 1, 0), "wild": ("18,18.5", 0, 1)}
+# k over which it is swept; whether the run fails (a bound is not met, or a stop ends it), and a margin
+SYSTEMS = {"good": ("2,3", 0, 0), "slow": ("0.5,1", 1, 0), "wild": ("18,18.5", 0, 1), "halts": ("2,3", 1, 0)}
 COMMANDS = {
     "simulate": "slow", "verify": "margin", "study": "both", "export": "both", "sweep": "both", "tune": "both",
 }  # fmt: skip
@@ -68,3 +70,45 @@ def test_a_line_that_fails_is_status_1_in_every_command(
                 figures.setdefault(key, set()).add(figure["value"])
             assert ("region" in assessed["not_assessed"]) is (command == "export" or name == "wild")
     assert figures["disk_margin"] and all(len(values) <= 1 + (key == "region_share") for key, values in figures.items())
+
+
+def test_results_of_other_options_are_replaced_with_their_command_and_not_silently(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    need_compiler()
+    monkeypatch.chdir(tmp_path)
+    Path("mine.py").write_text(FILE)
+
+    def surctl(*words: str) -> str:
+        monkeypatch.setattr("sys.argv", ["surctl", *words])
+        done = CliRunner().invoke(app, list(words))
+        assert done.exit_code == 0, (done.output, done.exception)
+        return done.stderr
+
+    says = "contains the results of another command, which are replaced: "
+    long, short = ("export", "mine.py:good", "--out", "c"), ("export", "mine.py:good", "--seconds", "1.5", "--out", "c")
+    assert says not in surctl(*long) + surctl(*long, "--json", "--verbose")
+    assert f"c {says}surctl {' '.join(long)}\n" in surctl(*short)
+    study = ("study", "mine.py:good", "k=1.5..2:2", "--out", ".")
+    assert says not in surctl(*study) + surctl(*study, "--workers", "1")
+    assert f"export {says}surctl study mine.py:good k=1.5..2:2 --seconds 2 --out .\n" in surctl(
+        "export", "mine.py:good", "--out", "export"
+    )
+    tune = ("tune", "mine.py:good", "--trials", "2", "--gain", "k=2..3", "--out", "t")
+    assert says not in surctl(*tune) and f"t {says}surctl {' '.join(tune)}\n" in surctl(*tune, "--seed", "1")
+
+
+def test_the_next_export_is_the_run_of_the_system_and_a_study_shows_its_region(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    need_compiler()
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("SURCTL_VERBOSE", raising=False)
+    for duration, time in (("2.0", []), ("None", ["--seconds", "10"])):
+        Path("mine.py").write_text(FILE.replace("duration=2.0", f"duration={duration}"))
+        then = CliRunner().invoke(app, ["verify", "mine.py:good"]).stdout.split("next ")[-1]
+        assert then.split() == ["surctl", "export", "mine.py:good", *time, "--out", "firmware"]
+    words = ["study", "mine.py:good", "k=1.5..2:2", "--seconds", "2"]
+    summary = CliRunner().invoke(app, words).stdout.splitlines()
+    assert summary[1].startswith("ok   region of attraction: proved cart: sampled every 0.1 s") and len(summary) == 5
+    assert max(map(len, summary)) <= 100

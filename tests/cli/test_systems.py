@@ -124,12 +124,12 @@ def test_the_commands_that_new_prints_run(tmp_path: Path, monkeypatch: pytest.Mo
         assert done.exit_code == 0, (line, done.output, done.exception)
     assert {path.name for path in Path("plots").iterdir()} == {"pendulum-balance.png", "pendulum-balance.csv"}
     page = Path("surctl-out/report.html").read_text()
-    assert "where V &lt; " in page and page.count("<img") == 5  # run, loop, region, and the map of each cost
-    assert "Nyquist" in page
+    assert page.count("<img") == 5  # run, loop, region, and the map of each cost
+    assert "where the Lyapunov function V &lt; " in page and "Nyquist" in page
     checked = run("check", "proofs/pendulum.json", "--bundle", "firmware")
     assert checked.exit_code == 0 and "belongs to the controller" in checked.output
     manifest = json.loads(Path("firmware/manifest.json").read_text())
-    assert manifest["commands"] == {"torque": "N m"}
+    assert manifest["commands"] == {"torque": "N m"} and manifest["evidence"]["run"]["reference"] == [0.0]
     assert "double torque; /* [N m] at the pivot */" in Path("firmware/balance.h").read_text()
 
 
@@ -154,7 +154,8 @@ def test_a_run_gives_the_figures_and_signals_of_the_system(file: str) -> None:
         assert read.attrs["system_sha256"] == own(file).digest() and read.attrs["system"] == "mine.py:build"
         assert json.loads(read.attrs["values"])["reference.goal"] == 0.5
     assert "final  0.5" in run(*words).stdout and "m (final)  at the end" in run(*words).stdout
-    high = data("simulate", file, "start.x=6", "--seconds", "0.5")
+    high = data("simulate", file, "start.x=6", "--seconds", "0.5", status=1)  # a stop is a failure
+    assert "FAIL the run stops after 0 s (high)" in run("simulate", file, "start.x=6", "--seconds", "1").stdout
     assert (high["stopped"], high["duration_s"], high["costs"]["work"]["value"]) == ("high", 0.0, None)
     assert "  no costs: a run that ends at its start" in run("simulate", file, "start.x=6", "--seconds", "1").stdout
 

@@ -60,7 +60,7 @@ def test_each_replayed_run_is_evidence(tmp_path: Path) -> None:
     replays = [ReplayedRun({"system": "a.py:b", "text": text, "failure": None}, []) for text in ("one", "two")]
     reports = [SilReport("c", "1f", n, (), none, none, none, 0, 837, (), True, "cc 12", 9) for n in (400, 500)]
     figure = {"x": Figure("x", float("nan"), "1", "", "high")}
-    write_evidence(bundle, tmp_path / "b", replays, reports, Assessment("a", figure, (), {}))
+    write_evidence(bundle, tmp_path / "b", replays, reports, Assessment("a", figure, (), {}), command="surctl export")
     evidence = json.loads((tmp_path / "b" / "manifest.json").read_text())["evidence"]
     [further] = evidence["further_runs"]
     assert (evidence["run"]["text"], evidence["sil"]["steps"]) == ("one", 400)

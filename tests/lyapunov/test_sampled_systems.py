@@ -20,6 +20,7 @@ from surctl.lyapunov import Problem, continuous_dynamics, find_stability, sample
 from surctl.lyapunov.equilibrium import require_common
 from surctl.lyapunov.sampled import SampledStability
 from surctl.system import Action, Controller, Plant, System, find_equilibrium
+from surctl.verification.formula import parse, variable
 
 GALLERY = Path(__file__).parents[2] / "notebooks" / "gallery"
 
@@ -77,6 +78,11 @@ def test_the_law_in_continuous_time_is_named_if_it_is_what_is_proved() -> None:
     fast = cart(lambda x, u, p: -p["k"] * 10 * u["x"] - 12 * u["v"])
     result = find_stability(sampled_dynamics(fast, WITHIN), first=True)
     assert result.verdict == "proved" and not isinstance(result.claim, SampledStability)
+    for function, remedy in ((None, True), (parse("44*x^2 + x*v + v^2", {v: variable(v) for v in "xv"}), False)):
+        problem = Problem(sampled_dynamics(fast, WITHIN), "lyapunov", function)
+        head = solve(problem, first=True, time_limit=10.0).lines()[0]
+        assert ", law in continuous time, without sampling" in head and "where the Lyapunov function V < " in head
+        assert (" (a smaller box or a shorter period may prove the sampled loop)" in head) is remedy
     stated = find_stability(sampled_dynamics(cart(limited), WITHIN), first=True, rate=0.05)
     assert isinstance(stated.claim, SampledStability)
     assert stated.claim.rate == pytest.approx(0.05 * 0.2)

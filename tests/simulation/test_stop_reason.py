@@ -8,16 +8,16 @@ from functools import cache
 import numpy as np
 import pytest
 
-from surctl.errors import InputError
 from surctl.marine.control import load_gains
 from surctl.marine.sensing import Fault, FaultChances
 from surctl.marine.simulation import METRICS, STOPS, Case, Run, load_scenario, simulate, simulate_batch
 from surctl.marine.simulation.batch.loop import build_loop
 from surctl.marine.simulation.batch.structure import Structure
-from surctl.marine.simulation.explanation import stop_reason, time_limit_reason
+from surctl.marine.simulation.explanation import stop_reason
 from surctl.marine.simulation.metrics import STOPPED_LIMIT
 from surctl.marine.simulation.sensors import Sensors
 from surctl.marine.vehicle import load_vehicle
+from surctl.marine.world import Prism
 from tests.craft import mission
 from tests.oracles import mission_loop
 
@@ -44,19 +44,24 @@ def _flown(sensors: Sensors) -> Run:
     return simulate(case.scenario, case.vehicle, gains=case.gains, law=case.build(), sensing="sonar", seed=1)
 
 
-def test_a_run_to_the_time_limit_says_where_the_craft_stays_and_what_lint_says() -> None:
+def _stopped(why: str) -> Run:
     run = _flown(DEAF_TWICE)
+    return replace(run, metrics=replace(run.metrics, stopped_because=why))
+
+
+def test_a_run_to_the_time_limit_says_where_the_craft_stays_and_what_lint_says() -> None:
+    run = _stopped("time limit")
     x, y = run.record.eta[-1, :2]
     where = f"it stays within 0.05 m of ({x:.2f}, {y:.2f}) m from "
-    assert time_limit_reason(run).startswith(where) and "fins" not in time_limit_reason(run)
+    assert stop_reason(run).startswith(where) and "fins" not in stop_reason(run)
     still = replace(run.record, eta=np.zeros_like(run.record.eta))
-    assert time_limit_reason(replace(run, record=still)) == "the craft did not move"
+    assert stop_reason(replace(run, record=still)) == "the craft did not move"
     torpedo = load_vehicle("remus100")
     fast = mission([[30.0, 30.0], [60.0, 30.0]], "remus", size=(90, 90), time=200, cap_m_per_s=6.0, cruise_m_per_s=5.0)
-    said = time_limit_reason(replace(run, vehicle=torpedo, scenario=fast)).split("; ")
+    said = stop_reason(replace(run, vehicle=torpedo, scenario=fast)).split("; ")
     assert "at the cruise speed of 5 m/s remus100 moves at" in said[-1]
     short = replace(run.record, time=run.record.time[:100], eta=run.record.eta[:100])
-    assert time_limit_reason(replace(run, record=short)) == ""
+    assert stop_reason(replace(run, record=short)) == ""
 
 
 @pytest.mark.parametrize(
@@ -64,11 +69,11 @@ def test_a_run_to_the_time_limit_says_where_the_craft_stays_and_what_lint_says()
     [(0.5, "no progress along the path since 10 s, at 0.5 m of 9.0 m; until the end"), (-100.0, ""), (np.nan, "")],
 )
 def test_a_run_that_searches_until_the_time_limit_says_since_when_it_makes_no_progress(furthest, said):
-    run = _flown(DEAF_TWICE)
+    run = _stopped("time limit")
     record = replace(run.record, law_state=run.record.law_state.copy(), eta=run.record.eta.copy())
     record.law_state[200:, run.law.state.slice("furthest")] = furthest
     record.eta[:, 0] = np.linspace(0, 9, record.time.size)
-    found = time_limit_reason(replace(run, record=record))
+    found = stop_reason(replace(run, record=record))
     assert found.startswith(said) and bool(said) == bool(found)
 
 
@@ -112,11 +117,26 @@ def test_the_reason_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_a_run_that_ended_otherwise_has_no_such_reason() -> None:
     run = _flown(DEAF_TWICE)
-    other = replace(run, metrics=replace(run.metrics, stopped_because="time limit"))
-    with pytest.raises(InputError, match="ended neither at a standstill, in a dead end nor by a fault"):
-        stop_reason(other)
+    assert stop_reason(_stopped("reached")) == ""
     inputs = run.record.law_input.copy()
     inputs[-1, run.law.inputs.slice("yaw").start] = np.nan
-    lost = replace(other, metrics=replace(run.metrics, stopped_because="fault"))
-    lost = replace(lost, record=replace(run.record, law_input=inputs))
+    lost = replace(_stopped("fault"), record=replace(run.record, law_input=inputs))
     assert stop_reason(lost) == f"input yaw is not finite at {run.record.time[-1]:.2f} s"
+
+
+def test_a_collision_names_what_the_hull_touches_and_since_when_it_makes_no_way() -> None:
+    run, start = _stopped("collision"), np.zeros(4)
+    bodies = run.record.obstacles[-1]
+    start[:3] = *run.scenario.start, run.scenario.depth
+    apart, nearest = min((Prism(body.shape, body.heights).distance(*start[:3]), body.name) for body in bodies)
+    end = replace(run.record, eta=run.record.eta.copy())
+    end.eta[-1] = start
+    craft = load_vehicle("remus100")
+    for radius, hit in ((apart + 0.001, nearest), (apart - 0.1, "a wall")):
+        hull = replace(craft.parameters["radius"], value=radius)
+        vehicle = replace(craft, parameters={**craft.parameters, "radius": hull})
+        said = stop_reason(replace(run, record=end, vehicle=vehicle))
+        assert said.startswith(f"the hull touches {hit} at ({start[0]:.2f}, {start[1]:.2f}) m")
+    still = replace(end, eta=np.tile(start, (run.record.time.size, 1)))
+    said = stop_reason(replace(run, record=still, vehicle=craft))
+    assert said.endswith("from 0 s on; its rudders or fins do not turn it at rest")

@@ -8,7 +8,7 @@ from surctl.marine.tuning.evaluation import fresh
 from surctl.tuning import cegis, search, tune
 from surctl.tuning.cegis import Round, _chosen, _ended
 from surctl.tuning.gain_search import descend
-from surctl.tuning.montecarlo import Counterexample, MonteCarlo, monte_carlo, reduced_pool, screen
+from surctl.tuning.montecarlo import Counterexample, MonteCarlo, monte_carlo, reduced_pool, screen, stored_figures
 from surctl.tuning.search import Journal
 from tests.tuning.synthetic import CLEAR, GAINS, NEAR, THRIFT, Loop, heavy, install, request
 
@@ -62,6 +62,33 @@ def test_what_is_left_withstands_every_training_run(monkeypatch):
     # none that the search held for better withstands what was found
     better = pool.merit(start) < left.request.judge({k: np.array([v]) for k, v in left.gains.items()}).merit(start)[0]
     assert not left.request.judge(pool.subset(np.flatnonzero(better).tolist()).sets).feasible.any()
+
+
+def test_training_runs_resume_after_an_interruption_with_a_line_of_their_pace(monkeypatch, tmp_path):
+    loop, told = Loop(mass=0.05), []
+    install(monkeypatch, loop)
+    monkeypatch.setattr("surctl.tuning.montecarlo._PAUSE", -1.0)
+    asked, journal = heavy(), Journal(tmp_path)
+    pool = search(asked, trials=64)
+    whole, before = screen(asked, pool, runs=1000), loop.runs
+
+    def stopping(text):
+        told.append(text)
+        if len(told) == 2:
+            raise KeyboardInterrupt
+
+    with journal.held(), pytest.raises(KeyboardInterrupt):
+        screen(asked, pool, runs=1000, figures=stored_figures(asked, journal, stopping))
+    assert told[1].startswith("test run 512/1000, ") and " runs/s, ETA " in told[1]
+    assert loop.runs - before == 512
+    before = loop.runs
+    alone = screen(asked, pool, runs=1000, figures=stored_figures(asked, Journal(None), told.append))
+    every, before = loop.runs - before, loop.runs
+    with journal.held():
+        left = screen(asked, pool, runs=1000, figures=stored_figures(asked, journal, told.append))
+    assert loop.runs - before == every - 512
+    assert left.gains == alone.gains == whole.gains
+    assert left.counterexamples == alone.counterexamples == whole.counterexamples
 
 
 def test_with_nothing_left_the_one_that_misses_least_is_told(monkeypatch):

@@ -74,7 +74,7 @@ def derive(
     short = margin_short(contact)
     lines = derivation.lines()
     if isinstance(contact, SafetyClaim) and not contact.holds:
-        at = f"at up to {contact['speed cap']:.3g} m/s in still water, with true positions,"
+        at = f"at up to {contact['speed cap']:.3g} m/s in still water (true positions, barrier {contact.barrier})"
         lines.append(f"  no contact with obstacles {at} does not hold: {contact.shortfall}")
     if derivation.reached and (slow := _slow(robot, derivation)) is not None and slow.short:
         lines.append(f"  {slow.sentence}")

@@ -181,16 +181,15 @@ class RunOutput:
             link: report of what computed its control steps in place of the law, or None.
         """
         from surctl.marine.simulation import save_record
-        from surctl.marine.simulation.explanation import failure, stop_reason, time_limit_reason
+        from surctl.marine.simulation.explanation import failure, stop_reason
 
-        first, why = head or run_line(run), run.metrics.stopped_because
+        first = head or run_line(run)
         weak = loop_lines_of_run(run, data)
         brief = [first, *(f"warning: {line.strip(' :')}" for line in weak[:1])]
         lines = [first, activity_line(run), *middle, *weak]
-        reason = stop_reason(run) if why in ("standstill", "dead end", "fault") else ""
-        if reason := reason or (time_limit_reason(run) if why == "time limit" else ""):
+        if reason := stop_reason(run):
             data["stop_reason"] = reason
-            brief.append(f"{why}: {reason}")
+            brief.append(f"{run.metrics.stopped_because}: {reason}")
             lines.append(f"  {brief[-1]}")
         if self.save is not None and self.out is not None:
             with saving("record"):

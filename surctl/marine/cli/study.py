@@ -12,7 +12,7 @@ import click
 from surctl.cli.output import progress, refusal_line, saving
 from surctl.cli.study import conduct_study
 from surctl.marine.cli.claims import claim_line
-from surctl.marine.cli.robot_options import at_hand, derive_words, law_words, margin_of_all, trust_option
+from surctl.marine.cli.robot_options import SPEEDS, at_hand, derive_words, law_words, margin_of_all, trust_option
 
 if TYPE_CHECKING:
     from surctl.assessment import Assessment
@@ -26,6 +26,12 @@ if TYPE_CHECKING:
     help="Vehicle (name or file) of the built-in study; a large vehicle gets larger missions.",
 )
 @click.option("--gains", metavar="FILE", help="Gain set (name or file) to study instead of a sweep.")
+@click.option(
+    "--cruise",
+    type=SPEEDS,
+    metavar="U1,U2,...",
+    help="Cruise speeds [m/s] of the loop margins; the worst margin counts (default: speeds of the missions).",
+)
 @click.option("--film", is_flag=True, help="Show the run of the report also as a MuJoCo film.")
 @trust_option
 def study(
@@ -34,6 +40,7 @@ def study(
     workers: int,
     vehicle: str | None,
     gains: str | None,
+    cruise: tuple[float, ...] | None,
     film: bool,
     trust: bool,
     as_json: bool,
@@ -62,9 +69,11 @@ def study(
 
     chosen = [f"--vehicle {vehicle}"] if vehicle else [file] if file else []
     chosen += [f"--gains {gains}"] if gains else []
+    chosen += [f"--cruise {','.join(f'{speed:g}' for speed in cruise)}"] if cruise else []
     command = " ".join(["surctl study", *chosen, f"--out {out}", *["--film"] * film])
     plan = load_plan(file, vehicle=vehicle, trust=trust)
     plan = plan if gains is None else plan.with_gains(gains)
+    plan = plan if cruise is None else plan.at_speeds(cruise, key="--cruise")
     if film:
         from surctl.marine.engine.pictures import check_pictures
 

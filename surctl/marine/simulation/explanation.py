@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from surctl.errors import InputError
 from surctl.marine.control.dead_end import SEARCH_PORT
 from surctl.marine.simulation.fit import findings
 from surctl.marine.simulation.run import Run, depth_changes
+from surctl.marine.world import Prism
 from surctl.priority import PriorityTimeline
 from surctl.system.controller import lost_entry
 
@@ -82,6 +82,9 @@ def explain(run: Run) -> list[Explanation]:
 
 _STILL = 0.2  # of the hull radius: a hull that stays within this distance rests (*chosen*)
 _LEAST = 20.0  # [s] shortest rest at the end of a run that is said (*chosen*)
+_NEAR = 4.0  # hull radii within which a drifting hull makes no way (*chosen*)
+_TOUCH = 0.01  # [m] distance to the hull that counts as touching it
+_NO_STEERAGE = "its rudders or fins do not turn it at rest"
 
 
 def failure(run: Run) -> str | None:
@@ -93,14 +96,15 @@ def failure(run: Run) -> str | None:
 
 
 def stop_reason(run: Run) -> str:
-    """Return why a run ended as `standstill`, `dead end` or `fault`, in one sentence without a full stop.
+    """Return why a run ended before its target, in one sentence without a full stop; empty if nothing is known.
 
-    The sentence names the information that the law lacked, or the position where it gave up and the time without
-    progress, or the number that is not finite.
+    The sentence names what the hull touches, the information that the law lacked, the position where it gave up and the
+    time without progress, where it stayed until the time limit, or the number that is not finite.
     """
     law, record, why = run.law, run.record, run.metrics.stopped_because
-    if why == "dead end":
-        return _dead_end_reason(run)
+    known = {"dead end": _dead_end_reason, "time limit": _time_limit_reason, "collision": _collision_reason}
+    if why in known:
+        return known[why](run)
     if why == "fault":
         name = (
             lost_entry(law, record.law_state[-1], record.law_input[-1], record.parameters_at(-1))
@@ -108,7 +112,7 @@ def stop_reason(run: Run) -> str:
         )
         return f"{name} is not finite at {record.time[-1]:.2f} s"
     if why != "standstill" or law.perception is None:
-        raise InputError("ended neither at a standstill, in a dead end nor by a fault", key="run", value=why)
+        return ""
     perceived = law.decision_inputs(record.law_state[-1], record.law_input[-1], record.parameters_at(-1))
     silent = np.flatnonzero(run.telemetry("healthy")[-1] < 0.5).tolist()
     if perceived[law.perception.outputs.slice("placed")][0] < 0.5:
@@ -120,26 +124,41 @@ def stop_reason(run: Run) -> str:
     return f"the water ahead stays unknown; {_named(silent)} judged faulty"
 
 
-def time_limit_reason(run: Run) -> str:
-    """Return why a run may have ended at the time limit, without a full stop; empty if nothing is known.
+def _rest(run: Run, within: float) -> float:
+    """Return since when [s] the hull has stayed within this distance [m] of its last place."""
+    place, time = run.record.eta[:, :2], run.record.time
+    away = np.flatnonzero(np.hypot(*(place - place[-1]).T) > within)
+    return float(time[away[-1] + 1]) if away.size else 0.0
 
-    The text says where the hull stayed at the end, or since when it moved without progress along the path, and what
-    `findings` reports as an error of the scenario.
-    """
-    place, time, vehicle = run.record.eta[:, :2], run.record.time, run.vehicle
-    away = np.flatnonzero(np.hypot(*(place - place[-1]).T) > _STILL * vehicle["radius"])
-    since = 0.0 if not away.size else float(time[away[-1] + 1])
-    said = []
-    if time[-1] - since >= _LEAST and not away.size:
+
+def _collision_reason(run: Run) -> str:
+    x, y, z = run.record.eta[-1, :3].tolist()
+    bodies = run.record.obstacles[-1]
+    apart, name = min(((Prism(b.shape, b.heights).distance(x, y, z), b.name) for b in bodies), default=(np.inf, ""))
+    hit = name if apart <= run.vehicle["radius"] + _TOUCH else "a wall"
+    near = _NEAR * run.vehicle["radius"]
+    said, since = [f"the hull touches {hit} at ({x:.2f}, {y:.2f}) m"], _rest(run, near)
+    if run.record.time[-1] - since >= _LEAST:
+        said.append(f"it stays within {near:.2g} m of there from {since:.0f} s on")
+        said += [_NO_STEERAGE] if run.vehicle.fin_share(run.scenario.cruise) > 0.5 else []
+    return "; ".join(said)
+
+
+def _time_limit_reason(run: Run) -> str:
+    # where the hull stayed at the end, or since when it made no progress along the path, and the errors of the scenario
+    place, time, vehicle = run.record.eta[-1, :2], run.record.time, run.vehicle
+    near, said = _STILL * vehicle["radius"], []
+    since = _rest(run, near)
+    if time[-1] - since >= _LEAST and not since:
         said.append("the craft did not move")
     elif time[-1] - since >= _LEAST:
-        left = float(np.hypot(*(run.scenario.target - place[-1])))
+        left = float(np.hypot(*(run.scenario.target - place)))
         said.append(
-            f"it stays within {_STILL * vehicle['radius']:.1g} m of ({place[-1, 0]:.2f}, {place[-1, 1]:.2f}) m from "
-            f"{since:.0f} s on, {left:.2f} m from the end of the path"
+            f"it stays within {near:.1g} m of ({place[0]:.2f}, {place[1]:.2f}) m from {since:.0f} s on, "
+            f"{left:.2f} m from the end of the path"
         )
         if vehicle.fin_share(run.scenario.cruise) > 0.5:
-            said.append("its rudders or fins do not turn it at rest")
+            said.append(_NO_STEERAGE)
     elif search := _search_reason(run):
         said.append(search)
     errors = [f for f in findings(run.scenario, vehicle, gains=run.gains) if f.level == "error"]

@@ -242,6 +242,13 @@ class Plan:
         gains = load_gains(file, own=law_source(self.law).gains)
         return replace(self, gains=gains, axes=(), named=True, derivation=None)
 
+    def at_speeds(self, cruise: Sequence[float], *, key: str) -> Plan:
+        """Return the plan whose linear loops are judged at these speeds [m/s]; InputError of `key` for a wrong one."""
+        cruise = cruise_speeds(cruise, key=key)
+        for leg in self.deciding:
+            check_held(cruise, leg.vehicle, cap=leg.scenario.cap, key=key)
+        return replace(self, cruise=cruise)
+
     def with_law(self, law: str) -> Plan:
         """Return the plan with another law; raise InputError if it does not suit a vehicle of the plan."""
         law = law_ref(law)
@@ -384,10 +391,6 @@ def _plan(
     try:
         for robot in vehicles:
             check_forces(law, robot)
-        cruise = () if study.cruise_m_per_s is None else cruise_speeds(study.cruise_m_per_s, key=_CRUISE)
-        for leg in legs:
-            if leg.left_out is None:
-                check_held(cruise, leg.vehicle, cap=leg.scenario.cap, key=_CRUISE)
         axes = _axes(study, gains, scaled=lenient and derivation is not None)
         gains = _stated(gains, axes)
         applicable_claims(gains.values, study.claims, vehicle=vehicle)
@@ -407,11 +410,15 @@ def _plan(
         (0,) if study.sweep is None else study.sweep.seeds,
         study.claims,
         _own_goals(study, path, None if goals is None else near(goals)),
-        cruise,
+        (),
         named is not None,
         derivation,
     )
-    return _with_mission(plan)
+    plan = _with_mission(plan)
+    try:
+        return plan if study.cruise_m_per_s is None else plan.at_speeds(study.cruise_m_per_s, key=_CRUISE)
+    except InputError as error:
+        raise error.inside(path) from None
 
 
 def _with_mission(plan: Plan) -> Plan:

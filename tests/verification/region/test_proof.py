@@ -280,7 +280,8 @@ def test_unequal_masses_are_proved_and_a_weak_yaw_thrust_is_not() -> None:
     proof = prove_turning(claim, attempts=2)
     assert proof.verdict == "proved", proof.reason
     assert proof.offset > 0.25 and proof.rest_offset is not None and proof.rest_offset > 0.2
-    assert check_document(proof.certificate()).accepted and "for a start at rest" in proof.sentence
+    assert check_document(proof.certificate()).accepted and " m for a start at rest)" in proof.sentence
+    assert " m beside the path (not for a start at rest), " in replace(proof, rest_offset=None).sentence
     weak = prove_turning(replace(claim, yaw_limit=0.01), attempts=2)
     assert weak.verdict == "unknown" and "Munk moment" in weak.reason
     assert weak.sentence.startswith("unknown: not provable for this vehicle")

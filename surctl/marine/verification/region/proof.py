@@ -71,7 +71,8 @@ class RegionProof(Certified):
                 f"converge to 0 at {self.claim.rate:g}/s, at any surge speed from {low:.3g} to {high:.3g} m/s; "
                 f"checked in {self.check_seconds:.2f} s"
             )
-        rest = "" if self.rest_offset is None else f" ({towards(self.rest_offset, up=False)} m for a start at rest)"
+        rest = "not" if self.rest_offset is None else f"{towards(self.rest_offset, up=False)} m"  # missions start so
+        rest = f" ({rest} for a start at rest)" if isinstance(self.claim, TurningClaim) else ""
         x, y = (towards(bound, up=True) for bound in self.ultimate_bound)
         lead = "proved" if self.useful else "proved, but the region hardly shrinks"
         return (
