@@ -82,7 +82,8 @@ class LoopNames:
 class LinearLoop(Plotted):
     """A linear loop of a plant, in continuous time or sampled, and a controller in discrete time.
 
-    `plot()` draws |L|, |S| and |T|, the Nyquist curve, steps and poles.
+    `plot()` draws |L|, |S| and |T|, the Nyquist curve, steps and poles. Leading axes of the matrices hold several loops
+    of a sampled plant, for `transition` and `opened`.
 
     Attributes:
         plant: matrices (A, B, E, C, D_d) of the plant, with x' = A x + B f + E d and y = C x + D_d d, for command f,
@@ -174,7 +175,7 @@ class LinearLoop(Plotted):
         through = np.array(
             [[enters[kind][1 + (to == "command")][row, k] for kind, k in starts] for to, row in stops], dtype=float
         )
-        return self._transition(), B, np.vstack([leaves[to][row] for to, row in stops]), through
+        return self.transition, B, np.vstack([leaves[to][row] for to, row in stops]), through
 
     def loop(self, *openings: str) -> Any:
         """Return the loop transfer function L(z), opened at the given signals only, as `control.StateSpace`.
@@ -217,8 +218,8 @@ class LinearLoop(Plotted):
         measured, enters = keep_y @ C, at_output.T
         f_x, f_z, f_e = Dy @ measured, Cz, Dy @ enters
         A = np.block([[Ad + Bd @ keep_f @ f_x, Bd @ keep_f @ f_z], [By @ measured, Az]])
-        B = np.vstack([Bd @ (keep_f @ f_e + at_command.T), By @ enters])
-        back = np.hstack([at_command @ f_x + at_output @ C, at_command @ f_z])
+        B = np.concatenate([Bd @ (keep_f @ f_e + at_command.T), By @ enters], axis=-2)
+        back = np.concatenate([at_command @ f_x + at_output @ C, at_command @ f_z], axis=-1)
         return A, B, -back, -(at_command @ f_e)
 
     def channels(self) -> list[str]:
@@ -231,7 +232,7 @@ class LinearLoop(Plotted):
 
         The loop is stable if all poles lie inside the unit circle.
         """
-        poles = np.linalg.eigvals(self._transition()).astype(complex)
+        poles = np.linalg.eigvals(self.transition).astype(complex)
         return poles[np.argsort(-np.abs(poles), kind="stable")]
 
     def states(self) -> list[str]:
@@ -273,12 +274,21 @@ class LinearLoop(Plotted):
             return A, B, E
         return held_plant(self.plant[0], self.plant[1] @ self._selection(), self.plant[2], self.dt)
 
-    def _transition(self) -> Array:
-        # from one control instant to the next
+    @cached_property
+    def transition(self) -> Array:
+        """The matrix (…, n, n) of the closed loop from one control instant to the next, of plant and controller states.
+
+        Raises:
+            InputError: a number of the matrix is too large for a double.
+        """
         Ad, Bd, _ = self._sampled_plant
         Az, By, _, Cz, Dy, _ = self.law
         C = self.plant[3]
-        return np.block([[Ad + Bd @ Dy @ C, Bd @ Cz], [By @ C, Az]])
+        closed = np.block([[Ad + Bd @ Dy @ C, Bd @ Cz], [By @ C, Az]])
+        if not np.isfinite(closed).all():
+            remedy = "correct the largest and the smallest of its parameters and gains"
+            raise InputError("is not finite", key=f"the linear loop of {self.names.plant}", remedy=remedy)
+        return closed
 
     def _selection(self) -> Array:
         # (plant inputs, commands): 1 where an actuator takes a command

@@ -28,7 +28,7 @@ from surctl.marine.vehicle import PLANT_PARAMETERS, Vehicle, plant_parameters, t
 from surctl.marine.vehicle.linearise import STATE_NAMES, TILT_NAMES, check_cruise, plant_jacobians
 from surctl.marine.vehicle.specs import AXES
 from surctl.marine.verification.corners import corners
-from surctl.marine.verification.cruise_loop import COUPLED, FAR, NEUTRAL, in_loop, law_numbers
+from surctl.marine.verification.cruise_loop import COUPLED, FAR, NEUTRAL, in_loop, law_numbers, moving_states
 from surctl.own_code import label
 from surctl.system import LinearLoop
 from surctl.system.linear_loop import LoopNames
@@ -298,17 +298,12 @@ def _linear(
     Az, By, C, D = slopes
     acting = [bool(np.abs(row).max() > COUPLED) for row in np.hstack([C, D])]
     lagged = float(plant_parameters(vehicle)[PLANT_PARAMETERS.slice("thrust_lag")][0]) > 0
-    tilt = range(len(STATE_NAMES), len(A))
-    # x, y and psi follow the surge, sway and yaw motion; the depth, and heave without coupling, stand alone
-    coupled = A[[4, 5, 7, *tilt], 6].any()
-    apart = [] if acting[2] else [2] if coupled else [2, 6]
+    included = moving_states(A, acting, lagged=lagged)
     slope = np.abs(np.vstack([By[in_loop(Az, By, C)], D])).max(axis=0)
     felt = slope > np.maximum(COUPLED, np.where(np.arange(8) < 2, NEUTRAL * slope[:2].max(), 0.0))
-    free = _free(A, felt, [k for k in range(4) if k not in apart])
-    apart += free
-    moving = [k for k in range(8) if k not in apart]
-    thrusts = [8 + k for k in range(4) if lagged and acting[k]]
-    included, driven = [*moving, *thrusts, *tilt], [k for k in range(4) if acting[k]]
+    free = _free(A, felt, [k for k in included if k < 4])
+    included = [k for k in included if k not in free]
+    moving, driven = [k for k in included if k < 8], [k for k in range(4) if acting[k]]
     states = [(*STATE_NAMES, *TILT_NAMES)[k] for k in included]
     A, B = A[np.ix_(included, included)], B[np.ix_(included, driven)]
     own = in_loop(Az, By[:, moving], C)

@@ -176,7 +176,7 @@ def least_disk(
 
     The second result is the index of the group and the index in it; `margin_of` returns the margin of a stable loop.
     """
-    grown = [group.poles[:, 0].real + 1e-9 for group in groups]
+    grown = [group.rates[:, 0].real + 1e-9 for group in groups]
     worst = int(np.argmax([each.max() for each in grown]))
     if grown[worst].max() >= 0:
         return 0.0, (worst, int(np.argmax(grown[worst])))

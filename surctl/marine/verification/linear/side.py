@@ -17,7 +17,8 @@ from surctl.marine.vehicle.dynamics import trim_function
 from surctl.marine.vehicle.linearise import can_hold
 from surctl.marine.verification.corners import Corners
 from surctl.marine.verification.cruise_loop import (
-    AXES,
+    POSE,
+    THRUSTS,
     TRACKING_LAW,
     CruiseLoop,
     cruise_loop,
@@ -28,7 +29,6 @@ from surctl.verification.linear import (
     LEAST_DISK_MARGIN,
     DiskMargin,
     OpenLoop,
-    eigenvalues,
     screened_peaks,
     stored_disk_margin,
 )
@@ -46,25 +46,10 @@ def open_loop(loop: CruiseLoop, place: str) -> OpenLoop:
     Raises:
         InputError: `place` is not one of `DISK_PLACES`.
     """
-    A, B, C, K = loop.matrices
-    thrust, pose = np.arange(K.shape[-2]) < AXES, np.arange(K.shape[-1]) < AXES
-    nothing, dt = np.zeros((*K.shape[:-2], AXES, AXES)), float(np.max(loop.dt))
-    if place == "thrust":
-        # the law's own states stay connected
-        inner = A - B[..., ~thrust] @ K[..., ~thrust, :] @ C
-        return OpenLoop.of_sampled(inner, B[..., thrust], K[..., thrust, :] @ C, nothing, dt)
-    if place == "measurement":
-        inner = A - B @ K[..., ~pose] @ C[..., ~pose, :]
-        return OpenLoop.of_sampled(inner, B @ K[..., pose], C[..., pose, :], nothing, dt)
-    if place != "both":
+    if place not in DISK_PLACES:
         raise InputError("no such place", key="place", value=place, remedy=nearest(place, DISK_PLACES))
-    # the second input u2 is the negative of the measured pose that the law receives
-    own, acting = K[..., ~thrust, :], K[..., thrust, :]
-    inner = A - B[..., ~thrust] @ own[..., ~pose] @ C[..., ~pose, :]
-    enter = np.concatenate([B[..., thrust], B[..., ~thrust] @ own[..., pose]], axis=-1)
-    leave = np.concatenate([acting[..., ~pose] @ C[..., ~pose, :], C[..., pose, :]], axis=-2)
-    through = np.block([[nothing, -acting[..., pose]], [nothing, nothing]])
-    return OpenLoop.of_sampled(inner, enter, leave, through, dt)
+    signals = {"thrust": THRUSTS, "measurement": POSE}.get(place, (*THRUSTS, *POSE))
+    return OpenLoop.of_sampled(*loop.opened(*signals), float(np.max(loop.dt)))
 
 
 @dataclass(frozen=True)
@@ -123,12 +108,12 @@ def sampled_limits(loop: CruiseLoop) -> SampledLimits:
     If it has a leading axis with several loops, each limit is the worst over these loops, and the result is cached on
     disk: for the corners of a vehicle's ranges it takes seconds.
     """
-    if loop.plant[0].ndim == 2:
+    if loop.transition.ndim == 2:
         return _sampled_limits(loop)
-    matrices = [np.asarray(matrix, dtype=float) for matrix in (*loop.plant, *loop.law)]
+    matrices = [np.asarray(matrix, dtype=float) for matrix in (*loop.continuous, *loop.law)]
     values = stored_numbers(
         ("surctl.marine.verification.linear.side", "surctl.marine.verification.cruise_loop"),
-        (loop.dt, loop.states, *((matrix.shape, matrix.tobytes()) for matrix in matrices)),
+        (loop.dt, loop.states(), *((matrix.shape, matrix.tobytes()) for matrix in matrices)),
         lambda: asdict(_sampled_limits(loop)),
         suffix=".sampled",
     )
@@ -146,10 +131,7 @@ def _sampled_limits(loop: CruiseLoop) -> SampledLimits:
 
 
 def _radius(loop: CruiseLoop) -> Array:
-    closed = loop.closed
-    poles = np.linalg.eigvals(closed) if closed.ndim == 2 else eigenvalues(closed)
-    radius: Array = np.max(np.abs(poles), axis=-1)
-    return radius
+    return np.asarray(np.exp(loop.rates[..., 0].real * loop.dt))
 
 
 def _largest(loop: CruiseLoop, delay: int) -> float:
@@ -165,7 +147,7 @@ def _largest(loop: CruiseLoop, delay: int) -> float:
     if good == 0.0:
         return 0.0
     first = loop if lost.ndim == 0 else loop[lost]
-    low, high = (np.full(first.plant[0].shape[:-2], end) for end in (good, bad))
+    low, high = (np.full(first.transition.shape[:-2], end) for end in (good, bad))
     for _ in range(_BISECTIONS):
         middle = (low + high) / 2
         stable = _radius(first.resampled(middle, delay)) < 1 - _ON_CIRCLE * middle
@@ -264,12 +246,12 @@ def linear_side(
         InputError: a gain is missing or not positive, or the vehicle cannot hold the cruise speed.
     """
     loop = cruise_loop(vehicle, gains, cruise=cruise, dt=dt, model=model, law=law)
-    poles = _poles(loop.poles)
+    poles = _poles(loop.rates)
     return LinearSide(
         of=f"{vehicle.name}, nominal",
         disks=tuple(stored_disk_margin(open_loop(loop, place), place) for place in DISK_PLACES),
         poles=poles,
-        slowest_per_s=float(loop.poles[0].real),
+        slowest_per_s=float(loop.rates[0].real),
         least_damping=min(p.damping for p in poles),
         delay=_delay([loop[None]], [["nominal"]]),
         sampled=sampled_limits(loop),
@@ -310,7 +292,7 @@ def worst_linear_side(
         at = int(np.argmax(peaks[worst]))
         disks.append(stored_disk_margin(loops[worst][np.asarray(at)], place))
         lowest.append(groups[worst][at])
-    poles = [group.poles for group in built]
+    poles = [group.rates for group in built]
     slowest = [each[:, 0].real for each in poles]
     fastest = int(np.argmax([each.max() for each in slowest]))
     if slowest[fastest].max() >= 0:
@@ -452,7 +434,7 @@ def _peaks(
             if least > 0:
                 values = np.max([screened_peaks(open_loop(loops, place)) for place in DISK_PLACES[:2]], axis=0)
             else:
-                values = loops.poles[:, 0].real + 1e-9
+                values = loops.rates[:, 0].real + 1e-9
             for vehicle, value in zip(group, values.tolist(), strict=True):
                 peaks[next(i for i, one in enumerate(vehicles) if one is vehicle), k] = value
     return peaks
