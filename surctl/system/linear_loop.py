@@ -48,6 +48,7 @@ def expm(matrices: Array) -> Array:
 
 
 Matrices = tuple[Array, Array, Array, Array]
+_EDGE = 1e-9  # a pole this near to the unit circle counts as on it
 
 KINDS = ("reference", "disturbance", "command", "measured")
 """Kinds of signals; `kind.LABEL` names a signal where the label alone is ambiguous."""
@@ -232,8 +233,12 @@ class LinearLoop(Plotted):
 
         The loop is stable if all poles lie inside the unit circle.
         """
-        poles = np.linalg.eigvals(self.transition).astype(complex)
-        return poles[np.argsort(-np.abs(poles), kind="stable")]
+        return self._poles
+
+    @property
+    def stable(self) -> bool:
+        """Whether every pole of the closed loop lies inside the unit circle, by more than rounding."""
+        return bool(np.abs(self.poles()).max(initial=0.0) < 1 - _EDGE)
 
     def states(self) -> list[str]:
         """Return the labels of the plant states, then of the controller states."""
@@ -289,6 +294,11 @@ class LinearLoop(Plotted):
             remedy = "correct the largest and the smallest of its parameters and gains"
             raise InputError("is not finite", key=f"the linear loop of {self.names.plant}", remedy=remedy)
         return closed
+
+    @cached_property
+    def _poles(self) -> NDArray[np.complex128]:
+        poles = np.linalg.eigvals(self.transition).astype(complex)
+        return poles[np.argsort(-np.abs(poles), kind="stable")]
 
     def _selection(self) -> Array:
         # (plant inputs, commands): 1 where an actuator takes a command

@@ -29,6 +29,7 @@ from surctl.verification.linear import (
     LEAST_DISK_MARGIN,
     DiskMargin,
     OpenLoop,
+    eigenvalues,
     screened_peaks,
     stored_disk_margin,
 )
@@ -131,7 +132,9 @@ def _sampled_limits(loop: CruiseLoop) -> SampledLimits:
 
 
 def _radius(loop: CruiseLoop) -> Array:
-    return np.asarray(np.exp(loop.rates[..., 0].real * loop.dt))
+    closed = loop.transition
+    poles = np.linalg.eigvals(closed) if closed.ndim == 2 else eigenvalues(closed)
+    return np.asarray(np.abs(poles).max(axis=-1))
 
 
 def _largest(loop: CruiseLoop, delay: int) -> float:
@@ -276,30 +279,20 @@ def worst_linear_side(
         InputError: `linear_side` rejects its arguments, or none of the vehicles can hold the cruise speed.
     """
     believed = model or tried.vehicles[0]
-    able = [v for v, can in zip(tried.vehicles, can_cruise(tried.vehicles, cruise), strict=True) if can]
-    unable = len(tried.vehicles) - len(able)
-    if not able:
+    groups, built = corner_loops(tried.vehicles, gains, cruise=cruise, dt=dt, model=believed, law=law)
+    unable = len(tried.vehicles) - sum(len(group) for group in groups)
+    if not groups:
         raise InputError(
             "needs more thrust than any of the vehicles has", key="cruise", value=cruise, remedy="lower it"
         )
-    groups = alike_in_states(able)
-    built = [cruise_loops(group, gains, cruise=cruise, dt=dt, model=believed, law=law) for group in groups]
-    disks, lowest = [], list[Vehicle]()
-    for place in DISK_PLACES:
-        loops = [open_loop(group, place) for group in built]
-        peaks = [screened_peaks(loop) for loop in loops]
-        worst = int(np.argmax([each.max() for each in peaks]))
-        at = int(np.argmax(peaks[worst]))
-        disks.append(stored_disk_margin(loops[worst][np.asarray(at)], place))
-        lowest.append(groups[worst][at])
-    poles = [group.rates for group in built]
-    slowest = [each[:, 0].real for each in poles]
-    fastest = int(np.argmax([each.max() for each in slowest]))
-    if slowest[fastest].max() >= 0:
-        bad = groups[fastest][int(np.argmax(slowest[fastest]))]
-    else:
-        bad = lowest[int(np.argmin([d.guaranteed for d in disks[:2]]))]
-    every = [_poles(each) for group in poles for each in group]
+    weak = [weakest(built, place) for place in DISK_PLACES]
+    disks = [stored_disk_margin(loop, place) for (loop, _), place in zip(weak, DISK_PLACES, strict=True)]
+    slowest = [group.rates[:, 0].real for group in built]
+    fastest, at = largest(slowest)
+    if slowest[fastest][at] < 0:
+        _, (fastest, at) = weak[int(np.argmin([d.guaranteed for d in disks[:2]]))]
+    bad = groups[fastest][at]
+    every = [_poles(each) for group in built for each in group.rates]
     beyond = f"; {unable} of them cannot hold {cruise:g} m/s with their thrust" if unable else ""
     return LinearSide(
         of=f"{believed.name}, worst of {tried.text}{beyond}",
@@ -314,18 +307,32 @@ def worst_linear_side(
     )
 
 
-def alike_in_states(vehicles: Sequence[Vehicle]) -> list[list[Vehicle]]:
-    """Return the vehicles in two groups, with and without thrust lag; the group of the first vehicle comes first."""
-    lagged = vehicles[0]["thrust_lag"] > 0
-    parts = [[v for v in vehicles if (v["thrust_lag"] > 0) is kind] for kind in (lagged, not lagged)]
-    return [part for part in parts if part]
+def corner_loops(
+    vehicles: Sequence[Vehicle], gains: Mapping[str, float], *, cruise: float, dt: float, model: Vehicle, law: str
+) -> tuple[list[list[Vehicle]], list[CruiseLoop]]:
+    """Return the vehicles whose thrust can hold the cruise speed [m/s], and their loops, in groups with equal states.
 
-
-def can_cruise(vehicles: Sequence[Vehicle], cruise: float) -> list[bool]:
-    """Return, for each vehicle, whether its thrust can hold the cruise speed [m/s]."""
+    There is a group with and one without thrust lag; that of the first vehicle comes first.
+    """
     nu = np.tile([[cruise], [0.0], [0.0], [0.0]], len(vehicles))
     tau = np.asarray(trim_function(vehicles[0].form)(nu, np.array([plant_parameters(v) for v in vehicles]).T)).T
-    return [bool(can_hold(t, *v.thrust_range)) for t, v in zip(tau, vehicles, strict=True)]
+    able = [v for t, v in zip(tau, vehicles, strict=True) if can_hold(t, *v.thrust_range)]
+    lags = dict.fromkeys(v["thrust_lag"] > 0 for v in able)
+    groups = [[v for v in able if (v["thrust_lag"] > 0) is lagged] for lagged in lags]
+    return groups, [cruise_loops(group, gains, cruise=cruise, dt=dt, model=model, law=law) for group in groups]
+
+
+def largest(values: Sequence[Array]) -> tuple[int, int]:
+    """Return the place of the largest value: the group, and the index in it."""
+    group = int(np.argmax([each.max() for each in values]))
+    return group, int(np.argmax(values[group]))
+
+
+def weakest(groups: Sequence[CruiseLoop], place: str) -> tuple[OpenLoop, tuple[int, int]]:
+    """Return the loop with the least disk margin on a coarse grid, opened at a place, and where it is (`largest`)."""
+    loops = [open_loop(group, place) for group in groups]
+    group, at = largest([screened_peaks(loop) for loop in loops])
+    return loops[group][np.asarray(at)], (group, at)
 
 
 def _least_sampled(limits: Sequence[SampledLimits]) -> SampledLimits:
@@ -428,9 +435,7 @@ def _peaks(
     """
     peaks = np.full((len(vehicles), len(speeds)), np.inf)
     for k, speed in enumerate(speeds):
-        able = [v for v, can in zip(vehicles, can_cruise(vehicles, speed), strict=True) if can]
-        for group in alike_in_states(able) if able else []:
-            loops = cruise_loops(group, gains, cruise=speed, dt=dt, model=model, law=law)
+        for group, loops in zip(*corner_loops(vehicles, gains, cruise=speed, dt=dt, model=model, law=law), strict=True):
             if least > 0:
                 values = np.max([screened_peaks(open_loop(loops, place)) for place in DISK_PLACES[:2]], axis=0)
             else:
