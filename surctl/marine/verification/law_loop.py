@@ -25,7 +25,7 @@ from surctl.marine.allocation import allocate
 from surctl.marine.control import Gains, Law, law_source
 from surctl.marine.simulation import Run, Scenario
 from surctl.marine.vehicle import PLANT_PARAMETERS, Vehicle, plant_parameters, trim_thrust
-from surctl.marine.vehicle.linearise import STATE_NAMES, TILT_NAMES, check_cruise, plant_jacobians
+from surctl.marine.vehicle.linearise import SIGNAL_UNITS, STATE_NAMES, TILT_NAMES, check_cruise, plant_jacobians
 from surctl.marine.vehicle.specs import AXES
 from surctl.marine.verification.corners import corners
 from surctl.marine.verification.cruise_loop import COUPLED, FAR, NEUTRAL, in_loop, law_numbers, moving_states
@@ -169,7 +169,6 @@ def operating_point(
 _REMEDY = "give a scenario with a longer straight part"
 
 
-_UNITS = {"x": "m", "y": "m", "z": "m", "psi": "rad", "u": "m/s", "v": "m/s", "w": "m/s", "r": "rad/s"}
 _STEP = 1e-6  # of the central differences
 _KINK = 0.01  # relative difference of one-sided derivatives that is reported
 
@@ -324,7 +323,7 @@ def _linear(
     )
     force = tuple(axes)
     units = [(f"command.{axis}", "N m" if axis == "yaw" else "N") for axis in axes]
-    units += [(f"measured.{name}", _UNITS[name]) for name in names]
+    units += [(f"measured.{name}", SIGNAL_UNITS[name]) for name in names]
     labels = LoopNames("craft", "law", tuple(states), tuple(inner), force, force, tuple(names), units=tuple(units))
     return LinearLoop(plant, controller, labels, law.dt), tuple(STATE_NAMES[k] for k in free)
 

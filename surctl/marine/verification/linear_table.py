@@ -297,7 +297,7 @@ def linear_table(
 
 def _worst_margins(tried: Sequence[Points], k: int) -> tuple[float, float]:
     # disk margin and delay margin of point k, over the corners that can hold the speed
-    groups = [[one for one in tried if one.holds(k) and one.lagged(k) is lagged] for lagged in (True, False)]
+    groups = [[one for one in tried if one.feasible[k] and one.lagged[k] == lagged] for lagged in (True, False)]
     built = [_together(group, k) for group in groups if group]
     matrices = (m.tobytes() for loops in built for m in (*loops.plant, *loops.law))
     key = hashlib.sha256(b"".join((np.float64(tried[0].dt).tobytes(), *matrices))).digest()
@@ -343,13 +343,10 @@ class Points:
         """The number n of points."""
         return len(self.cruise)
 
-    def holds(self, k: int) -> bool:
-        """Return whether the trim thrust of point k lies strictly inside the thrust limits."""
-        return bool(self.feasible[k])
-
-    def lagged(self, k: int) -> bool:
-        """Return whether the plant of point k has thrust lag."""
-        return bool(self.plant[k, _PLACES["thrust_lag"]] > 0)
+    @property
+    def lagged(self) -> NDArray[np.bool_]:
+        """Whether the plant has thrust lag, (n,)."""
+        return np.asarray(self.plant[:, _PLACES["thrust_lag"]] > 0)
 
     @cached_property
     def feasible(self) -> NDArray[np.bool_]:
@@ -421,12 +418,10 @@ def _read_points(
 
 def _by_order(points: Points) -> Iterator[NDArray[np.intp]]:
     """Yield the indices of the feasible points, in groups whose loops have equal states."""
-    lag = points.plant[:, _PLACES["thrust_lag"]] > 0
     integral = points.gains.get("k_i", np.zeros(points.count)) > 0
-    feasible = points.feasible
     for lagged in (False, True):
         for integrated in (False, True):
-            group = np.flatnonzero(feasible & (lag == lagged) & (integral == integrated))
+            group = np.flatnonzero(points.feasible & (points.lagged == lagged) & (integral == integrated))
             if group.size:
                 yield group
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -174,7 +174,7 @@ class LinearSide:
         sampled: limits of the sampled loop; for several corners, the least value of every limit and the largest radius.
         corner: for several corners, the parameters of the worst corner as text. The worst corner has the least disk
             margin or, if the loop is unstable, the fastest growing pole.
-        at: the vehicle of that corner.
+        at: the vehicle of that corner; None for the nominal vehicle alone.
     """
 
     of: str
@@ -249,15 +249,8 @@ def linear_side(
         InputError: a gain is missing or not positive, or the vehicle cannot hold the cruise speed.
     """
     loop = cruise_loop(vehicle, gains, cruise=cruise, dt=dt, model=model, law=law)
-    poles = _poles(loop.rates)
-    return LinearSide(
-        of=f"{vehicle.name}, nominal",
-        disks=tuple(stored_disk_margin(open_loop(loop, place), place) for place in DISK_PLACES),
-        poles=poles,
-        slowest_per_s=float(loop.rates[0].real),
-        least_damping=min(p.damping for p in poles),
-        delay=_delay([loop[None]], [["nominal"]]),
-        sampled=sampled_limits(loop),
+    return replace(
+        _side(f"{vehicle.name}, nominal", Corners((vehicle,), "", ("nominal",)), [[vehicle]], [loop[None]]), at=None
     )
 
 
@@ -285,6 +278,12 @@ def worst_linear_side(
         raise InputError(
             "needs more thrust than any of the vehicles has", key="cruise", value=cruise, remedy="lower it"
         )
+    beyond = f"; {unable} of them cannot hold {cruise:g} m/s with their thrust" if unable else ""
+    return _side(f"{believed.name}, worst of {tried.text}{beyond}", tried, groups, built)
+
+
+def _side(of: str, tried: Corners, groups: Sequence[Sequence[Vehicle]], built: Sequence[CruiseLoop]) -> LinearSide:
+    # the worst of several loops, in groups
     weak = [weakest(built, place) for place in DISK_PLACES]
     disks = [stored_disk_margin(loop, place) for (loop, _), place in zip(weak, DISK_PLACES, strict=True)]
     slowest = [group.rates[:, 0].real for group in built]
@@ -293,14 +292,14 @@ def worst_linear_side(
         _, (fastest, at) = weak[int(np.argmin([d.guaranteed for d in disks[:2]]))]
     bad = groups[fastest][at]
     every = [_poles(each) for group in built for each in group.rates]
-    beyond = f"; {unable} of them cannot hold {cruise:g} m/s with their thrust" if unable else ""
+    delay, loop, (group, place) = least_delay(built)
     return LinearSide(
-        of=f"{believed.name}, worst of {tried.text}{beyond}",
+        of=of,
         disks=tuple(disks),
         poles=every[0],
         slowest_per_s=max(float(each.max()) for each in slowest),
         least_damping=min(p.damping for each in every for p in each),
-        delay=_delay(built, [[tried.label(one) for one in group] for group in groups]),
+        delay=LeastDelay(delay, loop, tried.label(groups[group][place])),
         sampled=_least_sampled([sampled_limits(group) for group in built]),
         corner=tried.label(bad) if len(tried.vehicles) > 1 else "",
         at=bad,
@@ -443,8 +442,3 @@ def _peaks(
             for vehicle, value in zip(group, values.tolist(), strict=True):
                 peaks[next(i for i, one in enumerate(vehicles) if one is vehicle), k] = value
     return peaks
-
-
-def _delay(groups: Sequence[CruiseLoop], labels: Sequence[Sequence[str]]) -> LeastDelay:
-    delay, loop, (group, at) = least_delay(groups)
-    return LeastDelay(delay, loop, labels[group][at])
