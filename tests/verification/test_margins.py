@@ -149,14 +149,14 @@ def test_the_controller_is_the_derivative_of_the_laws_own_expressions(name: str)
     slope = ca.Function("slope", [y, xi], [ca.jacobian(both, ca.vertcat(y, xi))])
     expected = np.asarray(slope(np.zeros(8), np.zeros(4)))
     dt = 0.05
-    Az, By, _, Cz, D, _ = cruise_loop(vehicle, {**GAINS, "k_i": k_i}, cruise=cruise, dt=dt, law="guarded").law
+    Az, By, _, Cz, D, _ = cruise_loop(vehicle, {**GAINS, "k_i": k_i}, cruise=cruise, dt=dt, law="guarded").direct
     assert np.block([[D, Cz], [By / dt, (Az - np.eye(4)) / dt]]) == pytest.approx(expected, abs=1e-9)
 
 
 @pytest.mark.parametrize(("law", "rel"), [("closed_form", 2 * DAMPING**2), ("paper", 1e-9)])
 def test_all_laws_that_track_have_one_loop(law: str, rel: float) -> None:
     one, other = (cruise_loop(VEHICLE, GAINS, cruise=0.15, dt=0.05, law=name) for name in ("guarded", law))
-    assert other.law[4] == pytest.approx(one.law[4], rel=rel, abs=1e-9) and other.states() == one.states()
+    assert other.direct[4] == pytest.approx(one.direct[4], rel=rel, abs=1e-9) and other.states() == one.states()
 
 
 @pytest.mark.parametrize("k_i", [0.0, 0.2])
@@ -171,10 +171,12 @@ def test_the_loop_of_derivatives_is_that_of_differences_of_the_steps_of_the_law(
 def test_a_held_and_late_thrust_is_that_of_python_control() -> None:
     loop = cruise_loop(load_vehicle("sur400"), load_gains("default").values, cruise=0.15, dt=0.05)
     A, B, _, C, _ = loop.plant
-    held = control.sample_system(control.ss(*loop.continuous, C[:, :-4], np.zeros((8, 4))), 0.05)
+    held = control.sample_system(control.ss(A, B, C, np.zeros((8, 4))), 0.05)
+    A, B, C, D = loop.opened(*THRUSTS)
     for omega in (0.1, 3.0, 20.0):
         z = np.exp(0.05j * omega)
-        assert C @ np.linalg.solve(z * np.eye(len(A)) - A, B) == pytest.approx(held(z) / z, rel=1e-9, abs=1e-12)
+        expected = -loop.direct[4] @ held(z) / z
+        assert C @ np.linalg.solve(z * np.eye(len(A)) - A, B) + D == pytest.approx(expected, rel=1e-9, abs=1e-12)
 
 
 def test_every_loop_is_reported_with_finite_crossovers_and_no_spurious_margin() -> None:

@@ -26,8 +26,7 @@ from surctl.marine.control.ports import law_parameters
 from surctl.marine.guidance import Path
 from surctl.marine.vehicle import PLANT_PARAMETERS, PlantForm, Vehicle, plant_parameters
 from surctl.marine.vehicle.linearise import STATE_NAMES, TILT_NAMES, check_cruise, plant_jacobians
-from surctl.system.linear_loop import LinearLoop, LoopNames, expm
-from surctl.verification.linear import blockwise, eigenvalues
+from surctl.system.linear_loop import LinearLoop, LoopNames, delayed, eigenvalues
 from surctl.verification.loops import BrokenLoop, LoopMargins, crossings_of, delays_of, margins_from, state_blocks
 
 Array = NDArray[np.float64]
@@ -63,65 +62,39 @@ def has_cruise_loop(law: str, guidance: str) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class CruiseLoop(LinearLoop):
-    """The sampled linear loop of a cruise; a leading axis of the matrices holds several loops.
+    """The linear loop of a cruise; a leading axis of the matrices holds several loops.
 
-    The plant is sampled: its states are those in continuous time, then the thrust commands that wait. The commands are
-    the thrusts [N, N m], the outputs x, y, z, ψ, u, v, w, r.
+    The commands are the thrusts [N, N m], the outputs x, y, z, ψ, u, v, w, r. The thrust commands that wait are the
+    last states of the law.
 
     Attributes:
-        continuous: (A, B), (…, n, n) and (…, n, 4), of the plant in continuous time.
+        direct: the law without delay, with matrices as in `law`.
         delay: whole periods between a measurement and its thrust.
     """
 
-    continuous: tuple[Array, Array] = field(kw_only=True)
+    direct: tuple[Array, ...] = field(kw_only=True)
     delay: int = field(kw_only=True)
 
     @classmethod
     def of(
-        cls,
-        continuous: tuple[Array, Array],
-        law: tuple[Array, ...],
-        names: LoopNames,
-        dt: float | Array,
-        delay: int = 1,
+        cls, plant: tuple[Array, ...], direct: tuple[Array, ...], names: LoopNames, dt: float | Array, delay: int = 1
     ) -> CruiseLoop:
-        """Return the loop of a plant in continuous time, whose states are the first in `names`, and a law.
+        """Return the loop of a plant and a law without delay, whose states are the first in `names`.
 
         `dt` is the control period [s], a number or (…).
         """
-        A, B = continuous
-        many, n, late, axes = A.shape[:-2], A.shape[-1], AXES * delay, names.commands
-        both = np.zeros((*many, n + AXES, n + AXES))
-        both[..., :n, :n], both[..., :n, n:] = A, B
-        grown = both * np.asarray(dt)[..., None, None]
-        held = expm(grown) if grown.ndim == 2 else blockwise(expm, grown)
-        plant, enter = np.zeros((*many, n + late, n + late)), np.zeros((*many, n + late, AXES))
-        plant[..., :n, :n] = held[..., :n, :n]
-        if delay:
-            plant[..., :n, n : n + AXES] = held[..., :n, n:]
-            plant[..., n : n + late - AXES, n + AXES :] = np.eye(late - AXES)
-            enter[..., n + late - AXES :, :] = np.eye(AXES)
-        else:
-            enter[..., :n, :] = held[..., :n, n:]
-        leave = np.zeros((*many, len(names.outputs), n + late))
-        for at, name in enumerate(names.states[:n]):
-            if name in names.outputs:
-                leave[..., names.outputs.index(name), at] = 1.0
-        nothing = (np.zeros((*many, n + late, 0)), np.zeros((*many, len(names.outputs), 0)))
-        waiting = tuple(f"late_{axis}" for _ in range(delay) for axis in axes)
-        names = replace(names, states=(*names.states[:n], *waiting))
-        matrices = (plant, enter, nothing[0], leave, nothing[1])
-        return cls(matrices, law, names, dt, sampled=True, continuous=continuous, delay=delay)  # type: ignore[arg-type]
+        late = [f"late_{axis}" for _ in range(delay) for axis in names.commands]
+        names = replace(names, controller_states=(*names.controller_states[: direct[0].shape[-1]], *late))
+        return cls(plant, delayed(direct, delay), names, dt, direct=direct, delay=delay)  # type: ignore[arg-type]
 
     def __getitem__(self, chosen: int | NDArray[np.intp] | NDArray[np.bool_] | None) -> CruiseLoop:
         """Return the loops at indices of the leading axis; None adds a leading axis."""
-        plant, law, (A, B) = (tuple(m[chosen] for m in part) for part in (self.plant, self.law, self.continuous))
-        return replace(self, plant=plant, law=law, continuous=(A, B))
+        plant, law, direct = (tuple(m[chosen] for m in part) for part in (self.plant, self.law, self.direct))
+        return replace(self, plant=plant, law=law, direct=direct)
 
     def resampled(self, dt: float | Array, delay: int = 1) -> CruiseLoop:
         """Return the loop at another control period [s], over which the law's state changes in proportion."""
-        law = _at_period(self.law, np.asarray(dt) / self.dt)
-        return CruiseLoop.of(self.continuous, law, self.names, dt, delay)
+        return CruiseLoop.of(self.plant, _at_period(self.direct, np.asarray(dt) / self.dt), self.names, dt, delay)
 
     @cached_property
     def rates(self) -> NDArray[np.complex128]:
@@ -245,16 +218,16 @@ def cruise_loops(
         "the cruise", built.name, tuple(names[k] for k in moving), tuple(inner[k] for k in own), THRUSTS, THRUSTS,
         STATE_NAMES[:8],
     )  # fmt: skip
-    slopes = (
-        Az[:, own][:, :, own],
-        By[:, own],
-        np.zeros((count, len(own), 0)),
-        Cz[:, :, own],
-        D,
-        np.zeros((count, AXES, 0)),
+    none, outputs = (
+        [np.zeros((count, size, 0)) for size in (len(own), AXES, len(moving), 8)],
+        np.zeros((8, len(moving))),
     )
-    law_then = _at_period(slopes, np.asarray(dt) / built.dt)
-    return CruiseLoop.of((A[:, moving][:, :, moving], B[:, moving]), law_then, labels, dt)
+    for at, k in enumerate(moving):
+        outputs[k : k + 1, at] = 1.0  # no row for thrust and tilt
+    C = np.tile(outputs, (count, 1, 1))
+    direct = Az[:, own][:, :, own], By[:, own], none[0], Cz[:, :, own], D, none[1]
+    matrices = A[:, moving][:, :, moving], B[:, moving], none[2], C, none[3]
+    return CruiseLoop.of(matrices, _at_period(direct, np.asarray(dt) / built.dt), labels, dt)
 
 
 def _at_period(law: tuple[Array, ...], ratio: Array) -> tuple[Array, ...]:

@@ -31,7 +31,7 @@ from surctl.marine.verification.corners import corners
 from surctl.marine.verification.cruise_loop import COUPLED, FAR, NEUTRAL, in_loop, law_numbers, moving_states
 from surctl.own_code import label
 from surctl.system import LinearLoop
-from surctl.system.linear_loop import LoopNames
+from surctl.system.linear_loop import LoopNames, delayed
 from surctl.verification.loops import LoopMargins
 from surctl.verification.sampled_margins import LoopCorners, SampledLoop, corners_of, system_margins
 
@@ -310,17 +310,10 @@ def _linear(
     names, axes = states[: len(moving)], [AXES[k] for k in driven]
     # a state of the law may have several entries, so the loop names them by number
     inner = [f"law_{k}" for k in range(len(own))] + [f"late_{axis}" for axis in axes]
-    zero, none = np.zeros((len(driven), len(driven))), np.zeros((len(driven), 0))
+    none = np.zeros((len(driven), 0))
     measured = np.eye(len(names), len(states))
     plant = (A, B, np.zeros((len(states), 0)), measured, np.zeros((len(names), 0)))
-    controller = (
-        np.block([[Az, np.zeros((len(own), len(driven)))], [C, zero]]),
-        np.vstack([By, D]),
-        np.zeros((len(inner), 0)),
-        np.hstack([np.zeros((len(driven), len(own))), np.eye(len(driven))]),
-        np.zeros((len(driven), len(names))),
-        none,
-    )
+    controller = delayed((Az, By, np.zeros((len(own), 0)), C, D, none), 1)
     force = tuple(axes)
     units = [(f"command.{axis}", "N m" if axis == "yaw" else "N") for axis in axes]
     units += [(f"measured.{name}", SIGNAL_UNITS[name]) for name in names]

@@ -52,15 +52,15 @@ def step_system(loop: CruiseLoop, name: str) -> tuple[NDArray[np.float64], NDArr
     changes by a step; the along-track loop is open, and the response is correct up to a constant factor.
     """
     opened, b, *_ = loop.opened({"cross_track": "y", "heading": "psi"}.get(name, "x"))
-    (_, B, _, measured, _), (_, By, _, Cz, D, _) = loop.plant, loop.law
-    C = np.concatenate([measured, np.zeros((*D.shape[:-2], 8, Cz.shape[-1]))], axis=-1)
+    measured, Cz = loop.plant[3], loop.direct[3]
+    C = np.concatenate([measured, np.zeros((*measured.shape[:-1], len(loop.names.controller_states)))], axis=-1)
     if name == "cross_track":
         return loop.transition, -b, C[..., [1], :]
     if name == "heading":
         # only the thrust in yaw, and states of the law that change no other: in sway, ψ enters by the rotation into {B}
         others = np.any(Cz[..., :3, :] != 0, axis=tuple(range(Cz.ndim - 1)))
-        drive = np.concatenate([B[..., [3]] * D[..., [3], [3]][..., None], By[..., [3]] * ~others[:, None]], axis=-2)
-        return loop.transition, -drive, C[..., [3], :]
+        driven = np.array([*np.zeros(len(loop.names.states), dtype=bool), *~others, False, False, False, True])
+        return loop.transition, -b * driven[:, None], C[..., [3], :]
     # k1 x takes the place of the desired speed, up to a factor that does not change the metrics; x is then unused
     return opened[..., 1:, 1:], -b[..., 1:, :], C[..., [4], 1:]
 

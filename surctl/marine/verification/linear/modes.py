@@ -258,17 +258,17 @@ def _without(
     loop: CruiseLoop, vehicle: Vehicle, gains: Mapping[str, float], *, cruise: float, model: Vehicle, law: str
 ) -> dict[str, float]:
     """Return, for each physical term, the real part [1/s] of the slowest pole of the loop without this term."""
-    A, B = loop.continuous
+    A, *inputs = loop.plant
     surge, sway, yaw = (loop.names.states.index(name) for name in ("u", "v", "r"))
     munk, coriolis, slowest = A.copy(), A.copy(), {}
     munk[yaw, [surge, sway]] = 0.0
     coriolis[[surge, sway], yaw] = 0.0
     coupled = bool(vehicle.form.terms)  # the slopes then include coupled inertia and drag
     slowest["yaw moment by surge and sway" if coupled else "Munk moment (m22 - m11) u v"] = _slowest(
-        replace(loop, continuous=(munk, B)).resampled(loop.dt)
+        replace(loop, plant=(munk, *inputs))
     )
     slowest["surge and sway force by yaw" if coupled else "Coriolis force m11 u r"] = _slowest(
-        replace(loop, continuous=(coriolis, B)).resampled(loop.dt)
+        replace(loop, plant=(coriolis, *inputs))
     )
     slowest["loop delay"] = _slowest(loop.resampled(_AT_ONCE * loop.dt, 0))
     if vehicle["thrust_lag"] > 0:

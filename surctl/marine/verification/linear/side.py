@@ -25,11 +25,11 @@ from surctl.marine.verification.cruise_loop import (
     cruise_loops,
     least_delay,
 )
+from surctl.system.linear_loop import eigenvalues
 from surctl.verification.linear import (
     LEAST_DISK_MARGIN,
     DiskMargin,
     OpenLoop,
-    eigenvalues,
     screened_peaks,
     stored_disk_margin,
 )
@@ -111,7 +111,7 @@ def sampled_limits(loop: CruiseLoop) -> SampledLimits:
     """
     if loop.transition.ndim == 2:
         return _sampled_limits(loop)
-    matrices = [np.asarray(matrix, dtype=float) for matrix in (*loop.continuous, *loop.law)]
+    matrices = [np.asarray(matrix, dtype=float) for matrix in (*loop.plant, *loop.law)]
     values = stored_numbers(
         ("surctl.marine.verification.linear.side", "surctl.marine.verification.cruise_loop"),
         (loop.dt, loop.states(), *((matrix.shape, matrix.tobytes()) for matrix in matrices)),
