@@ -14,6 +14,7 @@ from surctl.marine.vehicle import load_vehicle, planar_rotation
 from surctl.marine.verification import cruise_loop, law_loop, loop_margins
 from surctl.marine.verification.cruise_loop import POSE, THRUSTS
 from surctl.marine.verification.linear import corner_margin, corners
+from surctl.verification import system_margins
 from surctl.verification.loops import BrokenLoop, LoopMargins, crossings_of, margins_from
 
 GAINS = {"k1": 0.3, "k2": 0.3, "k_psi": 0.6, "k_r": 1.5, "k_v": 1.5, "lookahead": 1.2}
@@ -177,6 +178,14 @@ def test_a_held_and_late_thrust_is_that_of_python_control() -> None:
         z = np.exp(0.05j * omega)
         expected = -loop.direct[4] @ held(z) / z
         assert C @ np.linalg.solve(z * np.eye(len(A)) - A, B) + D == pytest.approx(expected, rel=1e-9, abs=1e-12)
+
+
+def test_the_loop_of_a_cruise_has_the_margins_of_any_linear_loop() -> None:
+    ours = loop_margins(VEHICLE, GAINS, cruise=0.15, dt=0.05)
+    found = system_margins(cruise_loop(VEHICLE, GAINS, cruise=0.15, dt=0.05), *THRUSTS, *POSE)
+    assert [m.delay_margin_s for m in found] == pytest.approx([m.delay_margin_s for m in ours], rel=1e-8)
+    proved = [1.002 * m.disk_margin for m in found]  # the level of the proof is 0.2 % above the peak
+    assert proved == pytest.approx([m.disk_margin for m in ours], rel=1e-5)
 
 
 def test_every_loop_is_reported_with_finite_crossovers_and_no_spurious_margin() -> None:
