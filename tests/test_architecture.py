@@ -158,7 +158,7 @@ def test_every_public_name_exists() -> None:
 TWICE = {
     "Controller", "Decision", "Mode", "Moment", "Plant", "Program", "Reply", "Solution", "build_bundle",
     "called", "checked_name", "corners", "corrected", "expression", "head", "joined",
-    "linearise", "minimise", "number", "quadratic", "replay", "search", "state_space", "stepper", "to_casadi",
+    "linearise", "minimise", "number", "quadratic", "replay", "search", "stepper", "to_casadi",
 }  # fmt: skip
 UNCLEARED = (
     "certcheck", "cli", "priority", "tuning", "marine.cli", "marine.sensing", "marine.simulation", "marine.study",

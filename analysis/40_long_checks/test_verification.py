@@ -12,7 +12,6 @@ from surctl.marine.control import load_gains
 from surctl.marine.vehicle import load_vehicle
 from surctl.marine.verification import claims, cruise_loop
 from surctl.marine.verification.braking import BRAKING_CLAIMS
-from surctl.marine.verification.cruise_loop import closed_loop_poles
 from surctl.marine.verification.linear import corners, linear_side, margin_speed, open_loop, worst_linear_side
 from surctl.marine.verification.region import prove_turning, turning_claim
 from surctl.verification import prove
@@ -102,7 +101,7 @@ def test_the_sides_of_corners_with_and_without_lag_are_the_least_of_each() -> No
     assert worst.sampled.radius == pytest.approx(max(s.sampled.radius for s in sides), rel=1e-9)
     assert worst.stable and "±20%" in worst.lines()[0]
     assert sides[0].slowest_per_s == pytest.approx(
-        closed_loop_poles(VEHICLE, test_sampled.GAINS, dt=0.05, **ABOUT)[0].real
+        cruise_loop(VEHICLE, test_sampled.GAINS, dt=0.05, **ABOUT).rates[0].real
     )
 
 

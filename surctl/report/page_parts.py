@@ -20,10 +20,10 @@ from surctl.report.panel import Curve, Panel, Shade, draw_panels, panel_svg
 from surctl.report.theme import png
 from surctl.system import LinearLoop
 from surctl.tuning.loop_goals import LoopView
-from surctl.tuning.loop_responses import frequencies, rates, response, stable, step_series
+from surctl.tuning.loop_responses import frequencies, rates, response, step_series
 from surctl.tuning.loop_scores import LoopScores, Score, judge_loops
 from surctl.verification.linear import LEAST_DISK_MARGIN
-from surctl.verification.sampled_margins import quick_margins
+from surctl.verification.sampled_margins import system_margins
 
 Array = NDArray[np.float64]
 Loops = Mapping[str, LinearLoop]
@@ -66,7 +66,7 @@ def _loop_panels(
                              name, k, faint=faint))  # fmt: skip
         s = rates(loop)
         poles.append(Curve(s.real, s.imag, name, k, "poles", faint))
-        if stable(loop):
+        if loop.stable:
             S.append(Curve(omega, _db(np.abs(1 / (1 + L))), name, k, faint=faint))
             T.append(Curve(omega, _db(np.abs(L / (1 + L))), name, k, faint=faint))
             if source and end:
@@ -179,7 +179,7 @@ def plot_tightest(loops: Loops) -> dict[str, Figure]:
     """
     first = next(iter(loops.values()))
     command, output = (
-        min(quick_margins(first, *labels), key=lambda margins: margins.delay_margin_s).name
+        min(system_margins(first, *labels, quick=True), key=lambda margins: margins.delay_margin_s).name
         for labels in (first.names.commands, first.names.outputs)
     )
     end = f"measured.{output}"
@@ -236,7 +236,7 @@ def _unit() -> Curve:
 
 
 def _unstable(loops: Loops) -> str:
-    lost = [name for name, loop in loops.items() if not stable(loop)]
+    lost = [name for name, loop in loops.items() if not loop.stable]
     return f"unstable, not shown: {', '.join(lost)}" if lost else ""
 
 
@@ -421,7 +421,7 @@ def _details(bench: DesignBench, request: Request) -> dict[str, Any]:
     assert loops is not None
     rows = []
     for point, loop in loops.items():
-        for m in quick_margins(loop, *loop.names.commands):
+        for m in system_margins(loop, *loop.names.commands, quick=True):
             cells = (point, m.name, _margin(m.gain_margin), _margin(m.phase_margin_deg), _margin(m.delay_margin_s),
                      _margin(m.disk_margin), _margin(m.crossover_rad_s))  # fmt: skip
             rows.append(cells if m.stable else (point, m.name, "unstable", "", "", "", ""))

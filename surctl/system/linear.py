@@ -101,28 +101,9 @@ def linearise_plant(
     """
     layouts = {"x": plant.state, "f": plant.inputs, "d": plant.disturbances, "p": plant.parameters}
     point = [_flat(layouts[name], part, name) for name, part in zip("xfdp", (x, f, d, p), strict=True)]
-    matrices = _plant_matrices(plant, *point)
+    matrices = [np.array(matrix) for matrix in _plant_slopes(plant).call(point)]
     if not all(np.isfinite(matrix).all() for matrix in matrices):
         raise InputError("has no finite derivatives at this point", key=plant.name, remedy="choose another point")
-    return state_space(plant, matrices)
-
-
-def _plant_matrices(plant: Plant, x: Array, f: Array, d: Array, p: Array) -> tuple[Array, ...]:
-    """Return (A, B, E, C, D) of a plant about a flat point: x' = A x + B f + E d and y = C x + D d."""
-    return tuple(np.array(m) for m in _plant_slopes(plant).call([x, f, d, p]))
-
-
-def _plant_slopes(plant: Plant) -> ca.Function:
-    """Return the function of x, f, d and p that computes the matrices of `_plant_matrices`."""
-    layouts = {"x": plant.state, "f": plant.inputs, "d": plant.disturbances, "p": plant.parameters}
-    x, f, d, p = (ca.SX.sym(name, layout.size) for name, layout in layouts.items())
-    rate, y = plant.derivative(x, f, d, p), plant.measurement(x, d, p)
-    jacobians = [ca.jacobian(rate, v) for v in (x, f, d)] + [ca.jacobian(y, v) for v in (x, d)]
-    return ca.Function("plant", [x, f, d, p], jacobians)
-
-
-def state_space(plant: Plant, matrices: Sequence[Array]) -> Any:
-    """Return matrices (A, B, E, C, D) of a plant as `control.StateSpace` with the names of its ports."""
     import control  # takes seconds to import
 
     A, B, E, C, D = matrices
@@ -131,6 +112,15 @@ def state_space(plant: Plant, matrices: Sequence[Array]) -> Any:
         inputs=[*entry_labels(plant.inputs), *entry_labels(plant.disturbances)],
         outputs=entry_labels(plant.measurements, "measured "), name=plant.name,
     )  # fmt: skip
+
+
+def _plant_slopes(plant: Plant) -> ca.Function:
+    """Return the function of x, f, d and p that computes (A, B, E, C, D): x' = A x + B f + E d and y = C x + D d."""
+    layouts = {"x": plant.state, "f": plant.inputs, "d": plant.disturbances, "p": plant.parameters}
+    x, f, d, p = (ca.SX.sym(name, layout.size) for name, layout in layouts.items())
+    rate, y = plant.derivative(x, f, d, p), plant.measurement(x, d, p)
+    jacobians = [ca.jacobian(rate, v) for v in (x, f, d)] + [ca.jacobian(y, v) for v in (x, d)]
+    return ca.Function("plant", [x, f, d, p], jacobians)
 
 
 def _flat(layout: Layout, values: Mapping[str, ArrayLike] | ArrayLike, key: str) -> Array:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -47,7 +47,47 @@ def expm(matrices: Array) -> Array:
     return grown
 
 
+# Independent parts of linear loops, each computed once: the axes of a vehicle, and corners that differ elsewhere
+
+
+def independent(coupled: NDArray[np.bool_]) -> list[NDArray[np.intp]]:
+    """Return the indices of a square pattern (n, n) in groups; entries outside of the groups' blocks are False."""
+    reached = coupled | coupled.T | np.eye(len(coupled), dtype=bool)
+    while (further := reached @ reached).sum() > reached.sum():
+        reached = further
+    return [np.flatnonzero(group) for group in np.unique(reached, axis=0)]
+
+
+def distinct(*matrices: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return where each distinct one of k tuples of matrices (k, …) occurs first, and which of these each equals."""
+    rows = np.concatenate([m.reshape(len(m), -1) for m in matrices], axis=1) + 0.0  # no negative zeros
+    known: dict[bytes, int] = {}
+    first, which = np.unique([known.setdefault(row.tobytes(), k) for k, row in enumerate(rows)], return_inverse=True)
+    return first, which
+
+
+def eigenvalues(matrices: Array) -> NDArray[np.complex128]:
+    """Return the eigenvalues (k, n) of k matrices (k, n, n), in no order."""
+    values = np.empty(matrices.shape[:2], dtype=complex)
+    for group in independent((matrices != 0).any(axis=0)):
+        block = matrices[:, group[:, None], group]
+        first, which = distinct(block)
+        values[:, group] = np.linalg.eigvals(block[first])[which]
+    return values
+
+
+def blockwise(function: Callable[[Array], Array], matrices: Array) -> Array:
+    """Return a matrix function, such as the exponential, of k matrices (k, n, n) from those of their blocks."""
+    values = np.zeros_like(matrices)
+    for group in independent((matrices != 0).any(axis=0)):
+        block = matrices[:, group[:, None], group]
+        first, which = distinct(block)
+        values[:, group[:, None], group] = function(block[first])[which]
+    return values
+
+
 Matrices = tuple[Array, Array, Array, Array]
+_EDGE = 1e-9  # a pole this near to the unit circle counts as on it
 
 KINDS = ("reference", "disturbance", "command", "measured")
 """Kinds of signals; `kind.LABEL` names a signal where the label alone is ambiguous."""
@@ -82,7 +122,8 @@ class LoopNames:
 class LinearLoop(Plotted):
     """A linear loop of a plant, in continuous time or sampled, and a controller in discrete time.
 
-    `plot()` draws |L|, |S| and |T|, the Nyquist curve, steps and poles.
+    `plot()` draws |L|, |S| and |T|, the Nyquist curve, steps and poles. A leading axis of the matrices holds several
+    loops, for `transition` and `opened`.
 
     Attributes:
         plant: matrices (A, B, E, C, D_d) of the plant, with x' = A x + B f + E d and y = C x + D_d d, for command f,
@@ -174,7 +215,7 @@ class LinearLoop(Plotted):
         through = np.array(
             [[enters[kind][1 + (to == "command")][row, k] for kind, k in starts] for to, row in stops], dtype=float
         )
-        return self._transition(), B, np.vstack([leaves[to][row] for to, row in stops]), through
+        return self.transition, B, np.vstack([leaves[to][row] for to, row in stops]), through
 
     def loop(self, *openings: str) -> Any:
         """Return the loop transfer function L(z), opened at the given signals only, as `control.StateSpace`.
@@ -217,8 +258,8 @@ class LinearLoop(Plotted):
         measured, enters = keep_y @ C, at_output.T
         f_x, f_z, f_e = Dy @ measured, Cz, Dy @ enters
         A = np.block([[Ad + Bd @ keep_f @ f_x, Bd @ keep_f @ f_z], [By @ measured, Az]])
-        B = np.vstack([Bd @ (keep_f @ f_e + at_command.T), By @ enters])
-        back = np.hstack([at_command @ f_x + at_output @ C, at_command @ f_z])
+        B = np.concatenate([Bd @ (keep_f @ f_e + at_command.T), By @ enters], axis=-2)
+        back = np.concatenate([at_command @ f_x + at_output @ C, at_command @ f_z], axis=-1)
         return A, B, -back, -(at_command @ f_e)
 
     def channels(self) -> list[str]:
@@ -231,8 +272,12 @@ class LinearLoop(Plotted):
 
         The loop is stable if all poles lie inside the unit circle.
         """
-        poles = np.linalg.eigvals(self._transition()).astype(complex)
-        return poles[np.argsort(-np.abs(poles), kind="stable")]
+        return self._poles
+
+    @property
+    def stable(self) -> bool:
+        """Whether every pole of the closed loop lies inside the unit circle, by more than rounding."""
+        return bool(np.abs(self.poles()).max(initial=0.0) < 1 - _EDGE)
 
     def states(self) -> list[str]:
         """Return the labels of the plant states, then of the controller states."""
@@ -273,12 +318,26 @@ class LinearLoop(Plotted):
             return A, B, E
         return held_plant(self.plant[0], self.plant[1] @ self._selection(), self.plant[2], self.dt)
 
-    def _transition(self) -> Array:
-        # from one control instant to the next
+    @cached_property
+    def transition(self) -> Array:
+        """The matrix (…, n, n) of the closed loop from one control instant to the next, of plant and controller states.
+
+        Raises:
+            InputError: a number of the matrix is too large for a double.
+        """
         Ad, Bd, _ = self._sampled_plant
         Az, By, _, Cz, Dy, _ = self.law
         C = self.plant[3]
-        return np.block([[Ad + Bd @ Dy @ C, Bd @ Cz], [By @ C, Az]])
+        closed = np.block([[Ad + Bd @ Dy @ C, Bd @ Cz], [By @ C, Az]])
+        if not np.isfinite(closed).all():
+            remedy = "correct the largest and the smallest of its parameters and gains"
+            raise InputError("is not finite", key=f"the linear loop of {self.names.plant}", remedy=remedy)
+        return closed
+
+    @cached_property
+    def _poles(self) -> NDArray[np.complex128]:
+        poles = np.linalg.eigvals(self.transition).astype(complex)
+        return poles[np.argsort(-np.abs(poles), kind="stable")]
 
     def _selection(self) -> Array:
         # (plant inputs, commands): 1 where an actuator takes a command
@@ -287,13 +346,31 @@ class LinearLoop(Plotted):
         return np.array(chosen).reshape(len(names.inputs), len(names.commands))
 
 
-def held_plant(A: Array, B: Array, E: Array, dt: float) -> tuple[Array, Array, Array]:
+def held_plant(A: Array, B: Array, E: Array, dt: float | Array) -> tuple[Array, Array, Array]:
     """Return A_d, B_d and E_d of x⁺ = A_d x + B_d f + E_d d after `dt` [s] with constant inputs f and d, exact."""
-    n, m = len(A), B.shape[1] + E.shape[1]
-    whole = np.zeros((n + m, n + m))
-    whole[:n] = np.hstack([A, B, E])
-    transition = expm(whole * dt)
-    return transition[:n, :n], transition[:n, n : n + B.shape[1]], transition[:n, n + B.shape[1] :]
+    inputs = np.concatenate([A, B, E], axis=-1)
+    n, size = inputs.shape[-2:]
+    whole = np.zeros((*inputs.shape[:-2], size, size))
+    whole[..., :n, :] = inputs * np.asarray(dt)[..., None, None]
+    held = (expm(whole) if whole.ndim == 2 else blockwise(expm, whole))[..., :n, :]
+    return held[..., :n], held[..., n : n + B.shape[-1]], held[..., n + B.shape[-1] :]
+
+
+def delayed(law: tuple[Array, ...], periods: int) -> tuple[Array, ...]:
+    """Return the matrices of a controller, as in `LinearLoop`, whose commands are whole periods late.
+
+    The commands that wait are states of it, after its own.
+    """
+    Az, By, Br, Cz, Dy, Dr = law
+    if not periods:
+        return law
+    many, (m, k) = Cz.shape[:-2], Cz.shape[-2:]
+    size, longer = k + m * periods, np.zeros((*many, m * (periods - 1), By.shape[-1]))
+    A, C = np.zeros((*many, size, size)), np.zeros((*many, m, size))
+    A[..., :k, :k], A[..., k : k + m, :k], A[..., k + m :, k : size - m] = Az, Cz, np.eye(size - m - k)
+    C[..., size - m :] = np.eye(m)
+    entering = [np.concatenate([B, D, longer[..., : B.shape[-1]]], axis=-2) for B, D in ((By, Dy), (Br, Dr))]
+    return A, entering[0], entering[1], C, 0 * Dy, 0 * Dr
 
 
 def _state_space(matrices: Matrices, dt: float, labels: tuple[Sequence[str], ...], name: str) -> Any:

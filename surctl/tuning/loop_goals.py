@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from surctl.errors import InputError
 from surctl.system import LinearLoop
-from surctl.tuning.loop_responses import stable
 from surctl.units import in_unit
 
 Array = NDArray[np.float64]
@@ -140,7 +139,7 @@ class LoopGoal(ABC):
         """
         try:
             self._check(loop)
-            if not stable(loop):
+            if not loop.stable:
                 return Judgement(np.nan, "1", np.nan, np.inf, None, "the loop is unstable")
             return self._judged(loop)
         except InputError as error:

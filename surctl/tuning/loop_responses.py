@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.system import LinearLoop
+from surctl.system.linear_loop import held_plant
 from surctl.verification.linear import balanced
 
 Array = NDArray[np.float64]
@@ -17,17 +18,11 @@ Matrices = tuple[Array, Array, Array, Array]
 REMAINDER = 1e-4
 """Share of the slowest mode that is left at the end of a step response."""
 
-_EDGE = 1e-9  # a pole this near to the unit circle counts as on it
 _POINTS, _DENSE = 160, 27  # least number of frequencies, and number in each decade
 _NEAR = np.geomspace(1e-2, 3.0, 7)  # distances from a pole's frequency, in distances of the pole from the unit circle
 _DECADES = 2.0  # below the slowest pole
 _LEAST, _DOUBLE = 1e-9, 1e-7  # poles nearer to z = 1 count as at 1; several open-loop integrators spread that far
 _SHORTEST, _LONGEST = 60, 1 << 14  # samples of a step response
-
-
-def stable(loop: LinearLoop) -> bool:
-    """Return whether every pole of the closed loop lies inside the unit circle."""
-    return bool(np.abs(loop.poles()).max(initial=0.0) < 1 - _EDGE)
 
 
 def rates(loop: LinearLoop) -> Complex:
@@ -119,14 +114,9 @@ def step_series(loop: LinearLoop, source: str, end: str, *, least_s: float = 0.0
 
 def held_step(model: Matrices, time: Array) -> Array:
     """Return the response (n,) of a continuous-time model (A, B, C, D) to a unit step at evenly spaced times."""
-    from scipy.linalg import expm  # takes a second to import
-
     A, B, C, D = model
-    n = len(A)
-    whole = np.zeros((n + 1, n + 1))
-    whole[:n, :n], whole[:n, n:] = A, B
-    discrete = expm(whole * float(time[1] - time[0]))
-    return _held_steps((discrete[:n, :n], discrete[:n, n:], C, D), 1, len(time))
+    Ad, Bd, _ = held_plant(A, B, np.zeros((len(A), 0)), float(time[1] - time[0]))
+    return _held_steps((Ad, Bd, C, D), 1, len(time))
 
 
 def _held_steps(matrices: Matrices, stride: int, count: int) -> Array:

@@ -12,7 +12,7 @@ from surctl.errors import InputError
 from surctl.system import LinearLoop
 from surctl.tuning.loop_goals import Between, Judgement, LoopGoal, LoopView, Opened
 from surctl.tuning.loop_responses import REMAINDER, held_step, rates, step_series
-from surctl.verification.sampled_margins import quick_margins
+from surctl.verification.sampled_margins import system_margins
 
 Array = NDArray[np.float64]
 _BAND = 0.02  # of the final value, as in step_info of python-control
@@ -232,7 +232,7 @@ class Margins(Opened):
 
     def _judged(self, loop: LinearLoop) -> Judgement:
         checks: list[tuple[float, float, float, str, str]] = []
-        for m in quick_margins(loop, *self.openings):
+        for m in system_margins(loop, *self.openings, quick=True):
             both = min(m.gain_margin, 1 / m.least_gain if m.least_gain > 0 else np.inf)
             if self.gain:  # in dB, so that twice the margin is half the normalised value
                 share = np.log(self.gain) / np.log(both) if both > 1 else np.inf

@@ -18,7 +18,7 @@ D is therefore valid at all frequencies up to the next such ω; from that ω on,
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -27,48 +27,8 @@ from numpy.typing import NDArray
 
 from surctl.errors import InputError
 from surctl.ir.cache import stored_numbers
+from surctl.system.linear_loop import distinct, independent
 from surctl.verification.loops import LEAST_DELAY_MARGIN, golden_section
-
-# Independent parts of linear loops, each computed once: the axes of a vehicle, and corners that differ elsewhere
-
-
-def independent(coupled: NDArray[np.bool_]) -> list[NDArray[np.intp]]:
-    """Return the indices of a square pattern (n, n) in groups; entries outside of the groups' blocks are False."""
-    reached = coupled | coupled.T | np.eye(len(coupled), dtype=bool)
-    while (further := reached @ reached).sum() > reached.sum():
-        reached = further
-    return [np.flatnonzero(group) for group in np.unique(reached, axis=0)]
-
-
-def distinct(*matrices: NDArray[np.float64]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return where each distinct one of k tuples of matrices (k, …) occurs first, and which of these each equals."""
-    rows = np.concatenate([m.reshape(len(m), -1) for m in matrices], axis=1) + 0.0  # no negative zeros
-    known: dict[bytes, int] = {}
-    first, which = np.unique([known.setdefault(row.tobytes(), k) for k, row in enumerate(rows)], return_inverse=True)
-    return first, which
-
-
-def eigenvalues(matrices: NDArray[np.float64]) -> NDArray[np.complex128]:
-    """Return the eigenvalues (k, n) of k matrices (k, n, n), in no order."""
-    values = np.empty(matrices.shape[:2], dtype=complex)
-    for group in independent((matrices != 0).any(axis=0)):
-        block = matrices[:, group[:, None], group]
-        first, which = distinct(block)
-        values[:, group] = np.linalg.eigvals(block[first])[which]
-    return values
-
-
-def blockwise(
-    function: Callable[[NDArray[np.float64]], NDArray[np.float64]], matrices: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Return a matrix function, such as the exponential, of k matrices (k, n, n) from those of their blocks."""
-    values = np.zeros_like(matrices)
-    for group in independent((matrices != 0).any(axis=0)):
-        block = matrices[:, group[:, None], group]
-        first, which = distinct(block)
-        values[:, group[:, None], group] = function(block[first])[which]
-    return values
-
 
 # An open loop with several channels as matrices: several loops opened at once, or one
 

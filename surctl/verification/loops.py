@@ -345,16 +345,7 @@ class LoopMargins:
 
 def margins_from(name: str, crossings: Crossings) -> LoopMargins:
     """Return the margins of a stable closed loop from the crossings of its first operating point."""
-    return LoopMargins(
-        name,
-        True,
-        float(crossings.gain_margin[0]),
-        float(crossings.phase_margin_deg[0]),
-        float(crossings.delay_margin_s[0]),
-        float(crossings.disk_margin[0]),
-        float(crossings.crossover_rad_s[0]),
-        float(crossings.least_gain[0]),
-    )
+    return LoopMargins(name, True, **{margin: float(values[0]) for margin, values in vars(crossings).items()})
 
 
 _SAME = 1e-6  # relative difference up to which two metric values count as equal

@@ -21,22 +21,21 @@ from surctl.verification.loops import BrokenLoop, LeastDelay, LoopMargins, cross
 
 Array = NDArray[np.float64]
 
-__all__ = ["quick_margins", "system_disk_margin", "system_margins"]
-
 _SINGULAR = 1e12  # condition number from which z counts as a pole
 _POINTS, _FEW = 1500, 150  # number of angles towards each end of (0, π)
 _NEAR = np.geomspace(1e-3, 30.0, 24)  # distances from a pole's angle, in distances of the pole from the unit circle
 _INWARDS = 1e-6  # relative move of the poles of a loop that has one at z = -1
-_EDGE = 1e-9  # a pole this near to the unit circle counts as on it
 
 
-def system_margins(linear: LinearLoop, *openings: str) -> tuple[LoopMargins, ...]:
+def system_margins(linear: LinearLoop, *openings: str, quick: bool = False) -> tuple[LoopMargins, ...]:
     """Return the margins of every loop of a linearised system; one loop is opened at a time, all others stay closed.
 
     Args:
         linear: the linear loop, see `surctl.system.linearise`.
         openings: labels of the signals at which a loop is opened, commands or measured outputs; by default every
             command, then every measured output.
+        quick: a tenth of the time, for searches and pages: crossings are searched on fewer frequencies, and the disk
+            margin is the least radius on these frequencies, refined.
 
     Raises:
         InputError: an entry of `openings` is not the label of a command or of a measured output.
@@ -49,9 +48,7 @@ def system_margins(linear: LinearLoop, *openings: str) -> tuple[LoopMargins, ...
         >>> f"{margins.gain_margin:.1f}, {margins.phase_margin_deg:.1f} deg, {margins.delay_margin_s:.2f} s"
         '10.0, 84.3 deg, 0.73 s'
     """
-    chosen = openings or linear.channels()
-    stable = _is_stable(linear)
-    return tuple(_margins(linear, name) if stable else LoopMargins.unstable(name) for name in chosen)
+    return tuple(_margins(linear, name, quick=quick) for name in openings or linear.channels())
 
 
 def system_disk_margin(linear: LinearLoop, *openings: str) -> DiskMargin:
@@ -77,32 +74,20 @@ def system_disk_margin(linear: LinearLoop, *openings: str) -> DiskMargin:
     """
     chosen = openings or linear.channels()
     place = ", ".join(chosen)
-    if not _is_stable(linear):
+    if not linear.stable:
         return DiskMargin.unstable(place)
     margin = disk_margin(_continuous(linear, *chosen), place)
     return replace(margin, frequency_rad_s=2.0 * margin.frequency_rad_s / linear.dt)
 
 
-def _is_stable(linear: LinearLoop) -> bool:
-    """Return whether every pole of the closed loop lies inside the unit circle, by more than rounding."""
-    return bool(np.abs(linear.poles()).max(initial=0.0) < 1 - _EDGE)
-
-
-def quick_margins(linear: LinearLoop, *openings: str) -> tuple[LoopMargins, ...]:
-    """Return the margins of `system_margins` in a tenth of the time, for searches and pages.
-
-    Crossings are searched on fewer frequencies, and the disk margin is the least radius on these frequencies, refined.
-    """
-    return tuple(
-        _margins(linear, name, quick=True) if _is_stable(linear) else LoopMargins.unstable(name) for name in openings
-    )
-
-
-def _margins(linear: LinearLoop, opening: str, *, quick: bool = False) -> LoopMargins:
+def _margins(linear: LinearLoop, opening: str, *, quick: bool) -> LoopMargins:
     """Compute the margins of one loop from the crossings of its frequency response; without a crossing, inf."""
+    if not linear.stable:
+        return LoopMargins.unstable(opening)
     loop, grid = _broken(linear, opening, points=_FEW if quick else _POINTS)
     margins = margins_from(opening, crossings_of(loop, grid=grid))
-    return replace(margins, disk_margin=min(margins.disk_margin, 2.0) if quick else _proved_disk(linear, opening))
+    disk = min(margins.disk_margin, 2.0) if quick else disk_margin(_continuous(linear, opening)).guaranteed
+    return replace(margins, disk_margin=disk)
 
 
 def _broken(linear: LinearLoop, opening: str, *, points: int) -> tuple[BrokenLoop, Array]:
@@ -110,10 +95,6 @@ def _broken(linear: LinearLoop, opening: str, *, points: int) -> tuple[BrokenLoo
     closed, opened = linear.poles(), np.linalg.eigvals(linear.opened(opening)[0]).astype(complex)
     grid = _angles(np.concatenate([opened, closed]), points=points) / linear.dt
     return BrokenLoop(closed[None], opened[None], linear.dt), grid
-
-
-def _proved_disk(linear: LinearLoop, opening: str) -> float:
-    return disk_margin(_continuous(linear, opening), opening).guaranteed
 
 
 def _angles(poles: NDArray[np.complex128], *, points: int) -> Array:
@@ -184,7 +165,7 @@ class SampledLoop(ABC):
     @property
     def stable(self) -> bool:
         """Whether every pole lies inside the unit circle."""
-        return _is_stable(self.linear)
+        return self.linear.stable
 
     @property
     def slowest_per_s(self) -> float:

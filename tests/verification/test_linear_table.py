@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from surctl.errors import InputError
 from surctl.marine.vehicle import load_vehicle
 from surctl.marine.verification import LINEAR_METRICS, cruise_loop, linear_table, loop_margins
-from surctl.marine.verification.cruise_loop import LOOP_NAMES
+from surctl.marine.verification.cruise_loop import LOOP_NAMES, POSE, THRUSTS
 from surctl.marine.verification.linear_table import LINEAR_PARAMETERS, STEP_NAMES, step_system
 
 GAINS = {"k1": 0.3, "k2": 0.3, "k_psi": 0.6, "k_r": 1.5, "k_v": 1.5, "lookahead": 1.2}
@@ -49,7 +49,7 @@ def test_every_metric_is_a_column() -> None:
 
 @pytest.mark.parametrize("k", range(8))
 def test_poles_are_those_of_damp(k: int) -> None:
-    transition = cruise_loop(VEHICLE, row(VALUES, k), **ABOUT).closed
+    transition = cruise_loop(VEHICLE, row(VALUES, k), **ABOUT).transition
     n = len(transition)
     closed = control.ss(transition, np.zeros((n, 1)), np.zeros((1, n)), 0, ABOUT["dt"])
     natural, damping, poles = control.damp(closed, doprint=False)
@@ -67,9 +67,9 @@ def test_margins_are_those_of_stability_margins_and_disk_margins(k: int) -> None
         assert np.isnan(whole()["crossover_rad_per_s.yaw"][k])
         return
     omega = np.geomspace(1e-4, np.pi / 0.05, 500)
-    places = [one.at_thrust(i) for i in range(4)] + [one.at_output(i) for i in range(4)]
+    places = [one.opened(signal) for signal in (*THRUSTS, *POSE)]
     for name, loop in zip(LOOP_NAMES, places, strict=True):
-        system = control.ss(*loop, 0, ABOUT["dt"])
+        system = control.ss(*loop, ABOUT["dt"])
         found = control.stability_margins(control.frd(system, omega, smooth=True), returnall=True)
         gain, phase, at_phase = found[0], found[1], found[4]
         gain = gain[np.isfinite(gain) & (gain > 1) & (gain < 1e6)]

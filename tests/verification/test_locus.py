@@ -5,8 +5,7 @@ import pytest
 
 from surctl.errors import InputError
 from surctl.marine.vehicle import load_vehicle
-from surctl.marine.verification import sweep_locus
-from surctl.marine.verification.cruise_loop import closed_loop_poles
+from surctl.marine.verification import cruise_loop, sweep_locus
 
 GAINS = {"k1": 0.3, "k2": 0.3, "k_psi": 0.6, "k_r": 1.5, "k_v": 1.5, "lookahead": 1.2}
 VEHICLE = load_vehicle("sur540-flooded")
@@ -21,7 +20,7 @@ def test_every_row_holds_the_poles_of_its_value(knob: str) -> None:
         gains = {**GAINS, knob: value} if knob in GAINS else GAINS
         vehicle = VEHICLE.with_values({"m44": value}) if knob == "vehicle.m44" else VEHICLE
         cruise = value if knob == "scenario.cruise" else ABOUT["cruise"]
-        expected = closed_loop_poles(vehicle, gains, cruise=cruise, dt=ABOUT["dt"])
+        expected = cruise_loop(vehicle, gains, cruise=cruise, dt=ABOUT["dt"]).rates
         np.testing.assert_allclose(np.sort_complex(poles), np.sort_complex(expected), atol=1e-6)
 
 

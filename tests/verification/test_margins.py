@@ -12,8 +12,9 @@ from surctl.marine.control.paper import DAMPING
 from surctl.marine.guidance.tracking import along_command, tracking_velocity
 from surctl.marine.vehicle import load_vehicle, planar_rotation
 from surctl.marine.verification import cruise_loop, law_loop, loop_margins
-from surctl.marine.verification.cruise_loop import closed_loop_poles
+from surctl.marine.verification.cruise_loop import POSE, THRUSTS
 from surctl.marine.verification.linear import corner_margin, corners
+from surctl.verification import system_margins
 from surctl.verification.loops import BrokenLoop, LoopMargins, crossings_of, margins_from
 
 GAINS = {"k1": 0.3, "k2": 0.3, "k_psi": 0.6, "k_r": 1.5, "k_v": 1.5, "lookahead": 1.2}
@@ -108,8 +109,8 @@ def test_poles_cross_when_the_delay_margin_of_the_tightest_thrust_is_used_up(k_i
     dt = 0.05
     margins = loop_margins(VEHICLE, gains, cruise=0.15, dt=dt)
     least = min(m.delay_margin_s for m in margins[:4])
-    before = closed_loop_poles(VEHICLE, gains, cruise=0.15, dt=dt + 0.97 * least / 1.5)
-    after = closed_loop_poles(VEHICLE, gains, cruise=0.15, dt=dt + 1.03 * least / 1.5)
+    before = cruise_loop(VEHICLE, gains, cruise=0.15, dt=dt + 0.97 * least / 1.5).rates
+    after = cruise_loop(VEHICLE, gains, cruise=0.15, dt=dt + 1.03 * least / 1.5).rates
     assert before[0].real < 0 < after[0].real
 
 
@@ -149,32 +150,42 @@ def test_the_controller_is_the_derivative_of_the_laws_own_expressions(name: str)
     slope = ca.Function("slope", [y, xi], [ca.jacobian(both, ca.vertcat(y, xi))])
     expected = np.asarray(slope(np.zeros(8), np.zeros(4)))
     dt = 0.05
-    Az, By, Cz, D = cruise_loop(vehicle, {**GAINS, "k_i": k_i}, cruise=cruise, dt=dt, law="guarded").law
+    Az, By, _, Cz, D, _ = cruise_loop(vehicle, {**GAINS, "k_i": k_i}, cruise=cruise, dt=dt, law="guarded").direct
     assert np.block([[D, Cz], [By / dt, (Az - np.eye(4)) / dt]]) == pytest.approx(expected, abs=1e-9)
 
 
 @pytest.mark.parametrize(("law", "rel"), [("closed_form", 2 * DAMPING**2), ("paper", 1e-9)])
 def test_all_laws_that_track_have_one_loop(law: str, rel: float) -> None:
     one, other = (cruise_loop(VEHICLE, GAINS, cruise=0.15, dt=0.05, law=name) for name in ("guarded", law))
-    assert other.law[3] == pytest.approx(one.law[3], rel=rel, abs=1e-9) and other.states == one.states
+    assert other.direct[4] == pytest.approx(one.direct[4], rel=rel, abs=1e-9) and other.states() == one.states()
 
 
 @pytest.mark.parametrize("k_i", [0.0, 0.2])
 def test_the_loop_of_derivatives_is_that_of_differences_of_the_steps_of_the_law(k_i: float) -> None:
     gains = load_gains("default").with_values({"k_i": k_i})
     stepped = law_loop(build_law("closed_form"), VEHICLE, gains, cruise=0.15)
-    found = np.sort_complex(cruise_loop(VEHICLE, gains.values, cruise=0.15, dt=0.05).poles)
+    found = np.sort_complex(cruise_loop(VEHICLE, gains.values, cruise=0.15, dt=0.05).rates)
     expected = np.sort_complex(np.log(stepped.poles) / 0.05)
     assert found == pytest.approx(expected, rel=1e-4, abs=1e-4)
 
 
 def test_a_held_and_late_thrust_is_that_of_python_control() -> None:
     loop = cruise_loop(load_vehicle("sur400"), load_gains("default").values, cruise=0.15, dt=0.05)
-    A, B, C, _ = loop.matrices
-    held = control.sample_system(control.ss(*loop.plant, C[:, : len(loop.plant[0])], np.zeros((8, 4))), 0.05)
+    A, B, _, C, _ = loop.plant
+    held = control.sample_system(control.ss(A, B, C, np.zeros((8, 4))), 0.05)
+    A, B, C, D = loop.opened(*THRUSTS)
     for omega in (0.1, 3.0, 20.0):
         z = np.exp(0.05j * omega)
-        assert C @ np.linalg.solve(z * np.eye(len(A)) - A, B) == pytest.approx(held(z) / z, rel=1e-9, abs=1e-12)
+        expected = -loop.direct[4] @ held(z) / z
+        assert C @ np.linalg.solve(z * np.eye(len(A)) - A, B) + D == pytest.approx(expected, rel=1e-9, abs=1e-12)
+
+
+def test_the_loop_of_a_cruise_has_the_margins_of_any_linear_loop() -> None:
+    ours = loop_margins(VEHICLE, GAINS, cruise=0.15, dt=0.05)
+    found = system_margins(cruise_loop(VEHICLE, GAINS, cruise=0.15, dt=0.05), *THRUSTS, *POSE)
+    assert [m.delay_margin_s for m in found] == pytest.approx([m.delay_margin_s for m in ours], rel=1e-8)
+    proved = [1.002 * m.disk_margin for m in found]  # the level of the proof is 0.2 % above the peak
+    assert proved == pytest.approx([m.disk_margin for m in ours], rel=1e-5)
 
 
 def test_every_loop_is_reported_with_finite_crossovers_and_no_spurious_margin() -> None:
@@ -195,7 +206,7 @@ def test_every_loop_is_reported_with_finite_crossovers_and_no_spurious_margin() 
 def test_an_unstable_loop_has_nothing_left() -> None:
     for m in loop_margins(VEHICLE, {**GAINS, "k_psi": 60.0}, cruise=0.15, dt=0.05):
         assert not m.stable and (m.gain_margin, m.delay_margin_s, m.disk_margin) == (1.0, 0.0, 0.0)
-    assert closed_loop_poles(VEHICLE, {**GAINS, "k_psi": 60.0}, cruise=0.15, dt=0.05)[0].real > 0
+    assert cruise_loop(VEHICLE, {**GAINS, "k_psi": 60.0}, cruise=0.15, dt=0.05).rates[0].real > 0
 
 
 @pytest.mark.parametrize(
@@ -250,8 +261,7 @@ def test_python_control_has_the_margins_that_are_printed(name: str) -> None:
     gains, k, below = {**GAINS, "k_i": 0.05}, LOOPS.index(name), np.pi / 0.05
     ours = loop_margins(VEHICLE, gains, cruise=0.15, dt=0.05)[k]
     loop = cruise_loop(VEHICLE, gains, cruise=0.15, dt=0.05)
-    A, b, c = loop.at_thrust(k) if k < 4 else loop.at_output(k - 4)
-    L = control.ss(A, b, c, 0, 0.05)
+    L = control.ss(*loop.opened((*THRUSTS, *POSE)[k]), 0.05)
     response = control.frd(L, np.geomspace(1e-3, below, 4_000), smooth=True)
     gm, pm, _, w_phase, w_gain, _ = control.stability_margins(response, returnall=True)
     gm = gm[(gm > 1) & (w_phase < below)]

@@ -236,7 +236,7 @@ def _estimates(
     loops = _loops(vehicle, inner, cruise, speed, dt, plant or vehicle)
     places = ("both",) if plant is None else DISK_PLACES[:2]
     peaks = np.max([screened_peaks(open_loop(loops, place)) for place in places], axis=0)
-    growth, stable = np.maximum(loops.poles[:, 0].real, 0.0), np.isfinite(peaks)
+    growth, stable = np.maximum(loops.rates[:, 0].real, 0.0), np.isfinite(peaks)
     least = _TARGET if plant is None else _ABOVE * LEAST_DISK_MARGIN
     shares = np.where(stable, 1 / peaks / least, _UNSTABLE / (1 + growth))
     if stable.any():

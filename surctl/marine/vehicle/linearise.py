@@ -25,22 +25,11 @@ from surctl.marine.vehicle.specs import PlantForm
 TILT_NAMES = ("phi", "theta", "p", "q")
 STATE_NAMES = ("x", "y", "z", "psi", "u", "v", "w", "r", "Fu", "Fv", "Fw", "Fr")
 THRUST_NAMES = ("Fu_cmd", "Fv_cmd", "Fw_cmd", "Fr_cmd")
-_SIGNAL_UNITS = dict(
+_FORCES = ("N", "N", "N", "N m")
+SIGNAL_UNITS = dict(
     zip(
         (*STATE_NAMES, *THRUST_NAMES, *TILT_NAMES),
-        (
-            "m",
-            "m",
-            "m",
-            "rad",
-            "m/s",
-            "m/s",
-            "m/s",
-            "rad/s",
-            *2 * ("N", "N", "N", "N m"),
-            *2 * ("rad",),
-            *2 * ("rad/s",),
-        ),
+        ("m", "m", "m", "rad", "m/s", "m/s", "m/s", "rad/s", *_FORCES, *_FORCES, "rad", "rad", "rad/s", "rad/s"),
         strict=True,
     )
 )
@@ -58,7 +47,7 @@ def linearise(vehicle: Vehicle, nu: NDArray[np.float64], psi: float = 0.0, *, un
 
     Returns:
         The StateSpace system with inputs `THRUST_NAMES`, and with states and outputs `state_names(vehicle)`, in the
-        units `_SIGNAL_UNITS`.
+        units `SIGNAL_UNITS`.
 
     Raises:
         InputError: the operating point needs more thrust than the vehicle has.
@@ -183,7 +172,7 @@ def can_hold(thrust: NDArray[np.float64], least: NDArray[np.float64], most: NDAr
 
 def labelled(names: Sequence[str], *, units: bool = True) -> list[str]:
     """Return the signal names with their units appended, as in "u [m/s]"; dimensionless signals have no unit."""
-    return [f"{name} [{_SIGNAL_UNITS[name]}]" if units and name in _SIGNAL_UNITS else name for name in names]
+    return [f"{name} [{SIGNAL_UNITS[name]}]" if units and name in SIGNAL_UNITS else name for name in names]
 
 
 def plant_jacobians(

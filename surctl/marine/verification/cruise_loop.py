@@ -12,7 +12,7 @@ leaves alone (heave without heave force), and a coordinate that changes nothing,
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache, cached_property, lru_cache
 
 import casadi as ca
@@ -26,13 +26,15 @@ from surctl.marine.control.ports import law_parameters
 from surctl.marine.guidance import Path
 from surctl.marine.vehicle import PLANT_PARAMETERS, PlantForm, Vehicle, plant_parameters
 from surctl.marine.vehicle.linearise import STATE_NAMES, TILT_NAMES, check_cruise, plant_jacobians
-from surctl.system.linear_loop import expm
-from surctl.verification.linear import blockwise, eigenvalues
+from surctl.system.linear_loop import LinearLoop, LoopNames, delayed, eigenvalues
 from surctl.verification.loops import BrokenLoop, LoopMargins, crossings_of, delays_of, margins_from, state_blocks
 
 Array = NDArray[np.float64]
 
-LOOP_NAMES = ("surge", "sway", "heave", "yaw", "along_track", "cross_track", "depth", "heading")
+THRUSTS, POSE = ("surge", "sway", "heave", "yaw"), STATE_NAMES[:4]
+"""Signals at which loops are opened: the thrust commands, and the measured x, y, z, ψ."""
+
+LOOP_NAMES = (*THRUSTS, "along_track", "cross_track", "depth", "heading")
 
 LINEAR_GAINS = ("k1", "k2", "k_psi", "k_r", "k_v", "lookahead")
 
@@ -45,8 +47,7 @@ _SITE = (-2 * FAR, 2 * FAR, -2 * FAR, 2 * FAR)
 COUPLED = 1e-9  # largest derivative that counts as none
 NEUTRAL = 1e-4  # the same for x and y, as a share of the larger: the heading of a run is not exact
 _HEADROOM = 1.5  # speed cap over the cruise speed: the cap must not act in a cruise
-AXES = 4
-"""Number of thrust commands: surge, sway, heave and yaw."""
+AXES = len(THRUSTS)
 _EDGE = 1e-9  # [1/s] a pole this near to the imaginary axis counts as on it
 _DEADBEAT = 1e-9  # least modulus of a pole z: a signal that is gone after a period has the pole z = 0
 
@@ -60,106 +61,58 @@ def has_cruise_loop(law: str, guidance: str) -> bool:
 
 
 @dataclass(frozen=True, eq=False)
-class CruiseLoop:
-    """A sampled linear loop x⁺ = A x + B f, y = C x with f = −K y; a leading axis of the arrays holds several loops.
+class CruiseLoop(LinearLoop):
+    """The linear loop of a cruise; a leading axis of the matrices holds several loops.
 
-    The state x has the states of the plant, then the thrust commands that wait, then the law's own state z. The output
-    y has the measurements (x, y, z, ψ, u, v, w, r), then z; the input f the commanded thrust [N, N m], then z⁺.
+    The commands are the thrusts [N, N m], the outputs x, y, z, ψ, u, v, w, r. The thrust commands that wait are the
+    last states of the law.
 
     Attributes:
-        plant: (A, B), (…, n, n) and (…, n, 4), of the plant in continuous time.
-        law: (A, B, C, D) of z⁺ = A z + B (x, …, r) and thrust = C z + D (x, …, r).
-        states: names of the plant's states, then of the law's.
-        dt: control period [s], a number or (…).
+        direct: the law without delay, with matrices as in `law`.
         delay: whole periods between a measurement and its thrust.
     """
 
-    plant: tuple[Array, Array]
-    law: tuple[Array, Array, Array, Array]
-    states: tuple[str, ...]
-    dt: float | Array
-    delay: int = 1
+    direct: tuple[Array, ...] = field(kw_only=True)
+    delay: int = field(kw_only=True)
+
+    @classmethod
+    def of(
+        cls, plant: tuple[Array, ...], direct: tuple[Array, ...], names: LoopNames, dt: float | Array, delay: int = 1
+    ) -> CruiseLoop:
+        """Return the loop of a plant and a law without delay, whose states are the first in `names`.
+
+        `dt` is the control period [s], a number or (…).
+        """
+        late = [f"late_{axis}" for _ in range(delay) for axis in names.commands]
+        names = replace(names, controller_states=(*names.controller_states[: direct[0].shape[-1]], *late))
+        return cls(plant, delayed(direct, delay), names, dt, direct=direct, delay=delay)  # type: ignore[arg-type]
 
     def __getitem__(self, chosen: int | NDArray[np.intp] | NDArray[np.bool_] | None) -> CruiseLoop:
         """Return the loops at indices of the leading axis; None adds a leading axis."""
-        (A, B), (Az, By, Cz, D) = self.plant, self.law
-        return replace(self, plant=(A[chosen], B[chosen]), law=(Az[chosen], By[chosen], Cz[chosen], D[chosen]))
+        plant, law, direct = (tuple(m[chosen] for m in part) for part in (self.plant, self.law, self.direct))
+        return replace(self, plant=plant, law=law, direct=direct)
 
     def resampled(self, dt: float | Array, delay: int = 1) -> CruiseLoop:
         """Return the loop at another control period [s], over which the law's state changes in proportion."""
-        ratio = (np.asarray(dt) / self.dt)[..., None, None]
-        Az, By, Cz, D = self.law
-        eye = np.eye(Az.shape[-1])
-        return replace(self, law=(eye + ratio * (Az - eye), ratio * By, Cz, D), dt=dt, delay=delay)
+        return CruiseLoop.of(self.plant, _at_period(self.direct, np.asarray(dt) / self.dt), self.names, dt, delay)
 
     @cached_property
-    def matrices(self) -> tuple[Array, Array, Array, Array]:
-        """The matrices A (…, n, n), B (…, n, 4 + k), C (…, 8 + k, n), K (…, 4 + k, 8 + k) for k states of the law."""
-        (A, B), (Az, By, Cz, D) = self.plant, self.law
-        many, n, k, late = A.shape[:-2], A.shape[-1], Az.shape[-1], AXES * self.delay
-        both = np.zeros((*many, n + AXES, n + AXES))
-        both[..., :n, :n], both[..., :n, n:] = A, B
-        grown = both * np.asarray(self.dt)[..., None, None]
-        held = expm(grown) if grown.ndim == 2 else blockwise(expm, grown)
-        size = n + late + k
-        joined, enter = np.zeros((*many, size, size)), np.zeros((*many, size, AXES + k))
-        joined[..., :n, :n], enter[..., n + late :, AXES:] = held[..., :n, :n], np.eye(k)
-        if self.delay:
-            joined[..., :n, n : n + AXES] = held[..., :n, n:]
-            joined[..., n : n + late - AXES, n + AXES : n + late] = np.eye(late - AXES)
-            enter[..., n + late - AXES : n + late, :AXES] = np.eye(AXES)
-        else:
-            enter[..., :n, :AXES] = held[..., :n, n:]
-        leave = np.zeros((*many, 8 + k, size))
-        places = [(STATE_NAMES.index(name), at) for at, name in enumerate(self.states[:n]) if name in STATE_NAMES[:8]]
-        for row, at in places:
-            leave[..., row, at] = 1.0
-        leave[..., 8:, n + late :] = np.eye(k)
-        through = np.concatenate([np.concatenate([D, Cz], axis=-1), np.concatenate([By, Az], axis=-1)], axis=-2)
-        return joined, enter, leave, -through
-
-    @property
-    def closed(self) -> Array:
-        """The closed transition matrix A − B K C, (…, n, n).
-
-        Raises:
-            InputError: a number of the matrix is too large for a double.
-        """
-        A, B, C, K = self.matrices
-        closed: Array = A - B @ K @ C
-        if not np.isfinite(closed).all():
-            remedy = "correct the largest and the smallest of the vehicle's parameters and gains"
-            raise InputError("is not finite", key="the linear loop of the cruise", remedy=remedy)
-        return closed
-
-    @property
-    def poles(self) -> NDArray[np.complex128]:
+    def rates(self) -> NDArray[np.complex128]:
         """The closed-loop poles (…, n) as continuous rates s = ln(z)/dt [rad/s], the slowest first."""
-        closed = self.closed
+        closed = self.transition
         z = np.linalg.eigvals(closed).astype(complex) if closed.ndim == 2 else eigenvalues(closed)
-        size = np.abs(z)
-        small = size < _DEADBEAT
-        poles = np.log(np.where(small, _DEADBEAT, z)) / np.asarray(self.dt)[..., None]
+        poles = np.log(np.where(np.abs(z) < _DEADBEAT, _DEADBEAT, z)) / np.asarray(self.dt)[..., None]
         return np.take_along_axis(poles, np.argsort(-poles.real, axis=-1, kind="stable"), axis=-1)
 
     @property
+    def decays(self) -> NDArray[np.bool_]:
+        """Whether every closed-loop pole decays, (…)."""
+        return np.asarray(self.rates[..., 0].real < -_EDGE)
+
+    @property
     def stable(self) -> bool:
-        """Whether every closed-loop pole decays."""
-        return bool(np.all(self.poles[..., 0].real < -_EDGE))
-
-    def at_thrust(self, axis: int) -> tuple[Array, Array, Array]:
-        """The matrices (A, b, c) of the loop that is opened at one thrust command while all other loops are closed."""
-        A, B, C, K = self.matrices
-        rest = K.copy()
-        rest[..., axis, :] = 0
-        return A - B @ rest @ C, B[..., [axis]], K[..., [axis], :] @ C
-
-    def at_output(self, index: int) -> tuple[Array, Array, Array]:
-        """The matrices (A, b, c) of the loop that is opened at one measured output while all other loops are closed."""
-        A, B, C, K = self.matrices
-        rest = K.copy()
-        rest[..., index] = 0
-        return A - B @ rest @ C, B @ K[..., [index]], C[..., [index], :]
+        """Whether every closed-loop pole of every loop decays."""
+        return bool(self.decays.all())
 
 
 def cruise_loop(
@@ -189,7 +142,7 @@ def cruise_loop(
         >>> from surctl.marine.vehicle import load_vehicle
         >>> from surctl.marine.verification import cruise_loop
         >>> loop = cruise_loop(load_vehicle("sur400"), load_gains("default").values, cruise=0.15, dt=0.05)
-        >>> loop.stable, loop.closed.shape, round(float(loop.poles.real.max()), 2)
+        >>> loop.stable, loop.transition.shape, round(float(loop.rates.real.max()), 2)
         (True, (16, 16), -0.22)
     """
     check_positive({"cruise": np.atleast_1d(cruise)})
@@ -258,20 +211,42 @@ def cruise_loops(
     nu[:, 0] = speed
     A, B, _ = plant_jacobians(plant, nu, form=form)
     names = (*STATE_NAMES, *TILT_NAMES)
-    moving = _moving(A, D, lagged=bool(lag[0] > 0))
+    moving = moving_states(A, np.abs(D).max(axis=(0, 2)) > COUPLED, lagged=bool(lag[0] > 0))
     own = in_loop(Az, By, Cz)
     inner = [port.name for port in built.state.ports for _ in range(port.size)]
-    states = (*(names[k] for k in moving), *(inner[k] for k in own))
-    slopes = Az[:, own][:, :, own], By[:, own], Cz[:, :, own], D
-    return CruiseLoop((A[:, moving][:, :, moving], B[:, moving]), slopes, states, built.dt).resampled(dt)
+    labels = LoopNames(
+        "the cruise", built.name, tuple(names[k] for k in moving), tuple(inner[k] for k in own), THRUSTS, THRUSTS,
+        STATE_NAMES[:8],
+    )  # fmt: skip
+    none, outputs = (
+        [np.zeros((count, size, 0)) for size in (len(own), AXES, len(moving), 8)],
+        np.zeros((8, len(moving))),
+    )
+    for at, k in enumerate(moving):
+        outputs[k : k + 1, at] = 1.0  # no row for thrust and tilt
+    C = np.tile(outputs, (count, 1, 1))
+    direct = Az[:, own][:, :, own], By[:, own], none[0], Cz[:, :, own], D, none[1]
+    matrices = A[:, moving][:, :, moving], B[:, moving], none[2], C, none[3]
+    return CruiseLoop.of(matrices, _at_period(direct, np.asarray(dt) / built.dt), labels, dt)
 
 
-def _moving(A: Array, D: Array, *, lagged: bool) -> list[int]:
-    # places of the plant's states that belong to the loop
-    acting = np.abs(D).max(axis=(0, 2)) > COUPLED
-    tilt = range(len(STATE_NAMES), A.shape[-1])
+def _at_period(law: tuple[Array, ...], ratio: Array) -> tuple[Array, ...]:
+    # the law with a control period that is `ratio` (…) times as long
+    Az, By, Br, Cz, D, Dr = law
+    eye, ratio = np.eye(Az.shape[-1]), ratio[..., None, None]
+    return eye + ratio * (Az - eye), ratio * By, Br, Cz, D, Dr
+
+
+def moving_states(A: Array, acting: ArrayLike, *, lagged: bool) -> list[int]:
+    """Return the places of a plant's states, of A (…, n, n), that belong to the loop.
+
+    Args:
+        acting: whether the law commands the thrust of each axis, (4,).
+        lagged: whether the thrust lags behind its command.
+    """
+    acting, tilt = np.asarray(acting), range(len(STATE_NAMES), A.shape[-1])
     # x, y and psi follow the surge, sway and yaw motion; the depth, and heave without coupling, stand alone
-    coupled = bool((A[:, [4, 5, 7, *tilt], 6] != 0).any())
+    coupled = bool((A[..., [4, 5, 7, *tilt], 6] != 0).any())
     apart = [] if acting[2] else [2] if coupled else [2, 6]
     return [*(k for k in range(8) if k not in apart), *(8 + k for k in range(AXES) if lagged and acting[k]), *tilt]
 
@@ -373,12 +348,11 @@ def check_positive(values: Mapping[str, Array]) -> None:
 
 def broken_loops(loops: CruiseLoop) -> list[BrokenLoop]:
     """Return the eight loops of `LOOP_NAMES` for several cruise loops."""
-    closed, dt = loops.closed, float(np.max(loops.dt))
+    closed, dt = loops.transition, float(np.max(loops.dt))
     blocks = state_blocks(closed)
     poles = [np.linalg.eigvals(closed[:, block[:, None], block]).astype(complex) for block in blocks]
-    places = [loops.at_thrust(k) for k in range(4)] + [loops.at_output(k) for k in range(4)]
     broken = []
-    for A, b, _ in places:
+    for A, b, *_ in (loops.opened(signal) for signal in (*THRUSTS, *POSE)):
         # the set of states on which this loop acts
         where = next((k for k, block in enumerate(blocks) if np.any(b[:, block] != 0)), 0)
         block = blocks[where]
@@ -448,21 +422,5 @@ def least_delay(groups: Sequence[CruiseLoop]) -> tuple[float, str, tuple[int, in
 
 def loop_delays(loops: CruiseLoop) -> Array:
     """Return the delay margins (8, n) [s] of the loops of `LOOP_NAMES` of n vehicles; 0 for an unstable vehicle."""
-    stable, highest = loops.poles[:, 0].real < -1e-9, np.pi / float(np.max(loops.dt))
-    return np.array([np.where(stable, delays_of(loop, highest=highest), 0.0) for loop in broken_loops(loops)])
-
-
-def closed_loop_poles(
-    vehicle: Vehicle, gains: Mapping[str, float], *, cruise: float, dt: float, law: str = TRACKING_LAW
-) -> NDArray[np.complex128]:
-    """Return the poles (n,) [rad/s] of the closed loop, slowest first; for the arguments see `loop_margins`.
-
-    Example:
-        >>> from surctl.marine.control import load_gains
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> from surctl.marine.verification.cruise_loop import closed_loop_poles
-        >>> poles = closed_loop_poles(load_vehicle("sur400"), load_gains("default").values, cruise=0.15, dt=0.05)
-        >>> poles.real[:3].round(2).tolist(), len(poles)
-        ([-0.22, -0.38, -0.38], 16)
-    """
-    return cruise_loop(vehicle, gains, cruise=cruise, dt=dt, law=law).poles
+    highest = np.pi / float(np.max(loops.dt))
+    return np.array([np.where(loops.decays, delays_of(loop, highest=highest), 0.0) for loop in broken_loops(loops)])

@@ -25,13 +25,13 @@ from surctl.marine.allocation import allocate
 from surctl.marine.control import Gains, Law, law_source
 from surctl.marine.simulation import Run, Scenario
 from surctl.marine.vehicle import PLANT_PARAMETERS, Vehicle, plant_parameters, trim_thrust
-from surctl.marine.vehicle.linearise import STATE_NAMES, TILT_NAMES, check_cruise, plant_jacobians
+from surctl.marine.vehicle.linearise import SIGNAL_UNITS, STATE_NAMES, TILT_NAMES, check_cruise, plant_jacobians
 from surctl.marine.vehicle.specs import AXES
 from surctl.marine.verification.corners import corners
-from surctl.marine.verification.cruise_loop import COUPLED, FAR, NEUTRAL, in_loop, law_numbers
+from surctl.marine.verification.cruise_loop import COUPLED, FAR, NEUTRAL, in_loop, law_numbers, moving_states
 from surctl.own_code import label
 from surctl.system import LinearLoop
-from surctl.system.linear_loop import LoopNames
+from surctl.system.linear_loop import LoopNames, delayed
 from surctl.verification.loops import LoopMargins
 from surctl.verification.sampled_margins import LoopCorners, SampledLoop, corners_of, system_margins
 
@@ -169,7 +169,6 @@ def operating_point(
 _REMEDY = "give a scenario with a longer straight part"
 
 
-_UNITS = {"x": "m", "y": "m", "z": "m", "psi": "rad", "u": "m/s", "v": "m/s", "w": "m/s", "r": "rad/s"}
 _STEP = 1e-6  # of the central differences
 _KINK = 0.01  # relative difference of one-sided derivatives that is reported
 
@@ -298,17 +297,12 @@ def _linear(
     Az, By, C, D = slopes
     acting = [bool(np.abs(row).max() > COUPLED) for row in np.hstack([C, D])]
     lagged = float(plant_parameters(vehicle)[PLANT_PARAMETERS.slice("thrust_lag")][0]) > 0
-    tilt = range(len(STATE_NAMES), len(A))
-    # x, y and psi follow the surge, sway and yaw motion; the depth, and heave without coupling, stand alone
-    coupled = A[[4, 5, 7, *tilt], 6].any()
-    apart = [] if acting[2] else [2] if coupled else [2, 6]
+    included = moving_states(A, acting, lagged=lagged)
     slope = np.abs(np.vstack([By[in_loop(Az, By, C)], D])).max(axis=0)
     felt = slope > np.maximum(COUPLED, np.where(np.arange(8) < 2, NEUTRAL * slope[:2].max(), 0.0))
-    free = _free(A, felt, [k for k in range(4) if k not in apart])
-    apart += free
-    moving = [k for k in range(8) if k not in apart]
-    thrusts = [8 + k for k in range(4) if lagged and acting[k]]
-    included, driven = [*moving, *thrusts, *tilt], [k for k in range(4) if acting[k]]
+    free = _free(A, felt, [k for k in included if k < 4])
+    included = [k for k in included if k not in free]
+    moving, driven = [k for k in included if k < 8], [k for k in range(4) if acting[k]]
     states = [(*STATE_NAMES, *TILT_NAMES)[k] for k in included]
     A, B = A[np.ix_(included, included)], B[np.ix_(included, driven)]
     own = in_loop(Az, By[:, moving], C)
@@ -316,20 +310,13 @@ def _linear(
     names, axes = states[: len(moving)], [AXES[k] for k in driven]
     # a state of the law may have several entries, so the loop names them by number
     inner = [f"law_{k}" for k in range(len(own))] + [f"late_{axis}" for axis in axes]
-    zero, none = np.zeros((len(driven), len(driven))), np.zeros((len(driven), 0))
+    none = np.zeros((len(driven), 0))
     measured = np.eye(len(names), len(states))
     plant = (A, B, np.zeros((len(states), 0)), measured, np.zeros((len(names), 0)))
-    controller = (
-        np.block([[Az, np.zeros((len(own), len(driven)))], [C, zero]]),
-        np.vstack([By, D]),
-        np.zeros((len(inner), 0)),
-        np.hstack([np.zeros((len(driven), len(own))), np.eye(len(driven))]),
-        np.zeros((len(driven), len(names))),
-        none,
-    )
+    controller = delayed((Az, By, np.zeros((len(own), 0)), C, D, none), 1)
     force = tuple(axes)
     units = [(f"command.{axis}", "N m" if axis == "yaw" else "N") for axis in axes]
-    units += [(f"measured.{name}", _UNITS[name]) for name in names]
+    units += [(f"measured.{name}", SIGNAL_UNITS[name]) for name in names]
     labels = LoopNames("craft", "law", tuple(states), tuple(inner), force, force, tuple(names), units=tuple(units))
     return LinearLoop(plant, controller, labels, law.dt), tuple(STATE_NAMES[k] for k in free)
 

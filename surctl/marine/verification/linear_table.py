@@ -51,19 +51,18 @@ def step_system(loop: CruiseLoop, name: str) -> tuple[NDArray[np.float64], NDArr
     changes by a step, and the path does not change; all loops are closed. `surge_speed`: the desired surge speed
     changes by a step; the along-track loop is open, and the response is correct up to a constant factor.
     """
-    _, B, C, K = loop.matrices
+    opened, b, *_ = loop.opened({"cross_track": "y", "heading": "psi"}.get(name, "x"))
+    measured, Cz = loop.plant[3], loop.direct[3]
+    C = np.concatenate([measured, np.zeros((*measured.shape[:-1], len(loop.names.controller_states)))], axis=-1)
     if name == "cross_track":
-        return loop.closed, B @ K[..., [1]], C[..., [1], :]
+        return loop.transition, -b, C[..., [1], :]
     if name == "heading":
         # only the thrust in yaw, and states of the law that change no other: in sway, ψ enters by the rotation into {B}
-        others = np.any(K[..., :3, 8:] != 0, axis=tuple(range(K.ndim - 1)))
-        drive = np.zeros_like(K[..., [3]])
-        rows = [3, *(4 + np.flatnonzero(~others))]
-        drive[..., rows, :] = K[..., rows, 3][..., None]
-        return loop.closed, B @ drive, C[..., [3], :]
-    opened, b, _ = loop.at_output(0)
+        others = np.any(Cz[..., :3, :] != 0, axis=tuple(range(Cz.ndim - 1)))
+        driven = np.array([*np.zeros(len(loop.names.states), dtype=bool), *~others, False, False, False, True])
+        return loop.transition, -b * driven[:, None], C[..., [3], :]
     # k1 x takes the place of the desired speed, up to a factor that does not change the metrics; x is then unused
-    return opened[..., 1:, 1:], b[..., 1:, :], C[..., [4], 1:]
+    return opened[..., 1:, 1:], -b[..., 1:, :], C[..., [4], 1:]
 
 
 def step_figures(
@@ -298,7 +297,7 @@ def linear_table(
 
 def _worst_margins(tried: Sequence[Points], k: int) -> tuple[float, float]:
     # disk margin and delay margin of point k, over the corners that can hold the speed
-    groups = [[one for one in tried if one.holds(k) and one.lagged(k) is lagged] for lagged in (True, False)]
+    groups = [[one for one in tried if one.feasible[k] and one.lagged[k] == lagged] for lagged in (True, False)]
     built = [_together(group, k) for group in groups if group]
     matrices = (m.tobytes() for loops in built for m in (*loops.plant, *loops.law))
     key = hashlib.sha256(b"".join((np.float64(tried[0].dt).tobytes(), *matrices))).digest()
@@ -344,13 +343,10 @@ class Points:
         """The number n of points."""
         return len(self.cruise)
 
-    def holds(self, k: int) -> bool:
-        """Return whether the trim thrust of point k lies strictly inside the thrust limits."""
-        return bool(self.feasible[k])
-
-    def lagged(self, k: int) -> bool:
-        """Return whether the plant of point k has thrust lag."""
-        return bool(self.plant[k, _PLACES["thrust_lag"]] > 0)
+    @property
+    def lagged(self) -> NDArray[np.bool_]:
+        """Whether the plant has thrust lag, (n,)."""
+        return np.asarray(self.plant[:, _PLACES["thrust_lag"]] > 0)
 
     @cached_property
     def feasible(self) -> NDArray[np.bool_]:
@@ -422,12 +418,10 @@ def _read_points(
 
 def _by_order(points: Points) -> Iterator[NDArray[np.intp]]:
     """Yield the indices of the feasible points, in groups whose loops have equal states."""
-    lag = points.plant[:, _PLACES["thrust_lag"]] > 0
     integral = points.gains.get("k_i", np.zeros(points.count)) > 0
-    feasible = points.feasible
     for lagged in (False, True):
         for integrated in (False, True):
-            group = np.flatnonzero(feasible & (lag == lagged) & (integral == integrated))
+            group = np.flatnonzero(points.feasible & (points.lagged == lagged) & (integral == integrated))
             if group.size:
                 yield group
 
@@ -440,11 +434,10 @@ def _check_parameter(name: str, key: str, values: NDArray[np.float64]) -> None:
 
 
 def _figures(loops: CruiseLoop, *, columns: Collection[str]) -> dict[str, NDArray[np.float64]]:
-    poles, highest = loops.poles, np.pi / float(np.max(loops.dt))
+    poles, stable, highest = loops.rates, loops.decays, np.pi / float(np.max(loops.dt))
     size = np.abs(poles)
     damping = np.where(poles.imag != 0, -poles.real / np.where(size > 0, size, 1), 1.0)
     figures = {"slowest_pole_per_s": poles[:, 0].real, "least_damping": damping.min(axis=1)}
-    stable = poles[:, 0].real < -1e-9
     requested = {_SINGLE.get(name, name.partition(".")[0]) for name in columns if name not in _WORST}
     nothing = {"gain_margin": 1.0, "phase_margin_deg": 0.0, "delay_margin_s": 0.0, "disk_margin": 0.0}
     if requested & nothing.keys():
@@ -560,7 +553,7 @@ def sweep_locus(
             raise InputError(
                 "changes the number of poles where it is 0", key=parameter, remedy="begin the range above 0"
             )
-        return _paired(points.loops(groups[0]).poles)
+        return _paired(points.loops(groups[0]).rates)
 
     poles = followed(swept)
     for _ in range(_HALVED):

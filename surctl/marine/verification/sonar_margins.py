@@ -30,6 +30,7 @@ from surctl.marine.vehicle.linearise import check_cruise, dynamic_states, plant_
 from surctl.marine.vehicle.specs import AXES
 from surctl.marine.verification.cruise_loop import FAR, law_numbers
 from surctl.marine.verification.law_loop import delivered
+from surctl.system.linear_loop import held_plant
 
 Array = NDArray[np.float64]
 
@@ -154,8 +155,6 @@ def sonar_loop(
     Raises:
         InputError: the vehicle cannot cruise at that speed, or its masses in surge and sway differ.
     """
-    from scipy.linalg import expm
-
     check_cruise(vehicle, cruise)
     if vehicle["m11"] != vehicle["m22"]:
         problem = "differs from m11: a cruise turns the hull, and a law with sonars holds no heading"
@@ -175,10 +174,9 @@ def sonar_loop(
     lagged = float(numbers[PLANT_PARAMETERS.slice("thrust_lag")][0]) > 0
     states = dynamic_states(vehicle.form, lagged=lagged)
     A, B = A[np.ix_(states, states)], B[states] @ delivered(vehicle, nu)
-    n = len(states)
-    exact = expm(np.block([[A, B], [np.zeros((4, n + 4))]]) * law.dt)
+    Ad, Bd, _ = held_plant(A, B, np.zeros((len(A), 0)), law.dt)
     filtered = _filtered(filt, law.gains.unpack(p), nu, trim, every=max(1, round(own.fixes.period / law.dt)))
-    return SonarLoop(law.dt, filt.late, (exact[:n, :n], exact[:n, n:]), filtered, _decided(law, p, nu))
+    return SonarLoop(law.dt, filt.late, (Ad, Bd), filtered, _decided(law, p, nu))
 
 
 def _filtered(

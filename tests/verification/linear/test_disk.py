@@ -148,7 +148,7 @@ def test_integral_action_stays_closed_when_the_thrust_is_opened() -> None:
     for place in DISK_PLACES:
         closed = 0.025 * np.linalg.eigvals(open_loop(loop, place).complementary().A)
         poles = np.log((1 + closed) / (1 - closed)) / 0.05
-        assert np.sort(poles.real) == pytest.approx(np.sort(loop.poles.real), abs=1e-5)
+        assert np.sort(poles.real) == pytest.approx(np.sort(loop.rates.real), abs=1e-5)
 
 
 def test_an_unstable_loop_has_nothing_left_and_a_wrong_place_is_named() -> None:

@@ -21,7 +21,7 @@ def stable(cruise: float, **gains: float) -> bool:
 
 def test_an_unstable_loop_names_the_munk_moment_and_what_stabilises_it() -> None:
     mode = slowest_mode(WU, GAINS, cruise=0.25, dt=0.05)
-    assert not mode.stable and mode.real == pytest.approx(cruise_loop(WU, GAINS, cruise=0.25, dt=0.05).poles[0].real)
+    assert not mode.stable and mode.real == pytest.approx(cruise_loop(WU, GAINS, cruise=0.25, dt=0.05).rates[0].real)
     assert mode.cause == "Munk moment (m22 - m11) u v" and mode.without[mode.cause] < -0.3
     assert next(iter(mode.participation)) == "psi" and sum(mode.participation.values()) == pytest.approx(1, abs=0.01)
     # a larger k_r stabilises, which "lower k_v and k_r" would not have told
@@ -46,9 +46,9 @@ def test_participation_is_that_of_the_mode_s_residue() -> None:
     # p_k = dλ/da_kk: what the pole moves by when a state's own rate does
     loop = cruise_loop(WU, GAINS, cruise=0.2, dt=0.05)
     mode = slowest_mode(WU, GAINS, cruise=0.2, dt=0.05)
-    scale = abs(_moved(loop.closed, 3)) / mode.participation["psi"]
+    scale = abs(_moved(loop.transition, 3)) / mode.participation["psi"]
     for name, k in (("v", 5), ("r", 7)):
-        assert abs(_moved(loop.closed, k)) == pytest.approx(scale * mode.participation[name], rel=1e-3)
+        assert abs(_moved(loop.transition, k)) == pytest.approx(scale * mode.participation[name], rel=1e-3)
 
 
 def _moved(closed: np.ndarray, k: int) -> float:

@@ -1,16 +1,12 @@
 import numpy as np
 import pytest
 
-from surctl.system.linear_loop import expm
+from surctl.system.linear_loop import blockwise, distinct, eigenvalues, expm, independent
 from surctl.verification.linear import (
     _SCREEN_POINTS,
     _SCREENED,
     OpenLoop,
-    blockwise,
     disk_profile,
-    distinct,
-    eigenvalues,
-    independent,
     screened_peaks,
 )
 

@@ -1,4 +1,3 @@
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -7,14 +6,16 @@ import pytest
 from surctl.errors import InputError
 from surctl.marine.control import load_gains
 from surctl.marine.vehicle import load_vehicle
+from surctl.marine.vehicle.linearise import STATE_NAMES
 from surctl.marine.verification import cruise_loop
-from surctl.marine.verification.cruise_loop import CruiseLoop
+from surctl.marine.verification.cruise_loop import POSE, THRUSTS, CruiseLoop
 from surctl.marine.verification.linear import (
     corners,
     sampled_limits,
     side,
     worst_linear_side,
 )
+from surctl.system.linear_loop import LoopNames
 
 VEHICLE = load_vehicle("sur540-flooded")
 GAINS = load_gains("default").values
@@ -22,8 +23,17 @@ ABOUT = {"cruise": 0.15}
 
 
 def integrators(gain: float, dt: float = 0.1) -> CruiseLoop:
-    law = (np.zeros((0, 0)), np.zeros((0, 8)), np.zeros((4, 0)), -gain * np.eye(4, 8))
-    return CruiseLoop((np.zeros((4, 4)), np.eye(4)), law, ("x", "y", "z", "psi"), dt)
+    law = (
+        np.zeros((0, 0)),
+        np.zeros((0, 8)),
+        np.zeros((0, 0)),
+        np.zeros((4, 0)),
+        -gain * np.eye(4, 8),
+        np.zeros((4, 0)),
+    )
+    names = LoopNames("integrators", "law", POSE, (), THRUSTS, THRUSTS, STATE_NAMES[:8])
+    plant = (np.zeros((4, 4)), np.eye(4), np.zeros((4, 0)), np.eye(8, 4), np.zeros((8, 0)))
+    return CruiseLoop.of(plant, law, names, dt)
 
 
 def test_integrators_are_lost_where_algebra_says() -> None:
@@ -44,10 +54,10 @@ def test_a_loop_that_no_period_saves_has_none() -> None:
 @pytest.mark.parametrize("k_i", [0.0, 0.2])
 def test_short_periods_have_the_slowest_pole_of_the_loop_without_delay(k_i: float) -> None:
     short = cruise_loop(VEHICLE, {**GAINS, "k_i": k_i}, dt=1e-4, **ABOUT).resampled(1e-4, 0)
-    (A, B), (Az, By, Cz, D) = short.plant, short.law
+    (A, B, *_), (Az, By, _, Cz, D, _) = short.plant, short.direct
     C = np.eye(8, len(A))
     continuous = np.block([[A + B @ D @ C, B @ Cz], [By @ C / 1e-4, (Az - np.eye(len(Az))) / 1e-4]])
-    assert short.poles.real.max() == pytest.approx(np.linalg.eigvals(continuous).real.max(), rel=1e-3)
+    assert short.rates.real.max() == pytest.approx(np.linalg.eigvals(continuous).real.max(), rel=1e-3)
 
 
 @pytest.mark.parametrize(("delay", "k_i"), [(2, 0.2)])  # without: study 40
@@ -61,7 +71,7 @@ def test_the_loop_flown_step_by_step_decays_below_the_largest_period_and_grows_a
 def flown(gains: dict[str, float], period: float, delay: int) -> float:
     """How a deviation grows over the last half of a long flight, by small steps of the plant and a held thrust."""
     loop = cruise_loop(VEHICLE, gains, dt=period, **ABOUT)
-    (A, B), (Az, By, Cz, D) = loop.plant, loop.law
+    (A, B, *_), (Az, By, _, Cz, D, _) = loop.plant, loop.direct
     steps = int(np.ceil(period / 0.04))
     h, x, sizes = period / steps, np.random.default_rng(1).normal(size=len(A)), []
     waiting, z = [np.zeros(4)] * delay, np.zeros(len(Az))
@@ -82,17 +92,17 @@ def test_limits_of_corners_are_computed_once(tmp_path: Path, monkeypatch: pytest
     one, other = integrators(2.0, 0.05), integrators(3.0, 0.05)
     plant, law = (
         tuple(np.stack(both) for both in zip(getattr(one, part), getattr(other, part), strict=True))
-        for part in ("plant", "law")
+        for part in ("plant", "direct")
     )
-    pair = replace(one, plant=plant, law=law)
+    pair = CruiseLoop.of(plant, law, one.names, one.dt)
     first = sampled_limits(pair)
     assert first == side._sampled_limits(pair)
     longer = sampled_limits(pair.resampled(0.06))
     monkeypatch.setattr(side, "_sampled_limits", None)  # what is called now ends the test
     assert sampled_limits(pair) == first and sampled_limits(pair.resampled(0.06)) == longer != first
-    for changed in ({"plant": (0.01 + plant[0], plant[1])}, {"law": (*law[:3], 0.01 + law[3])}):
+    for changed in (((0.01 + plant[0], *plant[1:]), law), (plant, (*law[:4], 0.01 + law[4], law[5]))):
         with pytest.raises(TypeError):
-            sampled_limits(replace(pair, **changed))
+            sampled_limits(CruiseLoop.of(*changed, one.names, one.dt))
 
 
 def test_masses_of_surge_and_sway_that_differ_may_turn_it_broadside() -> None:

@@ -10,13 +10,12 @@ import numpy as np
 from surctl.errors import InputError
 from surctl.marine.vehicle import Vehicle
 from surctl.marine.verification.corners import corners
-from surctl.marine.verification.cruise_loop import TRACKING_LAW, CruiseLoop, cruise_loops, least_delay
-from surctl.marine.verification.linear.side import DISK_PLACES, alike_in_states, can_cruise, open_loop
+from surctl.marine.verification.cruise_loop import TRACKING_LAW, CruiseLoop, least_delay
+from surctl.marine.verification.linear.side import DISK_PLACES, corner_loops, largest, weakest
 from surctl.verification.linear import (
     LEAST_DISK_MARGIN,
     OpenLoop,
     quick_disk_margin,
-    screened_peaks,
     short_margins,
     stored_disk_margin,
 )
@@ -90,12 +89,10 @@ def corner_margin(
         [0.75, 0.0]
     """
     tried = corners(vehicle, uncertainty, spread=spread)
-    able = [v for v, can in zip(tried.vehicles, can_cruise(tried.vehicles, cruise), strict=True) if can]
-    if not able or able[0] is not vehicle:
+    groups, built = corner_loops(tried.vehicles, gains, cruise=cruise, dt=dt, model=model or vehicle, law=law)
+    if not groups or groups[0][0] is not vehicle:
         problem = "needs more thrust than the vehicle has"
         raise InputError(problem, key="cruise", value=cruise, remedy="lower it")
-    groups = alike_in_states(able)
-    built = [cruise_loops(group, gains, cruise=cruise, dt=dt, model=model or vehicle, law=law) for group in groups]
     margin, (group, at) = least_disk(built, margin_of=_proved if proved else quick_disk_margin)
     worst = groups[group][at]
     delay, loop, (group, at) = least_delay(built)
@@ -176,15 +173,6 @@ def least_disk(
 
     The second result is the index of the group and the index in it; `margin_of` returns the margin of a stable loop.
     """
-    grown = [group.poles[:, 0].real + 1e-9 for group in groups]
-    worst = int(np.argmax([each.max() for each in grown]))
-    if grown[worst].max() >= 0:
-        return 0.0, (worst, int(np.argmax(grown[worst])))
-    margins = []
-    for place in DISK_PLACES[:2]:
-        loops = [open_loop(group, place) for group in groups]
-        peaks = [screened_peaks(loop) for loop in loops]
-        worst = int(np.argmax([each.max() for each in peaks]))
-        at = int(np.argmax(peaks[worst]))
-        margins.append((margin_of(loops[worst][np.asarray(at)]), (worst, at)))
-    return min(margins)
+    if not all(group.stable for group in groups):
+        return 0.0, largest([group.rates[:, 0].real for group in groups])
+    return min((margin_of(loop), at) for loop, at in (weakest(groups, place) for place in DISK_PLACES[:2]))

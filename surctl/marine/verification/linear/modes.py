@@ -156,14 +156,14 @@ def slowest_mode(
     from scipy.linalg import eig
 
     loop = cruise_loop(vehicle, gains, cruise=cruise, dt=dt, model=model, law=law)
-    z, left, right = eig(loop.closed, left=True, right=True)
+    z, left, right = eig(loop.transition, left=True, right=True)
     at = int(np.lexsort((-z.imag, -np.abs(z)))[0])
     share = np.abs(left[:, at] * right[:, at])
     grouped: dict[str, float] = {}
-    plant = loop.plant[0].shape[-1]
-    names = (*loop.states[:plant], *["delay"] * (len(share) - len(loop.states)), *loop.states[plant:])
+    names = (*loop.names.states, *loop.names.controller_states)
     for name, part in zip(names, share / share.sum(), strict=True):
-        grouped[name] = grouped.get(name, 0.0) + float(part)
+        whole = "delay" if name.startswith("late_") else name
+        grouped[whole] = grouped.get(whole, 0.0) + float(part)
     pole = np.log(complex(z[at])) / dt
     real = float(pole.real)
     return Mode(
@@ -251,26 +251,24 @@ def _fastest(vehicle: Vehicle) -> float:
 def _stable(
     vehicle: Vehicle, gains: Mapping[str, float], speeds: Array, *, dt: float, model: Vehicle, law: str
 ) -> NDArray[np.bool_]:
-    many = cruise_loops([vehicle], gains, cruise=speeds, dt=dt, model=model, law=law)
-    stable: NDArray[np.bool_] = many.poles[:, 0].real < -_EDGE
-    return stable
+    return cruise_loops([vehicle], gains, cruise=speeds, dt=dt, model=model, law=law).decays
 
 
 def _without(
     loop: CruiseLoop, vehicle: Vehicle, gains: Mapping[str, float], *, cruise: float, model: Vehicle, law: str
 ) -> dict[str, float]:
     """Return, for each physical term, the real part [1/s] of the slowest pole of the loop without this term."""
-    A, B = loop.plant
-    surge, sway, yaw = (loop.states.index(name) for name in ("u", "v", "r"))
+    A, *inputs = loop.plant
+    surge, sway, yaw = (loop.names.states.index(name) for name in ("u", "v", "r"))
     munk, coriolis, slowest = A.copy(), A.copy(), {}
     munk[yaw, [surge, sway]] = 0.0
     coriolis[[surge, sway], yaw] = 0.0
     coupled = bool(vehicle.form.terms)  # the slopes then include coupled inertia and drag
     slowest["yaw moment by surge and sway" if coupled else "Munk moment (m22 - m11) u v"] = _slowest(
-        replace(loop, plant=(munk, B))
+        replace(loop, plant=(munk, *inputs))
     )
     slowest["surge and sway force by yaw" if coupled else "Coriolis force m11 u r"] = _slowest(
-        replace(loop, plant=(coriolis, B))
+        replace(loop, plant=(coriolis, *inputs))
     )
     slowest["loop delay"] = _slowest(loop.resampled(_AT_ONCE * loop.dt, 0))
     if vehicle["thrust_lag"] > 0:
@@ -281,7 +279,7 @@ def _without(
 
 
 def _slowest(loop: CruiseLoop) -> float:
-    return float(loop.poles[0].real)
+    return float(loop.rates[0].real)
 
 
 def _remedies(
@@ -293,8 +291,7 @@ def _remedies(
     # with the digits that are printed
     tried = np.array([float(f"{gains[name] * factor:.3g}") for name in LINEAR_GAINS for factor in factors])
     changed = {name: np.where(names == name, tried, value) for name, value in gains.items()}
-    many = cruise_loops([vehicle], changed, cruise=cruise, dt=dt, model=model, law=law)
-    good = many.poles[:, 0].real < -_EDGE
+    good = cruise_loops([vehicle], changed, cruise=cruise, dt=dt, model=model, law=law).decays
     remedies: dict[str, tuple[float, float]] = {}
     for name, value in zip(names[good].tolist(), tried[good].tolist(), strict=True):
         far = abs(float(np.log(value / gains[name])))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -17,18 +17,19 @@ from surctl.marine.vehicle.dynamics import trim_function
 from surctl.marine.vehicle.linearise import can_hold
 from surctl.marine.verification.corners import Corners
 from surctl.marine.verification.cruise_loop import (
-    AXES,
+    POSE,
+    THRUSTS,
     TRACKING_LAW,
     CruiseLoop,
     cruise_loop,
     cruise_loops,
     least_delay,
 )
+from surctl.system.linear_loop import eigenvalues
 from surctl.verification.linear import (
     LEAST_DISK_MARGIN,
     DiskMargin,
     OpenLoop,
-    eigenvalues,
     screened_peaks,
     stored_disk_margin,
 )
@@ -46,25 +47,10 @@ def open_loop(loop: CruiseLoop, place: str) -> OpenLoop:
     Raises:
         InputError: `place` is not one of `DISK_PLACES`.
     """
-    A, B, C, K = loop.matrices
-    thrust, pose = np.arange(K.shape[-2]) < AXES, np.arange(K.shape[-1]) < AXES
-    nothing, dt = np.zeros((*K.shape[:-2], AXES, AXES)), float(np.max(loop.dt))
-    if place == "thrust":
-        # the law's own states stay connected
-        inner = A - B[..., ~thrust] @ K[..., ~thrust, :] @ C
-        return OpenLoop.of_sampled(inner, B[..., thrust], K[..., thrust, :] @ C, nothing, dt)
-    if place == "measurement":
-        inner = A - B @ K[..., ~pose] @ C[..., ~pose, :]
-        return OpenLoop.of_sampled(inner, B @ K[..., pose], C[..., pose, :], nothing, dt)
-    if place != "both":
+    if place not in DISK_PLACES:
         raise InputError("no such place", key="place", value=place, remedy=nearest(place, DISK_PLACES))
-    # the second input u2 is the negative of the measured pose that the law receives
-    own, acting = K[..., ~thrust, :], K[..., thrust, :]
-    inner = A - B[..., ~thrust] @ own[..., ~pose] @ C[..., ~pose, :]
-    enter = np.concatenate([B[..., thrust], B[..., ~thrust] @ own[..., pose]], axis=-1)
-    leave = np.concatenate([acting[..., ~pose] @ C[..., ~pose, :], C[..., pose, :]], axis=-2)
-    through = np.block([[nothing, -acting[..., pose]], [nothing, nothing]])
-    return OpenLoop.of_sampled(inner, enter, leave, through, dt)
+    signals = {"thrust": THRUSTS, "measurement": POSE}.get(place, (*THRUSTS, *POSE))
+    return OpenLoop.of_sampled(*loop.opened(*signals), float(np.max(loop.dt)))
 
 
 @dataclass(frozen=True)
@@ -123,12 +109,12 @@ def sampled_limits(loop: CruiseLoop) -> SampledLimits:
     If it has a leading axis with several loops, each limit is the worst over these loops, and the result is cached on
     disk: for the corners of a vehicle's ranges it takes seconds.
     """
-    if loop.plant[0].ndim == 2:
+    if loop.transition.ndim == 2:
         return _sampled_limits(loop)
     matrices = [np.asarray(matrix, dtype=float) for matrix in (*loop.plant, *loop.law)]
     values = stored_numbers(
         ("surctl.marine.verification.linear.side", "surctl.marine.verification.cruise_loop"),
-        (loop.dt, loop.states, *((matrix.shape, matrix.tobytes()) for matrix in matrices)),
+        (loop.dt, loop.states(), *((matrix.shape, matrix.tobytes()) for matrix in matrices)),
         lambda: asdict(_sampled_limits(loop)),
         suffix=".sampled",
     )
@@ -146,10 +132,9 @@ def _sampled_limits(loop: CruiseLoop) -> SampledLimits:
 
 
 def _radius(loop: CruiseLoop) -> Array:
-    closed = loop.closed
+    closed = loop.transition
     poles = np.linalg.eigvals(closed) if closed.ndim == 2 else eigenvalues(closed)
-    radius: Array = np.max(np.abs(poles), axis=-1)
-    return radius
+    return np.asarray(np.abs(poles).max(axis=-1))
 
 
 def _largest(loop: CruiseLoop, delay: int) -> float:
@@ -165,7 +150,7 @@ def _largest(loop: CruiseLoop, delay: int) -> float:
     if good == 0.0:
         return 0.0
     first = loop if lost.ndim == 0 else loop[lost]
-    low, high = (np.full(first.plant[0].shape[:-2], end) for end in (good, bad))
+    low, high = (np.full(first.transition.shape[:-2], end) for end in (good, bad))
     for _ in range(_BISECTIONS):
         middle = (low + high) / 2
         stable = _radius(first.resampled(middle, delay)) < 1 - _ON_CIRCLE * middle
@@ -189,7 +174,7 @@ class LinearSide:
         sampled: limits of the sampled loop; for several corners, the least value of every limit and the largest radius.
         corner: for several corners, the parameters of the worst corner as text. The worst corner has the least disk
             margin or, if the loop is unstable, the fastest growing pole.
-        at: the vehicle of that corner.
+        at: the vehicle of that corner; None for the nominal vehicle alone.
     """
 
     of: str
@@ -264,15 +249,8 @@ def linear_side(
         InputError: a gain is missing or not positive, or the vehicle cannot hold the cruise speed.
     """
     loop = cruise_loop(vehicle, gains, cruise=cruise, dt=dt, model=model, law=law)
-    poles = _poles(loop.poles)
-    return LinearSide(
-        of=f"{vehicle.name}, nominal",
-        disks=tuple(stored_disk_margin(open_loop(loop, place), place) for place in DISK_PLACES),
-        poles=poles,
-        slowest_per_s=float(loop.poles[0].real),
-        least_damping=min(p.damping for p in poles),
-        delay=_delay([loop[None]], [["nominal"]]),
-        sampled=sampled_limits(loop),
+    return replace(
+        _side(f"{vehicle.name}, nominal", Corners((vehicle,), "", ("nominal",)), [[vehicle]], [loop[None]]), at=None
     )
 
 
@@ -294,56 +272,66 @@ def worst_linear_side(
         InputError: `linear_side` rejects its arguments, or none of the vehicles can hold the cruise speed.
     """
     believed = model or tried.vehicles[0]
-    able = [v for v, can in zip(tried.vehicles, can_cruise(tried.vehicles, cruise), strict=True) if can]
-    unable = len(tried.vehicles) - len(able)
-    if not able:
+    groups, built = corner_loops(tried.vehicles, gains, cruise=cruise, dt=dt, model=believed, law=law)
+    unable = len(tried.vehicles) - sum(len(group) for group in groups)
+    if not groups:
         raise InputError(
             "needs more thrust than any of the vehicles has", key="cruise", value=cruise, remedy="lower it"
         )
-    groups = alike_in_states(able)
-    built = [cruise_loops(group, gains, cruise=cruise, dt=dt, model=believed, law=law) for group in groups]
-    disks, lowest = [], list[Vehicle]()
-    for place in DISK_PLACES:
-        loops = [open_loop(group, place) for group in built]
-        peaks = [screened_peaks(loop) for loop in loops]
-        worst = int(np.argmax([each.max() for each in peaks]))
-        at = int(np.argmax(peaks[worst]))
-        disks.append(stored_disk_margin(loops[worst][np.asarray(at)], place))
-        lowest.append(groups[worst][at])
-    poles = [group.poles for group in built]
-    slowest = [each[:, 0].real for each in poles]
-    fastest = int(np.argmax([each.max() for each in slowest]))
-    if slowest[fastest].max() >= 0:
-        bad = groups[fastest][int(np.argmax(slowest[fastest]))]
-    else:
-        bad = lowest[int(np.argmin([d.guaranteed for d in disks[:2]]))]
-    every = [_poles(each) for group in poles for each in group]
     beyond = f"; {unable} of them cannot hold {cruise:g} m/s with their thrust" if unable else ""
+    return _side(f"{believed.name}, worst of {tried.text}{beyond}", tried, groups, built)
+
+
+def _side(of: str, tried: Corners, groups: Sequence[Sequence[Vehicle]], built: Sequence[CruiseLoop]) -> LinearSide:
+    # the worst of several loops, in groups
+    weak = [weakest(built, place) for place in DISK_PLACES]
+    disks = [stored_disk_margin(loop, place) for (loop, _), place in zip(weak, DISK_PLACES, strict=True)]
+    slowest = [group.rates[:, 0].real for group in built]
+    fastest, at = largest(slowest)
+    if slowest[fastest][at] < 0:
+        _, (fastest, at) = weak[int(np.argmin([d.guaranteed for d in disks[:2]]))]
+    bad = groups[fastest][at]
+    every = [_poles(each) for group in built for each in group.rates]
+    delay, loop, (group, place) = least_delay(built)
     return LinearSide(
-        of=f"{believed.name}, worst of {tried.text}{beyond}",
+        of=of,
         disks=tuple(disks),
         poles=every[0],
         slowest_per_s=max(float(each.max()) for each in slowest),
         least_damping=min(p.damping for each in every for p in each),
-        delay=_delay(built, [[tried.label(one) for one in group] for group in groups]),
+        delay=LeastDelay(delay, loop, tried.label(groups[group][place])),
         sampled=_least_sampled([sampled_limits(group) for group in built]),
         corner=tried.label(bad) if len(tried.vehicles) > 1 else "",
         at=bad,
     )
 
 
-def alike_in_states(vehicles: Sequence[Vehicle]) -> list[list[Vehicle]]:
-    """Return the vehicles in two groups, with and without thrust lag; the group of the first vehicle comes first."""
-    lagged = vehicles[0]["thrust_lag"] > 0
-    parts = [[v for v in vehicles if (v["thrust_lag"] > 0) is kind] for kind in (lagged, not lagged)]
-    return [part for part in parts if part]
+def corner_loops(
+    vehicles: Sequence[Vehicle], gains: Mapping[str, float], *, cruise: float, dt: float, model: Vehicle, law: str
+) -> tuple[list[list[Vehicle]], list[CruiseLoop]]:
+    """Return the vehicles whose thrust can hold the cruise speed [m/s], and their loops, in groups with equal states.
 
-
-def can_cruise(vehicles: Sequence[Vehicle], cruise: float) -> list[bool]:
-    """Return, for each vehicle, whether its thrust can hold the cruise speed [m/s]."""
+    There is a group with and one without thrust lag; that of the first vehicle comes first.
+    """
     nu = np.tile([[cruise], [0.0], [0.0], [0.0]], len(vehicles))
     tau = np.asarray(trim_function(vehicles[0].form)(nu, np.array([plant_parameters(v) for v in vehicles]).T)).T
-    return [bool(can_hold(t, *v.thrust_range)) for t, v in zip(tau, vehicles, strict=True)]
+    able = [v for t, v in zip(tau, vehicles, strict=True) if can_hold(t, *v.thrust_range)]
+    lags = dict.fromkeys(v["thrust_lag"] > 0 for v in able)
+    groups = [[v for v in able if (v["thrust_lag"] > 0) is lagged] for lagged in lags]
+    return groups, [cruise_loops(group, gains, cruise=cruise, dt=dt, model=model, law=law) for group in groups]
+
+
+def largest(values: Sequence[Array]) -> tuple[int, int]:
+    """Return the place of the largest value: the group, and the index in it."""
+    group = int(np.argmax([each.max() for each in values]))
+    return group, int(np.argmax(values[group]))
+
+
+def weakest(groups: Sequence[CruiseLoop], place: str) -> tuple[OpenLoop, tuple[int, int]]:
+    """Return the loop with the least disk margin on a coarse grid, opened at a place, and where it is (`largest`)."""
+    loops = [open_loop(group, place) for group in groups]
+    group, at = largest([screened_peaks(loop) for loop in loops])
+    return loops[group][np.asarray(at)], (group, at)
 
 
 def _least_sampled(limits: Sequence[SampledLimits]) -> SampledLimits:
@@ -446,18 +434,11 @@ def _peaks(
     """
     peaks = np.full((len(vehicles), len(speeds)), np.inf)
     for k, speed in enumerate(speeds):
-        able = [v for v, can in zip(vehicles, can_cruise(vehicles, speed), strict=True) if can]
-        for group in alike_in_states(able) if able else []:
-            loops = cruise_loops(group, gains, cruise=speed, dt=dt, model=model, law=law)
+        for group, loops in zip(*corner_loops(vehicles, gains, cruise=speed, dt=dt, model=model, law=law), strict=True):
             if least > 0:
                 values = np.max([screened_peaks(open_loop(loops, place)) for place in DISK_PLACES[:2]], axis=0)
             else:
-                values = loops.poles[:, 0].real + 1e-9
+                values = loops.rates[:, 0].real + 1e-9
             for vehicle, value in zip(group, values.tolist(), strict=True):
                 peaks[next(i for i, one in enumerate(vehicles) if one is vehicle), k] = value
     return peaks
-
-
-def _delay(groups: Sequence[CruiseLoop], labels: Sequence[Sequence[str]]) -> LeastDelay:
-    delay, loop, (group, at) = least_delay(groups)
-    return LeastDelay(delay, loop, labels[group][at])
