@@ -198,10 +198,11 @@ def _proves_motion(claim: Mapping[str, Any]) -> str:
         return f"{region}, and V decays to the stated bound"
     goal, about = "the equilibrium", ""
     if "radius" in claim:
-        at, about = claim["equilibrium"], " about it"
+        at, about = claim["equilibrium"], " about the equilibrium"
         box = ", ".join(f"{name} = {float(Fraction(at[name])):g} ± {r:g}" for name, r in claim["radius"].items())
         varies = any(row["lower"] < row["upper"] for row in claim["parameters"])
-        goal = f"{box}, for constant parameters to the equilibrium there" if varies else f"the equilibrium at {box}"
+        inside = f"the box {box} and, with constant parameters, to the equilibrium in this box"
+        goal = inside if varies else f"the equilibrium at {box}"
     if claim["rate"] is None:
         return f"{region} and converges to {goal}, which is asymptotically stable"
     pace = (

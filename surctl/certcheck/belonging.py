@@ -210,7 +210,8 @@ class _Comparison(Comparison):
         rest = [value for value in about["plant_state"] if not isinstance(value, str)]
         for key, values in {"plant state at rest": rest, **{key: about[key] for key in _VECTORS[-2:]}}.items():
             have = self.manifest.reference if key == "reference" else None
-            other = f"; {', '.join(map(str, have))} in the run of the bundle" if have and [*have] != values else ""
+            words = f", but is {', '.join(map(str, have or ()))} in the run of the bundle"
+            other = words if have and [*have] != values else ""
             if values:
                 self.excludes.append(f"{key}: it is assumed to be {', '.join(map(str, values))}{other}")
         self.excludes += [_MODEL, ROUNDING[self.manifest.real]]

@@ -35,12 +35,12 @@ def check(
 
     --bundle also checks whether the certificate applies to an exported controller: the checker compares every number of
     the certificate with the manifest of the bundle, and computes every hash again. For a system of your own, the
-    checker derives the dynamics from the instruction lists of the bundle; for a law of the robot, the checker evaluates
-    the instruction list of the law at hundreds of points. The output names the parts of the controller that the
-    certificate does not cover. A certificate with slack proves an inequality only up to the slack, and does not prove
-    asymptotic stability. Exit status: 0 if the certificate is accepted (and applies to the controller), 1 if the
-    certificate is rejected, belongs to another controller, or states a number that the bundle does not contain, 2 if a
-    file is not a certificate or bundle.
+    checker derives the dynamics from the instruction lists of the bundle; for a law of the robot, the checker compares
+    the commands of the certified law with those of the exported instruction list at hundreds of points. The output
+    names the parts of the controller that the certificate does not cover. A certificate with slack proves an inequality
+    only up to the slack, and does not prove asymptotic stability. Exit status: 0 if the certificate is accepted (and
+    applies to the controller), 1 if the certificate is rejected, belongs to another controller, or states a number that
+    the bundle does not contain, 2 if a file is not a certificate or bundle.
 
     Examples: surctl check proofs/v2-static.json; surctl check firmware/certificate-v2-static.json --bundle firmware
     """

@@ -569,7 +569,7 @@ def note_replaced(file: Path, command: str) -> None:
         table = json.loads(file.read_text(encoding="utf-8"))
         before = table.get("evidence", table)["command"]
     if before != command:
-        progress(f"{file.parent} contains the results of another command, which are replaced: {before}")
+        progress(f"{file.parent} contains results of another command, which this command replaces: {before}")
 
 
 def print_message(text: str) -> None:

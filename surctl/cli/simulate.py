@@ -87,7 +87,7 @@ def conduct_runs(
         short: whether these lines take the place of those of the runs.
     """
     done, lines, brief = list[Ran](), list(above), list[str]()
-    message = "the run was not finished" if single else "--seed N starts at another seed"
+    message = "the run was not finished" if single else "to begin at another seed: --seed N"
     finished = "" if single else "the runs above are finished" + ("" if out is None else f", files in {out}")
     with stoppable(message, lines, above=finished, as_json=as_json):
         for head, runs in cases:

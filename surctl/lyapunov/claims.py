@@ -83,8 +83,8 @@ class Stability:
         if not self.radii:
             return "the equilibrium"
         if any(w.lower < w.upper for w in self.dynamics.parameters):
-            return "the box of its radii, with constant parameters to the equilibrium there"
-        return "the equilibrium within its radii"
+            return "the box of the radii and, with constant parameters, to the equilibrium in this box"
+        return "the equilibrium within the stated radii"
 
     def plain(self) -> dict[str, Any]:
         """Return the claim as plain data, as the certificate states it."""

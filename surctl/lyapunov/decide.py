@@ -43,8 +43,8 @@ _ALONG = np.array([t for near in _NEAR for t in (near, -near)])
 _CAUSES = {"decrease": "V decreases", "face": "V on a face", "successor": "the successor of a state"}
 _APART = 1e-6  # of the box: no counterexample is closer to an equilibrium that is one only up to rounding
 _ROUGH = (
-    "the equilibrium is one only up to rounding, so that only secant slopes and a quadratic V are tried: for others, "
-    "write rates that are exactly 0 there: ratios that are 1 (i/i_0), numbers such as 0.25"
+    "the rates are 0 at the equilibrium only up to rounding, so only secant slopes with a quadratic V are tried; for "
+    "other methods, write rates that are exactly 0 there, with ratios that are 1 (i/i_0) or numbers such as 0.25"
 )
 _ZERO = 1e-9  # largest value of V at the equilibrium, relative to the level, that counts as rounding
 

@@ -194,7 +194,7 @@ class Solution:
         name, decision = self.problem.dynamics.name, self.decision
         if decision is not None and self.about.startswith(NOT_COVERED):
             stated = self.problem.dynamics.sampling is None or self.problem.function or self.problem.level
-            remedy = "" if stated else " (a smaller box or a shorter period may prove the sampled loop)"
+            remedy = "" if stated else " (try to prove the sampled loop: smaller box or shorter control period)"
             name += f", law in continuous time, without sampling{remedy}"
         then = [f"  a region is proved with {self.instead}"] if self.instead else []
         if decision is None:

@@ -712,7 +712,7 @@ def test_the_dynamics_of_a_certificate_are_those_of_the_bundle() -> None:
     good = compared(lambda c: None)
     assert good.belongs, good
     assert "reference: it is assumed to be 0.0" in good.excludes
-    for have, end in ((0.0, ""), (0.5, "; 0.5 in the run of the bundle")):
+    for have, end in ((0.0, ""), (0.5, ", but is 0.5 in the run of the bundle")):
         told = compare({"kind": "lyapunov", "claim": about(loop())}, replace(manifest, reference=(have,)))
         assert told.belongs and f"reference: it is assumed to be 0.0{end}" in told.excludes
     assert compared(lambda c: None, about(loop(), k=(1.9, 2.1), plant_a=(0.9, 1.1))).belongs

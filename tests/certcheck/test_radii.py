@@ -124,13 +124,13 @@ def test_only_the_slope_rule_has_radii() -> None:
     assert checked.accepted
     assert checked.proves.endswith("to the equilibrium at x = 0 ± 0.0011, which is asymptotically stable")
     fast = check_document(seal("lyapunov", claim | {"rate": 0.1}, {"slopes": {}}))
-    assert fast.proves.endswith("at x = 0 ± 0.0011: V about it decays at least as exp(-0.1 t)")
+    assert fast.proves.endswith("at x = 0 ± 0.0011: V about the equilibrium decays at least as exp(-0.1 t)")
     moving = claim | {
         "parameters": [{"name": "p", "unit": "1", "lower": 0.0, "upper": 0.001}],
         "dynamics": {"x": "p - x"},
     }
     proves = check_document(seal("lyapunov", moving, {"slopes": {}})).proves
-    assert "converges to x = 0 ± 0.0011, for constant parameters to the equilibrium there" in proves
+    assert "converges to the box x = 0 ± 0.0011 and, with constant parameters, to the equilibrium in this box" in proves
     boxes = {"change": "2*x*(0.001 - x)", "scales": [1.0], "positive": {"factor": 1.0, "power": 1}, "decrease": None}
     for wrong in ({"radius": {"x": 0.0009}}, {"property": "bound"}):
         assert not check_document(seal("lyapunov", claim | wrong, {"slopes": {}})).accepted

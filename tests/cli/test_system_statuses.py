@@ -85,7 +85,7 @@ def test_results_of_other_options_are_replaced_with_their_command_and_not_silent
         assert done.exit_code == 0, (done.output, done.exception)
         return done.stderr
 
-    says = "contains the results of another command, which are replaced: "
+    says = "contains results of another command, which this command replaces: "
     long, short = ("export", "mine.py:good", "--out", "c"), ("export", "mine.py:good", "--seconds", "1.5", "--out", "c")
     assert says not in surctl(*long) + surctl(*long, "--json", "--verbose")
     assert f"c {says}surctl {' '.join(long)}\n" in surctl(*short)

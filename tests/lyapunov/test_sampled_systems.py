@@ -82,7 +82,7 @@ def test_the_law_in_continuous_time_is_named_if_it_is_what_is_proved() -> None:
         problem = Problem(sampled_dynamics(fast, WITHIN), "lyapunov", function)
         head = solve(problem, first=True, time_limit=10.0).lines()[0]
         assert ", law in continuous time, without sampling" in head and "where the Lyapunov function V < " in head
-        assert (" (a smaller box or a shorter period may prove the sampled loop)" in head) is remedy
+        assert (" (try to prove the sampled loop: smaller box or shorter control period)" in head) is remedy
     stated = find_stability(sampled_dynamics(cart(limited), WITHIN), first=True, rate=0.05)
     assert isinstance(stated.claim, SampledStability)
     assert stated.claim.rate == pytest.approx(0.05 * 0.2)

@@ -52,7 +52,7 @@ def _stopped(why: str) -> Run:
 def test_a_run_to_the_time_limit_says_where_the_craft_stays_and_what_lint_says() -> None:
     run = _stopped("time limit")
     x, y = run.record.eta[-1, :2]
-    where = f"it stays within 0.05 m of ({x:.2f}, {y:.2f}) m from "
+    where = f"the hull has stayed within 0.05 m of ({x:.2f}, {y:.2f}) m since "
     assert stop_reason(run).startswith(where) and "fins" not in stop_reason(run)
     still = replace(run.record, eta=np.zeros_like(run.record.eta))
     assert stop_reason(replace(run, record=still)) == "the craft did not move"
@@ -139,4 +139,4 @@ def test_a_collision_names_what_the_hull_touches_and_since_when_it_makes_no_way(
         assert said.startswith(f"the hull touches {hit} at ({start[0]:.2f}, {start[1]:.2f}) m")
     still = replace(end, eta=np.tile(start, (run.record.time.size, 1)))
     said = stop_reason(replace(run, record=still, vehicle=craft))
-    assert said.endswith("from 0 s on; its rudders or fins do not turn it at rest")
+    assert said.endswith("since 0 s; its rudders or fins do not turn it at rest")

@@ -56,7 +56,7 @@ if TYPE_CHECKING:
 @barrier_options
 @click.option("--sensing", metavar="NAME", help="Obstacles: sonar (default if usable) or truth (exact).")
 @sensor_options
-@click.option("--constant-gains", is_flag=True, help="Gains and mission as constants in C; needs --sensing truth.")
+@click.option("--constant-gains", is_flag=True, help="Write gains and mission as constants; needs --sensing truth.")
 @click.option(
     "--certificate",
     "certificates",

@@ -79,7 +79,7 @@ _SYSTEM = click.IntRange(1, 255)
     help="Rehearsal: event ACT at time S [s], repeatable: arm, disarm, a mode of --mode, reboot (of the autopilot), "
     "cut (no link), blind (no position), join (ends cut and blind) or quit (surctl fly is killed).",
 )
-@click.option("--seed", type=Count(0), default=0, help="Rehearsal: seed of lost messages (default 0).")
+@click.option("--seed", type=Count(0), default=0, help="Rehearsal: seed of the message loss (default 0).")
 @click.option(
     "--out", type=FOLDER, help="Folder for the record (default surctl-out/fly; in a rehearsal, no record is written)."
 )

@@ -71,7 +71,7 @@ def at_hand(scenario: Scenario, vehicle: Vehicle, gains: str) -> list[str]:
     return ["--scenario", mission, "--vehicle", robot, "--gains", gains]
 
 
-GAINS_HELP = "Gain set: name or file (default: built-in, else derived)."
+GAINS_HELP = "Gain set: name or file (default: built-in for the vehicle, else derived)."
 """Help of the option `--gains`. The default is the set `default` for the SUR vehicles, and derived gains for others."""
 
 

@@ -63,7 +63,7 @@ _EXPLAINED = ("deviation_m", "path_error_m")  # columns whose meaning is printed
 @click.option(
     "--gains",
     metavar="FILE",
-    help="Gains not swept (default: built-in, else derived).",
+    help="Gains not swept (default: built-in for the vehicle, else derived).",
 )
 @law_option
 @click.option(

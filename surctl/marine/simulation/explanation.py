@@ -139,7 +139,7 @@ def _collision_reason(run: Run) -> str:
     near = _NEAR * run.vehicle["radius"]
     said, since = [f"the hull touches {hit} at ({x:.2f}, {y:.2f}) m"], _rest(run, near)
     if run.record.time[-1] - since >= _LEAST:
-        said.append(f"it stays within {near:.2g} m of there from {since:.0f} s on")
+        said.append(f"the hull has stayed within {near:.2g} m of this point since {since:.0f} s")
         said += [_NO_STEERAGE] if run.vehicle.fin_share(run.scenario.cruise) > 0.5 else []
     return "; ".join(said)
 
@@ -154,7 +154,7 @@ def _time_limit_reason(run: Run) -> str:
     elif time[-1] - since >= _LEAST:
         left = float(np.hypot(*(run.scenario.target - place)))
         said.append(
-            f"it stays within {near:.1g} m of ({place[0]:.2f}, {place[1]:.2f}) m from {since:.0f} s on, "
+            f"the hull has stayed within {near:.1g} m of ({place[0]:.2f}, {place[1]:.2f}) m since {since:.0f} s, "
             f"{left:.2f} m from the end of the path"
         )
         if vehicle.fin_share(run.scenario.cruise) > 0.5:

@@ -95,16 +95,16 @@ class MissionProof(Certified):
         if self.verdict != "proved":
             return f"unknown: {self.reason}"
         loop, legs = self.claim.loop, len(self.claim.path) - 1
-        begun = "at rest" if self.claim.at_rest else "at the target's velocity, not at rest,"
+        begins = "at rest" if self.claim.at_rest else "at the target's velocity, not at rest,"
         seconds = float(np.linalg.norm(np.diff(self.claim.path, axis=0), axis=1).sum()) / loop.cruise
         left_out = ["obstacles", "walls", *["thrust lag"] * (not loop.lag), *["held commands"] * (not loop.period)]
         without = f"{', '.join(left_out[:-1])} and {left_out[-1]}"
         along, across = self.within
         alike = "" if loop.mass_asymmetry else " by the same factor"
         return (
-            f"proved without {without}: begun {begun} within {towards(along, up=False)} m along and "
-            f"{towards(across, up=False)} m across the start, it stays within {towards(self.tube, up=True)} m of the "
-            f"path and is within {towards(self.goal, up=True)} m of its end after {seconds:.0f} s; "
+            f"proved without {without}: a robot that begins {begins} within {towards(along, up=False)} m along and "
+            f"{towards(across, up=False)} m across the start stays within {towards(self.tube, up=True)} m of the path, "
+            f"and is within {towards(self.goal, up=True)} m of the end of the path after {seconds:.0f} s; "
             f"{legs} leg{'s' if legs > 1 else ''} at {loop.cruise:g} m/s, drag off by up to "
             f"{loop.drag_factor[1] - 1:.0%}, masses by {loop.mass_factor[1] - 1:.0%}{alike}, a current of up to "
             f"{loop.current:g} m/s, a yaw rate of up to {loop.yaw_rate:g} rad/s; checked in {self.check_seconds:.2f} s"
