@@ -13,6 +13,7 @@ from surctl.errors import NotApplicable
 from surctl.marine.control import load_gains
 from surctl.marine.guidance import path as guidance
 from surctl.marine.simulation import Scenario, load_scenario
+from surctl.marine.tuning import derive_gains
 from surctl.marine.vehicle import load_vehicle
 from surctl.marine.verification import mission
 from surctl.marine.verification.mission import (
@@ -85,8 +86,10 @@ def test_lag_and_held_commands_are_those_of_the_region_claim() -> None:
 
 def test_region_claims_that_no_chain_covers() -> None:
     scenario = load_scenario("tank-static")
-    with pytest.raises(NotApplicable, match="region-heading-20 is not a claim about a cruise under the law guarded"):
-        claim(scenario, region_statement("region-heading-20"))
+    craft, steered = load_vehicle("otter"), region_statement("region-steered-20")
+    gains = derive_gains(craft, cruise=1.1).gains
+    with pytest.raises(NotApplicable, match="region-steered-20 is not a claim about a cruise under the law guarded"):
+        mission_claim(scenario, craft, gains, steered, cruise=1.1, cap=1.5, at_rest=False)
     with pytest.raises(NotApplicable, match="not below the cap"):
         claim(scenario, cruise=0.22)
 
