@@ -291,8 +291,8 @@ def places(mission: Mission, funnel: Funnel, k: int, level: Fraction) -> list[tu
     If each distance of the robot from the target is within its bound, the robot follows leg k up to the corner: it
     leaves the leg only if its measured position is more than 0.1 m from the leg and nearer to the next one. The next
     leg is at least σ u from the target, with σ = 1 for turns of up to 90 degrees, and the sine of the turn for others;
-    so a distance of at most σ u/2 suffices. The distance, of the measured position, is a convex function of u wherever V
-    does not begin to fall faster (`_bends`), so those u and the ends of the range of u decide.
+    so a distance of at most σ u/2 suffices. The distance, of the measured position, is a convex function of u except
+    where V begins to fall faster (`_bends`), so these u and the ends of the range of u decide.
     """
     c, s = turn_of(*mission.path[k : k + 3])
     share = Fraction(1) if c > _PRECISION else max(abs(s) - _PRECISION, Fraction(0))
