@@ -266,12 +266,12 @@ def _fall(level: Fraction, low: Fraction, rate: Fraction) -> Fraction:
 
 def _bends(claim: TurningClaim, funnel: Funnel, level: Fraction) -> list[Fraction]:
     """Return how far the target has moved on a leg [m] when the bound on V enters a shell with a higher rate."""
-    time, found = claim.period, list[Fraction]()
+    time, distances = claim.period, list[Fraction]()
     for (low, rate), (_, inner) in pairwise(funnel.shells):
         if level > low:
             time, level = time + _fall(level, low, rate), low
-            found += [claim.cruise * time] * (inner > rate)
-    return found
+            distances += [claim.cruise * time] * (inner > rate)
+    return distances
 
 
 def starts(mission: Mission, funnel: Funnel) -> list[list[Fraction]]:
