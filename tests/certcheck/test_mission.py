@@ -351,7 +351,9 @@ def test_v_may_begin_to_fall_faster_while_the_robot_is_too_far_from_the_target(
     falls = float((length - Fraction("0.3")) / stated.loop.cruise - stated.loop.period)  # s, until 0.3 m before it
     low = begin * Fraction(np.exp(-float(outer) * falls))
     funnel = funnel_of(stated.loop, whole["proof"]["loop"])
-    funnel = replace(funnel, shells=[(low, outer), (Fraction(1, 10**4), inner or outer)], floor=Fraction(1, 10**4))
+    floor = Fraction(1, 10**4)
+    shells = [((begin + low) / 2, outer), (low, outer), (floor, inner or outer)]
+    funnel = replace(funnel, shells=shells, floor=floor)
     first, *between, last = places(stated, funnel, 0, begin)
     assert first[1] <= first[2]
     if inner:
