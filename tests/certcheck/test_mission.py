@@ -341,7 +341,7 @@ def test_places_before_a_corner() -> None:
     ("turn", "inner", "held"), [(0.3, 20, True), (2.0, 20, True), (0.3, 20, False), (0.3, 0, False)]
 )
 def test_v_may_begin_to_fall_faster_while_the_robot_is_too_far_from_the_target(
-    turn: float, inner: float, held: bool
+    turn: float, inner: int, held: bool
 ) -> None:
     whole = built(BENT, EXACT, period=0.05) if held else built()
     corner = (Fraction(14 + 9 * np.cos(turn)), Fraction(9 * np.sin(turn)))
@@ -352,7 +352,7 @@ def test_v_may_begin_to_fall_faster_while_the_robot_is_too_far_from_the_target(
     low = begin * Fraction(np.exp(-float(outer) * falls))
     funnel = funnel_of(stated.loop, whole["proof"]["loop"])
     floor = Fraction(1, 10**4)
-    shells = [((begin + low) / 2, outer), (low, outer), (floor, inner or outer)]
+    shells = [((begin + low) / 2, outer), (low, outer), (floor, Fraction(inner) or outer)]
     funnel = replace(funnel, shells=shells, floor=floor)
     first, *between, last = places(stated, funnel, 0, begin)
     assert first[1] <= first[2]
