@@ -254,9 +254,24 @@ def decayed(claim: TurningClaim, funnel: Funnel, level: Fraction, length: Fracti
     left = length / claim.cruise - claim.period
     for low, rate in funnel.shells:
         if level > low and left > 0:
-            within = Fraction(math.log(level / low) + 1e-12) / rate  # the time in which V falls to `low`
+            within = _fall(level, low, rate)
             level, left = max(level * Fraction(math.exp(-rate * left) * UP), low), left - within
     return max(Fraction(-(-level.numerator * _GRID // level.denominator), _GRID), funnel.floor)
+
+
+def _fall(level: Fraction, low: Fraction, rate: Fraction) -> Fraction:
+    """Return the time in which V falls from `level` to `low` [s], rounded up."""
+    return Fraction(math.log(level / low) + 1e-12) / rate
+
+
+def _bends(claim: TurningClaim, funnel: Funnel, level: Fraction) -> list[Fraction]:
+    """Return how far the target has moved on a leg [m] when the bound on V enters a shell with a higher rate."""
+    time, distances = claim.period, list[Fraction]()
+    for (low, rate), (_, inner) in pairwise(funnel.shells):
+        if level > low:
+            time, level = time + _fall(level, low, rate), low
+            distances += [claim.cruise * time] * (inner > rate)
+    return distances
 
 
 def starts(mission: Mission, funnel: Funnel) -> list[list[Fraction]]:
@@ -276,8 +291,8 @@ def places(mission: Mission, funnel: Funnel, k: int, level: Fraction) -> list[tu
     If each distance of the robot from the target is within its bound, the robot follows leg k up to the corner: it
     leaves the leg only if its measured position is more than 0.1 m from the leg and nearer to the next one. The next
     leg is at least σ u from the target, with σ = 1 for turns of up to 90 degrees, and the sine of the turn for others;
-    so a distance of at most σ u/2 suffices. The distance, of the measured position, is a convex function of u, so the
-    ends of the range of u decide.
+    so a distance of at most σ u/2 suffices. The distance, of the measured position, is a convex function of u except
+    where V begins to fall faster (`_bends`), so these u and the ends of the range of u decide.
     """
     c, s = turn_of(*mission.path[k : k + 3])
     share = Fraction(1) if c > _PRECISION else max(abs(s) - _PRECISION, Fraction(0))
@@ -289,7 +304,9 @@ def places(mission: Mission, funnel: Funnel, k: int, level: Fraction) -> list[tu
 
     if share * first <= 2 * ON_LEG:
         return [place(first, ON_LEG)]
-    return [place(first, share * first / 2), place(2 * ON_LEG / share, ON_LEG)]
+    last = 2 * ON_LEG / share
+    between = (u for u in (length - moved for moved in _bends(mission.loop, funnel, level)) if last < u < first)
+    return [*(place(u, share * u / 2) for u in (first, *between)), place(last, ON_LEG)]
 
 
 def _turns(mission: Mission, funnel: Funnel, k: int, before: Fraction, after: Fraction, multiplier: Fraction) -> bool:

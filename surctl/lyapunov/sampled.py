@@ -276,7 +276,9 @@ class _Round:
         own = self.scales[: self.n]
         q = np.tensordot(x, self.inverses, axes=1)
         feedbacks = np.tensordot(x, self.rows, axes=1) @ np.linalg.inv(q) * self.limits[:, None] / own
-        knots = np.array([np.tensordot(x, knot, axes=1) for knot in self.knots]) * np.outer(self.scales, self.scales)
+        knots = np.array([np.tensordot(x, knot, axes=1) for knot in self.knots])
+        # an affine law leaves W(0) flat, and semidefinite only up to the tolerance
+        knots = (knots + 2 * _TOLERANCE * np.eye(self.size)) * np.outer(self.scales, self.scales)
         return Shapes(q * np.outer(own, own), knots, feedbacks)
 
 

@@ -73,10 +73,11 @@ class StackController:
             may, because they are free at a singular configuration and bound next to it.
         budget: most operations of a step, for a hard real-time bound; `mode` must be lexicographic. An operation takes
             about five instructions of a Cortex-M7. If the search does not end within the budget, it ends early and the
-            stage is unconfirmed: v is within the actuator limits, and exceeds no other limit by more than v = 0 exceeds
-            the worst one. (If v = 0 is not within the actuator limits, v may not be either; the stage is clamped then.)
-            All other steps have the same bytes as without a budget. With None, a step takes as many operations as it
-            needs, and the bound on them is several times higher.
+            stage is unconfirmed. Let v₀ be v = 0 clipped to the bounds of each velocity. If v₀ is within the actuator
+            limits, v is too, and exceeds no other limit by more than v₀ exceeds the worst one. Otherwise v may exceed
+            other limits by more, or actuator limits; in the second case the stage is clamped. All other steps have the
+            same bytes as without a budget. With None, a step takes as many operations as it needs, and the bound on
+            them is several times higher.
 
     Raises:
         InputError: tasks or limits are of different robots, two inputs have the same name but differ, the period is not

@@ -337,6 +337,34 @@ def test_places_before_a_corner() -> None:
     assert (near, narrow) == (Fraction(1, 5), ON_LEG)
 
 
+@pytest.mark.parametrize(
+    ("turn", "inner", "held"), [(0.3, 20, True), (2.0, 20, True), (0.3, 20, False), (0.3, 0, False)]
+)
+def test_v_may_begin_to_fall_faster_while_the_robot_is_too_far_from_the_target(
+    turn: float, inner: int, held: bool
+) -> None:
+    whole = built(BENT, EXACT, period=0.05) if held else built()
+    corner = (Fraction(14 + 9 * np.cos(turn)), Fraction(9 * np.sin(turn)))
+    stated = read_claim(whole["claim"])
+    stated = replace(stated, path=(*stated.path[:2], corner))
+    length, begin, outer = Fraction(14), Fraction(6, 10), Fraction(1, 1000)
+    falls = float((length - Fraction("0.3")) / stated.loop.cruise - stated.loop.period)  # s, until 0.3 m before it
+    low = begin * Fraction(np.exp(-float(outer) * falls))
+    funnel = funnel_of(stated.loop, whole["proof"]["loop"])
+    floor = Fraction(1, 10**4)
+    shells = [((begin + low) / 2, outer), (low, outer), (floor, Fraction(inner) or outer)]
+    funnel = replace(funnel, shells=shells, floor=floor)
+    first, *between, last = places(stated, funnel, 0, begin)
+    assert first[1] <= first[2]
+    if inner:
+        assert last[1] <= last[2]
+        [(u, distance, bound)] = between
+        assert float(u) == pytest.approx(0.3, abs=1e-6)
+        assert bound == u * first[2] / first[0] < distance
+    else:  # V does not bend
+        assert not between
+
+
 def test_the_law_decides_at_a_corner_by_the_measured_position(alone: None) -> None:
     whole = built()  # at the end of leg 1, the robot may be as far from the leg as the rule allows
     assert not reason_of(whole)

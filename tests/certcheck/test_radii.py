@@ -85,6 +85,20 @@ def test_the_slopes_are_those_about_every_point_within_the_radii(radius: float, 
     assert (not refusal(text, radius)) is good
 
 
+@pytest.mark.parametrize(("factor", "good"), [(0.8, True), (0.9, False)])
+def test_a_product_has_the_values_of_every_point_within_the_radii(factor: float, good: bool) -> None:
+    # x' = 1e-9 - x + k x y: about (x*, y*), the rate of x has the slopes k y* in x and k x in y
+    p = [[Fraction(1), Fraction(0)], [Fraction(0), Fraction(1)]]
+    level, zero = Fraction(1), Fraction(0)
+    needed = Decrease(p, [zero, zero], level, zero, {}, radii=[Fraction(2, 5), Fraction(2, 5)])
+    rates, refused = [f"1e-9 - x + {factor}*x*y", "-y"], False
+    try:
+        check_decrease(["x", "y"], [(-2.0, 2.0)] * 2, rates, needed, discrete=False)
+    except Rejected:
+        refused = True
+    assert refused is not good
+
+
 @pytest.mark.parametrize(("feedback", "good"), [(-0.69, True), (-0.72, False)])
 def test_the_feedback_of_a_limit_stays_within_it_from_every_point_within_the_radii(feedback: float, good: bool) -> None:
     # the limit is 1, the operand at a point within the radius at most 0.3, and the region reaches 0.9 from the centre

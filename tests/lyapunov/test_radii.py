@@ -14,7 +14,6 @@ from surctl.lyapunov import Dynamics, Problem, Stability, State, decide_motion, 
 from surctl.system import Controller, Plant, System
 from surctl.verification.formula import parse, variable
 
-GAP, FORCE = 0.012, 3.2e-5
 PENDULUM = """
 kind = "lyapunov"
 name = "held"
@@ -26,21 +25,31 @@ p = {{ lower = {low}, upper = 0.5 }}
 """
 
 
-def test_a_magnetic_levitation_has_a_region_from_its_box_alone() -> None:
-    gap, speed = Port("gap", (1,), "m", "from the magnet", GAP), Port("speed", (1,), "m/s", "away from the magnet")
+@pytest.mark.parametrize(
+    ("gap", "force", "period", "gains", "speeds"),
+    [
+        (0.012, 3.2e-5, 0.001, (1500, 40), 0.3),
+        (0.0137, 2.7e-4 / 0.083, 0.002, (400, 9), 0.2),  # the matrix of W(0) would be semidefinite up to a tolerance
+    ],
+)
+def test_a_magnetic_levitation_has_a_region_from_its_box_alone(
+    gap: float, force: float, period: float, gains: tuple[float, float], speeds: float
+) -> None:
+    states = Port("gap", (1,), "m", "from the magnet", gap), Port("speed", (1,), "m/s", "away from the magnet")
     plant = Plant(
-        "maglev", Layout((gap, speed)), Layout((Port("i", (1,), "A", "of the coil"),)),
-        ode=lambda x, u, d, p: {"gap": x["speed"], "speed": 9.81 - FORCE * u["i"] ** 2 / x["gap"] ** 2},
+        "maglev", Layout(states), Layout((Port("i", (1,), "A", "of the coil"),)),
+        ode=lambda x, u, d, p: {"gap": x["speed"], "speed": 9.81 - force * u["i"] ** 2 / x["gap"] ** 2},
     )  # fmt: skip
-    rest = GAP * math.sqrt(9.81 / FORCE)
+    rest = gap * math.sqrt(9.81 / force)
     law = Controller(
-        "pd", 0.001, plant.state, plant.inputs, lambda x, u, p: rest + 1500 * (u["gap"] - GAP) + 40 * u["speed"]
-    )
-    system = System(plant, law, within={"gap": (0.006, 0.018), "speed": (-0.3, 0.3)})
+        "pd", period, plant.state, plant.inputs,
+        lambda x, u, p: rest + gains[0] * (u["gap"] - gap) + gains[1] * u["speed"],
+    )  # fmt: skip
+    system = System(plant, law, within={"gap": (0.5 * gap, 1.5 * gap), "speed": (-speeds, speeds)})
     solution = solve(Problem(sampled_dynamics(system, system.within), "lyapunov"), first=True)
     assert solution.verdict == "proved" and solution.sampled
     claim = solution.document["claim"]
-    assert set(claim["radius"]) == {"gap", "speed", "i"} and claim["radius"]["gap"] < 1e-12 * GAP * 1e3
+    assert set(claim["radius"]) == {"gap", "speed", "i"} and claim["radius"]["gap"] < 1e-9 * gap
     assert check_document(solution.document).accepted
     [line] = [line for line in solution.lines() if line.startswith("  equilibrium ")]
     assert line.endswith(f"speed = 0 ± {claim['radius']['speed']:g}")

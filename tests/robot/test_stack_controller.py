@@ -139,6 +139,7 @@ def test_a_mistake_gives_one_line(arm: Robot, control: StackController) -> None:
         (lambda: StackController([posture], dt=0.1, damping=0.1, mode="nsb"), "mode = 'nsb': has no damping"),
         (lambda: StackController([posture], dt=0.1, budget=9), "budget = 9: is too small; give"),
         (lambda: StackController([posture], dt=0.1, budget=True), "budget = True: is not a whole number"),
+        (lambda: StackController([posture], dt=0.1, budget=2**31), "budget = 2147483648: is too large; give less than"),
         (lambda: StackController([posture], dt=0.1, budget=9, mode="nsb"), "mode = 'nsb': has no budget"),
         (lambda: arm.frame_task("link9", target="tool"), "is not the name of a link"),
         (lambda: arm.frame_task("link3", target="my tool"), "is not a name for a target"),

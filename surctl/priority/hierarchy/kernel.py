@@ -176,10 +176,12 @@ def hierarchy(
     the search does not end within the budget, it ends early, and its velocity is unconfirmed.
 
     Raises:
-        InputError: the budget is too small for any search.
+        InputError: the budget is too small for any search, or no int of C.
     """
     if budget is None:
         return _kernel(shape, rows, precision, damped, None)
+    if budget >= 2**31:
+        raise InputError("is too large", key="budget", value=budget, remedy="give less than 2147483648, or None")
     rest = budget - others - _kernel(shape, rows, precision, damped, 0).operations
     if rest < 0:
         raise InputError("is too small", key="budget", value=budget, remedy=f"give {budget - rest} or more operations")
