@@ -570,8 +570,8 @@ def test_the_study_of_the_tube_of_a_mission() -> None:
     done = run(ANALYSIS / "47_mission_tube" / "run.py", "--quick")
     assert done.returncode == 0, done.stdout + done.stderr
     for row in table(done.stdout)[-2:]:
-        assert row[6] == "0", "a motion leaves the tube"
-        assert 0.9 < float(row[7].rstrip("%")) / 100 <= 1, "the motions begin at the border"
+        assert row[7] == "0", "a motion leaves the tube"
+        assert 0.9 < float(row[8].rstrip("%")) / 100 <= 1, "the motions begin at the border"
 
 
 def test_the_study_of_what_the_checker_needs() -> None:

@@ -196,7 +196,7 @@ def test_findings_have_the_key_of_the_file_that_causes_them() -> None:
     assert keys(lambda table: table["site"].update(walls={"x0": "webots"})) == {"site.walls"}
 
 
-def test_smooth_walls_alone_have_the_surface_model_for_smooth_walls_as_their_remedy() -> None:
+def test_smooth_walls_alone_have_the_surface_model_smooth_as_their_remedy() -> None:
     def walls(table: dict[str, Any], *, kind: str = "specular", **sonar: object) -> None:
         table["site"]["walls"] = kind
         table["sonar"] |= sonar
@@ -204,10 +204,10 @@ def test_smooth_walls_alone_have_the_surface_model_for_smooth_walls_as_their_rem
     (found,) = _echoes(walls)
     assert found.text == (
         "the walls answer only within 5° of their normal, but with surface_model = 'diffuse' the law takes a reading "
-        'from beyond a known wall for a fault of the sonar; surface_model = "smooth-walls" is for such walls'
+        'from beyond a known wall for a fault of the sonar; surface_model = "smooth" is for such walls'
     )
-    assert not _echoes(lambda table: walls(table, surface_model="smooth-walls"))
-    (found,) = _echoes(lambda table: walls(table, kind="silent", surface_model="smooth-walls"))
+    assert not _echoes(lambda table: walls(table, surface_model="smooth"))
+    (found,) = _echoes(lambda table: walls(table, kind="silent", surface_model="smooth"))
     assert "the walls never answer" in found.text and "within 3°" in found.text
 
 

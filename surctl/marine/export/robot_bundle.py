@@ -133,7 +133,7 @@ def _sonars(equipment: Equipment, origin: Origin) -> list[str]:
         + {
             "smooth": "For 9 s a mark is cleared only by silence from directions from which it was heard",
             "specular": "A mark is cleared only by silence from directions from which it was heard",
-        }.get(equipment.surface_model, "Silence clears the marks of obstacles, which must answer from every direction")
+        }[equipment.surface_model]
         if equipment.surface_model != "diffuse"
         else "a known wall always answers, so a reading beyond the wall counts as a fault"
     )

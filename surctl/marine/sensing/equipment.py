@@ -12,22 +12,21 @@ from surctl.errors import InputError
 from surctl.marine.sensing.localisation.base_station import BaseStation, OwnState
 from surctl.marine.sensing.sonar.array import SonarArray
 
-SurfaceModel = Literal["diffuse", "smooth-walls", "smooth", "specular"]
+SurfaceModel = Literal["diffuse", "smooth", "specular"]
 """What a law assumes of surfaces.
 
 `diffuse`: every surface answers from every direction, so silence means free water, and a reading beyond the nearest
-point of a known wall is a fault of the sonar. `smooth-walls`: a known wall surely answers near its normal only, so a
-reading is a fault only if it is beyond a wall that the beam meets near its normal. `smooth`: obstacles are smooth too
-and answer within about 22° of their normal, so for 9 s silence clears a mark only from directions from which the mark
-was heard (see `mapping.firing`), and a face within the blind range goes on where it is silent (see
-`control.perception`). `specular`: obstacles are mirrors, so this lasts as long as the mark, and a cell
-that was silent may cause an echo from another direction. With `smooth` and `specular`, the robot turns such that its
-beams sweep past an obstacle from back to front."""
+point of a known wall is a fault of the sonar. `smooth`: a known wall surely answers near its normal only, so a reading
+is a fault only if it is beyond a wall that the beam meets near its normal; obstacles answer within about 22° of their
+normal, so for 9 s silence clears a mark only from directions from which the mark was heard (see `mapping.firing`), and
+a face within the blind range goes on where it is silent (see `control.perception`). `specular`: obstacles are mirrors,
+so this lasts as long as the mark, and a cell that was silent may cause an echo from another direction. With `smooth`
+and `specular`, the robot turns such that its beams sweep past an obstacle from back to front."""
 
 SURFACE_MODELS: tuple[SurfaceModel, ...] = get_args(SurfaceModel)
 
 INCIDENCE_LIMITS: Mapping[SurfaceModel, float | None] = MappingProxyType(
-    {"diffuse": None, "smooth-walls": None, "smooth": pi / 8, "specular": pi / 36}
+    {"diffuse": None, "smooth": pi / 8, "specular": pi / 36}
 )
 """Angle from its normal [rad] within which a face of an obstacle answers, as each `SurfaceModel` assumes; None: any."""
 

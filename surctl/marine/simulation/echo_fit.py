@@ -238,7 +238,6 @@ _SIDES: dict[str, Point] = {"+x": (1.0, 0.0), "-x": (-1.0, 0.0), "+y": (0.0, 1.0
 # obstacles or faces that a finding names
 _CLEARED = {
     "diffuse": "silence is free water: a smooth face that a beam meets obliquely is cleared from the map",
-    "smooth-walls": "only walls may be silent: a smooth obstacle that a beam meets obliquely is cleared from the map",
     "smooth": "a mark of a smooth obstacle lasts 9 s, and a face that never answered is not in the map",
     "specular": "a face that never answered is not in the map",
 }
@@ -354,7 +353,7 @@ def _oblique(scenario: Scenario, met: Sequence[_Surface], walls: Sequence[_Surfa
         text = f"{which} {' or '.join(parts)}, but with surface_model = {assumed!r} the law "
         if assumed == "diffuse":
             text += "takes a reading from beyond a known wall for a fault of the sonar; "
-            text += 'surface_model = "smooth-walls" is for such walls'
+            text += 'surface_model = "smooth" is for such walls'
         else:
             text += f"takes a reading from beyond a wall that a beam meets within {degrees(_SURE):.3g}° for a fault"
         yield Finding("warning", _key(smooth), text)
