@@ -142,7 +142,9 @@ def _piece(
                 whole[i][j] = rows.plus(whole[i][j], lost)
                 whole[j][i] = rows.plus(whole[j][i], lost)  # the diagonal loses twice
         if not is_definite(rows, whole):
-            raise Rejected("the slope rule does not show that W, which bounds V between the sampling instants, decreases")
+            raise Rejected(
+                "the slope rule does not show that W, which bounds V between the sampling instants, decreases"
+            )
     return drift
 
 

@@ -270,7 +270,7 @@ def test_the_page_of_the_robot_shows_its_run_goals_and_claims(tmp_path):
     assert "k_v" in values and '"k_v"' in page(ROBOT, nonce="n", token="t")
     assert all(panel.x == "time [s]" and not panel.log_x for panel in view.panels)
     thrust = next(panel for panel in view.panels if panel.title == "Run: force")
-    assert thrust.shades[0].y[0] == ROBOT.vehicle.thrust_limit[0]
+    assert {shade.y[0] for shade in thrust.shades} == {-ROBOT.vehicle.thrust_limit[0], ROBOT.vehicle.thrust_limit[0]}
     assert ROBOT.command(values, "run").startswith("surctl simulate pool-behind --sensing truth --vehicle sur")
     assert ROBOT.command(values, "decision").startswith("surctl verify region-cruise-20 --cruise 0.15 --cap 0.22 ")
     path = tmp_path / "gains.toml"
