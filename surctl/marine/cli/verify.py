@@ -110,9 +110,10 @@ def verify(
     surctl linearises the closed loop about straight cruise (with --law: about the law's steady motion), and prints
     margins, poles, slowest mode, stable speeds and control periods, for the nominal and the worst vehicle within
     --uncertainty or the vehicle's ranges. surctl list shows region and braking claims, which are checked only if you
-    name them. A claim file states an inequality (key kind = claim; --show prints examples), a region claim with your
-    numbers (region), or a region of attraction or a barrier of any dynamics (lyapunov, barrier). Exit status: 1 if a
-    verdict is not the expected one, a named claim is not applicable, or a margin or no-contact claim fails.
+    name them. The key kind of a claim file is claim (an inequality; --show prints examples), region (a region claim
+    with ranges of your own), lyapunov or barrier (a region of attraction or a barrier of dynamics in the file). Exit
+    status: 1 if a verdict is not the expected one, a named claim is not applicable, or a margin or no-contact claim
+    fails.
 
     For FILE.py:FUNCTION, a system of your own, surctl prints equilibrium, poles and margins of the sampled loop. With
     arguments within.STATE=LOW..HIGH for all states, surctl proves a region of attraction in this box.
