@@ -74,8 +74,8 @@ def tune(
     status: 1 if the gains miss a hard goal in the search or in the test, or if a line of the output says FAIL.
 
     For FILE.py:FUNCTION, a system of your own, the search minimises the first cost of the system. All other costs must
-    stay within their bounds, and the disk margin must be at least 0.3, in every case of the lists NAME=V1,V2. With
-    --goals, the search minimises the largest normalised soft goal.
+    stay within their bounds, and the disk margin must be at least 0.3, in every case: case k has the k-th value of
+    each list NAME=V1,V2. With --goals, the search minimises the largest normalised soft goal.
 
     Examples: surctl tune my-study.toml --gain k_v=0.5..3 --goals my-goals.toml; surctl tune my-system.py:build --page
     """
