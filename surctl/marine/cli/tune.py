@@ -73,9 +73,9 @@ def tune(
     the vehicle; the search minimises the soft goals. The built-in claims are a further test of the tuned gains. Exit
     status: 1 if the gains miss a hard goal in the search or in the test, or if a line of the output says FAIL.
 
-    For FILE.py:FUNCTION, a system of your own, the search minimises the first cost of the system. All other costs must
-    stay within their bounds, and the disk margin must be at least 0.3, in every case: case k has the k-th value of
-    each list NAME=V1,V2. With --goals, the search minimises the largest normalised soft goal.
+    For FILE.py:FUNCTION, a system of your own, the search minimises the first cost or, with --goals, the largest
+    normalised soft goal. In every case, all other costs must stay within their bounds, and the disk margin must be at
+    least 0.3; case k has the k-th value of each list NAME=V1,V2.
 
     Examples: surctl tune my-study.toml --gain k_v=0.5..3 --goals my-goals.toml; surctl tune my-system.py:build --page
     """
