@@ -339,11 +339,11 @@ def _no_expressions(*_: object) -> NoReturn:
 
 def _robot_of(tasks: Sequence[Task | SetTask], limits: Sequence[Limit]) -> Kinematics:
     lists: Mapping[str, object] = {"tasks": tasks, "limits": limits}
-    for key, given in lists.items():
-        if not isinstance(given, Sequence):
-            raise InputError("is not a list", key=key, value=type(given).__name__, remedy=f"write [{key[:-1]}]")
+    for key, members in lists.items():
+        if not isinstance(members, Sequence):
+            raise InputError("is not a list", key=key, value=type(members).__name__, remedy=f"write [{key[:-1]}]")
         kinds: tuple[type, ...] = (Task, SetTask) if key == "tasks" else (object,)
-        if wrong := [type(one).__name__ for one in given if not isinstance(one, kinds)]:
+        if wrong := [type(one).__name__ for one in members if not isinstance(one, kinds)]:
             remedy = "of a frame task, take .position and .orientation"
             raise InputError("is not a task", key="tasks", value=wrong[0], remedy=remedy)
     robots = [task.robot for task in tasks if isinstance(task, RobotTask)]
