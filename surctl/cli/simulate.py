@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -116,19 +115,17 @@ def simulate_own_system(
     from surctl.files import prepare_folder
 
     own = load_system(words)
-    duration = own.seconds(seconds)
-    assigned(own.settings)
+    duration, values = own.seconds(seconds), assigned(own.settings)
     if out is not None:
         prepare_folder(out)
-    runs = map(partial(_ran, own, duration=duration, save=save), [out])
+    runs = (_ran(own, one, duration, out, save) for one in [values])  # simulated where Ctrl-C is handled
     conduct_runs([((), runs)], out=out, as_json=as_json)
 
 
-def _ran(own: OwnSystem, out: Path | None, *, duration: float, save: str) -> Ran:
+def _ran(own: OwnSystem, values: Mapping[str, Any], duration: float, out: Path | None, save: str) -> Ran:
     from surctl.assessment import ClosedLoop, assess
     from surctl.system import LOST, run_system
 
-    values = assigned(own.settings)
     record = run_system(own.system, duration, values)
     assessment = assess(ClosedLoop(own.system, values, record=record), parts=["run"])
     judged = [f"{line.mark} {line.text}".strip() for line in assessment.lines if line.about]

@@ -338,14 +338,15 @@ def _no_expressions(*_: object) -> NoReturn:
 
 
 def _robot_of(tasks: Sequence[Task | SetTask], limits: Sequence[Limit]) -> Kinematics:
-    lists: Mapping[str, object] = {"tasks": tasks, "limits": limits}
-    for key, members in lists.items():
+    members: Any
+    for key, members in (("tasks", tasks), ("limits", limits)):
         if not isinstance(members, Sequence):
             raise InputError("is not a list", key=key, value=type(members).__name__, remedy=f"write [{key[:-1]}]")
-        kinds: tuple[type, ...] = (Task, SetTask) if key == "tasks" else (object,)
-        if wrong := [type(one).__name__ for one in members if not isinstance(one, kinds)]:
+    one: Any
+    for one in tasks:
+        if not isinstance(one, Task | SetTask):
             remedy = "of a frame task, take .position and .orientation"
-            raise InputError("is not a task", key="tasks", value=wrong[0], remedy=remedy)
+            raise InputError("is not a task", key="tasks", value=type(one).__name__, remedy=remedy)
     robots = [task.robot for task in tasks if isinstance(task, RobotTask)]
     robots += [limit.robot for limit in limits if isinstance(limit, JointLimits | SelfCollision)]
     if not robots:
