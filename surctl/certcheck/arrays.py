@@ -19,7 +19,7 @@ import numpy as np
 from mpmath import libmp
 from numpy.typing import NDArray
 
-from surctl.certcheck.angles import pi
+from surctl.certcheck.elementary import pi
 from surctl.certcheck.enclosure import Interval, Undefined, enclose, rational
 from surctl.certcheck.expressions import BRANCHES, Entry, ExpressionTable
 from surctl.certcheck.patience import go_on
