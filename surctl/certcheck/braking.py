@@ -38,21 +38,19 @@ from itertools import pairwise
 from math import nextafter
 from typing import Any
 
-from surctl.certcheck.braking_claim import MOST_NUMBERS, BrakingClaim, GuardedLaw, read_claim
+from surctl.certcheck.braking_claim import BrakingClaim, GuardedLaw, read_claim
 from surctl.certcheck.document import Rejected, record
 from surctl.certcheck.enclosure import enclose
 from surctl.certcheck.expressions import ExpressionTable
+from surctl.certcheck.fields import Pair, row
 from surctl.certcheck.identity import Exact
 from surctl.certcheck.inequality import listed
 from surctl.certcheck.motion import Obligation, check_all
-from surctl.certcheck.region_claim import number
 
 __all__ = [
     "Distance", "bound_distance", "check", "disturbance", "drag_ranges", "left_at", "read_distance", "thrust_ahead",
     "upper",
 ]  # fmt: skip
-
-Pair = tuple[Fraction, Fraction]
 
 _FIGURE, _DIGITS = 10**4, 10**12  # ranges of the table are rounded up to 0.1 mm, other numbers to 12 decimals
 
@@ -350,7 +348,7 @@ def bound_distance(law: GuardedLaw, obstacle: Fraction, period: Fraction) -> str
     if law.barrier == "simple":
         c, t = f"(b + {_text(obstacle)})", law.reaction
         return f"({c}*{_text(t)} + max({c}, 0)^2*{_text(max(law.mass) / (2 * force))} + {_text(t * obstacle)})"
-    lightest, heaviest, most, lag, linear, quadratic = law.stopping
+    lightest, heaviest, most, lag, linear, quadratic = law.stopping.values()
     dragged = linear * obstacle + quadratic * obstacle**2
     left = force - dragged
     if left * 50 < force:
@@ -383,11 +381,11 @@ def check(document: Mapping[str, Any]) -> None:
         raise Rejected("there must be one braking distance for each obstacle")
     for column, obstacle in enumerate(claim.obstacles):
         distance = read_distance(claim, obstacle, stated[column])
-        for speed, row in zip(claim.speeds, claim.needed, strict=True):
-            if row[column] < (figure := distance.needed(speed)):
+        for speed, ranges in zip(claim.speeds, claim.needed, strict=True):
+            if ranges[column] < (figure := distance.needed(speed)):
                 raise Rejected(
                     f"table.needed_m at {float(speed):g} m/s towards an obstacle of {float(obstacle):g} m/s must be "
-                    f"at least {float(figure):g} m, not {float(row[column]):g} m"
+                    f"at least {float(figure):g} m, not {float(ranges[column]):g} m"
                 )
         obligations += distance.obligations()
     check_all(obligations, document["proofs"], Exact(ExpressionTable(("y",))))
@@ -396,10 +394,7 @@ def check(document: Mapping[str, Any]) -> None:
 def read_distance(claim: BrakingClaim, obstacle: Fraction, stated: Any) -> Distance:
     """Return the braking distance before one obstacle from its entry in the certificate."""
     entry = record(stated, ("knots", "slopes", "retreats"), "distances")
-    rows = [entry["knots"], entry["slopes"]]
-    if any(not isinstance(row, list) or not 2 <= len(row) <= MOST_NUMBERS for row in rows):
-        raise Rejected(f"distances: knots and slopes must be lists of 2 to {MOST_NUMBERS} numbers")
     if type(entry["retreats"]) is not bool:
         raise Rejected("distances: 'retreats' must be true or false")
-    knots, slopes = (tuple(number(x, "distances") for x in row) for row in rows)
+    knots, slopes = (row(entry[key], f"distances: {key}") for key in ("knots", "slopes"))
     return Distance(claim, obstacle, knots, slopes, entry["retreats"])

@@ -1,16 +1,16 @@
-"""Reader of the claim of a braking certificate; it rejects missing or unknown keys and numbers that are not decimal."""
+"""The claim of a braking certificate."""
 
 from __future__ import annotations
 
-import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any
 
 from surctl.certcheck.document import Rejected, listed, record
-from surctl.certcheck.region_claim import number, two
+from surctl.certcheck.fields import Pair, choice, number, ordered, placed, read_fields, read_top, row, two, zero
 
-__all__ = ["ASSUMES", "LAW", "MOST_NUMBERS", "PLACES", "STOPPING", "BrakingClaim", "GuardedLaw", "read_claim"]
+__all__ = ["ASSUMES", "STOPPING", "BrakingClaim", "GuardedLaw", "read_claim"]
 
 ASSUMES = (
     "there is one obstacle or wall at a time; it is convex, does not rotate and never approaches faster than stated",
@@ -32,35 +32,27 @@ ASSUMES = (
 )
 """Assumptions of the claim; a certificate repeats the assumptions word for word."""
 
-Pair = tuple[Fraction, Fraction]
-
-PLACES = {
-    "mass": "vehicle.mass_kg", "ratio": "vehicle.mass_ratio", "linear": "vehicle.linear_drag",
-    "quadratic": "vehicle.quadratic_drag", "drag": "vehicle.drag", "brake": "vehicle.brake_n",
-    "most": "vehicle.most_n", "side": "vehicle.side_n", "lag": "vehicle.lag_s",
-    "obstacles": "encounter.obstacles_m_per_s", "current": "encounter.current_m_per_s",
-    "disturbance": "encounter.disturbance_n", "sideways": "encounter.sideways_m_per_s",
-    "turn": "encounter.turn_rad_per_s", "fastest": "encounter.fastest_m_per_s", "period": "watch.period_s",
-    "age": "watch.age_s", "range_error": "watch.range_error_m", "speed_error": "watch.speed_error_m_per_s",
-    "speeds": "table.speeds_m_per_s", "needed": "table.needed_m", "limit": "table.limit_obstacle_m_per_s",
-}  # fmt: skip
-"""Where the claim has each attribute of `BrakingClaim`: group and key."""
-
 STOPPING = ("lightest_kg", "heaviest_kg", "most_n", "lag_s", "linear_drag", "quadratic_drag")
-LAW = {
-    "barrier": "barrier", "margin": "margin_m", "reaction": "reaction_s", "brake": "brake", "limit": "limit_n",
-    "k_v": "k_v_per_s", "k_i": "k_i_per_s2", "gain": "gain", "cap": "cap_m_per_s", "mass": "mass_kg",
-    "linear": "linear_drag", "quadratic": "quadratic_drag", "stopping": "stopping",
-}  # fmt: skip
-"""The key of each attribute of `GuardedLaw` in `claim.law`; `STOPPING` are those of its entry `stopping`."""
+"""The keys of `claim.law.stopping`."""
 
-_PAIRS = ("mass", "linear", "quadratic")
-_POSITIVE = {
-    "mass_kg", "brake_n", "most_n", "fastest_m_per_s", "period_s", "reaction_s", "brake", "limit_n", "k_v_per_s",
-    "cap_m_per_s", "lightest_kg", "heaviest_kg",
-}  # fmt: skip
-MOST_NUMBERS = 12
-"""Largest length of a row of the table."""
+
+def _stopping(value: Any, where: str) -> Mapping[str, Fraction]:
+    entries = record(value, STOPPING, where)
+    numbers = {key: number(entries[key], f"{where}.{key}", above=key.endswith("est_kg")) for key in STOPPING}
+    if numbers["lightest_kg"] > numbers["heaviest_kg"]:
+        raise Rejected(f"{where}: lightest_kg exceeds heaviest_kg")
+    return numbers
+
+
+def _rising(value: Any, where: str) -> tuple[Fraction, ...]:
+    numbers = row(value, where)
+    if list(numbers) != sorted(set(numbers)):
+        raise Rejected(f"{where} must rise")
+    return numbers
+
+
+def _rows(value: Any, where: str) -> tuple[tuple[Fraction, ...], ...]:
+    return tuple(row(entry, where) for entry in listed(value))
 
 
 @dataclass(frozen=True)
@@ -75,22 +67,23 @@ class GuardedLaw:
             the speed over the bound.
         cap: largest speed that the law wants [m/s].
         mass, linear, quadratic: mass, and linear and quadratic drag, of (surge, sway) in the law's model.
-        stopping: numbers of the bound `inertia`: least mass, largest mass, largest thrust, lag, linear and quadratic
-            drag.
+        stopping: numbers of the bound `inertia`, by the keys `STOPPING`.
+        k_i: integral gain, which is 0.
     """
 
-    barrier: str
-    margin: Fraction
-    reaction: Fraction
-    brake: Fraction
-    limit: Fraction
-    k_v: Fraction
-    gain: Fraction
-    cap: Fraction
-    mass: Pair
-    linear: Pair
-    quadratic: Pair
-    stopping: tuple[Fraction, ...]
+    barrier: str = placed("barrier", choice, of=("inertia", "simple"))
+    margin: Fraction = placed("margin_m", number)
+    reaction: Fraction = placed("reaction_s", number, above=True)
+    brake: Fraction = placed("brake", number, above=True)
+    limit: Fraction = placed("limit_n", number, above=True)
+    k_v: Fraction = placed("k_v_per_s", number, above=True)
+    gain: Fraction = placed("gain", number)
+    cap: Fraction = placed("cap_m_per_s", number, above=True)
+    mass: Pair = placed("mass_kg", two, above=True)
+    linear: Pair = placed("linear_drag", two)
+    quadratic: Pair = placed("quadratic_drag", two)
+    stopping: Mapping[str, Fraction] = placed("stopping", _stopping)
+    k_i: Fraction = placed("k_i_per_s2", zero, default=Fraction(0))
 
 
 @dataclass(frozen=True)
@@ -98,6 +91,7 @@ class BrakingClaim:
     """A claim about braking; SI units, pairs are (least, largest).
 
     Attributes:
+        law: the control law; None if the claim is about the rule alone: brake unless the needed range is available.
         mass, ratio, linear, quadratic: mass of the lighter axis, largest ratio of the masses, drag of both axes.
         drag: `along` if drag acts against the velocity, `axes` if each body axis has a drag of its own.
         brake, most, side: guaranteed braking force F_b; largest thrust towards the obstacle, and across.
@@ -106,103 +100,41 @@ class BrakingClaim:
         current, disturbance: largest speed of the current towards the obstacle, and largest other force towards it.
         sideways, turn, fastest: largest sideways speed, largest yaw rate while braking, largest own speed V.
         period, age, range_error, speed_error: control period, and age and errors of the measurements.
-        law: the control law; None if the claim is about the rule alone: brake unless the needed range is available.
         speeds: own speeds for which the table has entries.
         needed: needed range [m] for each own speed and obstacle.
         limit: obstacle speed at which the braking force still exceeds the other forces.
     """
 
-    mass: Pair
-    ratio: Fraction
-    linear: Pair
-    quadratic: Pair
-    drag: str
-    brake: Fraction
-    most: Fraction
-    side: Fraction
-    lag: Fraction
-    obstacles: tuple[Fraction, ...]
-    current: Fraction
-    disturbance: Fraction
-    sideways: Fraction
-    turn: Fraction
-    fastest: Fraction
-    period: Fraction
-    age: Fraction
-    range_error: Fraction
-    speed_error: Fraction
     law: GuardedLaw | None
-    speeds: tuple[Fraction, ...]
-    needed: tuple[tuple[Fraction, ...], ...]
-    limit: Fraction
+    mass: Pair = placed("vehicle.mass_kg", ordered, above=True)
+    ratio: Fraction = placed("vehicle.mass_ratio", number, least=1)
+    linear: Pair = placed("vehicle.linear_drag", ordered)
+    quadratic: Pair = placed("vehicle.quadratic_drag", ordered)
+    drag: str = placed("vehicle.drag", choice, of=("along", "axes"))
+    brake: Fraction = placed("vehicle.brake_n", number, above=True)
+    most: Fraction = placed("vehicle.most_n", number, above=True)
+    side: Fraction = placed("vehicle.side_n", number)
+    lag: Fraction = placed("vehicle.lag_s", number)
+    obstacles: tuple[Fraction, ...] = placed("encounter.obstacles_m_per_s", _rising)
+    current: Fraction = placed("encounter.current_m_per_s", number)
+    disturbance: Fraction = placed("encounter.disturbance_n", number)
+    sideways: Fraction = placed("encounter.sideways_m_per_s", number)
+    turn: Fraction = placed("encounter.turn_rad_per_s", number)
+    fastest: Fraction = placed("encounter.fastest_m_per_s", number, above=True)
+    period: Fraction = placed("watch.period_s", number, above=True)
+    age: Fraction = placed("watch.age_s", number)
+    range_error: Fraction = placed("watch.range_error_m", number)
+    speed_error: Fraction = placed("watch.speed_error_m_per_s", number)
+    speeds: tuple[Fraction, ...] = placed("table.speeds_m_per_s", row)
+    needed: tuple[tuple[Fraction, ...], ...] = placed("table.needed_m", _rows)
+    limit: Fraction = placed("table.limit_obstacle_m_per_s", number)
 
 
 def read_claim(claim: Any) -> BrakingClaim:
-    """Return the claim of a certificate.
-
-    Raises:
-        Rejected: a key is missing or unknown, a number has the wrong type or sign, or the stated assumptions are not
-            those of this kind of claim.
-    """
-    groups = {path.partition(".")[0] for path in PLACES.values()}
-    top = record(claim, {"system", "assumes", "law", "sha256_vehicle", "sha256_law"} | groups, "claim")
-    if top["system"] != "braking":
-        raise Rejected(f"claim.system {top['system']!r} is not known; known: braking")
-    if top["assumes"] != list(ASSUMES):
-        raise Rejected("claim.assumes differs from the text that this checker expects")
-    for key in ("sha256_vehicle", "sha256_law"):
-        if not isinstance(top[key], str) or not re.fullmatch("[0-9a-f]{64}", top[key]):
-            raise Rejected(f"claim.{key} is not a SHA-256")
-    for group in groups:
-        keys = [path.partition(".")[2] for path in PLACES.values() if path.startswith(f"{group}.")]
-        record(top[group], keys, f"claim.{group}")
-    named: dict[str, Any] = {}
-    for name, path in PLACES.items():
-        group, _, key = path.partition(".")
-        named[name] = _value(name, key, top[group][key])
-    obstacles, rows = named["obstacles"], named["needed"]
-    if list(obstacles) != sorted(set(obstacles)):
-        raise Rejected("claim.encounter.obstacles_m_per_s must rise")
-    if len(rows) != len(named["speeds"]) or any(len(row) != len(obstacles) for row in rows):
+    """Return the claim of a certificate; raise Rejected if a key, number or text is not one of this kind of claim."""
+    top = read_top(claim, "braking", ("law", "vehicle", "encounter", "watch", "table"), "assumes", ASSUMES)
+    law = None if top["law"] is None else read_fields(GuardedLaw, top["law"], "claim.law")
+    read = read_fields(BrakingClaim, top, law=law)
+    if len(read.needed) != len(read.speeds) or any(len(entry) != len(read.obstacles) for entry in read.needed):
         raise Rejected("claim.table.needed_m must have one row for each speed and one column for each obstacle")
-    for name in _PAIRS:
-        if named[name][0] > named[name][1]:
-            raise Rejected(f"claim: {PLACES[name]}: the least value exceeds the largest")
-    if named["drag"] not in ("along", "axes"):
-        raise Rejected("claim.vehicle.drag must be along or axes")
-    return BrakingClaim(law=None if top["law"] is None else _law(top["law"]), **named)
-
-
-def _law(value: Any) -> GuardedLaw:
-    entries = record(value, LAW.values(), "claim.law")
-    record(entries["stopping"], STOPPING, "claim.law.stopping")
-    law: dict[str, Any] = {name: _value(name, key, entries[key]) for name, key in LAW.items()}
-    if law.pop("k_i"):
-        raise Rejected("claim.law.k_i_per_s2 must be 0: the certified loop has no integral action")
-    if law["barrier"] not in ("inertia", "simple"):
-        raise Rejected("claim.law.barrier must be inertia or simple")
-    if law["stopping"][0] > law["stopping"][1]:
-        raise Rejected("claim.law.stopping: lightest_kg exceeds heaviest_kg")
-    return GuardedLaw(**law)
-
-
-def _value(name: str, key: str, value: Any) -> Any:
-    """Return the value of an attribute, numbers as exact decimals."""
-    where, above = f"claim: {key}", key in _POSITIVE
-    if name in ("drag", "barrier"):
-        return value
-    if name == "stopping":
-        return tuple(number(value[entry], f"{where}.{entry}", above=entry in _POSITIVE) for entry in STOPPING)
-    if name in _PAIRS:
-        return two(value, where, above=above)
-    if name == "needed":
-        return tuple(_row(where, row) for row in listed(value))
-    if name in ("obstacles", "speeds"):
-        return _row(where, value)
-    return number(value, where, least=int(name == "ratio"), above=above)
-
-
-def _row(where: str, value: Any) -> tuple[Fraction, ...]:
-    if not isinstance(value, list) or not 1 <= len(value) <= MOST_NUMBERS:
-        raise Rejected(f"{where} must be a list of 1 to {MOST_NUMBERS} numbers")
-    return tuple(number(entry, where) for entry in value)
+    return read

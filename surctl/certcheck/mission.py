@@ -34,8 +34,9 @@ from typing import Any
 
 from surctl.certcheck import turning
 from surctl.certcheck.document import Rejected, record, seal
+from surctl.certcheck.fields import Pair, number, two
 from surctl.certcheck.patience import go_on
-from surctl.certcheck.region_claim import Pair, number, triangle, two
+from surctl.certcheck.region_claim import triangle
 from surctl.certcheck.region_exact import (
     Matrix,
     inverse,

@@ -20,7 +20,8 @@ from fractions import Fraction
 from typing import Any
 
 from surctl.certcheck.document import Rejected, listed, record
-from surctl.certcheck.region_claim import axis_pairs, number, read_shells, triangle, two
+from surctl.certcheck.fields import Pair, number, two
+from surctl.certcheck.region_claim import axis_pairs, read_shells, triangle
 from surctl.certcheck.region_exact import (
     Matrix,
     inverse,
@@ -30,7 +31,7 @@ from surctl.certcheck.region_exact import (
     root_up,
 )
 from surctl.certcheck.turning_cells import Trim, check_shell, heading_cells, steady
-from surctl.certcheck.turning_claim import Pair, TurningClaim, read_claim
+from surctl.certcheck.turning_claim import TurningClaim, read_claim
 from surctl.certcheck.turning_form import Form, Phase
 from surctl.certcheck.turning_terms import STILL, coupled_mass, other_forces, other_moment
 

@@ -48,9 +48,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.certcheck.document import Rejected
+from surctl.certcheck.fields import Pair
 from surctl.certcheck.patience import go_on
 from surctl.certcheck.region_exact import root_up
-from surctl.certcheck.turning_claim import Pair, TurningClaim, drag_factors
+from surctl.certcheck.turning_claim import TurningClaim, drag_factors
 from surctl.certcheck.turning_form import Form, Phase, axes_of, lipschitz, stir
 from surctl.certcheck.turning_terms import (
     STILL,

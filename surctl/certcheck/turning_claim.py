@@ -9,20 +9,11 @@ from fractions import Fraction
 from itertools import product
 from typing import Any
 
-from surctl.certcheck.document import Rejected, record
-from surctl.certcheck.region_claim import (
-    LAW,
-    Pair,
-    axis_pairs,
-    lag_range,
-    law_gains,
-    number,
-    ordered,
-    read_top,
-    two,
-)
+from surctl.certcheck.document import Rejected
+from surctl.certcheck.fields import Pair, number, ordered, placed, read_fields, read_top, two, zero
+from surctl.certcheck.region_claim import axis_pairs
 
-__all__ = ["EXCLUDES", "Pair", "TurningClaim", "drag_factors", "read_claim", "read_terms"]
+__all__ = ["EXCLUDES", "TurningClaim", "drag_factors", "read_claim"]
 
 _TERM = re.compile("m[1-4][1-4]|[XYZN][uvwr]{1,2}|[XYZN]0|F[uvwr]_reverse")
 _EQUATION_3 = {
@@ -30,7 +21,6 @@ _EQUATION_3 = {
     *(force + axis * count for force, axis in zip("XYZN", "uvwr", strict=True) for count in (1, 2)),
 }  # entries on and below the diagonal, and terms of equation (3)
 _MOST_TERMS = 60
-_ERRORS = (("force", "n"), ("place_error", "m"), ("velocity_error", "m_per_s"))
 
 EXCLUDES = (
     "the path is a smooth curve with a curvature of at most curvature_per_m (0: one straight leg), and its target "
@@ -46,6 +36,35 @@ EXCLUDES = (
     "must hold its limits against a Munk moment of up to munk_moment_nm",
 )
 """Restrictions of the claim; a certificate repeats the restrictions word for word."""
+
+
+def _asymmetry(value: Any, where: str) -> Fraction:
+    if (share := number(value, where)) >= 2:
+        raise Rejected(f"{where}: an asymmetry must be below 2")
+    return share
+
+
+def _rest(value: Any, where: str) -> Fraction | None:
+    return None if value is None else number(value, where)
+
+
+def _lag(value: Any, where: str) -> Pair:
+    low, high = ordered(value, where)
+    if high and not low:
+        raise Rejected(f"{where} must be a range above 0, or [0, 0]")
+    return low, high
+
+
+def _terms(value: Any, where: str) -> dict[str, Fraction]:
+    """Return the terms of a vehicle beside equation (3), by name."""
+    if not isinstance(value, dict) or len(value) > _MOST_TERMS:
+        raise Rejected(f"{where} must be an object")
+    terms = {}
+    for name, entry in value.items():
+        if not _TERM.fullmatch(name) or name in _EQUATION_3:
+            raise Rejected(f"{where}: {name!r} is not a term beside equation (3)")
+        terms[name] = number(entry, f"{where}.{name}", least=-(10**9))
+    return terms
 
 
 @dataclass(frozen=True)
@@ -66,7 +85,7 @@ class TurningClaim:
         heave, heave_rate: largest heave velocity [m/s] and heave acceleration [m/s²].
         turn_rate: largest yaw acceleration [rad/s²].
         mass, linear, quadratic: mass [kg] and drag [N s/m, N s²/m²] in the law's model.
-        k1, lookahead, k_v, wait: the law's gains of these names [1/s, m, 1/s, m].
+        k1, lookahead, k_v, k_i, wait: the law's gains of these names [1/s, m, 1/s, 1/s², m].
         cruise, cap: speed of the path's target and largest commanded speed [m/s].
         rate: decay rate a of V̇ ≤ −a V [1/s].
         offset: the region contains the points with x_e = 0, |y_e| = offset [m] and the target's velocity.
@@ -82,37 +101,38 @@ class TurningClaim:
             errors vary arbitrarily. Only claims without lag and held commands have these errors and a force.
     """
 
-    mass_factor: Pair
-    drag_factor: Pair
-    mass_asymmetry: Fraction
-    drag_asymmetry: Fraction
-    thrust: Pair
-    yaw_rate: Fraction
-    munk_moment: Fraction
-    terms: Mapping[str, Fraction]
-    heave: Fraction
-    heave_rate: Fraction
-    turn_rate: Fraction
-    mass: Pair
-    linear: Pair
-    quadratic: Pair
-    k1: Fraction
-    lookahead: Fraction
-    k_v: Fraction
-    wait: Fraction
-    cruise: Fraction
-    cap: Fraction
-    rate: Fraction
-    offset: Fraction
-    rest_offset: Fraction | None
-    ultimate_bound: Pair
-    curvature: Fraction
-    current: Fraction = Fraction(0)
-    lag: Pair = (Fraction(0), Fraction(0))
-    period: Fraction = Fraction(0)
-    force: Fraction = Fraction(0)
-    place_error: Fraction = Fraction(0)
-    velocity_error: Fraction = Fraction(0)
+    mass_factor: Pair = placed("vehicle.mass_factor", ordered, above=True)
+    drag_factor: Pair = placed("vehicle.drag_factor", ordered, above=True)
+    mass_asymmetry: Fraction = placed("vehicle.mass_asymmetry", _asymmetry)
+    drag_asymmetry: Fraction = placed("vehicle.drag_asymmetry", _asymmetry)
+    thrust: Pair = placed("vehicle.thrust_n", two, above=True)
+    yaw_rate: Fraction = placed("vehicle.yaw_rate_rad_per_s", number)
+    munk_moment: Fraction = placed("vehicle.munk_moment_nm", number)
+    terms: Mapping[str, Fraction] = placed("vehicle.terms", _terms)
+    heave: Fraction = placed("vehicle.heave_m_per_s", number)
+    heave_rate: Fraction = placed("vehicle.heave_m_per_s2", number)
+    turn_rate: Fraction = placed("vehicle.yaw_rad_per_s2", number)
+    mass: Pair = placed("law.mass_kg", two, above=True)
+    linear: Pair = placed("law.linear_drag", two)
+    quadratic: Pair = placed("law.quadratic_drag", two)
+    k1: Fraction = placed("law.k1", number, above=True)
+    lookahead: Fraction = placed("law.lookahead", number, above=True)
+    k_v: Fraction = placed("law.k_v", number, above=True)
+    k_i: Fraction = placed("law.k_i", zero)
+    wait: Fraction = placed("law.wait", number, above=True)
+    cruise: Fraction = placed("law.cruise", number, above=True)
+    cap: Fraction = placed("law.cap", number, above=True)
+    rate: Fraction = placed("motion.rate_per_s", number, above=True)
+    offset: Fraction = placed("motion.offset_m", number, above=True)
+    rest_offset: Fraction | None = placed("motion.rest_offset_m", _rest)
+    ultimate_bound: Pair = placed("motion.ultimate_bound_m", two, above=True)
+    curvature: Fraction = placed("motion.curvature_per_m", number)
+    current: Fraction = placed("vehicle.current_m_per_s", number)
+    lag: Pair = placed("vehicle.lag_s", _lag)
+    period: Fraction = placed("law.period_s", number)
+    force: Fraction = placed("vehicle.force_n", number)
+    place_error: Fraction = placed("vehicle.place_error_m", number)
+    velocity_error: Fraction = placed("vehicle.velocity_error_m_per_s", number)
 
     @property
     def behind(self) -> bool:
@@ -127,67 +147,7 @@ def drag_factors(claim: TurningClaim) -> list[tuple[Fraction, ...]]:
 
 
 def read_claim(claim: Any) -> TurningClaim:
-    """Return the claim of a certificate.
-
-    Raises:
-        Rejected: a key is missing or unknown, a number has the wrong type or sign, or the stated restrictions are not
-            those of this kind of claim.
-    """
-    top = read_top(claim, "turning-cruise", EXCLUDES)
-    vehicle = record(
-        top["vehicle"],
-        ("mass_factor", "drag_factor", "mass_asymmetry", "drag_asymmetry", "thrust_n",
-         "yaw_rate_rad_per_s", "munk_moment_nm", "terms", "heave_m_per_s", "heave_m_per_s2", "yaw_rad_per_s2",
-         "current_m_per_s", "force_n", "place_error_m", "velocity_error_m_per_s", "lag_s"),
-        "claim.vehicle",
-    )  # fmt: skip
-    law = record(top["law"], LAW, "claim.law")
-    motion = record(
-        top["motion"], ("rate_per_s", "offset_m", "rest_offset_m", "ultimate_bound_m", "curvature_per_m"),
-        "claim.motion",
-    )  # fmt: skip
-    asymmetries = {key: number(vehicle[key], f"claim.vehicle.{key}") for key in ("mass_asymmetry", "drag_asymmetry")}
-    if any(share >= 2 for share in asymmetries.values()):
-        raise Rejected("an asymmetry must be below 2")
-    rest = motion["rest_offset_m"]
-
-    return TurningClaim(
-        mass_factor=ordered(vehicle["mass_factor"], "claim.vehicle.mass_factor", above=True),
-        drag_factor=ordered(vehicle["drag_factor"], "claim.vehicle.drag_factor", above=True),
-        **asymmetries,
-        thrust=two(vehicle["thrust_n"], "claim.vehicle.thrust_n", above=True),
-        yaw_rate=number(vehicle["yaw_rate_rad_per_s"], "claim.vehicle.yaw_rate_rad_per_s"),
-        munk_moment=number(vehicle["munk_moment_nm"], "claim.vehicle.munk_moment_nm"),
-        terms=read_terms(vehicle["terms"]),
-        heave=number(vehicle["heave_m_per_s"], "claim.vehicle.heave_m_per_s"),
-        heave_rate=number(vehicle["heave_m_per_s2"], "claim.vehicle.heave_m_per_s2"),
-        turn_rate=number(vehicle["yaw_rad_per_s2"], "claim.vehicle.yaw_rad_per_s2"),
-        mass=two(law["mass_kg"], "claim.law.mass_kg", above=True),
-        linear=two(law["linear_drag"], "claim.law.linear_drag"),
-        quadratic=two(law["quadratic_drag"], "claim.law.quadratic_drag"),
-        **law_gains(law),
-        rate=number(motion["rate_per_s"], "claim.motion.rate_per_s", above=True),
-        offset=number(motion["offset_m"], "claim.motion.offset_m", above=True),
-        rest_offset=None if rest is None else number(rest, "claim.motion.rest_offset_m"),
-        ultimate_bound=two(motion["ultimate_bound_m"], "claim.motion.ultimate_bound_m", above=True),
-        curvature=number(motion["curvature_per_m"], "claim.motion.curvature_per_m"),
-        current=number(vehicle["current_m_per_s"], "claim.vehicle.current_m_per_s"),
-        lag=lag_range(vehicle["lag_s"]),
-        **{key: number(vehicle[f"{key}_{unit}"], f"claim.vehicle.{key}_{unit}") for key, unit in _ERRORS},
+    """Return the claim of a certificate; raise Rejected if a key, number or text is not one of this kind of claim."""
+    return read_fields(
+        TurningClaim, read_top(claim, "turning-cruise", ("vehicle", "law", "motion"), "excludes", EXCLUDES)
     )
-
-
-def read_terms(value: Any) -> dict[str, Fraction]:
-    """Return the terms of a vehicle beside equation (3), by name.
-
-    Raises:
-        Rejected: a name is not that of a term, a term belongs to equation (3), or a value is not a number.
-    """
-    if not isinstance(value, dict) or len(value) > _MOST_TERMS:
-        raise Rejected("claim.vehicle.terms must be an object")
-    terms = {}
-    for name, entry in value.items():
-        if not _TERM.fullmatch(name) or name in _EQUATION_3:
-            raise Rejected(f"claim.vehicle.terms: {name!r} is not a term beside equation (3)")
-        terms[name] = number(entry, f"claim.vehicle.terms.{name}", least=-(10**9))
-    return terms

@@ -14,8 +14,8 @@ import pytest
 
 from surctl.certcheck import braking_claim, check_document, turning_claim
 from surctl.certcheck.document import Rejected, seal
-from surctl.certcheck.region_claim import axis_pairs, number
-from surctl.certcheck.turning_claim import read_terms
+from surctl.certcheck.fields import number
+from surctl.certcheck.region_claim import axis_pairs
 from tests.certcheck.altering import put, value_of
 
 READERS: dict[str, tuple[Callable[[Any], Any], str]] = {
@@ -118,14 +118,13 @@ def test_numbers_are_decimals_of_a_limited_size() -> None:
 
 
 def test_terms_of_a_vehicle_are_those_beside_equation_3() -> None:
-    assert read_terms({"m24": -1.0, "Yrr": 2.0}) == {"m24": -1, "Yrr": 2}
+    own = put(copy.deepcopy(stored("turning")), ("vehicle", "terms"), {"m24": -1.0, "Yrr": 2.0})
+    assert turning_claim.read_claim(own).terms == {"m24": -1, "Yrr": 2}
     for terms in (None, ["m24"], "m24", {f"m{k}": 1.0 for k in range(1000)}):
-        with pytest.raises(Rejected, match="terms must be an object"):
-            read_terms(terms)
+        refuses("turning", ("vehicle", "terms"), terms, "terms must be an object")
     for name in ("m11", "Xu", "x", "m24 ", "", "thrust_lag"):
         for terms in ({name: 1.0, "m24": 1.0}, {"m24": 1.0, name: 1.0}):
-            with pytest.raises(Rejected, match="is not a term beside equation"):
-                read_terms(terms)
+            refuses("turning", ("vehicle", "terms"), terms, "is not a term beside equation")
 
 
 def test_the_vertices_hold_all_pairs_that_differ_by_at_most_the_asymmetry() -> None:

@@ -119,7 +119,7 @@ def _over(claim: BrakingClaim, law: GuardedLaw, bound: float) -> float:
 
 def _bound(law: GuardedLaw, watch: Watch, distance: float, obstacle: float) -> float:
     if law.barrier == "inertia":
-        lightest, heaviest, most, lag, linear, quadratic = map(float, law.stopping)
+        lightest, heaviest, most, lag, linear, quadratic = map(float, law.stopping.values())
         least = float(law.brake * law.limit)
         own = Brakes((lightest, heaviest), least, most, lag, (0.0, linear), (0.0, quadratic))
         return allowed_speed(own, watch, distance, obstacle=obstacle)

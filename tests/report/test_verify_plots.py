@@ -1,6 +1,5 @@
 import json
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,7 @@ from surctl.marine.report.files import plot_region, save_margins, save_verdicts
 from surctl.marine.report.margin_plots import _rim
 from surctl.marine.vehicle import load_vehicle
 from surctl.marine.verification import claims
-from surctl.marine.verification.portrait import CRUISE_PLANES, portrait
+from surctl.marine.verification.region.nominal import nominal_motion
 from surctl.report.evidence import plot_open_boxes
 from surctl.verification import decide, falsify
 
@@ -27,36 +26,29 @@ def certificate(name: str) -> dict[str, Any]:
     return json.loads((CERTIFICATES / f"{name}.json").read_text(encoding="utf-8"))
 
 
-@pytest.mark.parametrize("plane", CRUISE_PLANES)
-def test_nothing_fails_where_the_certificate_holds(plane: str) -> None:
-    seen = portrait(certificate("region-cruise-20"), plane, points=41)
-    inside = (seen.level <= 1.0) & (seen.level >= seen.levels[0])
-    assert inside.sum() > 80 and seen.excess[inside].max() < 0
-    assert seen.excess.max() > 0 or plane == "place"  # and far out it does fail
-
-
-def test_the_flow_is_that_of_the_loop_written_for_the_checkers_tests() -> None:
-    document = certificate("region-cruise-20")
-    seen, claim = portrait(document, "across"), document["claim"]
-    y, velocity = (grid.ravel() for grid in np.meshgrid(seen.x, seen.y))
-    stated, n = read_claim(claim), len(y)
-    state = np.stack([0 * y, y, 0 * y + claim["law"]["cruise"], velocity], axis=1)
-    ones = {key: np.ones((n, 2)) for key in ("mass", "linear", "quadratic")}
-    ones |= {"term_mass": np.ones(n), "term": np.ones(n)}
-    rates = true_rate(stated, ones, state, np.zeros(n), np.zeros(n))
-    assert seen.flow[0].ravel() == pytest.approx(rates[:, 1], abs=1e-12)
-    assert seen.flow[1].ravel() == pytest.approx(rates[:, 3], abs=1e-12)
+@pytest.mark.parametrize("name", ["region-cruise-20", "region-cruise-20-lag"])
+def test_the_drawn_loop_is_that_of_the_certificate(name: str) -> None:
+    whole = certificate(name)
+    dynamics, function = nominal_motion(whole)
+    claim = read_claim(whole["claim"])
+    low, high = dynamics.box[:, :, None]
+    xi = low + (high - low) * np.random.default_rng(0).random((4, 50))
+    ones = {key: np.ones((50, 2)) for key in ("mass", "linear", "quadratic")}
+    ones |= {"term_mass": np.ones(50), "term": np.ones(50)}
+    state = xi.T + np.array([0, 0, float(claim.cruise), 0])
+    rates = true_rate(claim, ones, state, np.zeros(50), np.zeros(50))
+    assert dynamics.evaluate(xi) == pytest.approx(rates.T, abs=1e-12)
+    lower = whole["proof"]["P"]
+    p = np.array([[lower[max(i, j)][min(i, j)] for j in range(4)] for i in range(4)])
+    values = np.asarray(dynamics.compiled(function)(xi, np.zeros((0, 50)))).ravel()
+    assert values == pytest.approx(np.einsum("in,ij,jn->n", xi, p, xi), rel=1e-6)
 
 
 @pytest.mark.usefixtures("blank")
-def test_a_portrait_needs_a_region(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("surctl.marine.report.files.portrait", partial(portrait, points=15))
-    with pytest.raises(InputError, match="level sets"):
-        portrait({"kind": "interval", "claim": {}}, "along")
-    with pytest.raises(InputError, match="across"):
-        portrait(certificate("region-cruise-20"), "acros")
-    scales = [ax.get_aspect() for ax in plot_region(certificate("region-cruise-20-lag")).axes]
-    assert scales == ["auto", "auto", 1.0]  # the last plane has two positions
+def test_a_picture_needs_a_region() -> None:
+    with pytest.raises(InputError, match="not about a region"):
+        plot_region({"kind": "interval", "claim": {}})
+    assert len(plot_region(certificate("region-cruise-20")).axes) == 6
 
 
 @pytest.mark.usefixtures("blank")

@@ -1,4 +1,4 @@
-"""Pictures that commands write (`--out`): margins, verdicts, runs, tunings; phase portraits of a region."""
+"""Pictures that commands write (`--out`): margins, verdicts, regions, runs, tunings."""
 
 from __future__ import annotations
 
@@ -7,11 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.artist import Artist
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
 
 from surctl.marine.control import Gains, Law
 from surctl.marine.report.goals import goal_bars, plot_front, plot_goal_bars
@@ -23,18 +19,11 @@ from surctl.marine.vehicle import Vehicle
 from surctl.marine.verification import cruise_loop, law_loop
 from surctl.marine.verification.cruise_loop import has_cruise_loop
 from surctl.marine.verification.linear import DISK_PLACES, open_loop
-from surctl.marine.verification.portrait import Portrait, planes_of, portrait
+from surctl.marine.verification.region.nominal import nominal_motion
 from surctl.report.evidence import margin_slice, plot_counterexample, plot_open_boxes, plot_slice
+from surctl.report.motion_plots import plot_motion
 from surctl.report.page_parts import plot_tightest
 from surctl.report.theme import (
-    AVOIDING,
-    GOOD,
-    INK,
-    MUTED,
-    ROBOT,
-    dress,
-    legend_below,
-    new_axes,
     new_figure,
     save_figure,
 )
@@ -45,21 +34,8 @@ from surctl.verification.linear import stored_disk_margin
 # The plots that `surctl verify --out` writes: margins, refuted claims, boxes of proofs, and regions
 
 
-_LABELS = {
-    "along": ("along the path, x_e from its equilibrium [m]", "velocity along it [m/s]"),
-    "across": ("across the path, y_e [m]", "velocity across it [m/s]"),
-    "place": ("along the path, x_e from its equilibrium [m]", "across the path, y_e [m]"),
-    "turning": ("heading against the path, ψ [rad]", "yaw rate [rad/s]"),
-    "steering": ("across the path, y_e [m]", "heading against the path, ψ [rad]"),
-}
-_STILL = ("place", "steering")  # planes of positions: the velocities are 0 in them, so there is no flow
-_EXTENT = 1.9  # half-width of the picture, in half-axes of the ellipse V = 1
-_MOST_LEVEL = 16.0  # a higher level would make the certified one too small
-_ARROWS = 15  # number of flow arrows along each side of the plot
-
-
 def plot_region(document: Mapping[str, Any], *, falsified: float | None = None) -> Figure:
-    """Plot phase portraits of a region certificate in all its planes, side by side.
+    """Plot a region certificate in planes of two states: the region V < 1, and the motion of the nominal loop.
 
     Args:
         document: the certificate, in which V = 1 is the certified level.
@@ -77,71 +53,9 @@ def plot_region(document: Mapping[str, Any], *, falsified: float | None = None) 
         >>> proof = prove_statement(statement, load_vehicle("sur540-flooded"), load_gains("default"))
         >>> figure = plot_region(proof.certificate())
         >>> [ax.get_ylabel() for ax in figure.axes]
-        ['velocity along it [m/s]', 'velocity across it [m/s]', 'across the path, y_e [m]']
+        ['y_e [m]', 'along [m/s]', 'across [m/s]', 'along [m/s]', 'across [m/s]', 'across [m/s]']
     """
-    shown = falsified is not None and falsified <= _MOST_LEVEL
-    extent = max(_EXTENT, 1.1 * np.sqrt(falsified)) if falsified is not None and shown else _EXTENT
-    portraits = [portrait(document, plane, extent=extent) for plane in planes_of(document)]
-    figure = new_figure(4.4 * len(portraits), 4.9)
-    for ax, one in zip(figure.subplots(1, len(portraits)), portraits, strict=True):
-        plot_portrait(one, ax)
-        if shown:
-            ax.contour(one.x, one.y, one.level, levels=[falsified], colors=[AVOIDING], linewidths=1.6, linestyles=":")
-    handles = _handles(portraits[0])
-    if falsified is not None:
-        where = "" if shown else ", outside of the picture"
-        label = f"least level with a counterexample: V = {falsified:.3g}{where}"
-        handles.insert(1, Line2D([], [], color=AVOIDING, linewidth=1.6, linestyle=":", label=label))
-    figure.legend(handles=handles, loc="outside lower center", ncols=4, fontsize=8.5, frameon=False)
-    return figure
-
-
-def plot_portrait(one: Portrait, ax: Axes | None = None) -> Axes:
-    """Plot one phase portrait: level sets of the Lyapunov function, points where the certified rate fails, and flow."""
-    alone = ax is None
-    ax = dress(ax or new_axes(5.1, 4.9), x=_LABELS[one.plane][0], y=_LABELS[one.plane][1])
-    ax.grid(visible=False)
-    ax.locator_params(nbins=6)
-    if not one.lagged:
-        fails = np.where(one.level > one.levels[0], one.excess, -np.inf) > 0
-        ax.contourf(one.x, one.y, fails.astype(float), levels=[0.5, 1.5], colors=[AVOIDING], alpha=0.28)
-        if one.plane not in _STILL:
-            step = max(1, len(one.x) // _ARROWS)
-            pick = slice(step // 2, None, step)
-            u, v = one.flow[:, pick, pick]
-            size = np.maximum(np.hypot(u / np.ptp(one.x), v / np.ptp(one.y)), 1e-12)
-            ax.quiver(
-                one.x[pick], one.y[pick], u / np.ptp(one.x) / size, v / np.ptp(one.y) / size, angles="uv", pivot="mid",
-                color=MUTED, scale=26, width=0.0045, zorder=2,
-            )  # fmt: skip
-    ax.contourf(one.x, one.y, one.level, levels=[one.levels[0], 1.0], colors=[GOOD], alpha=0.16)
-    ax.contour(one.x, one.y, one.level, levels=[1.0], colors=[GOOD], linewidths=2.0)
-    if len(one.levels) > 2:
-        ax.contour(one.x, one.y, one.level, levels=list(one.levels[1:-1]), colors=[GOOD], linewidths=0.7)
-    if one.levels[0] > 0:
-        ax.contour(one.x, one.y, one.level, levels=[one.levels[0]], colors=[ROBOT], linewidths=1.4, linestyles="--")
-    ax.plot(0, 0, marker="+", color=INK, markersize=9)
-    if one.plane == "place":
-        ax.set_aspect("equal", adjustable="datalim")
-    if alone:
-        legend_below(ax, columns=2, handles=_handles(one))
-    return ax
-
-
-def _handles(one: Portrait) -> list[Artist]:
-    shells = ", with inner level sets" if len(one.levels) > 2 else ""
-    handles: list[Artist] = [Line2D([], [], color=GOOD, linewidth=2.0, label=f"certified: V = 1{shells}")]
-    if one.levels[0] > 0:
-        handles.append(
-            Line2D([], [], color=ROBOT, linewidth=1.4, linestyle="--", label="floor of V: rate certified above")
-        )
-    if one.lagged:
-        return [*handles, Line2D([], [], linestyle="none", label="flow and failures are not shown: thrust lag")]
-    handles.append(Patch(facecolor=AVOIDING, alpha=0.28, label="rate fails for some vehicle and heading"))
-    if one.plane not in _STILL:
-        handles.append(Line2D([], [], color=MUTED, marker=r"$\rightarrow$", linestyle="none", markersize=11,
-                           label="direction of the nominal flow"))  # fmt: skip
-    return handles
+    return plot_motion(*nominal_motion(document), level=1.0, falsified=falsified)
 
 
 def save_margins(

@@ -213,6 +213,6 @@ def test_the_law_s_numbers_in_a_certificate_are_those_of_the_exported_law() -> N
     claim = claimed("braking-inertia-20", margin=1 / 7, brake=2 / 3)
     law = claim.law
     assert law is not None
-    law = replace(law, stopping=tuple(Fraction(repr(float(x) / 3)) for x in law.stopping))
+    law = replace(law, stopping={key: Fraction(repr(float(x) / 3)) for key, x in law.stopping.items()})
     written = stated(replace(claim, law=law)).law
     assert written == law and float(law.margin) == 1 / 7

@@ -7,7 +7,9 @@ from fractions import Fraction
 from math import ceil, sqrt
 from typing import Any, Literal
 
-from surctl.certcheck.braking_claim import ASSUMES, LAW, PLACES, STOPPING, GuardedLaw
+from surctl.certcheck.braking_claim import ASSUMES, STOPPING, GuardedLaw
+from surctl.certcheck.braking_claim import BrakingClaim as Stated
+from surctl.certcheck.fields import written
 from surctl.marine.control import Barrier, Gains
 from surctl.marine.control.stopping import BRAKE
 from surctl.marine.guidance.braking import Brakes, Watch, brakes_of
@@ -29,7 +31,7 @@ def law_numbers(barrier: Barrier, vehicle: Vehicle, gains: Gains, *, cap: float 
     scalars = {key: _exact(gains[key]) for key in ("margin", "reaction", "brake", "k_v")}
     return GuardedLaw(
         barrier=barrier, limit=_exact(min(vehicle.thrust_limit[:2])), gain=_exact(BRAKE), cap=_exact(cap), mass=mass,
-        linear=linear, quadratic=quadratic, stopping=tuple(map(_exact, believed)), **scalars,
+        linear=linear, quadratic=quadratic, stopping=dict(zip(STOPPING, map(_exact, believed), strict=True)), **scalars,
     )  # fmt: skip
 
 
@@ -92,29 +94,17 @@ class BrakingClaim:
             "fastest": self.fastest, "period": w.period, "age": w.age, "range_error": w.range_error,
             "speed_error": w.speed_error, "speeds": self.speeds, "needed": needed, "limit": limit,
         }  # fmt: skip
-        whole: dict[str, Any] = {"system": "braking", "assumes": list(ASSUMES)}
-        for name, path in PLACES.items():
-            group, _, key = path.partition(".")
-            whole.setdefault(group, {})[key] = _plain(values[name], _DIGITS if name in _COMPUTED else None)
-        whole["sha256_vehicle"], whole["sha256_law"] = self.digests
-        whole["law"] = None
-        if self.law is not None:
-            law = {name: getattr(self.law, name, 0.0) for name in LAW}  # there is no integral action
-            law["stopping"] = dict(zip(STOPPING, self.law.stopping, strict=True))
-            whole["law"] = {key: _plain(law[name]) for name, key in LAW.items()}
-        return whole
+        return {
+            "system": "braking", "assumes": list(ASSUMES),
+            **written(Stated, values | {name: _rounded(values[name]) for name in _COMPUTED}),
+            "law": None if self.law is None else written(GuardedLaw, vars(self.law)),
+            "sha256_vehicle": self.digests[0], "sha256_law": self.digests[1],
+        }  # fmt: skip
 
 
-_COMPUTED, _DIGITS = ("mass", "ratio", "linear", "quadratic", "brake", "most", "side"), 9
+_COMPUTED = ("mass", "ratio", "linear", "quadratic", "brake", "most", "side")
 # all other numbers must equal those of the exported law and of the vehicle
 
 
-def _plain(value: Any, digits: int | None = None) -> Any:
-    """Return numbers as floats, rounded to some decimals if given, and texts as they are."""
-    if isinstance(value, str):
-        return value
-    if isinstance(value, dict):
-        return {key: _plain(entry) for key, entry in value.items()}
-    if isinstance(value, tuple | list):
-        return [_plain(entry, digits) for entry in value]
-    return float(value) if digits is None else round(float(value), digits)
+def _rounded(value: Any) -> Any:
+    return list(map(_rounded, value)) if isinstance(value, tuple) else round(float(value), 9)

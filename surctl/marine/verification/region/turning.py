@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from surctl.certcheck.fields import written
 from surctl.certcheck.turning_claim import EXCLUDES, read_claim
 from surctl.certcheck.turning_claim import TurningClaim as Stated
 from surctl.certcheck.turning_terms import coupling_of, inverse_masses, turn_points
@@ -114,46 +115,15 @@ class TurningClaim:
         self, *, offset: float, rest_offset: float | None, ultimate_bound: Pair, munk_moment: float
     ) -> dict[str, Any]:
         """Return the claim as data of a certificate, with the offsets [m], bound [m] and moment [N m] to be stated."""
+        values = {
+            **vars(self), **self.gains, "heave": self.heave[0], "heave_rate": self.heave[1],
+            "lag": (self.lag, self.lag), "offset": offset, "rest_offset": rest_offset,
+            "ultimate_bound": ultimate_bound, "munk_moment": munk_moment,
+        }  # fmt: skip
         return {
-            "system": "turning-cruise",
-            "excludes": list(EXCLUDES),
-            "vehicle": {
-                "mass_factor": list(self.mass_factor),
-                "drag_factor": list(self.drag_factor),
-                "mass_asymmetry": self.mass_asymmetry,
-                "drag_asymmetry": self.drag_asymmetry,
-                "thrust_n": list(self.thrust),
-                "yaw_rate_rad_per_s": self.yaw_rate,
-                "munk_moment_nm": munk_moment,
-                "terms": dict(self.terms),
-                "heave_m_per_s": self.heave[0],
-                "heave_m_per_s2": self.heave[1],
-                "yaw_rad_per_s2": self.turn_rate,
-                "current_m_per_s": self.current,
-                "force_n": self.force,
-                "place_error_m": self.place_error,
-                "velocity_error_m_per_s": self.velocity_error,
-                "lag_s": [self.lag, self.lag],
-            },
-            "law": {
-                "mass_kg": list(self.mass),
-                "linear_drag": list(self.linear),
-                "quadratic_drag": list(self.quadratic),
-                **{key: self.gains[key] for key in ("k1", "lookahead", "k_v", "k_i", "wait")},
-                "cruise": self.cruise,
-                "cap": self.cap,
-                "period_s": self.period,
-            },
-            "motion": {
-                "rate_per_s": self.rate,
-                "offset_m": offset,
-                "rest_offset_m": rest_offset,
-                "ultimate_bound_m": list(ultimate_bound),
-                "curvature_per_m": self.curvature,
-            },
-            "sha256_vehicle": self.digests[0],
-            "sha256_law": self.digests[1],
-        }
+            "system": "turning-cruise", "excludes": list(EXCLUDES), **written(Stated, values),
+            "sha256_vehicle": self.digests[0], "sha256_law": self.digests[1],
+        }  # fmt: skip
 
     @property
     def behind(self) -> bool:
