@@ -19,12 +19,12 @@ from numpy.typing import NDArray
 from surctl.certcheck.mission import funnel_of, read_claim
 from surctl.certcheck.region_claim import axis_pairs
 from surctl.certcheck.turning_claim import TurningClaim
-from surctl.certcheck.turning_law import commanded, true_rate
 from surctl.marine.control import load_gains
 from surctl.marine.simulation import load_scenario
 from surctl.marine.vehicle import load_vehicle
 from surctl.marine.verification.mission import USUAL, mission_claim, prove_mission
 from surctl.marine.verification.region import region_statement
+from tests.certcheck.turning_truth import commanded, true_rate
 
 Array = NDArray[np.float64]
 

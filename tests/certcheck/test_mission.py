@@ -30,10 +30,10 @@ from surctl.certcheck.mission import (
 )
 from surctl.certcheck.region_exact import root_up
 from surctl.certcheck.turning_claim import TurningClaim
-from surctl.certcheck.turning_law import commanded
 from surctl.marine.guidance.path import next_leg
 from surctl.marine.verification.mission import BrokenChain, MissionClaim, certificate_of, tube_radii
 from tests.certcheck.altering import put, sealed
+from tests.certcheck.turning_truth import commanded
 
 HERE = Path(__file__).parent
 STRAIGHT, BENT = ((0.5, 2.5), (9.5, 2.5)), ((0.0, 0.0), (14.0, 0.0), (28.0, 5.0), (43.0, 3.0))

@@ -21,7 +21,6 @@ from surctl.certcheck.turning import _check_munk_moment, cruise_of, require_star
 from surctl.certcheck.turning_cells import Trim, _axis, _commanded, _lack, heading_cells, steady
 from surctl.certcheck.turning_claim import drag_factors, read_claim
 from surctl.certcheck.turning_form import Form, axes_of
-from surctl.certcheck.turning_law import true_rate
 from surctl.certcheck.turning_terms import coupling_of, inverse_masses, other_forces, other_moment, turn_points
 from surctl.marine.control import build_law, load_gains
 from surctl.marine.control.ports import law_parameters
@@ -36,6 +35,7 @@ from surctl.marine.vehicle import (
 )
 from tests.certcheck.altering import altered, put, sealed
 from tests.certcheck.turning_samples import check_samples, draw_motions, draw_vehicles
+from tests.certcheck.turning_truth import true_rate
 
 HERE = Path(__file__).parent
 NAMES = ("region-turning", "region-turning-20", "region-turning-20-rest")

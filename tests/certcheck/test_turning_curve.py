@@ -16,8 +16,8 @@ from surctl.certcheck.turning import _flow
 from surctl.certcheck.turning_cells import Disturbed, decays
 from surctl.certcheck.turning_claim import read_claim
 from surctl.certcheck.turning_form import Form, Phase, axes_of
-from surctl.certcheck.turning_law import true_rate
 from tests.certcheck.altering import sealed
+from tests.certcheck.turning_truth import true_rate
 
 STORED = Path(__file__).parent / "region-turning-20-curved.json"
 LEVELS = (0.00118176, 0.00186853, 0.00467132, 0.0116783, 0.0291958, 0.0729894, 0.170518, 0.338609, 0.57154, 0.82, 1.0)

@@ -17,11 +17,11 @@ from surctl.certcheck.document import Rejected
 from surctl.certcheck.turning_cells import Disturbed, decays, heading_cells, steady
 from surctl.certcheck.turning_claim import drag_factors, read_claim
 from surctl.certcheck.turning_form import Form, Phase, axes_of, stir
-from surctl.certcheck.turning_law import commanded, true_rate
 from surctl.certcheck.turning_terms import flow_error, other_forces
 from surctl.marine.vehicle import PLANT_DISTURBANCE, PLANT_STATE, build_plant, load_vehicle, plant_parameters
 from tests.certcheck.altering import put, sealed
 from tests.certcheck.turning_samples import draw_vehicles
+from tests.certcheck.turning_truth import commanded, true_rate
 
 HERE, STEP, ONE = Path(__file__).parent, 1e-6, Fraction(1)
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from surctl.certcheck.region_claim import axis_pairs
 from surctl.certcheck.turning_cells import Trim
 from surctl.certcheck.turning_claim import TurningClaim, drag_factors
-from surctl.certcheck.turning_law import commanded, true_rate
+from tests.certcheck.turning_truth import commanded, true_rate
 
 Array = NDArray[np.float64]
 

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from surctl.certcheck.turning_claim import read_claim
-from surctl.certcheck.turning_law import true_rate
 from surctl.errors import InputError
 from surctl.marine.control import build_law, load_gains
 from surctl.marine.report.files import plot_region, save_margins, save_verdicts
@@ -17,6 +16,7 @@ from surctl.marine.verification import claims
 from surctl.marine.verification.region.nominal import nominal_motion
 from surctl.report.evidence import plot_open_boxes
 from surctl.verification import decide, falsify
+from tests.certcheck.turning_truth import true_rate
 
 CERTIFICATES = Path(__file__).parents[1] / "certcheck"
 VEHICLE, GAINS = load_vehicle("sur540-flooded"), load_gains("default").values

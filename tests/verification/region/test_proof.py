@@ -10,7 +10,6 @@ import pytest
 
 from surctl.certcheck import check_document, check_file
 from surctl.certcheck.turning_claim import read_claim
-from surctl.certcheck.turning_law import commanded, true_rate
 from surctl.errors import InputError
 from surctl.marine.control import load_gains
 from surctl.marine.tuning import derived_gains
@@ -32,6 +31,7 @@ from surctl.marine.verification.region.turning_shells import violated, worst_rat
 from surctl.verification.conic import minimise, symmetric_basis
 from surctl.verification.formula import text_of
 from tests.certcheck.turning_samples import draw_vehicles
+from tests.certcheck.turning_truth import commanded, true_rate
 
 KEPT = Path(__file__).parents[2] / "certcheck"
 

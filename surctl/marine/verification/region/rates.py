@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.certcheck.turning_law import Follower, followed, true_rate
+from surctl.certcheck.turning_law import Follower, followed
 from surctl.marine.verification.region.turning import TurningClaim
 
 Array = NDArray[np.float64]
@@ -33,8 +33,8 @@ def cruise_loop(claim: TurningClaim, slopes: tuple[float, float]) -> Loop:
         claim: a claim about equal masses.
         slopes: those of ω in the mean drag factors.
     """
-    stated, v = claim.stated, claim.cruise
-    law = Follower.of(stated, claim.mass, claim.linear, claim.quadratic, (np.inf, np.inf))
+    v = claim.cruise
+    law = Follower.of(claim.stated, claim.mass, claim.linear, claim.quadratic, (np.inf, np.inf))
     ratio = (2 + claim.drag_asymmetry) / (2 - claim.drag_asymmetry)
 
     def rate(xi: Array, draws: Array) -> tuple[Array, Array]:
@@ -46,14 +46,16 @@ def cruise_loop(claim: TurningClaim, slopes: tuple[float, float]) -> Loop:
             for k in (1, 3)
         ]  # fmt: skip
         omega = sum(slope * (pair.mean(axis=1) - 1) for slope, pair in zip(slopes, factors, strict=True))
-        state, psi, ones = xi + np.array([0.0, 0.0, v, 0.0]), 2 * np.pi * draws[:, 5], np.ones(len(xi))
+        state, psi = xi + np.array([0.0, 0.0, v, 0.0]), 2 * np.pi * draws[:, 5]
         state[:, 0] -= omega / claim.gains["k1"]
-        boat = {
-            "mass": np.repeat(_between(claim.mass_factor, draws[:, 0])[:, None], 2, axis=1), "linear": factors[0],
-            "quadratic": factors[1], "term_mass": ones, "term": ones,
-        }  # fmt: skip
-        thrust = np.max(np.abs(followed(law, state, psi)) / claim.thrust, axis=1)
-        return true_rate(stated, boat, state, psi, 0 * ones), thrust
+        command = followed(law, state, psi)
+        c, s = np.cos(psi), np.sin(psi)
+        body = np.stack([c * state[:, 2] + s * state[:, 3], c * state[:, 3] - s * state[:, 2]], axis=1)
+        drag = factors[0] * claim.linear * body + factors[1] * claim.quadratic * body * np.abs(body)
+        limited = np.clip(command, -np.array(claim.thrust), claim.thrust)
+        u, w = ((limited - drag) / (claim.mass[0] * _between(claim.mass_factor, draws[:, 0]))[:, None]).T
+        moved = np.stack([state[:, 2] - v, state[:, 3], c * u - s * w, s * u + c * w], axis=1)
+        return moved, np.max(np.abs(command) / claim.thrust, axis=1)
 
     return rate
 
