@@ -16,6 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # the oracles are beside the tests
+
 from surctl.certcheck.mission import funnel_of, read_claim
 from surctl.certcheck.region_claim import axis_pairs
 from surctl.certcheck.turning_claim import TurningClaim
