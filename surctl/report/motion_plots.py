@@ -84,8 +84,7 @@ def _plane(
     ax.grid(visible=False)
     if not dynamics.discrete:
         few = np.arange(_GRID)[_GRID // (2 * _ARROWS) :: _GRID // _ARROWS]
-        every = np.ix_(few, few)
-        rates = dynamics.evaluate(points)[[i, j]].reshape(2, _GRID, _GRID)[:, *every]
+        rates = dynamics.evaluate(points)[[i, j]].reshape(2, _GRID, _GRID)[:, few[:, None], few]
         u, v = rates / (high - low)[[i, j], None, None]
         size = np.maximum(np.hypot(u, v), 1e-12)
         ax.quiver(a[few], b[few], u / size, v / size, angles="uv", pivot="mid", color=ROBOT, scale=26, width=0.004)

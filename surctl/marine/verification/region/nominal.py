@@ -25,11 +25,11 @@ def nominal_motion(document: Mapping[str, Any]) -> tuple[Dynamics, Node]:
     Raises:
         InputError: the certificate is not about a region.
     """
-    claim = document["claim"]
+    claim, ranges = document["claim"], tuple[Range, ...]()
     if document.get("kind") == "turning":
         lower = document["proof"]["P"][:4]
         p = np.array([[lower[max(i, j)][min(i, j)] for j in range(4)] for i in range(4)])
-        units, texts, ranges = _CRUISE, _cruise(claim["law"], claim["vehicle"]["thrust_n"]), ()
+        units, texts = _CRUISE, _cruise(claim["law"], claim["vehicle"]["thrust_n"])
     elif document.get("kind") == "lyapunov":
         units, texts = {row["name"]: row["unit"] for row in claim["states"]}, claim["dynamics"]
         ranges = tuple(Range(**row) for row in claim["parameters"])
