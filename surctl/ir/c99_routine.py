@@ -8,18 +8,9 @@ from dataclasses import dataclass, field
 from textwrap import indent
 from types import MappingProxyType
 
-from surctl.ir.c99 import C_TYPE, Real, broken, c_literal, copy_loop, emit_c99, entry, handed_on, identifier, signature
-from surctl.ir.c99_folded import (
-    Feed,
-    chooses,
-    emit_folded,
-    emit_lanes,
-    emit_straight,
-    inline_helpers,
-    own_helpers,
-    preamble,
-)
+from surctl.ir.c99 import C_TYPE, Real, broken, c_literal, copy_loop, entry, handed_on, identifier, signature
 from surctl.ir.c99_procedure import emit_procedure
+from surctl.ir.c99_program import Feed, emit_lanes, emit_program, inline_helpers, own_helpers, preamble
 from surctl.ir.places import Overlaps, Places, inlined, overlapping, reads
 from surctl.ir.procedure import Procedure
 from surctl.ir.program import LEAVES, Program
@@ -38,24 +29,22 @@ _GENERATED = re.compile(r"[sftr]\d+|(?:pack|later)\d+|out_[nr]\d+")  # generated
 _TARGET = re.compile(r"\b\w+\[[^\]]*\] = ")
 
 
-def emit_block(block: Block, *, symbol: str, real: Real = "float64", folded: bool = False) -> str:
+def emit_block(block: Block, *, symbol: str, real: Real = "float64", vectors: bool = False) -> str:
     """Return C99 for a program or routine and for all programs and routines that it calls, callees first.
 
     The last function is `static void <symbol>(const double *in0, …, double *out0, …)`. For a routine, no output may
     overlap an input or another output, because the C code may write outputs before it has read all inputs. (The code of
-    a single program reads all inputs first, see `emit_c99`.) Programs or routines with equal text become one C
+    a single program reads all inputs first, see `emit_program`.) Programs or routines with equal text become one C
     function. `memory` returns the size of the arrays along the deepest chain of calls.
 
     Args:
-        symbol: name of the last function, and prefix of the other names.
-        folded: True writes readable text with nested expressions for any C99 compiler (see `c99_folded`); it is a third
-            as long as the text for False, and a file can contain only one such text. False writes text for fast
-            execution, with vectors if the compiler supports them.
+        symbol: name of the last function, and prefix of the other names; a file can contain only one such text.
+        vectors: whether loops of procedures compute several entries at once, where the compiler is GCC.
     """
-    writer = Writer(identifier(symbol), real, folded)
+    writer = Writer(identifier(symbol), real, vectors=vectors)
     writer.write(block)
     part = writer.parts.get("", _Part())
-    return "\n".join([preamble(part.programs, real), *part.chunks] if folded else part.chunks)
+    return "\n".join([preamble(part.programs, real), *part.chunks])
 
 
 def _with_function(block: Block) -> set[str]:
@@ -103,12 +92,12 @@ class Writer:
         self,
         symbol: str,
         real: Real,
-        folded: bool,
         *,
+        vectors: bool = False,
         files: Mapping[str, str] = MappingProxyType({}),
         shared: Collection[str] = (),
     ) -> None:
-        self.symbol, self.real, self.kind, self.folded = symbol, real, C_TYPE[real], folded
+        self.symbol, self.real, self.kind, self.vectors = symbol, real, C_TYPE[real], vectors
         self.files, self.shared = files, shared
         self.overlapping: Overlaps = {}
         self.named: dict[str, str] = {}
@@ -136,7 +125,7 @@ class Writer:
         if isinstance(block, Program):
             self._add(key, self._program(block, name, last=last), block)
         elif isinstance(block, Procedure):
-            self._add(key, emit_procedure(block, symbol=name, real=self.real, vectors=not self.folded))
+            self._add(key, emit_procedure(block, symbol=name, real=self.real, vectors=self.vectors))
         else:
             self._add(key, _routine(block, name, self))
 
@@ -153,28 +142,21 @@ class Writer:
 
     def _program(self, program: Program, name: str, *, last: bool) -> str:
         apart = not last and program.digest() not in self.overlapping
-        if self.folded:
-            moves = handed_on(program, strided=True) if apart else ()
-            return emit_folded(program, symbol=name, real=self.real, moves=moves, apart=apart)
-        if chooses(program) and not last:
-            return emit_straight(program, symbol=name, real=self.real)
-        return emit_c99(program, symbol=name, real=self.real, moves=handed_on(program, strided=True) if apart else ())
+        moves = handed_on(program, strided=True) if apart else ()
+        return emit_program(program, symbol=name, real=self.real, moves=moves, apart=apart)
 
     def _lanes(self, loop: Loop) -> None:
         key = _key_of(loop)
         if key in self.named or not isinstance(loop.block, Program):
             return
         self.named[key] = self._name(key, f"{loop.block.name}_{loop.lanes}")
-        text = emit_lanes(
-            loop.block, symbol=self.named[key], lanes=loop.lanes, feeds=_feeds(loop), real=self.real, folded=self.folded
-        )
+        text = emit_lanes(loop.block, symbol=self.named[key], lanes=loop.lanes, feeds=_feeds(loop), real=self.real)
         self._add(key, text, loop.block)
 
 
 def _feeds(loop: Loop) -> tuple[Feed, ...]:
-    side, spread, shared = Feed("lanes"), Feed("spread"), Feed("shared")
-    own = len(loop.carried) + len(loop.sliced)
-    return (side,) * (loop.index + own) + (spread,) * len(loop.spread) + (shared,) * len(loop.fixed)
+    own: list[Feed] = ["lanes"] * (loop.index + len(loop.carried) + len(loop.sliced))
+    return tuple(own + ["spread"] * len(loop.spread) + ["shared"] * len(loop.fixed))
 
 
 def _key_of(step: Call | Loop) -> str:
@@ -182,8 +164,7 @@ def _key_of(step: Call | Loop) -> str:
     if isinstance(step, Call) or step.lanes == 1:
         return step.block.digest()
     loop = step
-    kinds = " ".join(feed.kind for feed in _feeds(loop))
-    return f"{loop.block.digest()} {loop.lanes} {kinds}"
+    return f"{loop.block.digest()} {loop.lanes} {' '.join(_feeds(loop))}"
 
 
 def free_name(base: str, named: Mapping[str, str]) -> str:
@@ -206,7 +187,7 @@ def _routine(routine: Routine, symbol: str, writer: Writer) -> str:
     said = [f"{argument}: {name}" for argument, name in named if identifier(name) and not _GENERATED.fullmatch(name)]
     said += [f"out{k} may be in{j}" for k, j in sorted(overlaps)]
     starts, shared = places.pool
-    apart = "APART " if writer.folded and shared >= _LARGE and symbol != writer.symbol else ""
+    apart = "APART " if shared >= _LARGE and symbol != writer.symbol else ""
     read_sizes = [sizes[name] for name, _ in routine.inputs]
     written_sizes = [sizes[name] for name in routine.results]
     lines = broken("/* ", said, " */", indent="   ") if said else []
@@ -383,7 +364,7 @@ class Parts:
 
 
 def emit_parts(block: Block, *, symbol: str, real: Real = "float64") -> Parts:
-    """Return the C99 of `emit_block(…, folded=True)` in several files: one for each large function and its own callees.
+    """Return the C99 of `emit_block` in several files: one for each large function and its own callees.
 
     All names begin with `symbol`; functions that no other file calls are static.
     Each file must begin with <math.h>, the pragma FP_CONTRACT and the prototypes.
@@ -391,7 +372,7 @@ def emit_parts(block: Block, *, symbol: str, real: Real = "float64") -> Parts:
     nodes = _nodes(block)
     files = _parted(nodes, block.digest())
     shared = {key for at, node in nodes.items() for key in node.calls if files.get(key, "") != files.get(at, "")}
-    writer = Writer(identifier(symbol), real, True, files=files, shared={*shared, block.digest()})
+    writer = Writer(identifier(symbol), real, files=files, shared={*shared, block.digest()})
     writer.write(block)
     texts = {
         name: "\n".join([text for text in (*own_helpers(part.programs, real), *part.chunks) if text])
