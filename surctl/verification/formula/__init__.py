@@ -21,12 +21,11 @@ from surctl.verification.formula.parser import (
     is_name,
     parse,
     parse_relation,
-    reads_back,
     text_of,
 )
 
 __all__ = [
     "BRANCHING", "FUNCTIONS", "IDENTIFIER", "Node", "Statement", "derivative", "from_casadi", "is_name", "number",
-    "ordered", "parse", "parse_relation", "power", "reads_back", "rebuilt", "substitute", "text_of", "to_casadi",
+    "ordered", "parse", "parse_relation", "power", "rebuilt", "substitute", "text_of", "to_casadi",
     "values_of", "variable",
 ]  # fmt: skip

@@ -19,7 +19,7 @@ from __future__ import annotations
 import math
 import re
 import sys
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from fractions import Fraction
@@ -273,10 +273,8 @@ class _Parser:
 # Write an expression as text, from which the parser restores the expression exactly
 
 
-_SHALLOW = 50  # depth up to which no text is nested too deeply for the parser
 _DIGITS = 120  # most decimals of a number that is not written as a fraction
 _LARGEST = 10**16  # integers below it are written as such
-_BESIDE = 10  # most characters of an operation beside its operands: a name, commas, blanks and parentheses
 
 
 @lru_cache(128)
@@ -293,42 +291,6 @@ def text_of(root: Node) -> str:
             raise InputError(f"is longer than {LONGEST} characters", key="expression", remedy="split the claim")
         texts[node] = text, level
     return texts[root][0]
-
-
-def reads_back(root: Node, names: Collection[str]) -> bool:
-    """Return whether the parser certainly restores the very same expression from the text of an expression.
-
-    Otherwise it may refuse the text, or restore another expression with the same values, such as 1 divided by 3 for
-    the number 1/3.
-
-    Args:
-        root: the expression.
-        names: the names that the parser knows.
-    """
-    if root.depth > _SHALLOW:
-        return False
-    lengths: dict[Node, int] = {}
-    for node in ordered(root):
-        op, length = node.op, _BESIDE
-        if op == "num":
-            text = decimal_text(node.value)
-            if "/" in text or "e-3" in text:  # the parser has a least exponent
-                return False
-            length += len(text)
-        elif op == "var":
-            if node.name not in names or node.name in FUNCTIONS or node.name == "pi":
-                return False
-            length += len(node.name)
-        elif op == "neg" and node.args[0].op == "num":
-            return False  # the parser reads a negative number
-        elif op in ("pow", "powr"):
-            exponent = node.value
-            if op == "powr" or exponent.denominator != 1 or abs(exponent.numerator) > LARGEST_POWER:
-                return False
-        for a in node.args:
-            length += lengths[a]
-        lengths[node] = length
-    return lengths[root] <= LONGEST
 
 
 _LONG_NUMBER = re.compile(r"(?<![\w.])(?=\d*\.)((?:0?\.0*)?[1-9](?:\.?\d){16})\d+(?![\w.])")

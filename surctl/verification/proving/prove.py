@@ -317,7 +317,7 @@ def _simple(
     case, statement = attempt.case, attempt.statement
     plain, box = as_written(case), (statement.lower, statement.upper)
     bound = build_tape(statement.names, [plain.numerator])
-    if everywhere and (bound.upper(*box) <= 0 or (not polynomial and bound.run(root).jets[0].value[1][0] <= 0)):
+    if everywhere and bound.run(root).jets[0].value[1][0] <= 0:
         return _Shown(plain, replace(_without_boxes(root, 1), tree="n"), 0.0)
     if everywhere and polynomial:
         squares = prove_by_squares(case, statement.names, box, seconds=seconds, most=_SIMPLE)

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from math import inf
+from math import inf, nextafter, pi
 from types import MappingProxyType
 
 import numpy as np
@@ -16,7 +17,6 @@ from surctl.verification.proving import intervals as iv
 from surctl.verification.proving.functions import LARGEST_EXPONENT, defined
 from surctl.verification.proving.intervals import Ends
 from surctl.verification.proving.jets import Jet, choose
-from surctl.verification.proving.scalars import applied, enclosed
 
 Array = NDArray[np.float64]
 
@@ -94,20 +94,6 @@ class Tape:
                 defined.append(fine)
         return Read(tuple(jets[r] for r in self.roots), tuple(defined[r] for r in self.roots))
 
-    def upper(self, lower: Array, upper: Array) -> float:
-        """Return an upper bound of the first expression on one box (n,); inf if an operation is not arithmetic.
-
-        The bound is the one of `run`, without the cost of small arrays.
-        """
-        values: dict[Node, tuple[float, float]] = {}
-        known = dict(zip(self.names, zip(lower.tolist(), upper.tolist(), strict=True), strict=True))
-        for node in self.nodes:
-            ends = applied(node, [values[a] for a in node.args], known)
-            if ends is None:
-                return inf
-            values[node] = ends
-        return values[self.expressions[0]][1]
-
     def trouble(self, boxes: Ends) -> tuple[int, str]:
         """Return the index of one of the boxes (n, count) on which an operation is undefined, and a description of it.
 
@@ -132,7 +118,7 @@ class Tape:
                 at = self.names.index(node.name)
                 return _jet((box[0][at], box[1][at]), at, n, order)
             case "num" | "pi":
-                low, high = enclosed(node)
+                low, high = _enclosed(node)
                 return _jet((np.full(count, low), np.full(count, high)), None, n, order)
             case "add":
                 return args[0] + args[1]
@@ -226,6 +212,21 @@ def _jet(value: Ends, at: int | None, n: int, order: int) -> Jet:
     if at is not None:
         slope[at] = 1.0
     return Jet(value, iv.point(slope), iv.point(np.zeros((n, n, value[0].size))) if order > 1 else None)
+
+
+def _enclosed(node: Node) -> tuple[float, float]:
+    """Return two doubles that enclose an exact number or π: the nearest double below and the nearest double above."""
+    if node.op == "pi":
+        return pi, nextafter(pi, 4.0)  # the double lies below π
+    value, largest = node.value, sys.float_info.max
+    try:
+        near = float(value)
+    except OverflowError:
+        return (largest, inf) if value > 0 else (-inf, -largest)
+    over, under = near.as_integer_ratio()
+    above = over * value.denominator - value.numerator * under  # a comparison of fractions is slow
+    low = near if above <= 0 else nextafter(near, -inf)
+    return low, near if above >= 0 else nextafter(near, inf)
 
 
 def _short(text: str) -> str:
