@@ -24,7 +24,7 @@ from surctl.verification.formula import (
     text_of,
     variable,
 )
-from surctl.verification.proving.algebra import Algebra, Poly, Ratio, SplitAngles, TooLarge, Written, added
+from surctl.verification.proving.algebra import Algebra, Poly, Ratio, TooLarge, Written, added
 from surctl.verification.proving.intervals import Ends
 from surctl.verification.proving.tape import build_tape
 from surctl.verification.proving.touching import touching_form
@@ -190,7 +190,7 @@ def _touching(case: Case, names: Sequence[str], box: Ends) -> Iterator[Form]:
     """Yield the form whose terms are all exactly 0 where the claim holds with equality, if this is known."""
     if not case.touching:
         return
-    algebra = SplitAngles()
+    algebra = Algebra(split=True)
     try:
         margin = algebra.of(case.margin)
     except TooLarge:

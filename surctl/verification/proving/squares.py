@@ -21,9 +21,9 @@ from surctl.sos.polynomial import Monomial, Polynomial, quotient
 from surctl.verification.formula import Node, number, ordered, text_of
 from surctl.verification.proving.algebra import (
     MOST_TERMS,
+    Algebra,
     Poly,
     Ratio,
-    SplitAngles,
     TooLarge,
     Written,
     constant,
@@ -200,7 +200,7 @@ class _Problem:
 
     def __init__(self, case: Case, names: tuple[str, ...], box: tuple[Array, Array]) -> None:
         self._names, self._box, self._at = names, box, case.touching
-        self._algebra = algebra = SplitAngles()
+        self._algebra = algebra = Algebra(split=True)
         margin = algebra.of(case.margin)
         guards = [constraint_ratio(algebra, c) for c in case.constraints]
         written = Written(algebra)

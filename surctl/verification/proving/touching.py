@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from surctl.sos.polynomial import Monomial, Polynomial
 from surctl.verification.formula import Node, number, ordered, parse, power, substitute, variable
-from surctl.verification.proving.algebra import Algebra, Poly, Ratio, SplitAngles, TooLarge, Written, constant
+from surctl.verification.proving.algebra import Algebra, Poly, Ratio, TooLarge, Written, constant
 from surctl.verification.proving.intervals import Ends
 from surctl.verification.proving.tape import build_tape
 
@@ -158,7 +158,7 @@ def _short(x: float, rounded: Callable[[float], int]) -> str:
 def vanishes(node: Node) -> bool:
     """Return True only if an expression is 0 wherever it is defined, which exact rewriting shows."""
     try:
-        return not SplitAngles().of(node).over
+        return not Algebra(split=True).of(node).over
     except (TooLarge, ArithmeticError):
         return False
 
