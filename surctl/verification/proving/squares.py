@@ -21,15 +21,13 @@ from surctl.sos.polynomial import Monomial, Polynomial, quotient
 from surctl.verification.formula import Node, number, ordered, text_of
 from surctl.verification.proving.algebra import (
     MOST_TERMS,
-    Algebra,
     Poly,
     Ratio,
     TooLarge,
-    Written,
     constant,
     single,
 )
-from surctl.verification.proving.forms import Case, Form, constraint_ratio, signed, signs_of
+from surctl.verification.proving.forms import Case, Form, normal_form
 from surctl.verification.proving.tape import build_tape
 from surctl.verification.proving.touching import VALUES, fact_polynomial, facts_about
 
@@ -200,18 +198,12 @@ class _Problem:
 
     def __init__(self, case: Case, names: tuple[str, ...], box: tuple[Array, Array]) -> None:
         self._names, self._box, self._at = names, box, case.touching
-        self._algebra = algebra = Algebra(split=True)
-        margin = algebra.of(case.margin)
-        guards = [constraint_ratio(algebra, c) for c in case.constraints]
-        written = Written(algebra)
-        ends = box[0][:, None], box[1][:, None]
-        signs = signs_of(algebra, written, names, ends)
         self.usable = False
-        if signs is None or not margin.over or len(margin.over) > MOST_TERMS:
+        normal = normal_form(case, names, (box[0][:, None], box[1][:, None]), MOST_TERMS, split=True)
+        if normal is None or not normal.over:
             return
-        over = signed(margin, signs)
-        factors = {at: written.factor(at) if sign > 0 else -written.factor(at) for at, sign in signs.items()}
-        under = tuple(itertools.chain.from_iterable((factors[at],) * e for at, e in margin.under))
+        self._algebra, self._written = normal.algebra, normal.written
+        written, over, under, guards = normal.written, normal.over, normal.under, normal.guards
         # the checker reads a polynomial from the margin as it is written
         node = case.margin if not under and _has_no_division(case.margin) else written.poly(over)
         self.form = Form(node, under, (number(0),) * len(guards))
@@ -221,7 +213,6 @@ class _Problem:
             return
         if not self._read_ranges([written.atom(at) for at in self._atoms]):
             return
-        self._written = written
         self._decimals = [tuple(Fraction(repr(float(x))) for x in pair) for pair in zip(*box, strict=True)]
         self._choose_symbols({m: -c for m, c in over.items()})
         self.target = self.moved({m: -c for m, c in over.items()})
