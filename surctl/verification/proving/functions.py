@@ -68,8 +68,7 @@ def tan(a: Ends) -> Ends:
     """Return the tangent; the whole real line where a may contain a pole."""
     parts = []
     for end in a:
-        sine, cosine = iv.sine_cosine(iv.point(end))
-        low, high = iv.divide(sine, cosine)
+        low, high = iv.divide(iv.sine(iv.point(end)), iv.cosine(iv.point(end)))
         parts.append((np.where(end == 0, 0.0, low), np.where(end == 0, 0.0, high)))
     fine = _between_poles(a)
     return np.where(fine, parts[0][0], -np.inf), np.where(fine, parts[1][1], np.inf)

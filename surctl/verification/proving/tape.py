@@ -5,14 +5,16 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from fractions import Fraction
+from functools import cached_property, lru_cache
 from math import inf, nextafter, pi
 from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.verification.formula import Node, ordered, text_of
+from surctl.verification.formula import Node, derivative, number, ordered, text_of, variable
+from surctl.verification.proving import functions as fn
 from surctl.verification.proving import intervals as iv
 from surctl.verification.proving.functions import LARGEST_EXPONENT, defined
 from surctl.verification.proving.intervals import Ends
@@ -128,24 +130,17 @@ class Tape:
                 # the product of equal factors is a square, which gives narrower intervals
                 return args[0].power(2) if node.args[0] == node.args[1] else args[0] * args[1]
             case "div":
-                return args[0] * args[1].inverse()
+                inverse = args[1].inverse()
+                return inverse if node.args[0] == number(1) else args[0] * inverse  # a product is rounded
             case "neg":
                 return -args[0]
             case "pow":
                 exponent = node.value.numerator
                 return args[0].power(exponent) if exponent >= 0 else args[0].power(-exponent).inverse()
-            case "sqrt":
-                return args[0].root()
-            case "sin":
-                return args[0].sine()
-            case "cos":
-                return args[0].cosine()
-            case "acos":
-                return args[0].arccosine()
             case "powr":
-                return args[0].real_power(node.value)
+                return _through(node, fn.powr(args[0].value, node.value), args[0])
             case _ if node.op in _UNARY:
-                return _UNARY[node.op](args[0])
+                return _through(node, _UNARY[node.op](args[0].value), args[0])
             case "atan":
                 return args[0].angle(_jet(iv.point(np.ones(count)), None, n, order))
             case "atan2":
@@ -165,9 +160,22 @@ def build_tape(names: Sequence[str], roots: Sequence[Node]) -> Tape:
     return Tape(tuple(names), tuple(roots))
 
 
-_UNARY: Mapping[str, Callable[[Jet], Jet]] = MappingProxyType(
-    {"asin": Jet.arcsine, "tan": Jet.tangent, "exp": Jet.exponential, "log": Jet.logarithm,
-     "sinh": Jet.hyperbolic_sine, "cosh": Jet.hyperbolic_cosine, "tanh": Jet.hyperbolic_tangent}
+def _through(node: Node, value: Ends, inside: Jet) -> Jet:
+    """Return a function of one quantity, with its value there; its derivatives are those of its expression."""
+    first, second = _derivatives(node.op, node.value)
+    at = inside.value[0][None], inside.value[1][None]
+    return inside.through(value, lambda: first.run(at).jets[0].value, lambda: second.run(at).jets[0].value)
+
+
+@lru_cache(64)
+def _derivatives(op: str, exponent: Fraction) -> tuple[Tape, Tape]:
+    first = derivative(Node(op, (variable("t"),), exponent), "t")
+    return build_tape(["t"], [first]), build_tape(["t"], [derivative(first, "t")])
+
+
+_UNARY: Mapping[str, Callable[[Ends], Ends]] = MappingProxyType(
+    {"sqrt": iv.squared_root, "sin": iv.sine, "cos": iv.cosine, "acos": iv.acos, "asin": fn.arcsine, "tan": fn.tan,
+     "exp": fn.exp, "log": fn.log, "sinh": fn.sinh, "cosh": fn.cosh, "tanh": fn.tanh}
 )  # fmt: skip
 _TOTAL = frozenset({"num", "pi", "var", "add", "sub", "mul", "neg"})
 _TROUBLES = {
