@@ -31,7 +31,7 @@ from typing import NamedTuple
 import casadi as ca
 
 from surctl.errors import InputError, UnsupportedOperation, nearest
-from surctl.verification.formula.node import ARITY, DEEPEST, PI, Node, number, ordered, power, variable
+from surctl.verification.formula.node import ARITY, DEEPEST, PI, Node, exact_values, number, ordered, power, variable
 
 FUNCTIONS = (
     "abs", "acos", "asin", "atan", "atan2", "cos", "cosh", "exp", "log", "max", "min", "select", "sin", "sinh", "sqrt",
@@ -49,6 +49,7 @@ _TOKEN = re.compile(
 LARGEST_POWER = 64
 """The largest exponent."""
 _LARGEST_EXPONENT, _MOST_DIGITS, _LARGEST_NUMBER = 320, 400, Fraction(sys.float_info.max)
+_CONSTANT = frozenset({"num", "neg", "add", "sub", "mul", "div"})  # operations of an exponent
 _LONGEST = 30  # most digits of numerator and denominator of an exponent
 
 
@@ -97,27 +98,6 @@ def parse_relation(text: str, known: Mapping[str, Node], *, file: object = None,
 def decimal(text: str) -> Fraction:
     """Return the exact value of a decimal number such as 1.5e-3."""
     return Fraction(text)
-
-
-def _constant(root: Node) -> Fraction | None:
-    """Return the value of an expression of numbers and + - * /; None if the expression is another."""
-    values: dict[Node, Fraction] = {}
-    for node in ordered(root):
-        args = [values[a] for a in node.args]
-        match node.op:
-            case "num":
-                values[node] = node.value
-            case "add" | "sub":
-                values[node] = args[0] + args[1] if node.op == "add" else args[0] - args[1]
-            case "mul":
-                values[node] = args[0] * args[1]
-            case "div" if args[1]:
-                values[node] = args[0] / args[1]
-            case "neg":
-                values[node] = -args[0]
-            case _:
-                return None
-    return values[root]
 
 
 class _Token(NamedTuple):
@@ -211,7 +191,8 @@ class _Parser:
             return base
         token = self._next
         tree = self._signed_constant()
-        value = _constant(tree)
+        values = exact_values([tree], {}) if all(n.op in _CONSTANT for n in ordered(tree)) else None
+        value = values[0] if values else None
         if value is None or abs(value) > LARGEST_POWER or max(map(len, map(str, value.as_integer_ratio()))) > _LONGEST:
             remedy = f"write a constant of at most {LARGEST_POWER}, such as 2, -1.5 or (3/2)"
             raise self._mistake("is not an exponent", token, remedy)
