@@ -19,7 +19,7 @@ import numpy as np
 from surctl.certcheck.definite import is_semidefinite
 from surctl.sos.basis import Gram, monomials, parity_classes, pruned, restricted
 from surctl.sos.polynomial import Monomial, Number, Polynomial, joined
-from surctl.sos.program import Identity, best_identity
+from surctl.sos.program import Proposal, best_identity
 
 _LARGEST = 120  # largest size of a Gram matrix
 
@@ -306,7 +306,7 @@ def _candidates(
 
 
 def _rounded(
-    target: Polynomial, grams: Sequence[Gram], relations: Sequence[Polynomial], solution: Identity, spare: int
+    target: Polynomial, grams: Sequence[Gram], relations: Sequence[Polynomial], solution: Proposal, spare: int
 ) -> tuple[list[GramBlock], list[Polynomial]] | None:
     """Return the rounded blocks and multipliers; None if a matrix is not positive semidefinite."""
     most = max(len(g.roots) for g in grams)

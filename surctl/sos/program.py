@@ -15,7 +15,7 @@ from surctl.sos.polynomial import Monomial, Polynomial, joined
 Array = NDArray[np.float64]
 
 
-class Identity(NamedTuple):
+class Proposal(NamedTuple):
     """A numerical solution, which satisfies the identity only up to the solver's tolerance: a proposal, not a proof.
 
     Attributes:
@@ -36,7 +36,7 @@ def best_identity(
     free: Sequence[Sequence[Monomial]],
     *,
     seconds: float,
-) -> Identity | None:
+) -> Proposal | None:
     """Return the identity target = Σ b' G b · weight + Σ h · relation with the largest t; None if there is none.
 
     Args:
@@ -97,7 +97,7 @@ def best_identity(
         dict(zip(some, x[at : at + len(some)].tolist(), strict=True))
         for some, at in zip(free, starts[len(grams) :], strict=False)
     ]
-    return Identity(float(x[0]), matrices, polynomials)
+    return Proposal(float(x[0]), matrices, polynomials)
 
 
 def solved(
