@@ -329,8 +329,14 @@ def exact_values(roots: Sequence[Node], at: Mapping[str, Any]) -> list[Any] | No
                 known[node] = args[0] / args[1]
             case "pow" if args[0] or node.value > 0:
                 known[node] = args[0] ** node.value.numerator
-            case "sin" | "cos" if not args[0]:
-                known[node] = Fraction(node.op == "cos")
+            case op if op in _AT_ZERO and not args[0]:
+                known[node] = _AT_ZERO[op]
+            case "atan2" if not args[0] and args[1] > 0:
+                known[node] = Fraction(0)
+            case "sqrt" if args[0] >= 0:
+                known[node] = Fraction(*map(math.isqrt, args[0].as_integer_ratio()))
+                if known[node] ** 2 != args[0]:
+                    return None
             case op if op in _EXACT:
                 known[node] = _EXACT[op](*args)
             case _:
@@ -338,6 +344,10 @@ def exact_values(roots: Sequence[Node], at: Mapping[str, Any]) -> list[Any] | No
     return [known[root] for root in roots]
 
 
+_AT_ZERO: Mapping[str, Fraction] = MappingProxyType(
+    dict.fromkeys(("sin", "tan", "tanh", "atan", "asin", "sinh"), Fraction(0))
+    | dict.fromkeys(("cos", "exp", "cosh"), Fraction(1))
+)
 _EXACT: Mapping[str, Callable[..., Any]] = MappingProxyType(
     {"add": operator.add, "sub": operator.sub, "mul": operator.mul, "neg": operator.neg, "abs": abs, "min": min,
      "max": max}

@@ -95,11 +95,6 @@ def parse_relation(text: str, known: Mapping[str, Node], *, file: object = None,
     return first - second if signs[0] == "<=" else second - first
 
 
-def decimal(text: str) -> Fraction:
-    """Return the exact value of a decimal number such as 1.5e-3."""
-    return Fraction(text)
-
-
 class _Token(NamedTuple):
     kind: str
     text: str
@@ -210,7 +205,7 @@ class _Parser:
         if token.kind == "number":
             exponent = re.split("[eE]", token.text)[1:]
             long = len(token.text) > _MOST_DIGITS or (exponent and abs(int(exponent[0][:9])) > _LARGEST_EXPONENT)
-            if long or (value := decimal(token.text)) > _LARGEST_NUMBER:
+            if long or (value := Fraction(token.text)) > _LARGEST_NUMBER:
                 raise self._mistake("is out of range", token, "scale the claim")
             return number(value)
         if token.kind == "name":

@@ -95,9 +95,7 @@ def cases_of(parts: Sequence[Node]) -> list[Case]:
     """Return one case for each choice of branches; if there are too many branches, a single case without choices."""
     branches = _branches(parts)
     left, right, *constraints = parts
-    if len(branches) > MOST_BRANCHES:
-        return [Case("", left - right, tuple(constraints))]
-    if not branches:
+    if not 0 < len(branches) <= MOST_BRANCHES:
         return [Case("", left - right, tuple(constraints))]
     cases = []
     for bits in range(2 ** len(branches)):

@@ -101,16 +101,12 @@ class Tape:
 
         The text is empty if all operations are defined on all boxes.
         """
-        jets: list[Jet] = []
-        with np.errstate(all="ignore"):
-            for node, args in self.steps:
-                operands = [jets[a] for a in args]
-                jets.append(self._step(node, operands, boxes, 0))
-                undefined = _undefined(node, operands, boxes[0].shape[1])
-                if undefined.any():
-                    at = int(np.argmax(undefined))
-                    low, high = (float(end[at]) for end in operands[-1].value)
-                    return at, f"{_TROUBLES[node.op]} [{low:.3g}, {high:.3g}] in {_short(text_of(node))}"
+        read = build_tape(self.names, self.nodes).run(boxes)
+        for (node, args), fine in zip(self.steps, read.defined, strict=True):
+            if not fine.all():
+                at = int(np.argmin(fine))
+                low, high = (float(end[at]) for end in read.jets[args[-1]].value)
+                return at, f"{_TROUBLES[node.op]} [{low:.3g}, {high:.3g}] in {_short(text_of(node))}"
         return 0, ""
 
     def _step(self, node: Node, args: list[Jet], box: Ends, order: int) -> Jet:
