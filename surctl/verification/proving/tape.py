@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from surctl.verification.formula import Node, derivative, number, ordered, text_of, variable
 from surctl.verification.proving import functions as fn
 from surctl.verification.proving import intervals as iv
-from surctl.verification.proving.functions import LARGEST_EXPONENT, defined
 from surctl.verification.proving.intervals import Ends
 from surctl.verification.proving.jets import Jet, choose
 
@@ -90,7 +89,9 @@ class Tape:
                 jets.append(self._step(node, operands, box, order))
                 if self.total:
                     continue
-                fine = ~_undefined(node, operands, count)
+                fine = np.ones(count, dtype=bool)
+                if args:
+                    fine = fn.defined(node.op, [operand.value for operand in operands], node.value)
                 for a in args:
                     fine = fine & defined[a]
                 defined.append(fine)
@@ -184,28 +185,8 @@ _TROUBLES = {
     "tan": "tangent of an interval that may contain a pole:",
     "log": "logarithm of an interval that is partly 0 or negative:",
     "powr": "fractional power of an interval that contains 0 or negative numbers:",
-    **{op: f"{op} of an interval beyond {LARGEST_EXPONENT:.0f}:" for op in ("exp", "sinh", "cosh")},
+    **{op: f"{op} of an interval beyond {fn.LARGEST_EXPONENT:.0f}:" for op in ("exp", "sinh", "cosh")},
 }
-
-
-def _undefined(node: Node, args: list[Jet], count: int) -> NDArray[np.bool_]:
-    # (B,): whether the operation is undefined at some point of the box
-    if node.op == "sqrt":
-        return ~(args[0].value[0] >= 0)
-    if node.op == "div" or (node.op == "pow" and node.value < 0):
-        low, high = args[-1].value
-        return ~((low > 0) | (high < 0))
-    if node.op == "acos":
-        low, high = args[0].value
-        return ~((low >= -1) & (high <= 1))
-    if node.op == "atan2":
-        away = np.zeros(count, dtype=bool)
-        for low, high in (a.value for a in args):
-            away = away | (low > 0) | (high < 0)
-        return ~away
-    if node.op in _UNARY or node.op == "powr":
-        return ~defined(node.op, args[0].value, node.value)
-    return np.zeros(count, dtype=bool)
 
 
 def _jet(value: Ends, at: int | None, n: int, order: int) -> Jet:
