@@ -57,12 +57,10 @@ class BarrierResult:
     Attributes:
         decision: the decision on the last claim that was tried; None if no function fits the samples.
         tried: the degrees and multipliers that were tried, in words.
-        seconds: duration [s].
     """
 
     decision: Decision | None
     tried: tuple[str, ...]
-    seconds: float
 
     @property
     def verdict(self) -> str:
@@ -106,7 +104,7 @@ def find_barrier(
         >>> find_barrier(spiral, [start], [bad], degree=2).verdict
         'proved'
     """
-    began, until = time.perf_counter(), time.process_time() + time_limit
+    until = time.process_time() + time_limit
     samples = _Samples(dynamics, tuple(initial), tuple(unsafe), seed)
     scales = np.abs(dynamics.box).max(axis=0)
     options = (_FACTORS if dynamics.discrete else _MULTIPLIERS) if multiplier is None else (multiplier,)
@@ -128,10 +126,10 @@ def find_barrier(
             if progress:
                 progress(f"{label}: margin {margin:.3g}, {decision.verdict} {decision.reason}")
             if decision.verdict == "proved":
-                return BarrierResult(decision, tuple(tried), time.perf_counter() - began)
+                return BarrierResult(decision, tuple(tried))
         if time.process_time() > until:
             break
-    return BarrierResult(decision, tuple(tried), time.perf_counter() - began)
+    return BarrierResult(decision, tuple(tried))
 
 
 class _Samples:

@@ -50,18 +50,16 @@ class StabilityResult:
         falsified: the least level of the function for which a counterexample was found; None if it was not searched.
         label: how the function was found.
         volume: estimated volume of the region relative to the box.
-        seconds: duration [s].
         counterexample: values of the variables where the stated function fails; empty if no such state is known.
         instead: a function and its level that prove a region, in words, where the stated function does not.
     """
 
     verdict: Literal["proved", "refuted", "unknown"]
     reason: str
-    decision: Decision | None
-    falsified: Falsified | None
-    label: str
-    volume: float
-    seconds: float
+    decision: Decision | None = None
+    falsified: Falsified | None = None
+    label: str = ""
+    volume: float = 0.0
     counterexample: Mapping[str, float] = field(default_factory=dict)
     instead: str = ""
 
@@ -120,39 +118,37 @@ def find_stability(
         >>> result.verdict, result.ratio >= 0.9
         ('proved', True)
     """
-    began = time.perf_counter()
     until = time.process_time() + time_limit
     d = dynamics
     d.require_rest()
     linear = linearisation(d)
     if linear.verdict == "unstable":
-        return _none("refuted", linear.reason, began)
+        return StabilityResult("refuted", linear.reason)
     if function is not None:
         failure = _failure(d, function, rate, linear)
         if failure is not None:
-            instead = _instead(d, linear, function, rate, until - time.process_time(), began, seed, progress)
-            result = _none("refuted", failure.reason, began)
+            instead = _instead(d, linear, function, rate, until - time.process_time(), seed, progress)
+            result = StabilityResult("refuted", failure.reason)
             return replace(result, label="given", counterexample=failure.values, instead=instead)
     elif reason := too_fast(d, linear, rate):
-        return _none("refuted", reason, began)
+        return StabilityResult("refuted", reason)
     elif reason := unprovable(d):
-        return _none("unknown", reason, began)
+        return StabilityResult("unknown", reason)
     slopes: StabilityResult | None = None
     stated = function is not None or level is not None
     if d.sampling is not None and not stated and linear.verdict == "stable":
         held = sampled_region(d, rate, time_limit=_SAMPLED * time_limit, progress=progress)
         if held is not None:
-            seconds = time.perf_counter() - began
-            return StabilityResult("proved", "", held.decision, None, SLOPES, held.volume, seconds)
+            return StabilityResult("proved", "", held.decision, None, SLOPES, held.volume)
         if _jumps(d.rates):
-            return _none("unknown", f"no region of the sampled loop is proved, and the law {_JUMPS}", began)
+            return StabilityResult("unknown", f"no region of the sampled loop is proved, and the law {_JUMPS}")
     few = len(d.states) <= _FEW
     searched = function is None and level is None and linear.verdict == "stable"
     hard = has_branches(d) or len(d.variables) > _MANY or inexact(d)
     if searched and hard:
         slopes = _by_slopes(d, linear, rate, time_limit, seed, progress)
         if slopes is not None and (first or not few):
-            return replace(slopes, seconds=time.perf_counter() - began)
+            return slopes
     if function is not None:
         offered: Iterator[Candidate] = iter([Candidate("given", function, 0.0)])
     else:
@@ -166,14 +162,14 @@ def find_stability(
         trials.append((candidate, bound))
         if first and function is None and len(trials) == 1:
             share = _MOST * (until - time.process_time())
-            best = _proved(d, candidate, bound, rate, level, share, began, seed, progress, start=_SIMPLE, once=True)
+            best = _proved(d, candidate, bound, rate, level, share, seed, progress, start=_SIMPLE, once=True)
             if best.verdict == "proved":
-                return replace(best, seconds=time.perf_counter() - began)
+                return best
     if not trials and slopes is None:
         reason = "no polynomial decreases at all samples close to the equilibrium"
         if linear.verdict == "marginal":
             reason = f"{linear.reason}, which decides nothing, and {reason}"
-        return _none("unknown", reason, began)
+        return StabilityResult("unknown", reason)
     simplest = trials[0]
     trials.sort(key=lambda trial: -trial[0].volume * (trial[1].level > 0))
     # first the function that is easiest to prove, then those with the largest regions, then what was not tried yet
@@ -188,13 +184,13 @@ def find_stability(
             continue  # even its whole falsified region is hardly larger than what is proved
         share = rest if k == len(largest) + len(others) else (_HALF if k else _MOST) * rest
         start = _FIRST if k else _SIMPLE
-        result = _proved(d, candidate, bound, rate, level, share, began, seed, progress, start=start, once=first)
+        result = _proved(d, candidate, bound, rate, level, share, seed, progress, start=start, once=first)
         if best is None or (result.verdict == "proved", result.volume) > (best.verdict == "proved", best.volume):
             best = result
     assert best is not None
     rest = until - time.process_time()
     if best.verdict == "unknown" and level is None and rest > 0 and slopes is None:
-        result = _proved(d, *simplest, rate, level, rest, began, seed, progress, start=_EASY, once=first)
+        result = _proved(d, *simplest, rate, level, rest, seed, progress, start=_EASY, once=first)
         best = result if result.verdict == "proved" else best
     rest = until - time.process_time()
     if best.verdict == "unknown" and searched and not hard and rest > 0:
@@ -203,7 +199,7 @@ def find_stability(
         best = slopes
     if function is not None and best.verdict == "unknown" and linear.verdict == "marginal":
         best = replace(best, reason=f"{best.reason}; {linear.reason}")
-    return replace(best, seconds=time.perf_counter() - began)
+    return best
 
 
 _JUMPS = "may jump (if_else, select), for which no rule has a proof: write limits with fmin and fmax"
@@ -239,7 +235,7 @@ def _by_slopes(
             # only figures of a page: for many states, the search takes longer than the proof
             bound = least_level(d, candidate.function, rate, seed=seed) if len(d.states) <= _SOME else None
             volume = candidate.volume * level ** (len(d.states) / 2)
-            return StabilityResult("proved", "", trial, bound, candidate.label, volume, 0.0)
+            return StabilityResult("proved", "", trial, bound, candidate.label, volume)
         if time.process_time() > until:
             break
     return None
@@ -265,7 +261,6 @@ def _instead(
     function: Node,
     rate: float | None,
     seconds: float,
-    began: float,
     seed: int,
     progress: Callable[[str], None] | None,
 ) -> str:
@@ -276,7 +271,7 @@ def _instead(
         bound = least_level(d, candidate.function, rate, seed=seed)
         _say(progress, f"{candidate.label}: counterexample at level {bound.level:.4g}")
         if bound.level > 0:
-            result = _proved(d, candidate, bound, rate, None, seconds, began, seed, progress, start=_SIMPLE, once=True)
+            result = _proved(d, candidate, bound, rate, None, seconds, seed, progress, start=_SIMPLE, once=True)
             if result.claim is not None and result.verdict == "proved":
                 return f'function = "{text_of(result.claim.function)}", level = {result.claim.level:g}'
             return ""
@@ -290,7 +285,6 @@ def _proved(
     rate: float | None,
     level: float | None,
     seconds: float,
-    began: float,
     seed: int,
     progress: Callable[[str], None] | None,
     *,
@@ -301,7 +295,7 @@ def _proved(
     until = time.process_time() + seconds
     if not bound.level > 0:
         reason = "V is not positive in the box" if bound.level < 0 else _flat(d, candidate.function)
-        return replace(_none("unknown", reason, began), label=candidate.label, falsified=bound)
+        return replace(StabilityResult("unknown", reason), label=candidate.label, falsified=bound)
     levels = [level] if level is not None else [short(share * bound.level, digits=4) for share in _SHARES]
     decision: Decision | None = None
     proved: Decision | None = None
@@ -330,12 +324,12 @@ def _proved(
             k = k // 2 if proved is None else (low + high) // 2
     if proved is not None:
         volume = candidate.volume * (levels[low] / bound.level) ** (len(d.states) / 2)
-        return StabilityResult("proved", "", proved, bound, candidate.label, volume, 0.0)
+        return StabilityResult("proved", "", proved, bound, candidate.label, volume)
     verdict: Literal["refuted", "unknown"] = "unknown"
     reason = "the time limit was reached before any level was tried" if decision is None else decision.reason
     if level is not None and decision is not None and decision.verdict == "refuted":
         verdict = "refuted"
-    return StabilityResult(verdict, reason, decision, bound, candidate.label, 0.0, 0.0)
+    return StabilityResult(verdict, reason, decision, bound, candidate.label)
 
 
 def _flat(d: Dynamics, function: Node) -> str:
@@ -348,10 +342,6 @@ def _flat(d: Dynamics, function: Node) -> str:
         v, moved = np.asarray(change(d.equilibrium[:, None] + z, np.repeat(corner[:, None], z.shape[1], axis=1)))
         worst = max(worst, float(((moved - v if d.discrete else moved) / v).max()))
     return "V' is only semidefinite" if worst <= 1e-9 else "V does not decrease close to the equilibrium"
-
-
-def _none(verdict: Literal["refuted", "unknown"], reason: str, began: float) -> StabilityResult:
-    return StabilityResult(verdict, reason, None, None, "", 0.0, time.perf_counter() - began)
 
 
 def _say(progress: Callable[[str], None] | None, text: str) -> None:
