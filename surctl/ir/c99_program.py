@@ -16,10 +16,10 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 from operator import itemgetter
-from typing import Literal, TypeAlias
 
 from surctl.ir.c99 import C_TYPE, WIDTH, Move, Real, broken, c_literal, identifier, move_lines, remaining, signature
 from surctl.ir.program import LEAVES, Instruction, Program
+from surctl.ir.routine import Feed
 
 _COMPARE = {"lt": "<", "le": "<=", "eq": "==", "ne": "!="}
 _LOGIC = {"and": "&&", "or": "||"}
@@ -267,14 +267,6 @@ class _Folder:
 
 def _within(text: _Text, least: int) -> str:
     return text.text if text.rank >= least else f"({text.text})"
-
-
-Feed: TypeAlias = Literal["lanes", "spread", "shared"]
-"""The layout of an input for SIMD lanes, one for each run.
-
-"lanes": the numbers of all lanes for entry 0, then for entry 1, …; "spread": all entries of lane 0, then of lane 1, …;
-"shared": one number for each entry, which all lanes use.
-"""
 
 
 def emit_lanes(program: Program, *, symbol: str, lanes: int, feeds: tuple[Feed, ...], real: Real = "float64") -> str:

@@ -10,11 +10,11 @@ from types import MappingProxyType
 
 from surctl.ir.c99 import C_TYPE, Real, broken, c_literal, copy_loop, entry, handed_on, identifier, signature
 from surctl.ir.c99_procedure import emit_procedure
-from surctl.ir.c99_program import Feed, emit_lanes, emit_program, inline_helpers, own_helpers, preamble
+from surctl.ir.c99_program import emit_lanes, emit_program, inline_helpers, own_helpers, preamble
 from surctl.ir.places import Overlaps, Places, inlined, overlapping, reads
 from surctl.ir.procedure import Procedure
 from surctl.ir.program import LEAVES, Program
-from surctl.ir.routine import Block, Call, Gather, Loop, Routine, Step, nested
+from surctl.ir.routine import Block, Call, Feed, Gather, Loop, Routine, Step, nested
 
 _FEW = 8  # largest number of values that a compiler keeps in registers
 _LARGE = 32  # from this many values on, a routine's own arrays should not stay on the stack of its caller
