@@ -33,7 +33,6 @@ The limits of rules 1 to 3 are named in `relaxed`, and in `moved` of an assemble
 
 from __future__ import annotations
 
-from surctl.priority.backends import BACKENDS, Backend, LeastDistance, solve_least_distance
 from surctl.priority.compiled.assemble import AssembledStep, Assembly, assemble
 from surctl.priority.compiled.step import PriorityStep, priority_step
 from surctl.priority.compiled.sweep import nsb_symbolic
@@ -46,12 +45,9 @@ from surctl.priority.solver.fallback import safe_step
 from surctl.priority.solving import PrioritySolution, PriorityTimeline, solve
 
 __all__ = [
-    "BACKENDS",
     "AssembledStep",
     "Assembly",
-    "Backend",
     "Fallback",
-    "LeastDistance",
     "Level",
     "LevelShape",
     "Mode",
@@ -70,5 +66,4 @@ __all__ = [
     "priority_step",
     "safe_step",
     "solve",
-    "solve_least_distance",
 ]

@@ -16,9 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError
-from surctl.priority.backends import row_space
-from surctl.priority.problem import Level, PriorityProblem
-from surctl.priority.reference import Polyhedron, nsb_sweep, polyhedron_of, without_rows
+from surctl.priority.problem import Level, Limits, PriorityProblem
+from surctl.priority.reference import nsb_sweep, row_space, without_rows
 from surctl.priority.settings import Settings
 
 
@@ -46,7 +45,7 @@ def nsb(problem: PriorityProblem) -> NDArray[np.float64]:
             raise InputError(
                 "is set-based, and the printed law has no such task", key=f"task {level.name}", remedy="use solve"
             )
-        J_plus = row_space(level.J).pinv()
+        J_plus = row_space(level.J).solve(np.eye(len(level.J)))
         N = np.eye(problem.width) - J_plus @ level.J
         v = J_plus @ level.x + N @ v
     return v
@@ -85,7 +84,7 @@ def is_optimal(v: Array, problem: PriorityProblem, *, settings: Settings, target
 
 def is_least(v: Array, problem: PriorityProblem, *, settings: Settings, target: Array, tol: float) -> bool:
     """Return whether conditions (a) to (d) of `is_optimal` hold for this target; the mode is not nsb."""
-    rows = polyhedron_of(problem)
+    rows = problem.limits
     slack = tol * (1.0 + float(np.abs(v).max(initial=0.0)))
     missed = rows.violation(v)
     if missed[~rows.soft].max(initial=0.0) > slack:
@@ -139,12 +138,12 @@ def _objectives(
         weight, rest = (settings.damping / size) ** 2, first.miss(v) / size
         pull = weight * (target - v) + first.J.T @ rest / size
         square = weight * ((target - v) ** 2).sum() + (rest**2).sum()
-        yield _Objective(None, pull, float(square), faces, size**2)
+        yield _Objective(None, pull, float(square), faces, size * size)
         return
     for level in problem.levels[: {"filter": 0, "projected": 1}.get(settings.mode)]:
         size = _size(level)
         rest = level.miss(v) / size
-        yield _Objective(level, level.J.T @ rest / size, float((rest**2).sum()), faces, size**2)
+        yield _Objective(level, level.J.T @ rest / size, float((rest**2).sum()), faces, size * size)
         faces = _frozen(level, v, faces, tol)
     yield _Objective(None, target - v, float(((target - v) ** 2).sum()), faces, 1.0)
 
@@ -163,7 +162,7 @@ def restrictions(
     """
     if settings.mode == "nsb":
         return []
-    rows = polyhedron_of(problem)
+    rows = problem.limits
     rows = rows.relaxed(float(rows.violation(v)[rows.soft].max(initial=0.0)))
     size = 1.0 + float(np.abs(v).max())
     result: list[tuple[str | None, dict[str, float]]] = []
@@ -184,7 +183,7 @@ def restrictions(
 
 def conflicting(v: Array, problem: PriorityProblem) -> tuple[str, ...]:
     """Return the names of limits that contradict each other, so that barrier and set limits must be relaxed as by v."""
-    rows = polyhedron_of(problem)
+    rows = problem.limits
     by = float(rows.violation(v)[rows.soft].max(initial=0.0))
     if by <= _NEAR * (1.0 + float(np.abs(v).max())):
         return ()
@@ -234,7 +233,7 @@ def _frozen(level: Level, v: Array, faces: _Faces, tol: float) -> _Faces:
     )
 
 
-def _conflict(v: Array, rows: Polyhedron) -> tuple[set[str], float]:
+def _conflict(v: Array, rows: Limits) -> tuple[set[str], float]:
     """Return limits that show that no velocity violates the soft limits less than v does, and the error of this proof.
 
     By Farkas' lemma, normals of soft limits, with weights of sum 1, must balance normals of hard ones.
@@ -251,7 +250,7 @@ def _conflict(v: Array, rows: Polyhedron) -> tuple[set[str], float]:
     return used, float(np.abs(rest).max()) * radius + float(weights @ (gaps + ROUNDING * radius))
 
 
-def _bounds(rows: Polyhedron, v: Array, chosen: NDArray[np.bool_] | None = None) -> _Faces:
+def _bounds(rows: Limits, v: Array, chosen: NDArray[np.bool_] | None = None) -> _Faces:
     """Return all finite bounds of the chosen limits."""
     value = rows.A @ v
     above, below = (

@@ -85,6 +85,75 @@ class Row:
 
 
 @dataclass(frozen=True, eq=False)
+class Limits:
+    """Limits lower ≤ a·v ≤ upper, scaled to ‖a‖ = 1 so that a violation is a velocity, with names.
+
+    A row with normal 0 is not scaled; all velocities satisfy this row, or none does.
+
+    Attributes:
+        A: (m, n), one normal a in each row. lower, upper: (m,), bounds. length: (m,), ‖a‖ before scaling.
+        soft: (m,), whether the limit may be relaxed. names: name of each limit (m,).
+    """
+
+    A: Array
+    lower: Array
+    upper: Array
+    length: Array
+    soft: NDArray[np.bool_]
+    names: tuple[str, ...]
+
+    @staticmethod
+    def none(n: int) -> Limits:
+        """Return the set of all velocities (n,), which has no limit."""
+        nothing = np.zeros(0)
+        return Limits(np.zeros((0, n)), nothing, nothing, nothing, np.zeros(0, dtype=bool), ())
+
+    def violation(self, v: Array) -> Array:
+        """Return the amount (m,) by which v (n,) violates each limit; 0 if v satisfies the limit."""
+        value = self.A @ v
+        return np.maximum(np.maximum(self.lower - value, value - self.upper), 0.0)
+
+    def missed(self, v: Array) -> dict[str, float]:
+        """Return the violation of each limit that v violates by more than rounding, by name, in the limit's unit."""
+        amount = self.violation(v)
+        tolerance = 1e-8 * (1.0 + float(np.abs(v).max()))
+        return {self.names[i]: float(amount[i] * self.length[i]) for i in np.flatnonzero(amount > tolerance)}
+
+    def contains(self, v: Array) -> bool:
+        """Return whether v satisfies every limit exactly, without tolerance; False if v contains a NaN."""
+        value = self.A @ v
+        return bool(((self.lower <= value) & (value <= self.upper)).all())
+
+    def relaxed(self, by: float) -> Limits:
+        """Return the set with both bounds of the soft limits moved outwards by `by`."""
+        move = np.where(self.soft, by, 0.0)
+        return replace(self, lower=self.lower - move, upper=self.upper + move)
+
+    def holding(self, v: Array) -> Limits:
+        """Return the set with bounds widened by rounding errors so that v, which must be feasible, satisfies them."""
+        value = self.A @ v
+        return replace(self, lower=np.minimum(self.lower, value), upper=np.maximum(self.upper, value))
+
+    def also(self, J: Array, lower: Array, upper: Array) -> Limits:
+        """Return the set with k additional soft limits lower ≤ J v ≤ upper, J (k, n)."""
+        more = _scaled(np.column_stack([J, lower, upper, np.ones(len(J))]), ("",) * len(J))
+        names = ("A", "lower", "upper", "length", "soft")
+        A, low, up, length, soft = (np.concatenate([getattr(self, name), getattr(more, name)]) for name in names)
+        return Limits(A, low, up, length, soft, self.names + more.names)
+
+
+def _scaled(table: Array, names: tuple[str, ...]) -> Limits:
+    A = table[:, :-3]
+    largest = np.abs(A).max(axis=1, initial=0.0)
+    zero = largest <= ZERO_ROW
+    largest[zero] = 1.0
+    scaled = A / largest[:, None]  # without this scaling the square of a row of 1e155 would overflow
+    length = np.where(zero, 1.0, largest * np.sqrt(np.einsum("ij,ij->i", scaled, scaled)))
+    A = np.where(zero[:, None], 0.0, A / length[:, None])
+    return Limits(A, table[:, -3] / length, table[:, -2] / length, length, table[:, -1] != 0.0, names)
+
+
+@dataclass(frozen=True, eq=False)
 class PriorityProblem:
     """A priority problem from `build_problem`: levels, highest priority first, and limits as linear constraints.
 
@@ -113,6 +182,11 @@ class PriorityProblem:
             table[:, n + 1] = [row.upper for row in self.rows]
             table[:, n + 2] = [row.kind != "actuator" for row in self.rows]
         return table
+
+    @cached_property
+    def limits(self) -> Limits:
+        """Return the limits as rows of length 1."""
+        return _scaled(self.table, tuple(row.name for row in self.rows))
 
     @cached_property
     def box(self) -> Array:

@@ -12,11 +12,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surctl.errors import InputError
-from surctl.priority.backends import Backend
 from surctl.priority.compiled.step import PriorityStep, Stage, level_shapes
 from surctl.priority.optimality import LOSS, conflicting, is_least, is_optimal, restrictions
 from surctl.priority.problem import Level, PriorityProblem
-from surctl.priority.reference import nsb_sweep, polyhedron_of, reference_solution, without_rows
+from surctl.priority.reference import nsb_sweep, reference_solution, without_rows
 from surctl.priority.settings import Mode, Settings
 
 Array: TypeAlias = NDArray[np.float64]
@@ -114,7 +113,7 @@ class PrioritySolution:
 
         A limit that had to be moved because it crosses a harder one is listed too.
         """
-        return {**self.problem.moved, **polyhedron_of(self.problem).missed(self.v)}
+        return {**self.problem.moved, **self.problem.limits.missed(self.v)}
 
     @cached_property
     def conflict(self) -> tuple[str, ...]:
@@ -308,7 +307,7 @@ def solve(
     mode: Mode = "projected",
     sweeps: int = 1,
     damping: float = 0.0,
-    backend: Backend | None = None,
+    backend: str | None = None,
 ) -> PrioritySolution:
     """Solve the priority problem of one control period; the returned velocity v is finite for any problem.
 
@@ -382,7 +381,7 @@ def _by_step(problem: PriorityProblem, settings: Settings, shape: tuple[tuple[in
     return PrioritySolution(problem, settings, v, target, _with_moved(status, problem, settings), count)
 
 
-def _by_reference(problem: PriorityProblem, settings: Settings, backend: Backend) -> PrioritySolution:
+def _by_reference(problem: PriorityProblem, settings: Settings, backend: str) -> PrioritySolution:
     result = reference_solution(problem, settings, backend)
     status = cast("Outcome", result.status)
     if result.iterations > 0 and status in ("optimal", "limited", "relaxed"):

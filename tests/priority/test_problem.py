@@ -8,7 +8,6 @@ import pytest
 
 from surctl.errors import InputError
 from surctl.priority import Level, PriorityProblem, Row, build_problem, solve
-from surctl.priority.reference import polyhedron_of
 from tests.oracles.priority_draws import draw_problem
 
 GOOD = Level("depth", np.eye(4)[2:3], np.array([0.1]))
@@ -111,7 +110,7 @@ def test_rows_of_any_length_bound_what_they_say():
 
 def test_rows_that_are_relaxed_are_widened_on_both_sides_and_the_others_are_not():
     rows = [row("wall", a=(2, 0, 0, 0), lower=-0.4, upper=0.2), row("edge", "actuator", (0, 1, 0, 0), -0.5, 0.5)]
-    found = polyhedron_of(build_problem([GOOD], rows))
+    found = build_problem([GOOD], rows).limits
     wider = found.relaxed(0.25)
     assert np.array_equal(wider.lower, [-0.45, -0.5]) and np.array_equal(wider.upper, [0.35, 0.5])
     assert np.array_equal(wider.A, found.A)

@@ -30,8 +30,8 @@ from numpy.typing import NDArray
 
 from surctl.errors import InputError
 from surctl.ir.symbolic import on_columns
-from surctl.priority.backends import row_space
 from surctl.priority.diagnosis.findings import Region, pose_text
+from surctl.priority.reference import row_space
 from surctl.priority.settings import CUTOFF, ZERO_ROW
 from surctl.tasks import Stack
 

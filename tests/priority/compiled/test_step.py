@@ -18,7 +18,6 @@ from surctl.priority import Level, Mode, PriorityProblem, Row, Settings, build_p
 from surctl.priority.compiled import sweep
 from surctl.priority.compiled.step import OUTPUTS, PriorityStep, priority_step
 from surctl.priority.optimality import is_optimal
-from surctl.priority.reference import polyhedron_of
 from surctl.priority.shapes import LevelShape, StackShape
 from surctl.priority.solver.elimination import LOOPED
 from tests.oracles.priority_references import daqp_hierarchy, printed_law, svd_cascade
@@ -165,7 +164,7 @@ def test_no_level_is_served_worse_than_by_daqp_s_hierarchy(shapes: tuple[LevelSh
             other = daqp_hierarchy(problem)
         except SolverError:
             continue
-        rows = polyhedron_of(problem)
+        rows = problem.limits
         assert rows.violation(tick.v).max() <= 1e-9
         if rows.violation(other).max() > 1e-9:
             continue
@@ -188,7 +187,7 @@ def test_the_opening_is_the_least() -> None:
             tick.load(problem)
             tick.solve()
             if tick.stage == "relaxed":
-                rows = polyhedron_of(problem)
+                rows = problem.limits
                 opens = -rows.soft.astype(float)
                 sides = [(rows.A, rows.upper), (-rows.A, -rows.lower)]
                 G = np.vstack([np.column_stack([A, opens])[np.isfinite(b)] for A, b in sides])
