@@ -132,8 +132,8 @@ class _Solver:
         problem = qpsolvers.Problem(form(P), -scale * (R.T @ r), form(H), bound)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # a solver that fails says so in its result
-            found = qpsolvers.solve_problem(problem, solver=self.name, **_TIGHT.get(self.name, {}))
-        y, z = found.x, found.z
+            solution = qpsolvers.solve_problem(problem, solver=self.name, **_TIGHT.get(self.name, {}))
+        y, z = solution.x, solution.z
         if y is None or z is None or not (np.isfinite(y).all() and np.isfinite(z).all()):
             return []
         near = bound - H @ y <= 1e-7 * (1.0 + np.abs(y).max())

@@ -190,11 +190,11 @@ def _parts(key: str, value: Sequence[object], count: int) -> tuple[object, ...]:
 def _bounds(key: str, names: Sequence[str], low: object, high: object) -> Array:
     """Return the bounds (2, d) of named variables; one number for a parameter applies to all its entries."""
     ends = []
-    for side, given in (("lower", low), ("upper", high)):
+    for side, numbers in (("lower", low), ("upper", high)):
         try:
-            end = np.array(given, dtype=float).reshape(-1)
+            end = np.array(numbers, dtype=float).reshape(-1)
         except (TypeError, ValueError):
-            raise InputError("is not a bound", key=key, value=given, remedy="give numbers") from None
+            raise InputError("is not a bound", key=key, value=numbers, remedy="give numbers") from None
         if end.size != len(names) and not (end.size == 1 and key == "parameters"):
             raise InputError(f"{side} bound has {end.size} entries", key=key, remedy=f"give {len(names)}")
         ends.append(np.broadcast_to(end, len(names)))
@@ -478,7 +478,7 @@ def _gained(values: Values, i: int) -> Array:
 
 def _singularities(stack: Stack, survey: _Survey, threshold: float, starts: int) -> list[Singularity]:
     """Return the kinematic and algorithmic singularities of every level, in order of priority."""
-    found: list[Singularity] = []
+    singularities: list[Singularity] = []
     own: list[Measure] = []
     for i, name in enumerate(stack.names):
         J = survey.values.jacobians[i]
@@ -486,15 +486,15 @@ def _singularities(stack: Stack, survey: _Survey, threshold: float, starts: int)
         own.append(partial(_weakness, i, rank, float(np.median(sizes[sizes > 0.0])) if rank else 1.0))
         unit, value = survey.search(own[i], starts)
         if rank and value <= threshold:
-            found.append(Singularity(name, "kinematic", value, survey.where(unit)))
+            singularities.append(Singularity(name, "kinematic", value, survey.where(unit)))
         gained = int(np.count_nonzero(_gained(survey.values, i) > TOLERANCE, axis=1).max()) if i else 0
         if gained:
             unit, value = survey.search(partial(_remaining, i, own[i], gained, threshold), starts)
             here = survey.at(unit[None])
             if value <= threshold:
                 also = tuple(stack.names[j] for j in range(i) if own[j](here)[0] <= threshold)
-                found.append(Singularity(name, "algorithmic", value, survey.where(unit), also))
-    return found
+                singularities.append(Singularity(name, "algorithmic", value, survey.where(unit), also))
+    return singularities
 
 
 def _weakness(i: int, rank: int, size: float, values: Values) -> Array:
