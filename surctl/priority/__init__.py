@@ -36,9 +36,8 @@ from __future__ import annotations
 from surctl.priority.compiled.assemble import AssembledStep, Assembly, assemble
 from surctl.priority.compiled.step import PriorityStep, priority_step
 from surctl.priority.compiled.sweep import nsb_symbolic
-from surctl.priority.optimality import nsb
 from surctl.priority.problem import Level, PriorityProblem, Row, build_problem
-from surctl.priority.reference import nsb_sweep
+from surctl.priority.reference import nsb, nsb_sweep
 from surctl.priority.settings import Fallback, Mode, Settings, check_fallback
 from surctl.priority.shapes import LevelShape
 from surctl.priority.solver.fallback import safe_step

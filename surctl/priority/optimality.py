@@ -15,41 +15,9 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.errors import InputError
 from surctl.priority.problem import Level, Limits, PriorityProblem
-from surctl.priority.reference import nsb_sweep, row_space, without_rows
+from surctl.priority.reference import target_of
 from surctl.priority.settings import Settings
-
-
-def nsb(problem: PriorityProblem) -> NDArray[np.float64]:
-    """Return the velocity v (n,) of the NSB law, equation (16) of the paper: v = v_1 + N_1(v_2 + N_2(v_3 + …)).
-
-    Here v_i = J_i⁺x_i is the velocity for task i alone, J_i is its Jacobian, x_i its desired rate, and N_i = I −
-    J_i⁺J_i the projector on the null space of J_i. Singular values of J_i below 1e-10·‖J_i‖ count as 0. The law
-    ignores limits.
-
-    Raises:
-        InputError: a level is set-based; equation (16) has no set-based tasks.
-
-    Example:
-        >>> import numpy as np
-        >>> from surctl.priority import Level, build_problem, nsb
-        >>> away = Level("away", np.array([[1.0, 0.0]]), np.array([0.0]))
-        >>> goal = Level("goal", np.eye(2), np.array([0.3, 0.4]))
-        >>> [nsb(build_problem(order)).round(3).tolist() for order in ([away, goal], [goal, away])]
-        [[0.0, 0.4], [0.3, 0.4]]
-    """
-    v = np.zeros(problem.width)
-    for level in reversed(problem.levels):
-        if not level.is_goal:
-            raise InputError(
-                "is set-based, and the printed law has no such task", key=f"task {level.name}", remedy="use solve"
-            )
-        J_plus = row_space(level.J).solve(np.eye(len(level.J)))
-        N = np.eye(problem.width) - J_plus @ level.J
-        v = J_plus @ level.x + N @ v
-    return v
-
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -75,7 +43,8 @@ def is_optimal(v: Array, problem: PriorityProblem, *, settings: Settings, target
     """
     if v.shape != (problem.width,) or not np.isfinite(v).all():
         return False
-    if not _is_target(target, problem, settings, tol):
+    known = target_of(problem, settings)
+    if not np.isfinite(target).all() or (known is not None and not _close(target, known, tol)):
         return False
     if settings.mode == "nsb":
         return _close(v, target, tol)
@@ -189,21 +158,6 @@ def conflicting(v: Array, problem: PriorityProblem) -> tuple[str, ...]:
         return ()
     names = _conflict(v, rows.relaxed(by))[0]
     return tuple(row.name for row in problem.rows if row.name in names)
-
-
-def _is_target(target: Array, problem: PriorityProblem, settings: Settings, tol: float) -> bool:
-    """Return whether `target` is the velocity that the mode in the settings approaches last."""
-    n = problem.width
-    if settings.mode == "lexicographic":
-        return not target.any()
-    if settings.mode == "projected":
-        if settings.sweeps > 1:
-            return bool(np.isfinite(target).all())
-        return _close(target, nsb_sweep(problem.levels[1:], start=np.zeros(n), settings=settings), tol)
-    plain = settings.sweeps == 1 and settings.damping == 0.0 and all(level.is_goal for level in problem.levels)
-    if plain:
-        return _close(target, nsb(problem), tol)
-    return _close(target, without_rows(problem.levels, width=n, settings=settings), tol)
 
 
 def _close(v: Array, expected: Array, tol: float) -> bool:

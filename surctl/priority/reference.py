@@ -79,6 +79,32 @@ def nsb_sweep(levels: Sequence[Level], *, start: Array, settings: Settings = _PL
     return w
 
 
+def nsb(problem: PriorityProblem) -> Array:
+    """Return the velocity v (n,) of the NSB law, equation (16) of the paper: v = v_1 + N_1(v_2 + N_2(v_3 + …)).
+
+    Here v_i = J_i⁺x_i is the velocity for task i alone, J_i is its Jacobian, x_i its desired rate, and N_i = I −
+    J_i⁺J_i the projector on the null space of J_i. Singular values of J_i below 1e-10·‖J_i‖ count as 0. The law
+    ignores limits.
+
+    Raises:
+        InputError: a level is set-based; equation (16) has no set-based tasks.
+
+    Example:
+        >>> import numpy as np
+        >>> from surctl.priority import Level, build_problem, nsb
+        >>> away = Level("away", np.array([[1.0, 0.0]]), np.array([0.0]))
+        >>> goal = Level("goal", np.eye(2), np.array([0.3, 0.4]))
+        >>> [nsb(build_problem(order)).round(3).tolist() for order in ([away, goal], [goal, away])]
+        [[0.0, 0.4], [0.3, 0.4]]
+    """
+    for level in problem.levels:
+        if not level.is_goal:
+            raise InputError(
+                "is set-based, and the printed law has no such task", key=f"task {level.name}", remedy="use solve"
+            )
+    return nsb_sweep(problem.levels, start=np.zeros(problem.width))
+
+
 def _onto(level: Level, w: Array, damping: float) -> Array:
     if not level.is_goal and level.lower.size > 1:
         strict = _damped(level, w, damping) if damping else level
@@ -104,6 +130,16 @@ def without_rows(levels: Sequence[Level], *, width: int, settings: Settings = _P
     for _ in range(settings.sweeps):
         v = nsb_sweep(levels, start=v, settings=settings)
     return v
+
+
+def target_of(problem: PriorityProblem, settings: Settings) -> Array | None:
+    """Return the velocity that the mode approaches last; None if sweeps within limits determine it."""
+    if settings.mode == "lexicographic":
+        return np.zeros(problem.width)
+    if settings.mode == "projected":
+        start = np.zeros(problem.width)
+        return nsb_sweep(problem.levels[1:], start=start, settings=settings) if settings.sweeps == 1 else None
+    return without_rows(problem.levels, width=problem.width, settings=settings)
 
 
 _TIGHT: dict[str, dict[str, Any]] = {
@@ -255,12 +291,12 @@ def reference_solution(problem: PriorityProblem, settings: Settings, backend: st
 
 
 def _solution(problem: PriorityProblem, settings: Settings, solver: _Solver) -> Reference:
-    levels, v = problem.levels, np.zeros(problem.width)
-    if settings.mode == "lexicographic":
-        return _within(problem, levels, v, solver)
-    if settings.mode != "projected":
-        v = without_rows(levels, width=problem.width, settings=settings)
-        return Reference(v, v, "optimal") if settings.mode == "nsb" else _within(problem, (), v, solver)
+    levels, v, target = problem.levels, np.zeros(problem.width), target_of(problem, settings)
+    if settings.mode != "projected" and target is not None:
+        strict = levels if settings.mode == "lexicographic" else ()
+        return (
+            Reference(target, target, "optimal") if settings.mode == "nsb" else _within(problem, strict, target, solver)
+        )
     for _ in range(settings.sweeps):
         target = nsb_sweep(levels[1:], start=v, settings=settings)
         first = _damped(levels[0], target, settings.damping) if settings.damping else levels[0]

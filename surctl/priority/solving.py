@@ -15,7 +15,7 @@ from surctl.errors import InputError
 from surctl.priority.compiled.step import PriorityStep, Stage, level_shapes
 from surctl.priority.optimality import LOSS, conflicting, is_least, is_optimal, restrictions
 from surctl.priority.problem import Level, PriorityProblem
-from surctl.priority.reference import nsb_sweep, reference_solution, without_rows
+from surctl.priority.reference import reference_solution, target_of, without_rows
 from surctl.priority.settings import Mode, Settings
 
 Array: TypeAlias = NDArray[np.float64]
@@ -58,11 +58,6 @@ class PrioritySolution:
     def mode(self) -> str:
         """Return the name of the priority mode."""
         return self.settings.mode
-
-    @property
-    def fallback(self) -> Literal[1, 2, 3]:
-        """Return 1 if the first task is met, 2 if it is met as well as the limits allow, and 3 otherwise."""
-        return 1 if self.status == "optimal" else 2 if self.status == "limited" else 3
 
     @property
     def units(self) -> dict[str, str]:
@@ -360,9 +355,8 @@ def explained(problem: PriorityProblem, v: Array, stage: Stage, *, mode: Mode) -
     `stage` is that of the step, and `problem` the problem that it solved.
     """
     settings = _settings(mode)
-    target = np.zeros(v.size)
-    if mode != "lexicographic":
-        target = nsb_sweep(problem.levels[1:] if mode == "projected" else problem.levels, start=target)
+    target = target_of(problem, settings)
+    assert target is not None  # with one sweep
     return PrioritySolution(problem, settings, v, target, _OUTCOMES[get_args(Stage).index(stage)], 0)
 
 

@@ -1,6 +1,5 @@
 """The four modes: what each promises, judged without its solver; sweeps, damping and set-based levels."""
 
-import json
 from dataclasses import replace
 from functools import partial
 
@@ -10,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from surctl.errors import InputError
-from surctl.priority import Level, PriorityProblem, Row, build_problem, nsb, nsb_sweep, solve
+from surctl.priority import Level, Row, build_problem, nsb, nsb_sweep, solve
 from tests.oracles.priority_draws import draw_levels, draw_problem, inequality_problem, unit, wide, with_sets
 from tests.oracles.priority_references import daqp_hierarchy, svd_cascade
 
@@ -51,7 +50,7 @@ def test_every_answer_is_what_the_mode_promises(settings):
         assert got.explain()
         if settings["mode"] != "nsb":
             assert max(miss(row, got.v) for row in problem.rows if row.kind == "actuator") <= 1e-9
-            assert (got.relaxed == {}) == (got.fallback < 3)
+            assert (got.relaxed == {}) == (got.status in ("optimal", "limited"))
 
 
 @every
@@ -157,7 +156,7 @@ def test_a_lexicographic_answer_blames_each_level_on_its_own_rows():
     got = reference(build_problem([surge, depth], [*box(0.22), wall]), mode="lexicographic")
     assert np.allclose(got.v, [0.22, 0, 0.1, 0], atol=1e-12)
     assert got.causes == {"surge": ("box.u",), "depth": ("wall",)}
-    assert (got.status, got.fallback) == ("limited", 2)
+    assert got.status == "limited"
     assert got.explain() == (
         "Task `surge` gave up 0.78 m/s because `box.u` binds; task `depth` gave up 0.3 because `wall` binds."
     )
@@ -215,11 +214,8 @@ def test_the_printed_law_takes_no_set():
         nsb(build_problem([Level("corridor", E[:1], np.zeros(1), np.ones(1))]))
 
 
-def test_sets_survive_json_and_print():
+def test_sets_are_printed():
     problem = build_problem([Level("corridor", E[:2], np.array([-np.inf, 0.1]), np.array([0.3, 0.1]), "m/s")], box(1))
-    again = PriorityProblem.from_dict(json.loads(json.dumps(problem.to_dict(), allow_nan=False)))
-    assert str(again) == str(problem)
-    assert again.levels[0].unit == "m/s"
     assert "in [-inf, 0.3]" in str(problem)
     assert "-> 0.1" in str(problem)
 
@@ -272,7 +268,7 @@ def test_a_setting_that_is_no_number_is_refused_by_name(key, value):
 
 
 def test_a_number_of_sweeps_may_be_numpys():
-    assert reference(wide([Level("a", E[:1], np.ones(1))]), sweeps=np.int64(2)).fallback == 1
+    assert reference(wide([Level("a", E[:1], np.ones(1))]), sweeps=np.int64(2)).status == "optimal"
 
 
 def test_rows_of_a_set_have_names_and_multipliers_of_their_own():

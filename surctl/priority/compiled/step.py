@@ -33,6 +33,8 @@ from surctl.priority.solver.fallback import CLAMPED, MET, Sizes, limited_step
 OUTPUTS = ("v", "active", "multipliers", "opening", "status", "count", "target")
 """Names of the outputs of a step, in order."""
 
+_MOST_BOUNDED = 8
+
 _RAW = tuple(f"{name}_raw" for name in OUTPUTS)
 _STACK = ("J", "lower", "upper")
 
@@ -92,9 +94,9 @@ def priority_step(
             lexicographic.
         damping: λ [unit of J]; 0 in mode lexicographic.
         precision: tolerances of the solver for the number type with which the routine runs.
-        fallback: "exact", or "bounded" for modes filter and projected without damping. If limits and task 1 are
-            incompatible, or need more than 4 iterations, "bounded" computes a velocity that is not optimal, at constant
-            cost; see module `solver.fallback`.
+        fallback: "exact", or "bounded" for modes filter and projected without damping and up to 8 velocities. If limits
+            and task 1 are incompatible, or need more than 4 iterations, "bounded" computes a velocity that is not
+            optimal, at constant cost; see module `solver.fallback`.
 
     Raises:
         InputError: the mode is unknown, or n, `rows`, a level or a setting is out of range; the message names the
@@ -112,6 +114,9 @@ def priority_step(
     """
     shape, settings = StackShape(n, levels), Settings(mode, sweeps, damping)
     check_fallback(fallback, mode=mode, damping=damping)
+    if fallback == "bounded" and n > _MOST_BOUNDED:
+        problem = f"is for at most {_MOST_BOUNDED} velocities, whose search has code without loops"
+        raise InputError(problem, key="fallback", value=fallback, remedy="use the exact fallback")
     if not isinstance(rows, int | np.integer) or rows < 1:
         raise InputError("must be a whole number of at least 1", key="rows", value=rows, remedy="give 1 or more")
     inputs = (*shape.inputs, ("rows", rows * (n + 3)), ("box", 2 * n))
