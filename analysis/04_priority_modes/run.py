@@ -196,7 +196,6 @@ def prices(count: int, seed: int) -> None:
     answers: dict[str, Callable[[PriorityProblem], Array]] = {
         f"`{mode}`": lambda problem, mode=mode: reference(problem, mode=mode).v for mode in get_args(Mode)
     }
-    answers["`projected`, 5 sweeps"] = lambda problem: reference(problem, sweeps=5).v
     answers["`projected`, λ = 0.1"] = lambda problem: reference(problem, damping=0.1).v
     for name, answer in answers.items():
         found = [answer(problem) for problem in problems]

@@ -33,18 +33,15 @@ ROUNDING = 1e-15
 def is_optimal(v: Array, problem: PriorityProblem, *, settings: Settings, target: Array, tol: float = 1e-6) -> bool:
     """Return whether v (n,) is optimal for the priority mode, within `tol`·(1 + size of the compared quantities).
 
-    In mode nsb, v must equal the NSB law, equation (16) of the paper, or the result of its repeated sweeps. In the
-    other modes, four conditions must hold. (a) v violates no actuator limit. (b) The largest violation of barrier and
-    set limits, for rows of length 1, cannot be smaller. (c) For every strict level, no other velocity that
-    satisfies the relaxed limits and preserves the higher levels meets this level better. (d) No velocity that preserves
-    all strict levels is nearer to `target` (n,), the velocity that the mode approaches last. The function also computes
-    this target from the problem and compares; in mode projected with several sweeps, it only checks that `target` is
-    finite.
+    In mode nsb, v must equal the NSB law, equation (16) of the paper. In the other modes, four conditions must hold.
+    (a) v violates no actuator limit. (b) The largest violation of barrier and set limits, for rows of length 1, cannot
+    be smaller. (c) For every strict level, no other velocity that satisfies the relaxed limits and preserves the higher
+    levels meets this level better. (d) No velocity that preserves all strict levels is nearer to `target` (n,), the
+    velocity that the mode approaches last. The function also computes this target from the problem and compares.
     """
     if v.shape != (problem.width,) or not np.isfinite(v).all():
         return False
-    known = target_of(problem, settings)
-    if not np.isfinite(target).all() or (known is not None and not _close(target, known, tol)):
+    if not _close(target, target_of(problem, settings), tol):
         return False
     if settings.mode == "nsb":
         return _close(v, target, tol)

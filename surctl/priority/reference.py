@@ -122,24 +122,21 @@ def _onto(level: Level, w: Array, damping: float) -> Array:
 
 
 def without_rows(levels: Sequence[Level], *, width: int, settings: Settings = _PLAIN) -> Array:
-    """Return the velocity (width,) of the priority mode without limits: sweeps of the NSB law, or strict priority."""
+    """Return the velocity (width,) of the priority mode without limits: the NSB law, or strict priority."""
     v = np.zeros(width)
     if settings.mode == "lexicographic":
         reached = _cascade(levels, v, Limits.none(width), _Solver("daqp"))
         return v if reached is None else reached
-    for _ in range(settings.sweeps):
-        v = nsb_sweep(levels, start=v, settings=settings)
-    return v
+    return nsb_sweep(levels, start=v, settings=settings)
 
 
-def target_of(problem: PriorityProblem, settings: Settings) -> Array | None:
-    """Return the velocity that the mode approaches last; None if sweeps within limits determine it."""
+def target_of(problem: PriorityProblem, settings: Settings) -> Array:
+    """Return the velocity (n,) that the mode approaches last."""
+    start = np.zeros(problem.width)
     if settings.mode == "lexicographic":
-        return np.zeros(problem.width)
-    if settings.mode == "projected":
-        start = np.zeros(problem.width)
-        return nsb_sweep(problem.levels[1:], start=start, settings=settings) if settings.sweeps == 1 else None
-    return without_rows(problem.levels, width=problem.width, settings=settings)
+        return start
+    levels = problem.levels[1:] if settings.mode == "projected" else problem.levels
+    return nsb_sweep(levels, start=start, settings=settings)
 
 
 _TIGHT: dict[str, dict[str, Any]] = {
@@ -156,16 +153,21 @@ class _Solver:
     def __init__(self, name: str) -> None:
         self.name, self.calls = name, 0
 
-    def minimisers(self, R: Array, r: Array, H: Array, bound: Array) -> list[Array]:
-        """Return minimisers y of ‖R y − r‖ with H y ≤ bound, most accurate first; [] if the solver finds none."""
+    def minimisers(
+        self, R: Array, r: Array, H: Array, bound: Array, slack: float, convex: float, centre: Array
+    ) -> list[Array]:
+        """Return the minimiser of ‖R y − r‖² + convex ‖y − centre‖² with H y ≤ bound + slack; [] if none is found.
+
+        Two candidates come before it: minimisers of ‖R y − r‖ with H y = bound in the rows that may be active.
+        """
         import qpsolvers
         from scipy import sparse
 
         self.calls += 1
         form = sparse.csc_matrix if self.name in qpsolvers.sparse_solvers else np.asarray
         scale = 1.0 / (1.0 + np.abs(r).max())
-        P = scale * (R.T @ R + 1e-6 * np.eye(R.shape[1]))  # strictly convex, as DAQP needs it
-        problem = qpsolvers.Problem(form(P), -scale * (R.T @ r), form(H), bound)
+        P = scale * (R.T @ R + convex * np.eye(R.shape[1]))
+        problem = qpsolvers.Problem(form(P), -scale * (R.T @ r + convex * centre), form(H), bound + slack)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # a solver that fails says so in its result
             solution = qpsolvers.solve_problem(problem, solver=self.name, **_TIGHT.get(self.name, {}))
@@ -198,14 +200,16 @@ def _minimiser(R: Array, r: Array, G: Array, lower: Array, upper: Array, solver:
     free = _at(R, r, np.zeros(R.shape[1]), H[:0], bound[:0])
     if (H @ free <= bound).all():
         return free
-    still = np.zeros(R.shape[1])
-    for slack in (0.0, _FEASIBLE):  # a set without inside may count as empty
-        for y in solver.minimisers(R, r, H, bound + slack):
-            if (H @ y <= bound + 2.0 * _FEASIBLE * (1.0 + np.abs(bound))).all():
+    centre, tolerance = np.zeros(R.shape[1]), 2.0 * _FEASIBLE * (1.0 + np.abs(bound))
+    best = centre if (bound > -_FEASIBLE).all() else None
+    for slack, convex in ((0.0, 1e-6), *((_FEASIBLE, 1e-4),) * 3):  # a set without inside may seem empty
+        *exact, centre = [*solver.minimisers(R, r, H, bound, slack, convex, centre), centre]
+        for y in exact[:2]:
+            if (H @ y <= bound + tolerance).all():
                 return y
-        if not (bound >= 0.0).all():
-            return None
-    return still
+        for y in exact[2:]:
+            best, centre = (y if (H @ y <= bound + tolerance).all() else best), y
+    return best
 
 
 def _cascade(
@@ -291,20 +295,14 @@ def reference_solution(problem: PriorityProblem, settings: Settings, backend: st
 
 
 def _solution(problem: PriorityProblem, settings: Settings, solver: _Solver) -> Reference:
-    levels, v, target = problem.levels, np.zeros(problem.width), target_of(problem, settings)
-    if settings.mode != "projected" and target is not None:
-        strict = levels if settings.mode == "lexicographic" else ()
-        return (
-            Reference(target, target, "optimal") if settings.mode == "nsb" else _within(problem, strict, target, solver)
-        )
-    for _ in range(settings.sweeps):
-        target = nsb_sweep(levels[1:], start=v, settings=settings)
-        first = _damped(levels[0], target, settings.damping) if settings.damping else levels[0]
-        solution = _within(problem, (first,), target, solver)
-        v = solution.v
-    if settings.damping and solution.status == "limited":
-        solution = replace(solution, status="optimal")
-    return solution
+    target, levels = target_of(problem, settings), problem.levels
+    if settings.mode == "nsb":
+        return Reference(target, target, "optimal")
+    if settings.mode == "projected":
+        levels = (_damped(levels[0], target, settings.damping),) if settings.damping else levels[:1]
+    solution = _within(problem, () if settings.mode == "filter" else levels, target, solver)
+    damped = settings.mode == "projected" and settings.damping > 0.0 and solution.status == "limited"
+    return replace(solution, status="optimal") if damped else solution
 
 
 def _within(problem: PriorityProblem, strict: Sequence[Level], target: Array, solver: _Solver) -> Reference:

@@ -38,7 +38,7 @@ class PrioritySolution:
 
     Attributes:
         problem: the problem that was solved.
-        settings: settings of the priority law: mode, sweeps, damping.
+        settings: settings of the priority law: mode, damping.
         v: (n,), velocity; for this vehicle (u, v, w, r) in the body frame {B} [m/s, rad/s].
         target: (n,), the velocity to which v is as near as limits and strict levels allow: for "projected", the result
             of the projections on all levels below the first; for "filter", the result of the NSB law, equation (16) of
@@ -288,7 +288,6 @@ class _Step:
             n=problem.width,
             levels=level_shapes(problem),
             rows=places,
-            sweeps=settings.sweeps,
             damping=settings.damping,
         )
 
@@ -300,7 +299,6 @@ def solve(
     problem: PriorityProblem,
     *,
     mode: Mode = "projected",
-    sweeps: int = 1,
     damping: float = 0.0,
     backend: str | None = None,
 ) -> PrioritySolution:
@@ -323,7 +321,7 @@ def solve(
             violated limits). "projected": equation (16) with the projection on the first task restricted to the limits.
             "filter": the velocity that satisfies the limits and is nearest to the result of (16). "lexicographic":
             strict priority within the limits.
-        sweeps, damping: see `Settings`.
+        damping: see `Settings`.
         backend: None for the compiled step. Otherwise the reference solver in NumPy (module `reference`) is used, with
             this QP solver: "daqp", "osqp", another name in `BACKENDS`, or a `Kernel`. It also solves, with DAQP, what
             the step does not take: a set-based level with several rows.
@@ -340,9 +338,9 @@ def solve(
         ([0.1, 0.4], 'Task `goal` gave up 0.2 m/s because `wall` binds.')
     """
     try:
-        settings = _settings(mode, sweeps, damping)
+        settings = _settings(mode, damping)
     except TypeError:  # not hashable, so not a valid setting either
-        settings = Settings(mode, sweeps, damping)
+        settings = Settings(mode, damping)
     shape = tuple([(level.lower.size, level.upper is None or level.is_goal) for level in problem.levels])
     if backend is None and all(is_goal or rows == 1 for rows, is_goal in shape):
         return _by_step(problem, settings, shape)
@@ -350,19 +348,18 @@ def solve(
 
 
 def explained(problem: PriorityProblem, v: Array, stage: Stage, *, mode: Mode) -> PrioritySolution:
-    """Return the velocity v (n,) of a step with one sweep and no damping as a solution that explains itself.
+    """Return the velocity v (n,) of a step without damping as a solution that explains itself.
 
     `stage` is that of the step, and `problem` the problem that it solved.
     """
     settings = _settings(mode)
     target = target_of(problem, settings)
-    assert target is not None  # with one sweep
     return PrioritySolution(problem, settings, v, target, _OUTCOMES[get_args(Stage).index(stage)], 0)
 
 
 def _by_step(problem: PriorityProblem, settings: Settings, shape: tuple[tuple[int, bool], ...]) -> PrioritySolution:
     places = max(1, -(-len(problem.rows) // _BUCKET)) * _BUCKET
-    key = (problem.width, places, shape, settings.mode, settings.sweeps, settings.damping)
+    key = (problem.width, places, shape, settings.mode, settings.damping)
     known = _steps.get(key)
     if known is None:
         known = _steps.setdefault(key, _Step(problem, settings, places))
