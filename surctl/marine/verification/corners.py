@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -12,6 +12,8 @@ from surctl.marine.vehicle import TERMS, Vehicle
 MASS_SPREAD, DRAG_SPREAD = 0.05, 0.2
 """Relative uncertainty of all masses and of all drag coefficients of a vehicle whose file states no ranges (*chosen*).
 """
+
+NOMINAL = "the nominal vehicle"
 
 _GROUPS: tuple[tuple[str, ...], ...] = (
     ("m11",), ("m22",), ("m33",), ("m44",), ("Xu", "Xuu"), ("Yv",), ("Zw",), ("Nr",), ("thrust_lag",),
@@ -39,9 +41,24 @@ class Corners:
     labels: tuple[str, ...]
     assumed: bool = False
 
-    def label(self, vehicle: Vehicle) -> str:
-        """Return the label of one of the vehicles."""
-        return next(label for label, one in zip(self.labels, self.vehicles, strict=True) if one is vehicle)
+    @property
+    def others(self) -> dict[str, Vehicle]:
+        """The vehicles by label, without the nominal one."""
+        return dict(zip(self.labels[1:], self.vehicles[1:], strict=True))
+
+    @property
+    def alone(self) -> Corners:
+        """The nominal vehicle alone."""
+        return Corners(self.vehicles[:1], f"{NOMINAL} alone", (NOMINAL,))
+
+    def vehicle(self, label: str) -> Vehicle:
+        """Return the vehicle with a label."""
+        return self.others.get(label, self.vehicles[0])
+
+    def held(self, loops: Sequence[tuple[str, object | None]], cruise: float) -> str:
+        """Return `text`, and how many of the vehicles have no loop because they cannot hold a cruise speed [m/s]."""
+        unable = sum(loop is None for _, loop in loops)
+        return self.text + (f"; {unable} of them cannot hold {cruise:g} m/s with their thrust" if unable else "")
 
 
 def corners(
@@ -76,12 +93,12 @@ def corners(
         named = [[name for name in group if _ranged(vehicle, name) and name not in known] for group in stated]
         free = [group for group in named if group]
         if not free:
-            return Corners((vehicle,), "the nominal vehicle alone", ("nominal",))
+            return Corners((vehicle,), f"{NOMINAL} alone", (NOMINAL,))
         vehicles = tuple(_with(vehicle, _ends(vehicle, free, side)) for side in product((0, 1), repeat=len(free)))
         tied = ", with equal mass in surge and sway" if _MASSES in stated else ""
         labels = tuple(_label(one, free) for one in vehicles)
         text = f"the {len(vehicles)} corners of its parameter ranges{tied}"
-        return Corners((vehicle, *vehicles), text, ("nominal", *labels))
+        return Corners((vehicle, *vehicles), text, (NOMINAL, *labels))
     assumed = uncertainty is None
     mass, drag = (spread * MASS_SPREAD, spread * DRAG_SPREAD) if uncertainty is None else (uncertainty, uncertainty)
     if not 0 <= mass < 1:
@@ -94,7 +111,7 @@ def corners(
     off = f"mass and drag off by ±{mass:.0%}"
     if drag != mass:
         off = f"mass off by ±{mass:.0%} and drag by ±{drag:.0%}"
-    return Corners((vehicle, *scaled), f"the corners with {off}", ("nominal", *labels), assumed)
+    return Corners((vehicle, *scaled), f"the corners with {off}", (NOMINAL, *labels), assumed)
 
 
 def _groups(vehicle: Vehicle, *, alike: bool) -> list[tuple[str, ...]]:
