@@ -250,7 +250,10 @@ def test_the_least_delay_margin_is_that_of_all_corners_and_loops():
     found = cruise_corners(tried, GAINS, **about)
     worst = min(each, key=lambda where: each[where])
     assert (found.delay.where, found.delay.delay_s) == (worst, pytest.approx(each[worst], rel=1e-9))
-    assert found.delay.corner == "mass -30%, drag -30%" and tried.vehicle(found.delay.corner)["m11"] == 0.7 * vehicle["m11"]
+    assert (
+        found.delay.corner == "mass -30%, drag -30%"
+        and tried.vehicle(found.delay.corner)["m11"] == 0.7 * vehicle["m11"]
+    )
     with pytest.raises(InputError, match="uncertainty = 1"):
         corners(vehicle, 1.0)
 

@@ -31,7 +31,7 @@ from surctl.report.sweep_plots import axis_title
 from surctl.report.theme import number
 from surctl.system import LinearLoop
 from surctl.tuning import SweepTable
-from surctl.verification import Inapplicable, LoopCorners, LoopMargins, Verdict
+from surctl.verification import Inapplicable, LoopCorners, Verdict
 
 _NOTHING = Assessment("", {}, (), {})
 
@@ -73,7 +73,6 @@ class ReportData:
     vehicle: Vehicle
     gains: Gains
     speeds: tuple[float, float] | None = None
-    margins: tuple[LoopMargins, ...] = ()
     linear: LoopCorners | None = None
     loops: Mapping[str, LinearLoop] = field(default_factory=dict)
     verdicts: tuple[Verdict, ...] = ()
@@ -123,7 +122,8 @@ def _linear_blocks(loops: LoopCorners | None) -> list[Block]:
         for of, slowest, loop in poles
     )
     heads = ("vehicle", "closed loop", "slowest pole [1/s]", "least damping [1]")
-    return [Paragraph(text), disk_table(named), Table("Poles", heads, rows)]
+    each = margins_table("Margins of each loop alone about cruise, nominal vehicle", loops.nominal.margins)
+    return [each, Paragraph(text), disk_table(named), Table("Poles", heads, rows)]
 
 
 _SWEPT = (
@@ -186,7 +186,6 @@ def loops_section(data: ReportData) -> Section:
     )
     blocks: list[Block] = [
         Paragraph(text),
-        margins_table("Margins of each loop alone about cruise, nominal vehicle", data.margins),
         *_linear_blocks(data.linear),
     ]
     pictures = tuple(

@@ -335,7 +335,6 @@ class Study(StudyParts):
             vehicle=self.plan.vehicle,
             gains=self.gains,
             speeds=(fastest.cruise, fastest.cap),
-            margins=self.loops.margins,
             linear=self.loops.analysis.loops,
             loops=self.loops.loops,
             gains_file=str(self.gain_file),
