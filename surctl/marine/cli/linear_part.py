@@ -65,15 +65,14 @@ def linear_part(assessment: Assessment, mission: Mission) -> LinearPart:
 def _loop_lines(loop: LoopAnalysis, mission: Mission) -> tuple[list[str], dict[str, Any], float]:
     from surctl.marine.verification.corners import corners
     from surctl.marine.verification.linear import slowest_mode
-    from surctl.tuning.loop_responses import frequencies, sensitivities_at
+    from surctl.tuning.loop_responses import sensitivity_curves
 
     loops, nominal, vehicle = loop.loops, loop.nominal, mission.vehicle
     assert loops is not None  # the caller asked
     lines, data = [f"{nominal.head}, {vehicle.name}:", *loops.lines(), *nominal.notes()], loops.to_dict()
     curves = []
     for place, signals in nominal.linear.places.items() if nominal.stable else ():
-        omega = frequencies(nominal.linear, signals)
-        S, T = sensitivities_at(nominal.linear, signals, omega)
+        omega, S, T = sensitivity_curves(nominal.linear, signals)
         curves.append({"place": place, "omega_rad_s": omega.tolist(), "S": S.tolist(), "T": T.tolist(),
                        "peak_S": float(S.max()), "peak_T": float(T.max())})  # fmt: skip
     if curves:

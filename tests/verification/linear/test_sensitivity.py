@@ -9,7 +9,7 @@ from surctl.marine.vehicle import load_vehicle
 from surctl.marine.verification import cruise_loop
 from surctl.system import LinearLoop
 from surctl.system.linear_loop import LoopNames
-from surctl.tuning.loop_responses import frequencies, sensitivities_at
+from surctl.tuning.loop_responses import sensitivities_at, sensitivity_curves
 
 GAINS = load_gains("default").values
 
@@ -17,7 +17,9 @@ GAINS = load_gains("default").values
 def test_all_loops_together_are_deaf_to_fast_noise() -> None:
     loop = cruise_loop(load_vehicle("sur400"), GAINS, cruise=0.15, dt=0.05)
     pose = loop.places["measurements"]
-    S, T = sensitivities_at(loop, pose, frequencies(loop, pose))
+    omega, S, T = sensitivity_curves(loop, pose)
+    near = omega[S.argmax()] * np.linspace(0.99, 1.01, 1001)
+    assert S.max() == pytest.approx(sensitivities_at(loop, pose, near)[0].max(), rel=1e-9)
     assert T[-1] < 0.02 and S[-1] == pytest.approx(1, abs=0.02) and np.all(S + T >= 1 - 1e-9)
 
 
