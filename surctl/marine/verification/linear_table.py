@@ -11,7 +11,6 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import pairwise
 from types import MappingProxyType
 
 import numpy as np
@@ -318,9 +317,6 @@ def _figures(loops: LinearLoop, *, columns: Collection[str]) -> dict[str, NDArra
 # Closed-loop poles as one parameter varies: a root locus over a gain, a vehicle parameter or the cruise speed
 
 
-_HALVED = 8  # largest number of times that the step between two values is halved
-
-
 @dataclass(frozen=True, eq=False)
 class Locus(Plotted):
     """A root locus: the closed-loop poles for every value of one parameter; `plot()` draws them.
@@ -328,8 +324,7 @@ class Locus(Plotted):
     Attributes:
         parameter: name of the parameter.
         values: (n,) values of the parameter, ascending or descending, in its unit.
-        poles: (n, k) complex poles [rad/s]; a row holds the poles at one value, a column follows one pole over the
-            values.
+        poles: (n, k) complex poles [rad/s]; a row holds the poles at one value, the slowest first.
     """
 
     PLOT = "surctl.marine.report.margin_plots:plot_locus"
@@ -354,13 +349,10 @@ def sweep_locus(
     cruise: float,
     dt: float,
     model: Vehicle | None = None,
-    smooth: float = np.inf,
     about: Mapping[str, float] = MappingProxyType({}),
     law: str = TRACKING_LAW,
 ) -> Locus:
     """Compute the poles of the loop over the values of one parameter.
-
-    The poles at neighbouring values are paired so that the sum of the distances between paired poles is smallest.
 
     Args:
         vehicle: the plant.
@@ -370,9 +362,6 @@ def sweep_locus(
         cruise: cruise speed U [m/s]; ignored if the cruise speed is the parameter that varies.
         dt: control period [s].
         model: the controller's model of the vehicle; default the vehicle itself.
-        smooth: largest allowed step of a pole between two neighbouring values, as a share of the pole's modulus. If a
-            pole moves further, for example where two poles separate, values are inserted between two given values, down
-            to a spacing of 2⁻⁸ of the given spacing.
         about: fixed values of other parameters by name; parameters that move no pole are ignored.
         law: a law for which `has_cruise_loop` holds.
 
@@ -398,37 +387,11 @@ def sweep_locus(
             "needs at least two values in order", key=parameter, remedy="give a range, ascending or descending"
         )
 
-    def followed(values: NDArray[np.float64]) -> NDArray[np.complex128]:
-        points = _read_points(
-            vehicle, {**about, parameter: values}, base=gains, cruise=cruise, dt=dt, model=model, law=law
-        )
-        if not points.feasible.all():
-            at = float(values[np.argmin(points.feasible)])
-            raise InputError("needs more thrust than the vehicle has", key=parameter, value=at, remedy="cruise slower")
-        groups = list(points.loops())
-        if len(groups) > 1:
-            raise InputError(
-                "changes the number of poles where it is 0", key=parameter, remedy="begin the range above 0"
-            )
-        return _paired(groups[0][1].rates)
-
-    poles = followed(swept)
-    for _ in range(_HALVED):
-        sizes = np.abs(poles)
-        far = np.abs(np.diff(poles, axis=0)) > smooth * np.maximum(sizes[1:], sizes[:-1])
-        rough = np.flatnonzero(far.any(axis=1))
-        if len(rough) == 0:
-            break
-        swept = np.insert(swept, rough + 1, (swept[rough] + swept[rough + 1]) / 2)
-        poles = followed(swept)
-    return Locus(parameter, swept, poles)
-
-
-def _paired(poles: NDArray[np.complex128]) -> NDArray[np.complex128]:
-    """Reorder the poles in every row of the array so that each pole is in the column of the pole it continues."""
-    from scipy.optimize import linear_sum_assignment
-
-    for before, after in pairwise(poles):
-        _, order = linear_sum_assignment(np.abs(before[:, None] - after[None]))
-        after[:] = after[order]
-    return poles
+    points = _read_points(vehicle, {**about, parameter: swept}, base=gains, cruise=cruise, dt=dt, model=model, law=law)
+    if not points.feasible.all():
+        at = float(swept[np.argmin(points.feasible)])
+        raise InputError("needs more thrust than the vehicle has", key=parameter, value=at, remedy="cruise slower")
+    groups = list(points.loops())
+    if len(groups) > 1:
+        raise InputError("changes the number of poles where it is 0", key=parameter, remedy="begin the range above 0")
+    return Locus(parameter, swept, groups[0][1].rates)
