@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -88,15 +88,14 @@ def corners(
     Raises:
         InputError: the uncertainty is out of range.
     """
-    stated = [group for group in _groups(vehicle, alike=alike) if any(_ranged(vehicle, name) for name in group)]
-    if uncertainty is None and stated:
-        named = [[name for name in group if _ranged(vehicle, name) and name not in known] for group in stated]
-        free = [group for group in named if group]
-        if not free:
+    groups = _groups(vehicle, alike=alike)
+    if uncertainty is None and range_ends(vehicle, groups) != [{}]:
+        ends = range_ends(vehicle, groups, known=known)
+        if ends == [{}]:
             return Corners((vehicle,), f"{NOMINAL} alone", (NOMINAL,))
-        vehicles = tuple(_with(vehicle, _ends(vehicle, free, side)) for side in product((0, 1), repeat=len(free)))
-        tied = ", with equal mass in surge and sway" if _MASSES in stated else ""
-        labels = tuple(_label(one, free) for one in vehicles)
+        vehicles = tuple(_with(vehicle, values) for values in ends)
+        tied = ", with equal mass in surge and sway" if _MASSES in groups and _ranged(vehicle, "m11") else ""
+        labels = tuple(_label(one, ends[0]) for one in vehicles)
         text = f"the {len(vehicles)} corners of its parameter ranges{tied}"
         return Corners((vehicle, *vehicles), text, (NOMINAL, *labels))
     assumed = uncertainty is None
@@ -130,8 +129,8 @@ def _factors(share: float) -> tuple[float, ...]:
     return (1 - share, 1 + share) if share > 0 else ()
 
 
-def _label(vehicle: Vehicle, groups: list[list[str]]) -> str:
-    units = {name: vehicle.parameters[name].unit for group in groups for name in group}
+def _label(vehicle: Vehicle, names: Iterable[str]) -> str:
+    units = {name: vehicle.parameters[name].unit for name in names}
     return ", ".join(f"{name} = {vehicle[name]:.4g}" + (f" {u}" if u != "1" else "") for name, u in units.items())
 
 
@@ -140,14 +139,19 @@ def _alike(vehicle: Vehicle) -> bool:
     return surge.value == sway.value and surge.range == sway.range
 
 
-def _ends(vehicle: Vehicle, groups: list[list[str]], side: tuple[int, ...]) -> dict[str, float]:
-    values = {}
-    for group, end in zip(groups, side, strict=True):
-        for name in group:
-            ends = vehicle.parameters[name].range
-            assert ends is not None  # every parameter of the groups has a range
-            values[name] = float(ends[end])
-    return values
+def range_ends(
+    vehicle: Vehicle, groups: Iterable[Sequence[str]], *, known: Collection[str] = ()
+) -> list[dict[str, float]]:
+    """Return all combinations of the ends of a vehicle's ranges; the parameters of one group take the same end.
+
+    Parameters without a range, and those that are `known`, are in none of them.
+    """
+    each: list[tuple[dict[str, float], ...]] = []
+    for group in groups:
+        ranges = {name: vehicle.parameters[name].range for name in group if name not in known}
+        ends = [{name: float(span[side]) for name, span in ranges.items() if span is not None} for side in (0, 1)]
+        each.append(tuple(ends) if ends[0] else ({},))
+    return [{name: value for part in one for name, value in part.items()} for one in product(*each)]
 
 
 def _scaled(vehicle: Vehicle, mass: float, drag: float, known: Collection[str]) -> Vehicle:
