@@ -23,7 +23,7 @@ from surctl.marine.vehicle import LIBRARY, Vehicle, load_vehicle, steady_speed
 from surctl.marine.vehicle.linearise import check_cruise
 from surctl.marine.verification import law_corners
 from surctl.marine.verification.corners import corners
-from surctl.marine.verification.cruise_loop import POSE, THRUSTS, cruise_loops
+from surctl.marine.verification.cruise_loop import POSE, THRUSTS, CruisePoint, cruise_groups
 from surctl.marine.verification.linear import cruise_corners
 from surctl.system import LinearLoop
 from surctl.verification.linear import LEAST_DISK_MARGIN, screened_peaks
@@ -250,9 +250,9 @@ def _estimates(
 
 
 def _loops(vehicle: Vehicle, inner: Array, cruise: float, speed: float, dt: float, plant: Vehicle) -> LinearLoop:
-    rows = [rule(vehicle, one, cruise=cruise, dt=dt) for one in inner]
-    gains = {name: np.array([row[name] for row in rows]) for name in rows[0]}
-    return cruise_loops([plant], gains, cruise=speed, dt=dt, model=vehicle)
+    points = [CruisePoint(plant, vehicle, rule(vehicle, one, cruise=cruise, dt=dt), speed) for one in inner]
+    ((_, loops),) = cruise_groups(points, dt=dt)
+    return loops
 
 
 TUNED_FOR = ("sur400", "sur400-tilting", "sur540-flooded", "sur540-light", "sur540-tilting")

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cache, lru_cache
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -93,75 +94,86 @@ def cruise_loop(
         >>> loop.stable, loop.transition.shape, round(float(loop.rates.real.max()), 2)
         (True, (16, 16), -0.22)
     """
-    check_positive({"cruise": np.atleast_1d(cruise)})
+    check_positive({"cruise": cruise, "dt": dt})
     for craft in (vehicle, model or vehicle):
         if not craft["Fv_max"] > 0:
             problem = f"the law moves in any direction, but {craft.name} has no sway force"
             raise InputError(problem, key="Fv_max", value=craft["Fv_max"], remedy="use law_loop with the law steered")
     check_cruise(vehicle, cruise)
-    known = {name: float(value) for name, value in gains.items()}
-    return cruise_loops([vehicle], known, cruise=cruise, dt=dt, model=model or vehicle, law=law)[0]
+    ((_, loops),) = cruise_groups([CruisePoint(vehicle, model or vehicle, gains, cruise)], dt=dt, law=law)
+    return loops[0]
 
 
-def cruise_loops(
-    plants: Sequence[Vehicle] | Array,
-    gains: Mapping[str, ArrayLike],
-    *,
-    cruise: ArrayLike,
-    dt: float,
-    model: Vehicle,
-    believed: Array | None = None,
-    law: str = TRACKING_LAW,
-    form: PlantForm | None = None,
-) -> LinearLoop:
-    """Build the loops of n points at once; see `cruise_loop`.
+class CruisePoint(NamedTuple):
+    """A vehicle, the controller's model of it, gains by name as for `cruise_loop`, and a cruise speed [m/s]."""
 
-    All n loops must have the same order: all or none have thrust lag, and all or none have integral action.
+    plant: Vehicle
+    model: Vehicle
+    gains: Mapping[str, float]
+    cruise: float
+
+
+def cruise_groups(
+    points: Sequence[CruisePoint], *, dt: float, law: str = TRACKING_LAW, most: int | None = None
+) -> Iterator[tuple[NDArray[np.intp], LinearLoop]]:
+    """Yield the points whose plant holds the speed, in groups with equal states, and their loops along a leading axis.
 
     Args:
-        plants: n vehicles with equal optional terms, or (n, …) plant parameters in the order of `plant_parameters`; the
-            caller must check that the thrust of each plant suffices for the cruise speed.
-        gains: the gains by name, each a number or (n,).
-        cruise: cruise speed U [m/s], a number or (n,).
+        points: the points; the plants have equal optional terms.
         dt: control period [s].
-        model: the controller's model.
-        believed: (n, …) parameters of the controller's model where they differ from those of `model`.
         law: a law for which `has_cruise_loop` holds.
-        form: the optional terms that all plants have; default: those of the vehicles in `plants`, or of the model.
+        most: largest number of points in a group.
 
     Raises:
-        InputError: a gain is missing or not positive, or the loops have different orders.
+        InputError: a gain is missing or not positive.
     """
-    if isinstance(plants, np.ndarray):
-        plant, form = plants, form or model.form
-    else:
-        plant, form = np.array([plant_parameters(each) for each in plants]), form or plants[0].form
-    values = {name: np.asarray(value, dtype=float) for name, value in gains.items()}
-    (count,) = np.broadcast_shapes((len(plant),), np.shape(cruise), *(v.shape for v in values.values()))
-    plant = np.broadcast_to(plant, (count, plant.shape[1]))
-    speed = np.broadcast_to(np.asarray(cruise, dtype=float), (count,))
+    plants, numbers = np.array([plant_parameters(point.plant) for point in points]), []
+    known: dict[tuple[int, int, float], Array] = {}  # the corners of a vehicle have one law
+    for point in points:
+        key = id(point.model), id(point.gains), point.cruise
+        if key not in known:
+            known[key] = law_numbers(point.model, _law_gains(law, point), cruise=point.cruise)
+        numbers.append(known[key])
+    lagged = plants[:, PLANT_PARAMETERS.slice("thrust_lag")][:, 0] > 0
+    kind = lagged + 2 * np.array([point.gains.get("k_i", 0.0) > 0 for point in points])
+    form, speed, built = points[0].plant.form, np.array([point.cruise for point in points]), build_law(law)
+    able = held(plants, speed, form)
+    for group in (np.flatnonzero(able & (kind == k)) for k in range(4)):
+        for at in (group[k : k + (most or len(points))] for k in range(0, len(group), most or len(points))):
+            Az, By, Cz, D = law_slopes(built, np.array([numbers[k] for k in at]))
+            nu = np.zeros((len(at), 4))
+            nu[:, 0] = speed[at]
+            A, B, _ = plant_jacobians(plants[at], nu, form=form)
+            moving = moving_states(A, np.abs(D).max(axis=(0, 2)) > COUPLED, lagged=bool(lagged[at[0]]))
+            ratio, eye = dt / built.dt, np.eye(built.state.size)  # the law's state changes in proportion to the period
+            slopes, axes = (eye + ratio * (Az - eye), ratio * By, Cz, D), range(len(THRUSTS))
+            yield at, assembled(A, B, slopes, built, moving=moving, outputs=range(8), driven=axes, dt=dt)
+
+
+def each_loop(points: Sequence[CruisePoint], *, dt: float, law: str = TRACKING_LAW) -> list[LinearLoop | None]:
+    """Return the loop of each point, None if its plant cannot hold the speed; for the arguments see `cruise_groups`."""
+    loops: list[LinearLoop | None] = [None] * len(points)
+    for at, group in cruise_groups(points, dt=dt, law=law) if points else ():
+        for k, place in enumerate(at.tolist()):
+            loops[place] = group[k]
+    return loops
+
+
+def _law_gains(law: str, point: CruisePoint) -> Gains:
+    # a cruise far from everything depends on no gains but those of `LINEAR_GAINS` and k_i
     for name in LINEAR_GAINS:
-        if name not in values:
-            raise InputError("gain is missing", key=name, remedy=nearest(name, values))
-    check_positive({**{name: np.atleast_1d(values[name]) for name in LINEAR_GAINS}, "cruise": speed})
-    check_positive({"dt": np.atleast_1d(dt)})
-    k_i = np.broadcast_to(values.get("k_i", np.zeros(1)), (count,))
-    if not np.all(np.isfinite(k_i) & (k_i >= 0)):
-        raise InputError("must be at least 0", key="k_i", value=float(np.min(k_i)), remedy="correct it")
-    lag = plant[:, PLANT_PARAMETERS.slice("thrust_lag")][:, 0]
-    for key, value in (("thrust_lag", lag), ("k_i", k_i)):
-        if np.any(value > 0) != np.all(value > 0):
-            remedy = "build them in separate calls: their loops have different orders"
-            raise InputError("is 0 at some points and positive at others", key=key, remedy=remedy)
-    built = build_law(law)
-    Az, By, Cz, D = law_slopes(built, _numbers(built, model, values, speed, believed))
-    nu = np.zeros((count, 4))
-    nu[:, 0] = speed
-    A, B, _ = plant_jacobians(plant, nu, form=form)
-    moving = moving_states(A, np.abs(D).max(axis=(0, 2)) > COUPLED, lagged=bool(lag[0] > 0))
-    ratio, eye = dt / built.dt, np.eye(built.state.size)  # the law's state changes in proportion to the period
-    slopes = eye + ratio * (Az - eye), ratio * By, Cz, D
-    return assembled(A, B, slopes, built, moving=moving, outputs=range(8), driven=range(len(THRUSTS)), dt=dt)
+        if name not in point.gains:
+            raise InputError("gain is missing", key=name, remedy=nearest(name, point.gains))
+    check_positive({**{name: point.gains[name] for name in LINEAR_GAINS}, "cruise": point.cruise})
+    k_i, base = point.gains.get("k_i", 0.0), _some_gains(law)
+    if not (np.isfinite(k_i) and k_i >= 0):
+        raise InputError("must be at least 0", key="k_i", value=k_i, remedy="correct it")
+    return base.with_values({name: point.gains[name] for name in (*LINEAR_GAINS, "k_i") if name in point.gains})
+
+
+@cache
+def _some_gains(law: str) -> Gains:
+    return load_gains("default", own=law_source(law).gains)
 
 
 def assembled(
@@ -230,40 +242,6 @@ def held(plants: Array, cruise: ArrayLike, form: PlantForm) -> NDArray[np.bool_]
     return can_hold(trim, least, most)
 
 
-def cruise_groups(
-    plants: Array,
-    gains: Mapping[str, ArrayLike],
-    *,
-    cruise: ArrayLike,
-    dt: float,
-    model: Vehicle,
-    believed: Array | None = None,
-    law: str = TRACKING_LAW,
-    form: PlantForm,
-    most: int | None = None,
-) -> Iterator[tuple[NDArray[np.intp], LinearLoop]]:
-    """Yield the points whose plant holds the speed, in groups with equal states, and their loops.
-
-    The arguments are those of `cruise_loops`; `most` is the largest number of points in a group.
-    """
-    count = len(plants)
-    speed = np.broadcast_to(np.asarray(cruise, dtype=float), (count,))
-    columns = {name: np.broadcast_to(np.asarray(value, dtype=float), (count,)) for name, value in gains.items()}
-    lagged = plants[:, PLANT_PARAMETERS.slice("thrust_lag")][:, 0] > 0
-    kind = lagged + 2 * (columns.get("k_i", np.zeros(count)) > 0)
-    able = held(plants, speed, form)
-    for group in (np.flatnonzero(able & (kind == k)) for k in range(4)):
-        for at in (group[k : k + (most or count)] for k in range(0, len(group), most or count)):
-            own = {name: column[at] for name, column in columns.items()}
-            yield (
-                at,
-                cruise_loops(
-                    plants[at], own, cruise=speed[at], dt=dt, model=model, law=law, form=form,
-                    believed=None if believed is None else believed[at],
-                ),
-            )  # fmt: skip
-
-
 def moving_states(A: Array, acting: ArrayLike, *, lagged: bool) -> list[int]:
     """Return the places of a plant's states, of A (…, n, n), that belong to the loop.
 
@@ -276,36 +254,6 @@ def moving_states(A: Array, acting: ArrayLike, *, lagged: bool) -> list[int]:
     coupled = bool((A[..., [4, 5, 7, *tilt], 6] != 0).any())
     apart = [] if acting[2] else [2] if coupled else [2, 6]
     return [*(k for k in range(8) if k not in apart), *(8 + k for k in range(AXES) if lagged and acting[k]), *tilt]
-
-
-def _numbers(law: Law, model: Vehicle, gains: Mapping[str, Array], cruise: Array, believed: Array | None) -> Array:
-    # (n, …) parameters of the law; a cruise far from everything depends on no gains but those in `gains`
-    layout, row = law.gains, law_numbers(model, _some_gains(law.ref), cruise=float(cruise[0]))
-    numbers = np.tile(row, (len(cruise), 1))
-    own = plant_parameters(model)
-    rows = np.tile(own, (len(cruise), 1)) if believed is None else believed
-    linear = rows[:, PLANT_PARAMETERS.slice("linear_drag")].copy()
-    for axis, name in model.form.ahead():  # as in `Vehicle.drag_at`
-        linear[:, axis] += rows[:, PLANT_PARAMETERS.size + model.form.terms.index(name)] * cruise
-    limits = PLANT_PARAMETERS.slice("thrust_limit")
-    columns: dict[str, Array] = {
-        **{name: value for name, value in gains.items() if name in layout},
-        "mass": rows[:, PLANT_PARAMETERS.slice("mass")],
-        "linear_drag": linear,
-        "quadratic_drag": rows[:, PLANT_PARAMETERS.slice("quadratic_drag")],
-        "thrust_limit": np.where(rows[:, limits] == own[limits], row[layout.slice("thrust_limit")], rows[:, limits]),
-        "cruise": cruise,
-        "cap": _HEADROOM * cruise,
-    }
-    for name, value in columns.items():
-        place = numbers[:, layout.slice(name)]
-        place[:] = value if value.ndim == 2 else np.broadcast_to(value, (len(cruise),))[:, None]
-    return numbers
-
-
-@cache
-def _some_gains(law: str) -> Gains:
-    return load_gains("default", own=law_source(law).gains)
 
 
 def law_numbers(model: Vehicle, gains: Gains, *, cruise: float) -> Array:
@@ -362,9 +310,8 @@ def in_loop(A: Array, B: Array, C: Array) -> list[int]:
     return [int(k) for k in np.flatnonzero(reached & reaches)]
 
 
-def check_positive(values: Mapping[str, Array]) -> None:
+def check_positive(values: Mapping[str, float]) -> None:
     """Raise InputError for the first value that is not finite or not greater than 0."""
-    for name, entries in values.items():
-        wrong = entries[~(np.isfinite(entries) & (entries > 0))]
-        if wrong.size:
-            raise InputError("must be greater than 0", key=name, value=float(wrong[0]), remedy="correct it")
+    for name, value in values.items():
+        if not (np.isfinite(value) and value > 0):
+            raise InputError("must be greater than 0", key=name, value=float(value), remedy="correct it")

@@ -10,14 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.marine.control.gains import setting
-from surctl.marine.vehicle import Vehicle, plant_parameters
+from surctl.marine.vehicle import Vehicle
 from surctl.marine.verification.corners import NOMINAL, Corners, corners
 from surctl.marine.verification.cruise_loop import (
     LINEAR_GAINS,
     TRACKING_LAW,
+    CruisePoint,
     cruise_groups,
     cruise_loop,
-    cruise_loops,
+    each_loop,
 )
 from surctl.marine.verification.law_loop import LawLoop
 from surctl.own_code import label
@@ -62,18 +63,10 @@ def cruise_corners(
     """
     vehicle, believed = tried.vehicles[0], model or tried.vehicles[0]
     nominal = cruise_loop(vehicle, gains, cruise=cruise, dt=dt, model=believed, law=law)
-    loops: dict[int, LinearLoop] = {}
-    plants = _numbers(tried.vehicles[1:])
-    about: dict[str, Any] = {"cruise": cruise, "dt": dt, "model": believed, "law": law, "form": vehicle.form}
-    for at, group in cruise_groups(plants, gains, **about) if len(plants) else ():
-        loops |= {int(place): group[k] for k, place in enumerate(at)}
-    named = [(name, loops.get(k)) for k, name in enumerate(tried.others)]
+    points = [CruisePoint(plant, believed, gains, cruise) for plant in tried.others.values()]
+    named = list(zip(tried.others, each_loop(points, dt=dt, law=law), strict=True))
     one = LawLoop(nominal, label(law), cruise)
     return corners_of(one, named, name=NOMINAL, of=tried.held(named, cruise), proved=proved)
-
-
-def _numbers(vehicles: Sequence[Vehicle]) -> Array:
-    return np.array([plant_parameters(vehicle) for vehicle in vehicles])
 
 
 _SLOWER = (0.05, 0.35, 0.7)
@@ -140,7 +133,7 @@ def slow_margins(
 
 
 _HIGHEST = 10.0  # [m/s] largest speed that is tried
-_SPEEDS, _ROUNDS = 60, 3  # speeds and rounds of the search for a speed; each round divides the interval
+_SPEEDS, _ROUNDS = 30, 3  # speeds and rounds of the search for a speed; each round divides the interval
 
 
 def bearable_speed(
@@ -154,7 +147,7 @@ def bearable_speed(
 ) -> float:
     """Return the largest cruise speed [m/s] up to which every vehicle holds it and its loop is stable; 0 if none.
 
-    The search divides the range up to the largest speed that the thrust can hold (10 m/s at most) into 60 steps, and
+    The search divides the range up to the largest speed that the thrust can hold (10 m/s at most) into 30 steps, and
     refines the first step in which a loop is lost. Higher speeds at which it is good again are ignored. The search uses
     only the vehicles that are worst at the last result; all vehicles are compared at the new result.
 
@@ -211,8 +204,8 @@ def _lacking(
     It is the real part of the slowest pole, or how far the structured singular value exceeds that of the margin.
     """
     lacking = np.full(len(vehicles), np.inf)
-    about: dict[str, Any] = {"dt": dt, "model": model, "law": law, "form": vehicles[0].form}
-    for at, loops in cruise_groups(_numbers(vehicles), gains, cruise=speeds, **about):
+    points = [CruisePoint(one, model, gains, float(speed)) for one, speed in zip(vehicles, speeds, strict=True)]
+    for at, loops in cruise_groups(points, dt=dt, law=law):
         lacking[at] = np.where(loops.decays, -1.0, 1.0) * np.abs(loops.slowest_per_s)
         if least > 0:
             peaks = [screened_peaks(open_loop(loops, *signals)) for signals in loops.places.values()]
@@ -439,8 +432,10 @@ def _remedies(
     names = np.repeat(LINEAR_GAINS, len(factors))
     # with the digits that are printed
     tried = np.array([float(f"{gains[name] * factor:.3g}") for name in LINEAR_GAINS for factor in factors])
-    changed = {name: np.where(names == name, tried, value) for name, value in gains.items()}
-    good = cruise_loops([vehicle], changed, cruise=cruise, dt=dt, model=model, law=law).decays
+    changed = [{**gains, name: value} for name, value in zip(names.tolist(), tried.tolist(), strict=True)]
+    good = np.zeros(len(tried), dtype=bool)
+    for at, loops in cruise_groups([CruisePoint(vehicle, model, one, cruise) for one in changed], dt=dt, law=law):
+        good[at] = loops.decays
     remedies: dict[str, tuple[float, float]] = {}
     for name, value in zip(names[good].tolist(), tried[good].tolist(), strict=True):
         far = abs(float(np.log(value / gains[name])))

@@ -7,10 +7,9 @@ An operating point consists of gains, a vehicle and a cruise speed. The metrics 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from functools import cached_property
 from types import MappingProxyType
 
 import numpy as np
@@ -18,16 +17,16 @@ from numpy.typing import ArrayLike, NDArray
 
 from surctl.errors import InputError, nearest
 from surctl.marine.simulation.metrics import MetricSpec
-from surctl.marine.vehicle import PARAMETERS, PLANT_PARAMETERS, TERMS, PlantForm, Vehicle, plant_parameters
+from surctl.marine.vehicle import PARAMETERS, TERMS, Vehicle
 from surctl.marine.verification.corners import corners
 from surctl.marine.verification.cruise_loop import (
     LINEAR_GAINS,
     POSE,
     THRUSTS,
     TRACKING_LAW,
-    check_positive,
+    CruisePoint,
     cruise_groups,
-    held,
+    each_loop,
 )
 from surctl.plotted import Plotted
 from surctl.system import LinearLoop
@@ -44,28 +43,14 @@ _CHUNK = 64  # points computed together, so that their frequency responses fit i
 _MOST_MARGINS = 10_000
 _margins: dict[bytes, tuple[float, float]] = {}  # by digest: each round of a tuning judges gain sets again
 
-_PLACES = {  # vehicle parameter → its index in the plant's flat vector
-    name: PLANT_PARAMETERS.slice(group).start + k
-    for group, names in (
-        ("mass", ("m11", "m22", "m33", "m44")),
-        ("linear_drag", ("Xu", "Yv", "Zw", "Nr")),
-        ("quadratic_drag", ("Xuu", "Yvv", "Zww", "Nrr")),
-        ("thrust_limit", ("Fu_max",)),
-        ("thrust_lag", ("thrust_lag",)),
-    )
-    for k, name in enumerate(names)
-}
+_OF_PLANT = (
+    "m11", "m22", "m33", "m44", "Xu", "Yv", "Zw", "Nr", "Xuu", "Yvv", "Zww", "Nrr", "Fu_max", "thrust_lag", *TERMS,
+)  # fmt: skip
 
 LINEAR_PARAMETERS: tuple[str, ...] = (
-    *LINEAR_GAINS,
-    "k_i",
-    "scenario.cruise",
-    *(f"vehicle.{name}" for name in _PLACES),
-    *(f"plant.{name}" for name in _PLACES),
-    *(f"{kind}.{name}" for kind in ("vehicle", "plant") for name in TERMS),
-)
+    *LINEAR_GAINS, "k_i", "scenario.cruise", *(f"{kind}.{name}" for kind in ("vehicle", "plant") for name in _OF_PLANT)
+)  # fmt: skip
 """The parameters on which the linear metrics depend; no other parameter changes them."""
-
 
 _MARGINS = {
     "gain_margin": MetricSpec("1", "least factor > 1 on the loop gain that destabilises", "high"),
@@ -158,8 +143,8 @@ def linear_table(
     for name in columns:
         if name not in LINEAR_METRICS:
             raise InputError("no such column", key="columns", value=name, remedy=nearest(name, LINEAR_METRICS))
-    points = _read_points(vehicle, values, base=base, cruise=cruise, dt=dt, model=model, law=law)
-    table = {name: np.full(points.count, np.nan) for name in columns}
+    points, stated = _read_points(vehicle, values, base=base, cruise=cruise, model=model)
+    table = {name: np.full(len(points), np.nan) for name in columns}
 
     def fill(chunk: tuple[NDArray[np.intp], LinearLoop]) -> None:
         at, loops = chunk
@@ -169,75 +154,33 @@ def linear_table(
                 table[name][at] = figures[name]
 
     with ThreadPoolExecutor(workers) as pool:
-        list(pool.map(fill, points.loops(most=_CHUNK)))
+        list(pool.map(fill, cruise_groups(points, dt=dt, law=law, most=_CHUNK)))
         if worst := [name for name in _WORST if name in columns]:
-            exact = {name.partition(".")[2] for name in values}
-            tried = [
-                _read_points(v, values, base=base, cruise=cruise, dt=dt, model=model or vehicle, law=law)
-                for v in corners(vehicle, known=exact).vehicles
-            ]
-            able = np.flatnonzero(points.feasible)
-            margins = np.reshape(list(pool.map(lambda k: _worst_margins(tried, int(k)), able)), (-1, len(_WORST)))
+            tried = corners(vehicle, known={name.partition(".")[2] for name in values}).vehicles
+
+            def least(k: int) -> tuple[float, float]:
+                corner = [points[k]._replace(plant=one.with_values(stated[k])) for one in tried]
+                return _worst_margins(each_loop(corner, dt=dt, law=law))
+
+            margins = np.reshape(list(pool.map(least, range(len(points)))), (-1, len(_WORST)))
             for name in worst:
-                table[name][able] = margins[:, _WORST.index(name)]
+                table[name] = margins[:, _WORST.index(name)]
     return table
 
 
-def _worst_margins(tried: Sequence[Points], k: int) -> tuple[float, float]:
-    # disk margin and delay margin of point k, over the corners that can hold the speed
-    first = tried[0]
-    together = replace(
-        first,
-        plant=np.array([one.plant[k] for one in tried]), believed=np.array([one.believed[k] for one in tried]),
-        gains={name: np.repeat(column[k], len(tried)) for name, column in first.gains.items()},
-        cruise=np.repeat(first.cruise[k], len(tried)),
-    )  # fmt: skip
-    loops: dict[int, LinearLoop] = {}
-    for at, group in together.loops():
-        loops |= {int(place): group[j] for j, place in enumerate(at)}
-    matrices = (m.tobytes() for loop in loops.values() for m in (*loop.plant, *loop.law))
-    key = hashlib.sha256(b"".join((np.float64(first.dt).tobytes(), *matrices))).digest()
+def _worst_margins(tried: Sequence[LinearLoop | None]) -> tuple[float, float]:
+    # disk margin and delay margin over the corners that can hold the speed; NaN if the first, nominal one cannot
+    nominal, *others = tried
+    if nominal is None:
+        return float("nan"), float("nan")
+    matrices = (m.tobytes() for loop in tried if loop is not None for m in (*loop.plant, *loop.law))
+    key = hashlib.sha256(b"".join((np.float64(nominal.dt).tobytes(), *matrices))).digest()
     if key not in _margins:
         if len(_margins) >= _MOST_MARGINS:
             _margins.clear()
-        nominal, *others = (("", loops[place]) for place in sorted(loops))
-        least = corners_of(SampledLoop(nominal[1]), others, proved=False)
+        least = corners_of(SampledLoop(nominal), [("", loop) for loop in others], proved=False)
         _margins[key] = least.disk, least.delay.delay_s
     return _margins[key]
-
-
-@dataclass(frozen=True, eq=False)
-class Points:
-    """n operating points: plant and believed model (n, …) as in `plant_parameters`, gains (n,), cruise speeds (n,).
-
-    `model` is the controller's nominal model, `form` has the optional terms of all plants.
-    """
-
-    plant: NDArray[np.float64]
-    believed: NDArray[np.float64]
-    gains: Mapping[str, NDArray[np.float64]]
-    cruise: NDArray[np.float64]
-    dt: float
-    model: Vehicle
-    form: PlantForm
-    law: str = TRACKING_LAW
-
-    @property
-    def count(self) -> int:
-        """The number n of points."""
-        return len(self.cruise)
-
-    @cached_property
-    def feasible(self) -> NDArray[np.bool_]:
-        """Whether the trim thrust at cruise lies strictly inside the thrust limits, (n,)."""
-        return held(self.plant, self.cruise, self.form)
-
-    def loops(self, *, most: int | None = None) -> Iterator[tuple[NDArray[np.intp], LinearLoop]]:
-        """Yield the feasible points, in groups of at most `most` with equal states, and their loops."""
-        return cruise_groups(
-            self.plant, self.gains, cruise=self.cruise, dt=self.dt, model=self.model, believed=self.believed,
-            law=self.law, form=self.form, most=most,
-        )  # fmt: skip
 
 
 def _read_points(
@@ -246,40 +189,38 @@ def _read_points(
     *,
     base: Mapping[str, float],
     cruise: ArrayLike,
-    dt: float,
     model: Vehicle | None,
-    law: str,
-) -> Points:
-    """Return the operating points that the arguments of `linear_table` describe."""
+) -> tuple[list[CruisePoint], list[dict[str, float]]]:
+    """Return the points that the arguments of `linear_table` describe, and the numbers stated of each plant."""
     known = {name: np.asarray(values[name], dtype=float) for name in LINEAR_PARAMETERS if name in values}
     speed = known.pop("scenario.cruise", np.asarray(cruise, dtype=float))
     try:
-        (count,) = np.broadcast_shapes((1,), speed.shape, *(v.shape for v in known.values()))
+        shape = np.broadcast_shapes((1,), speed.shape, *(v.shape for v in known.values()))
     except ValueError:
         shapes = {name: v.shape for name, v in known.items()} | {"cruise": speed.shape}
         raise InputError(
             f"have shapes {shapes} that do not match", key="values", remedy="give each as (n,) or as one number"
         ) from None
-
-    def column(value: ArrayLike) -> NDArray[np.float64]:
-        return np.broadcast_to(np.asarray(value, dtype=float), (count,)).copy()
-
-    gains = {n: column(known[n] if n in known else base[n]) for n in (*LINEAR_GAINS, "k_i") if n in known or n in base}
-    flat = [np.tile(plant_parameters(v), (count, 1)) for v in (vehicle, model or vehicle)]
-    for kind, targets in (("vehicle", flat), ("plant", flat[:1])):
-        for key in [key for key in known if key.startswith(f"{kind}.")]:
-            name = key.removeprefix(f"{kind}.")
-            checked = column(known[key])
-            _check_parameter(name, key, checked)
-            for target, form in zip(targets, (vehicle.form, (model or vehicle).form), strict=False):
-                if name in _PLACES:
-                    target[:, _PLACES[name]] = checked
-                elif name in form.terms:
-                    target[:, PLANT_PARAMETERS.size + form.terms.index(name)] = checked
-                elif target is flat[0]:
-                    raise InputError(f"{vehicle.name} has no such term", key=key, remedy="add it to the vehicle file")
-    check_positive({"cruise": column(speed)})
-    return Points(flat[0], flat[1], gains, column(speed), dt, model or vehicle, vehicle.form, law)
+    for key, column in known.items():
+        name = key.partition(".")[2]
+        if name and name not in vehicle.parameters:
+            raise InputError(f"{vehicle.name} has no such term", key=key, remedy="add it to the vehicle file")
+        if name:
+            _check_parameter(name, key, column.reshape(-1))
+    columns = {name: np.broadcast_to(column, shape).tolist() for name, column in known.items()}
+    points, stated = [], []
+    for k, u in enumerate(np.broadcast_to(speed, shape).tolist()):
+        row = {name: column[k] for name, column in columns.items()}
+        both, own = (
+            {name.removeprefix(kind): value for name, value in row.items() if name.startswith(kind)}
+            for kind in ("vehicle.", "plant.")
+        )
+        believed = model or vehicle
+        believed = believed.with_values({name: value for name, value in both.items() if name in believed.parameters})
+        gains = {**base, **{name: value for name, value in row.items() if "." not in name}}
+        stated.append({**both, **own})
+        points.append(CruisePoint(vehicle.with_values(stated[-1]), believed, gains, u))
+    return points, stated
 
 
 def _check_parameter(name: str, key: str, values: NDArray[np.float64]) -> None:
@@ -387,11 +328,12 @@ def sweep_locus(
             "needs at least two values in order", key=parameter, remedy="give a range, ascending or descending"
         )
 
-    points = _read_points(vehicle, {**about, parameter: swept}, base=gains, cruise=cruise, dt=dt, model=model, law=law)
-    if not points.feasible.all():
-        at = float(swept[np.argmin(points.feasible)])
+    points, _ = _read_points(vehicle, {**about, parameter: swept}, base=gains, cruise=cruise, model=model)
+    loops = each_loop(points, dt=dt, law=law)
+    able = [loop for loop in loops if loop is not None]
+    if len(able) < len(loops):
+        at = float(swept[loops.index(None)])
         raise InputError("needs more thrust than the vehicle has", key=parameter, value=at, remedy="cruise slower")
-    groups = list(points.loops())
-    if len(groups) > 1:
+    if len({loop.transition.shape for loop in able}) > 1:
         raise InputError("changes the number of poles where it is 0", key=parameter, remedy="begin the range above 0")
-    return Locus(parameter, swept, groups[0][1].rates)
+    return Locus(parameter, swept, LinearLoop.stacked(able).rates)
