@@ -37,7 +37,7 @@ from surctl.verification.loops import (
 Array = NDArray[np.float64]
 
 _SINGULAR = 1e12  # condition number from which z counts as a pole
-_POINTS = 250  # number of angles towards each end of (0, π)
+_POINTS = 160  # number of angles towards each end of (0, π)
 _NEAR = np.geomspace(1e-3, 30.0, 16)  # distances from a pole's angle, in distances of the pole from the unit circle
 _APART = 2.0  # ratio of two distances: those of a pole, of its conjugate and of an equal pole lie between each other
 _INWARDS = 1e-6  # relative move of the poles of a loop that has one at z = -1
