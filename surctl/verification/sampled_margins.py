@@ -389,6 +389,7 @@ def system_corners(
     Example:
         >>> from surctl.ir import Layout, Port
         >>> from surctl.system import Controller, Plant, System
+        >>> from surctl.verification import system_corners
         >>> speed, force = Port("speed", (1,), "m/s", "of the cart"), Port("force", (1,), "N", "drive")
         >>> mass = Layout((Port("mass", (1,), "kg", "of the cart", 2.0),))
         >>> cart = Plant(
