@@ -26,8 +26,9 @@ from surctl.marine.verification import law_corners, steady_motion
 from surctl.marine.verification.corners import DRAG_SPREAD, MASS_SPREAD, Corners, corners
 from surctl.marine.verification.cruise_loop import TRACKING_LAW, has_cruise_loop
 from surctl.marine.verification.law_loop import LawLoop
-from surctl.marine.verification.linear import Mode, SlowMargins, cap_above, cruise_corners, slow_margins, slowest_mode
+from surctl.marine.verification.linear import Mode, cap_above, cruise_corners, slowest_mode
 from surctl.marine.verification.region import RegionStatement, applicable_region, prove_statement
+from surctl.marine.verification.speeds import OverSpeeds, slow_margins
 from surctl.own_code import label
 from surctl.verification import Inapplicable, LoopCorners, LoopMargins
 
@@ -283,7 +284,7 @@ class LoopAnalysis:
     unjudged: str = ""
     failed: bool = False
     assumptions: tuple[Assumption, ...] = ()
-    slow: SlowMargins | None = None
+    slow: OverSpeeds | None = None
     motion: str = ""
 
     @property
@@ -322,12 +323,13 @@ class LoopAnalysis:
         return Part((*figures.values(), *slow), tuple(lines), self, self.assumptions)
 
 
-def _slow_figures(slow: SlowMargins) -> tuple[Figure, ...]:
-    (disk, at), (delay, late) = slow.disk, slow.delay
+def _slow_figures(slow: OverSpeeds) -> tuple[Figure, ...]:
     text = "over the speeds from rest to the cruise speed, at the worst corner"
-    return (
-        Figure("slow_disk_margin", disk, "1", f"least disk margin {text}", "high", where=at),
-        Figure("slow_delay_margin_s", delay, "s", f"least delay margin of one loop alone {text}", "high", where=late),
+    rows = (("disk_margin", "1", "least disk margin"), ("delay_margin_s", "s", "least delay margin of one loop alone"))
+    worst = ((name, unit, what, *slow.worst(name)) for name, unit, what in rows)
+    return tuple(
+        Figure(f"slow_{name}", value, unit, f"{what} {text}", "high", where=f"at {speed:.3g} m/s")
+        for name, unit, what, value, speed in worst
     )
 
 

@@ -30,7 +30,6 @@ from surctl.study import StudyParts
 from surctl.system import LinearLoop
 from surctl.tuning import LocalExecutor, SweepTable, grid, sweep
 from surctl.verification import Inapplicable, LoopMargins, Verdict, decide
-from surctl.verification.linear import short_margins
 
 if TYPE_CHECKING:
     from surctl.marine.report import ReportData
@@ -151,7 +150,7 @@ def _speed_notes(loops: Loops) -> list[Line]:
         (late, late_at), (disk, disk_at) = over.worst("delay_margin_s"), over.worst("disk_margin")
         margin_text = f"least delay margin {late:.2f} s (at {late_at:g} m/s), "
         margin_text += f"least disk margin {disk:.2f} (at {disk_at:g} m/s)"
-        short = short_margins((disk, f"at {disk_at:g} m/s"), (late, f"at {late_at:g} m/s"))
+        short = over.short
         margin_text += f"; too small: {short}" if short else ""
         poles = over.figures["slowest_pole_per_s"]
         held = bool((poles < 0).all())

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from surctl.marine.control.gains import setting
 from surctl.marine.vehicle import Vehicle
-from surctl.marine.verification.corners import NOMINAL, Corners, corners
+from surctl.marine.verification.corners import NOMINAL, Corners
 from surctl.marine.verification.cruise_loop import (
     LINEAR_GAINS,
     TRACKING_LAW,
@@ -23,7 +23,7 @@ from surctl.marine.verification.cruise_loop import (
 from surctl.marine.verification.law_loop import LawLoop
 from surctl.own_code import label
 from surctl.system import LinearLoop
-from surctl.verification.linear import screened_peaks, short_margins
+from surctl.verification.linear import screened_peaks
 from surctl.verification.sampled_margins import LoopCorners, corners_of, open_loop
 
 Array = NDArray[np.float64]
@@ -67,69 +67,6 @@ def cruise_corners(
     named = list(zip(tried.others, each_loop(points, dt=dt, law=law), strict=True))
     one = LawLoop(nominal, label(law), cruise)
     return corners_of(one, named, name=NOMINAL, of=tried.held(named, cruise), proved=proved)
-
-
-_SLOWER = (0.05, 0.35, 0.7)
-"""Speeds between rest and the cruise speed at which margins are examined, as shares of the cruise speed."""
-
-
-class SlowMargins(NamedTuple):
-    """The least margins at the worst corners over the speeds from rest to the cruise speed.
-
-    Attributes:
-        cruise: that cruise speed [m/s].
-        disk, delay: disk margin and delay margin [s], each with the place where it is, as "at 0.1 m/s, mass +5%".
-    """
-
-    cruise: float
-    disk: tuple[float, str]
-    delay: tuple[float, str]
-
-    @property
-    def short(self) -> str:
-        """The margins that do not suffice, as text; empty if both do."""
-        return short_margins(self.disk, self.delay)
-
-    @property
-    def sentence(self) -> str:
-        """The margins that do not suffice, as a sentence of gains that have both margins at the cruise speed."""
-        return f"margins below {self.cruise:g} m/s, where the vehicle starts and turns: {self.short}"
-
-
-def slow_margins(
-    vehicle: Vehicle,
-    gains: Mapping[str, float],
-    *,
-    cruise: float,
-    dt: float,
-    uncertainty: float | None = None,
-    law: str = TRACKING_LAW,
-) -> SlowMargins:
-    """Return the least margins at the cruise speed [m/s] and three slower ones; for the arguments see `cruise_corners`.
-
-    The Munk moment falls with the square of the speed, so that some gains fit a fast vehicle better than a slow one.
-
-    Example:
-        >>> from surctl.marine.tuning import derive_gains
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> from surctl.marine.verification.linear import slow_margins
-        >>> rov = load_vehicle("bluerov2-wu")
-        >>> gains = derive_gains(rov, cruise=0.33).gains.values
-        >>> slow_margins(rov, gains, cruise=0.33, dt=0.05).short
-        'a disk margin of 0.27 at 0.0165 m/s, ...'
-    """
-    tried = corners(vehicle, uncertainty)
-    judged = [
-        (u, cruise_corners(tried, gains, cruise=u, dt=dt, law=law, proved=False))
-        for u in (*(share * cruise for share in _SLOWER), cruise)
-    ]
-    at, disk = min(judged, key=lambda one: float(np.nan_to_num(one[1].disk, nan=np.inf)))
-    late, delay = min(judged, key=lambda one: one[1].delay.delay_s)
-    return SlowMargins(
-        cruise,
-        (disk.disk, f"at {at:.3g} m/s, {disk.corner}"),
-        (delay.delay.delay_s, f"at {late:.3g} m/s in {delay.delay.where}"),
-    )
 
 
 _HIGHEST = 10.0  # [m/s] largest speed that is tried

@@ -104,6 +104,7 @@ def linear_table(
     columns: Collection[str] = tuple(LINEAR_METRICS),
     workers: int = 1,
     law: str = TRACKING_LAW,
+    uncertainty: float | None = None,
 ) -> dict[str, NDArray[np.float64]]:
     """Compute the linear metrics of n operating points; return one array (n,) for every requested metric.
 
@@ -126,6 +127,8 @@ def linear_table(
         columns: names of the metrics to compute, keys of `LINEAR_METRICS`. Those at the worst corner take most of the
             computing time.
         workers: number of threads; the results do not depend on this number.
+        law: a law for which `has_cruise_loop` holds.
+        uncertainty: relative uncertainty in place of the ranges, see `corners`.
 
     Raises:
         InputError: a column is unknown, a gain is missing or out of its bounds, a vehicle parameter has the wrong
@@ -156,7 +159,7 @@ def linear_table(
     with ThreadPoolExecutor(workers) as pool:
         list(pool.map(fill, cruise_groups(points, dt=dt, law=law, most=_CHUNK)))
         if worst := [name for name in _WORST if name in columns]:
-            tried = corners(vehicle, known={name.partition(".")[2] for name in values}).vehicles
+            tried = corners(vehicle, uncertainty, known={name.partition(".")[2] for name in values}).vehicles
 
             def least(k: int) -> tuple[float, float]:
                 corner = [points[k]._replace(plant=one.with_values(stated[k])) for one in tried]
