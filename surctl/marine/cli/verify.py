@@ -108,8 +108,8 @@ def verify(
     The claim mission says that the robot stays near the scenario's path; mission:REGION uses the region claim REGION.
 
     surctl linearises the closed loop about straight cruise (with --law: about the law's steady motion), and prints
-    margins, poles, slowest mode, stable speeds and control periods, for the nominal and the worst vehicle within
-    --uncertainty or the vehicle's ranges. surctl list shows region and braking claims, which are checked only if you
+    margins, poles, slowest mode and stable speeds, for the nominal and the worst vehicle within --uncertainty or the
+    vehicle's ranges. surctl list shows region and braking claims, which are checked only if you
     name them. The key kind of a claim file is claim (an inequality; --show prints examples), region (a region claim
     with ranges of your own), lyapunov or barrier (a region of attraction or a barrier of dynamics in the file). Exit
     status: 1 if a verdict is not the expected one, a named claim is not applicable, or a margin or no-contact claim
