@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -95,7 +96,7 @@ class StackController:
         >>> place = cart.frame_task("cart", target="place", gain=2.0).position
         >>> control = StackController([place], limits=[cart.joint_limits(acceleration=1.0)], dt=0.1)
         >>> control.step([0.0], place=[0.9, 0, 0, 0, 0, 0, 1]).round(3).tolist(), control.explain()
-        ([0.1], 'Task `place_position` gave up 1.7 m/s because `joint.rail` binds.')
+        ([0.1], 'Task `place_position` gave up 1.7 m/s because `joint.rail` (upper acceleration limit 1 m/s²) binds.')
     """
 
     def __init__(
@@ -175,17 +176,38 @@ class StackController:
         stage: Stage = _STAGES[int(self._before()[1][0]) - 1]
         return stage
 
-    def binding(self) -> tuple[str, ...]:
-        """Return the names of the limits that bound the velocities of the last step."""
-        rows = self._assembly.limits
-        numbers = [int(abs(number)) for number in self._before()[1][1:] if number != 0.0]
-        sets = [task.name for task in self.stack.tasks if isinstance(task, SetTask)]
-        names = [row.name for row in rows] or [""]
-        return tuple(dict.fromkeys([*names, *sets][number - 1] for number in numbers))
+    def binding(self) -> dict[str, str]:
+        """Return the limits that bound the velocities of the last step by name, each with the bound that was reached.
+
+        For `JointLimits`, the text says which limit gives the bound, such as "upper acceleration limit 5 rad/s²".
+        """
+        problem, rows = self.problem(), [row.name for row in self._assembly.limits] or [""]
+        names = [*rows, *(task.name for task in self.stack.tasks if isinstance(task, SetTask))]
+        found = {names[int(abs(k)) - 1]: bool(k > 0) for k in self._before()[1][1:] if k != 0.0}
+        causes = self._causes(problem, found)
+        return {name: causes.get(name, "upper bound" if upper else "lower bound") for name, upper in found.items()}
 
     def explain(self) -> str:
-        """Return one or two sentences about the last step: what each task gave up, by how much, and for which limit."""
-        return self.solution().explain()
+        """Return sentences about the last step: what each task gave up, by how much, and for which limit."""
+        solution = self.solution()
+        causes = self._causes(solution.problem, {name: multiplier > 0.0 for name, multiplier in solution.binding})
+
+        def with_cause(name: re.Match[str]) -> str:
+            text = causes.pop(name[1], "")  # at the first mention alone
+            return f"{name[0]} ({text})" if text else name[0]
+
+        return re.sub("`([^`]+)`", with_cause, solution.explain())
+
+    def _causes(self, problem: PriorityProblem, uppers: Mapping[str, bool]) -> dict[str, str]:
+        """Return, for the rows of joint limits, which limit gives the upper (or else lower) bound of the last step."""
+        values = self._values()
+        causes = {
+            row.name: limit.cause(row.name, up, row.upper if up else row.lower, values["q"], values["v"], self.dt)
+            for limit in self.limits
+            for row in problem.rows
+            if isinstance(limit, JointLimits) and (up := uppers.get(row.name)) is not None
+        }
+        return {name: text for name, text in causes.items() if text}
 
     def solution(self) -> PrioritySolution:
         """Return the velocities of the last step with their explanation: residuals, limits that bind, multipliers."""
@@ -193,11 +215,14 @@ class StackController:
 
     def problem(self) -> PriorityProblem:
         """Return the priority problem of the last step, without damping."""
-        before = self._before()[0]
-        x, u, p = np.split(before, np.cumsum([self.controller.state.size, self.controller.inputs.size]))
+        return self._assembly.problem(self._values())
+
+    def _values(self) -> dict[str, Any]:
+        """Return the inputs of the last step by name."""
+        sizes = [self.controller.state.size, self.controller.inputs.size]
+        x, u, p = np.split(self._before()[0], np.cumsum(sizes))
         values: dict[str, Any] = {**self.controller.inputs.unpack(u), **self.controller.gains.unpack(p)}
-        values |= {"v": x if x.size else np.zeros(self.robot.nv), "dt": self.dt}
-        return self._assembly.problem(values)
+        return values | {"v": x if x.size else np.zeros(self.robot.nv), "dt": self.dt}
 
     def system(
         self,
@@ -263,15 +288,15 @@ class StackController:
 
     def _arguments(self, q: ArrayLike, values: Mapping[str, ArrayLike]) -> tuple[Array, Array]:
         inputs, gains = self.controller.inputs, self.controller.gains
-        missing = [name for name in self._targets if name not in values]
-        if missing:
-            raise InputError("is missing", key=missing[0], remedy=f"write step(q, {missing[0]}=…)")
+        names = [*self._targets, *(port.name for port in gains)]
+        for name in values:
+            if name not in names:
+                raise InputError("is no target or gain of the controller", key=name, remedy=nearest(name, names))
+        for name in self._targets:
+            if name not in values:
+                raise InputError("is missing", key=name, remedy=f"write step(q, {name}=…)")
         parts: tuple[dict[str, object], dict[str, object]] = ({"q": q}, {})
         for name, value in values.items():
-            if name not in self._targets and name not in gains:
-                raise InputError(
-                    "no such target or gain", key=name, remedy=nearest(name, [*self._targets, *(p.name for p in gains)])
-                )
             pose = name in self._targets and inputs.port(name).size == 7
             parts[name in gains][name] = flat_pose(value) if pose else value
         return inputs.pack(parts[0]), gains.pack(parts[1])

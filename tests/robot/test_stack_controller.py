@@ -68,6 +68,27 @@ def test_a_step_says_what_binds_and_what_it_costs(arm: Robot, control: StackCont
     assert abs(free).max() <= 2 * ACCELERATION * DT
 
 
+@pytest.mark.parametrize(
+    ("q", "before", "shoulder"),
+    [
+        (0.2, 0.0, "upper acceleration limit 8 rad/s²"),
+        (0.2, 1.95, "upper speed limit 2 rad/s"),
+        (2.4, 1.2, "upper position limit 2.5 rad"),
+        (2.4, 1.9, "lower acceleration limit -8 rad/s²"),  # too fast: it brakes as fast as it may
+    ],
+)
+def test_a_bound_of_a_joint_is_that_of_its_position_speed_or_acceleration(
+    arm: Robot, q: float, before: float, shoulder: str
+) -> None:
+    need_compiler()
+    limits = [arm.joint_limits(acceleration=ACCELERATION)]
+    control = StackController([arm.posture_task("home", gain=9.0)], limits=limits, dt=DT, mode="projected")
+    control.reset([before, 0.0])
+    control.step([q, 0.5], home=[9.0, 0.5])
+    assert control.binding()["joint.shoulder"] == shoulder
+    assert f"`joint.shoulder` ({shoulder})" in control.explain()
+
+
 @pytest.mark.parametrize("beyond", [[1.5, 0.6], [0.05, 1.4], [-0.8, 0.9]])
 def test_a_damped_arm_rests_at_the_point_nearest_to_a_target_out_of_reach(arm: Robot, beyond: list[float]) -> None:
     need_compiler()
@@ -129,7 +150,7 @@ def test_a_mistake_gives_one_line(arm: Robot, control: StackController) -> None:
     posture = arm.posture_task("home")
     for call, problem in (
         (lambda: control.step([0, 0]), "tool: is missing"),
-        (lambda: control.step([0, 0], tool=[0] * 7, hom=[0, 0]), "did you mean 'home'"),
+        (lambda: control.step([0, 0], tol=[0] * 7), "tol: is no target or gain of the controller; did you mean 'tool'"),
         (lambda: control.step([0, 0], tool=[0] * 6), "tool: has 6 numbers"),
         (lambda: control.step([0, 0], tool=np.ones((4, 4))), "is not a pose"),
         (lambda: StackController([posture, other.posture_task("two")], dt=0.1), "are of different robots"),
