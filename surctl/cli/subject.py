@@ -262,15 +262,15 @@ def loop_lines(own: OwnSystem, loop: LoopCorners[SystemLoop]) -> list[str]:
         for kind, rows in resting(own.system, nominal.at).items()
         for label, value, unit in rows
     ]
-    stable = "stable" if nominal.stable else "UNSTABLE"
-    lines.append(f"sampled every {period:g} s: {stable}, {len(nominal.poles)} poles")
+    lines.append(f"sampled every {period:g} s: {nominal.linear.stability}, {len(nominal.poles)} poles")
     lines.append(f"  slowest mode: {mode_text(nominal)}")
     if nominal.stable:
         lines += ["nominal; each loop alone, opened at one signal, all others closed:"]
         lines += [f"  {margin.line()}" for margin in nominal.margins]
         lines += [margin.line(margin.place) for margin in nominal.disks]
     if loop.count:
-        word = f"disk margin {loop.disk:.2f}" if loop.stable else "no equilibrium" if loop.lost else "UNSTABLE"
+        stability = loop.worst.linear.stability
+        word = f"disk margin {loop.disk:.2f}" if loop.stable else "no equilibrium" if loop.lost else stability
         lines.append(f"worst of the {loop.count} corners of the ranges: {word} at {loop.corner}")
         lines.append(f"  least delay margin of one loop alone: {loop.delay.delay_s:.4g} s ({loop.delay.where})")
     return lines
@@ -283,6 +283,7 @@ def loop_data(own: OwnSystem, loop: LoopCorners[SystemLoop]) -> dict[str, Any]:
         "equilibrium": {kind: {label: value for label, value, _ in rows} for kind, rows in rest.items()},
         "units": {kind: {label: unit for label, _, unit in rows} for kind, rows in rest.items()},
         "stable": nominal.stable,
+        "marginal": list(nominal.linear.marginal),
         "poles": [[float(pole.real), float(pole.imag)] for pole in nominal.poles],
         "slowest_mode": _slowest(nominal),
         "margins": [margin.to_dict() for margin in nominal.margins],
@@ -315,9 +316,11 @@ def resting(system: System, at: Operating) -> dict[str, list[tuple[str, float, s
 
 def _slowest(loop: SystemLoop) -> dict[str, Any]:
     """Return magnitude, time constant [s] (negative if unstable) and angular frequency [rad/s] of the slowest pole."""
+    from surctl.system.linear_loop import EDGE
+
     pole, dt = complex(loop.poles[0]), loop.linear.dt
     size = abs(pole)
-    rate = math.log(size) / dt if size > 0.0 else -math.inf
+    rate = 0.0 if abs(size - 1.0) <= EDGE else math.log(size) / dt if size > 0.0 else -math.inf
     return {
         "pole": [pole.real, pole.imag],
         "size": size,

@@ -32,6 +32,7 @@ from surctl.robot.kinematics import Kinematics
 from surctl.robot.limits import JointLimits, SelfCollision
 from surctl.robot.robot import RobotTask, flat_pose
 from surctl.system import NONFINITE, Controller, Cost, Plant, System, run_system
+from surctl.system.loop import Signals
 from surctl.tasks import Limit, SetTask, Stack, Task
 from surctl.units import is_number
 
@@ -122,8 +123,8 @@ class StackController:
             )
         if budget is not None and (not isinstance(budget, int | np.integer) or isinstance(budget, bool)):
             raise InputError("is not a whole number", key="budget", value=budget, remedy="give operations of a step")
-        targets, gains, symbols = _inputs_of(self.robot, self.stack)
-        self._assembly = assemble(self.stack, self.limits, inputs=symbols)
+        targets, gains, self._symbols = _inputs_of(self.robot, self.stack)
+        self._assembly = assemble(self.stack, self.limits, inputs=self._symbols)
         self._targets = tuple(port.name for port in targets)
         q, v = self.robot.layout()
         remembers = any(ca.depends_on(row.upper - row.lower, self.robot.v) for row in self._assembly.limits)
@@ -236,15 +237,27 @@ class StackController:
         The system can be simulated, swept, tuned and analysed like any other (`surctl.system`, `surctl.tuning`).
 
         Args:
-            reference, costs, stops: as in `System`; without a reference, a run sets the targets by name.
+            reference, costs, stops: as in `System`; without a reference, a run sets the targets by name, and without
+                costs, the costs are the errors ‖σ_d − σ‖ of the tasks at the end of the run.
         """
+        costs = {task.name: self._error_of(task) for task in self.stack.tasks} if costs is None else costs
         q, v = self.robot.layout()
         rate = ca.Function("rate", [self.robot.q, self.robot.v], [self.robot.rate_map @ self.robot.v])
         plant = Plant(
             f"{self.controller.name}_robot", Layout((q,)), Layout((v,)),
             lambda x, f, d, p: {"q": rate(x["q"], f["v"])},
         )  # fmt: skip
-        return System(plant, self.controller, substeps=1, reference=reference, costs=costs or {}, stops=stops or {})
+        return System(plant, self.controller, substeps=1, reference=reference, costs=costs, stops=stops or {})
+
+    def _error_of(self, task: Task | SetTask) -> Cost:
+        symbols = {name: symbol for name, symbol in self._symbols.items() if name not in ("v", "dt")}
+        size = ca.Function("error", list(symbols.values()), [ca.norm_2(ca.densify(task.error()))])
+
+        def error(s: Signals) -> ca.SX:
+            values = {**s.x, **s.r, **s.g}
+            return size(*(values[name] for name in symbols))
+
+        return Cost(error, "final", task.unit or "1", f"error of task {task.name}")
 
     def export(self, folder: str | Path, *, target: str | None = None, name: str | None = None) -> CheckReport:
         """Write the controller as C99, after a check that C and Python compute the same bytes.

@@ -175,8 +175,10 @@ class SampledLoop(ABC):
 
     @property
     def severity(self) -> float:
-        """A number that is larger for a worse loop; beyond 1 for an unstable one, which has no disk margin."""
-        return 1.0 - self.disk / 2 if self.stable else 1.0 + float(np.abs(self.poles).max())
+        """A number that is larger for a worse loop; 1 for a marginal one, beyond 1 for an unstable one."""
+        if self.stable or self.linear.marginal:
+            return 1.0 - self.disk / 2
+        return 1.0 + float(np.abs(self.poles).max())
 
 
 L = TypeVar("L", bound=SampledLoop)
@@ -210,6 +212,13 @@ class LoopCorners(Generic[L]):
     def stable(self) -> bool:
         """Whether the loop exists and is stable at every corner."""
         return not self.lost and self.nominal.stable and self.worst.stable
+
+    @property
+    def marginal(self) -> tuple[str, ...]:
+        """The states of the nominal or the worst loop that do not return, if no loop is unstable."""
+        loops = [loop.linear for loop in (self.nominal, self.worst) if not loop.stable]
+        states = dict.fromkeys(label for linear in loops for label in linear.marginal)
+        return tuple(states) if all(linear.marginal for linear in loops) else ()
 
     @property
     def disk(self) -> float:

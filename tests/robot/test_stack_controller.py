@@ -12,6 +12,7 @@ from surctl.errors import InputError
 from surctl.robot import Robot, StackController, load_urdf
 from surctl.robot.robot import flat_pose
 from surctl.system import NONFINITE, linearise, run_system
+from surctl.system.linear import unresponsive
 from surctl.tasks import SetTask, Task
 from tests.robot.robots import ARM, joint, link, written
 from tests.tools import need_compiler
@@ -184,6 +185,7 @@ def test_a_loop_with_it_is_linearised_through_the_loops_of_the_solver(arm: Robot
     pose = flat_pose(arm.pose("link3", q))
     poles = linearise(control.system(), {"start.q": [q], "reference.tool": pose[None]}).poles()
     assert sorted(abs(np.asarray(poles)))[-2:] == pytest.approx([1 - gain * DT] * 2, rel=1e-3)
+    assert unresponsive(run_system(control.system(), 0.2)) == {"v[0]": 0.0, "v[1]": 0.0}
 
 
 def test_a_budget_is_the_bound_of_a_step(arm: Robot) -> None:
@@ -199,6 +201,8 @@ def test_it_is_the_controller_of_a_system(arm: Robot, control: StackController) 
     pose = np.append(arm.pose("link3", goal)[:3, 3], [0, 0, 0, 1])
     run = run_system(system, 2.0, {"start.q": [[0.2, 1.0]], "reference.tool": pose[None]})
     assert run["q"][-1] == pytest.approx(goal, abs=1e-4) and (run.status == 0).all()
+    assert run["tool_position"] == pytest.approx(np.linalg.norm(arm.pose("link3", run["q"][-1])[:3, 3] - pose[:3]))
+    assert run["height"] == 0.0 and run["home_posture"] == pytest.approx(np.hypot(0.4, 0.3), abs=1e-4)
 
 
 def test_its_c_code_computes_the_same_bytes(arm: Robot, tmp_path: Path) -> None:

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from surctl.errors import InputError
 from surctl.ir import Layout, Port
 from surctl.system import Controller, Plant, System, find_equilibrium, linearise, linearise_plant, run_system
+from surctl.system.linear_loop import LinearLoop, LoopNames
 from tests.system.examples import level, pendulum, pendulum_plant
 
 
@@ -139,3 +140,29 @@ def test_mistakes_in_openings_are_named() -> None:
         linearise(pendulum()).loop("torqe")
     with pytest.raises(InputError, match="opening: is missing"):
         linearise(pendulum()).loop()
+
+
+_SLOW, _TURN = 1.0 - 1e-7, [[np.cos(0.1), -np.sin(0.1)], [np.sin(0.1), np.cos(0.1)]]
+
+
+@pytest.mark.parametrize(
+    ("blocks", "stability", "states"),
+    [
+        ([[[0.5]], [[_SLOW]]], "stable", ()),
+        ([[[0.5]], [[1.0]], [[1.0]]], "marginal", ("b0", "c0")),  # two integrators
+        ([[[_SLOW]], [[1.0 + 5e-10]]], "marginal", ("b0",)),
+        ([_TURN, [[0.9]]], "marginal", ("a0", "a1")),  # an oscillation without damping
+        ([[[1.0, 0.1], [0.0, 0.5]]], "marginal", ("a0",)),
+        ([[[1.0, 0.1], [0.0, 1.0]], [[1.0]]], "UNSTABLE", ()),  # an integrator of an integrator
+        ([[[1.0]], [[1.001]]], "UNSTABLE", ()),
+    ],
+)
+def test_states_that_do_not_return_are_named_and_no_growing_loop_is_marginal(blocks, stability, states) -> None:
+    A = ca.diagcat(*map(ca.DM, blocks)).full()
+    n, names = len(A), tuple(f"{'abc'[k]}{i}" for k, block in enumerate(blocks) for i in range(len(block)))
+    change = np.linalg.qr(np.random.default_rng(1).normal(size=(n, n)))[0] if stability != "marginal" else np.eye(n)
+    zero = np.zeros((n, 0))
+    plant = (change.T @ A @ change, zero, zero, zero.T, np.zeros((0, 0)))
+    law = (np.zeros((0, 0)),) * 6
+    loop = LinearLoop(plant, law, LoopNames("p", "c", names, (), (), (), ()), 0.1, sampled=True)
+    assert (loop.stability, loop.marginal) == (stability, states)

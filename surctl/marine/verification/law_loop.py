@@ -215,7 +215,7 @@ class LawLoop(SampledLoop):
             slopes = f"the derivatives of the law to both sides differ by {self.kink:.0%}"
             notes.append(f"  caution: {slopes} there; the margins are those of their mean")
         if not self.stable:
-            return [f"{head}UNSTABLE, largest pole |z| = {abs(self.poles[0]):.5f}", *notes]
+            return [f"{head}{self.linear.stability}, largest pole |z| = {abs(self.poles[0]):.5f}", *notes]
         disks = ", ".join(f"{each.guaranteed:.2f} ({each.place})" for each in self.disks)
         lines = [f"{head}stable, disk margin {self.disk:.2f}; all loops at once: {disks}"]
         return [*lines, *(f"  loop {margin.line()}" for margin in self.margins), *notes]
@@ -425,7 +425,7 @@ class LawCorners(LoopCorners[LawLoop]):
     def lines(self) -> list[str]:
         """Return lines of text: the nominal loop, then the worst corner."""
         left = f"; at {len(self.lost)} of them the thrust cannot hold the speed" if self.lost else ""
-        word = f"disk margin {self.disk:.2f}" if self.worst.stable else "UNSTABLE"
+        word = f"disk margin {self.disk:.2f}" if self.worst.stable else self.worst.linear.stability
         lines = [*self.nominal.lines(), f"  worst of {self.text}{left}: {word} at {self.corner}"]
         late = f"{self.delay.delay_s:.2f} s ({self.delay.where})"
         return [*lines, *([f"  least delay margin of one loop alone: {late}"] if self.worst.stable else [])]
