@@ -353,24 +353,11 @@ def loop_figures(
     return {figure.name: figure for figure in figures}
 
 
-def loop_line(
-    figures: dict[str, Figure], *, stable: bool, place: str, unstable: str, marginal: Sequence[str] = ()
-) -> Line:
-    """Return the verdict on a linear loop.
-
-    Args:
-        unstable: what is wrong with a nominal loop that is not stable.
-        marginal: states that do not return, of a loop that is neither stable nor unstable.
-    """
+def loop_line(figures: dict[str, Figure], *, stable: bool, place: str, unstable: str, marginal: str = "") -> Line:
+    """Return the verdict on a linear loop; `unstable` or `marginal` say what is wrong with one that is not stable."""
     disk, nominal, delay, on_time = (figures[name] for name in _JUDGED)
     if marginal:
-        corner = f" at the corner {disk.where}" if nominal.value > 0 else ""
-        states = ", ".join(marginal[:_NAMED]) + (
-            f" and {len(marginal) - _NAMED} more" if len(marginal) > _NAMED else ""
-        )
-        text = f"the linear loop {place} is marginal (|z| = 1){corner}: nothing returns {states} after a disturbance"
-        remedy = "unless that is intended, add a task or feedback, or judge another equilibrium (start.…, reference.…)"
-        return Line(None, f"{text}; {remedy}", "margins")
+        return Line(None, f"the linear loop {place} is marginal (|z| = 1){marginal}", "margins")
     if not stable:
         text = f"the linear loop {place} is UNSTABLE"
         if nominal.value > 0:
@@ -390,8 +377,7 @@ def loop_line(
     return Line(None if undetermined else not short, text, "margins")
 
 
-_REST = 1e-9  # smallest change of a state that counts
-_NAMED = 6  # largest number of states in a verdict
+_REST = "at the equilibrium"
 _JUDGED = ("disk_margin", "nominal_disk_margin", "delay_margin_s", "nominal_delay_margin_s")
 
 
@@ -526,9 +512,7 @@ class ClosedLoop:
             return Part((), (line,), error)
         figures = _figures(corners, self.system.dt)
         unstable = f": the largest pole is |z| = {np.abs(corners.nominal.poles).max(initial=0.0):.6g}"
-        line = loop_line(
-            figures, stable=corners.stable, place="at the equilibrium", unstable=unstable, marginal=corners.marginal
-        )
+        line = loop_line(figures, stable=corners.stable, place=_REST, unstable=unstable, marginal=corners.marginal)
         if corners.lost:
             line = Line(False, f"the loop has no equilibrium at the corner {corners.corner}", "margins")
         return Part(tuple(figures.values()), (line,), corners)
@@ -541,12 +525,7 @@ class ClosedLoop:
             record = run_system(self.system, self.seconds, self.values)
         whole, why = record.stopped == ENDED, record.lost or record.stopped  # a stop is a failure
         lines = [Line(whole, f"the run {'ends' if whole else 'stops'} after {record.duration:.6g} s ({why})", "run")]
-        if whole and max(np.ptp(record.signals[port.name], axis=0).max() for port in self.system.plant.state) < _REST:
-            names = [f"start.{port.name}" for port in self.system.plant.state]
-            names += [f"reference.{port.name}" for port in self.system.references if self.system.reference is None]
-            names += [f"disturbance.{port.name}" for port in self.system.plant.disturbances]
-            text = "no state changes in this run, which starts at an equilibrium"
-            lines.append(Line(None, f"{text}; give other values of {' or '.join(names[:3])}", "run"))
+        lines += [Line(None, f"no state changes in this run; {record.at_rest}", "run")] if record.at_rest else []
         figures = []
         for name, cost in self.system.costs.items():
             value = record.figures[name]
@@ -574,8 +553,7 @@ class ClosedLoop:
         proved = solution.verdict == "proved" and not solution.vacuous
         passed = True if proved else False if solution.verdict == "refuted" else None
         line = Line(passed, f"region of attraction: {' '.join(solution.lines()[0].split())}", "region")
-        level = solution.level
-        if level is None:
+        if (level := solution.level) is None:
             return Part((), (line,), solution)
         share = level / solution.falsified if proved and solution.falsified else float("nan") if proved else 0.0
         figure = Figure(
@@ -615,10 +593,7 @@ def cost_verdicts(name: str, cost: Cost, value: float, *, duration: float, dt: f
 def _figures(corners: LoopCorners[SystemLoop], dt: float) -> dict[str, Figure]:
     nominal = corners.nominal
     return loop_figures(
-        (nominal.disk, corners.disk),
-        (corners.nominal_delay, corners.delay),
-        (nominal.slowest_per_s, corners.slowest_per_s),
-        nominal.margins,
-        corner=corners.corner,
+        (nominal.disk, corners.disk), (corners.nominal_delay, corners.delay),
+        (nominal.slowest_per_s, corners.slowest_per_s), nominal.margins, corner=corners.corner,
         least_delay=dt,  # the command of a step may be applied up to one period late
-    )
+    )  # fmt: skip

@@ -319,7 +319,7 @@ class LoopAnalysis:
             place = f"about {self.law.nominal.place}"
         mode = self.mode
         why = "; lower the cruise speed" if mode is None else f" (loop {mode.loop}): {unstable_text(mode)}"
-        marginal = () if self.law is None else self.law.marginal
+        marginal = "" if self.law is None else self.law.marginal
         line = loop_line(figures, stable=self.stable is not False, place=place, unstable=why, marginal=marginal)
         if self.motion:
             line = replace(line, text=f"{line.text}; {self.motion}")

@@ -184,9 +184,9 @@ class StackController:
         """
         problem, rows = self.problem(), [row.name for row in self._assembly.limits] or [""]
         names = [*rows, *(task.name for task in self.stack.tasks if isinstance(task, SetTask))]
-        found = {names[int(abs(k)) - 1]: bool(k > 0) for k in self._before()[1][1:] if k != 0.0}
-        causes = self._causes(problem, found)
-        return {name: causes.get(name, "upper bound" if upper else "lower bound") for name, upper in found.items()}
+        uppers = {names[int(abs(k)) - 1]: bool(k > 0) for k in self._before()[1][1:] if k != 0.0}
+        causes = self._causes(problem, uppers)
+        return {name: causes.get(name, "upper bound" if upper else "lower bound") for name, upper in uppers.items()}
 
     def explain(self) -> str:
         """Return sentences about the last step: what each task gave up, by how much, and for which limit."""

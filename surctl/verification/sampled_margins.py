@@ -24,6 +24,7 @@ Array = NDArray[np.float64]
 _SINGULAR = 1e12  # condition number from which z counts as a pole
 _POINTS, _FEW = 1500, 150  # number of angles towards each end of (0, π)
 _NEAR = np.geomspace(1e-3, 30.0, 24)  # distances from a pole's angle, in distances of the pole from the unit circle
+_NAMED = 6  # largest number of states in a message
 _INWARDS = 1e-6  # relative move of the poles of a loop that has one at z = -1
 
 
@@ -214,11 +215,18 @@ class LoopCorners(Generic[L]):
         return not self.lost and self.nominal.stable and self.worst.stable
 
     @property
-    def marginal(self) -> tuple[str, ...]:
-        """The states of the nominal or the worst loop that do not return, if no loop is unstable."""
+    def marginal(self) -> str:
+        """Which states of the nominal or the worst loop do not return, as text; empty if a loop is unstable."""
         loops = [loop.linear for loop in (self.nominal, self.worst) if not loop.stable]
-        states = dict.fromkeys(label for linear in loops for label in linear.marginal)
-        return tuple(states) if all(linear.marginal for linear in loops) else ()
+        if not loops or not all(linear.marginal for linear in loops):
+            return ""
+        states = list(dict.fromkeys(label for linear in loops for label in linear.marginal))
+        more = f" and {len(states) - _NAMED} more" if len(states) > _NAMED else ""
+        return (
+            f"{f' at the corner {self.corner}' * self.nominal.stable}: nothing returns {', '.join(states[:_NAMED])}"
+            f"{more} after a disturbance; unless that is intended, add a task or feedback, "
+            "or judge another equilibrium (start.…, reference.…)"
+        )
 
     @property
     def disk(self) -> float:
