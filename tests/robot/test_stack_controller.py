@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from functools import partial
 from pathlib import Path
 
 import casadi as ca
@@ -188,11 +190,21 @@ def test_a_loop_with_it_is_linearised_through_the_loops_of_the_solver(arm: Robot
     assert unresponsive(run_system(control.system(), 0.2)) == {"v[0]": 0.0, "v[1]": 0.0}
 
 
-def test_a_budget_is_the_bound_of_a_step(arm: Robot) -> None:
-    tool = arm.frame_task("link3", target="tool").position
-    control = StackController([tool], limits=[arm.joint_limits(acceleration=ACCELERATION)], dt=DT, budget=9000)
-    assert control.controller.block.operations == 9000
-    assert control.step([0.3, 0.8], tool=arm.pose("link3", [0.4, 1.0])).any() and control.stage == "limited"
+def test_a_budget_is_the_bound_of_a_step_and_one_that_suffices_is_named(arm: Robot) -> None:
+    need_compiler()
+    limits, draws = [arm.joint_limits(acceleration=ACCELERATION)], np.random.default_rng(7)
+    tool, build = arm.frame_task("link3", target="tool").position, partial(StackController, limits=limits, dt=DT)
+    with pytest.raises(InputError, match=r"is too small; give .* such as .*, which suffices") as caught:
+        build([tool], budget=9)
+    least, useful = map(int, re.findall(r"\d{2,}", str(caught.value)))
+    control, short = build([tool], budget=useful), build([tool], budget=least)
+    assert control.controller.block.operations == useful
+    for _ in range(20):
+        control.reset()
+        assert control.step(draws.uniform(-2.5, 2.5, 2), tool=arm.pose("link3", draws.uniform(-1.5, 1.5, 2))).any()
+        assert control.stage in ("met", "limited")
+    assert not short.step([0.3, 0.8], tool=arm.pose("link3", [0.4, 1.0])).any()
+    assert short.stage == "unconfirmed" and f"raise it: {useful} suffices" in short.explain()
 
 
 def test_it_is_the_controller_of_a_system(arm: Robot, control: StackController) -> None:
