@@ -414,7 +414,12 @@ def _folded(text: str, most: int) -> list[str]:
 
 
 def _shortened(line: str, width: int) -> str:
-    return line if len(line) <= width else line[: width - 1].rpartition(" ")[0] + " …"
+    """Return at most `width` columns of a line, cut where a clause in its second half ends, else after a word."""
+    if len(line) <= width:
+        return line
+    words = line[: width - 1].rpartition(" ")[0]
+    clause = max((end.start() for end in re.finditer(r"[,;:](?= )| (?=\()", words + " ")), default=0)
+    return (words[:clause].rstrip(",;:") if 2 * clause >= width else words) + " …"
 
 
 def _command_lines(command: str, *, first: bool) -> list[str]:

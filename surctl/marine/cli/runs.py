@@ -80,6 +80,7 @@ def series_lines(runs: Sequence[Mapping[str, Any]]) -> list[str]:
         f"{run['min_clearance_m']:.3f} m"
         for run in failing[:2]
     ]
+    lines += [f"  {text}" for text in worst.get("echo_warnings", ())]
     linear = worst["linear"] or {}
     if not linear.get("stable", True):
         lines.append("  the linear loop at this speed is unstable")
@@ -181,12 +182,15 @@ class RunOutput:
             link: report of what computed its control steps in place of the law, or None.
         """
         from surctl.marine.simulation import save_record
+        from surctl.marine.simulation.echo_fit import level_findings
         from surctl.marine.simulation.explanation import failure, stop_reason
 
         first = head or run_line(run)
         weak = loop_lines_of_run(run, data)
-        brief = [first, *(f"warning: {line.strip(' :')}" for line in weak[:1])]
-        lines = [first, activity_line(run), *middle, *weak]
+        heard = level_findings(run.scenario, run.vehicle) if run.sensing == "sonar" else []
+        data["echo_warnings"] = [one.text for one in heard]
+        brief = [first, *(f"warning: {text.strip(' :')}" for text in (*data["echo_warnings"], *weak[:1]))]
+        lines = [first, activity_line(run), *middle, *(f"  {text}" for text in data["echo_warnings"]), *weak]
         if reason := stop_reason(run):
             data["stop_reason"] = reason
             brief.append(f"{run.metrics.stopped_because}: {reason}")
