@@ -79,9 +79,9 @@ class StackController:
             stage is unconfirmed. Let v₀ be v = 0 clipped to the bounds of each velocity. If v₀ is within the actuator
             limits, v is too, and exceeds no other limit by more than v₀ exceeds the worst one. Otherwise v may exceed
             other limits by more, or actuator limits; in the second case the stage is clamped. All other steps have the
-            same bytes as without a budget. For seven joints, 80,000 suffice for nearly all problems in which v = 0 is
-            within the actuator limits; where limits of acceleration forbid v = 0, 145,000 (study 42). With None, a step takes as many operations as it needs, and the bound on
-            them is several times higher.
+            same bytes as without a budget. For seven joints (study 42), 80,000 suffice for nearly all problems in which
+            v = 0 is allowed; if limits of acceleration forbid it, 145,000 do. With None, a step takes as many
+            operations as it needs, and the bound on them is several times higher.
 
     Raises:
         InputError: tasks or limits are of different robots, two inputs have the same name but differ, the period is not

@@ -62,7 +62,8 @@ def activity_line(run: Run) -> str:
 def series_lines(runs: Sequence[Mapping[str, Any]]) -> list[str]:
     """Return at most five lines about runs of one scenario that differ in the seed.
 
-    The lines name two runs that collide or do not arrive, and a low margin of the linear loop, which all runs share.
+    The lines name two runs that collide or do not arrive, and what all runs share: echoes that hide obstacles, or else
+    a low margin of the linear loop.
     """
 
     times = [run["time_s"] for run in runs if run["reached"]]
@@ -80,9 +81,10 @@ def series_lines(runs: Sequence[Mapping[str, Any]]) -> list[str]:
         f"{run['min_clearance_m']:.3f} m"
         for run in failing[:2]
     ]
-    lines += [f"  {text}" for text in worst.get("echo_warnings", ())]
     linear = worst["linear"] or {}
-    if not linear.get("stable", True):
+    if worst.get("echo_warnings"):
+        lines.append(f"  {worst['echo_warnings'][0]}")
+    elif not linear.get("stable", True):
         lines.append("  the linear loop at this speed is unstable")
     elif linear.get("short"):
         lines.append(f"  the linear loop has {linear['short']}")
