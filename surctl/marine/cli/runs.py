@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 from click.core import ParameterSource
 
-from surctl.cli.output import FILE, Count, finish, progress, same_command, saving, stoppable, together
+from surctl.cli.output import FILE, Count, finish, prepare_out, progress, same_command, saving, stoppable, together
 from surctl.cli.simulate import Ran, conduct_runs
 from surctl.errors import InputError
 from surctl.marine.cli.robot_options import RobotOptions, choose_gains, choose_vehicle
@@ -475,7 +475,6 @@ def simulate_again(path: Path, show: RunOutput, *, trust: bool, as_json: bool) -
 
     The exit status is 1 if the result differs from the campaign or if the run does not arrive.
     """
-    from surctl.files import prepare_folder
     from surctl.marine.simulation.campaign.campaign import load_replay
 
     context = click.get_current_context()
@@ -487,7 +486,7 @@ def simulate_again(path: Path, show: RunOutput, *, trust: bool, as_json: bool) -
             remedy = f"drop {what}, or edit the file"
             raise InputError(f"already sets {what}", key="--from", value=str(path), remedy=remedy)
     if show.out is not None:
-        prepare_folder(show.out)
+        prepare_out(show.out)
     replay = load_replay(path, trust=trust)
 
     def again() -> Iterator[Ran]:
