@@ -180,7 +180,8 @@ def find_equilibrium(system: System, values: Mapping[str, ArrayLike] | None = No
 
     Args:
         values: numbers by name, see `run_numbers`. The search begins at the start state that names `start.…` give.
-            Without such names, the search begins at zero and then, if necessary, at the default state.
+            Without such names, the search begins at zero and then, if necessary, at the default state, and in the
+            middle of the box `within` of the system.
 
     Raises:
         InputError: the search finds no equilibrium; the message names the state that moves most, or the operation that
@@ -205,19 +206,23 @@ def find_equilibrium(system: System, values: Mapping[str, ArrayLike] | None = No
 def _equilibrium(functions: _Rest, values: Mapping[str, ArrayLike] | None) -> Operating:
     system, numbers = functions.system, functions.numbers
     started = any(name.startswith("start.") for name in values or {})
-    ends, memory = [], system.blocks.memory.pack()
+    tried, memory = [], system.blocks.memory.pack()
     starts = [numbers.start[0]] if started else [np.zeros(system.plant.state.size), numbers.start[0]]
+    if not started and system.within:
+        labels = entry_labels(system.plant.state)
+        ends = [system.within.get(label, (x, x)) for label, x in zip(labels, numbers.start[0], strict=True)]
+        starts.append(np.mean(ends, axis=1))
     for search in (_newton, _transient):
         for x in starts:
             point, rests = search(functions, np.concatenate([x, system.controller.initial_state(), memory]))
             if rests:
                 return functions.operating(point)
-            ends.append(point)
-    for point in ends:
+            tried.append(point)
+    for point in tried:
         functions.check_finite(point)
-    error = np.nan_to_num(functions.error(ends[0])[0], nan=np.inf)
+    error = np.nan_to_num(functions.error(tried[0])[0], nan=np.inf)
     worst = _state_labels(system)[int(np.argmax(np.abs(error)))]
-    constant = functions.constant_commands(ends[0])
+    constant = functions.constant_commands(tried[0])
     saturated = f", and command `{constant[0]}` does not depend on the state there (saturated?)" if constant else ""
     raise InputError(
         f"no equilibrium was found: `{worst}` still moves{saturated}", key=system.plant.name,
@@ -351,7 +356,8 @@ class _Rest:
             f"{what} is not finite where the search ends ({_place(labels, point)})"
             + (f", because of {cause}{where}" if cause else ""),
             key=self.system.plant.name,
-            remedy="write it smoothly there (sqrt(x**2 + 1e-12), say), or begin elsewhere with start.…",
+            remedy="write it smoothly there (sqrt(x**2 + 1e-12), say), or begin near the equilibrium: "
+            f"start.{self.system.plant.state.ports[0].name}=…",
         )
 
     def operating(self, point: Array) -> Operating:

@@ -47,6 +47,21 @@ def test_the_search_leaves_a_saturated_start() -> None:
         find_equilibrium(loop(1e7))
 
 
+def test_the_search_begins_in_the_box_where_zero_and_the_default_state_do_not_lead_to_an_equilibrium() -> None:
+    gap, speed, pull = Port("gap", (1,), "m", "of air"), Port("speed", (1,), "m/s", ""), Port("pull", (1,), "A", "")
+    magnet = Plant(
+        "magnet", Layout((gap, speed)), Layout((pull,)),
+        lambda x, f, d, p: {"gap": x["speed"], "speed": 9.81 - 1e-4 * (f["pull"] / x["gap"]) ** 2},
+    )  # fmt: skip
+    law = Controller(
+        "hold", 0.001, Layout((gap, speed)), Layout((pull,)),
+        lambda x, u, p: 0.01 * (9.81 / 1e-4) ** 0.5 + 800 * (u["gap"] - 0.01) + 20 * u["speed"],
+    )  # fmt: skip
+    with pytest.raises(InputError, match=r"begin near the equilibrium: start.gap=…"):
+        find_equilibrium(System(magnet, law))
+    assert find_equilibrium(System(magnet, law, within={"gap": (0.008, 0.013)})).x == pytest.approx([0.01, 0.0])
+
+
 @given(exponent=st.integers(-20, 6), size=st.floats(-12, 6))
 def test_slow_and_small_states_rest_at_their_equilibrium(exponent: int, size: float) -> None:
     speed, other, force = Port("v", (1,), "m/s", ""), Port("other", (1,), "K", ""), Port("f", (1,), "m/s^2", "")
