@@ -42,7 +42,7 @@ _BITS = {RELAXED: 1, UNCONFIRMED: 2, CLAMPED: 4}
 _STAGES = get_args(Stage)
 _PROBLEM = ("J", "lower", "upper", "rows")
 _CHECKED_SECONDS, _CHECKED_RUNS, _CHECKED_STEPS = 2.0, 3, 300
-_DRAWN, _LARGEST = 30, 2**31 - 1  # configurations; budget
+_SAMPLES, _LARGEST = 30, 2**31 - 1  # configurations; budget
 
 
 class StackController:
@@ -222,7 +222,7 @@ class StackController:
         assert isinstance(kernel, Procedure)
         spent = "\n    s.target[0] = 1.0 * s.spent"  # in the last output
         counting = replace(kernel, source=kernel.source + spent, bounded=kernel.bounded + spent)
-        for _ in range(_DRAWN):
+        for _ in range(_SAMPLES):
             q = self.robot.neutral()
             for place in self.robot.coordinates:
                 if place.single:

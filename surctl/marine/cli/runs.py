@@ -189,8 +189,8 @@ class RunOutput:
 
         first = head or run_line(run)
         weak = loop_lines_of_run(run, data)
-        heard = level_findings(run.scenario, run.vehicle) if run.sensing == "sonar" else []
-        data["echo_warnings"] = [one.text for one in heard]
+        echoes = level_findings(run.scenario, run.vehicle) if run.sensing == "sonar" else []
+        data["echo_warnings"] = [one.text for one in echoes]
         brief = [first, *(f"warning: {text.strip(' :')}" for text in (*data["echo_warnings"], *weak[:1]))]
         lines = [first, activity_line(run), *middle, *(f"  {text}" for text in data["echo_warnings"]), *weak]
         if reason := stop_reason(run):
