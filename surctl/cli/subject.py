@@ -239,10 +239,11 @@ def cost_lines(system: System, figures: Mapping[str, float]) -> list[str]:
     width = max(map(len, figures), default=0)
     if figures and all(map(math.isnan, figures.values())):
         return ["  no costs: a run that ends at its start, or is not finite, has none"]
-    return [
-        f"  {name:<{width}}  {value:.6g} {cost.unit} ({cost.how}){f'  {cost.meaning}' if cost.meaning else ''}"
-        for (name, value), cost in zip(figures.items(), system.costs.values(), strict=True)
-    ]
+    lines = []
+    for (name, value), cost in zip(figures.items(), system.costs.values(), strict=True):
+        unit, meaning = "" if cost.unit == "1" else f" {cost.unit}", f"  {cost.meaning}" if cost.meaning else ""
+        lines.append(f"  {name:<{width}}  {value:.6g}{unit} ({cost.how}){meaning}")
+    return lines
 
 
 def cost_data(system: System, figures: Mapping[str, float]) -> dict[str, Any]:

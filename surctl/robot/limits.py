@@ -23,6 +23,8 @@ from surctl.units import is_number
 
 Array: TypeAlias = NDArray[np.float64]
 
+_SAMPLES = 100  # configurations
+
 
 def stopping_speed(distance: ca.SX, acceleration: float, dt: ca.SX) -> ca.SX:
     """Return the largest speed towards a limit that keeps it, if the speed falls by at most acceleration · dt a step.
@@ -227,7 +229,8 @@ def self_collision(
             boxes count as the smallest capsules around them; their edges may be further apart than the capsules.
 
     Raises:
-        InputError: a link has a collision mesh and no shape is given, a name is unknown, or no pair is left.
+        InputError: a link has a collision mesh and no shape is given, a name is unknown, no pair is left, or two links
+            are nearer than the margin at every drawn configuration.
     """
     for key, value in (("margin", margin), ("gain", gain)):
         if not is_number(value) or value < 0.0 or (key == "gain" and value == 0.0):
@@ -253,7 +256,22 @@ def self_collision(
     if not pairs:
         remedy = "add collision geometry, or leave out self_collision"
         raise InputError("has no pair of links to keep apart", file=robot.urdf.path, key="robot", remedy=remedy)
-    return SelfCollision(robot, tuple(pairs), float(margin), float(gain))
+    barriers = SelfCollision(robot, tuple(pairs), float(margin), float(gain))
+    _check_apart(barriers)
+    return barriers
+
+
+def _check_apart(barriers: SelfCollision) -> None:
+    """Raise InputError if two links are nearer than the margin at every drawn configuration."""
+    robot, draws = barriers.robot, np.random.default_rng(0)
+    gaps = [barriers.distance(pair)[0] for pair in barriers.pairs]
+    drawn = np.array([robot.drawn(draws) for _ in range(_SAMPLES)]).T
+    most = np.array(ca.Function("gaps", [robot.q], [ca.vertcat(*gaps)]).map(_SAMPLES)(drawn)).max(axis=1)
+    for (link, _, other, _), gap in zip(barriers.pairs, most, strict=True):
+        if gap < barriers.margin:
+            problem = f"are less than the margin apart at all {_SAMPLES} drawn configurations: at most {gap:.3g} m"
+            remedy = f'give smaller shapes, or an SRDF with <disable_collisions link1="{link}" link2="{other}"/>'
+            raise InputError(problem, file=robot.urdf.path, key=f"links {link}, {other}", remedy=remedy)
 
 
 def _read_srdf(robot: Kinematics, path: str | Path) -> frozenset[frozenset[str]]:

@@ -223,11 +223,7 @@ class StackController:
         spent = "\n    s.target[0] = 1.0 * s.spent"  # in the last output
         counting = replace(kernel, source=kernel.source + spent, bounded=kernel.bounded + spent)
         for _ in range(_SAMPLES):
-            q = self.robot.neutral()
-            for place in self.robot.coordinates:
-                if place.single:
-                    q[place.q] = draws.uniform(*np.clip(self.robot.range_of(place), -np.pi, np.pi))
-            u, p = self._arguments(q, self._sample(draws))
+            u, p = self._arguments(self.robot.drawn(draws), self._sample(draws))
             problem = dict(zip(before.results, replay(before.block, law.initial_state(), u, p), strict=True))
             most = max(most, counting.run([problem[name].tolist() for name in search.args])[-1][0])
         least = law.block.operations - dict(kernel.sizes)["budget"]
