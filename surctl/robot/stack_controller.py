@@ -42,7 +42,7 @@ _BITS = {RELAXED: 1, UNCONFIRMED: 2, CLAMPED: 4}
 _STAGES = get_args(Stage)
 _PROBLEM = ("J", "lower", "upper", "rows")
 _CHECKED_SECONDS, _CHECKED_RUNS, _CHECKED_STEPS = 2.0, 3, 300
-_SAMPLES, _LARGEST = 30, 2**31 - 1  # configurations; budget
+_SAMPLES, _LARGEST = 20, 2**31 - 1  # configurations; budget
 
 
 class StackController:
