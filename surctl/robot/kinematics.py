@@ -292,7 +292,7 @@ class Kinematics:
                 q[place.q] = min(max(0.0, lower), upper)
         return q
 
-    def drawn(self, draws: np.random.Generator) -> Array:
+    def sample(self, draws: np.random.Generator) -> Array:
         """Return a configuration (nq,) with random positions of the joints with one position, within ±π."""
         q = self.neutral()
         for place in self.coordinates:

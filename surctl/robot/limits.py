@@ -230,7 +230,7 @@ def self_collision(
 
     Raises:
         InputError: a link has a collision mesh and no shape is given, a name is unknown, no pair is left, or two links
-            are nearer than the margin at every drawn configuration.
+            are nearer than the margin at every random configuration.
     """
     for key, value in (("margin", margin), ("gain", gain)):
         if not is_number(value) or value < 0.0 or (key == "gain" and value == 0.0):
@@ -262,14 +262,14 @@ def self_collision(
 
 
 def _check_apart(barriers: SelfCollision) -> None:
-    """Raise InputError if two links are nearer than the margin at every drawn configuration."""
+    """Raise InputError if two links are nearer than the margin at every random configuration."""
     robot, draws = barriers.robot, np.random.default_rng(0)
     gaps = [barriers.distance(pair)[0] for pair in barriers.pairs]
-    drawn = np.array([robot.drawn(draws) for _ in range(_SAMPLES)]).T
-    most = np.array(ca.Function("gaps", [robot.q], [ca.vertcat(*gaps)]).map(_SAMPLES)(drawn)).max(axis=1)
+    samples = np.array([robot.sample(draws) for _ in range(_SAMPLES)]).T
+    most = np.array(ca.Function("gaps", [robot.q], [ca.vertcat(*gaps)]).map(_SAMPLES)(samples)).max(axis=1)
     for (link, _, other, _), gap in zip(barriers.pairs, most, strict=True):
         if gap < barriers.margin:
-            problem = f"are less than the margin apart at all {_SAMPLES} drawn configurations: at most {gap:.3g} m"
+            problem = f"are less than the margin apart at all {_SAMPLES} random configurations: at most {gap:.3g} m"
             remedy = f'give smaller shapes, or an SRDF with <disable_collisions link1="{link}" link2="{other}"/>'
             raise InputError(problem, file=robot.urdf.path, key=f"links {link}, {other}", remedy=remedy)
 

@@ -142,7 +142,7 @@ class StackController:
             if error.problem != "is too small":
                 raise
             self.controller = law(budget=_LARGEST)
-            remedy = f"{error.remedy}, such as {self._useful_budget}, which suffices at drawn configurations"
+            remedy = f"{error.remedy}, such as {self._useful_budget}, which suffices at random configurations"
             raise InputError(error.problem, key=error.key, value=error.value, remedy=remedy) from None
         self._mode: Mode = mode
         self._state = self.controller.initial_state()
@@ -209,12 +209,12 @@ class StackController:
         if self.controller.budget is None or self.stage != "unconfirmed":
             return text
         return (
-            f"{text} If the budget ended the search, raise it: {self._useful_budget} suffices at drawn configurations."
+            f"{text} If the budget ended the search, raise it: {self._useful_budget} suffices at random configurations."
         )
 
     @cached_property
     def _useful_budget(self) -> int:
-        """Return a budget of two digits within which the searches at drawn configurations end."""
+        """Return a budget of two digits within which the searches at random configurations end."""
         law, draws, most = replace(self.controller, budget=_LARGEST), np.random.default_rng(0), 0.0
         assert isinstance(law.block, Routine)
         before, search, _ = (step for step in law.block.steps if isinstance(step, Call))
@@ -223,7 +223,7 @@ class StackController:
         spent = "\n    s.target[0] = 1.0 * s.spent"  # in the last output
         counting = replace(kernel, source=kernel.source + spent, bounded=kernel.bounded + spent)
         for _ in range(_SAMPLES):
-            u, p = self._arguments(self.robot.drawn(draws), self._sample(draws))
+            u, p = self._arguments(self.robot.sample(draws), self._sample(draws))
             problem = dict(zip(before.results, replay(before.block, law.initial_state(), u, p), strict=True))
             most = max(most, counting.run([problem[name].tolist() for name in search.args])[-1][0])
         least = law.block.operations - dict(kernel.sizes)["budget"]
@@ -293,7 +293,7 @@ class StackController:
     def export(self, folder: str | Path, *, target: str | None = None, name: str | None = None) -> CheckReport:
         """Write the controller as C99, after a check that C and Python compute the same bytes.
 
-        The check replays runs to targets at drawn configurations, and single steps around them.
+        The check replays runs to targets at random configurations, and single steps around them.
 
         Args:
             folder: folder of the C files.
