@@ -339,9 +339,11 @@ def loop_figures(corners: LoopCorners, *, least_delay: float = LEAST_DELAY_MARGI
     return {figure.name: figure for figure in figures}
 
 
-def loop_line(figures: dict[str, Figure], *, stable: bool, place: str, unstable: str) -> Line:
-    """Return the verdict on a linear loop; `unstable` says what is wrong with a nominal loop that is not stable."""
+def loop_line(figures: dict[str, Figure], *, stable: bool, place: str, unstable: str, marginal: str = "") -> Line:
+    """Return the verdict on a linear loop; `unstable` or `marginal` say what is wrong with one that is not stable."""
     disk, nominal, delay, on_time = (figures[name] for name in _JUDGED)
+    if marginal:
+        return Line(None, f"the linear loop {place} is marginal (|z| = 1){marginal}", "margins")
     if not stable:
         text = f"the linear loop {place} is UNSTABLE"
         if nominal.value > 0:
@@ -361,6 +363,7 @@ def loop_line(figures: dict[str, Figure], *, stable: bool, place: str, unstable:
     return Line(None if undetermined else not short, text, "margins")
 
 
+_REST = "at the equilibrium"
 _JUDGED = ("disk_margin", "nominal_disk_margin", "delay_margin_s", "nominal_delay_margin_s")
 
 
@@ -495,7 +498,7 @@ class ClosedLoop:
             return Part((), (line,), error)
         figures = loop_figures(corners, least_delay=self.system.dt)  # a command may be applied one period late
         unstable = f": the largest pole is |z| = {np.abs(corners.nominal.poles).max(initial=0.0):.6g}"
-        line = loop_line(figures, stable=corners.stable, place="at the equilibrium", unstable=unstable)
+        line = loop_line(figures, stable=corners.stable, place=_REST, unstable=unstable, marginal=corners.marginal)
         if corners.lost:
             line = Line(False, f"the loop has no equilibrium at the corner {corners.corner}", "margins")
         return Part(tuple(figures.values()), (line,), corners)
@@ -508,6 +511,7 @@ class ClosedLoop:
             record = run_system(self.system, self.seconds, self.values)
         whole, why = record.stopped == ENDED, record.lost or record.stopped  # a stop is a failure
         lines = [Line(whole, f"the run {'ends' if whole else 'stops'} after {record.duration:.6g} s ({why})", "run")]
+        lines += [Line(None, f"no state changes in this run; {record.at_rest}", "run")] if record.at_rest else []
         figures = []
         for name, cost in self.system.costs.items():
             value = record.figures[name]
@@ -535,8 +539,7 @@ class ClosedLoop:
         proved = solution.verdict == "proved" and not solution.vacuous
         passed = True if proved else False if solution.verdict == "refuted" else None
         line = Line(passed, f"region of attraction: {' '.join(solution.lines()[0].split())}", "region")
-        level = solution.level
-        if level is None:
+        if (level := solution.level) is None:
             return Part((), (line,), solution)
         share = level / solution.falsified if proved and solution.falsified else float("nan") if proved else 0.0
         figure = Figure(

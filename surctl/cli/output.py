@@ -214,6 +214,7 @@ def signs_of_life(patience: float = 10.0) -> Iterator[None]:
 C = TypeVar("C", bound=Callable[..., Any])
 
 _WIDTH, _MOST = 100, 5  # of a summary: columns, lines
+_FOLDER = "surctl.folder"  # key of the command's context: folder of files, and what it contained
 _LOST_FILES = "surctl.lost_files"  # key of the command's context: what was not saved, counted by kind
 
 
@@ -354,6 +355,9 @@ def finish(
         whole: print all lines in any case, as for the text of a file.
     """
     context = click.get_current_context()
+    if (known := context.meta.get(_FOLDER)) is not None and (replaced := known[1]()):
+        text = "contained results of another command, which this command replaced"
+        progress(f"{known[0]} {text}: {', '.join(replaced)}")
     lost: Counter[str] = context.meta.get(_LOST_FILES, Counter())
     if lost.total() > len(lost):
         print_message(f"{lost.total() - len(lost)} more not saved, for the same reason")
@@ -575,6 +579,14 @@ def note_replaced(file: Path, command: str) -> None:
         before = table.get("evidence", table)["command"]
     if before != command:
         progress(f"{file.parent} contains results of another command, which this command replaces: {before}")
+
+
+def prepare_out(folder: Path) -> None:
+    """Create the folder of `--out`; `finish` names the files of other commands in it that this command replaces."""
+    from surctl.files import changes, prepare_folder
+
+    prepare_folder(folder)
+    click.get_current_context().meta[_FOLDER] = (folder, changes(folder))
 
 
 def print_message(text: str) -> None:

@@ -239,10 +239,11 @@ def cost_lines(system: System, figures: Mapping[str, float]) -> list[str]:
     width = max(map(len, figures), default=0)
     if figures and all(map(math.isnan, figures.values())):
         return ["  no costs: a run that ends at its start, or is not finite, has none"]
-    return [
-        f"  {name:<{width}}  {value:.6g} {cost.unit} ({cost.how}){f'  {cost.meaning}' if cost.meaning else ''}"
-        for (name, value), cost in zip(figures.items(), system.costs.values(), strict=True)
-    ]
+    lines = []
+    for (name, value), cost in zip(figures.items(), system.costs.values(), strict=True):
+        unit, meaning = "" if cost.unit == "1" else f" {cost.unit}", f"  {cost.meaning}" if cost.meaning else ""
+        lines.append(f"  {name:<{width}}  {value:.6g}{unit} ({cost.how}){meaning}")
+    return lines
 
 
 def cost_data(system: System, figures: Mapping[str, float]) -> dict[str, Any]:
@@ -262,8 +263,7 @@ def loop_lines(own: OwnSystem, loop: LoopCorners) -> list[str]:
         for kind, rows in resting(own.system, loop).items()
         for label, value, unit in rows
     ]
-    stable = "stable" if nominal.stable else "UNSTABLE"
-    lines.append(f"sampled every {period:g} s: {stable}, {len(nominal.poles)} poles")
+    lines.append(f"sampled every {period:g} s: {nominal.linear.stability}, {len(nominal.poles)} poles")
     lines.append(f"  slowest mode: {mode_text(nominal)}")
     return [*lines, *loop.lines()]
 
@@ -275,6 +275,7 @@ def loop_data(own: OwnSystem, loop: LoopCorners) -> dict[str, Any]:
         "equilibrium": {kind: {label: value for label, value, _ in rows} for kind, rows in rest.items()},
         "units": {kind: {label: unit for label, _, unit in rows} for kind, rows in rest.items()},
         **nominal.to_dict(),
+        "marginal": list(nominal.linear.marginal),
         "slowest_mode": _slowest(nominal),
         "margins": [margin.to_dict() for margin in nominal.margins],
         "worst": loop.to_dict()["worst"],
@@ -302,9 +303,11 @@ def resting(system: System, loop: LoopCorners) -> dict[str, list[tuple[str, floa
 
 def _slowest(loop: SampledLoop) -> dict[str, Any]:
     """Return magnitude, time constant [s] (negative if unstable) and angular frequency [rad/s] of the slowest pole."""
+    from surctl.system.linear_loop import EDGE
+
     pole, dt = complex(loop.poles[0]), loop.linear.dt
     size = abs(pole)
-    rate = math.log(size) / dt if size > 0.0 else -math.inf
+    rate = 0.0 if abs(size - 1.0) <= EDGE else math.log(size) / dt if size > 0.0 else -math.inf
     return {
         "pole": [pole.real, pole.imag],
         "size": size,

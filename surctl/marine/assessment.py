@@ -313,7 +313,8 @@ class LoopAnalysis:
         place = f"about {self.nominal.place}" if self.nominal.place else f"at {self.cruise:g} m/s"
         mode = self.mode
         why = "; lower the cruise speed" if mode is None else f" (loop {mode.loop}): {unstable_text(mode)}"
-        line = loop_line(figures, stable=self.loops.stable, place=place, unstable=why)
+        marginal = self.loops.marginal
+        line = loop_line(figures, stable=self.loops.stable, place=place, unstable=why, marginal=marginal)
         if self.motion:
             line = replace(line, text=f"{line.text}; {self.motion}")
         lines = [line]

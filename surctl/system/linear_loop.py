@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, Self
+from typing import Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -87,7 +87,7 @@ def blockwise(function: Callable[[Array], Array], matrices: Array) -> Array:
 
 
 Matrices = tuple[Array, Array, Array, Array]
-_EDGE = 1e-9  # a pole this near to the unit circle counts as on it
+EDGE = 1e-9  # a pole this near to the unit circle counts as on it
 _DEADBEAT = 1e-9  # least modulus of a pole with a rate of its own
 
 KINDS = ("reference", "disturbance", "command", "measured")
@@ -309,7 +309,7 @@ class LinearLoop(Plotted):
     @property
     def decays(self) -> NDArray[np.bool_]:
         """Whether every pole of each loop (…) lies inside the unit circle, by more than rounding."""
-        return np.asarray(self.slowest_per_s * self.dt < -_EDGE)
+        return np.asarray(self.slowest_per_s * self.dt < -EDGE)
 
     @property
     def stable(self) -> bool:
@@ -329,6 +329,30 @@ class LinearLoop(Plotted):
         commands = tuple(name for name in names.commands if name in names.inputs) or names.commands
         measured = tuple(name for name, use in zip(names.outputs, used, strict=True) if use)
         return {what: labels for what, labels in (("commands", commands), ("measurements", measured)) if labels}
+
+    @cached_property
+    def marginal(self) -> tuple[str, ...]:
+        """States that do not return after a disturbance although no state grows: their poles are on the unit circle.
+
+        Empty for a stable loop, and for a loop with a growing state, such as one with a double integrator.
+        """
+        A, poles = self.transition, self.poles()
+        left, moved = poles[np.abs(poles) >= 1 - EDGE], np.zeros(len(A))
+        if np.abs(left).max(initial=0.0) > 1 + EDGE:
+            return ()
+        while left.size:
+            near = np.abs(left - left[0]) <= np.sqrt(EDGE)
+            _, sizes, directions = np.linalg.svd(A - left[0] * np.eye(len(A)))
+            free = directions[sizes <= EDGE * max(1.0, sizes[0])]
+            if len(free) < near.sum():  # without an eigenvector for each pole, a state grows with time
+                return ()
+            moved, left = np.maximum(moved, np.abs(free).max(axis=0)), left[~near]
+        return tuple(label for label, size in zip(self.states(), moved, strict=True) if size > np.sqrt(EDGE))
+
+    @property
+    def stability(self) -> Literal["stable", "marginal", "UNSTABLE"]:
+        """Whether the poles are inside the unit circle, or on it without a growing state, or neither."""
+        return "stable" if self.stable else "marginal" if self.marginal else "UNSTABLE"
 
     def states(self) -> list[str]:
         """Return the labels of the plant states, then of the controller states."""

@@ -40,6 +40,7 @@ _SINGULAR = 1e12  # condition number from which z counts as a pole
 _POINTS = 160  # number of angles towards each end of (0, π)
 _NEAR = np.geomspace(1e-3, 30.0, 16)  # distances from a pole's angle, in distances of the pole from the unit circle
 _APART = 2.0  # ratio of two distances: those of a pole, of its conjugate and of an equal pole lie between each other
+_NAMED = 6  # largest number of states in a message
 _INWARDS = 1e-6  # relative move of the poles of a loop that has one at z = -1
 _UNSTABLE = {
     "gain_margin": 1.0, "phase_margin_deg": 0.0, "delay_margin_s": 0.0, "disk_margin": 0.0, "crossover_rad_s": np.nan,
@@ -268,6 +269,20 @@ class LoopCorners:
         """The margins that do not suffice, with their corners, as text; empty if both do."""
         return short_margins((self.disk, f"at {self.corner}"), (self.delay.delay_s, f"in {self.delay.where}"))
 
+    @property
+    def marginal(self) -> str:
+        """Which states of the nominal or the worst loop do not return, as text; empty if a loop is unstable."""
+        loops = [loop.linear for loop in (self.nominal, self.worst) if not loop.stable]
+        if not loops or not all(linear.marginal for linear in loops):
+            return ""
+        states = list(dict.fromkeys(label for linear in loops for label in linear.marginal))
+        more = f" and {len(states) - _NAMED} more" if len(states) > _NAMED else ""
+        return (
+            f"{f' at the corner {self.corner}' * self.nominal.stable}: nothing returns {', '.join(states[:_NAMED])}"
+            f"{more} after a disturbance; unless that is intended, add a task or feedback, "
+            "or judge another equilibrium (start.…, reference.…)"
+        )
+
     def lines(self) -> list[str]:
         """Return lines of text: the nominal loop, each loop alone, then the worst corner."""
         nominal = self.nominal
@@ -298,7 +313,7 @@ class LoopCorners:
 
 def _text(stable: bool, loop: SampledLoop, slowest: float) -> str:
     poles = f"slowest pole {slowest:.3g} 1/s, least damping {loop.least_damping:.2f}"
-    return f"{f'stable, disk margin {_number(loop.disk)}' if stable else 'UNSTABLE'}, {poles}"
+    return f"{f'stable, disk margin {_number(loop.disk)}' if stable else loop.linear.stability}, {poles}"
 
 
 def _number(margin: float) -> str:

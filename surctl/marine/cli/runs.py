@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 from click.core import ParameterSource
 
-from surctl.cli.output import FILE, Count, finish, progress, same_command, saving, stoppable, together
+from surctl.cli.output import FILE, Count, finish, prepare_out, progress, same_command, saving, stoppable, together
 from surctl.cli.simulate import Ran, conduct_runs
 from surctl.errors import InputError
 from surctl.marine.cli.robot_options import RobotOptions, choose_gains, choose_vehicle
@@ -63,7 +63,8 @@ def activity_line(run: Run) -> str:
 def series_lines(runs: Sequence[Mapping[str, Any]]) -> list[str]:
     """Return at most five lines about runs of one scenario that differ in the seed.
 
-    The lines name two runs that collide or do not arrive, and a low margin of the linear loop, which all runs share.
+    The lines name two runs that collide or do not arrive, and what all runs share: echoes that hide obstacles, or else
+    a low margin of the linear loop.
     """
 
     times = [run["time_s"] for run in runs if run["reached"]]
@@ -82,7 +83,9 @@ def series_lines(runs: Sequence[Mapping[str, Any]]) -> list[str]:
         for run in failing[:2]
     ]
     linear = worst["linear"] or {}
-    if not linear.get("stable", True):
+    if worst.get("echo_warnings"):
+        lines.append(f"  {worst['echo_warnings'][0]}")
+    elif not linear.get("stable", True):
         lines.append("  the linear loop at this speed is unstable")
     elif linear.get("short"):
         lines.append(f"  the linear loop has {linear['short']}")
@@ -172,12 +175,15 @@ class RunOutput:
             link: report of what computed its control steps in place of the law, or None.
         """
         from surctl.marine.simulation import save_record
+        from surctl.marine.simulation.echo_fit import level_findings
         from surctl.marine.simulation.explanation import failure, stop_reason
 
         first = head or run_line(run)
         weak = loop_lines_of_run(run, data)
-        brief = [first, *(f"warning: {line.strip(' :')}" for line in weak[:1])]
-        lines = [first, activity_line(run), *middle, *weak]
+        echoes = level_findings(run.scenario, run.vehicle) if run.sensing == "sonar" else []
+        data["echo_warnings"] = [one.text for one in echoes]
+        brief = [first, *(f"warning: {text.strip(' :')}" for text in (*data["echo_warnings"], *weak[:1]))]
+        lines = [first, activity_line(run), *middle, *(f"  {text}" for text in data["echo_warnings"]), *weak]
         if reason := stop_reason(run):
             data["stop_reason"] = reason
             brief.append(f"{run.metrics.stopped_because}: {reason}")
@@ -459,7 +465,6 @@ def simulate_again(path: Path, show: RunOutput, *, trust: bool, as_json: bool) -
 
     The exit status is 1 if the result differs from the campaign or if the run does not arrive.
     """
-    from surctl.files import prepare_folder
     from surctl.marine.simulation.campaign.campaign import load_replay
 
     context = click.get_current_context()
@@ -471,7 +476,7 @@ def simulate_again(path: Path, show: RunOutput, *, trust: bool, as_json: bool) -
             remedy = f"drop {what}, or edit the file"
             raise InputError(f"already sets {what}", key="--from", value=str(path), remedy=remedy)
     if show.out is not None:
-        prepare_folder(show.out)
+        prepare_out(show.out)
     replay = load_replay(path, trust=trust)
 
     def again() -> Iterator[Ran]:

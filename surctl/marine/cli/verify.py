@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from surctl.cli.output import FiniteRange, finish, progress, refusal_line, saving
+from surctl.cli.output import FiniteRange, finish, prepare_out, progress, refusal_line, saving
 from surctl.cli.verify import Claimed, decide_claims, failed_lines, next_check, refused
 from surctl.errors import InputError
 from surctl.marine.cli.claims import (
@@ -121,7 +121,6 @@ def verify(
     Examples: surctl verify --out proofs; surctl verify region-cruise-20 claim.toml; surctl verify loop.py:build k=2
     """
     from surctl.assessment import assess
-    from surctl.files import prepare_folder
     from surctl.marine.assessment import Mission
     from surctl.marine.control import PATH_FOLLOWING, build_law, law_source
     from surctl.marine.simulation import load_scenario
@@ -155,7 +154,7 @@ def verify(
         _show(chosen, regions, [*missions, *braking], left_out, as_json=as_json)
     check_held(cruise or (), robot, cap=speeds[1], key="--cruise")
     if out is not None:
-        prepare_folder(out)
+        prepare_out(out)
     require_own_speeds(regions, fastest, cap)
     check_barrier(barrier, movers)
     forms = {"barrier": barrier, "movers": movers}
