@@ -30,6 +30,7 @@ from surctl.marine.verification.cruise_loop import (
 )
 from surctl.plotted import Plotted
 from surctl.system import LinearLoop
+from surctl.tuning.loop_goals import LoopGoal
 from surctl.tuning.loop_time_goals import Overshoot, Settling
 from surctl.verification.sampled_margins import SampledLoop, corners_of, margins_of
 
@@ -252,10 +253,17 @@ def _figures(loops: LinearLoop, *, columns: Collection[str]) -> dict[str, NDArra
             for kind in (Settling, Overshoot)
         }
         for name, kind in (("settling_time_s", "settling"), ("overshoot", "overshoot")):
-            judged = [goals[kind].judge(loops[k]) for k in range(len(rates))]
-            values = np.array([one.value if np.isfinite(one.normalised) else np.inf for one in judged])
+            values = np.array([_value(goals[kind], loops[k]) for k in range(len(rates))])
             figures[f"{name}.{LOOP_NAMES[signal]}"] = values
     return figures
+
+
+def _value(goal: LoopGoal, loop: LinearLoop) -> float:
+    try:
+        judged = goal.judge(loop)
+    except InputError:  # the signal does not follow its setpoint
+        return float("inf")
+    return judged.value if np.isfinite(judged.normalised) else float("inf")
 
 
 # Closed-loop poles as one parameter varies: a root locus over a gain, a vehicle parameter or the cruise speed
