@@ -4,8 +4,7 @@ A box that is not decided here is left to `surctl.certcheck.enclosure`, so this 
 decides. NaN is a range that is not known, because an operation is not defined on the whole box, or an end is infinite
 minus infinite or 0 times infinite. Every operation on NaN results in NaN, and no comparison with NaN is true. The
 processor rounds each sum, product and quotient to one of the two doubles beside the exact number; every end is then
-moved to the next double. Sine and cosine have a series of their own; the ranges of other functions come from
-`enclosure`, one interval at a time.
+moved to the next double. The ranges of functions come from `enclosure`, one interval at a time.
 """
 
 from __future__ import annotations
@@ -19,7 +18,6 @@ import numpy as np
 from mpmath import libmp
 from numpy.typing import NDArray
 
-from surctl.certcheck.angles import pi
 from surctl.certcheck.enclosure import Interval, Undefined, enclose, rational
 from surctl.certcheck.expressions import BRANCHES, Entry, ExpressionTable
 from surctl.certcheck.patience import go_on
@@ -40,7 +38,6 @@ Leaf = tuple[str, list[tuple[float, float]]]
 _MOST = 500_000  # most intervals in the arrays of an expression
 _UNKNOWN = (np.nan, np.nan)
 _ONE = (np.ones(1), np.ones(1))
-_TERMS = 10  # of the series of cosine and sine
 
 
 def proved_together(
@@ -157,12 +154,6 @@ def _step(entry: Entry, args: list[tuple[Ends, list[Any]]], box: Ends, order: in
             return _power(args[0], 2)
         case "div":
             return _product(args[0], _reciprocal(args[1]))
-        case "sin":
-            cosine, sine = _circle(args[0][0])
-            return _chain(args[0], sine, lambda: cosine)
-        case "cos":
-            cosine, sine = _circle(args[0][0])
-            return _chain(args[0], cosine, lambda: _minus(sine))
         case "pow" if entry.value:
             raised = _power(args[0], abs(entry.value.numerator))
             return raised if entry.value > 0 else _reciprocal(raised)
@@ -195,10 +186,6 @@ def _doubles(a: Interval) -> tuple[float, float]:
     if libmp.from_float(high) != a[1]:
         high = float(np.nextafter(high, np.inf))
     return low, high
-
-
-_QUARTER: Ends = (np.full(1, _doubles(pi())[0] / 2), np.full(1, _doubles(pi())[1] / 2))
-"""Bounds on π/2."""
 
 
 def _some(a: Ends | None) -> Ends:
@@ -264,48 +251,6 @@ def _powers(x: Array, n: int) -> Ends:
     for _ in range(n - 1):
         low, high = np.maximum(_down(low * x), 0.0), _up(high * x)
     return low, high
-
-
-def _circle(a: Ends) -> tuple[Ends, Ends]:
-    """Return the ranges of cosine and sine on intervals within ±1000; on others, they are not known."""
-    at_ends = [_at(end) for end in a]
-    first, last = np.ceil(a[0] / _QUARTER[0] - 1e-9), np.floor(a[1] / _QUARTER[0] + 1e-9)  # quarter turns inside
-    ranges_ = []
-    for both, crest in (([one[0] for one in at_ends], 0), ([one[1] for one in at_ends], 1)):
-        low, high = np.minimum(both[0][0], both[1][0]), np.maximum(both[0][1], both[1][1])
-        inside = [np.floor((last - k) / 4) >= np.ceil((first - k) / 4) for k in (crest, crest + 2)]
-        ranges_.append((np.where(inside[1], -1.0, low), np.where(inside[0], 1.0, high)))
-    return ranges_[0], ranges_[1]
-
-
-def _at(x: Array) -> tuple[Ends, Ends]:
-    """Return bounds on cosine and sine of numbers within ±1000, by the series at r = x − k π/2 for a whole number k.
-
-    With u = r² ≤ 1, cos r = 1 − u/(1·2) (1 − u/(3·4) (1 − …)) and sin r = r (1 − u/(2·3) (1 − u/(4·5) (1 − …))). Each
-    parenthesis is an alternating series with decreasing terms, the first of which is 1; so it lies in [0, 1].
-    """
-    k = np.rint(x / _QUARTER[0])
-    r = _sum((x, x), _minus(_times((k, k), _QUARTER)))
-    u = _raised(r, 2)
-    fine = (np.abs(x) <= 1000) & (u[1] <= 1)
-    bounds = []
-    for begin in (1, 2):
-        low, high = np.where(fine, 0.0, np.nan), np.where(fine, 1.0, np.nan)
-        for n in range(begin + 2 * _TERMS, 0, -2):
-            low, high = (
-                _down(1 - _up(_up(u[1] * high) / (n * (n + 1)))),
-                _up(1 - _down(_down(u[0] * low) / (n * (n + 1)))),
-            )
-        bounds.append((low, high))
-    cosine, sine = bounds[0], _times(r, bounds[1])
-    for turn in (1, 2):
-        here, before = np.floor(k / turn) % 2 == 1, (cosine, sine)
-        cosine, sine = (_minus(sine), cosine) if turn == 1 else (_minus(cosine), _minus(sine))
-        cosine, sine = (
-            (np.where(here, new[0], old[0]), np.where(here, new[1], old[1]))
-            for new, old in zip((cosine, sine), before, strict=True)
-        )
-    return cosine, sine
 
 
 def _function(

@@ -23,8 +23,8 @@ import numpy as np
 from mpmath import libmp
 from numpy.typing import NDArray
 
-from surctl.certcheck.angles import BITS, Interval
 from surctl.certcheck.document import Rejected
+from surctl.certcheck.elementary import BITS, Interval
 from surctl.certcheck.enclosure import enclose
 from surctl.certcheck.expressions import BRANCHES, ExpressionTable
 from surctl.certcheck.identity import Exact

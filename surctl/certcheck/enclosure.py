@@ -1,8 +1,8 @@
 """Interval arithmetic of the checker, with first and second derivatives; mpmath rounds each end outward to 60 bits.
 
 An interval is a pair of mpmath's raw numbers (tuples, not `mpf` objects). A derivative None means the interval [0, 0].
-mpmath rounds sums, products, quotients, integer powers and roots correctly; sines, cosines, tangents, atan2, arccos and
-arcsin come from `surctl.certcheck.angles`, the other functions from `surctl.certcheck.exponentials`.
+mpmath rounds sums, products, quotients, integer powers and roots correctly; the other functions come from
+`surctl.certcheck.elementary`.
 """
 
 from __future__ import annotations
@@ -15,8 +15,7 @@ from typing import Any
 
 from mpmath import libmp
 
-from surctl.certcheck.angles import BITS, Interval, angle, circle, hull, pi
-from surctl.certcheck.elementary import ELEMENTARY, Undefined, elementary
+from surctl.certcheck.elementary import BITS, ELEMENTARY, Interval, Undefined, angle, circle, elementary, hull, pi
 from surctl.certcheck.expressions import ExpressionTable
 from surctl.certcheck.patience import afford, go_on
 
@@ -182,7 +181,7 @@ def _step(op: str, value: Fraction, args: list[Jet], at: tuple[int, ...], box: S
         case "pow":
             jet = _power(args[0], abs(value.numerator))
             return jet if value >= 0 else _reciprocal(jet)
-        case _ if op == "acos" or op in ELEMENTARY:
+        case _ if op in ELEMENTARY:
             jet, (image, derivatives) = args[0], elementary(op, args[0].value, value)
             return Jet(image) if jet.slope is None else _chain(jet, image, derivatives())
         case "atan2":

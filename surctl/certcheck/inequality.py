@@ -22,9 +22,9 @@ from typing import Any
 
 from mpmath import libmp
 
-from surctl.certcheck.angles import BITS, pi
 from surctl.certcheck.arrays import TOGETHER, proved_together
 from surctl.certcheck.document import Rejected, listed, number, record
+from surctl.certcheck.elementary import BITS, pi
 from surctl.certcheck.enclosure import (
     Interval,
     Jet,

@@ -1,8 +1,7 @@
 """Signs of functions of one variable on an interval, by Taylor expansion with an enclosed remainder.
 
-The Taylor coefficients of an expression follow from those of its operands by recurrences: those of sin, for instance,
-from sin' = cos · argument'. A function whose first j coefficients at a point are exactly 0 is (t − t0)^j times a second
-function, whose sign is known if its range does not contain 0.
+FLINT's power series over balls have the Taylor coefficients. A function whose first j coefficients at a point are
+exactly 0 is (t − t0)^j times a second function, whose sign is known if its range does not contain 0.
 """
 
 from __future__ import annotations
@@ -10,28 +9,22 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from fractions import Fraction
-from functools import cache
 from typing import Any
 
+from flint import arb, arb_series, ctx, fmpq
 from mpmath import libmp
 
-from surctl.certcheck.angles import BITS, pi
 from surctl.certcheck.document import Rejected
-from surctl.certcheck.enclosure import Interval, Undefined, above, enclose, exact, minus, mul, over, plus, rational
+from surctl.certcheck.elementary import PRECISION, Interval, Undefined
 from surctl.certcheck.expressions import ExpressionTable
 from surctl.certcheck.patience import afford, go_on
 
 __all__ = ["same_sign"]
 
-Series = list[Any]
-"""The Taylor coefficients, each an interval."""
-
 _ORDER = 6
 _PIECES = 600
-_SIZE = 3000  # memory of a series [bytes]
-_ZERO, _ONE = rational(Fraction(0)), rational(Fraction(1))
-_AT_ZERO = {"sin": 0, "cos": 1, "exp": 1, "tan": 0, "tanh": 0, "atan": 0, "asin": 0}
-_UNARY = ("acos", "asin", "atan", "cos", "exp", "log", "sin", "sqrt", "tan", "tanh")
+_SIZE = 1500  # memory of a series [bytes]
+_UNARY = ("acos", "asin", "atan", "cos", "exp", "log", "sin", "sqrt", "tan")
 
 
 def same_sign(table: ExpressionTable, roots: Sequence[int], ends: Interval) -> bool:
@@ -49,7 +42,8 @@ def same_sign(table: ExpressionTable, roots: Sequence[int], ends: Interval) -> b
             return True
         go_on()
         low, high = waiting.pop()
-        sign = math.prod(_sign(table, root, low, high) for root in roots)
+        with ctx.workprec(PRECISION):
+            sign = math.prod(_sign(table, root, low, high) for root in roots)
         if sign < 0:
             return False
         if not sign:
@@ -68,138 +62,70 @@ def _double(x: Any) -> float:
 def _sign(table: ExpressionTable, root: int, low: float, high: float) -> int:
     """Return 1 if the expression is ≥ 0 on [low, high], −1 if it is ≤ 0, and 0 if neither is shown."""
     origin = low if low == 0 else high if high == 0 else min(max(low / 2 + high / 2, low), high)
-    wide = exact(low)[0], exact(high)[1]
+    wide = arb(low).union(arb(high))
     try:
-        at, on = _series(table, root, exact(origin)), _series(table, root, wide)
+        coefficients = [*_series(table, root, arb(origin))[:_ORDER], _series(table, root, wide)[_ORDER]]
     except Undefined:
         return 0
-    coefficients = [*at[:_ORDER], on[_ORDER]]
     zeros = 0
-    while zeros < _ORDER and coefficients[zeros] == _ZERO:
+    while zeros < _ORDER and coefficients[zeros] == 0:
         zeros += 1
-    step = libmp.mpi_sub(wide, exact(origin), BITS)
     total = coefficients[-1]
     for c in reversed(coefficients[zeros:-1]):
-        total = plus(c, mul(step, total))
+        total = c + (wide - origin) * total
     # if zeros is odd, (t − origin)^zeros has one sign only if the origin is an end of the interval
     if zeros % 2 and low < origin < high:
         return 0
     side = -1 if zeros % 2 and high == origin else 1
-    if not libmp.mpf_lt(total[0], libmp.fzero):
-        return side
-    return -side if not libmp.mpf_gt(total[1], libmp.fzero) else 0
+    return side if total >= 0 else -side if total <= 0 else 0
 
 
-def _series(table: ExpressionTable, root: int, point: Interval) -> Series:
-    known: dict[int, Series] = {}
+def _series(table: ExpressionTable, root: int, point: arb) -> list[arb]:
+    """Return the Taylor coefficients at all points of a ball; raise Undefined if there are none."""
+    known: dict[int, arb_series] = {}
     needed = table.needed([root])
     afford(_SIZE * len(needed))
-    for at in needed:
-        go_on()
-        entry = table.entries[at]
-        known[at] = _step(entry.op, entry.value, [known[a] for a in entry.args], point)
-    return known[root]
+    try:
+        for at in needed:
+            go_on()
+            entry = table.entries[at]
+            known[at] = _step(entry.op, entry.value, [known[a] for a in entry.args], point)
+    except (ValueError, ZeroDivisionError):
+        raise Undefined("a division by an interval that contains 0") from None
+    coefficients = [known[root][k] for k in range(_ORDER + 1)]
+    if not all(c.is_finite() for c in coefficients):
+        raise Undefined("a function that has no Taylor series on the whole interval")
+    return coefficients
 
 
-def _step(op: str, value: Fraction, args: list[Series], point: Interval) -> Series:
+def _step(op: str, value: Fraction, args: list[arb_series], point: arb) -> arb_series:
     match op:
         case "num":
-            return _constant(rational(value))
+            return _constant(arb(fmpq(*value.as_integer_ratio())))
         case "pi":
-            return _constant(pi())
+            return _constant(arb.pi())
         case "var":
-            return [point, _ONE, *[_ZERO] * (_ORDER - 1)]
+            return arb_series([point, 1], prec=_ORDER + 1)
         case "add":
-            return [plus(a, b) for a, b in zip(*args, strict=True)]
+            return args[0] + args[1]
         case "sub":
-            return [plus(a, minus(b)) for a, b in zip(*args, strict=True)]
+            return args[0] - args[1]
         case "neg":
-            return [minus(a) for a in args[0]]
+            return -args[0]
         case "mul":
-            return [_convolved(args[0], args[1], k) for k in range(_ORDER + 1)]
+            return args[0] * args[1]
         case "div":
-            return _quotient(args[0], args[1])
+            return args[0] / args[1]
         case "pow":
-            total = _constant(_ONE)
-            for _ in range(abs(value.numerator)):
-                total = [_convolved(total, args[0], k) for k in range(_ORDER + 1)]
-            return total if value >= 0 else _quotient(_constant(_ONE), total)
+            power = math.prod([args[0]] * abs(value.numerator), start=_constant(arb(1)))
+            return power if value >= 0 else _constant(arb(1)) / power
+        case "tanh":
+            return _constant(arb(1)) - _constant(arb(2)) / ((args[0] + args[0]).exp() + _constant(arb(1)))
     if op not in _UNARY:
         raise Rejected(f"a fact may not use the operation {op!r}")
-    return _function(op, args[0])
+    result: arb_series = getattr(args[0], op)()
+    return result
 
 
-def _constant(value: Interval) -> Series:
-    return [value, *[_ZERO] * _ORDER]
-
-
-def _convolved(a: Series, b: Series, k: int, first: int = 0, last: int | None = None) -> Interval:
-    """Return Σ a_j b_(k − j) for j from `first` to `last`, or to k."""
-    total = _ZERO
-    for j in range(first, (k if last is None else last) + 1):
-        total = plus(total, mul(a[j], b[k - j]))
-    return total
-
-
-def _quotient(a: Series, b: Series) -> Series:
-    if not (above(b[0]) or libmp.mpf_lt(b[0][1], libmp.fzero)):
-        raise Undefined("a division by an interval that contains 0")
-    out: Series = []
-    for k in range(_ORDER + 1):
-        out.append(over(plus(a[k], minus(_convolved(out, b, k, last=k - 1))), b[0]))
-    return out
-
-
-def _function(op: str, a: Series) -> Series:
-    first = _value(op, a[0])
-    slope = [mul(rational(Fraction(j)), x) for j, x in enumerate(a)]  # coefficients of t · argument'
-    if op in ("sin", "cos"):
-        sine, cosine = [_value("sin", a[0])], [_value("cos", a[0])]
-        for k in range(1, _ORDER + 1):
-            sine.append(_share(_convolved(slope, cosine, k, 1), k))
-            cosine.append(minus(_share(_convolved(slope, sine, k, 1), k)))
-        return sine if op == "sin" else cosine
-    out = [first]
-    if op in ("exp", "tan", "tanh"):
-        for k in range(1, _ORDER + 1):
-            # exp' = exp, tan' = 1 + tan², tanh' = 1 − tanh²
-            rate = list(out)
-            if op != "exp":
-                square = [_convolved(out, out, j) for j in range(k)]
-                rate = [plus(_ONE if j == 0 else _ZERO, x if op == "tan" else minus(x)) for j, x in enumerate(square)]
-            out.append(_share(_convolved(slope, rate, k, 1), k))
-        return out
-    if op == "sqrt":
-        twice = mul(rational(Fraction(2)), first)
-        if not above(first):
-            raise Undefined("a root of an interval that contains 0")
-        for k in range(1, _ORDER + 1):
-            out.append(over(plus(a[k], minus(_convolved(out, out, k, 1, k - 1))), twice))
-        return out
-    # log' = 1 / t, atan' = 1 / (1 + t²), asin' = 1 / √(1 − t²): divide the slope by a series
-    below = a
-    if op != "log":
-        square = [_convolved(a, a, j) for j in range(_ORDER + 1)]
-        one = _constant(_ONE)
-        below = [plus(x, y if op == "atan" else minus(y)) for x, y in zip(one, square, strict=True)]
-        below = below if op == "atan" else _function("sqrt", below)
-    rate = _quotient(slope, below)
-    rest = [_share(x, k) for k, x in enumerate(rate) if k]
-    return [first, *([minus(x) for x in rest] if op == "acos" else rest)]
-
-
-def _share(x: Interval, k: int) -> Interval:
-    return x if k == 1 or x == _ZERO else over(x, rational(Fraction(k)))
-
-
-def _value(op: str, x: Interval) -> Interval:
-    if x == _ZERO and op in _AT_ZERO:
-        return rational(Fraction(_AT_ZERO[op]))
-    table, at = _table(op)
-    return enclose(table, [at], [x])[0].value
-
-
-@cache
-def _table(op: str) -> tuple[ExpressionTable, int]:
-    table = ExpressionTable(["t"])
-    return table, table.put(op, table.put("var", value=0))
+def _constant(value: arb) -> arb_series:
+    return arb_series([value], prec=_ORDER + 1)

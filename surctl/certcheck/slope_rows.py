@@ -24,8 +24,8 @@ import numpy as np
 from mpmath import libmp
 from numpy.typing import NDArray
 
-from surctl.certcheck.angles import BITS, hull
 from surctl.certcheck.document import Rejected
+from surctl.certcheck.elementary import BITS, hull
 from surctl.certcheck.enclosure import (
     Interval,
     Undefined,

@@ -7,10 +7,12 @@ from typing import Any
 
 import mpmath
 import pytest
+from flint import arb, ctx
 from mpmath import libmp, mp
 
 from surctl.certcheck.document import Rejected
-from surctl.certcheck.enclosure import Undefined, exact, span
+from surctl.certcheck.elementary import PRECISION, Undefined
+from surctl.certcheck.enclosure import span
 from surctl.certcheck.expressions import ExpressionTable
 from surctl.certcheck.series import _ORDER, _series, same_sign
 
@@ -43,17 +45,19 @@ def table_of(*texts: str) -> tuple[ExpressionTable, list[int]]:
 @pytest.mark.parametrize("text", TEXTS)
 def test_coefficients_hold_the_derivatives_and_are_narrow(text: str) -> None:
     table, [root] = table_of(text)
-    low, high = 0.375, 0.5
+    low = 0.375
     with mp.workprec(150):
         values = mpmath.taylor(TEXTS[text], low, _ORDER)
-        for sides in ((low, low), (low, high)):
-            found = _series(table, root, (exact(sides[0])[0], exact(sides[1])[1]))
+        for high in (low, 0.5):
+            with ctx.workprec(PRECISION):
+                found = _series(table, root, arb(low).union(arb(high)))
             assert len(found) == _ORDER + 1
-            for (below, above), value in zip(found, values, strict=True):
+            for ball, value in zip(found, values, strict=True):
+                below, above = (mp.mpf(tuple(map(int, end.man_exp()))) for end in (ball.lower(), ball.upper()))
                 slack = abs(value) * mp.mpf(2) ** -40 + mp.mpf(2) ** -50
-                assert mp.make_mpf(below) <= value + slack and value - slack <= mp.make_mpf(above)
-                if sides[0] == sides[1]:
-                    assert mp.make_mpf(above) - mp.make_mpf(below) <= slack
+                assert below <= value + slack and value - slack <= above
+                if low == high:
+                    assert above - below <= slack
 
 
 @pytest.mark.parametrize(
@@ -113,7 +117,7 @@ def test_no_sign_is_shown_where_an_expression_is_not_defined(text: str) -> None:
     table, roots = table_of(text, text)
     assert not same_sign(table, roots, span(0.0, 0.5))
     with pytest.raises(Undefined):
-        _series(table, roots[0], (exact(0.0)[0], exact(0.5)[1]))
+        _series(table, roots[0], arb(0.25, 0.25))
 
 
 def test_what_the_expansion_does_not_know_is_rejected() -> None:

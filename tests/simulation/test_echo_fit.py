@@ -163,26 +163,24 @@ def _level(*, depth: float = 1.0, site: dict[str, str] | None = None, **sonar: o
 def test_a_floor_that_the_law_knows_is_not_reported_and_the_remedies_do_not_exclude_each_other() -> None:
     tilted: dict[str, Any] = {"echoes": "diffuse", "pitch_deg": -18.0}
     (floor,) = _level(**tilted).values()
-    assert "hears the floor at 1.03 m" in floor and floor.endswith(
-        "not heard; sonar.floor_m = 1 makes it known to the law"
-    )
+    assert "hide obstacles; sonar.floor_m = 1 makes it known to the law: at" in floor and "hears it at 1.03 m" in floor
     assert not _level(**tilted, floor_m=1.0)
     assert _level(**tilted, floor_m=1.5)  # the law expects the echo later
 
     both = _level(echoes="diffuse")
-    assert both["site.surface"].endswith(
-        "sonar.pitch_deg below -17.5 makes it silent; then give sonar.floor_m = 1, because the floor answers"
-    )
-    assert both["site.floor"].endswith("not heard; sonar.floor_m = 1 makes it known to the law")
+    remedy = "sonar.pitch_deg below -17.5 makes it silent; then give sonar.floor_m = 1, because the floor answers: at"
+    assert remedy in both["site.surface"]
+    assert "hide obstacles; sonar.floor_m = 1 makes it known to the law: at" in both["site.floor"]
     silent = _level(site={"floor": "diffuse"})
-    assert silent["site.floor"].endswith(
-        "sonar.floor_m = 1 makes it known to the law, and sonar.pitch_deg above 17.5 makes it silent"
-    )
+    remedy = "sonar.floor_m = 1 makes it known to the law, and sonar.pitch_deg above 17.5 makes it silent: at"
+    assert remedy in silent["site.floor"]
 
 
 def test_the_pitch_that_is_offered_silences_a_surface_that_answers_at_any_angle() -> None:
     ideal: dict[str, Any] = {"depth": 5.0, "site": {"surface": "ideal"}}
-    assert _level(**ideal)["site.surface"].endswith("sonar.pitch_deg below -35.6 makes it silent")
+    assert _level(**ideal)["site.surface"].startswith(
+        "echoes of the water surface hide obstacles; sonar.pitch_deg below -35.6 makes it silent: "
+    )
     assert _level(**ideal, pitch_deg=-35.5) and not _level(**ideal, pitch_deg=-35.7)
 
 

@@ -281,6 +281,12 @@ def echo_findings(scenario: Scenario, vehicle: Vehicle, array: SonarArray) -> li
     return [*listed, *_level(scenario, array, surfaces), *_weak(vehicle, met)]
 
 
+def level_findings(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
+    """Return the findings about echoes of water surface and floor, which hide what is farther away."""
+    surfaces = scenario.surfaces
+    return [] if surfaces is None else [*_level(scenario, scenario.sensors.on(vehicle["radius"]).array, surfaces)]
+
+
 def unheard_faces(scenario: Scenario, array: SonarArray) -> Iterator[tuple[_Surface, str]]:
     """Yield each box with a side from which no sonar receives an echo, and the name of that side."""
     for surface in _met(scenario, array):
@@ -434,8 +440,8 @@ def _level(scenario: Scenario, array: SonarArray, surfaces: Surfaces) -> Iterato
         elif within and known is None and distance(-1, tilted) is not None:
             remedy += f"; then give sonar.floor_m = {surfaces.depth:g}, because the floor answers"
         text = (
-            f"every sonar hears the {what} at {at:.2f} m at the depth of {depth:g} m and takes it for an "
-            f"obstacle: what is farther away is not heard; {remedy}"
+            f"echoes of the {what} hide obstacles; {remedy}: at the depth of {depth:g} m, every sonar hears it at "
+            f"{at:.2f} m and takes it for an obstacle, and does not hear what is farther away"
         )
         yield Finding("warning", f"site.{name}", text)
 
