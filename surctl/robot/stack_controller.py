@@ -26,7 +26,7 @@ from surctl.priority import Assembly, Mode, PriorityProblem, PrioritySolution, a
 from surctl.priority.compiled.step import OUTPUTS, Stage
 from surctl.priority.hierarchy.kernel import hierarchy
 from surctl.priority.shapes import StackShape
-from surctl.priority.solver.fallback import CLAMPED, RELAXED, UNCONFIRMED
+from surctl.priority.solver.fallback import CLAMPED, LIMITED, MET, RELAXED, UNCONFIRMED
 from surctl.priority.solving import explained
 from surctl.robot.kinematics import Kinematics
 from surctl.robot.limits import JointLimits, SelfCollision
@@ -41,6 +41,7 @@ Array: TypeAlias = NDArray[np.float64]
 _BITS = {RELAXED: 1, UNCONFIRMED: 2, CLAMPED: 4}
 _STAGES = get_args(Stage)
 _PROBLEM = ("J", "lower", "upper", "rows")
+_MISSED = 10.0  # in the damping: with 1, the tasks below chatter more; with 30, they are slower (study 45)
 _CHECKED_SECONDS, _CHECKED_RUNS, _CHECKED_STEPS = 2.0, 3, 300
 _SAMPLES, _LARGEST = 20, 2**31 - 1  # configurations; budget
 
@@ -56,8 +57,10 @@ class StackController:
         controller: the same law as `surctl.system.Controller`, for any closed loop. Inputs: the configuration q and the
             targets of the tasks. Command: the velocity v. Gains: gains, largest speeds and postures of the tasks.
             Telemetry: `stage` of the solution (1 met, 2 limited, 3 relaxed, 4 clamped, 6 unconfirmed; see
-            `surctl.priority`), and `active`, the numbers of the limits that bind. Status: 0 for stages 1 and 2, else
-            1 (relaxed), 2 (unconfirmed) or 4 (clamped).
+            `surctl.priority`), and `active`, the numbers of the limits that bind. If v misses more than half of the
+            desired rate of the first task, the stage is limited, too, even if no limit binds: the target is out of
+            reach, or the configuration is singular. Status: 0 for stages 1 and 2, else 1 (relaxed), 2 (unconfirmed) or
+            4 (clamped).
 
     Args:
         tasks: tasks of one robot, highest priority first; also any `Task` or `SetTask` of `robot.q` with
@@ -73,7 +76,8 @@ class StackController:
             for the first task, if the limits contain 0). The loss: for a singular value σ of the J that is left, that
             part of x is multiplied by σ²/(σ² + c ‖x‖), which tends to 1 as the target is reached. With 0, velocities
             may chatter at such targets; with damping, those of the first task do not, but those that serve other tasks
-            may, because they are free at a singular configuration and bound next to it.
+            may, because they are free at a singular configuration and bound next to it. To damp this, ‖x‖ beside c
+            stands for √(‖x‖² + 100 m²), where m is what the last v missed of the desired rates of the tasks above.
         budget: most operations of a step, for a hard real-time bound; `mode` must be lexicographic. An operation takes
             about five instructions of a Cortex-M7. If the search does not end within the budget, it ends early and the
             stage is unconfirmed. Let v₀ be v = 0 clipped to the bounds of each velocity. If v₀ is within the actuator
@@ -126,10 +130,13 @@ class StackController:
         if budget is not None and (not isinstance(budget, int | np.integer) or isinstance(budget, bool)):
             raise InputError("is not a whole number", key="budget", value=budget, remedy="give operations of a step")
         targets, gains, self._symbols = _inputs_of(self.robot, self.stack)
-        self._assembly = assemble(self.stack, self.limits, inputs=self._symbols)
+        damped = _damped(self.stack, self.robot) if damping else self.stack
+        self._assembly = assemble(damped, self.limits, inputs=self._symbols)
         self._targets = tuple(port.name for port in targets)
         q, v = self.robot.layout()
-        remembers = any(ca.depends_on(row.upper - row.lower, self.robot.v) for row in self._assembly.limits)
+        rates = [task.reference() for task in damped.tasks if isinstance(task, Task)]
+        ends = [row.upper - row.lower for row in self._assembly.limits]
+        remembers = any(ca.depends_on(part, self.robot.v) for part in (*rates, *ends))
         state = (Port("previous", v.shape, v.unit, "velocity of the last period", 0.0, "anew"),) if remembers else ()
         outcome = (Port("stage", (1,), "1", "stage of the solution"), Port("active", (self.robot.nv,), "1", "limits"))
         law = partial(
@@ -247,7 +254,12 @@ class StackController:
 
     def problem(self) -> PriorityProblem:
         """Return the priority problem of the last step, without damping."""
-        return self._assembly.problem(self._values())
+        return self._undamped.problem(self._values())
+
+    @cached_property
+    def _undamped(self) -> Assembly:
+        """Return tasks and limits without the rows of `_damped`."""
+        return assemble(self.stack, self.limits, inputs=self._symbols)
 
     def _values(self) -> dict[str, Any]:
         """Return the inputs of the last step by name."""
@@ -372,18 +384,23 @@ class _Law(Controller):
         before = lower(ca.Function("tasks", flat, outputs, list(layouts), list(names[: len(outputs)])))
         v, moved = ca.SX.sym("v", n), ca.SX.sym("moved", dict(before.outputs)["moved"])
         active, code = ca.SX.sym("active", n), ca.SX.sym("code")
-        stage = ca.if_else(ca.logic_and(ca.mmax(moved) > 0, code < RELAXED), RELAXED, code)
+        J, x = (ca.SX.sym(name, dict(before.outputs)[name]) for name in ("J", "lower"))
+        k, stage = assembly.shapes[0].rows, code
+        if not assembly.shapes[0].is_set:
+            missing = x[:k] - ca.reshape(J[: k * n], n, k).T @ v
+            stage = ca.if_else(ca.logic_and(code == MET, _stuck(missing, x[:k])), LIMITED, code)
+        stage = ca.if_else(ca.logic_and(ca.mmax(moved) > 0, stage < RELAXED), RELAXED, stage)
         bits = sum((bit * (stage == code) for code, bit in _BITS.items()), ca.SX(0))
         after = lower_named(
             "result",
-            {"v": v, "active": active, "code": code, "moved": moved},
+            {"v": v, "active": active, "code": code, "moved": moved, "J": J, "lower": x},
             {"tau": v, "x_next": v[: self.state.size], "status": bits, "telemetry": ca.vertcat(stage, active)},
         )
         results = ("tau", "x_next", "status", "telemetry")
         steps = (
             Call(before, tuple(layouts), names[: len(outputs)]),
             self._solution(without_libm(before).operations + without_libm(after).operations),
-            Call(after, ("step_v", "step_active", "step_status", "moved"), results),
+            Call(after, ("step_v", "step_active", "step_status", "moved", "J", "lower"), results),
         )
         sizes = tuple((name, layout.size) for name, layout in layouts.items())
         return without_libm(Routine(self.name, sizes, steps, results))
@@ -398,6 +415,35 @@ class _Law(Controller):
             step = priority_step(self.mode, n=n, levels=shapes, rows=rows)
         inputs = (*_PROBLEM, "box", "damping")[: len(step.inputs)]
         return Call(step, inputs, tuple(f"step_{name}" for name in OUTPUTS))
+
+
+def _stuck(missing: ca.SX, x: ca.SX) -> ca.SX:
+    """Return whether more than half of a desired rate x is missing."""
+    return 4.0 * ca.sumsqr(missing) > ca.sumsqr(x) + 1e-12
+
+
+def _damped(stack: Stack, robot: Kinematics) -> Stack:
+    """Return the stack with a row 0 v = 10 m in each task but the first, so that the damping of x is that of (x, 10 m).
+
+    m is what the last v missed of the desired rates of the tasks above.
+    """
+    tasks: list[Task | SetTask] = []
+    square = ca.SX(0.0)
+    for task in stack.tasks:
+        tasks.append(task)
+        if isinstance(task, SetTask):
+            continue
+        J, x = task.jacobian(), task.reference()
+        if not square.is_zero():
+            same = ca.repmat(task.sigma[0], task.size + 1)
+            tasks[-1] = RobotTask(
+                robot=robot, name=task.name, eta=task.eta, kinematics=task.mapping, sigma=same, target=same,
+                rate=ca.vertcat(x, ca.sqrt(square + 1e-24)), geometric=ca.vertcat(J, ca.SX.zeros(1, robot.nv)),
+            )  # fmt: skip
+        # the last v was computed with the J of the last configuration
+        J_dot_v = ca.jtimes(J @ robot.v, task.eta, task.mapping @ robot.v)
+        square += _MISSED**2 * ca.sumsqr(x - J @ robot.v + robot.dt * J_dot_v)
+    return Stack(tuple(tasks))
 
 
 def _no_expressions(*_: object) -> NoReturn:

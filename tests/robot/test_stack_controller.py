@@ -112,6 +112,7 @@ def test_a_damped_arm_rests_at_the_point_nearest_to_a_target_out_of_reach(arm: R
         short[control] = float(np.linalg.norm(arm.pose("link3", q)[:2, 3] - beyond)) - (far - 1.0)
         if control is damped:
             assert short[control] < 1e-6 and np.ptp(speeds[-50:], axis=0).max() < 1e-3
+            assert control.stage == "limited" and not control.binding(), "no limit, but the reach of the arm"
     assert short[strict] > 1e-4
     # close to the stretched arm, at rest: the bound of the damping
     for bend in (1e-2, 1e-5, 1e-9, 0.0):
@@ -119,6 +120,33 @@ def test_a_damped_arm_rests_at_the_point_nearest_to_a_target_out_of_reach(arm: R
         heading = np.arctan2(beyond[1], beyond[0]) + 0.5
         v = damped.step([heading, bend], tool=target)
         assert np.linalg.norm(v) <= np.sqrt(1.5 / c) + 1e-9
+
+
+def test_tasks_below_one_out_of_reach_are_damped_by_what_it_misses(tmp_path: Path) -> None:
+    need_compiler()
+    links = ("base", *(f"link{k}" for k in range(1, 6)), "tip")
+    limit = 'lower="-2.5" upper="2.5" velocity="2"'
+    joints = [
+        joint(f"j{k}", links[k - 1], links[k], xyz=(0.3 * (k > 1), 0, 0), axis=(0, 1 - k % 2, k % 2), limit=limit)
+        for k in range(1, 6)
+    ]
+    tip = joint("tip", links[5], "tip", "fixed", xyz=(0.3, 0, 0))
+    arm = load_urdf(written(tmp_path, *map(link, links), *joints, tip))
+    tool = arm.frame_task("tip", target="tool", gain=5.0, max_speed=0.3, max_rate=1.0)
+    limits = [arm.joint_limits(acceleration=ACCELERATION)]
+    control = StackController(
+        [tool.position, tool.orientation, arm.posture_task("home", [0.5] * 5, gain=5.0)],
+        limits=limits, dt=DT, damping=0.05,
+    )  # fmt: skip
+    q, apart, stages = np.array([0.3, 0.8, -0.4, 0.5, 0.2]), [], []
+    target = arm.pose("tip", [-0.5] * 5)
+    target[:3, 3] = [2.25, 0.5, 0.3]
+    for _ in range(750):
+        q = arm.integrate(q, control.step(q, tool=target), DT)
+        apart.append(np.linalg.norm(arm.pose("tip", q)[:3, 3] - target[:3, 3]))
+        stages.append(control.stage)
+    assert "met" in stages and set(stages[-100:]) == {"limited"}
+    assert np.ptp(apart[-100:]) < 6e-5, "damped by its own desired rate alone: 1.4e-4"
 
 
 @pytest.mark.parametrize("angle", [1e-1, 1e-3, 1e-6, 1e-9, 0.0])
@@ -135,8 +163,9 @@ def test_damping_bounds_each_task_and_keeps_the_tasks_above(arm: Robot, angle: f
     missing = abs(rate - J @ first).item()
     assert abs(v[0] - first[0]) < 2e-6
     assert v @ v <= first @ first + missing**2 / (c * rate) + 1e-3
-    free = (c * rate + J[0, 1] ** 2) * v[1] - J[0, 1] * (rate - J[0, 0] * v[0])
-    assert abs(free) < 1e-5, "v minimises ‖J v − x‖² + c ‖x‖ ‖v‖²"
+    size = np.hypot(rate, 10.0 * 0.1)  # at rest, the last v missed the whole desired rate of `turn`
+    free = (c * size + J[0, 1] ** 2) * v[1] - J[0, 1] * (rate - J[0, 0] * v[0])
+    assert abs(free) < 1e-5, "v minimises ‖J v − x‖² + c √(‖x‖² + 100 m²) ‖v‖²"
 
 
 def test_nan_never_becomes_a_command(arm: Robot, control: StackController) -> None:
