@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from types import MappingProxyType
 from typing import Any, Literal, NamedTuple, Protocol
@@ -17,8 +17,8 @@ from surctl.system.linear import unresponsive
 from surctl.system.loop import ENDED
 from surctl.system.values import checked_ranges, run_numbers
 from surctl.verification.linear import LEAST_DISK_MARGIN, margin_text, short_margins
-from surctl.verification.loops import LEAST_DELAY_MARGIN, LeastDelay, LoopMargins
-from surctl.verification.sampled_margins import LoopCorners, SystemLoop, system_corners
+from surctl.verification.loops import LEAST_DELAY_MARGIN
+from surctl.verification.sampled_margins import LoopCorners, system_corners
 from surctl.verification.verdict import Inapplicable
 
 __all__ = [
@@ -314,30 +314,14 @@ _DISK = "all loops at once, at commands or measurements, at the worst corner of 
 _DELAY = "least delay margin of one loop alone"
 
 
-def loop_figures(
-    disks: tuple[float, float],
-    delays: tuple[LeastDelay, LeastDelay],
-    slowest: tuple[float, float],
-    margins: Sequence[LoopMargins],
-    *,
-    corner: str,
-    least_delay: float = LEAST_DELAY_MARGIN,
-) -> dict[str, Figure]:
-    """Return the figures of a linear loop by name.
-
-    Args:
-        disks: disk margin of all loops at once, nominal and at the worst corner.
-        delays: least delay margin of one loop alone, nominal and over the corners.
-        slowest: largest real part [1/s] of a pole, nominal and over the corners.
-        margins: margins of each nominal loop alone.
-        corner: the worst corner of the disk margin.
-        least_delay: least sufficient delay margin [s].
-    """
-    first, late = delays
-    single = min(margins, key=lambda m: m.disk_margin)
+def loop_figures(corners: LoopCorners, *, least_delay: float = LEAST_DELAY_MARGIN) -> dict[str, Figure]:
+    """Return the figures of a linear loop by name; `least_delay` is the least sufficient delay margin [s]."""
+    nominal, late = corners.nominal, corners.delay
+    single = min(nominal.judged, key=lambda m: m.disk_margin)
+    first = min(nominal.judged, key=lambda m: m.delay_margin_s)
     figures = (
-        Figure("disk_margin", disks[1], "1", _DISK, "high", LEAST_DISK_MARGIN, corner),
-        Figure("nominal_disk_margin", disks[0], "1", "disk margin, nominal", "high"),
+        Figure("disk_margin", corners.disk, "1", _DISK, "high", LEAST_DISK_MARGIN, corners.corner),
+        Figure("nominal_disk_margin", nominal.disk, "1", "disk margin, nominal", "high"),
         Figure(
             "single_loop_disk_margin", single.disk_margin, "1", "least disk margin of one loop alone, nominal",
             "high", where=single.name,
@@ -346,16 +330,20 @@ def loop_figures(
             "delay_margin_s", late.delay_s, "s", f"{_DELAY}, at the worst corner of the ranges",
             "high", least_delay, late.where,
         ),
-        Figure("nominal_delay_margin_s", first.delay_s, "s", f"{_DELAY}, nominal", "high", where=first.loop),
-        Figure("slowest_pole_per_s", slowest[0], "1/s", "largest real part of a pole, nominal", "low"),
-        Figure("corner_slowest_pole_per_s", slowest[1], "1/s", "largest real part of a pole, corners", "low"),
+        Figure("nominal_delay_margin_s", first.delay_margin_s, "s", f"{_DELAY}, nominal", "high", where=first.name),
+        Figure("slowest_pole_per_s", nominal.slowest_per_s, "1/s", "largest real part of a pole, nominal", "low"),
+        Figure(
+            "corner_slowest_pole_per_s", corners.slowest_per_s, "1/s", "largest real part of a pole, corners", "low"
+        ),
     )  # fmt: skip
     return {figure.name: figure for figure in figures}
 
 
-def loop_line(figures: dict[str, Figure], *, stable: bool, place: str, unstable: str) -> Line:
-    """Return the verdict on a linear loop; `unstable` says what is wrong with a nominal loop that is not stable."""
+def loop_line(figures: dict[str, Figure], *, stable: bool, place: str, unstable: str, marginal: str = "") -> Line:
+    """Return the verdict on a linear loop; `unstable` or `marginal` say what is wrong with one that is not stable."""
     disk, nominal, delay, on_time = (figures[name] for name in _JUDGED)
+    if marginal:
+        return Line(None, f"the linear loop {place} is marginal (|z| = 1){marginal}", "margins")
     if not stable:
         text = f"the linear loop {place} is UNSTABLE"
         if nominal.value > 0:
@@ -375,6 +363,7 @@ def loop_line(figures: dict[str, Figure], *, stable: bool, place: str, unstable:
     return Line(None if undetermined else not short, text, "margins")
 
 
+_REST = "at the equilibrium"
 _JUDGED = ("disk_margin", "nominal_disk_margin", "delay_margin_s", "nominal_delay_margin_s")
 
 
@@ -507,9 +496,9 @@ class ClosedLoop:
         except InputError as error:
             line = Line(None, f"margins: not judged, because {error.problem}", "margins", counts=False)
             return Part((), (line,), error)
-        figures = _figures(corners, self.system.dt)
+        figures = loop_figures(corners, least_delay=self.system.dt)  # a command may be applied one period late
         unstable = f": the largest pole is |z| = {np.abs(corners.nominal.poles).max(initial=0.0):.6g}"
-        line = loop_line(figures, stable=corners.stable, place="at the equilibrium", unstable=unstable)
+        line = loop_line(figures, stable=corners.stable, place=_REST, unstable=unstable, marginal=corners.marginal)
         if corners.lost:
             line = Line(False, f"the loop has no equilibrium at the corner {corners.corner}", "margins")
         return Part(tuple(figures.values()), (line,), corners)
@@ -522,6 +511,7 @@ class ClosedLoop:
             record = run_system(self.system, self.seconds, self.values)
         whole, why = record.stopped == ENDED, record.lost or record.stopped  # a stop is a failure
         lines = [Line(whole, f"the run {'ends' if whole else 'stops'} after {record.duration:.6g} s ({why})", "run")]
+        lines += [Line(None, f"no state changes in this run; {record.at_rest}", "run")] if record.at_rest else []
         figures = []
         for name, cost in self.system.costs.items():
             value = record.figures[name]
@@ -549,8 +539,7 @@ class ClosedLoop:
         proved = solution.verdict == "proved" and not solution.vacuous
         passed = True if proved else False if solution.verdict == "refuted" else None
         line = Line(passed, f"region of attraction: {' '.join(solution.lines()[0].split())}", "region")
-        level = solution.level
-        if level is None:
+        if (level := solution.level) is None:
             return Part((), (line,), solution)
         share = level / solution.falsified if proved and solution.falsified else float("nan") if proved else 0.0
         figure = Figure(
@@ -585,15 +574,3 @@ def cost_verdicts(name: str, cost: Cost, value: float, *, duration: float, dt: f
     more = " until the end of the run, so the last time is not known" if lasts else ""
     text = f"{name} = {value:.6g} {cost.unit}{more}{bound}"
     return [Line(None if lasts and passed else passed, text, "run", counts=cost.at_most is not None)]
-
-
-def _figures(corners: LoopCorners[SystemLoop], dt: float) -> dict[str, Figure]:
-    nominal = corners.nominal
-    return loop_figures(
-        (nominal.disk, corners.disk),
-        (corners.nominal_delay, corners.delay),
-        (nominal.slowest_per_s, corners.slowest_per_s),
-        nominal.margins,
-        corner=corners.corner,
-        least_delay=dt,  # the command of a step may be applied up to one period late
-    )

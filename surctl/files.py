@@ -8,7 +8,7 @@ import os
 import pickle
 import re
 import tomllib
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from decimal import Decimal
 from functools import cache, lru_cache
@@ -469,6 +469,21 @@ def file_name(name: str) -> str:
     return (
         plain if plain == name else f"{plain}-{hashlib.sha256(name.encode(errors='backslashreplace')).hexdigest()[:8]}"
     )
+
+
+def changes(folder: Path) -> Callable[[], list[str]]:
+    """Return a function that returns the names of the files that are in a folder now, and have other contents then."""
+
+    def contents() -> dict[str, str]:
+        files = (file for file in folder.iterdir() if file.is_file() and os.access(file, os.R_OK))
+        return {file.name: hashlib.sha256(file.read_bytes()).hexdigest() for file in files}
+
+    def changed() -> list[str]:
+        after = contents()
+        return [name for name, content in sorted(before.items()) if after.get(name, content) != content]
+
+    before = contents()
+    return changed
 
 
 def write_file(target: Path, content: str | bytes) -> Path:

@@ -178,9 +178,7 @@ def test_the_study_of_echoes(monkeypatch: pytest.MonkeyPatch, capsys: pytest.Cap
 def drawn_study(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     """The names of study 33's script of drawn runs."""
     monkeypatch.syspath_prepend(str(ANALYSIS / "33_echoes"))
-    study = runpy.run_path(str(ANALYSIS / "33_echoes" / "drawn.py"))
-    sys.modules.pop("run")  # each study has a module of this name
-    return study
+    return runpy.run_path(str(ANALYSIS / "33_echoes" / "drawn.py"))
 
 
 def test_the_study_of_drawn_runs_tells_what_a_touch_violates(
@@ -189,7 +187,6 @@ def test_the_study_of_drawn_runs_tells_what_a_touch_violates(
     study = drawn_study(monkeypatch)
     plan = study["plan_of"]("tank-slalom", "webots", 0.05, 7)
     assert (plan.first, plan.case.scenario.sensors.chances.dropout) == (7, 0.05)
-    assert plan.case.scenario.sensors.equipment.surface_model == "smooth"
     ends = [{"reached": 1}, {"collided": 1, "min_clearance_m": -0.002}, {"collided": 1, "min_clearance_m": -0.004}]
     figures = np.array([[row.get(name, 0.0) for name in METRICS] for row in ends])
     monkeypatch.setattr(sys, "argv", ["drawn.py", "--runs", "3", "--first", "7", "--scenario", "tank-slalom"])
@@ -512,14 +509,14 @@ def test_the_allowances_of_the_law_by_sonar(
     end, laws = made_up({"sonar": [{"reached": 1, "time_s": 20.0}, {"collided": 1}]}), []
 
     def simulate_batch(case: Case, *arguments: Any, **options: Any) -> BatchResult:
-        laws.append((perception._READING, os.environ["SURCTL_CACHE"], case.scenario.sensors.equipment.surface_model))
+        laws.append((perception._READING, os.environ["SURCTL_CACHE"]))
         return end(case, *arguments, **options)
 
     monkeypatch.setitem(study["row"].__globals__, "simulate_batch", simulate_batch)
-    assert study["main"](["--quick", "--smooth", "--allow", "reading=0.0115"]) == 0
+    assert study["main"](["--quick", "--allow", "reading=0.0115"]) == 0
     assert table(capsys.readouterr().out)[-1][:6] == ["`pool-static`", "ideal", "1", "1", "0", "20.0"]
-    [(reading, cache, surfaces)] = laws
-    assert reading == 0.0115 and surfaces == "smooth" and not cache.startswith("the cache")
+    [(reading, cache)] = laws
+    assert reading == 0.0115 and not cache.startswith("the cache")
     for wrong in ("breadth=1", "reading=wide"):
         with pytest.raises(SystemExit):
             study["main"](["--allow", wrong])
@@ -1067,9 +1064,7 @@ def test_a_drawn_run_with_a_drifting_cylinder_in_the_blind_range_does_not_touch(
 def test_a_robot_that_goes_back_along_a_box_keeps_its_side(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where the course back passed straight back, the robot turned round the box's other end: 90.4 s."""
     monkeypatch.syspath_prepend(str(ANALYSIS / "33_echoes"))
-    case = runpy.run_path(str(ANALYSIS / "33_echoes" / "run.py"))["case_of"](
-        "tank-static", "ideal", "smooth", -18.0, True
-    )
+    case = runpy.run_path(str(ANALYSIS / "33_echoes" / "run.py"))["case_of"]("tank-static", "ideal")
     run = simulate(case.scenario, case.vehicle, gains=case.gains, law=case.build(), sensing="sonar", seed=153)
     assert run.metrics.reached and run.metrics.time_s < 70.0
 

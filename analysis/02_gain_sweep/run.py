@@ -25,10 +25,11 @@ from surctl.marine.simulation import Case, Run, load_scenario, simulate
 from surctl.marine.simulation.metrics import avoidance_intervals
 from surctl.marine.tuning import MissionSweep, picked_gains
 from surctl.marine.vehicle import load_vehicle
-from surctl.marine.verification import loop_margins
+from surctl.marine.verification import cruise_loop
 from surctl.tuning import Axis, LocalExecutor, SweepTable, grid, sweep
 from surctl.verification.linear import LEAST_DISK_MARGIN
 from surctl.verification.loops import LEAST_DELAY_MARGIN
+from surctl.verification.sampled_margins import SampledLoop
 
 CONFIG = Path(__file__).with_name("config.toml")
 SHOWN = ("deviation_m", "path_error_m", "time_s", "min_clearance_m_worst", "delay_margin_s", "disk_margin", "score")
@@ -320,7 +321,10 @@ def limiting_loops(gains: Gains, grid: Grid) -> Statement:
     for k_v in (grid.k_v[0], grid.k_v[-1]):
         values = gains.with_values({"k_v": k_v}).values
         margins = [
-            min(loop_margins(load_vehicle(s.vehicle), values, cruise=s.cruise, dt=dt), key=lambda m: m.delay_margin_s)
+            min(
+                SampledLoop(cruise_loop(load_vehicle(s.vehicle), values, cruise=s.cruise, dt=dt)).judged,
+                key=lambda m: m.delay_margin_s,
+            )
             for s in map(load_scenario, grid.scenarios)
         ]
         ends.append(sorted({m.name for m in margins}))

@@ -279,8 +279,9 @@ def race(count: int = 2000, rounds: int = 60) -> None:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         np.concatenate(trials[chosen].arrays, axis=1).tofile(folder / "problems.bin")
+        program = build(folder, emit_block(routine, symbol="tick", vectors=True))
         lines = subprocess.run(
-            [build(folder, emit_block(routine, symbol="tick")), folder / "problems.bin", *map(str, (N, M, P, rounds))],
+            [program, folder / "problems.bin", *map(str, (N, M, P, rounds))],
             capture_output=True, text=True, check=True,
         ).stdout.splitlines()  # fmt: skip
     table = np.array([line.split() for line in lines], dtype=float)

@@ -138,7 +138,7 @@ def with_limits(count: int, seed: int) -> bool:
             facts.count(f"number of `{mode}` not finite, or only clamped", got.status == "clamped", bar=0)
             facts.largest(f"actuator row of `{mode}` missed", _missed(problem, got.v), bar=1e-9)
             facts.count(f"number of `{mode}` not certified optimal", not got.is_optimal(problem, 1e-6), bar=0)
-        facts.count("number with rows that contradict each other", got.fallback == 3, bar=None)
+        facts.count("number with rows that contradict each other", got.status not in ("optimal", "limited"), bar=None)
     print(f"\n## {count} problems with limits, half of them with set-based levels\n")
     return facts.report()
 
@@ -196,7 +196,6 @@ def prices(count: int, seed: int) -> None:
     answers: dict[str, Callable[[PriorityProblem], Array]] = {
         f"`{mode}`": lambda problem, mode=mode: reference(problem, mode=mode).v for mode in get_args(Mode)
     }
-    answers["`projected`, 5 sweeps"] = lambda problem: reference(problem, sweeps=5).v
     answers["`projected`, λ = 0.1"] = lambda problem: reference(problem, damping=0.1).v
     for name, answer in answers.items():
         found = [answer(problem) for problem in problems]

@@ -262,7 +262,7 @@ def _ours(folder: Path, block: Block) -> Any:
     name = f"ours_{block.name}_{sum(sizes)}"
     source = folder / f"{name}.c"
     source.write_text(
-        f"#include <math.h>\n{emit_block(block, symbol='block')}\n"
+        f"#include <math.h>\n{emit_block(block, symbol='block', vectors=True)}\n"
         f"static void one(const double *record, double *answer)\n"
         f'{{\n    {" ".join(others)}\n    block({given}, {taken});\n}}\n#include "loop.h"\n'
     )

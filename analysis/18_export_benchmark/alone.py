@@ -55,7 +55,7 @@ def counted(
     text = f"""#include <math.h>
 #include <stddef.h>
 #include <string.h>
-{emit_block(routine, symbol="law", real=real, folded=True)}
+{emit_block(routine, symbol="law", real=real)}
 static void one(const {C_TYPE[real]} *record, {C_TYPE[real]} *answer) {{ law({given}); }}
 """
     rows, counts = counted_c(text, np.hstack(arrays), sum(made), target=target, level=level, real=real)

@@ -202,7 +202,7 @@ def known(target: Target, bundle: Bundle, folder: Path) -> bool:
 
 def flown(scenario: str, level: str, folder: Path) -> tuple[Counted, Exportable]:
     """Count the recorded flight of a scenario."""
-    flight, law, bundle = made(True, "float32", steps=None, smooth=True, scenario=scenario)
+    flight, law, bundle = made(True, "float32", steps=None, scenario=scenario)
     target = replace(TARGETS["cortex-m4f"], flags=(level, *TARGETS["cortex-m4f"].flags[1:]))
     write_bundle(bundle, folder)
     code = compile_controller(bundle, folder, flags=target.flags, compiler=target.compiler)

@@ -1,20 +1,18 @@
 """The law whole, with sonars and by true positions: how long its C is, what compiling it takes, and what a step takes.
 
-    python analysis/18_export_benchmark/whole.py [--quick] [--smooth]
+    python analysis/18_export_benchmark/whole.py [--quick]
 
---smooth adds the law with sonars for smooth surfaces, with the pitch and the floor of study 33; it has no bars.
 Instructions on x86 are counted by Valgrind's callgrind over a flight, guard included.
 """
 
 from __future__ import annotations
 
-import math
 import os
 import re
 import subprocess
 import sys
 import tempfile
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -44,7 +42,7 @@ class Compiled:
     megabytes: float
 
 
-def whole(*, quick: bool, smooth: bool = False) -> tuple[list[str], list[tuple[str, bool]]]:
+def whole(*, quick: bool) -> tuple[list[str], list[tuple[str, bool]]]:
     """(lines, bars and whether they hold)."""
     told = ["| law guarded | file | C, B | gcc -O2: s, MB |", "|---|---|---|---|"]
     taken = [
@@ -52,20 +50,19 @@ def whole(*, quick: bool, smooth: bool = False) -> tuple[list[str], list[tuple[s
         "|---|---|---|---|",
     ]
     held: list[tuple[str, bool]] = []
-    laws = [("by true positions", False, False), ("with sonars", True, False)]
-    for name, sonar, pitched in [*laws, ("with sonars, `smooth`", True, True)] if smooth else laws:
-        flight, double, bundle = made(sonar, "float64", steps=20 if quick else None, smooth=pitched)
+    for name, sonar in (("by true positions", False), ("with sonars", True)):
+        flight, double, bundle = made(sonar, "float64", steps=20 if quick else None)
         with tempfile.TemporaryDirectory() as scratch:
             controller = build_controller(double, bundle, Path(scratch, "b"))
             files = [_compiled(Path(scratch, "b"), file) for file in (*bundle.sources, bundle.selftest)]
             mean, most = _counted(controller, as_records(double, flight), Path(scratch, "callgrind"))
-        _, _, small = made(sonar, "float32", steps=1, smooth=pitched)
+        _, _, small = made(sonar, "float32", steps=1)
         told += [f"| {name} | `{f.file}` | {f.size} | {f.seconds:.1f}, {f.megabytes:.0f} |" for f in files]
         size, seconds = sum(f.size for f in files), sum(f.seconds for f in files)
         memory = max(f.megabytes for f in files)
         told.append(f"| {name} | all | {size} | {seconds:.1f}, {memory:.0f} |")
         taken.append(f"| {name} | {mean:.0f} / {most} | {_on_processor(small)} |")
-        if sonar and not pitched:
+        if sonar:
             held = [
                 (f"C of the law with sonars and its self-test: at most {MOST_SOURCE} B ({size})", size <= MOST_SOURCE),
                 (f"gcc -O2 takes at most {MOST_SECONDS:.0f} s for it, all files one by one", seconds <= MOST_SECONDS),
@@ -74,16 +71,9 @@ def whole(*, quick: bool, smooth: bool = False) -> tuple[list[str], list[tuple[s
     return [*told, "", *taken], held
 
 
-def made(
-    sonar: bool, real: Real, *, steps: int | None, smooth: bool = False, scenario: str = SCENARIO
-) -> tuple[Records, Exportable, Bundle]:
+def made(sonar: bool, real: Real, *, steps: int | None, scenario: str = SCENARIO) -> tuple[Records, Exportable, Bundle]:
     """The beginning of a flight (all of it if `steps` is None), the law that was exported, and its bundle."""
     mission, gains = load_scenario(scenario), load_gains("default")
-    if smooth:
-        equipment = mission.sensors.equipment
-        array = replace(equipment.array, pitch=math.radians(-18.0))
-        equipment = replace(equipment, array=array, surface_model="smooth", floor=mission.site[2])
-        mission = replace(mission, sensors=replace(mission.sensors, equipment=equipment))
     vehicle = load_vehicle(mission.vehicle)
     law = build_law("guarded", sonar=sonar, equipment=mission.sensors.on(vehicle["radius"]))
     numbers = law_numbers(mission, gains, vehicle)
@@ -127,6 +117,6 @@ def _on_processor(bundle: Bundle) -> str:
 
 
 if __name__ == "__main__":
-    lines, bars = whole(quick="--quick" in sys.argv[1:], smooth="--smooth" in sys.argv[1:])
+    lines, bars = whole(quick="--quick" in sys.argv[1:])
     print("\n".join([*lines, "", *(f"- {what}: {'holds' if holds else '**does not hold**'}" for what, holds in bars)]))
     sys.exit(0 if all(holds for _, holds in bars) else 1)

@@ -64,8 +64,7 @@ def tuned(result: dict[str, Any]) -> tuple[bool, str]:
 
 def judged(result: dict[str, Any]) -> tuple[bool, str]:
     """The loop has margins about a steady motion of the run, and no claim of another law is told."""
-    linear = result["linear"]
-    worst = linear["worst"]
+    linear, worst = (result["linear"][which] for which in ("nominal", "worst"))
     text = f"disk margin {linear['disk_margin']:.2f}, worst corner {worst['disk_margin']:.2f}, about {linear['place']}"
     return linear["stable"] and worst["stable"] and not result["claims"] and linear["free"] == ["x"], text
 

@@ -24,7 +24,8 @@ from surctl.marine.simulation.scaling import disturbed, mission_size, scaled_sce
 from surctl.marine.tuning import default_cruise, derive_gains
 from surctl.marine.vehicle import Vehicle, load_vehicle
 from surctl.marine.verification import law_corners
-from surctl.marine.verification.linear import corner_margin
+from surctl.marine.verification.corners import corners
+from surctl.marine.verification.linear import cruise_corners
 from surctl.verification.linear import LEAST_DISK_MARGIN
 
 
@@ -77,7 +78,7 @@ def shown_margin(vehicle: Vehicle, gains: Gains, cruise: float) -> float:
     """Return the disk margin at the worst corner of the vehicle's ranges; 0 if the loop is unstable there."""
     if vehicle["Fv_max"] == 0:
         return law_corners(build_law(default_law(vehicle)), vehicle, gains, cruise=cruise).disk
-    return corner_margin(vehicle, gains.values, cruise=cruise, dt=DT, proved=True).margin
+    return cruise_corners(corners(vehicle), gains.values, cruise=cruise, dt=DT).disk
 
 
 def examined(craft: Craft, vehicle: Vehicle, *, seeds: int) -> Row:

@@ -1,4 +1,4 @@
-"""Study 33: random worlds, or drawn vehicles, obstacles and dropouts, with the configuration for smooth surfaces.
+"""Study 33: random worlds, or drawn vehicles, obstacles and dropouts.
 
     python analysis/33_echoes/drawn.py [--runs N] [--first N] [--echoes NAME] [--dropout P]
         [--scenario NAME [--reflectors N]] [--quick]
@@ -17,7 +17,6 @@ import sys
 from dataclasses import replace
 
 import numpy as np
-from run import equipped
 
 from surctl.marine.control import load_gains
 from surctl.marine.reproduction.scenarios import scenario_names
@@ -27,22 +26,21 @@ from surctl.marine.simulation.campaign.campaign import run_campaign
 from surctl.marine.simulation.campaign.worlds import WORLDS_VEHICLE, MonteCarlo, RandomWorlds, world_template
 from surctl.marine.vehicle import load_vehicle
 
-PITCH = -18.0  # [deg] the water surface stays silent
-KINDS = ("ideal", "webots", "diffuse")  # what the law for smooth surfaces assumes, or more
+KINDS = ("ideal", "webots", "diffuse")  # what the law assumes, or more
 WEAK = "echoes"  # the assumption that every surface answers, which all models but `ideal` violate in every run
 
 
 def plan_of(
     name: str | None, echoes: str, dropout: float, first: int, draw: int | None = None
 ) -> MonteCarlo | RandomWorlds:
-    """Return the plan of the runs of a scenario, or of random worlds, with smooth surfaces, pitch and floor.
+    """Return the plan of the runs of a scenario, or of random worlds.
 
     The reflectors are those of the echo model, or the draw of this number.
     """
     vehicle = load_vehicle(load_scenario(name).vehicle if name else WORLDS_VEHICLE)
     scenario = load_scenario(name) if name else world_template(vehicle)
-    scenario = equipped(scenario, echoes, "smooth", PITCH, floor=True)
-    scenario = replace(scenario, sensors=replace(scenario.sensors, chances=FaultChances(dropout=dropout)))
+    sensors = replace(scenario.sensors.hearing(echoes), chances=FaultChances(dropout=dropout))
+    scenario = replace(scenario, sensors=sensors)
     if draw is not None:
         scenario = with_reflectors(scenario, np.random.default_rng(draw))
     case = Case(scenario, vehicle, load_gains("default"), sensing="sonar")

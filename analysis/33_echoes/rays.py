@@ -22,9 +22,9 @@ from tests.raycasting import heard_along, nearest_by_rays  # noqa: E402
 LENGTH, WIDTH, DEPTH = 6.0, 4.0, 2.5
 KINDS = ("ideal", "webots", "specular", "diffuse", "silent")
 PLACE, SHARE = 1e-6, 0.01  # [m] and share of the firings
-ARRAY = SonarArray(hull_radius=0.1)
+ARRAY = SonarArray(hull_radius=0.1, pitch=0.0)  # rays and model agree where the beam is level
 
-HULL = SonarArray()
+HULL = SonarArray(pitch=0.0)
 COURSES = (15, 25, 35, 45)  # [deg] between the course and the nearer normal; 45: along the bisector
 LIMITS = (5.0, 22.5, 70.0)  # [deg] largest incidence at which a face answers: specular, webots, diffuse
 CLOSE = 0.002  # [m] allowed difference of rays and closed form
@@ -70,7 +70,8 @@ def both(seed: int, count: int) -> tuple[float, float]:
 
 def detections(seed: int, firings: int) -> tuple[float, int]:
     """Return the largest difference of a share of firings from the sonar equation, and the number of ranges."""
-    rng, array, smooth = np.random.default_rng(seed), SonarArray(hull_radius=0.0), REFLECTORS["specular-edges"]
+    rng, smooth = np.random.default_rng(seed), REFLECTORS["specular-edges"]
+    array = SonarArray(hull_radius=0.0, pitch=0.0)
     half, bodies, parts = array.half_angle, [], []
     for k, away in enumerate((0.5, 1.1, 1.9)):  # behind one another, but aside
         bearing, radius = (-0.45, 0.05, 0.5)[k] + rng.uniform(-0.05, 0.05), rng.uniform(0.03, 0.06)

@@ -1,7 +1,7 @@
 """Study 33: every scenario with the four echo models; and the echo model against brute-force rays.
 
-    python analysis/33_echoes/run.py [--quick] [--write] [--seeds N] [--first N] [--echoes NAME] [--surface-model NAME]
-        [--pitch DEGREES] [--floor] [--search-limit SECONDS] [--law NAME]
+    python analysis/33_echoes/run.py [--quick] [--write] [--seeds N] [--first N] [--echoes NAME] [--level]
+        [--search-limit SECONDS] [--law NAME]
 
 Prints Markdown; --write writes the README from it. The exit status is 1 if a limit does not hold, and 2 for a bad
 option.
@@ -12,7 +12,6 @@ from __future__ import annotations
 import argparse
 import sys
 from dataclasses import replace
-from math import radians
 from pathlib import Path
 
 import numpy as np
@@ -21,9 +20,7 @@ from rays import agreement, corner_table
 
 from surctl.marine.control import load_gains
 from surctl.marine.reproduction.scenarios import scenario_names
-from surctl.marine.sensing import SURFACE_MODELS
-from surctl.marine.sensing.equipment import SurfaceModel
-from surctl.marine.simulation import ECHOES, STOPS, Case, Scenario, load_scenario, simulate_batch
+from surctl.marine.simulation import ECHOES, STOPS, Case, load_scenario, simulate_batch
 from surctl.marine.vehicle import load_vehicle
 
 SEEDS = 200
@@ -35,28 +32,17 @@ HEAD = [
 ]
 
 
-def equipped(
-    scenario: Scenario, echoes: str, surfaces: SurfaceModel, pitch: float, floor: bool, search: float | None = None
-) -> Scenario:
-    """Return the scenario with an echo model and what the law assumes; the pitch of the sonars is in degrees."""
+def case_of(name: str, echoes: str, *, level: bool = False, search: float | None = None, law: str = "guarded") -> Case:
+    """Return a scenario of the library with its own vehicle, sonars and an echo model.
+
+    With `level`, the sonars look horizontally and the law knows no floor.
+    """
+    scenario = load_scenario(name)
     sensors = scenario.sensors.hearing(echoes)
-    array = replace(sensors.equipment.array, pitch=radians(pitch))
-    depth = scenario.site[2] if floor else None
-    equipment = replace(sensors.equipment, array=array, surface_model=surfaces, floor=depth, search_limit=search)
-    return replace(scenario, sensors=replace(sensors, equipment=equipment))
-
-
-def case_of(
-    name: str,
-    echoes: str,
-    surfaces: SurfaceModel,
-    pitch: float,
-    floor: bool,
-    search: float | None = None,
-    law: str = "guarded",
-) -> Case:
-    """Return a scenario of the library with its own vehicle, with sonars, an echo model and what the law assumes."""
-    scenario = equipped(load_scenario(name), echoes, surfaces, pitch, floor, search)
+    equipment = replace(sensors.equipment, search_limit=search)
+    if level:
+        equipment = replace(equipment, array=replace(equipment.array, pitch=0.0), floor=None)
+    scenario = replace(scenario, sensors=replace(sensors, equipment=equipment))
     return Case(scenario, load_vehicle(scenario.vehicle), load_gains("default"), law=law, sensing="sonar")
 
 
@@ -86,23 +72,14 @@ def study(options: argparse.Namespace) -> tuple[str, bool]:
     seeds = options.seeds or (2 if quick else SEEDS)
     names = ["pool-behind"] if quick else scenario_names()
     models = [only] if only else ["specular"] if quick else list(ECHOES)
-    law = "The law as it is"
-    if (
-        options.surface_model != "diffuse"
-        or options.pitch
-        or options.floor
-        or options.search_limit
-        or options.law != "guarded"
-    ):
-        floor = ", with the floor assumed" if options.floor else ""
-        search = f", search limit {options.search_limit:g} s" if options.search_limit else ""
-        law = f"Law `{options.law}`, surface model `{options.surface_model}`, pitch {options.pitch:g}°{floor}{search}"
+    law = f"Law `{options.law}`"
+    law += ", level sonars, no floor known" if options.level else ""
+    law += f", search limit {options.search_limit:g} s" if options.search_limit else ""
     out = [f"## {law}: seeds {first}-{first + seeds - 1} of each", "", *HEAD]
     totals: dict[str, NDArray[np.int64]] = {}
     for echoes in models:
         for name in names:
-            assumed = (options.surface_model, options.pitch, options.floor, options.search_limit)
-            case = case_of(name, echoes, *assumed, law=options.law)
+            case = case_of(name, echoes, level=options.level, search=options.search_limit, law=options.law)
             line, counts = row(case, echoes, first, seeds, quick=quick)
             out.append(line)
             totals[echoes] = totals.get(echoes, np.zeros(4, dtype=int)) + counts
@@ -131,9 +108,7 @@ def main() -> int:
     parser.add_argument("--seeds", type=int, help=f"seeds of each scenario (default {SEEDS})")
     parser.add_argument("--echoes", choices=list(ECHOES), help="only this echo model")
     parser.add_argument("--first", type=int, default=0, help="first seed (default 0)")
-    parser.add_argument("--surface-model", choices=SURFACE_MODELS, default="diffuse", help="what the law assumes")
-    parser.add_argument("--pitch", type=float, default=0.0, help="pitch of the sonars [deg] (default 0)")
-    parser.add_argument("--floor", action="store_true", help="the law assumes the floor of the site")
+    parser.add_argument("--level", action="store_true", help="level sonars, and no floor that the law knows")
     parser.add_argument("--search-limit", type=float, help="search limit of the law [s] (default none)")
     parser.add_argument("--law", choices=["guarded", "calm"], default="guarded", help="law (default guarded)")
     options = parser.parse_args()

@@ -189,8 +189,7 @@ def test_the_law_in_c_in_mode_filter() -> None:
 
 def test_a_wall_that_is_silent_from_the_side_is_no_fault_of_the_sonar():
     """Smooth walls answer near their normal; a sonar that looks along one reads farther than the wall."""
-    equipment = Equipment(surface_model="specular")
-    robot = Robot(equipment, at=(4.0, 2.6, -0.15, 0.2), walls=(0.0, 10.0, 0.0, 5.0), spin=0.45)
+    robot = Robot(Equipment(), at=(4.0, 2.6, -0.15, 0.2), walls=(0.0, 10.0, 0.0, 5.0), spin=0.45)
     robot.array = replace(robot.array, incidence_limit=math.radians(22.5))
     robot.steps(3.0)
     for _ in range(round(4.0 / DT)):

@@ -20,7 +20,7 @@ X86 = platform.machine().lower() in ("x86_64", "amd64")
 FLAGS = ("-O2", *(["-march=x86-64"] if X86 else []))  # the others are compiled with -O0, and for this processor
 
 
-@pytest.mark.parametrize("chosen", [*test_step.SETTINGS[3:5], Settings("projected", sweeps=3)])
+@pytest.mark.parametrize("chosen", [*test_step.SETTINGS[3:5]])
 def test_stacks_with_sets(chosen: Settings) -> None:
     test_step.test_solve_runs_the_step_and_agrees_with_the_reference(test_step.SETS, chosen)
 

@@ -42,7 +42,7 @@ def test_marks_of_a_wide_beam() -> None:
         check(120.0)
 
 
-@pytest.mark.parametrize("name", ["the law's", "blocks of one cell", "smooth"])
+@pytest.mark.parametrize("name", ["the law's", "blocks of one cell"])
 def test_the_routine_and_the_numbers_agree(name: str) -> None:
     walls = test_local_map.SITE if name == "the law's" else test_local_map.OPEN
     test_local_map.test_the_routine_and_the_numbers_agree(name, walls)

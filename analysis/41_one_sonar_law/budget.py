@@ -1,7 +1,7 @@
 """Study 41: the library's law by sonar with other allowances in its map: touches, times, and the map beside the truth.
 
     python analysis/41_one_sonar_law/budget.py [--quick] [--allow NAME=VALUE ...] [--scenario NAME ...] [--echoes NAME]
-        [--smooth] [--first N] [--seeds N] [--map]
+        [--first N] [--seeds N] [--map]
 
 Prints Markdown. The exit status is 2 for a bad option.
 """
@@ -13,7 +13,6 @@ import os
 import sys
 import tempfile
 from dataclasses import replace
-from math import radians
 
 import numpy as np
 import recorded
@@ -41,15 +40,10 @@ MAP = (
 )
 
 
-def case_of(name: str, echoes: str, *, smooth: bool) -> Case:
-    """Return a scenario of the library by sonar; `smooth` is the configuration of study 33 for all echo models."""
+def case_of(name: str, echoes: str) -> Case:
+    """Return a scenario of the library by sonar."""
     scenario = load_scenario(name)
-    sensors = scenario.sensors.hearing(echoes)
-    if smooth:
-        array = replace(sensors.equipment.array, pitch=radians(-18))
-        assumed = replace(sensors.equipment, array=array, surface_model="smooth", floor=scenario.site[2])
-        sensors = replace(sensors, equipment=assumed)
-    scenario = replace(scenario, sensors=sensors)
+    scenario = replace(scenario, sensors=scenario.sensors.hearing(echoes))
     return Case(scenario, load_vehicle(scenario.vehicle), load_gains("default"), sensing="sonar")
 
 
@@ -72,7 +66,6 @@ def main(words: list[str]) -> int:
     parser.add_argument("--allow", nargs="+", default=[], metavar="NAME=VALUE", help=", ".join(ALLOWANCES))
     parser.add_argument("--scenario", nargs="+", choices=scenario_names(), help="only these scenarios")
     parser.add_argument("--echoes", choices=list(ECHOES), help="only this echo model")
-    parser.add_argument("--smooth", action="store_true", help="surface model smooth, pitch -18 degrees, floor known")
     parser.add_argument("--first", type=int, default=0, help="first seed (default 0)")
     parser.add_argument("--seeds", type=int, default=200, help="seeds of each row (default 200)")
     parser.add_argument("--map", action="store_true", help="errors of the map instead of runs, as in tracker.py")
@@ -98,7 +91,7 @@ def main(words: list[str]) -> int:
                     runs = [recorded.record(name, echoes, int(seed), limit=limit) for seed in seeds]
                     print(f"| `{name}` | {echoes} | {recorded.cells([recorded.present(run) for run in runs])} |")
                 else:
-                    row(case_of(name, echoes, smooth=options.smooth), echoes, seeds, quick=options.quick)
+                    row(case_of(name, echoes), echoes, seeds, quick=options.quick)
     return 0
 
 

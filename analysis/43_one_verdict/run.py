@@ -33,7 +33,7 @@ from surctl.errors import ToolMissing
 from surctl.ir.cache import find_compiler
 from surctl.marine.assessment import Mission
 from surctl.marine.cli.runs import linear_warning
-from surctl.marine.control import Gains, write_gains
+from surctl.marine.control import Gains, build_law, write_gains
 from surctl.marine.report.bench import Bench
 from surctl.marine.simulation import load_scenario
 from surctl.marine.study import load_plan
@@ -162,7 +162,7 @@ def one_vehicle(seed: int, found: Disagreements, *, runs: bool, study: bool) -> 
     table = linear_table(craft, {}, base=gains.values, cruise=cruise, dt=DT, columns=COLUMNS)
     for name in COLUMNS:
         found.same("sweep", f"{about} {name}", float(table[name][0]), figures[name].value, within=QUICK)
-    data, _ = linear_warning(craft, gains.values, cruise=cruise, dt=DT, law="guarded", guidance="los")
+    data, _ = linear_warning(craft, gains, build_law("guarded", dt=DT), cruise=cruise)
     assert data is not None  # guarded has a linear model
     for name in ("disk_margin", "delay_margin_s"):
         found.same("simulate", f"{about} {name}", data[name], figures[name].value, within=QUICK)

@@ -49,7 +49,11 @@ def _lint_system(word: str) -> Linted:
     problems += [Finding("info", key, f"is not given, so {_ABSENT[key]}") for key, none in absent.items() if none]
     if not any(one.level == "error" for one in problems):
         judged = assess(ClosedLoop(system), parts=["loop"]).lines
-        problems += [Finding("warning", "gains", line.text) for line in judged if line.passed is False]
+        problems += [
+            Finding("warning" if line.counts else "info", "gains", line.text)
+            for line in judged
+            if line.about and not line.passed
+        ]
     return Linted(word, "system", problems, [command_line("study", own), command_line("verify", own)])
 
 

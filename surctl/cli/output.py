@@ -214,6 +214,7 @@ def signs_of_life(patience: float = 10.0) -> Iterator[None]:
 C = TypeVar("C", bound=Callable[..., Any])
 
 _WIDTH, _MOST = 100, 5  # of a summary: columns, lines
+_FOLDER = "surctl.folder"  # key of the command's context: folder of files, and what it contained
 _LOST_FILES = "surctl.lost_files"  # key of the command's context: what was not saved, counted by kind
 
 
@@ -354,6 +355,9 @@ def finish(
         whole: print all lines in any case, as for the text of a file.
     """
     context = click.get_current_context()
+    if (known := context.meta.get(_FOLDER)) is not None and (replaced := known[1]()):
+        text = "contained results of another command, which this command replaced"
+        progress(f"{known[0]} {text}: {', '.join(replaced)}")
     lost: Counter[str] = context.meta.get(_LOST_FILES, Counter())
     if lost.total() > len(lost):
         print_message(f"{lost.total() - len(lost)} more not saved, for the same reason")
@@ -414,7 +418,12 @@ def _folded(text: str, most: int) -> list[str]:
 
 
 def _shortened(line: str, width: int) -> str:
-    return line if len(line) <= width else line[: width - 1].rpartition(" ")[0] + " …"
+    """Return at most `width` columns of a line, cut where a clause in its second half ends, else after a word."""
+    if len(line) <= width:
+        return line
+    words = line[: width - 1].rpartition(" ")[0]
+    clause = max((end.start() for end in re.finditer(r"[,;:](?= )| (?=\()", words + " ")), default=0)
+    return (words[:clause].rstrip(",;:") if 2 * clause >= width else words) + " …"
 
 
 def _command_lines(command: str, *, first: bool) -> list[str]:
@@ -570,6 +579,14 @@ def note_replaced(file: Path, command: str) -> None:
         before = table.get("evidence", table)["command"]
     if before != command:
         progress(f"{file.parent} contains results of another command, which this command replaces: {before}")
+
+
+def prepare_out(folder: Path) -> None:
+    """Create the folder of `--out`; `finish` names the files of other commands in it that this command replaces."""
+    from surctl.files import changes, prepare_folder
+
+    prepare_folder(folder)
+    click.get_current_context().meta[_FOLDER] = (folder, changes(folder))
 
 
 def print_message(text: str) -> None:

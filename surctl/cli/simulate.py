@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import click
 
 from surctl.cli.application import to_application
-from surctl.cli.output import as_json, finish, out_folder, progress, saving, stoppable
+from surctl.cli.output import as_json, finish, out_folder, prepare_out, progress, saving, stoppable
 from surctl.cli.subject import (
     OwnSystem,
     assigned,
@@ -112,12 +112,11 @@ def simulate_own_system(
     words: Sequence[str], *, seconds: float | None, out: Path | None, save: str, as_json: bool
 ) -> None:
     """Simulate one run, print how it ended and its costs, and write signals (as csv, mat or nc) and plot to `out`."""
-    from surctl.files import prepare_folder
 
     own = load_system(words)
     duration, values = own.seconds(seconds), assigned(own.settings)
     if out is not None:
-        prepare_folder(out)
+        prepare_out(out)
     runs = (_ran(own, one, duration, out, save) for one in [values])  # simulated where Ctrl-C is handled
     conduct_runs([((), runs)], out=out, as_json=as_json)
 

@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 
     from surctl.ir import Layout
     from surctl.lyapunov import Problem
-    from surctl.system import Cost, Operating, Record, System
-    from surctl.verification.sampled_margins import LoopCorners, SystemLoop
+    from surctl.system import Cost, Record, System
+    from surctl.verification.sampled_margins import LoopCorners, SampledLoop
 
 seconds_option = click.option(
     "--seconds", type=float, metavar="S", help="Length of a run of FILE.py [s] (default: set in FILE.py)."
@@ -239,10 +239,11 @@ def cost_lines(system: System, figures: Mapping[str, float]) -> list[str]:
     width = max(map(len, figures), default=0)
     if figures and all(map(math.isnan, figures.values())):
         return ["  no costs: a run that ends at its start, or is not finite, has none"]
-    return [
-        f"  {name:<{width}}  {value:.6g} {cost.unit} ({cost.how}){f'  {cost.meaning}' if cost.meaning else ''}"
-        for (name, value), cost in zip(figures.items(), system.costs.values(), strict=True)
-    ]
+    lines = []
+    for (name, value), cost in zip(figures.items(), system.costs.values(), strict=True):
+        unit, meaning = "" if cost.unit == "1" else f" {cost.unit}", f"  {cost.meaning}" if cost.meaning else ""
+        lines.append(f"  {name:<{width}}  {value:.6g}{unit} ({cost.how}){meaning}")
+    return lines
 
 
 def cost_data(system: System, figures: Mapping[str, float]) -> dict[str, Any]:
@@ -253,53 +254,40 @@ def cost_data(system: System, figures: Mapping[str, float]) -> dict[str, Any]:
     }
 
 
-def loop_lines(own: OwnSystem, loop: LoopCorners[SystemLoop]) -> list[str]:
+def loop_lines(own: OwnSystem, loop: LoopCorners) -> list[str]:
     """Return lines of text: equilibrium, slowest mode, margins of each loop alone and of all loops at once."""
     nominal, period = loop.nominal, own.system.dt
     lines = [f"{own.system.title}, linear about its equilibrium, with references and disturbances of t = 0:"]
     lines += [
         f"  {kind} {label} = {value:.6g} {unit}"
-        for kind, rows in resting(own.system, nominal.at).items()
+        for kind, rows in resting(own.system, loop).items()
         for label, value, unit in rows
     ]
-    stable = "stable" if nominal.stable else "UNSTABLE"
-    lines.append(f"sampled every {period:g} s: {stable}, {len(nominal.poles)} poles")
+    lines.append(f"sampled every {period:g} s: {nominal.linear.stability}, {len(nominal.poles)} poles")
     lines.append(f"  slowest mode: {mode_text(nominal)}")
-    if nominal.stable:
-        lines += ["nominal; each loop alone, opened at one signal, all others closed:"]
-        lines += [f"  {margin.line()}" for margin in nominal.margins]
-        lines += [margin.line(margin.place) for margin in nominal.disks]
-    if loop.count:
-        word = f"disk margin {loop.disk:.2f}" if loop.stable else "no equilibrium" if loop.lost else "UNSTABLE"
-        lines.append(f"worst of the {loop.count} corners of the ranges: {word} at {loop.corner}")
-        lines.append(f"  least delay margin of one loop alone: {loop.delay.delay_s:.4g} s ({loop.delay.where})")
-    return lines
+    return [*lines, *loop.lines()]
 
 
-def loop_data(own: OwnSystem, loop: LoopCorners[SystemLoop]) -> dict[str, Any]:
+def loop_data(own: OwnSystem, loop: LoopCorners) -> dict[str, Any]:
     """Return equilibrium, poles and margins as plain data for JSON."""
-    nominal, rest = loop.nominal, resting(own.system, loop.nominal.at)
+    nominal, rest = loop.nominal, resting(own.system, loop)
     return {
         "equilibrium": {kind: {label: value for label, value, _ in rows} for kind, rows in rest.items()},
         "units": {kind: {label: unit for label, _, unit in rows} for kind, rows in rest.items()},
-        "stable": nominal.stable,
-        "poles": [[float(pole.real), float(pole.imag)] for pole in nominal.poles],
+        **nominal.to_dict(),
+        "marginal": list(nominal.linear.marginal),
         "slowest_mode": _slowest(nominal),
         "margins": [margin.to_dict() for margin in nominal.margins],
-        "disk_margins": [margin.to_dict() for margin in nominal.disks],
-        "worst": {
-            "stable": loop.stable,
-            "disk_margin": loop.disk,
-            "corner": loop.corner,
-            "delay_margin": loop.delay._asdict(),
-            "corners": loop.count,
-        },
+        "worst": loop.to_dict()["worst"],
     }
 
 
-def resting(system: System, at: Operating) -> dict[str, list[tuple[str, float, str]]]:
-    """Return (label, value, unit) of every number at the equilibrium, by kind."""
-    from surctl.system import entry_labels, entry_units
+def resting(system: System, loop: LoopCorners) -> dict[str, list[tuple[str, float, str]]]:
+    """Return (label, value, unit) of every number at the equilibrium of a system's loop, by kind."""
+    from surctl.system import Linearisation, entry_labels, entry_units
+
+    assert isinstance(loop.nominal.linear, Linearisation)
+    at = loop.nominal.linear.at
 
     def rows(layout: Layout, numbers: Sequence[float]) -> list[tuple[str, float, str]]:
         return list(
@@ -313,11 +301,13 @@ def resting(system: System, at: Operating) -> dict[str, list[tuple[str, float, s
     }
 
 
-def _slowest(loop: SystemLoop) -> dict[str, Any]:
+def _slowest(loop: SampledLoop) -> dict[str, Any]:
     """Return magnitude, time constant [s] (negative if unstable) and angular frequency [rad/s] of the slowest pole."""
+    from surctl.system.linear_loop import EDGE
+
     pole, dt = complex(loop.poles[0]), loop.linear.dt
     size = abs(pole)
-    rate = math.log(size) / dt if size > 0.0 else -math.inf
+    rate = 0.0 if abs(size - 1.0) <= EDGE else math.log(size) / dt if size > 0.0 else -math.inf
     return {
         "pole": [pole.real, pole.imag],
         "size": size,
@@ -326,7 +316,7 @@ def _slowest(loop: SystemLoop) -> dict[str, Any]:
     }
 
 
-def mode_text(loop: SystemLoop) -> str:
+def mode_text(loop: SampledLoop) -> str:
     """Return what the slowest mode does, as text."""
     mode = _slowest(loop)
     constant, frequency = mode["time_constant_s"], mode["frequency_rad_per_s"]

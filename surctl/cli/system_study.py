@@ -36,7 +36,7 @@ from surctl.system import run_system
 from surctl.tuning import SystemSweep, parse_axis, sweep
 from surctl.tuning.design import Design
 from surctl.tuning.system_sweep import choices_and_draws, chosen_points
-from surctl.verification.sampled_margins import LoopCorners, SystemLoop
+from surctl.verification.sampled_margins import LoopCorners
 
 _AXES = 2  # of the sweep, if none is given
 _REGION = 60.0  # largest processor time of the region of a system [s]
@@ -100,7 +100,7 @@ class _SystemStudy(StudyParts):
             self.best_lines = [best_line(swept, system, name, row, choices[name]) for name, row in self.best.items()]
 
     @property
-    def _loop(self) -> LoopCorners[SystemLoop] | None:
+    def _loop(self) -> LoopCorners | None:
         loop = self.assessment.sources["loop"]
         return None if isinstance(loop, InputError) else loop
 
@@ -108,7 +108,7 @@ class _SystemStudy(StudyParts):
         from surctl.report import study_page as parts
 
         system, loop, verify, swept = self.own.system, self._loop, self.commands["verify"], self.sweep
-        rest, mode = ({}, "") if loop is None else (resting(system, loop.nominal.at), mode_text(loop.nominal))
+        rest, mode = ({}, "") if loop is None else (resting(system, loop), mode_text(loop.nominal))
         sweep = None
         if swept is not None:
             sweep = parts.costs_section(swept, system, self.best_lines, self.commands["sweep"])

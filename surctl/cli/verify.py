@@ -19,6 +19,7 @@ from surctl.cli.output import (
     FiniteRange,
     as_json,
     finish,
+    prepare_out,
     progress,
     refusal_line,
     same_command,
@@ -163,7 +164,6 @@ def are_problems(words: Sequence[str]) -> bool:
 
 def verify_motion(words: Sequence[str], *, seed: int, time_limit: float, out: Path | None, as_json: bool) -> None:
     """Prove or refute claims about dynamics; exit with status 1 if a verdict is not the expected one."""
-    from surctl.files import prepare_folder
     from surctl.lyapunov import load_problem, solve
 
     problems = {word: load_problem(Path(word)) for word in words}
@@ -172,7 +172,7 @@ def verify_motion(words: Sequence[str], *, seed: int, time_limit: float, out: Pa
     if twice is not None:
         raise InputError("is given twice", key="claim", value=twice, remedy="rename or drop one of them")
     if out is not None:
-        prepare_folder(out)
+        prepare_out(out)
 
     def decided(word: str, problem: Problem) -> Decided:
         try:
@@ -220,7 +220,6 @@ def verify_system(words: Sequence[str], *, seed: int, time_limit: float, out: Pa
     The exit status is 1 if a margin is too small at a corner of the ranges, or if no region is proved.
     """
     from surctl.assessment import ClosedLoop, assess
-    from surctl.files import prepare_folder
     from surctl.lyapunov import Solution, solve
 
     own = load_system(words)
@@ -232,7 +231,7 @@ def verify_system(words: Sequence[str], *, seed: int, time_limit: float, out: Pa
             remedy = "add within.STATE=LOW..HIGH for every state, or drop it"
             problem = "has no effect: no region of attraction is requested, so there is no certificate to write"
             raise InputError(problem, key="--out", remedy=remedy)
-        prepare_folder(out)
+        prepare_out(out)
     claim = None if region is None else region.problem(own.system, values)
 
     def proved() -> Solution:

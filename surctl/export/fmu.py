@@ -168,17 +168,6 @@ def _unit_exponents(text: str) -> dict[str, int] | None:
     return {name: power for name, power in powers.items() if power}
 
 
-def _root(law: Exportable, bundle: Bundle, **version: str) -> Element:
-    return Element(
-        "fmiModelDescription",
-        version,
-        modelName=bundle.name,
-        description=_ROBOT if is_robot_law(law) else "Controller. SI units, radians.",
-        generationTool=f"surctl {__version__}",
-        variableNamingConvention="structured",
-    )
-
-
 def _unit_definitions(root: Element, numbers: Sequence[_Variable]) -> None:
     units = sorted({variable.unit for variable in numbers if variable.unit})
     if not units:
@@ -213,76 +202,59 @@ def _text(root: Element) -> bytes:
     return f'<?xml version="1.0" encoding="UTF-8"?>\n{text}\n'.encode()
 
 
-def _numbers(law: Exportable, bundle: Bundle, gains: Vector, fed: Sequence[str]) -> tuple[list[_Variable], str]:
-    within = bundle.envelope or anywhere(law)
-    codes = "; ".join(f"{code}: {meaning}" for _, code, meaning in status_table(law))
-    return _variables(law, within, gains, fed=fed), codes
-
-
-def description_2(
-    law: Exportable, bundle: Bundle, gains: Vector, sources: Sequence[str], *, fed: Sequence[str] = ()
+def description(
+    law: Exportable, bundle: Bundle, gains: Vector, sources: Sequence[str], *, fmi: int, fed: Sequence[str] = ()
 ) -> bytes:
-    """Return the file modelDescription.xml of FMI 2.0."""
-    numbers, codes = _numbers(law, bundle, gains, fed)
-    root = _root(law, bundle, fmiVersion="2.0", guid=bundle.id, numberOfEventIndicators="0")
-    _unit_definitions(root, numbers)
-    unit = Element(
-        "CoSimulation",
-        modelIdentifier=bundle.name,
-        canHandleVariableCommunicationStepSize="true",
-        canNotUseMemoryManagementFunctions="false",
-        canGetAndSetFMUstate="true",
-        canSerializeFMUstate="true",
+    """Return the file modelDescription.xml of FMI 2.0 or 3.0."""
+    numbers = _variables(law, bundle.envelope or anywhere(law), gains, fed=fed)
+    codes = "; ".join(f"{code}: {meaning}" for _, code, meaning in status_table(law))
+    two = fmi == 2
+    word = "state" if two else "State"
+    identity = {"guid": bundle.id, "numberOfEventIndicators": "0"} if two else {"instantiationToken": bundle.id}
+    root = Element(
+        "fmiModelDescription",
+        {"fmiVersion": f"{fmi}.0", **identity},
+        modelName=bundle.name,
+        description=_ROBOT if is_robot_law(law) else "Controller. SI units, radians.",
+        generationTool=f"surctl {__version__}",
+        variableNamingConvention="structured",
     )
-    root.insert(0, unit)
-    listed = SubElement(unit, "SourceFiles")
-    for file in sources:
-        SubElement(listed, "File", name=file)
-    SubElement(SubElement(root, "LogCategories"), "Category", name="logStatusWarning")
-    SubElement(root, "DefaultExperiment", startTime="0", stepSize=repr(float(law.dt)))
-    listed = SubElement(root, "ModelVariables")
-    for v in numbers:
-        named = {"name": v.name, "valueReference": str(v.reference), "description": v.description}
-        SubElement(SubElement(listed, "ScalarVariable", named | dict(_KIND[v.causality])), "Real", _attributes(v))
-    named = {"name": "status", "valueReference": "0", "description": codes}
-    SubElement(SubElement(listed, "ScalarVariable", named | dict(_KIND["output"])), "Integer")
-    structure = SubElement(root, "ModelStructure")
-    first = law.inputs.size + law.gains.size + 1
-    for kind in ("Outputs", "InitialUnknowns"):
-        listed = SubElement(structure, kind)
-        for index in range(first, len(numbers) + 2):
-            SubElement(listed, "Unknown", index=str(index))
-    return _text(root)
-
-
-def description_3(law: Exportable, bundle: Bundle, gains: Vector, *, fed: Sequence[str] = ()) -> bytes:
-    """Return the file modelDescription.xml of FMI 3.0."""
-    numbers, codes = _numbers(law, bundle, gains, fed)
-    root = _root(law, bundle, fmiVersion="3.0", instantiationToken=bundle.id)
-    SubElement(
-        root,
-        "CoSimulation",
-        modelIdentifier=bundle.name,
-        canHandleVariableCommunicationStepSize="true",
-        canGetAndSetFMUState="true",
-        canSerializeFMUState="true",
+    can = {"modelIdentifier": bundle.name, "canHandleVariableCommunicationStepSize": "true"}
+    can |= {"canNotUseMemoryManagementFunctions": "false"} if two else {}
+    unit = SubElement(
+        root, "CoSimulation", can | dict.fromkeys((f"canGetAndSetFMU{word}", f"canSerializeFMU{word}"), "true")
     )
+    if two:
+        listed = SubElement(unit, "SourceFiles")
+        for file in sources:
+            SubElement(listed, "File", name=file)
     _unit_definitions(root, numbers)
     SubElement(SubElement(root, "LogCategories"), "Category", name="logStatusWarning")
     SubElement(root, "DefaultExperiment", startTime="0", stepSize=repr(float(law.dt)))
     listed = SubElement(root, "ModelVariables")
+
+    def variable(name: str, reference: int, said: str, causality: str, kinds: tuple[str, str], **more: str) -> None:
+        named = {"name": name, "valueReference": str(reference), "description": said, **_KIND[causality]}
+        if two:
+            SubElement(SubElement(listed, "ScalarVariable", named), kinds[0], more)
+        else:
+            SubElement(listed, kinds[1], named | more)
+
     for v in numbers:
-        named = {"name": v.name, "valueReference": str(v.reference), "description": v.description}
-        SubElement(listed, "Float64", named | dict(_KIND[v.causality]) | _attributes(v))
-    status, time = str(len(numbers)), str(len(numbers) + 1)
-    named = {"name": "status", "valueReference": status, "description": codes}
-    SubElement(listed, "Int32", named | dict(_KIND["output"]))
-    SubElement(listed, "Float64", name="time", valueReference=time, causality="independent", variability="continuous")
-    structure = SubElement(root, "ModelStructure")
-    outputs = [str(v.reference) for v in numbers if v.causality == "output"] + [status]
+        variable(v.name, v.reference, v.description, v.causality, ("Real", "Float64"), **_attributes(v))
+    variable("status", 0 if two else len(numbers), codes, "output", ("Integer", "Int32"))
+    structure, first = SubElement(root, "ModelStructure"), law.inputs.size + law.gains.size
+    if two:
+        for kind in ("Outputs", "InitialUnknowns"):
+            listed = SubElement(structure, kind)
+            for index in range(first + 1, len(numbers) + 2):
+                SubElement(listed, "Unknown", index=str(index))
+        return _text(root)
+    time = {"name": "time", "valueReference": str(len(numbers) + 1)}
+    SubElement(listed, "Float64", {**time, "causality": "independent", "variability": "continuous"})
     for kind in ("Output", "InitialUnknown"):
-        for reference in outputs:
-            SubElement(structure, kind, valueReference=reference)
+        for reference in range(first, len(numbers) + 1):
+            SubElement(structure, kind, valueReference=str(reference))
     return _text(root)
 
 
@@ -352,13 +324,9 @@ def write_fmu(law: Exportable, bundle: Bundle, gains: Vector, directory: Path | 
     fed = bundle.fed if bundle.mission_rows else ()
     sources = unit_sources(law, bundle, fmi=fmi)
     compiled = [file for file in sources if file.endswith(".c")]
+    members = {"modelDescription.xml": description(law, bundle, gains, compiled, fmi=fmi, fed=fed)}
     if fmi == 3:
-        members = {
-            "modelDescription.xml": description_3(law, bundle, gains, fed=fed),
-            "sources/buildDescription.xml": _build_description(bundle.name, compiled),
-        }
-    else:
-        members = {"modelDescription.xml": description_2(law, bundle, gains, compiled, fed=fed)}
+        members["sources/buildDescription.xml"] = _build_description(bundle.name, compiled)
     members |= _compiled(bundle.name, sources, machine, fmi=fmi)
     members |= {f"sources/{file}": text.encode() for file, text in sources.items()}
     return _write(Path(directory), f"{bundle.name}.fmu", members)

@@ -54,7 +54,7 @@ from surctl.export.supplement import (
 )
 from surctl.ir import Layout, Parts, Port, Program, Real, c_literal, memory
 from surctl.ir.c99 import C_TYPE
-from surctl.ir.c99_folded import PRAGMA, folded_lines, inline_helpers, own_helpers
+from surctl.ir.c99_program import PRAGMA, inline_helpers, own_helpers, program_lines
 from surctl.ir.c99_routine import emit_parts
 from surctl.ir.cache import FLAGS
 
@@ -147,7 +147,9 @@ def _direct_law(law: Exportable, block: Program, name: str, real: Real) -> Parts
         if to not in stays
     ]
     kind = C_TYPE[real]
-    body = folded_lines(block.instructions, stores, address=lambda which, at: members[which][at], real=real, apart=True)
+    body = program_lines(
+        block.instructions, stores, address=lambda which, at: members[which][at], real=real, apart=True
+    )
     # searched in the text, because the instruction list also reads state entries that do not change
     used = "\n".join(body)
     head = [

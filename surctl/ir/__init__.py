@@ -2,7 +2,6 @@
 
 from surctl.ir.batch import Batch
 from surctl.ir.c99 import Real, c_literal
-from surctl.ir.c99_folded import Feed
 from surctl.ir.c99_routine import Parts
 from surctl.ir.elementary import without_libm
 from surctl.ir.native import compile_block
@@ -15,7 +14,7 @@ from surctl.ir.symbolic import on_vectors, to_casadi
 from surctl.ir.tracing import Recording, each, fold, lower, lower_named, only_if, picked, repeat, tabulated
 
 __all__ = [
-    "Batch", "Block", "Call", "Feed", "Gather", "Instruction", "Layout", "Loop", "Parts", "Port", "Program", "Real",
+    "Batch", "Block", "Call", "Gather", "Instruction", "Layout", "Loop", "Parts", "Port", "Program", "Real",
     "Recording", "Routine", "Step", "c_literal", "compile_block", "each", "fold", "lower", "lower_named", "memory",
     "on_vectors", "only_if", "picked", "reads", "repeat", "replay", "tabulated", "to_casadi", "without_libm",
 ]  # fmt: skip

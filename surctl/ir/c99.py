@@ -1,4 +1,4 @@
-"""Writer of an instruction list as one C99 function; names in C: reserved words and macros are refused."""
+"""C99 text of numbers, signatures and copies; names in C: reserved words and macros are refused."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ import numpy as np
 
 from surctl.errors import InputError
 from surctl.ir.folding import Numbering
-from surctl.ir.program import OPERATIONS, Instruction, Program, drop_dead
+from surctl.ir.program import Instruction, Program, drop_dead
 
 _FAMILIES = re.compile(
     r"""
@@ -246,39 +246,6 @@ def c_literal(value: float, real: Real = "float64") -> str:
     return f"{mantissa.rstrip('0').rstrip('.')}p{exponent}{tail}"
 
 
-def emit_c99(program: Program, *, symbol: str, real: Real = "float64", moves: Sequence[Move] = ()) -> str:
-    """Return a C function `static void <symbol>(const double *in0, …, double *out0, …)`, one local variable per line.
-
-    The function uses only local variables and exact literals. It computes all outputs before it stores any of them, so
-    an output may be the same array as an input. The C text needs <math.h>. For results with identical bytes, it needs
-    the compiler flag `-ffp-contract=off`.
-
-    Args:
-        program: the instruction list, without instructions whose value is not used (`lower` removes them).
-        symbol: name of the C function, checked by `identifier`.
-        real: "float32" writes float instead of double, with literals and functions of type float.
-        moves: pieces of inputs to copy as a whole, see `handed_on`; if there are any, no output may overlap an input.
-
-    Raises:
-        InputError: `symbol` is not a valid C identifier.
-    """
-    instructions, stores = remaining(program, moves)
-    read = {i.args[0] for i in instructions if i.op == "input"} | {m.input for m in moves}
-    lines = [*head(program, identifier(symbol), C_TYPE[real], apart=bool(moves)), "{"]
-    lines += [f"    (void)in{k};" for k in range(len(program.inputs)) if k not in read]
-    lines += [f"    (void)out{k};" for k, refs in enumerate(program.output_refs) if not refs]
-    lines += [f"    const {C_TYPE[real]} v{at} = {expression(i, real)};" for at, i in enumerate(instructions)]
-    lines += [f"    out{k}[{entry}] = v{ref};" for k, entry, ref in stores]
-    return "\n".join([*lines, *move_lines(moves), "}"]) + "\n"
-
-
-def head(program: Program, symbol: str, c_type: str, *, apart: bool = False) -> list[str]:
-    """Return comment and signature of a program's C function; `apart` means that no output may overlap an input."""
-    alias = "" if apart else "; outputs may alias inputs"
-    read, written = ([size for _, size in arrays] for arrays in (program.inputs, program.outputs))
-    return [f"/* {program.operations} operations{alias} */", *signature(f"static void {symbol}", read, written, c_type)]
-
-
 def signature(start: str, inputs: Sequence[int], outputs: Sequence[int], c_type: str) -> list[str]:
     """Return the lines of a C function's signature, with arrays in0 … and out0 … and the size of each array."""
     arguments = [f"const {c_type} {_array(f'in{k}', size)}" for k, size in enumerate(inputs)]
@@ -300,19 +267,3 @@ def broken(start: str, items: Sequence[str], end: str, *, indent: str = "    ") 
         else:
             lines[-1] += f" {text}" if at else text
     return lines
-
-
-def expression(instruction: Instruction, real: Real = "float64", *, operand: str = "v{}") -> str:
-    """Return the C text of an instruction's right-hand side; `operand` formats the list position of an operand."""
-    if instruction.op == "const":
-        return c_literal(instruction.number, real)
-    if instruction.op == "input":
-        return "in{}[{}]".format(*instruction.args)
-    text = OPERATIONS[instruction.op].c99
-    if real == "float32":
-        text = _FUNCTION.sub(r"\1f(", _NUMBER.sub(r"\1f", text))
-    return text.format(*(operand.format(a) for a in instruction.args))
-
-
-_NUMBER = re.compile(r"\b(\d+\.\d+)\b")
-_FUNCTION = re.compile(r"\b(sqrt|fabs|floor|fma|sin|cos|atan2|acos)\(")

@@ -6,16 +6,15 @@ vector types of the compiler, or for one number at a time. Entry e of run l in a
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 from surctl.ir.c99 import Move, c_literal, handed_on, identifier, remaining
 from surctl.ir.c99_procedure import emit_procedure
-from surctl.ir.c99_routine import free_name, run_alone
+from surctl.ir.c99_routine import RoutineText, Writer, feeds_of, function_key
 from surctl.ir.folding import shortened
-from surctl.ir.places import carried_in_place, reads
 from surctl.ir.procedure import Procedure
 from surctl.ir.program import Instruction, Program
-from surctl.ir.routine import Block, Call, Gather, Loop, Routine, Step, nested
+from surctl.ir.routine import Block, Gather, Loop, Routine
 
 _INLINE = 300  # largest number of operations of a function that may be inlined
 
@@ -153,173 +152,102 @@ class Wide:
 
 def emit_wide(block: Block, *, symbol: str) -> Wide:
     """Return C text of a program or routine and of all that it calls; blocks with equal text become one function."""
-    writer = _Writer(identifier(symbol))
-    short = shortened(block)
-    alone = run_alone(short)
-    writer.see(short)
-    for inner in nested(short).values():
-        if isinstance(inner, Routine):
-            for step in inner.steps:
-                if isinstance(step, Loop) and step.lanes > 1 and isinstance(step.block, Program):
-                    writer.program(step.block, _strides(step))
-            writer.routine(inner, last=inner is short)
-        elif isinstance(inner, Procedure):
-            writer.procedure(inner, last=inner is short)
-        elif inner is short or inner.digest() in alone:
-            writer.program(inner, (), last=inner is short)
-    return Wide("\n".join(writer.chunks), writer.work[short.digest()])
+    writer, short = _Writer(identifier(symbol), "float64"), shortened(block)
+    writer.write(short)
+    return Wide("\n".join(writer.parts[""].functions), writer.work[short.digest()])
+
+
+class _Writer(Writer):
+    """Writes functions for `LANES` runs; `work` is the memory that each needs, by its key."""
+
+    def write(self, block: Block) -> None:
+        self.work: dict[str, int] = {}
+        super().write(block)
+
+    def function(self, block: Block, name: str, *, last: bool) -> str:
+        key = block.digest()
+        if isinstance(block, Program):
+            overlapping = last or key in self.overlapping
+            text, self.work[key] = _program_text(block, name, overlapping=overlapping)
+            return text
+        if isinstance(block, Routine):
+            if last:  # the outputs may be the inputs
+                sizes = [size for _, size in block.inputs]
+                pairs = {(k, j) for k, (_, size) in enumerate(block.outputs) for j, n in enumerate(sizes) if n == size}
+                self.overlapping = {**self.overlapping, key: self.overlapping.get(key, frozenset()) | pairs}
+            routine = _RoutineText(block, name, self)
+            text = routine.text()
+            inner = [
+                self.work[function_key(s)]
+                for s in block.steps
+                if not isinstance(s, Gather) and function_key(s) in self.work
+            ]
+            self.work[key] = routine.own + max(inner, default=0)
+            return text
+        sizes = [size for _, size in (*block.inputs, *block.outputs)]
+        self.work[key] = sum(sizes)
+        return _procedure_text(block, name, sizes)
+
+    def lanes_function(self, loop: Loop, program: Program, name: str) -> str:
+        text, self.work[function_key(loop)] = _program_text(program, name, _strides(loop))
+        return text
+
+
+def _procedure_text(procedure: Procedure, name: str, sizes: Sequence[int]) -> str:
+    """Return the procedure for one run, and a function that calls it for one lane after another."""
+    one, split, starts = f"{name}_one", len(procedure.inputs), [sum(sizes[:k]) for k in range(len(sizes))]
+    lines = [*_head(procedure, name, len(procedure.outputs)), "    for (int lane = 0; lane < LANES; ++lane) {"]
+    for k, (size, start) in enumerate(zip(sizes[:split], starts, strict=False)):
+        lines.append(f"        for (int k = 0; k < {size}; ++k) {{ work[{start} + k] = in{k}[k * LANES + lane]; }}")
+    lines.append(f"        {one}({', '.join(f'work + {start}' for start in starts)});")
+    for k, (size, start) in enumerate(zip(sizes[split:], starts[split:], strict=True)):
+        # every lane has read its inputs from memory of its own, so an output may be an input
+        lines.append(f"        for (int k = 0; k < {size}; ++k) {{ out{k}[k * LANES + lane] = work[{start} + k]; }}")
+    return "\n".join([emit_procedure(procedure, symbol=one, vectors=True), *lines, "    }", "}"]) + "\n"
 
 
 def _strides(loop: Loop) -> tuple[int, ...]:
     """Return the distance between entries in each input, then each output, of a body that runs in inner SIMD lanes."""
-    own = loop.index + len(loop.carried) + len(loop.sliced)
-    side = (loop.lanes,) * own
-    return (
-        (1,) * loop.index
-        + side[loop.index :]
-        + (1,) * (len(loop.spread) + len(loop.fixed))
-        + (loop.lanes,) * len(loop.results)
-    )
+    read = (loop.lanes if feed == "lanes" else 1 for feed in feeds_of(loop))
+    return (*read, *(loop.lanes,) * len(loop.results))
 
 
-class _Writer:
-    """Collects the C functions written so far, their names by digest, and the memory that they need."""
+class _RoutineText(RoutineText):
+    """Translates one routine to C; its own arrays are in the argument `work`, of which it needs `own` numbers a run."""
 
-    def __init__(self, symbol: str) -> None:
-        self.symbol = symbol
-        self.named: dict[str, str] = {}
-        self.work: dict[str, int] = {}
-        self.chunks: list[str] = []
-        self.overlapping: set[str] = set()
+    def __init__(self, routine: Routine, symbol: str, writer: Writer) -> None:
+        super().__init__(routine, symbol, writer)
+        starts, self.own = self.places.pool
+        at = 0
+        for name, size in self.places.own.items() if not starts else ():
+            starts, at = {**starts, name: at}, at + size
+        self.starts = dict(starts)
 
-    def see(self, block: Block) -> None:
-        """Record the programs that are called with one array as both an input and an output."""
-        self.overlapping.add(_key(block, ()))
-        for inner in nested(block).values():
-            if isinstance(inner, Routine):
-                local = _Text(inner, self).local
-                blocks = [s.block for s in inner.steps if not isinstance(s, Gather) and _overlaps(s, local)]
-                self.overlapping |= {_key(block, ()) for block in blocks}
-
-    def name(self, block: Block, strides: tuple[int, ...] = ()) -> str:
-        return self.named[_key(block, strides)]
-
-    def program(self, program: Program, strides: tuple[int, ...], *, last: bool = False) -> None:
-        name = self._new(program, strides, last)
-        if name:
-            key = _key(program, strides)
-            text, self.work[key] = _program_text(program, name, strides, overlapping=key in self.overlapping)
-            self.chunks.append(text)
-
-    def procedure(self, procedure: Procedure, *, last: bool) -> None:
-        """Write the procedure for one run, and a function that calls it for one lane after another."""
-        name = self._new(procedure, (), last)
-        if not name:
-            return
-        one = f"{name}_one"
-        self.chunks.append(emit_procedure(procedure, symbol=one, vectors=True))
-        sizes = [size for _, size in (*procedure.inputs, *procedure.outputs)]
-        split, starts = len(procedure.inputs), [sum(sizes[:k]) for k in range(len(sizes))]
-        lines = [*_head(procedure, name, len(procedure.outputs))]
-        lines.append("    for (int lane = 0; lane < LANES; ++lane) {")
-        for k, (size, start) in enumerate(zip(sizes[:split], starts, strict=False)):
-            lines.append(f"        for (int k = 0; k < {size}; ++k) {{ work[{start} + k] = in{k}[k * LANES + lane]; }}")
-        lines.append(f"        {one}({', '.join(f'work + {start}' for start in starts)});")
-        for k, (size, start) in enumerate(zip(sizes[split:], starts[split:], strict=True)):
-            # every lane has read its inputs from memory of its own, so an output may be an input
-            lines.append(
-                f"        for (int k = 0; k < {size}; ++k) {{ out{k}[k * LANES + lane] = work[{start} + k]; }}"
-            )
-        self.chunks.append("\n".join([*lines, "    }", "}"]) + "\n")
-        self.work[_key(procedure, ())] = sum(sizes)
-
-    def routine(self, routine: Routine, *, last: bool) -> None:
-        name = self._new(routine, (), last)
-        if name:
-            text, own = _Text(routine, self).function(name)
-            inner = [self.work[_key(s.block, _lane_strides(s))] for s in routine.steps if not isinstance(s, Gather)]
-            self.chunks.append(text)
-            self.work[_key(routine, ())] = own + max(inner, default=0)
-
-    def _new(self, block: Block, strides: tuple[int, ...], last: bool) -> str:
-        key = _key(block, strides)
-        if key in self.named:
-            return ""
-        base = f"{self.symbol}_{block.name}" + ("_side" if strides else "")
-        self.named[key] = self.symbol if last else free_name(base, self.named)
-        return self.named[key]
-
-
-def _key(block: Block, strides: tuple[int, ...]) -> str:
-    return block.digest() + ("" if not strides else f" {strides}")
-
-
-def _overlaps(step: Step, local: Mapping[str, str]) -> bool:
-    """Return whether an output array of the step may also be an input array of the step."""
-    # outer inputs may alias outer outputs; loops update arrays in place
-    if not isinstance(step, Call):
-        return isinstance(step, Loop)
-    inputs, outputs = {local[name] for name in step.args}, {local[name] for name in step.results}
-    return bool(inputs & outputs) or (
-        any(n.startswith("in") for n in inputs) and any(n.startswith("out") for n in outputs)
-    )
-
-
-def _lane_strides(step: Call | Loop) -> tuple[int, ...]:
-    return _strides(step) if isinstance(step, Loop) and step.lanes > 1 else ()
-
-
-class _Text:
-    """Translates one routine to C."""
-
-    def __init__(self, routine: Routine, writer: _Writer) -> None:
-        self.routine, self.writer = routine, writer
-        self.sizes = routine.sizes()
-        self.own = 0
-        self.lines: list[str] = []
-        # local arrays are numbered, so that no unchecked external name enters the C text
-        self.local = {name: f"in{k}" for k, (name, _) in enumerate(routine.inputs)}
-        self.local |= {name: f"a{k}" for k, name in enumerate(self.sizes) if name not in self.local}
-        in_place = carried_in_place(routine)
-        self.local |= {result: self.local[name] for result, name in in_place.items()}
-        direct = _direct(routine)
-        self.local |= {name: f"out{k}" for name, k in direct.items()}
-        for name in list(self.sizes)[len(routine.inputs) :]:
-            if name not in in_place and name not in direct:
-                self._array(self.local[name], self.sizes[name])
-
-    def function(self, symbol: str) -> tuple[str, int]:
-        """Return the C text of the function, and the size of the function's own arrays in numbers for each run."""
-        routine, local = self.routine, self.local
-        read = {name for step in routine.steps for name in reads(step)} | set(routine.results)
-        idle = [f"    (void){name};" for name in dict.fromkeys(local[x] for x in local if x not in read)]
-        body: list[str] = []
-        for at, step in enumerate(routine.steps):
-            body += self._step(step, at)
-        for k, name in enumerate(routine.results):
-            if local[name] != f"out{k}":
-                body.append(f"    copy(out{k}, {local[name]}, {self.sizes[name]});")
-        meaning = ", ".join(f"{local[name]}: {identifier(name)} {size}" for name, size in self.sizes.items())
-        top = _head(routine, symbol, len(routine.results))
+    def head(self) -> list[str]:
+        lines = [*self.comment(), *_head(self.routine, self.symbol, len(self.routine.results))]
+        lines += [f"    double *const {name} = work + {at} * LANES;" for name, at in self.starts.items()]
         rest = [f"    double *const rest = work + {self.own} * LANES;", "    (void)rest;"]
-        comment = f"/* {meaning}; outputs may alias inputs */"
-        return "\n".join([comment, *top, *self.lines, *rest, *idle, *body, "}"]) + "\n", self.own
+        return [*lines, *self.declared_pointers(), *rest]
 
-    def _array(self, name: str, size: int) -> None:
-        self.lines.append(f"    double *const {name} = work + {self.own} * LANES;")
+    def _array(self, name: str, size: int) -> str:
+        """Return the name of one more array in `work`."""
+        self.starts[name] = self.own
         self.own += size
+        return name
 
-    def _step(self, step: Step, at: int) -> list[str]:
-        if isinstance(step, Gather):
-            return self._gather(step)
-        if isinstance(step, Call):
-            return [f"    {self._call(step.block, [*step.args, *step.results])}"]
-        return self._loop(step, at)
+    def at(self, array: str, start: int) -> str:
+        return f"{array} + {start} * LANES"
 
-    def _call(self, block: Block, names: list[str]) -> str:
-        return f"{self.writer.name(block)}({', '.join([*(self.local[n] for n in names), 'rest'])});"
+    def copy(self, to: tuple[str, int], source: tuple[str, int], size: int) -> str:
+        return f"    copy({', '.join(self.at(*place) if place[1] else place[0] for place in (to, source))}, {size});"
 
-    def _gather(self, step: Gather) -> list[str]:
+    def call(self, start: str, function: str, arguments: list[str]) -> list[str]:
+        return super().call(start, function, [*arguments, "rest"])
+
+    def part(self, name: str, count: int) -> str:
+        return f"{super().part(name, count)} * LANES"
+
+    def gather(self, step: Gather) -> list[str]:
         index, source, result = (self.local[name] for name in (step.index, step.source, step.result))
         last = self.sizes[step.source] // step.width - 1
         first = f"{step.width} * at"
@@ -335,76 +263,46 @@ class _Text:
             "    }",
         ]
 
-    def _loop(self, loop: Loop, at: int) -> list[str]:
-        state = len(loop.carried)
-        results = [self.local[name] for name in loop.results]
-        pairs = list(zip(loop.carried, results[:state], strict=False))
-        lines = [
-            f"    copy({to}, {self.local[name]}, {self.sizes[name]});" for name, to in pairs if to != self.local[name]
-        ]
-        head = f"    for (int i = 0; i < {loop.count}; ++i) {{"
-        if loop.index:
-            self._array(f"turn{at}", 1)
-        if loop.lanes > 1:
-            return [*lines, head, *self._side_by_side(loop, at), "    }"]
-        parts = [self._piece(name, loop.count) for name in (*loop.sliced, *loop.spread)]
-        stacked = [self._piece(name, loop.count) for name in loop.results[state:]]
-        fixed = [self.local[name] for name in loop.fixed]
-        arguments = [f"turn{at}"] * loop.index + results[:state] + parts + fixed
-        function = self.writer.name(loop.block)
-        body = [f"        fill(turn{at}, (double)i);"] * loop.index
-        in_place = f"{function}({', '.join([*arguments, *results[:state], *stacked, 'rest'])});"
-        if loop.until is None:
-            return [*lines, head, *body, f"        {in_place}", "    }"]
-        fresh = [f"fresh{at}_{k}" for k in range(state)]
-        for name, array in zip(loop.carried, fresh, strict=True):
-            self._array(array, self.sizes[name])
-        flag = results[loop.until]
+    def loop(self, loop: Loop, at: int) -> list[str]:
+        count, lanes, state = loop.count, loop.lanes, [self.local[name] for name in loop.results[: len(loop.carried)]]
+        side = " + l * LANES" if lanes > 1 else ""
+        turn = [self._array(f"turn{at}", 1)] if loop.index else []
+        pieces = [f"{self.part(name, count)}{side}" for name in loop.sliced]
+        pieces += [self._spread(name, loop) for name in loop.spread]
+        arguments = [*turn, *(f"{name}{side}" for name in state), *pieces, *(self.local[name] for name in loop.fixed)]
+        stacked = [f"{self.part(name, count)}{side}" for name in loop.results[len(state) :]]
+        function = self.writer.named[function_key(loop)]
+        body = [f"        fill({turn[0]}, (double)({f'{lanes} * i + l' if side else 'i'}));"] if turn else []
+        body += self.call("        ", function, [*arguments, *(f"{name}{side}" for name in state), *stacked])
+        if side:
+            body = [f"        for (int l = 0; l < {lanes}; ++l) {{", *(f"    {line}" for line in body), "        }"]
+        if loop.until is not None:
+            body = self._masked(loop, at, body, arguments)
+        return [*self.begun(loop, {}), f"    for (int i = 0; i < {count}; ++i) {{", *body, "    }"]
+
+    def _spread(self, name: str, loop: Loop) -> str:
+        if loop.lanes == 1:
+            return self.part(name, loop.count)
+        size = self.sizes[name] // (loop.count * loop.lanes)
+        return f"{self.local[name]} + ({loop.lanes} * i + l) * {size} * LANES"
+
+    def _masked(self, loop: Loop, at: int, whole: list[str], arguments: list[str]) -> list[str]:
+        """Return the C lines of an iteration in which runs that have ended keep their state."""
+        assert loop.until is not None
+        fresh = {name: self._array(f"fresh{at}_{k}", self.sizes[name]) for k, name in enumerate(loop.carried)}
+        flag = self.local[loop.results[loop.until]]
         # the flag is updated last, since it selects the runs that have not ended
-        order = [k for k in range(state) if k != loop.until] + [loop.until]
-        keep = [f"            keep({results[k]}, {fresh[k]}, {flag}, {self.sizes[loop.carried[k]]});" for k in order]
+        order = [k for k in range(len(fresh)) if k != loop.until] + [loop.until]
+        targets = [(self.local[loop.results[k]], loop.carried[k]) for k in order]
+        index = whole[: int(loop.index)]
         return [
-            *lines,
-            head,
             f"        const unsigned run = running({flag});",
             "        if (run == 0U) { break; }",
-            *body,
-            f"        if (run == ALL_LANES) {{ {in_place} }}",
-            "        else {",
-            f"            {function}({', '.join([*arguments, *fresh, 'rest'])});",
-            *keep,
-            "        }",
-            "    }",
-        ]
-
-    def _side_by_side(self, loop: Loop, at: int) -> list[str]:
-        state, count = len(loop.carried), loop.count
-        results = [f"{self.local[name]} + l * LANES" for name in loop.results[:state]]
-        arguments = [f"turn{at}"] * loop.index + results
-        arguments += [f"{self._piece(name, count)} + l * LANES" for name in loop.sliced]
-        for name in loop.spread:
-            size = self.sizes[name] // (count * loop.lanes)
-            arguments.append(f"{self.local[name]} + ({loop.lanes} * i + l) * {size} * LANES")
-        arguments += [self.local[name] for name in loop.fixed]
-        stacked = [f"{self._piece(name, count)} + l * LANES" for name in loop.results[state:]]
-        function = self.writer.name(loop.block, _strides(loop))
-        return [
-            f"        for (int l = 0; l < {loop.lanes}; ++l) {{",
-            *[f"            fill(turn{at}, (double)({loop.lanes} * i + l));"] * loop.index,
-            f"            {function}({', '.join([*arguments, *results, *stacked, 'rest'])});",
+            *index,
+            "        if (run == ALL_LANES) {",
+            *(f"    {line}" for line in whole[len(index) :]),
+            "        } else {",
+            *self.call("            ", self.writer.named[function_key(loop)], [*arguments, *fresh.values()]),
+            *(f"            keep({to}, {fresh[name]}, {flag}, {self.sizes[name]});" for to, name in targets),
             "        }",
         ]
-
-    def _piece(self, name: str, count: int) -> str:
-        return f"{self.local[name]} + {self.sizes[name] // count} * i * LANES"
-
-
-def _direct(routine: Routine) -> Mapping[str, int]:
-    # a program reads all inputs before it writes, so a last step that is a program may write to the outputs
-    last = routine.steps[-1] if routine.steps else None
-    inputs = {name for name, _ in routine.inputs}
-    if not isinstance(last, Call) or not isinstance(last.block, Program) or inputs & set(routine.results):
-        return {}
-    return {
-        name: k for k, name in enumerate(routine.results) if name in last.results and routine.results.count(name) == 1
-    }

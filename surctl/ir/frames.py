@@ -28,7 +28,7 @@ def stack_bytes(block: Block, *, real: Real = "float64", flags: Sequence[str] = 
     for _, size in (*block.inputs, *block.outputs):
         places.append(f"memory + {at}")
         at += size
-    text = emit_block(block, symbol="block", real=real, folded=True)
+    text = emit_block(block, symbol="block", real=real)
     head = f"void surctl_run({kind} *memory)"
     return stack_of(
         f"#include <math.h>\n{text}\n{head};\n{head}\n{{\n    block({', '.join(places)});\n}}\n",

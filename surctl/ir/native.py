@@ -176,7 +176,7 @@ def _source(block: Block, real: Real) -> str:
     many = ", ".join(f"x{k} + {size} * i" for k, size in enumerate(sizes))
     return f"""#include <math.h>
 
-{emit_block(shortened(block), symbol=_SYMBOL, real=real)}
+{emit_block(shortened(block), symbol=_SYMBOL, real=real, vectors=True)}
 void surctl_run({kind} *memory);
 void surctl_run({kind} *memory)
 {{

@@ -35,14 +35,12 @@ class Operation:
         name: name in the instruction list: CasADi's name in lower case, or `select`.
         arity: number of operands.
         numpy: NumPy function that performs the operation on arrays of one dtype; a bool result represents 0 and 1.
-        c99: C expression with {0}, {1}, … for the operands, which are identifiers.
         commutative: whether the operands can be swapped without a change of any bit of a finite result.
     """
 
     name: str
     arity: int
     numpy: Callable[..., Any]
-    c99: str
     commutative: bool = False
 
 
@@ -92,37 +90,33 @@ def _fma_single(a: Any, b: Any, c: Any) -> float:
 
 
 _TABLE = (
-    Operation("add", 2, lambda a, b: a + b, "{0} + {1}", commutative=True),
-    Operation("sub", 2, lambda a, b: a - b, "{0} - {1}"),
-    Operation("mul", 2, lambda a, b: a * b, "{0} * {1}", commutative=True),
-    Operation("div", 2, lambda a, b: a / b, "{0} / {1}"),
-    Operation("fma", 3, _fma, "fma({0}, {1}, {2})"),
-    Operation("neg", 1, lambda a: -a, "-{0}"),
-    Operation("inv", 1, lambda a: 1.0 / a, "1.0 / {0}"),
-    Operation("sq", 1, lambda a: a * a, "{0} * {0}"),
-    Operation("twice", 1, lambda a: a + a, "{0} + {0}"),
-    Operation("sqrt", 1, np.sqrt, "sqrt({0})"),
-    Operation("fabs", 1, np.abs, "fabs({0})"),
-    Operation("floor", 1, np.floor, "floor({0})"),
-    Operation("fmin", 2, _fmin, "({1} < {0}) ? {1} : {0}"),
-    Operation("fmax", 2, _fmax, "({0} < {1}) ? {1} : {0}"),
-    Operation("lt", 2, lambda a, b: a < b, "({0} < {1}) ? 1.0 : 0.0"),
-    Operation("le", 2, lambda a, b: a <= b, "({0} <= {1}) ? 1.0 : 0.0"),
-    Operation("eq", 2, lambda a, b: a == b, "({0} == {1}) ? 1.0 : 0.0", commutative=True),
-    Operation("ne", 2, lambda a, b: a != b, "({0} != {1}) ? 1.0 : 0.0", commutative=True),
-    Operation(
-        "and", 2, lambda a, b: (a != 0) & (b != 0), "(({0} != 0.0) && ({1} != 0.0)) ? 1.0 : 0.0", commutative=True
-    ),
-    Operation(
-        "or", 2, lambda a, b: (a != 0) | (b != 0), "(({0} != 0.0) || ({1} != 0.0)) ? 1.0 : 0.0", commutative=True
-    ),
-    Operation("not", 1, lambda a: a == 0, "({0} == 0.0) ? 1.0 : 0.0"),
-    Operation("if_else_zero", 2, _if_else_zero, "({0} != 0.0) ? {1} : 0.0"),
-    Operation("select", 3, _select, "({0} != 0.0) ? {1} : {2}"),
-    Operation("sin", 1, np.sin, "sin({0})"),
-    Operation("cos", 1, np.cos, "cos({0})"),
-    Operation("atan2", 2, np.arctan2, "atan2({0}, {1})"),
-    Operation("acos", 1, np.arccos, "acos({0})"),
+    Operation("add", 2, lambda a, b: a + b, commutative=True),
+    Operation("sub", 2, lambda a, b: a - b),
+    Operation("mul", 2, lambda a, b: a * b, commutative=True),
+    Operation("div", 2, lambda a, b: a / b),
+    Operation("fma", 3, _fma),
+    Operation("neg", 1, lambda a: -a),
+    Operation("inv", 1, lambda a: 1.0 / a),
+    Operation("sq", 1, lambda a: a * a),
+    Operation("twice", 1, lambda a: a + a),
+    Operation("sqrt", 1, np.sqrt),
+    Operation("fabs", 1, np.abs),
+    Operation("floor", 1, np.floor),
+    Operation("fmin", 2, _fmin),
+    Operation("fmax", 2, _fmax),
+    Operation("lt", 2, lambda a, b: a < b),
+    Operation("le", 2, lambda a, b: a <= b),
+    Operation("eq", 2, lambda a, b: a == b, commutative=True),
+    Operation("ne", 2, lambda a, b: a != b, commutative=True),
+    Operation("and", 2, lambda a, b: (a != 0) & (b != 0), commutative=True),
+    Operation("or", 2, lambda a, b: (a != 0) | (b != 0), commutative=True),
+    Operation("not", 1, lambda a: a == 0),
+    Operation("if_else_zero", 2, _if_else_zero),
+    Operation("select", 3, _select),
+    Operation("sin", 1, np.sin),
+    Operation("cos", 1, np.cos),
+    Operation("atan2", 2, np.arctan2),
+    Operation("acos", 1, np.arccos),
 )
 
 OPERATIONS: Mapping[str, Operation] = MappingProxyType({op.name: op for op in _TABLE})

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -11,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from surctl.errors import InputError
 from surctl.ir.procedure import Procedure
 from surctl.ir.program import OPERATIONS, Program
-from surctl.ir.routine import Block, Gather, Loop, Routine
+from surctl.ir.routine import Block, Feed, Gather, Loop, Routine
 
 Real = type[np.float64] | type[np.float32]
 Value = NDArray[np.floating[Any]]
@@ -51,7 +53,9 @@ def replay(program: Block, *inputs: ArrayLike, real: Real = np.float64) -> list[
 def _run(block: Block, arrays: list[Value], real: Real) -> list[Value]:
     if isinstance(block, Procedure):
         return _run_procedure(block, arrays, real)
-    return _run_program(block, arrays, real) if isinstance(block, Program) else _run_routine(block, arrays, real)
+    return (
+        _run_program(block, arrays, real) if isinstance(block, Program) else run_routine(block, arrays, _Numbers(real))
+    )
 
 
 def _run_procedure(procedure: Procedure, arrays: list[Value], real: Real) -> list[Value]:
@@ -73,125 +77,145 @@ def _run_program(program: Program, arrays: list[Value], real: Real) -> list[Valu
     return [_stack([values[r] for r in refs], batch, real) for refs in program.output_refs]
 
 
-def _run_routine(routine: Routine, arrays: list[Value], real: Real) -> list[Value]:
-    scope = {name: array for (name, _), array in zip(routine.inputs, arrays, strict=True)}
+T = TypeVar("T")
+
+
+class Arrays(ABC, Generic[T]):
+    """What the steps of a routine do with arrays of a type T; a block may run for several lanes at once."""
+
+    @abstractmethod
+    def call(self, block: Block, arguments: list[T], lanes: int) -> list[T]:
+        """Return the outputs of a block."""
+
+    @abstractmethod
+    def numbers(self, values: Sequence[float]) -> T:
+        """Return one number for each lane."""
+
+    @abstractmethod
+    def spread(self, array: T, lanes: int, layout: Feed) -> T:
+        """Return an array with this layout in the form for lanes."""
+
+    @abstractmethod
+    def flat(self, array: T, lanes: int, layout: Feed) -> T:
+        """Return the inverse of `spread`."""
+
+    @abstractmethod
+    def pieces(self, array: T, count: int) -> Sequence[T]:
+        """Return an array in equal pieces."""
+
+    @abstractmethod
+    def join(self, parts: Sequence[T]) -> T:
+        """Return the array that consists of these pieces."""
+
+    @abstractmethod
+    def until(self, flag: T, fresh: Callable[[], list[T]], state: Sequence[T]) -> list[T] | None:
+        """Return the state `fresh()` where the flag is 0, and elsewhere the old one; None if it is 0 nowhere."""
+
+    @abstractmethod
+    def piece(self, source: T, index: T, width: int) -> T:
+        """Return the piece of a `Gather` with one lane."""
+
+
+def run_routine(routine: Routine, inputs: Sequence[T], arrays: Arrays[T]) -> list[T]:
+    """Return the outputs of a routine."""
+    scope = {name: array for (name, _), array in zip(routine.inputs, inputs, strict=True)}
     for step in routine.steps:
         if isinstance(step, Gather):
-            scope[step.result] = _piece(
-                _plain(scope[step.source], step.width, step.lanes), scope[step.index], step.width
-            )
+            source, lanes = scope[step.source], step.lanes
+            if lanes > 1:
+                groups = arrays.pieces(source, routine.sizes()[step.source] // (step.width * lanes))
+                rows = (arrays.flat(arrays.spread(group, lanes, "lanes"), lanes, "spread") for group in groups)
+                source = arrays.join(list(rows))
+            scope[step.result] = arrays.piece(source, scope[step.index], step.width)
             continue
         if isinstance(step, Loop):
-            results = _run_loop(step, scope, real) if step.lanes == 1 else _run_lanes(step, scope, real)
+            results = _turns(step, scope, arrays)
         else:
-            results = _run(step.block, [scope[name] for name in step.args], real)
+            results = arrays.call(step.block, [scope[name] for name in step.args], 1)
         scope.update(zip(step.results, results, strict=True))
     return [scope[name] for name in routine.results]
 
 
-def _run_loop(loop: Loop, scope: dict[str, Value], real: Real) -> list[Value]:
-    if not loop.carried:
-        return _run_at_once(loop, scope, real)
-    state = [scope[name] for name in loop.carried]
-    tables = [_rows(scope[name], loop.count) for name in (*loop.sliced, *loop.spread)]
-    fixed = [scope[name] for name in loop.fixed]
-    stacked: list[list[Value]] = []
-    for turn in range(loop.count):
-        running = None if loop.until is None else state[loop.until] == 0
-        if running is not None and not running.any():
+def _turns(loop: Loop, scope: Mapping[str, T], arrays: Arrays[T]) -> list[T]:
+    """Return the results of a loop; independent iterations are computed at once, each in a lane."""
+    count, lanes, held = loop.count, loop.lanes, len(loop.carried)
+    if not held and lanes == 1:
+        own = [arrays.numbers(range(count))] if loop.index else []
+        own += [arrays.spread(scope[name], count, "spread") for name in (*loop.sliced, *loop.spread)]
+        own += [arrays.spread(scope[name], count, "shared") for name in loop.fixed]
+        return [arrays.flat(part, count, "spread") for part in arrays.call(loop.block, own, count)]
+    state = [arrays.spread(scope[name], lanes, "lanes") for name in loop.carried]
+    spread: tuple[Feed, Feed] = ("lanes", "spread")
+    tables = [
+        (arrays.pieces(scope[name], count), layout)
+        for layout, names in zip(spread, (loop.sliced, loop.spread), strict=True)
+        for name in names
+    ]
+    fixed = [arrays.spread(scope[name], lanes, "shared") for name in loop.fixed]
+    stacked: list[list[T]] = []
+    for turn in range(count):
+        own = [arrays.numbers(range(lanes * turn, lanes * (turn + 1)))] if loop.index else []
+        own += [*state, *(arrays.spread(table[turn], lanes, layout) for table, layout in tables), *fixed]
+        call = partial(arrays.call, loop.block, own, lanes)
+        outputs = call() if loop.until is None else arrays.until(state[loop.until], call, state)
+        if outputs is None:
             break
-        index = [np.full(1, turn, dtype=real)] if loop.index else []
-        outputs = _run(loop.block, [*index, *state, *(table[..., turn, :] for table in tables), *fixed], real)
-        fresh = outputs[: len(state)]
-        if running is None or running.all():
-            state = fresh
-        else:  # in a batch, runs that have ended keep their state
-            state = [np.where(running, a, b) for a, b in zip(fresh, state, strict=True)]
-        stacked.append(outputs[len(state) :])
-    return [*state, *(np.concatenate(parts, axis=-1) for parts in _broadcast(stacked))]
+        state = outputs[:held]
+        stacked.append([arrays.flat(part, lanes, "lanes") for part in outputs[held:]])
+    return [*(arrays.flat(part, lanes, "lanes") for part in state), *map(arrays.join, zip(*stacked, strict=True))]
 
 
-def _run_at_once(loop: Loop, scope: dict[str, Value], real: Real) -> list[Value]:
-    """Evaluate all iterations of a loop with independent iterations at once, as an additional axis of the batch."""
-    numbers: Value = np.array([[turn] for turn in range(loop.count)], dtype=real)
-    tables = [_rows(scope[name], loop.count) for name in (*loop.sliced, *loop.spread)]
-    outputs = _run(
-        loop.block, [*[numbers] * loop.index, *tables, *(scope[name][..., None, :] for name in loop.fixed)], real
-    )
-    full = [part if part.ndim > 1 else part[None] for part in outputs]  # a body without inputs
-    shapes = [(*part.shape[:-2], loop.count, part.shape[-1]) for part in full]
-    return [np.broadcast_to(y, s).reshape(*s[:-2], -1) for y, s in zip(full, shapes, strict=True)]
+class _Numbers(Arrays[Value]):
+    """Arrays of numbers (…, entries) with a batch of runs; (…, lanes, entries) for several lanes."""
 
+    def __init__(self, real: Real) -> None:
+        self.real = real
 
-def _rows(array: Value, count: int) -> Value:
-    # (…, count · entries) → (…, count, entries)
-    return array.reshape(*array.shape[:-1], count, -1)
+    def call(self, block: Block, arguments: list[Value], lanes: int) -> list[Value]:
+        return _run(block, arguments, self.real)
 
+    def numbers(self, values: Sequence[float]) -> Value:
+        column: Value = np.array([[value] for value in values], dtype=self.real)
+        return column if len(column) > 1 else column[0]
 
-def _run_lanes(loop: Loop, scope: dict[str, Value], real: Real) -> list[Value]:
-    """Evaluate a loop over SIMD lanes, with all lanes at once as an additional axis of the batch."""
-    lanes = loop.lanes
-    state = [_by_lane(scope[name], lanes) for name in loop.carried]
-    pieces = [[_by_lane(x, lanes) for x in np.split(scope[name], loop.count, axis=-1)] for name in loop.sliced]
-    spread = [_cut(scope[name], loop.count, lanes) for name in loop.spread]
-    fixed = [scope[name][..., None, :] for name in loop.fixed]
-    stacked: list[list[Value]] = []
-    for turn in range(loop.count):
-        numbers: Value = np.array([[turn * lanes + k] for k in range(lanes)], dtype=real)
-        arguments: list[Value] = [
-            *([numbers] if loop.index else []),
-            *state,
-            *(x[turn] for x in (*pieces, *spread)),
-            *fixed,
-        ]
-        outputs = _run(loop.block, arguments, real)
-        state = outputs[: len(state)]
-        stacked.append([_by_entry(x, lanes) for x in outputs[len(state) :]])
-    return [*(_by_entry(x, lanes) for x in state), *(np.concatenate(x, axis=-1) for x in _broadcast(stacked))]
+    def spread(self, array: Value, lanes: int, layout: Feed) -> Value:
+        if lanes == 1:
+            return array
+        if layout == "shared":
+            return array[..., None, :]
+        by_lane = layout == "spread"
+        whole = array.reshape(*array.shape[:-1], *((lanes, -1) if by_lane else (-1, lanes)))
+        return whole if by_lane else np.swapaxes(whole, -1, -2)
 
+    def flat(self, array: Value, lanes: int, layout: Feed) -> Value:
+        if lanes == 1:
+            return array
+        array = array if array.ndim > 1 else array[None]  # a block without inputs has no axis of lanes
+        whole = np.broadcast_to(array, (*array.shape[:-2], lanes, array.shape[-1]))
+        return (whole if layout == "spread" else np.swapaxes(whole, -1, -2)).reshape(*whole.shape[:-2], -1)
 
-def _by_lane(array: Value, lanes: int) -> Value:
-    # (…, entries · lanes), stored entry by entry, → (…, lanes, entries)
-    return np.swapaxes(array.reshape(*array.shape[:-1], -1, lanes), -1, -2)
+    def pieces(self, array: Value, count: int) -> Sequence[Value]:
+        return np.split(array, count, axis=-1)
 
+    def join(self, parts: Sequence[Value]) -> Value:
+        batch = np.broadcast_shapes(*(part.shape[:-1] for part in parts))
+        return np.concatenate([np.broadcast_to(part, (*batch, part.shape[-1])) for part in parts], axis=-1)
 
-def _by_entry(array: Value, lanes: int) -> Value:
-    # (…, lanes or 1, entries) → (…, entries · lanes), stored entry by entry
-    array = array if array.ndim > 1 else array[None]  # a program without inputs has no axis of lanes
-    full = np.broadcast_to(array, (*array.shape[:-2], lanes, array.shape[-1]))
-    return np.swapaxes(full, -1, -2).reshape(*array.shape[:-2], -1)
+    def until(self, flag: Value, fresh: Callable[[], list[Value]], state: Sequence[Value]) -> list[Value] | None:
+        running = flag == 0
+        if not running.any():
+            return None
+        # in a batch, runs that have ended keep their state
+        return fresh() if running.all() else [np.where(running, a, b) for a, b in zip(fresh(), state, strict=True)]
 
-
-def _cut(array: Value, count: int, lanes: int) -> list[Value]:
-    # (…, count · lanes · entries) → one array (…, lanes, entries) for each iteration
-    cut = array.reshape(*array.shape[:-1], count, lanes, -1)
-    return [cut[..., turn, :, :] for turn in range(count)]
-
-
-def _plain(source: Value, width: int, lanes: int) -> Value:
-    """Return an array with one piece after another from groups of `lanes` pieces that are stored entry by entry."""
-    if lanes == 1:
-        return source
-    blocks = source.reshape(*source.shape[:-1], -1, width, lanes)
-    return np.swapaxes(blocks, -1, -2).reshape(source.shape)
-
-
-def _broadcast(stacked: list[list[Value]]) -> list[list[Value]]:
-    groups = []
-    for parts in zip(*stacked, strict=True):
-        batch = np.broadcast_shapes(*(p.shape[:-1] for p in parts))
-        groups.append([np.broadcast_to(p, (*batch, p.shape[-1])) for p in parts])
-    return groups
-
-
-def _piece(source: Value, index: Value, width: int) -> Value:
-    count = source.shape[-1] // width
-    inside = np.where(index >= 1, np.where(index < count - 1, index, count - 1), 0).astype(np.intp)
-    batch = np.broadcast_shapes(source.shape[:-1], index.shape[:-1])
-    cut = np.broadcast_to(source, (*batch, count * width)).reshape(*batch, count, width)
-    at = np.broadcast_to(inside, (*batch, 1))[..., None]
-    piece: Value = np.take_along_axis(cut, np.broadcast_to(at, (*batch, 1, width)), axis=-2)[..., 0, :]
-    return piece
+    def piece(self, source: Value, index: Value, width: int) -> Value:
+        count = source.shape[-1] // width
+        inside = np.where(index >= 1, np.where(index < count - 1, index, count - 1), 0).astype(np.intp)
+        batch = np.broadcast_shapes(source.shape[:-1], index.shape[:-1])
+        cut = np.broadcast_to(source, (*batch, count * width)).reshape(*batch, count, width)
+        at = np.broadcast_to(inside, (*batch, 1))[..., None]
+        piece: Value = np.take_along_axis(cut, np.broadcast_to(at, (*batch, 1, width)), axis=-2)[..., 0, :]
+        return piece
 
 
 def _checked(program: Block, inputs: tuple[ArrayLike, ...], real: Real) -> list[Value]:

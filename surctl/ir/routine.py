@@ -11,11 +11,18 @@ import hashlib
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TypeAlias
+from typing import Literal, TypeAlias
 
 from surctl.errors import InputError
 from surctl.ir.procedure import Procedure
 from surctl.ir.program import Program
+
+Feed: TypeAlias = Literal["lanes", "spread", "shared"]
+"""The layout of an input for SIMD lanes, one for each run.
+
+"lanes": the numbers of all lanes for entry 0, then for entry 1, …; "spread": all entries of lane 0, then of lane 1, …;
+"shared": one number for each entry, which all lanes use.
+"""
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import lru_cache, partial
 from types import MappingProxyType
-from typing import Any
+from typing import Any, TypeAlias
 
 import casadi as ca
 import numpy as np
@@ -16,7 +16,8 @@ from numpy.typing import ArrayLike, NDArray
 from surctl.errors import InputError
 from surctl.ir.procedure import Dual, Procedure
 from surctl.ir.program import Program
-from surctl.ir.routine import Block, Call, Gather, Loop, Routine, nested
+from surctl.ir.replay import Arrays, run_routine
+from surctl.ir.routine import Block, Feed, Routine, nested
 
 # `binary` itself: for `a + b` CasADi first tries every other kind of argument, for ten times as long
 _SYMBOLIC: Mapping[str, Callable[..., Any]] = MappingProxyType(
@@ -169,83 +170,56 @@ def _as_written() -> Iterator[None]:
 
 def _routine(routine: Routine, functions: Mapping[int, ca.Function]) -> ca.Function:
     inputs = [ca.MX.sym(name, size) for name, size in routine.inputs]
-    scope = {name: symbol for (name, _), symbol in zip(routine.inputs, inputs, strict=True)}
-    for step in routine.steps:
-        if isinstance(step, Gather):
-            source = _plain(scope[step.source], step.width, step.lanes)
-            scope[step.result] = _piece(source, scope[step.index], step.width)
-            continue
-        if isinstance(step, Call):
-            results = _called(functions[id(step.block)], [scope[name] for name in step.args])
-        elif step.lanes > 1:
-            results = _side_by_side(step, functions[id(step.block)], scope)
-        else:
-            results = _unrolled(step, functions[id(step.block)], scope)
-        scope.update(zip(step.results, results, strict=True))
-    return ca.Function(routine.name, inputs, [scope[name] for name in routine.results])
+    outputs = run_routine(routine, [[x] for x in inputs], _Symbols(functions))
+    return ca.Function(routine.name, inputs, [column for (column,) in outputs])
 
 
-def _called(function: ca.Function, arguments: list[ca.MX]) -> list[ca.MX]:
-    results = function.call(arguments)
-    return list(results)
+_Columns: TypeAlias = list[ca.MX]
 
 
-def _unrolled(loop: Loop, function: ca.Function, scope: Mapping[str, ca.MX]) -> list[ca.MX]:
-    state = [scope[name] for name in loop.carried]
-    pieces = [ca.vertsplit(scope[name], scope[name].numel() // loop.count) for name in (*loop.sliced, *loop.spread)]
-    fixed = [scope[name] for name in loop.fixed]
-    stacked: list[list[ca.MX]] = []
-    for turn in range(loop.count):
-        index = [ca.MX(turn)] if loop.index else []
-        outputs = _called(function, [*index, *state, *(piece[turn] for piece in pieces), *fixed])
-        fresh = outputs[: len(state)]
-        stacked.append(outputs[len(state) :])
-        if loop.until is not None:
-            running = state[loop.until] == 0
-            fresh = [ca.if_else(running, a, b) for a, b in zip(fresh, state, strict=True)]
-        state = fresh
-    return [*state, *(ca.vertcat(*parts) for parts in zip(*stacked, strict=True))]
+class _Symbols(Arrays[_Columns]):
+    """Symbolic column vectors, one for each lane."""
 
+    def __init__(self, functions: Mapping[int, ca.Function]) -> None:
+        self.functions = functions
 
-def _side_by_side(loop: Loop, function: ca.Function, scope: Mapping[str, ca.MX]) -> list[ca.MX]:
-    lanes, turns = loop.lanes, loop.count * loop.lanes
-    state = [[scope[name][k::lanes] for k in range(lanes)] for name in loop.carried]
-    blocks = [ca.vertsplit(scope[name], scope[name].numel() // loop.count) for name in loop.sliced]
-    pieces = [ca.vertsplit(scope[name], scope[name].numel() // turns) for name in loop.spread]
-    fixed = [scope[name] for name in loop.fixed]
-    stacked: list[list[ca.MX]] = []
-    for turn in range(loop.count):
-        lane_outputs = []
-        for k in range(lanes):
-            at = turn * lanes + k
-            own = [*(x[k] for x in state), *(x[turn][k::lanes] for x in blocks), *(x[at] for x in pieces)]
-            lane_outputs.append(_called(function, [*([ca.MX(at)] if loop.index else []), *own, *fixed]))
-        outputs = [list(x) for x in zip(*lane_outputs, strict=True)]
-        state = outputs[: len(state)]
-        stacked.append([_by_entry(x) for x in outputs[len(state) :]])
-    return [*(_by_entry(x) for x in state), *(ca.vertcat(*parts) for parts in zip(*stacked, strict=True))]
+    def call(self, block: Block, arguments: list[_Columns], lanes: int) -> list[_Columns]:
+        results = (self.functions[id(block)].call([each[k] for each in arguments]) for k in range(lanes))
+        return [list(columns) for columns in zip(*results, strict=True)]
 
+    def numbers(self, values: Sequence[float]) -> _Columns:
+        return [ca.MX(value) for value in values]
 
-def _by_entry(parts: list[ca.MX]) -> ca.MX:
-    """Join the arrays of all SIMD lanes to one array: entry 0 of all lanes, then entry 1 of all lanes, and so on."""
-    return ca.reshape(ca.horzcat(*parts).T, -1, 1)
+    def spread(self, array: _Columns, lanes: int, layout: Feed) -> _Columns:
+        (column,) = array
+        if lanes == 1 or layout == "shared":
+            return array * lanes
+        return self._cut(column, lanes) if layout == "spread" else [column[k::lanes] for k in range(lanes)]
 
+    def flat(self, array: _Columns, lanes: int, layout: Feed) -> _Columns:
+        return [ca.vertcat(*array) if layout == "spread" else ca.reshape(ca.horzcat(*array).T, -1, 1)]
 
-def _plain(source: ca.MX, width: int, lanes: int) -> ca.MX:
-    """Return an array with one piece after another from groups of `lanes` pieces that are stored entry by entry."""
-    if lanes == 1:
-        return source
-    blocks = ca.vertsplit(source, width * lanes)
-    return ca.vertcat(*(ca.reshape(ca.reshape(b, lanes, width).T, -1, 1) for b in blocks))
+    def pieces(self, array: _Columns, count: int) -> Sequence[_Columns]:
+        return [[piece] for piece in self._cut(array[0], count)]
 
+    @staticmethod
+    def _cut(column: ca.MX, count: int) -> _Columns:
+        return list(ca.vertsplit(column, column.numel() // count)) if column.numel() else [column] * count
 
-def _piece(source: ca.MX, index: ca.MX, width: int) -> ca.MX:
-    # a chain of choices, which CasADi can expand to SX
-    table, at = ca.SX.sym("table", width, source.numel() // width), ca.SX.sym("at")
-    piece = table[:, 0]
-    for k in range(1, table.shape[1]):
-        piece = ca.if_else(at >= k, table[:, k], piece)
-    return _called(ca.Function("piece", [ca.vec(table), at], [piece]), [source, index])[0]
+    def join(self, parts: Sequence[_Columns]) -> _Columns:
+        return [ca.vertcat(*(part[0] for part in parts))]
+
+    def until(self, flag: _Columns, fresh: Callable[[], list[_Columns]], state: Sequence[_Columns]) -> list[_Columns]:
+        running = flag[0] == 0
+        return [[ca.if_else(running, a[0], b[0])] for a, b in zip(fresh(), state, strict=True)]
+
+    def piece(self, source: _Columns, index: _Columns, width: int) -> _Columns:
+        # a chain of choices, which CasADi can expand to SX
+        table, at = ca.SX.sym("table", width, source[0].numel() // width), ca.SX.sym("at")
+        piece = table[:, 0]
+        for k in range(1, table.shape[1]):
+            piece = ca.if_else(at >= k, table[:, k], piece)
+        return list(ca.Function("piece", [ca.vec(table), at], [piece]).call([source[0], index[0]]))
 
 
 def on_vectors(function: ca.Function) -> Callable[..., list[NDArray[np.float64]]]:

@@ -23,7 +23,7 @@ from typing import Any, TypeAlias, overload
 import casadi as ca
 
 from surctl.errors import InputError, UnsupportedOperation
-from surctl.ir.folding import Numbering
+from surctl.ir.folding import Numbering, shared_divisors
 from surctl.ir.nesting import Key, Traced, routine
 from surctl.ir.program import OPERATIONS, SUBSTITUTES, Instruction, Program, drop_dead
 from surctl.ir.routine import Block
@@ -70,11 +70,8 @@ def lower(function: ca.Function, *, reciprocals: bool = False) -> Program:
     stored = _walk(sx, builder)
     refs = [_dense_refs(sx, k, stored, builder) for k in range(sx.n_out())]
     outputs = tuple((str(sx.name_out(k)), len(refs[k])) for k in range(sx.n_out()))
-    if reciprocals:
-        builder, moved = _with_reciprocals(builder)
-        refs = [tuple(moved[at] for at in entries) for entries in refs]
-    instructions, output_refs = drop_dead(builder.instructions, refs)
-    return Program(builder.name, inputs, outputs, instructions, output_refs)
+    program = Program(builder.name, inputs, outputs, *drop_dead(builder.instructions, refs))
+    return shared_divisors(program) if reciprocals else program
 
 
 def lower_named(name: str, inputs: Mapping[str, ca.SX], outputs: Mapping[str, ca.SX | float]) -> Program:
@@ -93,20 +90,6 @@ def lower_named(name: str, inputs: Mapping[str, ca.SX], outputs: Mapping[str, ca
     """
     dense = [ca.densify(ca.SX(value)) for value in outputs.values()]
     return lower(ca.Function(name, list(inputs.values()), dense, list(inputs), list(outputs), {"cse": True}))
-
-
-def _with_reciprocals(old: _Builder) -> tuple[_Builder, list[int]]:
-    """Return the list in which each shared divisor is inverted once, and the new list position of each instruction."""
-    divisors = [i.args[1] for i in old.instructions if i.op == "div"]
-    shared = {at for at in divisors if divisors.count(at) > 1}
-    new, moved = _Builder(old.name), list[int]()
-    for instruction in old.instructions:
-        if instruction.op == "div" and instruction.args[1] in shared:
-            over, under = (moved[a] for a in instruction.args)
-            moved.append(new.add("mul", (over, new.add("inv", (under,)))))
-        else:
-            moved.append(new.copy(instruction, moved))
-    return new, moved
 
 
 def _expanded(function: ca.Function) -> ca.Function:

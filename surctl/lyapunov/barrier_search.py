@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import itertools
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from fractions import Fraction
 
-import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,7 +14,8 @@ from surctl.lyapunov.claims import Safety
 from surctl.lyapunov.decide import Decision, decide_motion, prove_motion
 from surctl.lyapunov.dynamics import Dynamics, exact
 from surctl.lyapunov.near import inward_speeds
-from surctl.verification.formula import Node, number, power, to_casadi, variable
+from surctl.lyapunov.template import Template, polynomials
+from surctl.verification.formula import Node, number, values_of
 
 # Decide a barrier claim, and whether its solutions stay in the box
 
@@ -59,12 +57,10 @@ class BarrierResult:
     Attributes:
         decision: the decision on the last claim that was tried; None if no function fits the samples.
         tried: the degrees and multipliers that were tried, in words.
-        seconds: duration [s].
     """
 
     decision: Decision | None
     tried: tuple[str, ...]
-    seconds: float
 
     @property
     def verdict(self) -> str:
@@ -108,20 +104,21 @@ def find_barrier(
         >>> find_barrier(spiral, [start], [bad], degree=2).verdict
         'proved'
     """
-    began, until = time.perf_counter(), time.process_time() + time_limit
+    until = time.process_time() + time_limit
     samples = _Samples(dynamics, tuple(initial), tuple(unsafe), seed)
+    scales = np.abs(dynamics.box).max(axis=0)
     options = (_FACTORS if dynamics.discrete else _MULTIPLIERS) if multiplier is None else (multiplier,)
     decision, tried = None, []
     for k in range(1, degree + 1):
-        template = _Template(dynamics, k)
-        fits = [(template.fitted(samples, option, until), option) for option in options]
+        template = polynomials(dynamics, k, scales, whole=True)
+        fits = [(_fitted(template, scales, samples, option, until), option) for option in options]
         good = sorted(((fit, o) for fit, o in fits if fit is not None), key=lambda pair: -pair[0][1])
         for (coefficients, margin), option in good:
             left = until - time.process_time()
             if left <= 0:
                 break
             label = f"degree {k}, {'factor' if dynamics.discrete else 'multiplier'} {option:g}"
-            function = template.function(coefficients * (_MARGIN / margin))
+            function = template.function(coefficients / template.sizes * (_MARGIN / margin))
             factor = None if dynamics.discrete else exact(option)
             claim = Safety(dynamics, function, tuple(initial), tuple(unsafe), factor)
             decision = decide_safety(claim, time_limit=0.5 * left, seed=seed)
@@ -129,10 +126,10 @@ def find_barrier(
             if progress:
                 progress(f"{label}: margin {margin:.3g}, {decision.verdict} {decision.reason}")
             if decision.verdict == "proved":
-                return BarrierResult(decision, tuple(tried), time.perf_counter() - began)
+                return BarrierResult(decision, tuple(tried))
         if time.process_time() > until:
             break
-    return BarrierResult(decision, tuple(tried), time.perf_counter() - began)
+    return BarrierResult(decision, tuple(tried))
 
 
 class _Samples:
@@ -142,25 +139,23 @@ class _Samples:
 
         self.dynamics = d
         self.random = np.random.default_rng(seed)
-        self._sets = [self._compiled(initial), self._compiled(unsafe)]
         low, high = d.box
         unit = qmc.Sobol(len(low), seed=seed).random(_DENSE).T
         wide = low[:, None] + (high - low)[:, None] * unit
-        self.initial = self._inside(0, wide, "initial")
-        self.unsafe = self._inside(1, wide, "unsafe")
+        self.initial = self._inside(initial, wide, "initial")
+        self.unsafe = self._inside(unsafe, wide, "unsafe")
         self.box = np.hstack([wide, self._on_faces(wide)])
 
-    def _compiled(self, constraints: tuple[Node, ...]) -> ca.Function:
-        d = self.dynamics
-        x = ca.vertcat(*[d.symbols[name] for name in d.names])
-        rows = [to_casadi(g, d.symbols) for g in constraints] or [ca.SX(-1)]
-        return ca.Function("inside", [x], [ca.mmax(ca.vertcat(*rows))])
-
-    def _inside(self, which: int, wide: Array, name: str) -> Array:
+    def _inside(self, constraints: tuple[Node, ...], wide: Array, name: str) -> Array:
         """Return points of a set; a small set is found by steps that shrink towards it."""
         d = self.dynamics
+
+        def read(x: Array) -> Array:
+            rows = values_of(constraints or [number(-1)], dict(zip(d.names, x, strict=True)))
+            return np.asarray(np.where(np.isnan(rows), np.inf, rows).max(axis=0))
+
         low, high = (end[:, None] for end in d.box)
-        best, values = wide, np.asarray(self._sets[which](wide)).reshape(-1)
+        best, values = wide, read(wide)
         radius = 0.3
         for _ in range(25):
             if (values <= 0).sum() >= _SAMPLES:
@@ -169,7 +164,7 @@ class _Samples:
             centre = best[:, order][:, self.random.integers(0, len(order), 4000)]
             fresh = np.clip(centre + radius * (high - low) * self.random.standard_normal(centre.shape), low, high)
             best = np.hstack([best[:, order], best[:, values <= 0], fresh])
-            values = np.asarray(self._sets[which](best)).reshape(-1)
+            values = read(best)
             radius *= 0.7
         inside = best[:, values <= 0]
         if not inside.size:
@@ -186,86 +181,46 @@ class _Samples:
         return part
 
 
-class _Template:
-    # all monomials up to a degree in the scaled states z ∈ [−1, 1]
-    def __init__(self, d: Dynamics, degree: int) -> None:
-        self.dynamics = d
-        count = len(d.states)
-        self.powers = [
-            tuple(picked.count(k) for k in range(count))
-            for total in range(degree + 1)
-            for picked in itertools.combinations_with_replacement(range(count), total)
-        ]
-        low, high = d.box
-        self.sizes = np.maximum(np.abs(low), np.abs(high))
-        x = ca.vertcat(*[d.symbols[name] for name in d.names])
-        w = ca.vertcat(ca.SX(0, 1), *[d.symbols[p.name] for p in d.parameters])
-        z = x / ca.DM(self.sizes)
-        values = ca.vertcat(*[_product(z, p) for p in self.powers])
-        rates = ca.vertcat(*[to_casadi(node, d.symbols) for node in d.rates])
-        if d.discrete:
-            change, speed = ca.substitute(values, x, rates), ca.fabs((rates - x) / ca.DM(self.sizes))
-        else:
-            change, speed = ca.jacobian(values, x) @ rates, ca.fabs(rates / ca.DM(self.sizes))
-        rows = ca.vertcat(values, change, ca.mmax(speed))
-        self._function = ca.Function("features", [x, w], [ca.densify(rows)], {"cse": True})
+def _fitted(
+    template: Template, scales: Array, samples: _Samples, option: float, until: float
+) -> tuple[Array, float] | None:
+    """Return coefficients (K,) of the scaled functions, and their margin on all samples; None if it is too small."""
+    d = template.dynamics
+    corners = d.corners()
+    start, bad = (template.features(x, corners[:, 0])[0] for x in (samples.initial, samples.unsafe))
+    flow, clear, x = [], [], samples.box
+    for corner in corners.T:
+        values, change = template.features(x, corner)
+        flow.append(change + (1 - option) * values if d.discrete else change - option * values)
+        moved = d.evaluate(x, np.repeat(corner[:, None], x.shape[1], axis=1)) - (x if d.discrete else 0.0)
+        clear.append(_SPEED * np.abs(moved / scales[:, None]).max(axis=0))
+    # each row a·c + b·margin ≤ 0
+    rows = np.hstack([start, -bad, *flow]).T / template.sizes
+    weights = np.concatenate([np.ones(start.shape[1] + bad.shape[1]), *clear])
+    active = _first(samples.random, start.shape[1], bad.shape[1], len(rows) - start.shape[1] - bad.shape[1])
+    for _ in range(_ROUNDS):
+        if time.process_time() > until:
+            return None
+        outcome = _solve(rows[active], weights[active])
+        if outcome is None or outcome[1] < _LEAST:
+            return None
+        coefficients, margin = outcome
+        excess = rows @ coefficients + weights * margin * 0.5
+        broken = np.flatnonzero(excess > 1e-9)
+        if not broken.size:
+            return coefficients, margin
+        worst = broken[np.argsort(-excess[broken])][: 4 * _WORST]
+        spread = samples.random.choice(broken, min(len(broken), _WORST), replace=False)
+        active = np.unique(np.concatenate([active, worst[:: 4 if len(worst) > _WORST else 1], spread]))
+    return None
 
-    def _read(self, x: Array, w: Array) -> tuple[Array, Array, Array]:
-        rows = np.asarray(self._function(x, np.repeat(w[:, None], x.shape[1], axis=1)))
-        return rows[: len(self.powers)], rows[len(self.powers) : -1], rows[-1]
 
-    def fitted(self, samples: _Samples, option: float, until: float) -> tuple[Array, float] | None:
-        """Return coefficients and their margin on all samples; None if the margin is too small."""
-        corners = self.dynamics.corners()
-        none = corners[:, 0]
-        start, bad = self._read(samples.initial, none)[0], self._read(samples.unsafe, none)[0]
-        flow = []
-        for corner in corners.T:
-            values, change, speed = self._read(samples.box, corner)
-            flow.append((change - option * values, _SPEED * speed))
-        g = np.hstack([part[0] for part in flow])
-        clear = np.concatenate([part[1] for part in flow])
-        # each row a·c + b·margin ≤ 0
-        rows = np.hstack([start, -bad, g]).T
-        weights = np.concatenate([np.ones(start.shape[1] + bad.shape[1]), clear])
-        active = self._first(samples.random, start.shape[1], bad.shape[1], g.shape[1])
-        for _ in range(_ROUNDS):
-            if time.process_time() > until:
-                return None
-            outcome = _solve(rows[active], weights[active])
-            if outcome is None or outcome[1] < _LEAST:
-                return None
-            coefficients, margin = outcome
-            excess = rows @ coefficients + weights * margin * 0.5
-            broken = np.flatnonzero(excess > 1e-9)
-            if not broken.size:
-                return coefficients, margin
-            worst = broken[np.argsort(-excess[broken])][: 4 * _WORST]
-            spread = samples.random.choice(broken, min(len(broken), _WORST), replace=False)
-            active = np.unique(np.concatenate([active, worst[:: 4 if len(worst) > _WORST else 1], spread]))
-        return None
-
-    def _first(self, random: np.random.Generator, *counts: int) -> NDArray[np.int_]:
-        picked, begin = [], 0
-        for count in counts:
-            picked.append(begin + random.choice(count, min(count, _SAMPLES), replace=False))
-            begin += count
-        return np.concatenate(picked)
-
-    def function(self, coefficients: Array, digits: int = 4) -> Node:
-        """Return B with coefficients (K,) of the scaled monomials, rounded in the states' units."""
-        total: Node | None = None
-        for c, powers in zip(coefficients, self.powers, strict=True):
-            if abs(c) < 1e-4 * np.abs(coefficients).max():
-                continue
-            raw = c / float(np.prod(self.sizes ** np.array(powers)))
-            value = number(Fraction(f"{abs(raw):.{digits - 1}e}"))
-            names = zip(self.dynamics.names, powers, strict=True)
-            term = value
-            for name, exponent in names:
-                term = term * power(variable(name), exponent) if exponent else term
-            total = (term if raw > 0 else -term) if total is None else total + term if raw > 0 else total - term
-        return number(0) if total is None else total
+def _first(random: np.random.Generator, *counts: int) -> NDArray[np.int_]:
+    picked, begin = [], 0
+    for count in counts:
+        picked.append(begin + random.choice(count, min(count, _SAMPLES), replace=False))
+        begin += count
+    return np.concatenate(picked)
 
 
 def _solve(rows: Array, weights: Array) -> tuple[Array, float] | None:
@@ -281,11 +236,3 @@ def _solve(rows: Array, weights: Array) -> tuple[Array, float] | None:
         method="highs",
     )
     return (np.asarray(run.x[:-1]), float(run.x[-1])) if run.status == 0 else None
-
-
-def _product(z: ca.SX, powers: Sequence[int]) -> ca.SX:
-    total = ca.SX(1)
-    for k, exponent in enumerate(powers):
-        for _ in range(exponent):
-            total = total * z[k]
-    return total

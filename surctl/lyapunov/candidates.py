@@ -215,8 +215,6 @@ def sign_symmetries(dynamics: Dynamics) -> Array:
     """
     d = dynamics
     n = len(d.states)
-    if n > _MOST_STATES:
-        return np.zeros((0, n))
     random = np.random.default_rng(0)
     size = np.minimum(d.box[1] - d.equilibrium, d.equilibrium - d.box[0])
     z = size[:, None] * random.uniform(-1, 1, (n, _SAMPLES))
@@ -226,7 +224,7 @@ def sign_symmetries(dynamics: Dynamics) -> Array:
     centre = x if d.discrete else 0.0
     rates = d.evaluate(x + z, w) - centre
     limit = _SAME * np.maximum(np.abs(rates).max(axis=1, keepdims=True), 1e-300)
-    signs = [np.array(s) for s in itertools.product((1.0, -1.0), repeat=n)][1:]
+    signs = [np.array(s) for s in itertools.product((1.0, -1.0), repeat=n)][1:] if n <= _MOST_STATES else [-np.ones(n)]
     return np.array(
         [s for s in signs if np.all(np.abs(d.evaluate(x + s[:, None] * z, w) - centre - s[:, None] * rates) <= limit)]
     ).reshape(-1, n)
@@ -299,9 +297,11 @@ def candidates(
     scales = np.maximum(d.box[1] - d.equilibrium, d.equilibrium - d.box[0])
     # a function that decays just as fast as demanded close to the equilibrium is hard to prove
     rate = max(_FASTER * rate, _least_rate(d, linear))
-    shaper = _Shaper(d, scales, rate, seed, half=_odd(d))
-    part = (0.06 if len(scales) < 4 else 0.25) * seconds
     signs = sign_symmetries(d)
+    low, high = d.box - d.equilibrium
+    half = np.allclose(low, -high) and any(np.all(s < 0) for s in signs)  # f(x* + z) = −f(x* − z)
+    shaper = _Shaper(d, scales, rate, seed, half=half)
+    part = (0.06 if len(scales) < 4 else 0.25) * seconds
 
     def restricted(degree: int, *, even: bool = False) -> Template:
         whole = invariant(polynomials(d, degree, scales, even=even), scales, signs)
@@ -486,18 +486,3 @@ class _Shaper:
         ball = np.pi ** (n / 2) / gamma(n / 2 + 1)
         box = np.prod((self.dynamics.box[1] - self.dynamics.box[0]) / self.scales)
         return float(ball * (radii**n).mean() / box)
-
-
-def _odd(d: Dynamics) -> bool:
-    """Return whether the dynamics are symmetric to the equilibrium: f(x* + z) = −f(x* − z) for all parameters."""
-    low, high = d.box - d.equilibrium
-    if not np.allclose(low, -high):
-        return False
-    random = np.random.default_rng(0)
-    z = high[:, None] * random.uniform(-1, 1, (len(high), 64))
-    w = d.ranges[0][:, None] + (d.ranges[1] - d.ranges[0])[:, None] * random.uniform(0, 1, (d.ranges.shape[1], 64))
-    x = d.equilibrium[:, None]
-    ahead, back = d.evaluate(x + z, w), d.evaluate(x - z, w)
-    if d.discrete:
-        ahead, back = ahead - x, back - x
-    return bool(np.allclose(ahead, -back, rtol=1e-9, atol=1e-12 * np.abs(ahead).max()))

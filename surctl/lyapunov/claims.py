@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from surctl.errors import InputError
 from surctl.lyapunov.dynamics import Dynamics, Range, exact
 from surctl.verification.claim import Claim, Variable
-from surctl.verification.formula import Node, number, parse, power, reads_back, text_of, to_casadi, variable
+from surctl.verification.formula import Node, number, parse, power, text_of, to_casadi, variable
 from surctl.verification.proving import Statement
 
 
@@ -341,7 +341,7 @@ def _inequality(
 @lru_cache(256)
 def _reread(node: Node, names: tuple[str, ...]) -> Node:
     """Return the expression that a reader of the certificate obtains from the written text."""
-    return node if reads_back(node, names) else parse(text_of(node), {name: variable(name) for name in names})
+    return parse(text_of(node), {name: variable(name) for name in names})
 
 
 def _ends(variables: Sequence[Range]) -> NDArray[np.float64]:

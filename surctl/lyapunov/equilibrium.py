@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 
@@ -14,8 +14,7 @@ from surctl.certcheck.enclosure import Undefined, enclose, rational
 from surctl.certcheck.expressions import ExpressionTable
 from surctl.errors import InputError, NotApplicable
 from surctl.lyapunov.dynamics import Dynamics
-from surctl.lyapunov.exact_rest import exact_root
-from surctl.verification.formula import text_of, variable
+from surctl.verification.formula import Node, exact_values, text_of, variable
 
 Array = NDArray[np.float64]
 
@@ -152,6 +151,45 @@ def _exact(d: Dynamics) -> Dynamics:
         return d
     states = (replace(s, equilibrium=float(x), exact=x) for s, x in zip(d.states, root, strict=True))
     return replace(d, states=tuple(states))
+
+
+_NEARBY, _LONGEST = Fraction(1, 2**60), 400  # step of differences; digits of a coordinate that a certificate may state
+
+
+def exact_root(rates: Sequence[Node], near: Mapping[str, Fraction], moving: Sequence[str]) -> list[Fraction] | None:
+    """Return values of the names `moving` at which all rates are exactly 0, by one exact step of Newton's method.
+
+    The step is exact for rates that are affine between the point and the root, as with a linear law within its limits.
+
+    Returns:
+        None if the step does not end at a root, or needs too many digits.
+
+    Example:
+        >>> from fractions import Fraction
+        >>> from surctl.lyapunov.equilibrium import exact_root
+        >>> from surctl.verification.formula import parse, variable
+        >>> exact_root([parse("min(2, 1 - 3*x)", {"x": variable("x")})], {"x": Fraction(0.33)}, ["x"])
+        [Fraction(1, 3)]
+    """
+    ends = [exact_values(rates, {**near, name: near[name] + _NEARBY}) for name in moving]
+    start = exact_values(rates, near)
+    if start is None or None in ends:
+        return None
+    rows = [[*((end[k] - x) / _NEARBY for end in ends if end), -x] for k, x in enumerate(start)]
+    for k in range(len(rows)):  # Gauss and Jordan
+        pivot = max(range(k, len(rows)), key=lambda i: abs(rows[i][k]))
+        if not rows[pivot][k]:
+            return None
+        rows[k], rows[pivot] = rows[pivot], rows[k]
+        rows[k] = [x / rows[k][k] for x in rows[k]]
+        rows = [
+            [x - row[k] * y for x, y in zip(row, rows[k], strict=True)] if i != k else row for i, row in enumerate(rows)
+        ]
+    root = [near[name] + row[-1] for name, row in zip(moving, rows, strict=True)]
+    if max(len(str(part)) for one in root for part in one.as_integer_ratio()) > _LONGEST // 2 - 2:
+        return None
+    end = exact_values(rates, {**near, **dict(zip(moving, root, strict=True))})
+    return root if end is not None and not any(end) else None
 
 
 def require_common(dynamics: Dynamics) -> None:

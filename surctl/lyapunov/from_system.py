@@ -16,11 +16,19 @@ from numpy.typing import ArrayLike
 from surctl.errors import InputError, NotApplicable, UnsupportedOperation, nearest
 from surctl.lyapunov.dynamics import Command, Dynamics, Range, Sampling, State, exact
 from surctl.lyapunov.equilibrium import refined
-from surctl.lyapunov.exact_rest import exact_values
 from surctl.system import System, entry_labels, entry_units, find_equilibrium
 from surctl.system.values import checked_ranges, place_of, run_numbers, unit_of
 from surctl.units import as_range
-from surctl.verification.formula import IDENTIFIER, Node, Statement, from_casadi, number, rebuilt, substitute
+from surctl.verification.formula import (
+    IDENTIFIER,
+    Node,
+    Statement,
+    exact_values,
+    from_casadi,
+    number,
+    rebuilt,
+    substitute,
+)
 from surctl.verification.proving import prove_cases
 
 NOT_COVERED = "the control law in continuous time: sampling, hold and delay are not covered"
@@ -237,14 +245,14 @@ def _sampling(
     resting = exact_values(values[:m], dict(zip(names, at, strict=True)))
     if resting is None:
         rough = ca.Function("rests", [symbols], [constants.put(f)])([float(x) for x in at])
-        resting = [(Fraction(float(rest)), ()) for rest in np.asarray(rough).ravel()]
+        resting = [Fraction(float(rest)) for rest in np.asarray(rough).ravel()]
     return Sampling(
         system.dt,
         dict(zip(own, rates, strict=False)),
         dict(zip(own[len(moving) :], values[m:], strict=True)),
         tuple(
             Command(label, value, rest, unit)
-            for label, value, (rest, _), unit in zip(labels, values, resting, entry_units(plant.inputs), strict=False)
+            for label, value, rest, unit in zip(labels, values, resting, entry_units(plant.inputs), strict=False)
         ),
     )
 

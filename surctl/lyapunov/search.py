@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -30,7 +30,6 @@ _MOST, _WHOLE = 0.7, 0.8  # the same for the function that is easiest to prove, 
 _SEARCH = 0.3  # share of the time for the search of functions
 _GAIN = 1.01  # least ratio of a region to the one that is proved, for which its proof is tried
 _TRIED = 2  # functions with large regions whose proof is tried
-_LARGEST = 0.25  # share of the time for the largest rate
 _SAMPLED = 0.7  # share of the time for a region of a loop with held commands
 _SLOPES, _PROOF = 0.1, 0.2  # shares of the time for the search of a function by the slope rule, and for its proofs
 _SAFE = (0.98, 0.92, 0.8, 0.6)  # levels that are tried, relative to the proposed one
@@ -51,18 +50,16 @@ class StabilityResult:
         falsified: the least level of the function for which a counterexample was found; None if it was not searched.
         label: how the function was found.
         volume: estimated volume of the region relative to the box.
-        seconds: duration [s].
         counterexample: values of the variables where the stated function fails; empty if no such state is known.
         instead: a function and its level that prove a region, in words, where the stated function does not.
     """
 
     verdict: Literal["proved", "refuted", "unknown"]
     reason: str
-    decision: Decision | None
-    falsified: Falsified | None
-    label: str
-    volume: float
-    seconds: float
+    decision: Decision | None = None
+    falsified: Falsified | None = None
+    label: str = ""
+    volume: float = 0.0
     counterexample: Mapping[str, float] = field(default_factory=dict)
     instead: str = ""
 
@@ -79,42 +76,20 @@ class StabilityResult:
             return 0.0
         return self.claim.level / self.falsified.level
 
-    def line(self) -> str:
-        """Return verdict, and size of the region or reason, as one line of text."""
-        about = f"{self.volume:.0%} of the box"
-        if self.falsified is not None:
-            about += f", level {self.ratio:.2f} of the least with a counterexample"
-        return f"{self.verdict}: {self.reason or about}"
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the result as plain data for JSON."""
-        known = self.claim is not None
-        return {
-            "verdict": self.verdict, "reason": self.reason or None, "found": self.label or None,
-            "function": text_of(self.claim.function) if self.claim else None,
-            "level": self.claim.level if self.claim and self.verdict == "proved" else None,
-            "rate": self.claim.rate if self.claim else None,
-            "falsified_level": self.falsified.level if self.falsified and known else None,
-            "counterexample": dict(self.falsified.values) if self.falsified and known else None,
-            "ratio": self.ratio, "volume": self.volume,
-            "certificate": dict(self.decision.document) if self.decision and self.decision.document else None,
-            "seconds": self.seconds,
-        }  # fmt: skip
-
 
 def find_stability(
     dynamics: Dynamics,
     *,
     function: Node | None = None,
     level: float | None = None,
-    rate: float | Literal["largest"] | None = None,
+    rate: float | None = None,
     degree: int = 6,
     first: bool = False,
     time_limit: float = 60.0,
     seed: int = 0,
     progress: Callable[[str], None] | None = None,
 ) -> StabilityResult:
-    """Find and prove a region of attraction: a Lyapunov function, its largest provable level, and optionally its rate.
+    """Find and prove a region of attraction: a Lyapunov function, and its largest provable level.
 
     The least level for which a counterexample exists is searched first; the proof is then tried at levels below. The
     states of a claim with a searched level have the bounds of the smallest box around the region.
@@ -124,8 +99,7 @@ def find_stability(
         function: V, an expression of the states; by default it is searched. A stated function is never changed: if it
             fails close to the equilibrium, the verdict is `refuted`, and `instead` names one that proves a region.
         level: level of the region; by default it is searched.
-        rate: with a number, V' ≤ −rate · V is demanded; "largest" proves a large rate for the region that was found;
-            None means any strict decrease.
+        rate: with a number, V' ≤ −rate · V is demanded; None means any strict decrease.
         degree: largest degree of V.
         first: whether the first region that is proved is enough.
         time_limit: limit of the processor time [s].
@@ -144,61 +118,58 @@ def find_stability(
         >>> result.verdict, result.ratio >= 0.9
         ('proved', True)
     """
-    began = time.perf_counter()
     until = time.process_time() + time_limit
     d = dynamics
     d.require_rest()
     linear = linearisation(d)
     if linear.verdict == "unstable":
-        return _none("refuted", linear.reason, began)
-    demanded = None if rate == "largest" else rate
+        return StabilityResult("refuted", linear.reason)
     if function is not None:
-        failure = _failure(d, function, demanded, linear)
+        failure = _failure(d, function, rate, linear)
         if failure is not None:
-            instead = _instead(d, linear, function, demanded, until - time.process_time(), began, seed, progress)
-            result = _none("refuted", failure.reason, began)
+            instead = _instead(d, linear, function, rate, until - time.process_time(), seed, progress)
+            result = StabilityResult("refuted", failure.reason)
             return replace(result, label="given", counterexample=failure.values, instead=instead)
-    elif reason := too_fast(d, linear, demanded):
-        return _none("refuted", reason, began)
+    elif reason := too_fast(d, linear, rate):
+        return StabilityResult("refuted", reason)
     elif reason := unprovable(d):
-        return _none("unknown", reason, began)
+        return StabilityResult("unknown", reason)
     slopes: StabilityResult | None = None
-    stated = function is not None or level is not None or rate == "largest"
+    stated = function is not None or level is not None
     if d.sampling is not None and not stated and linear.verdict == "stable":
-        held = sampled_region(d, demanded, time_limit=_SAMPLED * time_limit, progress=progress)
+        held = sampled_region(d, rate, time_limit=_SAMPLED * time_limit, progress=progress)
         if held is not None:
-            seconds = time.perf_counter() - began
-            return StabilityResult("proved", "", held.decision, None, SLOPES, held.volume, seconds)
+            return StabilityResult("proved", "", held.decision, None, SLOPES, held.volume)
         if _jumps(d.rates):
-            return _none("unknown", f"no region of the sampled loop is proved, and the law {_JUMPS}", began)
+            return StabilityResult("unknown", f"no region of the sampled loop is proved, and the law {_JUMPS}")
     few = len(d.states) <= _FEW
     searched = function is None and level is None and linear.verdict == "stable"
     hard = has_branches(d) or len(d.variables) > _MANY or inexact(d)
     if searched and hard:
-        slopes = _by_slopes(d, linear, demanded, time_limit, seed, progress)
-        if slopes is not None and (first or not few) and rate != "largest":
-            return replace(slopes, seconds=time.perf_counter() - began)
+        slopes = _by_slopes(d, linear, rate, time_limit, seed, progress)
+        if slopes is not None and (first or not few):
+            return slopes
     if function is not None:
         offered: Iterator[Candidate] = iter([Candidate("given", function, 0.0)])
     else:
-        offered = candidates(d, linear, degree=degree, seconds=_SEARCH * time_limit, rate=demanded or 0.0, seed=seed)
+        offered = candidates(d, linear, degree=degree, seconds=_SEARCH * time_limit, rate=rate or 0.0, seed=seed)
     trials = []
     best: StabilityResult | None = None
     for candidate in offered:
-        bound = least_level(d, candidate.function, demanded, seed=seed)
+        bound = least_level(d, candidate.function, rate, seed=seed)
         size = f", volume {candidate.volume:.3g} of the box" if function is None else ""
         _say(progress, f"{candidate.label}: counterexample at level {bound.level:.4g}{size}")
         trials.append((candidate, bound))
-        if first and function is None and rate != "largest" and len(trials) == 1:
+        if first and function is None and len(trials) == 1:
             share = _MOST * (until - time.process_time())
-            best = _proved(d, candidate, bound, demanded, level, share, began, seed, progress, start=_SIMPLE, once=True)
+            best = _proved(d, candidate, bound, rate, level, share, seed, progress, start=_SIMPLE, once=True)
             if best.verdict == "proved":
-                return replace(best, seconds=time.perf_counter() - began)
+                return best
     if not trials and slopes is None:
         reason = "no polynomial decreases at all samples close to the equilibrium"
         if linear.verdict == "marginal":
             reason = f"{linear.reason}, which decides nothing, and {reason}"
-        return _none("unknown", reason, began)
+        return StabilityResult("unknown", reason)
     simplest = trials[0]
     trials.sort(key=lambda trial: -trial[0].volume * (trial[1].level > 0))
     # first the function that is easiest to prove, then those with the largest regions, then what was not tried yet
@@ -213,24 +184,22 @@ def find_stability(
             continue  # even its whole falsified region is hardly larger than what is proved
         share = rest if k == len(largest) + len(others) else (_HALF if k else _MOST) * rest
         start = _FIRST if k else _SIMPLE
-        result = _proved(d, candidate, bound, demanded, level, share, began, seed, progress, start=start, once=first)
+        result = _proved(d, candidate, bound, rate, level, share, seed, progress, start=start, once=first)
         if best is None or (result.verdict == "proved", result.volume) > (best.verdict == "proved", best.volume):
             best = result
     assert best is not None
     rest = until - time.process_time()
     if best.verdict == "unknown" and level is None and rest > 0 and slopes is None:
-        result = _proved(d, *simplest, demanded, level, rest, began, seed, progress, start=_EASY, once=first)
+        result = _proved(d, *simplest, rate, level, rest, seed, progress, start=_EASY, once=first)
         best = result if result.verdict == "proved" else best
     rest = until - time.process_time()
     if best.verdict == "unknown" and searched and not hard and rest > 0:
-        slopes = _by_slopes(d, linear, demanded, rest, seed, progress)
+        slopes = _by_slopes(d, linear, rate, rest, seed, progress)
     if slopes is not None and (best.verdict == "unknown" or slopes.volume > best.volume):
         best = slopes
     if function is not None and best.verdict == "unknown" and linear.verdict == "marginal":
         best = replace(best, reason=f"{best.reason}; {linear.reason}")
-    if rate == "largest" and best.verdict == "proved":
-        best = _with_rate(best, max(until - time.process_time(), _LARGEST * time_limit), seed, progress)
-    return replace(best, seconds=time.perf_counter() - began)
+    return best
 
 
 _JUMPS = "may jump (if_else, select), for which no rule has a proof: write limits with fmin and fmax"
@@ -266,7 +235,7 @@ def _by_slopes(
             # only figures of a page: for many states, the search takes longer than the proof
             bound = least_level(d, candidate.function, rate, seed=seed) if len(d.states) <= _SOME else None
             volume = candidate.volume * level ** (len(d.states) / 2)
-            return StabilityResult("proved", "", trial, bound, candidate.label, volume, 0.0)
+            return StabilityResult("proved", "", trial, bound, candidate.label, volume)
         if time.process_time() > until:
             break
     return None
@@ -292,7 +261,6 @@ def _instead(
     function: Node,
     rate: float | None,
     seconds: float,
-    began: float,
     seed: int,
     progress: Callable[[str], None] | None,
 ) -> str:
@@ -303,7 +271,7 @@ def _instead(
         bound = least_level(d, candidate.function, rate, seed=seed)
         _say(progress, f"{candidate.label}: counterexample at level {bound.level:.4g}")
         if bound.level > 0:
-            result = _proved(d, candidate, bound, rate, None, seconds, began, seed, progress, start=_SIMPLE, once=True)
+            result = _proved(d, candidate, bound, rate, None, seconds, seed, progress, start=_SIMPLE, once=True)
             if result.claim is not None and result.verdict == "proved":
                 return f'function = "{text_of(result.claim.function)}", level = {result.claim.level:g}'
             return ""
@@ -317,7 +285,6 @@ def _proved(
     rate: float | None,
     level: float | None,
     seconds: float,
-    began: float,
     seed: int,
     progress: Callable[[str], None] | None,
     *,
@@ -328,7 +295,7 @@ def _proved(
     until = time.process_time() + seconds
     if not bound.level > 0:
         reason = "V is not positive in the box" if bound.level < 0 else _flat(d, candidate.function)
-        return replace(_none("unknown", reason, began), label=candidate.label, falsified=bound)
+        return replace(StabilityResult("unknown", reason), label=candidate.label, falsified=bound)
     levels = [level] if level is not None else [short(share * bound.level, digits=4) for share in _SHARES]
     decision: Decision | None = None
     proved: Decision | None = None
@@ -357,12 +324,12 @@ def _proved(
             k = k // 2 if proved is None else (low + high) // 2
     if proved is not None:
         volume = candidate.volume * (levels[low] / bound.level) ** (len(d.states) / 2)
-        return StabilityResult("proved", "", proved, bound, candidate.label, volume, 0.0)
+        return StabilityResult("proved", "", proved, bound, candidate.label, volume)
     verdict: Literal["refuted", "unknown"] = "unknown"
     reason = "the time limit was reached before any level was tried" if decision is None else decision.reason
     if level is not None and decision is not None and decision.verdict == "refuted":
         verdict = "refuted"
-    return StabilityResult(verdict, reason, decision, bound, candidate.label, 0.0, 0.0)
+    return StabilityResult(verdict, reason, decision, bound, candidate.label)
 
 
 def _flat(d: Dynamics, function: Node) -> str:
@@ -375,44 +342,6 @@ def _flat(d: Dynamics, function: Node) -> str:
         v, moved = np.asarray(change(d.equilibrium[:, None] + z, np.repeat(corner[:, None], z.shape[1], axis=1)))
         worst = max(worst, float(((moved - v if d.discrete else moved) / v).max()))
     return "V' is only semidefinite" if worst <= 1e-9 else "V does not decrease close to the equilibrium"
-
-
-def _with_rate(
-    outcome: StabilityResult, seconds: float, seed: int, progress: Callable[[str], None] | None
-) -> StabilityResult:
-    """Return the result with the largest rate that is proved in the region."""
-    claim = outcome.claim
-    assert claim is not None
-    until = time.process_time() + seconds
-    most = _sampled_rate(claim)
-    for share in (0.95, 0.9, 0.8, 0.6, 0.4, 0.2, 0.05):
-        left = until - time.process_time()
-        if left <= 0:
-            break
-        trial = decide_motion(replace(claim, rate=short(share * most, digits=4)), time_limit=0.5 * left, seed=seed)
-        _say(progress, f"rate {share * most:.3g}: {trial.verdict} {trial.reason}")
-        if trial.verdict == "proved":
-            return replace(outcome, decision=trial)
-    return outcome
-
-
-def _sampled_rate(claim: Stability) -> float:
-    d = claim.dynamics
-    random = np.random.default_rng(0)
-    low, high = d.box
-    wide = low[:, None] + (high - low)[:, None] * random.uniform(0, 1, (len(low), 20000))
-    x = np.hstack([d.equilibrium[:, None] + (wide - d.equilibrium[:, None]) * near for near in (1.0, 0.3, 0.03)])
-    both = d.compiled(claim.function, d.change(claim.function))
-    least = np.inf
-    for corner in d.corners().T:
-        v, moved = np.asarray(both(x, np.repeat(corner[:, None], x.shape[1], axis=1)))
-        inside = v < claim.level
-        least = min(least, float((((v - moved) if d.discrete else -moved)[inside] / v[inside]).min()))
-    return least
-
-
-def _none(verdict: Literal["refuted", "unknown"], reason: str, began: float) -> StabilityResult:
-    return StabilityResult(verdict, reason, None, None, "", 0.0, time.perf_counter() - began)
 
 
 def _say(progress: Callable[[str], None] | None, text: str) -> None:

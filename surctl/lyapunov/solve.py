@@ -338,7 +338,7 @@ def _solved(
         falsified = None if result.falsified is None else result.falsified.level
         origin = result.label if problem.function is None else ""
         return Solution(
-            problem, result.verdict, result.reason, result.decision, falsified, origin, result.seconds,
+            problem, result.verdict, result.reason, result.decision, falsified, origin, time.perf_counter() - began,
             result.counterexample or (result.decision.counterexample if result.decision else {}), result.instead,
         )  # fmt: skip
     if problem.function is not None:

@@ -1,4 +1,4 @@
-"""Templates of Lyapunov functions: linear combinations Σ c_k φ_k of basis functions with a double zero at x*."""
+"""Templates of Lyapunov and barrier functions: linear combinations Σ c_k φ_k of basis functions."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _NEGLIGIBLE = 3e-5  # coefficients below this share of the largest one, in scale
 
 @dataclass(frozen=True, eq=False)
 class Template:
-    """Basis functions of the states that vanish to second order at the equilibrium.
+    """Basis functions of the states; those of a Lyapunov function vanish to second order at the equilibrium.
 
     Attributes:
         dynamics: the dynamics.
@@ -58,14 +58,14 @@ class Template:
             if not size > _NEGLIGIBLE * share.max():
                 continue
             value = Fraction(f"{abs(c):.{digits - 1}e}")
-            term = node if value == 1 else number(value) * node
+            term = node if value == 1 else number(value) if node == number(1) else number(value) * node
             total = (term if c > 0 else -term) if total is None else total + term if c > 0 else total - term
         assert total is not None
         return total
 
 
-def polynomials(dynamics: Dynamics, degree: int, scales: Array, *, even: bool = False) -> Template:
-    """Return the template of all polynomials of degree 2 to `degree` in x − x*.
+def polynomials(dynamics: Dynamics, degree: int, scales: Array, *, even: bool = False, whole: bool = False) -> Template:
+    """Return the template of all polynomials of degree 2 to `degree` in x − x*; with `whole`, 0 to `degree` in x.
 
     Args:
         dynamics: the dynamics.
@@ -75,13 +75,13 @@ def polynomials(dynamics: Dynamics, degree: int, scales: Array, *, even: bool = 
     """
     count = len(dynamics.states)
     powers: list[Powers] = []
-    for total in range(2, degree + 1):
+    for total in range(0 if whole else 2, degree + 1):
         if even and total % 2:
             continue
         picks = itertools.combinations_with_replacement(range(count), total)
         powers.extend(tuple(picked.count(k) for k in range(count)) for picked in picks)
     sizes = np.array([np.prod(scales ** np.array(p)) for p in powers])
-    return Template(dynamics, tuple(_monomial(dynamics, p) for p in powers), sizes)
+    return Template(dynamics, tuple(_monomial(dynamics, p, whole) for p in powers), sizes)
 
 
 def with_cosines(template: Template, scales: Array) -> Template:
@@ -103,12 +103,11 @@ def quadratic(dynamics: Dynamics, matrix: Array) -> Array:
     return np.asarray(np.where(rows == columns, 1.0, 2.0) * matrix[rows, columns])
 
 
-def _monomial(dynamics: Dynamics, powers: Sequence[int]) -> Node:
+def _monomial(dynamics: Dynamics, powers: Sequence[int], whole: bool) -> Node:
     total: Node | None = None
     for s, exponent in zip(dynamics.states, powers, strict=True):
         if exponent:
-            away = variable(s.name) if s.equilibrium == 0 else variable(s.name) - number(s.rest)
+            away = variable(s.name) if whole or s.equilibrium == 0 else variable(s.name) - number(s.rest)
             factor = power(away, exponent)
             total = factor if total is None else total * factor
-    assert total is not None
-    return total
+    return number(1) if total is None else total

@@ -22,25 +22,15 @@ from surctl.marine.simulation.scaling import mission_size, straight_mission
 from surctl.marine.vehicle import Vehicle
 from surctl.marine.vehicle.linearise import check_cruise
 from surctl.marine.vehicle.specs import DEFAULTED
-from surctl.marine.verification import law_corners, loop_margins, steady_motion
-from surctl.marine.verification.corners import DRAG_SPREAD, MASS_SPREAD
+from surctl.marine.verification import law_corners, steady_motion
+from surctl.marine.verification.corners import DRAG_SPREAD, MASS_SPREAD, Corners, corners
 from surctl.marine.verification.cruise_loop import TRACKING_LAW, has_cruise_loop
-from surctl.marine.verification.law_loop import LawCorners
-from surctl.marine.verification.linear import (
-    LinearSide,
-    Mode,
-    SlowMargins,
-    cap_above,
-    corner_margin,
-    corners,
-    linear_side,
-    slow_margins,
-    slowest_mode,
-    worst_linear_side,
-)
+from surctl.marine.verification.law_loop import LawLoop
+from surctl.marine.verification.linear import Mode, cap_above, cruise_corners, slowest_mode
 from surctl.marine.verification.region import RegionStatement, applicable_region, prove_statement
+from surctl.marine.verification.speeds import OverSpeeds, slow_margins
 from surctl.own_code import label
-from surctl.verification import Inapplicable, LoopMargins
+from surctl.verification import Inapplicable, LoopCorners, LoopMargins
 
 __all__ = [
     "DEFAULT_REGIONS",
@@ -109,10 +99,10 @@ def _margin(
     if gains is None:
         return float("nan")
     try:
-        worst = corner_margin(vehicle, gains, cruise=cruise, dt=dt, law=law, uncertainty=uncertainty, spread=spread)
+        tried = corners(vehicle, uncertainty, spread=spread)
+        return cruise_corners(tried, gains, cruise=cruise, dt=dt, law=law, proved=False).disk
     except InputError:  # the vehicle cannot hold the speed
         return float("nan")
-    return worst.margin
 
 
 # How a run of an unstable linear loop goes on: a bounded motion, such as a crab, or a departure from the path
@@ -279,10 +269,8 @@ class LoopAnalysis:
 
     Attributes:
         cruise: cruise speed [m/s].
-        margins: margins of each loop alone, of the nominal vehicle.
-        sides: all loops together, nominal and worst corner; empty for a law that is linearised numerically.
-        mode: the slowest or most unstable mode; None for such a law.
-        law: the sampled loop of such a law, or None.
+        loops: the loop, nominal and at the worst corner; None if there is no analysis.
+        mode: the slowest or most unstable mode of a law that tracks; else None.
         unjudged: the reason why there is no analysis; else empty.
         failed: whether that reason is a failure of the law.
         assumptions: defaults on which the analysis depends.
@@ -291,35 +279,42 @@ class LoopAnalysis:
     """
 
     cruise: float
-    margins: tuple[LoopMargins, ...] = ()
-    sides: tuple[LinearSide, ...] = ()
+    loops: LoopCorners | None = None
     mode: Mode | None = None
-    law: LawCorners | None = None
     unjudged: str = ""
     failed: bool = False
     assumptions: tuple[Assumption, ...] = ()
-    slow: SlowMargins | None = None
+    slow: OverSpeeds | None = None
     motion: str = ""
+
+    @property
+    def nominal(self) -> LawLoop:
+        """The loop of the nominal vehicle, of an analysis that exists."""
+        assert self.loops is not None and isinstance(self.loops.nominal, LawLoop)
+        return self.loops.nominal
+
+    @property
+    def margins(self) -> tuple[LoopMargins, ...]:
+        """Margins of each loop alone, of the nominal vehicle."""
+        return () if self.loops is None else self.loops.nominal.margins
 
     @property
     def stable(self) -> bool | None:
         """Whether the loop is stable, also at the worst corner; None if there is no analysis."""
-        if self.law is not None:
-            return self.law.stable
-        return all(side.stable for side in self.sides) if self.sides else None
+        return None if self.loops is None else self.loops.stable
 
     def part(self) -> Part:
         """Return the figures and the verdict."""
         if self.unjudged:
             line = Line(False if self.failed else None, f"margins: not judged, because {self.unjudged}", "margins")
             return Part((), (replace(line, counts=self.failed),), self)
-        figures = self._figures()
-        place = f"at {self.cruise:g} m/s"
-        if self.law is not None and self.law.nominal.place:
-            place = f"about {self.law.nominal.place}"
+        assert self.loops is not None  # else the reason is stated
+        figures = loop_figures(self.loops)
+        place = f"about {self.nominal.place}" if self.nominal.place else f"at {self.cruise:g} m/s"
         mode = self.mode
         why = "; lower the cruise speed" if mode is None else f" (loop {mode.loop}): {unstable_text(mode)}"
-        line = loop_line(figures, stable=self.stable is not False, place=place, unstable=why)
+        marginal = self.loops.marginal
+        line = loop_line(figures, stable=self.loops.stable, place=place, unstable=why, marginal=marginal)
         if self.motion:
             line = replace(line, text=f"{line.text}; {self.motion}")
         lines = [line]
@@ -328,25 +323,14 @@ class LoopAnalysis:
         slow = () if self.slow is None else _slow_figures(self.slow)
         return Part((*figures.values(), *slow), tuple(lines), self, self.assumptions)
 
-    def _figures(self) -> dict[str, Figure]:
-        if self.law is not None:
-            nominal, worst, corner = self.law.nominal.disk, self.law.disk, self.law.corner
-            delays = (self.law.nominal_delay, self.law.delay)
-            slowest = (self.law.nominal.slowest_per_s, self.law.slowest_per_s)
-        else:
-            first, last = self.sides
-            nominal, worst, corner = first.disk, last.disk, last.corner or "the nominal vehicle"
-            delays = (first.delay, last.delay)
-            slowest = (first.slowest_per_s, last.slowest_per_s)
-        return loop_figures((nominal, worst), delays, slowest, self.margins, corner=corner)
 
-
-def _slow_figures(slow: SlowMargins) -> tuple[Figure, ...]:
-    (disk, at), (delay, late) = slow.disk, slow.delay
+def _slow_figures(slow: OverSpeeds) -> tuple[Figure, ...]:
     text = "over the speeds from rest to the cruise speed, at the worst corner"
-    return (
-        Figure("slow_disk_margin", disk, "1", f"least disk margin {text}", "high", where=at),
-        Figure("slow_delay_margin_s", delay, "s", f"least delay margin of one loop alone {text}", "high", where=late),
+    rows = (("disk_margin", "1", "least disk margin"), ("delay_margin_s", "s", "least delay margin of one loop alone"))
+    worst = ((name, unit, what, *slow.worst(name)) for name, unit, what in rows)
+    return tuple(
+        Figure(f"slow_{name}", value, unit, f"{what} {text}", "high", where=f"at {speed:.3g} m/s")
+        for name, unit, what, value, speed in worst
     )
 
 
@@ -394,19 +378,15 @@ def _analyse_loop(
         except InputError as error:
             return LoopAnalysis(cruise, unjudged=f"a cruise at {cruise:g} m/s {error.problem}")
         speeds: dict[str, Any] = {"cruise": cruise, "dt": built.dt, "law": law}
-        values = gains.values
+        values, tried = gains.values, corners(vehicle, uncertainty)
         analysis = LoopAnalysis(
             cruise,
-            loop_margins(vehicle, values, **speeds),
-            (
-                linear_side(vehicle, values, **speeds),
-                worst_linear_side(corners(vehicle, uncertainty), values, **speeds),
-            ),
+            cruise_corners(tried, values, **speeds),
             slowest_mode(vehicle, values, **speeds),
             assumptions=assumptions(vehicle, values, uncertainty=uncertainty, **speeds),
             slow=slow_margins(vehicle, values, uncertainty=uncertainty, **speeds),
         )
-        return _with_motion(analysis, analysis.sides[-1].at, vehicle, gains, built)
+        return _with_motion(analysis, tried, vehicle, gains, built)
     own = gains.with_own(source.gains)
     if source.steering is not None:
         try:
@@ -414,16 +394,16 @@ def _analyse_loop(
         except InputError as error:
             return LoopAnalysis(cruise, unjudged=_reason(error, cruise))
         assumed = assumptions(vehicle, None, cruise=cruise, dt=built.dt, uncertainty=uncertainty)
-        analysis = LoopAnalysis(cruise, loops.nominal.margins, law=loops, assumptions=assumed)
-        return _with_motion(analysis, loops.at, vehicle, own, built)
+        analysis = LoopAnalysis(cruise, loops, assumptions=assumed)
+        return _with_motion(analysis, corners(vehicle, uncertainty), vehicle, own, built)
     return _about_runs(built, vehicle, own, cruise=cruise, uncertainty=uncertainty, missions=missions)
 
 
-def _with_motion(analysis: LoopAnalysis, worst: Vehicle | None, model: Vehicle, gains: Gains, law: Law) -> LoopAnalysis:
-    if analysis.stable is not False:
+def _with_motion(analysis: LoopAnalysis, tried: Corners, model: Vehicle, gains: Gains, law: Law) -> LoopAnalysis:
+    loops = analysis.loops
+    if loops is None or loops.stable:
         return analysis
-    nominal = analysis.sides[0].stable if analysis.law is None else analysis.law.nominal.stable
-    plant = worst if nominal and worst is not None else model
+    plant = tried.vehicle(loops.corner) if loops.nominal.stable else model
     return replace(analysis, motion=_motion_text(plant, model, gains, law=law, cruise=analysis.cruise))
 
 
@@ -449,7 +429,7 @@ def _about_runs(
             reason = reason or _reason(error, cruise)
             continue
         assumed = assumptions(vehicle, None, cruise=at.speed, dt=law.dt, uncertainty=uncertainty)
-        return LoopAnalysis(at.speed, loops.nominal.margins, law=loops, assumptions=assumed)
+        return LoopAnalysis(at.speed, loops, assumptions=assumed)
     return LoopAnalysis(cruise, unjudged=reason or f"law {label(law.ref)} has no steady motion")
 
 

@@ -33,25 +33,20 @@ The limits of rules 1 to 3 are named in `relaxed`, and in `moved` of an assemble
 
 from __future__ import annotations
 
-from surctl.priority.backends import BACKENDS, Backend, LeastDistance, solve_least_distance
 from surctl.priority.compiled.assemble import AssembledStep, Assembly, assemble
 from surctl.priority.compiled.step import PriorityStep, priority_step
 from surctl.priority.compiled.sweep import nsb_symbolic
-from surctl.priority.optimality import nsb
 from surctl.priority.problem import Level, PriorityProblem, Row, build_problem
-from surctl.priority.reference import nsb_sweep
+from surctl.priority.reference import nsb, nsb_sweep
 from surctl.priority.settings import Fallback, Mode, Settings, check_fallback
 from surctl.priority.shapes import LevelShape
 from surctl.priority.solver.fallback import safe_step
 from surctl.priority.solving import PrioritySolution, PriorityTimeline, solve
 
 __all__ = [
-    "BACKENDS",
     "AssembledStep",
     "Assembly",
-    "Backend",
     "Fallback",
-    "LeastDistance",
     "Level",
     "LevelShape",
     "Mode",
@@ -70,5 +65,4 @@ __all__ = [
     "priority_step",
     "safe_step",
     "solve",
-    "solve_least_distance",
 ]

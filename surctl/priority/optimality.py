@@ -15,42 +15,9 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.errors import InputError
-from surctl.priority.backends import row_space
-from surctl.priority.problem import Level, PriorityProblem
-from surctl.priority.reference import Polyhedron, nsb_sweep, polyhedron_of, without_rows
+from surctl.priority.problem import Level, Limits, PriorityProblem
+from surctl.priority.reference import target_of
 from surctl.priority.settings import Settings
-
-
-def nsb(problem: PriorityProblem) -> NDArray[np.float64]:
-    """Return the velocity v (n,) of the NSB law, equation (16) of the paper: v = v_1 + N_1(v_2 + N_2(v_3 + …)).
-
-    Here v_i = J_i⁺x_i is the velocity for task i alone, J_i is its Jacobian, x_i its desired rate, and N_i = I −
-    J_i⁺J_i the projector on the null space of J_i. Singular values of J_i below 1e-10·‖J_i‖ count as 0. The law
-    ignores limits.
-
-    Raises:
-        InputError: a level is set-based; equation (16) has no set-based tasks.
-
-    Example:
-        >>> import numpy as np
-        >>> from surctl.priority import Level, build_problem, nsb
-        >>> away = Level("away", np.array([[1.0, 0.0]]), np.array([0.0]))
-        >>> goal = Level("goal", np.eye(2), np.array([0.3, 0.4]))
-        >>> [nsb(build_problem(order)).round(3).tolist() for order in ([away, goal], [goal, away])]
-        [[0.0, 0.4], [0.3, 0.4]]
-    """
-    v = np.zeros(problem.width)
-    for level in reversed(problem.levels):
-        if not level.is_goal:
-            raise InputError(
-                "is set-based, and the printed law has no such task", key=f"task {level.name}", remedy="use solve"
-            )
-        J_plus = row_space(level.J).pinv()
-        N = np.eye(problem.width) - J_plus @ level.J
-        v = J_plus @ level.x + N @ v
-    return v
-
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -66,17 +33,15 @@ ROUNDING = 1e-15
 def is_optimal(v: Array, problem: PriorityProblem, *, settings: Settings, target: Array, tol: float = 1e-6) -> bool:
     """Return whether v (n,) is optimal for the priority mode, within `tol`·(1 + size of the compared quantities).
 
-    In mode nsb, v must equal the NSB law, equation (16) of the paper, or the result of its repeated sweeps. In the
-    other modes, four conditions must hold. (a) v violates no actuator limit. (b) The largest violation of barrier and
-    set limits, for rows of length 1, cannot be smaller. (c) For every strict level, no other velocity that
-    satisfies the relaxed limits and preserves the higher levels meets this level better. (d) No velocity that preserves
-    all strict levels is nearer to `target` (n,), the velocity that the mode approaches last. The function also computes
-    this target from the problem and compares; in mode projected with several sweeps, it only checks that `target` is
-    finite.
+    In mode nsb, v must equal the NSB law, equation (16) of the paper. In the other modes, four conditions must hold.
+    (a) v violates no actuator limit. (b) The largest violation of barrier and set limits, for rows of length 1, cannot
+    be smaller. (c) For every strict level, no other velocity that satisfies the relaxed limits and preserves the higher
+    levels meets this level better. (d) No velocity that preserves all strict levels is nearer to `target` (n,), the
+    velocity that the mode approaches last. The function also computes this target from the problem and compares.
     """
     if v.shape != (problem.width,) or not np.isfinite(v).all():
         return False
-    if not _is_target(target, problem, settings, tol):
+    if not _close(target, target_of(problem, settings), tol):
         return False
     if settings.mode == "nsb":
         return _close(v, target, tol)
@@ -85,7 +50,7 @@ def is_optimal(v: Array, problem: PriorityProblem, *, settings: Settings, target
 
 def is_least(v: Array, problem: PriorityProblem, *, settings: Settings, target: Array, tol: float) -> bool:
     """Return whether conditions (a) to (d) of `is_optimal` hold for this target; the mode is not nsb."""
-    rows = polyhedron_of(problem)
+    rows = problem.limits
     slack = tol * (1.0 + float(np.abs(v).max(initial=0.0)))
     missed = rows.violation(v)
     if missed[~rows.soft].max(initial=0.0) > slack:
@@ -139,12 +104,12 @@ def _objectives(
         weight, rest = (settings.damping / size) ** 2, first.miss(v) / size
         pull = weight * (target - v) + first.J.T @ rest / size
         square = weight * ((target - v) ** 2).sum() + (rest**2).sum()
-        yield _Objective(None, pull, float(square), faces, size**2)
+        yield _Objective(None, pull, float(square), faces, size * size)
         return
     for level in problem.levels[: {"filter": 0, "projected": 1}.get(settings.mode)]:
         size = _size(level)
         rest = level.miss(v) / size
-        yield _Objective(level, level.J.T @ rest / size, float((rest**2).sum()), faces, size**2)
+        yield _Objective(level, level.J.T @ rest / size, float((rest**2).sum()), faces, size * size)
         faces = _frozen(level, v, faces, tol)
     yield _Objective(None, target - v, float(((target - v) ** 2).sum()), faces, 1.0)
 
@@ -163,7 +128,7 @@ def restrictions(
     """
     if settings.mode == "nsb":
         return []
-    rows = polyhedron_of(problem)
+    rows = problem.limits
     rows = rows.relaxed(float(rows.violation(v)[rows.soft].max(initial=0.0)))
     size = 1.0 + float(np.abs(v).max())
     result: list[tuple[str | None, dict[str, float]]] = []
@@ -184,27 +149,12 @@ def restrictions(
 
 def conflicting(v: Array, problem: PriorityProblem) -> tuple[str, ...]:
     """Return the names of limits that contradict each other, so that barrier and set limits must be relaxed as by v."""
-    rows = polyhedron_of(problem)
+    rows = problem.limits
     by = float(rows.violation(v)[rows.soft].max(initial=0.0))
     if by <= _NEAR * (1.0 + float(np.abs(v).max())):
         return ()
     names = _conflict(v, rows.relaxed(by))[0]
     return tuple(row.name for row in problem.rows if row.name in names)
-
-
-def _is_target(target: Array, problem: PriorityProblem, settings: Settings, tol: float) -> bool:
-    """Return whether `target` is the velocity that the mode in the settings approaches last."""
-    n = problem.width
-    if settings.mode == "lexicographic":
-        return not target.any()
-    if settings.mode == "projected":
-        if settings.sweeps > 1:
-            return bool(np.isfinite(target).all())
-        return _close(target, nsb_sweep(problem.levels[1:], start=np.zeros(n), settings=settings), tol)
-    plain = settings.sweeps == 1 and settings.damping == 0.0 and all(level.is_goal for level in problem.levels)
-    if plain:
-        return _close(target, nsb(problem), tol)
-    return _close(target, without_rows(problem.levels, width=n, settings=settings), tol)
 
 
 def _close(v: Array, expected: Array, tol: float) -> bool:
@@ -234,7 +184,7 @@ def _frozen(level: Level, v: Array, faces: _Faces, tol: float) -> _Faces:
     )
 
 
-def _conflict(v: Array, rows: Polyhedron) -> tuple[set[str], float]:
+def _conflict(v: Array, rows: Limits) -> tuple[set[str], float]:
     """Return limits that show that no velocity violates the soft limits less than v does, and the error of this proof.
 
     By Farkas' lemma, normals of soft limits, with weights of sum 1, must balance normals of hard ones.
@@ -251,7 +201,7 @@ def _conflict(v: Array, rows: Polyhedron) -> tuple[set[str], float]:
     return used, float(np.abs(rest).max()) * radius + float(weights @ (gaps + ROUNDING * radius))
 
 
-def _bounds(rows: Polyhedron, v: Array, chosen: NDArray[np.bool_] | None = None) -> _Faces:
+def _bounds(rows: Limits, v: Array, chosen: NDArray[np.bool_] | None = None) -> _Faces:
     """Return all finite bounds of the chosen limits."""
     value = rows.A @ v
     above, below = (

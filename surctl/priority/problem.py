@@ -1,4 +1,4 @@
-"""The priority problem of one control period, in numbers: checks, limits that cross are moved, saved problems."""
+"""The priority problem of one control period, in numbers: checks, limits that cross are moved."""
 
 from __future__ import annotations
 
@@ -85,6 +85,75 @@ class Row:
 
 
 @dataclass(frozen=True, eq=False)
+class Limits:
+    """Limits lower ≤ a·v ≤ upper, scaled to ‖a‖ = 1 so that a violation is a velocity, with names.
+
+    A row with normal 0 is not scaled; all velocities satisfy this row, or none does.
+
+    Attributes:
+        A: (m, n), one normal a in each row. lower, upper: (m,), bounds. length: (m,), ‖a‖ before scaling.
+        soft: (m,), whether the limit may be relaxed. names: name of each limit (m,).
+    """
+
+    A: Array
+    lower: Array
+    upper: Array
+    length: Array
+    soft: NDArray[np.bool_]
+    names: tuple[str, ...]
+
+    @staticmethod
+    def none(n: int) -> Limits:
+        """Return the set of all velocities (n,), which has no limit."""
+        nothing = np.zeros(0)
+        return Limits(np.zeros((0, n)), nothing, nothing, nothing, np.zeros(0, dtype=bool), ())
+
+    def violation(self, v: Array) -> Array:
+        """Return the amount (m,) by which v (n,) violates each limit; 0 if v satisfies the limit."""
+        value = self.A @ v
+        return np.maximum(np.maximum(self.lower - value, value - self.upper), 0.0)
+
+    def missed(self, v: Array) -> dict[str, float]:
+        """Return the violation of each limit that v violates by more than rounding, by name, in the limit's unit."""
+        amount = self.violation(v)
+        tolerance = 1e-8 * (1.0 + float(np.abs(v).max()))
+        return {self.names[i]: float(amount[i] * self.length[i]) for i in np.flatnonzero(amount > tolerance)}
+
+    def contains(self, v: Array) -> bool:
+        """Return whether v satisfies every limit exactly, without tolerance; False if v contains a NaN."""
+        value = self.A @ v
+        return bool(((self.lower <= value) & (value <= self.upper)).all())
+
+    def relaxed(self, by: float) -> Limits:
+        """Return the set with both bounds of the soft limits moved outwards by `by`."""
+        move = np.where(self.soft, by, 0.0)
+        return replace(self, lower=self.lower - move, upper=self.upper + move)
+
+    def holding(self, v: Array) -> Limits:
+        """Return the set with bounds widened by rounding errors so that v, which must be feasible, satisfies them."""
+        value = self.A @ v
+        return replace(self, lower=np.minimum(self.lower, value), upper=np.maximum(self.upper, value))
+
+    def also(self, J: Array, lower: Array, upper: Array) -> Limits:
+        """Return the set with k additional soft limits lower ≤ J v ≤ upper, J (k, n)."""
+        more = _scaled(np.column_stack([J, lower, upper, np.ones(len(J))]), ("",) * len(J))
+        names = ("A", "lower", "upper", "length", "soft")
+        A, low, up, length, soft = (np.concatenate([getattr(self, name), getattr(more, name)]) for name in names)
+        return Limits(A, low, up, length, soft, self.names + more.names)
+
+
+def _scaled(table: Array, names: tuple[str, ...]) -> Limits:
+    A = table[:, :-3]
+    largest = np.abs(A).max(axis=1, initial=0.0)
+    zero = largest <= ZERO_ROW
+    largest[zero] = 1.0
+    scaled = A / largest[:, None]  # without this scaling the square of a row of 1e155 would overflow
+    length = np.where(zero, 1.0, largest * np.sqrt(np.einsum("ij,ij->i", scaled, scaled)))
+    A = np.where(zero[:, None], 0.0, A / length[:, None])
+    return Limits(A, table[:, -3] / length, table[:, -2] / length, length, table[:, -1] != 0.0, names)
+
+
+@dataclass(frozen=True, eq=False)
 class PriorityProblem:
     """A priority problem from `build_problem`: levels, highest priority first, and limits as linear constraints.
 
@@ -115,31 +184,14 @@ class PriorityProblem:
         return table
 
     @cached_property
+    def limits(self) -> Limits:
+        """Return the limits as rows of length 1."""
+        return _scaled(self.table, tuple(row.name for row in self.rows))
+
+    @cached_property
     def box(self) -> Array:
         """Return the bounds (2, n) of each velocity from the actuator limits on a single velocity; ±inf for none."""
-        table, n = self.table, self.width
-        box = np.empty((2, n))
-        low, high = box
-        low.fill(-math.inf)
-        high.fill(math.inf)
-        normals = table[:, :n]
-        alone = ((np.add.reduce(normals != 0.0, axis=1) == 1) & (table[:, n + 2] == 0.0)).nonzero()[0]
-        rows = table[alone]
-        place = np.abs(rows[:, :n]).argmax(axis=1)
-        a = rows[np.arange(alone.size), place]
-        ends = rows[:, n : n + 2].T / a
-        first, last = np.minimum(*ends), np.maximum(*ends)
-        tiny = np.abs(a) <= ZERO_ROW
-        first[tiny], last[tiny] = -math.inf, math.inf
-        np.maximum.at(low, place, first)
-        np.minimum.at(high, place, last)
-        if not np.logical_and.reduce(low <= high):
-            # of two limits that contradict each other the earlier one is harder, as in `build_problem`
-            low.fill(-math.inf)
-            high.fill(math.inf)
-            for j, *pair in zip(place, first, last, strict=True):
-                low[j], high[j] = np.clip(pair, low[j], high[j])
-        return box
+        return _agreed(self.rows, self.width)[2]
 
     def __str__(self) -> str:
         """Return the problem as a table with one line for each row of each Jacobian and one line for each limit."""
@@ -153,59 +205,6 @@ class PriorityProblem:
             f"{row.kind:<9} {row.name:<20} {_text(row.a)} in [{row.lower:.6g}, {row.upper:.6g}]" for row in self.rows
         ]
         return "\n".join(lines)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the problem as plain data for JSON; an absent bound is null.
-
-        `from_dict` restores the problem exactly.
-        """
-        return {
-            "levels": [
-                {
-                    "name": lv.name,
-                    "J": lv.J.tolist(),
-                    "lower": [_bound(value) for value in lv.lower],
-                    "upper": [_bound(value) for value in lv.high],
-                    "unit": lv.unit,
-                }
-                for lv in self.levels
-            ],
-            "rows": [
-                {"name": r.name, "kind": r.kind, "a": r.a.tolist(), "lower": _bound(r.lower), "upper": _bound(r.upper)}
-                for r in self.rows
-            ],
-            "moved": dict(self.moved),
-        }
-
-    @staticmethod
-    def from_dict(data: Mapping[str, Any]) -> PriorityProblem:
-        """Return the checked problem from the data that `to_dict` returned. A missing key raises an InputError."""
-        try:
-            levels = [
-                Level(
-                    lv["name"],
-                    _array(lv["J"]),
-                    _array([_unbound(value, -math.inf) for value in lv["lower"]]),
-                    _array([_unbound(value, math.inf) for value in lv["upper"]]),
-                    lv["unit"],
-                )
-                for lv in data["levels"]
-            ]
-            rows = [
-                Row(
-                    r["name"],
-                    r["kind"],
-                    _array(r["a"]),
-                    _unbound(r["lower"], -math.inf),
-                    _unbound(r["upper"], math.inf),
-                )
-                for r in data["rows"]
-            ]
-            moved = {str(name): float(amount) for name, amount in data.get("moved", {}).items()}
-        except (KeyError, TypeError, ValueError) as error:
-            text = f"is not a saved problem ({type(error).__name__}: {error})"
-            raise InputError(text, key="problem", remedy="save it with to_dict") from None
-        return build_problem(levels, rows, moved=moved)
 
 
 def build_problem(
@@ -245,7 +244,7 @@ def build_problem(
             raise InputError(text, key=f"task {level.name}", remedy="use the same velocities in all Jacobians")
     agreed, more, box = _agreed([_checked_row(row, width) for row in rows], width)
     problem = PriorityProblem(checked, agreed, {**(moved or {}), **more})
-    problem.__dict__["box"] = box  # known here, and slow to compute again
+    problem.__dict__["box"] = box  # known here
     return problem
 
 
@@ -317,14 +316,10 @@ def _check_names(what: str, names: Sequence[str]) -> None:
             raise InputError(text, key=f"{what} {name}", remedy="rename one of them")
 
 
-def _array(value: Any) -> Array:
-    return np.array(value, dtype=float)
-
-
 def _numbers(value: Any, key: str) -> Array:
     try:
         if not np.iscomplexobj(value):
-            return _array(value)
+            return np.array(value, dtype=float)
     except (TypeError, ValueError):
         pass
     raise InputError("is not an array of numbers", key=key, value=value, remedy="give real numbers in equal rows")
@@ -335,14 +330,6 @@ def _number(value: Any, key: str) -> float:
     if number.size != 1:
         raise InputError("is not one number", key=key, value=value, remedy="give one lower and one upper bound")
     return float(number.reshape(()))
-
-
-def _bound(value: float) -> float | None:
-    return None if math.isinf(value) else value
-
-
-def _unbound(value: float | None, absent: float) -> float:
-    return absent if value is None else float(value)
 
 
 def _range_text(lower: float, upper: float) -> str:

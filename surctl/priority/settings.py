@@ -1,4 +1,4 @@
-"""Settings of the priority law: mode, number of sweeps, damping and fallback, and which do not go together."""
+"""Settings of the priority law: mode, damping and fallback, and which do not go together."""
 
 from __future__ import annotations
 
@@ -38,9 +38,6 @@ class Settings:
 
     Attributes:
         mode: the priority law; see `Mode`.
-        sweeps: number of sweeps. One sweep projects v on every level, from the lowest to the highest priority; the next
-            sweep starts from the resulting v. One sweep is the NSB law, equation (16) of the paper. More sweeps
-            approach strict priority if the tasks are compatible. Must be 1 in mode lexicographic.
         damping: λ [unit of the Jacobian J], at least 1e-6, or 0 for no damping. With damping, every projection of a
             velocity w on a level J v = x becomes min λ²‖z − w‖² + ‖J z − x‖² over z. This is equation (16) with the
             damped inverse Jᵀ(JJᵀ + λ²I)⁻¹ in place of every pseudo-inverse. Must be 0 in mode lexicographic.
@@ -50,7 +47,6 @@ class Settings:
     """
 
     mode: Mode = "projected"
-    sweeps: int = 1
     damping: float = 0.0
 
     def __post_init__(self) -> None:
@@ -60,8 +56,6 @@ class Settings:
             raise InputError(
                 "no such priority mode", key="mode", value=self.mode, remedy=nearest(str(self.mode), modes)
             )
-        if not isinstance(self.sweeps, int | np.integer) or isinstance(self.sweeps, bool) or self.sweeps < 1:
-            raise InputError("is not a number of sweeps", key="sweeps", value=self.sweeps, remedy="give 1, 2, …")
         if not isinstance(self.damping, float | int | np.floating | np.integer) or isinstance(self.damping, bool):
             raise InputError(
                 "is not a number", key="damping", value=self.damping, remedy="give a number, or leave it out"
@@ -70,11 +64,11 @@ class Settings:
             raise InputError(
                 "is out of range", key="damping", value=self.damping, remedy=f"give 0, or {_LEAST_DAMPING:g} and more"
             )
-        if self.mode == "lexicographic" and (self.sweeps != 1 or self.damping != 0.0):
+        if self.mode == "lexicographic" and self.damping != 0.0:
             raise InputError(
-                "applies to sweeps, and mode lexicographic makes none",
-                key="sweeps" if self.sweeps != 1 else "damping",
-                value=self.sweeps if self.sweeps != 1 else self.damping,
+                "applies to the projections of the NSB law, and mode lexicographic makes none",
+                key="damping",
+                value=self.damping,
                 remedy="leave it out, or use mode projected",
             )
 

@@ -12,11 +12,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surctl.errors import InputError
-from surctl.priority.backends import Backend
 from surctl.priority.compiled.step import PriorityStep, Stage, level_shapes
 from surctl.priority.optimality import LOSS, conflicting, is_least, is_optimal, restrictions
 from surctl.priority.problem import Level, PriorityProblem
-from surctl.priority.reference import nsb_sweep, polyhedron_of, reference_solution, without_rows
+from surctl.priority.reference import reference_solution, target_of, without_rows
 from surctl.priority.settings import Mode, Settings
 
 Array: TypeAlias = NDArray[np.float64]
@@ -39,7 +38,7 @@ class PrioritySolution:
 
     Attributes:
         problem: the problem that was solved.
-        settings: settings of the priority law: mode, sweeps, damping.
+        settings: settings of the priority law: mode, damping.
         v: (n,), velocity; for this vehicle (u, v, w, r) in the body frame {B} [m/s, rad/s].
         target: (n,), the velocity to which v is as near as limits and strict levels allow: for "projected", the result
             of the projections on all levels below the first; for "filter", the result of the NSB law, equation (16) of
@@ -59,11 +58,6 @@ class PrioritySolution:
     def mode(self) -> str:
         """Return the name of the priority mode."""
         return self.settings.mode
-
-    @property
-    def fallback(self) -> Literal[1, 2, 3]:
-        """Return 1 if the first task is met, 2 if it is met as well as the limits allow, and 3 otherwise."""
-        return 1 if self.status == "optimal" else 2 if self.status == "limited" else 3
 
     @property
     def units(self) -> dict[str, str]:
@@ -114,7 +108,7 @@ class PrioritySolution:
 
         A limit that had to be moved because it crosses a harder one is listed too.
         """
-        return {**self.problem.moved, **polyhedron_of(self.problem).missed(self.v)}
+        return {**self.problem.moved, **self.problem.limits.missed(self.v)}
 
     @cached_property
     def conflict(self) -> tuple[str, ...]:
@@ -294,7 +288,6 @@ class _Step:
             n=problem.width,
             levels=level_shapes(problem),
             rows=places,
-            sweeps=settings.sweeps,
             damping=settings.damping,
         )
 
@@ -306,9 +299,8 @@ def solve(
     problem: PriorityProblem,
     *,
     mode: Mode = "projected",
-    sweeps: int = 1,
     damping: float = 0.0,
-    backend: Backend | None = None,
+    backend: str | None = None,
 ) -> PrioritySolution:
     """Solve the priority problem of one control period; the returned velocity v is finite for any problem.
 
@@ -329,7 +321,7 @@ def solve(
             violated limits). "projected": equation (16) with the projection on the first task restricted to the limits.
             "filter": the velocity that satisfies the limits and is nearest to the result of (16). "lexicographic":
             strict priority within the limits.
-        sweeps, damping: see `Settings`.
+        damping: see `Settings`.
         backend: None for the compiled step. Otherwise the reference solver in NumPy (module `reference`) is used, with
             this QP solver: "daqp", "osqp", another name in `BACKENDS`, or a `Kernel`. It also solves, with DAQP, what
             the step does not take: a set-based level with several rows.
@@ -346,9 +338,9 @@ def solve(
         ([0.1, 0.4], 'Task `goal` gave up 0.2 m/s because `wall` binds.')
     """
     try:
-        settings = _settings(mode, sweeps, damping)
+        settings = _settings(mode, damping)
     except TypeError:  # not hashable, so not a valid setting either
-        settings = Settings(mode, sweeps, damping)
+        settings = Settings(mode, damping)
     shape = tuple([(level.lower.size, level.upper is None or level.is_goal) for level in problem.levels])
     if backend is None and all(is_goal or rows == 1 for rows, is_goal in shape):
         return _by_step(problem, settings, shape)
@@ -356,20 +348,18 @@ def solve(
 
 
 def explained(problem: PriorityProblem, v: Array, stage: Stage, *, mode: Mode) -> PrioritySolution:
-    """Return the velocity v (n,) of a step with one sweep and no damping as a solution that explains itself.
+    """Return the velocity v (n,) of a step without damping as a solution that explains itself.
 
     `stage` is that of the step, and `problem` the problem that it solved.
     """
     settings = _settings(mode)
-    target = np.zeros(v.size)
-    if mode != "lexicographic":
-        target = nsb_sweep(problem.levels[1:] if mode == "projected" else problem.levels, start=target)
+    target = target_of(problem, settings)
     return PrioritySolution(problem, settings, v, target, _OUTCOMES[get_args(Stage).index(stage)], 0)
 
 
 def _by_step(problem: PriorityProblem, settings: Settings, shape: tuple[tuple[int, bool], ...]) -> PrioritySolution:
     places = max(1, -(-len(problem.rows) // _BUCKET)) * _BUCKET
-    key = (problem.width, places, shape, settings.mode, settings.sweeps, settings.damping)
+    key = (problem.width, places, shape, settings.mode, settings.damping)
     known = _steps.get(key)
     if known is None:
         known = _steps.setdefault(key, _Step(problem, settings, places))
@@ -382,7 +372,7 @@ def _by_step(problem: PriorityProblem, settings: Settings, shape: tuple[tuple[in
     return PrioritySolution(problem, settings, v, target, _with_moved(status, problem, settings), count)
 
 
-def _by_reference(problem: PriorityProblem, settings: Settings, backend: Backend) -> PrioritySolution:
+def _by_reference(problem: PriorityProblem, settings: Settings, backend: str) -> PrioritySolution:
     result = reference_solution(problem, settings, backend)
     status = cast("Outcome", result.status)
     if result.iterations > 0 and status in ("optimal", "limited", "relaxed"):

@@ -179,7 +179,7 @@ def plot_tightest(loops: Loops) -> dict[str, Figure]:
     """
     first = next(iter(loops.values()))
     command, output = (
-        min(system_margins(first, *labels, quick=True), key=lambda margins: margins.delay_margin_s).name
+        min(system_margins(first, *labels), key=lambda margins: margins.delay_margin_s).name
         for labels in (first.names.commands, first.names.outputs)
     )
     end = f"measured.{output}"
@@ -237,7 +237,7 @@ def _unit() -> Curve:
 
 def _unstable(loops: Loops) -> str:
     lost = [name for name, loop in loops.items() if not loop.stable]
-    return f"unstable, not shown: {', '.join(lost)}" if lost else ""
+    return f"not stable, so not shown: {', '.join(lost)}" if lost else ""
 
 
 def _root_locus(loop: LinearLoop, opening: str) -> list[Curve]:
@@ -421,10 +421,10 @@ def _details(bench: DesignBench, request: Request) -> dict[str, Any]:
     assert loops is not None
     rows = []
     for point, loop in loops.items():
-        for m in system_margins(loop, *loop.names.commands, quick=True):
+        for m in system_margins(loop, *loop.names.commands):
             cells = (point, m.name, _margin(m.gain_margin), _margin(m.phase_margin_deg), _margin(m.delay_margin_s),
                      _margin(m.disk_margin), _margin(m.crossover_rad_s))  # fmt: skip
-            rows.append(cells if m.stable else (point, m.name, "unstable", "", "", "", ""))
+            rows.append(cells if m.stable else (point, m.name, loop.stability.lower(), "", "", "", ""))
     head = (
         "operating point",
         "opened at",

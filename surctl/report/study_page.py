@@ -123,7 +123,7 @@ def margins_table(caption: str, margins: Sequence[LoopMargins]) -> Table:
     """Return the table of the margins of each loop alone."""
     rows = tuple(
         (
-            Cell(m.name, code=True), outcome_cell(m.stable, "stable", "UNSTABLE"),
+            Cell(m.name, code=True), outcome_cell(m.stable, "stable", "not stable"),
             *(Cell(number(v), number=True) for v in (
                 m.gain_margin, m.least_gain, m.phase_margin_deg, m.delay_margin_s, m.disk_margin, m.crossover_rad_s)),
         )
@@ -142,7 +142,7 @@ def disk_table(disks: Sequence[tuple[str, DiskMargin]]) -> Table:
         (
             of,
             Cell(disk.place, code=True),
-            outcome_cell(disk.stable, "stable", "UNSTABLE"),
+            outcome_cell(disk.stable, "stable", "not stable"),
             *(Cell(number(v, digits=3), number=True) for v in (disk.guaranteed, disk.reached, disk.frequency_rad_s)),
             Cell(f"{number(disk.gain[0], digits=3)} to {number(disk.gain[1], digits=3)}", number=True),
             Cell(number(disk.phase_deg, digits=3), number=True),

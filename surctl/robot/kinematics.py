@@ -292,6 +292,14 @@ class Kinematics:
                 q[place.q] = min(max(0.0, lower), upper)
         return q
 
+    def sample(self, draws: np.random.Generator) -> Array:
+        """Return a configuration (nq,) with random positions of the joints with one position, within ±π."""
+        q = self.neutral()
+        for place in self.coordinates:
+            if place.single:
+                q[place.q] = draws.uniform(*np.clip(self.range_of(place), -math.pi, math.pi))
+        return q
+
     def range_of(self, place: Coordinate) -> tuple[float, float]:
         """Return the position limits of a joint and of the joints that mimic it; ±inf for an absent limit."""
         lower, upper = -math.inf, math.inf

@@ -6,17 +6,24 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import combinations
 from pathlib import Path
+from typing import TypeAlias
 
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
 from surctl.errors import InputError, nearest
 from surctl.robot.kinematics import Coordinate, Kinematics
 from surctl.robot.urdf import Capsule, closest_points, read_xml
 from surctl.tasks import LimitRow
 from surctl.units import is_number
+
+Array: TypeAlias = NDArray[np.float64]
+
+_SAMPLES = 100  # configurations
 
 
 def stopping_speed(distance: ca.SX, acceleration: float, dt: ca.SX) -> ca.SX:
@@ -53,31 +60,64 @@ class JointLimits:
 
     def rows(self) -> tuple[LimitRow, ...]:
         """Return one limit row for each entry of v that is limited, named joint.NAME."""
-        rows = []
-        for place in self.robot.coordinates:
-            speed = (
-                self.robot.speed_of(place, self.velocities) if place.single else self.velocities.get(place.joint.name)
-            )
-            if place.single:
-                rows.append(self._row(place, place.v, f"joint.{_identifier(place.joint.name)}", speed))
-            elif speed is not None:
-                names = "xyr" if place.joint.type == "planar" else ("x", "y", "z", "wx", "wy", "wz")
-                for k, name in enumerate(names):
-                    rows.append(self._row(place, place.v + k, f"joint.{_identifier(place.joint.name)}.{name}", speed))
-        return tuple(rows)
+        return tuple(self._row(name, *entry) for name, entry in self._entries.items())
 
-    def _row(self, place: Coordinate, v: int, name: str, speed: float | None) -> LimitRow:
+    def cause(self, row: str, upper: bool, bound: float, q: Array, v: Array, dt: float) -> str:
+        """Return the limit that gives a row its bound, such as "upper acceleration limit 5 rad/s²".
+
+        q (nq,) is the configuration, v (nv,) the velocity of the last control period; "" for a row of other limits. A
+        joint that must brake has the limit of acceleration at its other end.
+        """
+        if row not in self._entries:
+            return ""
+        robot, (place, at, speed) = self.robot, self._entries[row]
+        ends, acceleration = self._ends(place, at, speed), self.accelerations.get(place.joint.name, 0.0)
+        values = {"acceleration": (-acceleration, acceleration), "speed": (-speed, speed), "position": (0.0, 0.0)}
+        values |= {"position": robot.range_of(place)} if place.single else {}
+        sides = [(kind, end) for kind in ends for end in ((False, True) if kind == "acceleration" else (upper,))]
+        exact = ca.Function(
+            "ends", [robot.q, robot.v, robot.dt], [ca.vertcat(*(ends[kind][end] for kind, end in sides))]
+        )
+        kind, end = sides[int(np.abs(np.array(exact(q, v, dt))[:, 0] - bound).argmin())]
+        unit = robot.layout()[1].unit.split(", ")[at].removesuffix("/s")
+        unit += {"acceleration": "/s²", "speed": "/s", "position": ""}[kind]
+        return f"{'upper' if end else 'lower'} {kind} limit {values[kind][end]:.6g} {unit}"
+
+    @cached_property
+    def _entries(self) -> dict[str, tuple[Coordinate, int, float]]:
+        """Return joint, index and largest speed of each entry of v that is limited, by the name of its row."""
+        entries, axes = {}, {"planar": ("x", "y", "r"), "floating": ("x", "y", "z", "wx", "wy", "wz")}
+        for place in self.robot.coordinates:
+            name, own = f"joint.{_identifier(place.joint.name)}", self.velocities.get(place.joint.name)
+            speed = self.robot.speed_of(place, self.velocities) if place.single else own
+            for k, axis in enumerate(axes.get(place.joint.type, ("",))):
+                if speed is not None:
+                    entries[f"{name}.{axis}" if axis else name] = (place, place.v + k, speed)
+        return entries
+
+    def _ends(self, place: Coordinate, v: int, speed: float) -> dict[str, tuple[ca.SX, ca.SX]]:
+        """Return the bounds of an entry of v by limits of acceleration, speed and position, the hardest first."""
         robot, acceleration = self.robot, self.accelerations.get(place.joint.name)
-        assert speed is not None
-        lower, upper = ca.SX(-speed), ca.SX(speed)
-        if place.single:
-            ends, q = robot.range_of(place), robot.q[place.q]
-            speeds = [_allowed(distance, acceleration, robot.dt) for distance in (q - ends[0], ends[1] - q)]
-            lower, upper = ca.fmax(lower, -speeds[0]), ca.fmin(upper, speeds[1])
+        ends = {}
         if acceleration is not None:
             change = acceleration * robot.dt
-            lower, upper = (ca.fmin(ca.fmax(end, robot.v[v] - change), robot.v[v] + change) for end in (lower, upper))
-        a = ca.SX.zeros(1, robot.nv)
+            ends["acceleration"] = (robot.v[v] - change, robot.v[v] + change)
+        ends["speed"] = (ca.SX(-speed), ca.SX(speed))
+        if place.single:
+            limits, q = robot.range_of(place), robot.q[place.q]
+            speeds = [_allowed(distance, acceleration, robot.dt) for distance in (q - limits[0], limits[1] - q)]
+            ends["position"] = (-speeds[0], speeds[1])
+        return ends
+
+    def _row(self, name: str, place: Coordinate, v: int, speed: float) -> LimitRow:
+        ends = self._ends(place, v, speed)
+        lower, upper = ends["speed"]
+        if "position" in ends:
+            lower, upper = ca.fmax(lower, ends["position"][0]), ca.fmin(upper, ends["position"][1])
+        if "acceleration" in ends:
+            least, most = ends["acceleration"]
+            lower, upper = (ca.fmin(ca.fmax(end, least), most) for end in (lower, upper))
+        a = ca.SX.zeros(1, self.robot.nv)
         a[v] = 1.0
         return LimitRow(name, "actuator", a, lower, upper)
 
@@ -189,7 +229,8 @@ def self_collision(
             boxes count as the smallest capsules around them; their edges may be further apart than the capsules.
 
     Raises:
-        InputError: a link has a collision mesh and no shape is given, a name is unknown, or no pair is left.
+        InputError: a link has a collision mesh and no shape is given, a name is unknown, no pair is left, or two links
+            are nearer than the margin at every random configuration.
     """
     for key, value in (("margin", margin), ("gain", gain)):
         if not is_number(value) or value < 0.0 or (key == "gain" and value == 0.0):
@@ -215,7 +256,22 @@ def self_collision(
     if not pairs:
         remedy = "add collision geometry, or leave out self_collision"
         raise InputError("has no pair of links to keep apart", file=robot.urdf.path, key="robot", remedy=remedy)
-    return SelfCollision(robot, tuple(pairs), float(margin), float(gain))
+    barriers = SelfCollision(robot, tuple(pairs), float(margin), float(gain))
+    _check_apart(barriers)
+    return barriers
+
+
+def _check_apart(barriers: SelfCollision) -> None:
+    """Raise InputError if two links are nearer than the margin at every random configuration."""
+    robot, draws = barriers.robot, np.random.default_rng(0)
+    gaps = [barriers.distance(pair)[0] for pair in barriers.pairs]
+    samples = np.array([robot.sample(draws) for _ in range(_SAMPLES)]).T
+    most = np.array(ca.Function("gaps", [robot.q], [ca.vertcat(*gaps)]).map(_SAMPLES)(samples)).max(axis=1)
+    for (link, _, other, _), gap in zip(barriers.pairs, most, strict=True):
+        if gap < barriers.margin:
+            problem = f"are less than the margin apart at all {_SAMPLES} random configurations: at most {gap:.3g} m"
+            remedy = f'give smaller shapes, or an SRDF with <disable_collisions link1="{link}" link2="{other}"/>'
+            raise InputError(problem, file=robot.urdf.path, key=f"links {link}, {other}", remedy=remedy)
 
 
 def _read_srdf(robot: Kinematics, path: str | Path) -> frozenset[frozenset[str]]:

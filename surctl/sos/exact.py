@@ -13,91 +13,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from math import ceil, lcm, log2
-from operator import mul
 
 import numpy as np
-from numpy.typing import NDArray
 
+from surctl.certcheck.definite import is_semidefinite
 from surctl.sos.basis import Gram, monomials, parity_classes, pruned, restricted
 from surctl.sos.polynomial import Monomial, Number, Polynomial, joined
-from surctl.sos.program import Affine, Program, Solution, Squares
+from surctl.sos.program import Proposal, best_identity
 
-# Exact test whether a symmetric matrix of integers is positive semidefinite
-
-
-_SMALL = 8  # up to this size, integers are faster than floats
-_MOST_EXACT = 40  # largest size of a nearly singular matrix that is decomposed in integers
 _LARGEST = 120  # largest size of a Gram matrix
-
-
-def is_semidefinite(matrix: Sequence[Sequence[int]]) -> bool:
-    """Return True only if a symmetric matrix (n, n) of integers is positive semidefinite; False may mean too large.
-
-    A Cholesky factor L of the matrix minus a small multiple of the identity is computed in floats and rounded. The
-    difference between the matrix and L L' is computed exactly; if it is diagonally dominant, the matrix is positive
-    semidefinite. A small matrix, or a nearly singular one up to a size of 40, is decomposed exactly instead.
-
-    Example:
-        >>> from surctl.sos import is_semidefinite
-        >>> is_semidefinite([[2, -1], [-1, 1]]), is_semidefinite([[1, 1], [1, 1]]), is_semidefinite([[1, 2], [2, 3]])
-        (True, True, False)
-    """
-    keep = [k for k, row in enumerate(matrix) if any(row)]
-    a = [[matrix[i][j] for j in keep] for i in keep]
-    if any(a[k][k] <= 0 for k in range(len(a))):
-        return False
-    if not a:
-        return True
-    if len(a) <= _SMALL:
-        return _decomposes(a)
-    shifts = [(row[k].bit_length() + 1) // 2 for k, row in enumerate(a)]
-    try:
-        floats = np.array([[x / (1 << (shifts[i] + shifts[j])) for j, x in enumerate(row)] for i, row in enumerate(a)])
-        least = float(np.linalg.eigvalsh(floats)[0])
-    except (OverflowError, np.linalg.LinAlgError):
-        return False
-    if least > 1e-13 * len(a) and _dominates(a, floats, shifts, least / 2):
-        return True
-    return least > -1e-9 and len(a) <= _MOST_EXACT and _decomposes(a)
-
-
-def _dominates(a: list[list[int]], floats: NDArray[np.float64], shifts: list[int], part: float) -> bool:
-    size = len(a)
-    try:
-        factor = np.linalg.cholesky(floats - part * np.eye(size))
-    except np.linalg.LinAlgError:
-        return False
-    bits = int(np.clip(np.ceil(np.log2(16 * size / part)), 20, 52))
-    rows = [[round(x * 2.0**bits) for x in factor[i, : i + 1].tolist()] for i in range(size)]
-    rest = [[0] * size for _ in range(size)]
-    for i in range(size):
-        for j in range(i + 1):
-            square = sum(map(mul, rows[i][: j + 1], rows[j]))
-            rest[i][j] = rest[j][i] = (a[i][j] << (2 * bits)) - (square << (shifts[i] + shifts[j]))
-    most = max(shifts)
-    for i in range(size):
-        outside = sum(abs(rest[i][j]) << (most - shifts[j]) for j in range(size) if j != i)
-        if rest[i][i] << (most - shifts[i]) < outside:
-            return False
-    return True
-
-
-def _decomposes(a: list[list[int]]) -> bool:
-    # elimination without fractions (Bareiss): every division is exact
-    m = [list(row) for row in a]
-    before = 1
-    for k in range(len(m)):
-        pivot = m[k][k]
-        if pivot < 0 or (pivot == 0 and any(m[k][j] for j in range(k, len(m)))):
-            return False
-        if pivot == 0:
-            continue
-        for i in range(k + 1, len(m)):
-            for j in range(k + 1, i + 1):
-                m[i][j] = m[j][i] = (m[i][j] * pivot - m[i][k] * m[k][j]) // before
-            m[i][k] = 0
-        before = pivot
-    return True
 
 
 # Exact solution of sparse linear equations by a change of few unknowns
@@ -294,31 +218,18 @@ def certify(
             return _only(target, grams, pairs)
     size = Fraction(2) ** round(log2(max(abs(float(c)) for c in target.terms.values())))
     scaled = target * (1 / size)
-    program = Program()
-    least = program.scalar()
-    program.nonnegative(1 - least)
-    total = Affine({})
-    squares = [program.squares(g.roots, above=least) for g in grams]
-    for gram, sigma in zip(grams, squares, strict=True):
-        total = total + (sigma * gram.weight if gram.at >= 0 else sigma)
-    multipliers = [program.polynomial(f) for f in free]
-    for relation, unknown in zip(relations, multipliers, strict=True):
-        total = total + unknown * relation
-    if set(scaled.terms) - set(total.terms):
-        return None
-    program.zero(scaled - total)
-    program.maximise(least)
-    solution = program.solve(seconds=max(4 * (seconds - (time.process_time() - began)), 1.0))
-    if solution is None or solution.number(least) < _LEAST:
+    left = max(4 * (seconds - (time.process_time() - began)), 1.0)
+    solution = best_identity(scaled, grams, relations, free, seconds=left)
+    if solution is None or solution.least < _LEAST:
         return None
     for spare in _SPARE:
         if time.process_time() - began > seconds:
             return None
-        rounded = _rounded(scaled, grams, squares, multipliers, relations, solution, solution.number(least), spare)
+        rounded = _rounded(scaled, grams, relations, solution, spare)
         if rounded is not None:
             blocks, polynomials = rounded
             blocks = [GramBlock(b.weight, b.basis, tuple(x * size for x in b.entries)) for b in blocks]
-            return Certificate(tuple(blocks), tuple(p * size for p in polynomials), solution.number(least))
+            return Certificate(tuple(blocks), tuple(p * size for p in polynomials), solution.least)
     return None
 
 
@@ -395,32 +306,22 @@ def _candidates(
 
 
 def _rounded(
-    target: Polynomial,
-    grams: Sequence[Gram],
-    squares: Sequence[Squares],
-    multipliers: Sequence[Affine],
-    relations: Sequence[Polynomial],
-    solution: Solution,
-    least: float,
-    spare: int,
+    target: Polynomial, grams: Sequence[Gram], relations: Sequence[Polynomial], solution: Proposal, spare: int
 ) -> tuple[list[GramBlock], list[Polynomial]] | None:
     """Return the rounded blocks and multipliers; None if a matrix is not positive semidefinite."""
     most = max(len(g.roots) for g in grams)
-    grid = 2 ** min(max(ceil(log2(most / least)) + spare, 8), 60)
-    values: list[list[Fraction]] = []
-    for gram, unknown in zip(grams, squares, strict=True):
-        matrix = solution.gram(unknown)
-        lower = matrix[np.tril_indices(len(gram.roots))]
-        values.append([Fraction(round(x * grid), grid) for x in lower.tolist()])
-    polynomials = [
-        {m: Fraction(round(float(c) * grid), grid) for m, c in solution.polynomial(p).terms.items()}
-        for p in multipliers
-    ]
+    grid = 2 ** min(max(ceil(log2(most / solution.least)) + spare, 8), 60)
+
+    def near(x: float) -> Fraction:
+        return Fraction(round(x * grid), grid)
+
+    values = [[near(x) for x in matrix[np.tril_indices(len(matrix))].tolist()] for matrix in solution.grams]
+    polynomials = [{m: near(c) for m, c in h.items()} for h in solution.multipliers]
     pairs = _pairs(grams)
     rest = _remainder(target, grams, values, relations, polynomials)
     outside = {m: Fraction(c) for m, c in rest.terms.items() if m not in pairs}
     if outside:
-        columns = _columns(grams, relations, multipliers, pairs)
+        columns = _columns(grams, relations, solution.multipliers, pairs)
         changes = corrected(outside, columns)
         if changes is None:
             return None
@@ -531,13 +432,13 @@ def _dot(a: Sequence[Fraction], b: Sequence[Fraction]) -> Fraction:
 def _columns(
     grams: Sequence[Gram],
     relations: Sequence[Polynomial],
-    multipliers: Sequence[Affine],
+    multipliers: Sequence[Mapping[Monomial, float]],
     inside: Mapping[Monomial, object],
 ) -> list[LinearUnknown]:
     """Return the unknowns that change coefficients which no block with the weight 1 has."""
     columns = []
     for at, (relation, unknown) in enumerate(zip(relations, multipliers, strict=True)):
-        for m in unknown.terms:
+        for m in unknown:
             row = {joined(m, n): Fraction(c) for n, c in relation.terms.items()}
             columns.append(LinearUnknown((at, m), {m: c for m, c in row.items() if m not in inside}, 0))
     for at, gram in enumerate(grams):

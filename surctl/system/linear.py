@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
@@ -13,6 +13,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from surctl.errors import InputError
 from surctl.ir import Layout, Program, lower, replay, to_casadi
+from surctl.ir.native import runnable
+from surctl.ir.procedure import Procedure
+from surctl.ir.routine import nested
 from surctl.system.controller import Controller, SampledController
 from surctl.system.linear_loop import LinearLoop, LoopNames, held_plant
 from surctl.system.loop import System, once_per_system
@@ -139,6 +142,7 @@ _EULER, _LONGEST = 1000, 1e6  # number of implicit steps, and their greatest len
 _NEAR = 1e-6  # from here on, Newton steps are taken
 _REST = 1e-9
 _SHOWN = 6  # largest number of states in a message
+_STEP = 1e-6  # relative change of a number to which a command responds
 
 
 @dataclass(frozen=True)
@@ -176,7 +180,8 @@ def find_equilibrium(system: System, values: Mapping[str, ArrayLike] | None = No
 
     Args:
         values: numbers by name, see `run_numbers`. The search begins at the start state that names `start.…` give.
-            Without such names, the search begins at zero and then, if necessary, at the default state.
+            Without such names, the search begins at zero and then, if necessary, at the default state, and in the
+            middle of the box `within` of the system.
 
     Raises:
         InputError: the search finds no equilibrium; the message names the state that moves most, or the operation that
@@ -201,19 +206,23 @@ def find_equilibrium(system: System, values: Mapping[str, ArrayLike] | None = No
 def _equilibrium(functions: _Rest, values: Mapping[str, ArrayLike] | None) -> Operating:
     system, numbers = functions.system, functions.numbers
     started = any(name.startswith("start.") for name in values or {})
-    ends, memory = [], system.blocks.memory.pack()
+    tried, memory = [], system.blocks.memory.pack()
     starts = [numbers.start[0]] if started else [np.zeros(system.plant.state.size), numbers.start[0]]
+    if not started and system.within:
+        labels = entry_labels(system.plant.state)
+        ends = [system.within.get(label, (x, x)) for label, x in zip(labels, numbers.start[0], strict=True)]
+        starts.append(np.mean(ends, axis=1))
     for search in (_newton, _transient):
         for x in starts:
             point, rests = search(functions, np.concatenate([x, system.controller.initial_state(), memory]))
             if rests:
                 return functions.operating(point)
-            ends.append(point)
-    for point in ends:
+            tried.append(point)
+    for point in tried:
         functions.check_finite(point)
-    error = np.nan_to_num(functions.error(ends[0])[0], nan=np.inf)
+    error = np.nan_to_num(functions.error(tried[0])[0], nan=np.inf)
     worst = _state_labels(system)[int(np.argmax(np.abs(error)))]
-    constant = functions.constant_commands(ends[0])
+    constant = functions.constant_commands(tried[0])
     saturated = f", and command `{constant[0]}` does not depend on the state there (saturated?)" if constant else ""
     raise InputError(
         f"no equilibrium was found: `{worst}` still moves{saturated}", key=system.plant.name,
@@ -347,7 +356,8 @@ class _Rest:
             f"{what} is not finite where the search ends ({_place(labels, point)})"
             + (f", because of {cause}{where}" if cause else ""),
             key=self.system.plant.name,
-            remedy="write it smoothly there (sqrt(x**2 + 1e-12), say), or begin elsewhere with start.…",
+            remedy="write it smoothly there (sqrt(x**2 + 1e-12), say), or begin near the equilibrium: "
+            f"start.{self.system.plant.state.ports[0].name}=…",
         )
 
     def operating(self, point: Array) -> Operating:
@@ -513,14 +523,36 @@ def _state_labels(system: System) -> list[str]:
 def unresponsive(record: Record) -> dict[str, float]:
     """Return, by label of the command, the share of a run's control instants at which it does not respond.
 
-    There its derivatives by all inputs and states of the controller are 0, such as at a limit. Commands that never
-    depend on them are left out.
+    There its derivatives by all inputs and states of the controller are 0, such as at a limit; of a controller that
+    contains a procedure, the command stays the same if any one of them changes. Commands that never depend on them are
+    left out.
     """
-    slopes, depends = _slopes(record.system)
-    z, u, gains = record.controller
-    sizes: NDArray[np.float64] = np.array(slopes.map(len(u))(z.T, u.T, np.tile(gains[:, None], len(u))))
-    labels = entry_labels(record.system.commands)
+    z, u, gains = (part.copy() for part in record.controller)
+    labels, block = entry_labels(record.system.commands), record.system.controller.block
+    if any(isinstance(inner, Procedure) for inner in nested(block).values()):
+        sizes, depends = _changes(runnable(block), z, u, gains)[:, : len(labels)].T, [True] * len(labels)
+    else:
+        slopes, depends = _slopes(record.system)
+        sizes = np.array(slopes.map(len(u))(z.T, u.T, np.tile(gains[:, None], len(u))))
     return {name: float(np.mean(row == 0.0)) for name, row, acts in zip(labels, sizes, depends, strict=True) if acts}
+
+
+def _changes(run: Callable[..., list[Array]], z: Array, u: Array, gains: Array) -> Array:
+    """Return the sums of the changes of each command (n, commands) for a small change of each state and input.
+
+    Derivatives of a procedure are those of the operations that it executes in Python, a thousand times slower.
+    """
+    p = np.tile(gains, (len(u), 1))
+    before = run(z, u, p)[0]
+    total = np.zeros_like(before)
+    for part in (z, u):
+        for column in part.T:
+            own = column.copy()
+            for step in (-_STEP, _STEP):
+                column[:] = own + step * (1.0 + np.abs(own))
+                total += np.abs(run(z, u, p)[0] - before)
+            column[:] = own
+    return total
 
 
 @once_per_system

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -87,7 +87,8 @@ def blockwise(function: Callable[[Array], Array], matrices: Array) -> Array:
 
 
 Matrices = tuple[Array, Array, Array, Array]
-_EDGE = 1e-9  # a pole this near to the unit circle counts as on it
+EDGE = 1e-9  # a pole this near to the unit circle counts as on it
+_DEADBEAT = 1e-9  # least modulus of a pole with a rate of its own
 
 KINDS = ("reference", "disturbance", "command", "measured")
 """Kinds of signals; `kind.LABEL` names a signal where the label alone is ambiguous."""
@@ -104,6 +105,8 @@ class LoopNames:
         outputs: labels of the measured outputs.
         references, disturbances: labels of the external inputs.
         units: (kind.LABEL, unit) of commands, measured outputs, references and disturbances; empty: not known.
+        places: name and signals of each place at which all loops are opened at once to judge them; empty: the commands
+            that the plant takes, and the measured outputs that the controller uses.
     """
 
     plant: str
@@ -116,6 +119,7 @@ class LoopNames:
     references: tuple[str, ...] = ()
     disturbances: tuple[str, ...] = ()
     units: tuple[tuple[str, str], ...] = ()
+    places: tuple[tuple[str, tuple[str, ...]], ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,7 +127,7 @@ class LinearLoop(Plotted):
     """A linear loop of a plant, in continuous time or sampled, and a controller in discrete time.
 
     `plot()` draws |L|, |S| and |T|, the Nyquist curve, steps and poles. A leading axis of the matrices holds several
-    loops, for `transition` and `opened`.
+    loops with equal signals and states, for `transition`, `rates` and `opened`.
 
     Attributes:
         plant: matrices (A, B, E, C, D_d) of the plant, with x' = A x + B f + E d and y = C x + D_d d, for command f,
@@ -142,6 +146,18 @@ class LinearLoop(Plotted):
     names: LoopNames
     dt: float
     sampled: bool = field(default=False, kw_only=True)
+
+    def __getitem__(self, chosen: int | NDArray[np.intp] | NDArray[np.bool_] | None) -> Self:
+        """Return the loops at indices of the leading axis; None adds a leading axis."""
+        plant, law = (tuple(m[chosen] for m in part) for part in (self.plant, self.law))
+        return replace(self, plant=plant, law=law)
+
+    @staticmethod
+    def stacked(loops: Sequence[LinearLoop]) -> LinearLoop:
+        """Return several loops with equal signals and states as one, along a leading axis."""
+        plant, law = (tuple(map(np.stack, zip(*parts, strict=True)))
+                      for parts in ([loop.plant for loop in loops], [loop.law for loop in loops]))  # fmt: skip
+        return LinearLoop(plant, law, loops[0].names, loops[0].dt, sampled=loops[0].sampled)
 
     def plant_system(self) -> Any:
         """Return the plant as `control.StateSpace`, from actuator commands and disturbances to measured outputs."""
@@ -274,10 +290,69 @@ class LinearLoop(Plotted):
         """
         return self._poles
 
+    @cached_property
+    def rates(self) -> NDArray[np.complex128]:
+        """The closed-loop poles (…, n) as continuous rates s = ln(z)/dt [rad/s], the slowest first.
+
+        A pole z = 0, of a signal that is gone after a period, has a large negative rate.
+        """
+        closed = self.transition
+        z = np.linalg.eigvals(closed).astype(complex) if closed.ndim == 2 else eigenvalues(closed)
+        rates = np.asarray(np.log(np.where(np.abs(z) < _DEADBEAT, _DEADBEAT, z)) / self.dt, dtype=complex)
+        return np.take_along_axis(rates, np.argsort(-rates.real, axis=-1, kind="stable"), axis=-1)
+
+    @property
+    def slowest_per_s(self) -> Array:
+        """The largest real part (…) of a rate [1/s]; -inf for a loop without memory."""
+        return np.asarray(self.rates.real.max(axis=-1, initial=-np.inf))
+
+    @property
+    def decays(self) -> NDArray[np.bool_]:
+        """Whether every pole of each loop (…) lies inside the unit circle, by more than rounding."""
+        return np.asarray(self.slowest_per_s * self.dt < -EDGE)
+
     @property
     def stable(self) -> bool:
-        """Whether every pole of the closed loop lies inside the unit circle, by more than rounding."""
-        return bool(np.abs(self.poles()).max(initial=0.0) < 1 - _EDGE)
+        """Whether every pole of every loop lies inside the unit circle, by more than rounding."""
+        return bool(self.decays.all())
+
+    @property
+    def places(self) -> dict[str, tuple[str, ...]]:
+        """Signals at which all loops are opened at once, by name of the place; see `LoopNames.places`."""
+        return dict(self.names.places) or self.used
+
+    @property
+    def used(self) -> dict[str, tuple[str, ...]]:
+        """The commands that the plant takes, and the measured outputs that the controller uses, if there are any."""
+        names, (_, by_y, _, _, d_y, _) = self.names, self.law
+        used = np.abs(np.concatenate([by_y, d_y], axis=-2)).reshape(-1, len(names.outputs)).max(axis=0, initial=0.0) > 0
+        commands = tuple(name for name in names.commands if name in names.inputs) or names.commands
+        measured = tuple(name for name, use in zip(names.outputs, used, strict=True) if use)
+        return {what: labels for what, labels in (("commands", commands), ("measurements", measured)) if labels}
+
+    @cached_property
+    def marginal(self) -> tuple[str, ...]:
+        """States that do not return after a disturbance although no state grows: their poles are on the unit circle.
+
+        Empty for a stable loop, and for a loop with a growing state, such as one with a double integrator.
+        """
+        A, poles = self.transition, self.poles()
+        left, moved = poles[np.abs(poles) >= 1 - EDGE], np.zeros(len(A))
+        if np.abs(left).max(initial=0.0) > 1 + EDGE:
+            return ()
+        while left.size:
+            near = np.abs(left - left[0]) <= np.sqrt(EDGE)
+            _, sizes, directions = np.linalg.svd(A - left[0] * np.eye(len(A)))
+            free = directions[sizes <= EDGE * max(1.0, sizes[0])]
+            if len(free) < near.sum():  # without an eigenvector for each pole, a state grows with time
+                return ()
+            moved, left = np.maximum(moved, np.abs(free).max(axis=0)), left[~near]
+        return tuple(label for label, size in zip(self.states(), moved, strict=True) if size > np.sqrt(EDGE))
+
+    @property
+    def stability(self) -> Literal["stable", "marginal", "UNSTABLE"]:
+        """Whether the poles are inside the unit circle, or on it without a growing state, or neither."""
+        return "stable" if self.stable else "marginal" if self.marginal else "UNSTABLE"
 
     def states(self) -> list[str]:
         """Return the labels of the plant states, then of the controller states."""

@@ -25,6 +25,9 @@ from surctl.system.values import run_numbers
 
 Array = NDArray[np.float64]
 
+_REST = 1e-9  # smallest change of a state that counts
+_NAMED = 3  # largest number of names in a message
+
 
 @dataclass(frozen=True, eq=False)
 class Record(Plotted):
@@ -66,6 +69,16 @@ class Record(Plotted):
     def duration(self) -> float:
         """Return the duration of the run [s]; a run that ended early ends at its last control instant."""
         return float(self.time[-1] + (self.system.dt if self.stopped == ENDED else 0.0))
+
+    @property
+    def at_rest(self) -> str:
+        """Return what to give so that a state changes, if none does in the whole run; otherwise an empty text."""
+        plant, system = self.system.plant, self.system
+        if self.stopped != ENDED or any(np.ptp(self.signals[port.name], axis=0).max() > _REST for port in plant.state):
+            return ""
+        names = {"start": plant.state, "reference": system.references, "disturbance": plant.disturbances}
+        inputs = [f"{kind}.{port.name}" for kind, ports in names.items() for port in ports]
+        return f"it starts at an equilibrium: give other values of {' or '.join(inputs[:_NAMED])}"
 
     def ports(self, *kinds: str) -> dict[str, Port]:
         """Return the port (name, size, unit) of each signal of the given kinds, by name; by default of all kinds.

@@ -102,6 +102,11 @@ class SetTask:
         """Return the Jacobian J, (k, n), with σ̇ = J v; see `Task.jacobian`."""
         return self._middle.jacobian()
 
+    def error(self) -> ca.SX:
+        """Return the change, (k, 1), that takes each entry of σ to its nearer bound; 0 between the bounds."""
+        below, above = self._distances()
+        return ca.fmax(below, 0.0) + ca.fmin(above, 0.0)
+
     def slab(self) -> tuple[ca.SX, ca.SX]:
         """Return the lower and the upper bound on σ̇, (k, 1) each [unit of σ per second]; ±inf for an absent bound."""
         below, above = self._distances()

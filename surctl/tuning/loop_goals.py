@@ -140,7 +140,7 @@ class LoopGoal(ABC):
         try:
             self._check(loop)
             if not loop.stable:
-                return Judgement(np.nan, "1", np.nan, np.inf, None, "the loop is unstable")
+                return Judgement(np.nan, "1", np.nan, np.inf, None, f"the loop is {loop.stability.lower()}")
             return self._judged(loop)
         except InputError as error:
             raise InputError(

@@ -22,6 +22,7 @@ _POINTS, _DENSE = 160, 27  # least number of frequencies, and number in each dec
 _NEAR = np.geomspace(1e-2, 3.0, 7)  # distances from a pole's frequency, in distances of the pole from the unit circle
 _DECADES = 2.0  # below the slowest pole
 _LEAST, _DOUBLE = 1e-9, 1e-7  # poles nearer to z = 1 count as at 1; several open-loop integrators spread that far
+_ZOOMS, _ZOOM = 4, 16  # refinements of the frequencies next to a peak, and frequencies of each
 _SHORTEST, _LONGEST = 60, 1 << 14  # samples of a step response
 
 
@@ -95,6 +96,19 @@ def sensitivities_at(loop: LinearLoop, openings: Sequence[str], omega: Array) ->
     eye = np.eye(L.shape[-1])
     S = np.asarray(np.linalg.solve(eye + L, np.broadcast_to(eye, L.shape)), dtype=np.complex128)
     return np.stack([np.linalg.norm(balanced(one), 2, axis=(1, 2)) for one in (S, eye - S)])
+
+
+def sensitivity_curves(loop: LinearLoop, openings: Sequence[str]) -> tuple[Array, Array, Array]:
+    """Return frequencies (k,) [rad/s], and S and T (k,) of `sensitivities_at`, with their peaks to ten digits."""
+    omega = frequencies(loop, openings)
+    curves = sensitivities_at(loop, openings, omega)
+    for _ in range(_ZOOMS):
+        places = curves.argmax(axis=1)
+        ends = zip(omega[np.maximum(places - 1, 0)], omega[np.minimum(places + 1, len(omega) - 1)], strict=True)
+        more = np.concatenate([np.geomspace(*both, _ZOOM)[1:-1] for both in ends])
+        omega, order = np.unique(np.concatenate([omega, more]), return_index=True)
+        curves = np.hstack([curves, sensitivities_at(loop, openings, more)])[:, order]
+    return omega, curves[0], curves[1]
 
 
 def step_series(loop: LinearLoop, source: str, end: str, *, least_s: float = 0.0) -> tuple[Array, Array, float]:

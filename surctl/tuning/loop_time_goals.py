@@ -232,7 +232,7 @@ class Margins(Opened):
 
     def _judged(self, loop: LinearLoop) -> Judgement:
         checks: list[tuple[float, float, float, str, str]] = []
-        for m in system_margins(loop, *self.openings, quick=True):
+        for m in system_margins(loop, *self.openings):
             both = min(m.gain_margin, 1 / m.least_gain if m.least_gain > 0 else np.inf)
             if self.gain:  # in dB, so that twice the margin is half the normalised value
                 share = np.log(self.gain) / np.log(both) if both > 1 else np.inf

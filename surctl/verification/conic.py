@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from surctl.sos.program import solved
 
 Array = NDArray[np.float64]
 Inequality = tuple[Array, Array]
@@ -39,14 +40,5 @@ def minimise(cost: Array, inequalities: Sequence[Inequality], *, tolerance: floa
         flat = slopes[:, :, upper[1], upper[0]] * weight
         rows.append(sparse.csr_matrix(-flat.transpose(0, 2, 1).reshape(-1, len(cost))))
         cones += [clarabel.PSDTriangleConeT(size)] * len(constant)
-    settings: Any = clarabel.DefaultSettings()
-    settings.verbose = False
-    settings.max_iter = 60
-    settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = tolerance
-    quadratic = sparse.csc_matrix((len(cost), len(cost)))
-    solution = clarabel.DefaultSolver(
-        quadratic, cost, sparse.vstack(rows, format="csc"), np.concatenate(sides), cones, settings
-    ).solve()
-    if str(solution.status) not in ("Solved", "AlmostSolved"):
-        return None
-    return np.asarray(solution.x, dtype=float)
+    matrix, right = sparse.vstack(rows, format="csc"), np.concatenate(sides)
+    return solved(cost, matrix, right, cones, tolerance=tolerance, iterations=60)

@@ -25,7 +25,7 @@ from surctl.verification.proving.touching import vanishes
 
 
 _BITS = 256
-_LARGEST = 2**20  # largest argument of exp, sinh and cosh
+_LARGEST = libmp.from_int(2**20)  # largest argument of exp, sinh, cosh and tanh
 _ONE = (libmp.fone, libmp.fone)
 _ZERO = (libmp.fzero, libmp.fzero)
 
@@ -41,16 +41,36 @@ UNDEFINED = _Mark.UNDEFINED
 
 Value = Any  # an interval, UNDEFINED or None; libmp has no types
 
-_INCREASING: Mapping[str, Callable[[Any], Any]] = MappingProxyType(
-    {"exp": lambda x: libmp.mpf_exp(x, _BITS), "log": lambda x: libmp.mpf_log(x, _BITS),
-     "sinh": lambda x: libmp.mpf_sinh(x, _BITS), "tanh": lambda x: libmp.mpf_tanh(x, _BITS),
-     "asin": lambda x: libmp.mpf_asin(x, _BITS), "atan": lambda x: libmp.mpf_atan(x, _BITS),
-     "tan": lambda x: libmp.mpf_tan(x, _BITS)}
+_ROUNDED: Mapping[str, Callable[..., Interval]] = MappingProxyType(
+    {"add": libmp.mpi_add, "sub": libmp.mpi_sub, "mul": libmp.mpi_mul, "div": libmp.mpi_div, "abs": libmp.mpi_abs,
+     "sqrt": libmp.mpi_sqrt}
 )  # fmt: skip
-_ARITHMETIC: Mapping[str, Callable[[Interval, Interval], Interval]] = MappingProxyType(
-    {"add": lambda a, b: libmp.mpi_add(a, b, _BITS), "sub": lambda a, b: libmp.mpi_sub(a, b, _BITS),
-     "mul": lambda a, b: libmp.mpi_mul(a, b, _BITS)}
+_NEARLY: Mapping[str, Callable[..., Interval]] = MappingProxyType(
+    {"sin": libmp.mpi_sin, "cos": libmp.mpi_cos, "tan": libmp.mpi_tan, "exp": libmp.mpi_exp, "log": libmp.mpi_log,
+     "atan": libmp.mpi_atan, "atan2": libmp.mpi_atan2}
 )  # fmt: skip
+"""Functions whose ends are right to a few units in the last place."""
+
+_BOUNDED = frozenset({"sqrt", "log", "powr", "asin", "acos"})  # undefined where the expression of `_gap` is negative
+_EDGES = frozenset({"sqrt", "asin", "acos"})  # defined where it is 0, as are powers with a positive exponent
+
+
+def _gap(node: Node) -> Node | None:
+    """Return the expression that is 0 at the edge of the domain of an operation; None if it is defined everywhere."""
+    match node.op:
+        case "div":
+            return node.args[1]
+        case "sqrt" | "log" | "powr":
+            return node.args[0]
+        case "pow" if node.value < 0:
+            return node.args[0]
+        case "asin" | "acos":
+            return number(1) - power(node.args[0], 2)
+        case "tan":
+            return Node("cos", node.args)
+        case "atan2":
+            return power(node.args[0], 2) + power(node.args[1], 2)
+    return None
 
 
 class Pointwise:
@@ -76,11 +96,17 @@ class Pointwise:
         self.culprit: Node | None = None
 
     def value(self, node: Node) -> Value:
-        """Return an interval around the value of an expression, UNDEFINED, or None if neither is certain."""
+        """Return an interval around the value of an expression, UNDEFINED, or None if neither is certain.
+
+        The interval of a value that is certainly 0 is [0, 0].
+        """
         if node not in self._known:
-            self._known[node] = self._value(node)
-            if self._known[node] is UNDEFINED and self.culprit is None:
+            value = self._value(node)
+            if value is UNDEFINED and self.culprit is None:
                 self.culprit = node
+            if isinstance(value, tuple) and libmp.mpf_le(value[0], libmp.fzero) and libmp.mpf_ge(value[1], libmp.fzero):
+                value = _ZERO if vanishes(substitute(node, self._numbers)) else value
+            self._known[node] = value
         return self._known[node]
 
     def least(self, node: Node) -> float:
@@ -91,7 +117,7 @@ class Pointwise:
     def at_most_zero(self, node: Node) -> bool:
         """Return whether an expression is certainly ≤ 0."""
         value = self.value(node)
-        return isinstance(value, tuple) and (libmp.mpf_le(value[1], libmp.fzero) or self._zero(node, value))
+        return isinstance(value, tuple) and bool(libmp.mpf_le(value[1], libmp.fzero))
 
     def sign(self, node: Node) -> int | None:
         """Return the certain sign of an expression; None if it is not certain."""
@@ -102,27 +128,39 @@ class Pointwise:
             return 1
         if libmp.mpf_lt(value[1], libmp.fzero):
             return -1
-        return 0 if self._zero(node, value) else None
-
-    def _zero(self, node: Node, value: Interval) -> bool:
-        if libmp.mpf_gt(value[0], libmp.fzero) or libmp.mpf_lt(value[1], libmp.fzero):
-            return False
-        return value == _ZERO or vanishes(substitute(node, self._numbers))
+        return 0 if value == _ZERO else None
 
     def _value(self, node: Node) -> Value:
         if node.op == "select":
-            return self._select(node)
-        args: list[Interval] = []
-        for a in node.args:
-            value = self.value(a)
-            if value is UNDEFINED:
+            a, b, x, y = node.args
+            if UNDEFINED in (self.value(a), self.value(b)):
                 return UNDEFINED
-            if value is None:
-                return None
+            sign = self.sign(a - b)
+            return None if sign is None else self.value(x if sign <= 0 else y)
+        args: list[Interval] = []
+        for operand in node.args:
+            value = self.value(operand)
+            if not isinstance(value, tuple):
+                return value
             args.append(value)
-        if node.op in _ARITHMETIC:
-            return _ARITHMETIC[node.op](args[0], args[1])
-        match node.op:
+        if (gap := _gap(node)) is not None:
+            sign = self.sign(gap)
+            if sign is None:
+                return None
+            edge = node.op in _EDGES or (node.op == "powr" and node.value > 0)
+            if (sign < 0 and node.op in _BOUNDED) or (sign == 0 and not edge):
+                return UNDEFINED
+        return self._applied(node, args)
+
+    def _applied(self, node: Node, args: list[Interval]) -> Value:
+        op = node.op
+        if op in _ROUNDED:
+            return _ROUNDED[op](*args, _BITS)
+        if op in ("exp", "sinh", "cosh", "tanh") and libmp.mpf_gt(libmp.mpi_abs(args[0], _BITS)[1], _LARGEST):
+            return None
+        if op in _NEARLY:
+            return _widened(_NEARLY[op](*args, _BITS))
+        match op:
             case "num":
                 return _rational(node.value)
             case "var":
@@ -131,89 +169,22 @@ class Pointwise:
                 return libmp.mpf_pi(_BITS, "f"), libmp.mpf_pi(_BITS, "c")
             case "neg":
                 return libmp.mpi_neg(args[0])
-            case "abs":
-                return libmp.mpi_abs(args[0], _BITS)
             case "min" | "max":
-                first = libmp.mpf_le if node.op == "min" else libmp.mpf_ge
+                first = libmp.mpf_le if op == "min" else libmp.mpf_ge
                 return tuple(x if first(x, y) else y for x, y in zip(*args, strict=True))
-            case "div":
-                return self._quotient(args[0], node.args[1])
             case "pow":
-                power = libmp.mpi_pow_int(args[0], abs(node.value.numerator), _BITS)
-                return power if node.value >= 0 else self._quotient(_ONE, node.args[0], power)
-            case "sin" | "cos":
-                return _wave(node.op, args[0])
-            case "atan2":
-                return self._angle(node, *args)
-        return self._function(node, args[0])
-
-    def _select(self, node: Node) -> Value:
-        a, b, x, y = node.args
-        if UNDEFINED in (self.value(a), self.value(b)):
-            return UNDEFINED
-        sign = self.sign(a - b)
-        return None if sign is None else self.value(x if sign <= 0 else y)
-
-    def _quotient(self, over: Interval, base: Node, under: Interval | None = None) -> Value:
-        """Return over / base, or over / under for a power of the base."""
-        sign = self.sign(base)
-        if not sign:
-            return None if sign is None else UNDEFINED
-        value = self.value(base) if under is None else under
-        return libmp.mpi_div(over, value, _BITS)
-
-    def _function(self, node: Node, a: Interval) -> Value:
-        """Return the value of a function of one variable; the sign of a distance to its domain decides."""
-        op, inside = node.op, node.args[0]
-        if op in ("sqrt", "log", "powr"):
-            sign = self.sign(inside)
-            open_end = op == "log" or (op == "powr" and node.value < 0)
-            if sign is None:
-                return None
-            if sign < 0 or (sign == 0 and open_end):
-                return UNDEFINED
-            if sign == 0:
-                return _ZERO
-            if op == "sqrt":
-                return libmp.mpi_sqrt(a, _BITS)
-            if op == "powr":
-                exponent = libmp.mpi_mul(_rational(node.value), _monotone("log", a), _BITS)
-                return _monotone("exp", exponent) if _small(exponent) else None
-        elif op in ("asin", "acos"):
-            sign = self.sign(number(1) - inside * inside)
-            if sign is None or sign < 0:
-                return None if sign is None else UNDEFINED
-            a = _clipped(a)
-            if op == "acos":
-                half = libmp.mpi_div(self.value(Node("pi")), _rational(Fraction(2)), _BITS)
-                return libmp.mpi_sub(half, _monotone("asin", a), _BITS)
-        elif op == "tan":
-            sign = self.sign(Node("cos", (inside,)))
-            if not sign:
-                return None if sign is None else UNDEFINED
-        elif op == "cosh":
-            a = libmp.mpi_abs(a, _BITS)
-            if not _small(a):
-                return None
-            both = _monotone("exp", a), _monotone("exp", libmp.mpi_neg(a))
-            return libmp.mpi_div(libmp.mpi_add(*both, _BITS), _rational(Fraction(2)), _BITS)
-        elif op in ("exp", "sinh") and not _small(a):
-            return None
-        return _monotone(op, a) if op in _INCREASING else None
-
-    def _angle(self, node: Node, y: Interval, x: Interval) -> Value:
-        above, ahead = self.sign(node.args[0]), self.sign(node.args[1])
-        pi = self.value(Node("pi"))
-        assert isinstance(pi, tuple)
-        half = libmp.mpi_div(pi, _rational(Fraction(2)), _BITS)
-        if above == 0 and ahead is not None:
-            return UNDEFINED if ahead == 0 else _ZERO if ahead > 0 else pi
-        if ahead == 1:
-            return _monotone("atan", libmp.mpi_div(y, x, _BITS))
-        if above in (1, -1):
-            turn = half if above == 1 else libmp.mpi_neg(half)
-            return libmp.mpi_sub(turn, _monotone("atan", libmp.mpi_div(x, y, _BITS)), _BITS)
-        return None
+                raised = libmp.mpi_pow_int(args[0], abs(node.value.numerator), _BITS)
+                return raised if node.value >= 0 else libmp.mpi_div(_ONE, raised, _BITS)
+            case "powr":
+                inside = number(node.value) * Node("log", node.args)
+                return _ZERO if args[0] == _ZERO else self.value(Node("exp", (inside,)))
+            case "asin" | "acos":
+                rest = Node("sqrt", (number(1) - power(node.args[0], 2),))
+                return self.value(Node("atan2", (node.args[0], rest) if op == "asin" else (rest, node.args[0])))
+        # sinh, cosh and tanh
+        grows, falls = Node("exp", node.args), Node("exp", (-node.args[0],))
+        over = grows + falls if op == "cosh" else grows - falls
+        return self.value(over / (grows + falls if op == "tanh" else number(2)))
 
 
 def _rational(value: Fraction) -> Interval:
@@ -221,34 +192,9 @@ def _rational(value: Fraction) -> Interval:
     return libmp.from_rational(p, q, _BITS, "f"), libmp.from_rational(p, q, _BITS, "c")
 
 
-def _monotone(op: str, a: Interval) -> Interval:
-    low, high = (_INCREASING[op](end) for end in a)
-    return _widened(low)[0], _widened(high)[1]
-
-
-def _widened(x: Any) -> Interval:
-    # libmp's functions are right to a few units in the last place
-    off = libmp.mpf_shift(libmp.mpf_abs(x), 16 - _BITS)
-    return libmp.mpf_sub(x, off, _BITS, "f"), libmp.mpf_add(x, off, _BITS, "c")
-
-
-def _wave(op: str, a: Interval) -> Interval:
-    # |sin'| and |cos'| are at most 1
-    if a == _ZERO:
-        return _ZERO if op == "sin" else _ONE
-    at = libmp.mpi_mid(a, _BITS)
-    off = libmp.mpf_add(libmp.mpi_delta(a, _BITS), libmp.mpf_shift(libmp.fone, 16 - _BITS), _BITS, "c")
-    value = (libmp.mpf_sin if op == "sin" else libmp.mpf_cos)(at, _BITS)
-    return libmp.mpf_sub(value, off, _BITS, "f"), libmp.mpf_add(value, off, _BITS, "c")
-
-
-def _small(a: Interval) -> bool:
-    return bool(libmp.mpf_le(libmp.mpi_abs(a, _BITS)[1], libmp.from_int(_LARGEST)))
-
-
-def _clipped(a: Interval) -> Interval:
-    low = a[0] if libmp.mpf_ge(a[0], libmp.fnone) else libmp.fnone
-    return low, a[1] if libmp.mpf_le(a[1], libmp.fone) else libmp.fone
+def _widened(a: Interval) -> Interval:
+    low, high = (libmp.mpf_shift(libmp.mpf_abs(end), 16 - _BITS) for end in a)
+    return libmp.mpf_sub(a[0], low, _BITS, "f"), libmp.mpf_add(a[1], high, _BITS, "c")
 
 
 Array = NDArray[np.float64]
@@ -311,7 +257,7 @@ def undefined_at(statement: Statement, points: Array) -> tuple[Mapping[str, floa
         if culprit is not None:
             return values, _short(culprit)
     for gap, node in gaps:
-        if node.op not in ("sqrt", "log", "powr", "asin", "acos"):
+        if node.op not in _BOUNDED:
             beside = _crossing(statement, gap, points)
             if beside is not None:
                 return beside, f"{_short(node)}, at a pole less than one double away,"
@@ -362,24 +308,10 @@ def _undefined(statement: Statement, values: Mapping[str, float]) -> Node | None
 def _gaps(parts: Sequence[Node], names: Sequence[str], root: tuple[Array, Array]) -> Iterator[tuple[Node, Node]]:
     """Yield, for each operation that may be undefined in the box, an expression that is 0 at the edge, and the node."""
     for node in ordered(*parts):
-        match node.op:
-            case "div":
-                gap = node.args[1]
-            case "sqrt" | "log" | "powr":
-                gap = node.args[0]
-            case "pow" if node.value < 0:
-                gap = node.args[0]
-            case "asin" | "acos":
-                gap = number(1) - power(node.args[0], 2)
-            case "tan":
-                gap = Node("cos", node.args)
-            case "atan2":
-                gap = power(node.args[0], 2) + power(node.args[1], 2)
-            case _:
-                continue
+        if (gap := _gap(node)) is None:
+            continue
         low, high = build_tape(names, [gap]).run(root).jets[0].value
-        signed = node.op in ("sqrt", "log", "powr", "asin", "acos")
-        if not (low[0] > 0 or (high[0] < 0 and not signed)):
+        if not (low[0] > 0 or (high[0] < 0 and node.op not in _BOUNDED)):
             yield gap, node
 
 

@@ -25,7 +25,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.errors import InputError
 from surctl.ir.cache import stored_numbers
 from surctl.system.linear_loop import distinct, independent
 from surctl.verification.loops import LEAST_DELAY_MARGIN, golden_section
@@ -45,7 +44,7 @@ class OpenLoop:
         B: input matrix (…, n, q).
         C: output matrix (…, q, n).
         D: feedthrough matrix (…, q, q) of L; I + D must be invertible.
-        dt: control period [s] if s stands for z = (1 + s dt/2)/(1 − s dt/2) of a sampled loop (`of_sampled`); else 0.
+        dt: control period [s] if s stands for z = (1 + s)/(1 − s) of a sampled loop (`of_sampled`); else 0.
     """
 
     A: Array
@@ -56,23 +55,23 @@ class OpenLoop:
 
     @classmethod
     def of_sampled(cls, A: Array, B: Array, C: Array, D: Array, dt: float) -> OpenLoop:
-        """Return the loop L(z) = C (zI − A)⁻¹ B + D by z = (1 + s dt/2)/(1 − s dt/2), from the circle to the axis.
+        """Return the loop L(z) = C (zI − A)⁻¹ B + D by z = (1 + s)/(1 − s), from the circle to the axis.
 
         The transformation keeps every value of the frequency response, at the frequency that `warped` gives; −1 must
         not be an eigenvalue of A.
         """
         eye = np.eye(A.shape[-1])
         whole = np.linalg.inv(A + eye)
-        root = 2 / np.sqrt(dt)
-        return cls(2 / dt * whole @ (A - eye), root * whole @ B, root * C @ whole, D - C @ whole @ B, dt)
+        root = np.sqrt(2)
+        return cls(whole @ (A - eye), root * whole @ B, root * C @ whole, D - C @ whole @ B, dt)
 
     def warped(self, omega: Array) -> Array:
         """Return where on the imaginary axis of s the frequencies ω [rad/s] are."""
-        return np.asarray(2 / self.dt * np.tan(0.5 * self.dt * omega) if self.dt else omega, dtype=float)
+        return np.asarray(np.tan(0.5 * self.dt * omega) if self.dt else omega, dtype=float)
 
     def frequency(self, axis: float) -> float:
         """Return the frequency [rad/s] at a point of the imaginary axis of s."""
-        return float(2 / self.dt * np.arctan(0.5 * self.dt * axis)) if self.dt else axis
+        return float(2 / self.dt * np.arctan(axis)) if self.dt else axis
 
     def __getitem__(self, chosen: NDArray[np.intp]) -> OpenLoop:
         """Return the loops at the given indices of the leading axis."""
@@ -90,66 +89,6 @@ class OpenLoop:
         pencil = 1j * np.asarray(omega)[:, None, None] * np.eye(A.shape[-1]) - A
         inner = np.linalg.solve(pencil, np.broadcast_to(B, (*pencil.shape[:-1], B.shape[-1])))
         return np.asarray(C @ inner + D, dtype=complex)
-
-
-# Sensitivity S = (I + L)⁻¹ and complementary sensitivity T = L (I + L)⁻¹ of several loops, over frequency
-
-
-_SLOWEST, _FREQUENCIES = 1e-3, 200
-
-
-@dataclass(frozen=True, eq=False)
-class Sensitivity:
-    """The largest singular values of the sensitivity S and the complementary sensitivity T over frequency.
-
-    The signals are scaled as in `balanced`, so that the values do not depend on their units.
-
-    Attributes:
-        place: where the loops are opened.
-        omega: frequencies (k,) [rad/s].
-        S: (k,) largest singular value of S: the largest amplification of disturbances and model errors.
-        T: (k,) largest singular value of T: the largest amplification of measurement noise and references.
-    """
-
-    place: str
-    omega: Array
-    S: Array
-    T: Array
-
-    def to_dict(self) -> dict[str, Any]:
-        """The singular values and their peaks as plain data for JSON."""
-        return {
-            "place": self.place,
-            "omega_rad_s": self.omega.tolist(),
-            "S": self.S.tolist(),
-            "T": self.T.tolist(),
-            "peak_S": float(self.S.max()),
-            "peak_T": float(self.T.max()),
-        }
-
-
-def sensitivity_of(loop: OpenLoop, place: str = "", *, highest: float) -> Sensitivity:
-    """Compute the largest singular values of S and T of a stable loop, from 0.001 rad/s to `highest` [rad/s].
-
-    Raises:
-        InputError: the closed loop is unstable and therefore has no frequency response.
-
-    Example:
-        >>> import numpy as np
-        >>> from surctl.verification.linear import OpenLoop, sensitivity_of
-        >>> found = sensitivity_of(OpenLoop(*(np.array([[x]]) for x in (0.0, 1.0, 2.0, 0.0))), highest=100.0)
-        >>> round(float(found.T[0]), 3), round(float(found.S[-1]), 3)  # 2/s
-        (1.0, 1.0)
-    """
-    closed = loop.complementary()
-    if not np.all(np.linalg.eigvals(closed.A).real < 0):
-        raise InputError(
-            "is unstable and has no frequency response", key="loop", value=place, remedy="lower the cruise speed"
-        )
-    omega = np.geomspace(_SLOWEST, highest, _FREQUENCIES)
-    T = closed.response(closed.warped(omega))
-    S = np.eye(T.shape[-1]) - T
-    return Sensitivity(place, omega, *(np.linalg.norm(balanced(m), 2, axis=(1, 2)) for m in (S, T)))
 
 
 LEAST_DISK_MARGIN = 0.3
@@ -186,7 +125,7 @@ Complex = NDArray[np.complex128]
 
 _LOWEST, _HIGHEST = 1e-4, 1e3  # [rad/s]
 _POINTS = 240
-_SCREENED, _SCREEN_POINTS = (1e-2, 1e2), 60
+_SCREENED, _SCREEN_POINTS = (1e-4, 1e1), 75
 _SCREENED_TOGETHER = 16  # loops evaluated together, so that their responses fit in the cache
 _PEAKS = 3  # largest number of peaks of the grid that are refined
 _LOW_PEAK = 0.9  # lowest peak that is refined, as a share of the highest
@@ -234,11 +173,13 @@ class DiskMargin:
         """The disk margin as plain data for JSON."""
         return {**asdict(self), "gain": list(self.gain)}
 
-    def line(self, what: str) -> str:
-        """Return the disk margin as one line of text; `what` says which loops are opened."""
+    def line(self) -> str:
+        """Return the disk margin as one line of text."""
         low, high = self.gain
+        if np.isnan(self.guaranteed):
+            return f"all {self.place} at once: disk margin not determined"
         return (
-            f"all {what} at once: disk margin {self.guaranteed:.3g}, gain factors {low:.3g} … {high:.3g} "
+            f"all {self.place} at once: disk margin {self.guaranteed:.3g}, gain factors {low:.3g} … {high:.3g} "
             f"or phase ±{self.phase_deg:.3g} deg, tightest at {self.frequency_rad_s:.4g} rad/s"
         )
 

@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 _LOWEST = 1e-4  # [rad/s]
-_POINTS = 800
 _SPURIOUS = 1e-6  # a crossing with |L| or 1/|L| below this value belongs to ω → ∞ or ω → 0
 _HALVINGS = 20
 _GOLDEN = (np.sqrt(5) - 1) / 2
@@ -55,68 +54,29 @@ class BrokenLoop:
         return product - 1
 
 
-@dataclass(frozen=True, eq=False)
-class Crossings:
-    """Margins of one loop at n operating points, each an array (n,); `LoopMargins` defines the margins."""
+def crossings_of(loop: BrokenLoop, grid: Array) -> dict[str, Array]:
+    """Return the margins (n,) of one loop at n operating points, by their names in `LoopMargins`.
 
-    gain_margin: NDArray[np.float64]
-    phase_margin_deg: NDArray[np.float64]
-    delay_margin_s: NDArray[np.float64]
-    disk_margin: NDArray[np.float64]
-    crossover_rad_s: NDArray[np.float64]
-    least_gain: NDArray[np.float64]
-
-
-@dataclass(frozen=True, eq=False)
-class SensitivityShape:
-    """Sensitivity metrics of one loop at n operating points, each an array (n,).
-
-    Attributes:
-        sensitivity_peak: largest |S| = |1/(1 + L)| over frequency.
-        rejection_rad_per_s: frequency [rad/s] up to which |S| ≤ −3 dB, so that the loop attenuates disturbances; 0 if
-            |S| > −3 dB at all frequencies.
-        crossover_rad_per_s: highest frequency [rad/s] at which |L| = 1; 0 if |L| = 1 at no frequency.
-    """
-
-    sensitivity_peak: NDArray[np.float64]
-    rejection_rad_per_s: NDArray[np.float64]
-    crossover_rad_per_s: NDArray[np.float64]
-
-
-def state_blocks(A: NDArray[np.float64]) -> list[NDArray[np.intp]]:
-    """Partition the states into decoupled sets, one index array per set; coupled states share a set."""
-    touch = np.any((A != 0) | (A.swapaxes(-1, -2) != 0), axis=0)
-    left, blocks = np.arange(len(touch)), []
-    while left.size:
-        block = np.zeros(len(touch), dtype=bool)
-        reached = np.arange(len(touch)) == left[0]
-        while np.any(reached & ~block):
-            block |= reached
-            reached = np.any(touch[block], axis=0)
-        blocks.append(np.flatnonzero(block))
-        left = np.setdiff1d(left, blocks[-1])
-    return blocks
-
-
-def crossings_of(loop: BrokenLoop, *, highest: float = np.inf, grid: NDArray[np.float64] | None = None) -> Crossings:
-    """Return the margins of one loop at n operating points; the closed loop must be stable at every point.
-
-    The margins are defined as in python-control's `stability_margins` and `disk_margins`. Crossings are bracketed on a
-    grid of frequencies and refined by bisection; a golden-section search finds the frequency of the disk margin.
+    The closed loop must be stable at every point. The margins are defined as in python-control's `stability_margins`
+    and `disk_margins`. Crossings are bracketed on a grid of frequencies and refined by bisection; golden-section
+    searches find the frequencies of the disk margin and of the largest sensitivity.
 
     Args:
         loop: the loop.
-        highest: highest frequency of the grid [rad/s].
-        grid: ascending frequencies [rad/s] in place of that grid.
+        grid: ascending frequencies (m,) or (n, m) [rad/s].
     """
     count = len(loop.closed)
-    grid = np.geomspace(_LOWEST, highest, _POINTS) if grid is None else grid
-    response = loop.response(grid[None], slice(None))
-    gain_margin, lag = (np.full(count, np.inf) for _ in range(2))
+    grid = np.broadcast_to(grid, (count, grid.shape[-1]))
+    response = loop.response(grid, slice(None))
+    every = np.ones((count, grid.shape[1] - 1), dtype=bool)
+    gain_margin, lag, rejection = (np.full(count, np.inf) for _ in range(3))
     crossover, least_gain = np.zeros(count), np.zeros(count)
 
-    def at_phase(value: NDArray[np.complex128]) -> NDArray[np.float64]:
+    def at_phase(value: NDArray[np.complex128]) -> Array:
         return np.asarray(np.angle(-value), dtype=float)
+
+    def distance(value: NDArray[np.complex128]) -> Array:
+        return np.asarray(np.abs(1 + value), dtype=float)
 
     left = response[:, :-1].real <= 0  # where the real part is positive, the real axis is crossed at 0°, not −180°
     points, omega = _zeros(loop, grid, response, at_phase, left)
@@ -132,13 +92,20 @@ def crossings_of(loop: BrokenLoop, *, highest: float = np.inf, grid: NDArray[np.
     np.minimum.at(lag, points, phase)
     np.maximum.at(crossover, points, omega)
     delay = _least_delays(count, points, omega, phase)
-    return Crossings(gain_margin, lag, delay, _disk(loop, grid, response), crossover, least_gain)
+    points, omega = _zeros(loop, grid, response, lambda value: distance(value) - np.sqrt(2), every)
+    np.minimum.at(rejection, points, omega)
+    rejection[distance(response[:, 0]) < np.sqrt(2)] = 0.0
+    return {
+        "gain_margin": gain_margin, "phase_margin_deg": lag, "delay_margin_s": delay,
+        "disk_margin": _disk(loop, grid, response), "crossover_rad_s": crossover, "least_gain": least_gain,
+        "sensitivity_peak": 1 / _least(loop, grid, response, distance), "rejection_rad_s": rejection,
+    }  # fmt: skip
 
 
-def delays_of(loop: BrokenLoop, *, highest: float = np.inf, grid: NDArray[np.float64] | None = None) -> Array:
+def delays_of(loop: BrokenLoop, grid: Array) -> Array:
     """Return the delay margins (n,) [s] of `crossings_of` alone."""
-    grid = np.geomspace(_LOWEST, highest, _POINTS) if grid is None else grid
-    return _least_delays(len(loop.closed), *_gain_crossings(loop, grid, loop.response(grid[None], slice(None))))
+    grid = np.broadcast_to(grid, (len(loop.closed), grid.shape[-1]))
+    return _least_delays(len(loop.closed), *_gain_crossings(loop, grid, loop.response(grid, slice(None))))
 
 
 def _gain_crossings(
@@ -149,7 +116,7 @@ def _gain_crossings(
     def at_gain(value: NDArray[np.complex128]) -> Array:
         return np.asarray(np.abs(value) - 1, dtype=float)
 
-    points, omega = _zeros(loop, grid, response, at_gain, np.ones((len(response), len(grid) - 1), dtype=bool))
+    points, omega = _zeros(loop, grid, response, at_gain, np.ones((len(response), grid.shape[1] - 1), dtype=bool))
     # a phase lead φ counts as a lag of 360° − φ
     return points, omega, np.remainder(np.rad2deg(np.angle(-loop.response(omega, points))), 360.0)
 
@@ -158,30 +125,6 @@ def _least_delays(count: int, points: NDArray[np.intp], omega: Array, phase: Arr
     delay = np.full(count, np.inf)
     np.minimum.at(delay, points, np.deg2rad(phase) / omega)
     return delay
-
-
-def shape_of(loop: BrokenLoop, *, highest: float) -> SensitivityShape:
-    """Return the sensitivity metrics of one loop at n operating points; each closed loop must be stable.
-
-    Args:
-        loop: the loop.
-        highest: highest frequency of the grid [rad/s].
-    """
-    grid = np.geomspace(_LOWEST, highest, _POINTS)
-    response = loop.response(grid[None], slice(None))
-    every = np.ones((len(response), _POINTS - 1), dtype=bool)
-
-    def distance(value: NDArray[np.complex128]) -> NDArray[np.float64]:
-        return np.asarray(np.abs(1 + value), dtype=float)
-
-    points, omega = _zeros(loop, grid, response, lambda value: distance(value) - np.sqrt(2), every)
-    rejection = np.full(len(response), np.inf)
-    np.minimum.at(rejection, points, omega)
-    rejection[distance(response[:, 0]) < np.sqrt(2)] = 0.0
-    points, omega = _zeros(loop, grid, response, lambda value: np.abs(value) - 1, every)
-    crossover = np.zeros(len(response))
-    np.maximum.at(crossover, points, omega)
-    return SensitivityShape(1 / _least(loop, grid, response, distance), rejection, crossover)
 
 
 def _at_ends(loop: BrokenLoop) -> list[tuple[NDArray[np.intp], NDArray[np.float64]]]:
@@ -204,7 +147,7 @@ def _zeros(
 ) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
     """Return points and frequencies at which a function of the response changes sign, in selected grid intervals."""
     points, at = np.nonzero((np.diff(np.sign(value(response)), axis=1) != 0) & selected)
-    low, high = np.log(grid[at]), np.log(grid[at + 1])
+    low, high = np.log(grid[points, at]), np.log(grid[points, at + 1])
     first, second = value(response[points, at]), value(response[points, at + 1])
     for _ in range(_HALVINGS):
         middle = (low + high) / 2
@@ -240,7 +183,8 @@ def _least(
 
     coarse = radius(response)
     nearest = np.argmin(coarse, axis=1)
-    low, high = log[np.maximum(nearest - 1, 0)], log[np.minimum(nearest + 1, len(grid) - 1)]
+    low = log[points, np.maximum(nearest - 1, 0)]
+    high = log[points, np.minimum(nearest + 1, grid.shape[1] - 1)]
     least: NDArray[np.float64] = coarse[points, nearest]
     for _, values in golden_section(radii, low, high, shrinks=_SHRINKS):
         least = np.minimum(least, values.min(axis=0))
@@ -304,8 +248,9 @@ class LoopMargins:
     """The stability margins of one loop while all other loops are closed.
 
     Attributes:
-        name: name of the loop; see `loop_margins`.
-        stable: whether the closed loop is stable; if it is not, both gain factors are 1 and all other values are 0.
+        name: the signal at which the loop is opened.
+        stable: whether the closed loop is stable; if it is not, both gain factors are 1, the sensitivity is infinite,
+            the crossover is NaN and all other values are 0.
         gain_margin: least factor > 1 on the loop gain that destabilises the loop; inf if no such factor exists.
         phase_margin_deg: least extra phase lag [deg] that destabilises the loop; inf if the gain never crosses 1.
         delay_margin_s: least extra delay [s] that destabilises the loop, which is the least ratio of phase margin to
@@ -314,6 +259,9 @@ class LoopMargins:
         crossover_rad_s: highest frequency [rad/s] at which the loop gain crosses 1; 0 if the loop gain never crosses 1.
         least_gain: largest factor < 1 on the loop gain that destabilises the loop; 0 if no such factor exists. A loop
             that is unstable when it is open always has a destabilising factor < 1.
+        sensitivity_peak: largest |S| = |1/(1 + L)| over frequency.
+        rejection_rad_s: frequency [rad/s] up to which |S| ≤ −3 dB, so that the loop attenuates disturbances; 0 if
+            |S| > −3 dB at all frequencies.
     """
 
     name: str
@@ -324,11 +272,8 @@ class LoopMargins:
     disk_margin: float
     crossover_rad_s: float
     least_gain: float
-
-    @classmethod
-    def unstable(cls, name: str) -> LoopMargins:
-        """Return the margins of a loop whose closed loop is unstable."""
-        return cls(name, False, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0)
+    sensitivity_peak: float
+    rejection_rad_s: float
 
     def to_dict(self) -> dict[str, Any]:
         """The margins as plain data for JSON; infinite margins stay inf."""
@@ -341,11 +286,6 @@ class LoopMargins:
         texts = [f"{n} {f'{v:.4g} {unit}' if np.isfinite(v) else 'never lost'}" for n, (v, unit) in bounds.items()]
         gain = f"gain factor below {self.gain_margin:.4g}{least}"
         return f"{self.name}: {gain}, {', '.join(texts)}, disk margin {self.disk_margin:.3g}"
-
-
-def margins_from(name: str, crossings: Crossings) -> LoopMargins:
-    """Return the margins of a stable closed loop from the crossings of its first operating point."""
-    return LoopMargins(name, True, **{margin: float(values[0]) for margin, values in vars(crossings).items()})
 
 
 _SAME = 1e-6  # relative difference up to which two metric values count as equal

@@ -1,41 +1,101 @@
-"""Margins of sampled linear systems: one loop at a time, all loops at once, and the worst corner of ranges."""
+"""Margins of sampled linear loops: one loop at a time, all loops at once, and the worst corner of ranges."""
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
 from itertools import product
-from typing import Generic, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surctl.errors import InputError
-from surctl.system import LinearLoop, Operating, System, find_equilibrium, linearise
-from surctl.system.linear import Linearisation
+from surctl.system import LinearLoop, System, find_equilibrium, linearise
+from surctl.system.linear_loop import independent
 from surctl.system.values import checked_ranges
-from surctl.verification.linear import DiskMargin, OpenLoop, disk_margin
-from surctl.verification.loops import BrokenLoop, LeastDelay, LoopMargins, crossings_of, delays_of, margins_from
+from surctl.verification.linear import (
+    LEAST_DISK_MARGIN,
+    DiskMargin,
+    OpenLoop,
+    disk_margin,
+    quick_disk_margin,
+    screened_peaks,
+    short_margins,
+    stored_disk_margin,
+)
+from surctl.verification.loops import (
+    LEAST_DELAY_MARGIN,
+    BrokenLoop,
+    LeastDelay,
+    LoopMargins,
+    crossings_of,
+    delays_of,
+)
 
 Array = NDArray[np.float64]
 
 _SINGULAR = 1e12  # condition number from which z counts as a pole
-_POINTS, _FEW = 1500, 150  # number of angles towards each end of (0, π)
-_NEAR = np.geomspace(1e-3, 30.0, 24)  # distances from a pole's angle, in distances of the pole from the unit circle
+_POINTS = 160  # number of angles towards each end of (0, π)
+_NEAR = np.geomspace(1e-3, 30.0, 16)  # distances from a pole's angle, in distances of the pole from the unit circle
+_APART = 2.0  # ratio of two distances: those of a pole, of its conjugate and of an equal pole lie between each other
+_NAMED = 6  # largest number of states in a message
 _INWARDS = 1e-6  # relative move of the poles of a loop that has one at z = -1
+_UNSTABLE = {
+    "gain_margin": 1.0, "phase_margin_deg": 0.0, "delay_margin_s": 0.0, "disk_margin": 0.0, "crossover_rad_s": np.nan,
+    "least_gain": 1.0, "sensitivity_peak": np.inf, "rejection_rad_s": 0.0,
+}  # fmt: skip
 
 
-def system_margins(linear: LinearLoop, *openings: str, quick: bool = False) -> tuple[LoopMargins, ...]:
+def margins_of(loops: LinearLoop, openings: Iterable[str]) -> dict[str, dict[str, Array]]:
+    """Return the margins (n,) of n loops by signal and name (`LoopMargins`), each opened at one signal alone.
+
+    The leading axis of the matrices of `loops` holds the n loops.
+    """
+    stable = loops.decays
+    return {
+        opening: {name: np.where(stable, value, _UNSTABLE[name]) for name, value in crossings_of(*broken).items()}
+        for opening, broken in _broken(loops, openings)
+    }
+
+
+def delays_at(loops: LinearLoop, openings: Iterable[str]) -> Array:
+    """Return the delay margins (signals, n) [s] of n loops, as `margins_of`."""
+    return np.array([np.where(loops.decays, delays_of(*broken), 0.0) for _, broken in _broken(loops, openings)])
+
+
+def _broken(loops: LinearLoop, openings: Iterable[str]) -> Iterator[tuple[str, tuple[BrokenLoop, Array]]]:
+    # each signal with the loops opened there and frequencies (n, m) [rad/s]; only the states on which it acts count
+    closed, dt = loops.transition, loops.dt
+    blocks = independent((closed != 0).any(axis=0))
+    for opening in openings:
+        A, b, *_ = loops.opened(opening)
+        acted = [block for block in blocks if np.any(b[:, block] != 0)]
+        block = np.concatenate(acted) if acted else np.zeros(0, dtype=int)
+        poles = [np.linalg.eigvals(m[:, block[:, None], block]).astype(complex) for m in (closed, A)]
+        yield opening, (BrokenLoop(poles[0], poles[1], dt), _angles(*poles) / dt)
+
+
+def _angles(closed: NDArray[np.complex128], opened: NDArray[np.complex128]) -> Array:
+    """Return angles (n, m) of z [rad] in (0, π), dense towards both ends and around each of the poles (n, k)."""
+    poles = np.concatenate([closed, opened], axis=1)
+    between = 0.5 * (poles.imag < 0) + 0.25 * (np.arange(poles.shape[1]) >= closed.shape[1])
+    ends = np.pi * np.geomspace(1e-8, 1.0, _POINTS)
+    width = np.maximum(np.abs(1 - np.abs(poles)), 1e-6) * _APART**between
+    near = np.abs(np.angle(poles))[..., None] + width[..., None] * np.concatenate([-_NEAR, _NEAR])
+    both = np.tile(np.concatenate([ends, np.pi - ends / 2]), (len(poles), 1))
+    angles = np.concatenate([both, near.reshape(len(poles), -1)], axis=1)
+    return np.sort(np.clip(angles, 1e-9, np.pi * (1 - 1e-9)), axis=1)
+
+
+def system_margins(linear: LinearLoop, *openings: str) -> tuple[LoopMargins, ...]:
     """Return the margins of every loop of a linearised system; one loop is opened at a time, all others stay closed.
 
     Args:
         linear: the linear loop, see `surctl.system.linearise`.
         openings: labels of the signals at which a loop is opened, commands or measured outputs; by default every
             command, then every measured output.
-        quick: a tenth of the time, for searches and pages: crossings are searched on fewer frequencies, and the disk
-            margin is the least radius on these frequencies, refined.
 
     Raises:
         InputError: an entry of `openings` is not the label of a command or of a measured output.
@@ -48,7 +108,11 @@ def system_margins(linear: LinearLoop, *openings: str, quick: bool = False) -> t
         >>> f"{margins.gain_margin:.1f}, {margins.phase_margin_deg:.1f} deg, {margins.delay_margin_s:.2f} s"
         '10.0, 84.3 deg, 0.73 s'
     """
-    return tuple(_margins(linear, name, quick=quick) for name in openings or linear.channels())
+    table = margins_of(linear[None], openings or linear.channels())
+    return tuple(
+        LoopMargins(opening, linear.stable, **{name: float(value[0]) for name, value in row.items()})
+        for opening, row in table.items()
+    )
 
 
 def system_disk_margin(linear: LinearLoop, *openings: str) -> DiskMargin:
@@ -73,88 +137,50 @@ def system_disk_margin(linear: LinearLoop, *openings: str) -> DiskMargin:
         (True, 0.76)
     """
     chosen = openings or linear.channels()
-    place = ", ".join(chosen)
-    if not linear.stable:
-        return DiskMargin.unstable(place)
-    margin = disk_margin(_continuous(linear, *chosen), place)
-    return replace(margin, frequency_rad_s=2.0 * margin.frequency_rad_s / linear.dt)
+    return disk_margin(open_loop(linear, *chosen), ", ".join(chosen))
 
 
-def _margins(linear: LinearLoop, opening: str, *, quick: bool) -> LoopMargins:
-    """Compute the margins of one loop from the crossings of its frequency response; without a crossing, inf."""
-    if not linear.stable:
-        return LoopMargins.unstable(opening)
-    loop, grid = _broken(linear, opening, points=_FEW if quick else _POINTS)
-    margins = margins_from(opening, crossings_of(loop, grid=grid))
-    disk = min(margins.disk_margin, 2.0) if quick else disk_margin(_continuous(linear, opening)).guaranteed
-    return replace(margins, disk_margin=disk)
+def open_loop(linear: LinearLoop, *openings: str) -> OpenLoop:
+    """Return the loop, or several, opened at several signals at once, in continuous form.
 
-
-def _broken(linear: LinearLoop, opening: str, *, points: int) -> tuple[BrokenLoop, Array]:
-    # one loop that is opened, and frequencies [rad/s]
-    closed, opened = linear.poles(), np.linalg.eigvals(linear.opened(opening)[0]).astype(complex)
-    grid = _angles(np.concatenate([opened, closed]), points=points) / linear.dt
-    return BrokenLoop(closed[None], opened[None], linear.dt), grid
-
-
-def _angles(poles: NDArray[np.complex128], *, points: int) -> Array:
-    """Return angles of z [rad] in (0, π), dense towards both ends and around each of the poles."""
-    ends = np.geomspace(1e-8, 1.0, points)
-    width = np.maximum(np.abs(1 - np.abs(poles)), 1e-6)
-    near = np.abs(np.angle(poles))[:, None] + width[:, None] * np.concatenate([-_NEAR, _NEAR])
-    angles = np.unique(np.concatenate([np.pi * ends, np.pi * (1 - ends / 2), near.ravel()]))
-    return angles[(angles > 1e-9) & (angles < np.pi * (1 - 1e-9))]
-
-
-def _continuous(linear: LinearLoop, *openings: str) -> OpenLoop:
-    """Return the open loop in continuous form; a pole at z = -1 changes its frequency response by 1e-6."""
+    A pole at z = -1 changes the frequency response by 1e-6.
+    """
     A, B, C, D = linear.opened(*openings)
-    if np.linalg.cond(A + np.eye(len(A))) > _SINGULAR:  # a pole at z = -1, which the transform maps to infinity
-        A = A * (1 - _INWARDS)
-    return OpenLoop.of_sampled(A, B, C, D, 2.0)  # frequencies per period: the grid of a search fits any period
+    at_end = np.linalg.cond(A + np.eye(A.shape[-1])) > _SINGULAR  # the transform maps a pole at z = -1 to infinity
+    A = A * (1 - _INWARDS * np.asarray(at_end)[..., None, None])
+    return OpenLoop.of_sampled(A, B, C, D, linear.dt)
 
 
 # What is read from a sampled linear loop of any law or system: poles, margins, disk margin, the worst corner
 
 
-class SampledLoop(ABC):
-    """Poles and margins of `linear`; a subclass has it as attribute and says where its loops are opened."""
+@dataclass(frozen=True, eq=False)
+class SampledLoop:
+    """Poles and margins of a linear loop; all loops are opened at once at each of its `places`."""
 
     linear: LinearLoop
 
     @property
-    @abstractmethod
-    def places(self) -> dict[str, tuple[str, ...]]:
-        """Labels of the signals at which all loops are opened at once, by name of the place; no entry is empty."""
-
-    @cached_property
     def poles(self) -> NDArray[np.complex128]:
         """Poles z of the closed loop, largest first."""
         return self.linear.poles()
 
     @cached_property
     def margins(self) -> tuple[LoopMargins, ...]:
-        """Margins of each loop alone, opened at one signal of the places."""
-        return system_margins(self.linear, *self._signals)
+        """Margins of each loop alone: those at signals of the places, then at all others that the controller uses."""
+        used = [name for names in self.linear.used.values() for name in names]
+        return system_margins(self.linear, *dict.fromkeys([*_signals(self.linear), *used]))
 
     @property
-    def _signals(self) -> list[str]:
-        return list(dict.fromkeys(name for place in self.places.values() for name in place))
-
-    def least_delay(self, corner: str) -> LeastDelay:
-        """Return the least delay margin of one loop alone, 0 if the loop is unstable; `corner` is its name."""
-        if not self.stable:
-            return LeastDelay(0.0, self._signals[0], corner)
-        loops = {name: _broken(self.linear, name, points=_POINTS) for name in self._signals}
-        delays = {name: float(delays_of(loop, grid=grid)[0]) for name, (loop, grid) in loops.items()}
-        loop = min(delays, key=lambda name: delays[name])
-        return LeastDelay(delays[loop], loop, corner)
+    def judged(self) -> tuple[LoopMargins, ...]:
+        """The margins at signals of the places."""
+        return self.margins[: len(_signals(self.linear))]
 
     @cached_property
     def disks(self) -> tuple[DiskMargin, ...]:
         """Disk margins of all loops at once, at each place."""
         return tuple(
-            replace(system_disk_margin(self.linear, *signals), place=place) for place, signals in self.places.items()
+            stored_disk_margin(open_loop(self.linear, *signals), place) for place, signals in self.linear.places.items()
         )
 
     @property
@@ -170,106 +196,199 @@ class SampledLoop(ABC):
     @property
     def slowest_per_s(self) -> float:
         """Continuous rate [1/s] of the slowest pole, negative if it decays; -inf for a loop without memory."""
-        size = float(np.abs(self.poles).max(initial=0.0))
-        return float(np.log(size) / self.linear.dt) if size > 0 else -np.inf
+        return float(self.linear.slowest_per_s)
 
     @property
-    def severity(self) -> float:
-        """A number that is larger for a worse loop; beyond 1 for an unstable one, which has no disk margin."""
-        return 1.0 - self.disk / 2 if self.stable else 1.0 + float(np.abs(self.poles).max())
+    def least_damping(self) -> float:
+        """The least damping ratio of the poles; 1 if all are real."""
+        rates = self.linear.rates[self.linear.rates.imag != 0]
+        return float(np.min(-rates.real / np.abs(rates), initial=1.0))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return poles and disk margins as plain data for JSON."""
+        return {
+            "stable": self.stable, "disk_margin": self.disk, "disk_margins": [each.to_dict() for each in self.disks],
+            "poles": [[float(pole.real), float(pole.imag)] for pole in self.poles],
+            "slowest_per_s": self.slowest_per_s, "least_damping": self.least_damping,
+        }  # fmt: skip
 
 
-L = TypeVar("L", bound=SampledLoop)
+def _signals(linear: LinearLoop) -> list[str]:
+    return list(dict.fromkeys(name for place in linear.places.values() for name in place))
 
 
 @dataclass(frozen=True, eq=False)
-class LoopCorners(Generic[L]):
+class LoopCorners:
     """A loop with nominal numbers, and at the worst corner of its uncertain numbers.
 
     Attributes:
         nominal: the loop with nominal numbers.
-        worst: the loop with the least disk margin, or an unstable one.
-        corner: the numbers of the worst corner, as text; of the first corner that is lost, if there is one.
+        worst: the loop with the least disk margin; the fastest growing one, if one is unstable.
+        corner: the numbers of the worst corner, as text.
+        disk: least disk margin of all loops at once, over places and corners; 0 if unstable, NaN if unknown.
+        disks: disk margins at each place, least over the corners; empty if they were not proved.
         slowest_per_s: largest real part [1/s] of a pole over all corners.
         delay: least delay margin of one loop alone over all corners.
-        nominal_delay: the same of the nominal loop.
         lost: corners at which there is no loop, as text.
         count: number of corners.
+        of: what the corners are, as text.
+        stable: whether the loop is stable at every corner, and exists there if it must.
     """
 
-    nominal: L
-    worst: L
+    nominal: SampledLoop
+    worst: SampledLoop
     corner: str
+    disk: float
+    disks: tuple[DiskMargin, ...]
     slowest_per_s: float
     delay: LeastDelay
-    nominal_delay: LeastDelay
     lost: tuple[str, ...] = ()
     count: int = 0
+    of: str = ""
+    stable: bool = field(default=True, kw_only=True)
 
     @property
-    def stable(self) -> bool:
-        """Whether the loop exists and is stable at every corner."""
-        return not self.lost and self.nominal.stable and self.worst.stable
+    def weakest(self) -> str:
+        """The corner at which the smaller of the shares is."""
+        disk, delay = self.shares
+        return self.corner if disk <= delay else self.delay.corner
 
     @property
-    def disk(self) -> float:
-        """The disk margin at the worst corner; 0 if the loop is unstable or does not exist at one."""
-        return self.worst.disk if self.stable else 0.0
+    def shares(self) -> tuple[float, float]:
+        """Disk margin and delay margin over the least sufficient ones; 0 for a margin that is not determined."""
+        disk, delay = self.disk / LEAST_DISK_MARGIN, self.delay.delay_s / LEAST_DELAY_MARGIN
+        return float(np.nan_to_num(disk)), delay
+
+    @property
+    def enough(self) -> bool:
+        """Whether both margins suffice."""
+        return min(self.shares) >= 1.0
+
+    @property
+    def short(self) -> str:
+        """The margins that do not suffice, with their corners, as text; empty if both do."""
+        return short_margins((self.disk, f"at {self.corner}"), (self.delay.delay_s, f"in {self.delay.where}"))
+
+    @property
+    def marginal(self) -> str:
+        """Which states of the nominal or the worst loop do not return, as text; empty if a loop is unstable."""
+        loops = [loop.linear for loop in (self.nominal, self.worst) if not loop.stable]
+        if not loops or not all(linear.marginal for linear in loops):
+            return ""
+        states = list(dict.fromkeys(label for linear in loops for label in linear.marginal))
+        more = f" and {len(states) - _NAMED} more" if len(states) > _NAMED else ""
+        return (
+            f"{f' at the corner {self.corner}' * self.nominal.stable}: nothing returns {', '.join(states[:_NAMED])}"
+            f"{more} after a disturbance; unless that is intended, add a task or feedback, "
+            "or judge another equilibrium (start.…, reference.…)"
+        )
+
+    def lines(self) -> list[str]:
+        """Return lines of text: the nominal loop, each loop alone, then the worst corner."""
+        nominal = self.nominal
+        lines = [f"  nominal: {_text(nominal.stable, nominal, nominal.slowest_per_s)}"]
+        if nominal.stable:
+            lines += [f"  loop {margin.line()}" for margin in nominal.margins]
+            lines += [f"  {disk.line()}" for disk in nominal.disks]
+        if not self.count:
+            return lines
+        word = "no equilibrium" if self.corner in self.lost else _text(self.stable, self.worst, self.slowest_per_s)
+        lines.append(f"  worst of {self.of}: {word}, at {self.corner}")
+        if self.stable:
+            disks = ", ".join(f"{_number(disk.guaranteed)} ({disk.place})" for disk in self.disks)
+            lines.append(f"  least disk margin of all loops at once: {disks}")
+            lines.append(f"  least delay margin of one loop alone: {self.delay.delay_s:.4g} s ({self.delay.where})")
+        return lines
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return both loops as plain data for JSON."""
+        worst = {
+            **self.worst.to_dict(), "stable": self.stable, "disk_margin": self.disk,
+            "disk_margins": [each.to_dict() for each in self.disks], "slowest_per_s": self.slowest_per_s,
+            "corner": self.corner, "delay_margin": self.delay._asdict(), "corners": self.count, "of": self.of,
+            "lost": list(self.lost),
+        }  # fmt: skip
+        return {"nominal": self.nominal.to_dict(), "worst": worst}
 
 
-def corners_of(nominal: L, name: str, corners: Iterable[tuple[str, Callable[[], L]]]) -> LoopCorners[L]:
+def _text(stable: bool, loop: SampledLoop, slowest: float) -> str:
+    poles = f"slowest pole {slowest:.3g} 1/s, least damping {loop.least_damping:.2f}"
+    return f"{f'stable, disk margin {_number(loop.disk)}' if stable else loop.linear.stability}, {poles}"
+
+
+def _number(margin: float) -> str:
+    return "not determined" if np.isnan(margin) else f"{margin:.2f}"
+
+
+def corners_of(
+    nominal: SampledLoop,
+    corners: Iterable[tuple[str, LinearLoop | None]],
+    *,
+    name: str = "nominal",
+    of: str = "",
+    proved: bool = True,
+    required: bool = False,
+) -> LoopCorners:
     """Return the nominal and the worst loop.
+
+    A coarse grid of frequencies selects the loop with the least disk margin at each place; its margin is then computed.
 
     Args:
         nominal: the nominal loop.
-        name: its name.
-        corners: text of each corner, and a function that returns its loop, or raises InputError if it has none.
+        corners: text of each corner, and its loop, or None if it has none.
+        name: name of the nominal loop.
+        of: what the corners are, as text.
+        proved: whether the disk margin is proved between frequencies, in ten times the time.
+        required: whether a corner without a loop counts as unstable.
     """
-    worst, corner, slowest, lost, count = nominal, name, nominal.slowest_per_s, list[str](), 0
-    delays = [nominal.least_delay(name)]
-    for label, linearised in corners:
-        count += 1
-        try:
-            loop = linearised()
-        except InputError:
-            lost.append(label)
-            continue
-        slowest = max(slowest, loop.slowest_per_s)
-        delays.append(loop.least_delay(label))
-        if loop.severity > worst.severity:
-            worst, corner = loop, label
-    return LoopCorners(nominal, worst, corner, slowest, min(delays), delays[0], tuple(lost), count)
-
-
-# The sampled loop of a system at its equilibrium, for nominal numbers and at the corners of the declared ranges
-
-
-@dataclass(frozen=True, eq=False)
-class SystemLoop(SampledLoop):
-    """The linear loop of a system about its equilibrium."""
-
-    linear: Linearisation
-
-    @cached_property
-    def places(self) -> dict[str, tuple[str, ...]]:
-        """The commands that the plant takes, and the measurements that the law uses."""
-        names, (_, by_y, _, _, d_y, _) = self.linear.names, self.linear.law
-        used = np.abs(np.vstack([by_y, d_y])).max(axis=0, initial=0.0) > 0
-        commands = tuple(name for name in names.commands if name in names.inputs) or names.commands
-        measured = tuple(name for name, use in zip(names.outputs, used, strict=True) if use)
-        return {what: labels for what, labels in (("commands", commands), ("measurements", measured)) if labels}
-
-    @property
-    def at(self) -> Operating:
-        """The equilibrium."""
-        return self.linear.at
+    known = list(corners)
+    lost = tuple(label for label, loop in known if loop is None)
+    every = [(name, nominal.linear), *((label, loop) for label, loop in known if loop is not None)]
+    labels, loops = [label for label, _ in every], [loop for _, loop in every]
+    kinds = dict.fromkeys(loop.names for loop in loops)
+    groups = [np.array([k for k, loop in enumerate(loops) if loop.names == kind]) for kind in kinds]
+    stacks = [LinearLoop.stacked([loops[k] for k in group]) for group in groups]
+    slowest, stable, delays = np.zeros(len(loops)), np.zeros(len(loops), dtype=bool), list[LeastDelay]()
+    for group, stack in zip(groups, stacks, strict=True):
+        slowest[group], stable[group] = stack.slowest_per_s, stack.decays
+        signals = _signals(stack)
+        late = delays_at(stack, signals)
+        row, column = np.unravel_index(int(np.argmin(late)), late.shape)
+        delays.append(LeastDelay(float(late[row, column]), signals[row], labels[group[column]]))
+    delay, worst = min(delays), int(np.argmax(slowest))
+    good, disk, disks = bool(stable.all()), 0.0, list[DiskMargin]()
+    margins = []
+    for place in nominal.linear.places if good else ():
+        peaks, opened = np.zeros(len(loops)), dict[int, OpenLoop]()
+        for group, stack in zip(groups, stacks, strict=True):
+            if opening := stack.places.get(place, ()):
+                every_one = open_loop(stack, *opening)
+                peaks[group] = screened_peaks(every_one)
+                k = int(np.argmax(peaks[group]))
+                opened[int(group[k])] = every_one[np.asarray(k)]
+        at = max(opened, key=lambda k: float(peaks[k]))
+        if proved:
+            disks.append(stored_disk_margin(opened[at], place))
+        margins.append((disks[-1].guaranteed if proved else quick_disk_margin(opened[at]), at))
+    if good:
+        disk, worst = min(margins)
+        disk = float("nan") if np.isnan([margin for margin, _ in margins]).any() else disk
+    elif proved:
+        disks = [DiskMargin.unstable(place) for place in nominal.linear.places]
+    corner = labels[worst]
+    if required and lost:
+        good, disk, corner, delay = False, 0.0, lost[0], delay._replace(delay_s=0.0, corner=lost[0])
+    loop = nominal if worst == 0 else SampledLoop(loops[worst])
+    return LoopCorners(
+        nominal, loop, corner, disk, tuple(disks), float(slowest.max()), delay, lost, len(known), of, stable=good
+    )
 
 
 def system_corners(
     system: System,
     values: Mapping[str, ArrayLike] | None = None,
     ranges: Mapping[str, tuple[float, float]] | None = None,
-) -> LoopCorners[SystemLoop]:
+) -> LoopCorners:
     """Return the loop of a system about its equilibrium, nominal and at the worst corner of ranges of its numbers.
 
     A linear loop is usually worst at a corner, but this is no proof for the numbers between the corners.
@@ -299,14 +418,15 @@ def system_corners(
     """
     bounds = checked_ranges(system, system.ranges if ranges is None else ranges)
     numbers = dict(values or {})
-    nominal = SystemLoop(linearise(system, numbers, at=find_equilibrium(system, numbers)))
+    nominal = SampledLoop(linearise(system, numbers, at=find_equilibrium(system, numbers)))
     corners = [dict(zip(bounds, ends, strict=True)) for ends in product(*bounds.values())] if bounds else []
 
-    def at(corner: Mapping[str, float]) -> SystemLoop:
-        return SystemLoop(linearise(system, {**numbers, **corner}))
+    def at(corner: Mapping[str, float]) -> LinearLoop | None:
+        try:
+            return linearise(system, {**numbers, **corner})
+        except InputError:
+            return None
 
-    labels = (", ".join(f"{name} = {end:g}" for name, end in corner.items()) for corner in corners)
-    result = corners_of(nominal, "the nominal system", zip(labels, (partial(at, c) for c in corners), strict=True))
-    if not result.lost:
-        return result
-    return replace(result, corner=result.lost[0], delay=result.delay._replace(delay_s=0.0, corner=result.lost[0]))
+    named = ((", ".join(f"{name} = {end:g}" for name, end in corner.items()), at(corner)) for corner in corners)
+    of = f"the {len(corners)} corners of the ranges"
+    return corners_of(nominal, named, name="the nominal system", of=of, required=True)

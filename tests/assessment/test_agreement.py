@@ -11,7 +11,8 @@ from surctl.marine.control import Gains, load_gains, write_gains
 from surctl.marine.tuning import derive_gains
 from surctl.marine.vehicle import Vehicle, load_vehicle
 from surctl.marine.verification import linear_table
-from surctl.marine.verification.linear import corner_margin
+from surctl.marine.verification.corners import corners
+from surctl.marine.verification.linear import cruise_corners
 from tests.cli.process import surctl_here
 
 DT = 0.05
@@ -40,8 +41,8 @@ def test_every_source_of_a_figure_has_the_same_number(seed: int) -> None:
     for name in COLUMNS:
         assert table[name][0] == pytest.approx(result.figures[name].value, rel=2e-3, abs=1e-9), name
     disk = result.figures["disk_margin"]
-    fast = corner_margin(vehicle, gains.values, cruise=cruise, dt=DT)
-    assert fast.margin == pytest.approx(disk.value, rel=2e-3) and fast.corner == disk.where
+    fast = cruise_corners(corners(vehicle), gains.values, cruise=cruise, dt=DT, proved=False)
+    assert fast.disk == pytest.approx(disk.value, rel=2e-3) and fast.corner == disk.where
     delay = result.figures["delay_margin_s"]
     assert (fast.delay.delay_s, fast.delay.where) == (pytest.approx(delay.value), delay.where)
     assert delay.value <= result.figures["nominal_delay_margin_s"].value

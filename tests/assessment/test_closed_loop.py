@@ -104,6 +104,30 @@ def test_an_unstable_corner_and_one_without_equilibrium_fail() -> None:
     assert nowhere.figures == {} and nowhere.passed is None and "not judged" in nowhere.lines[0].text
 
 
+def test_a_marginal_loop_is_open_and_names_its_states_and_a_run_at_rest_judges_nothing() -> None:
+    x, v, f = Port("x", (1,), "m", "place"), Port("v", (1,), "m/s", "speed"), Port("f", (1,), "N", "drive")
+    drag = Layout((Port("drag", (1,), "1/s", "", 1.0),))
+    boat = Plant(
+        "boat", Layout((x, v)), Layout((f,)), lambda s, u, d, p: {"x": s["v"], "v": u["f"] - p["drag"] * s["v"]},
+        parameters=drag,
+    )  # fmt: skip
+    goal = Port("goal", (1,), "m/s", "reference")
+    law = Controller(
+        "speed", 0.1, Layout((v, goal)), Layout((f,)), lambda z, u, p: p["k"] * (u["goal"] - u["v"]),
+        gains=Layout((Port("k", (1,), "1/s", "", 1.0),)),
+    )  # fmt: skip
+    free = assess(ClosedLoop(System(boat, law), seconds=1.0))
+    assert free.passed is None and free.accepted() and not free.accepted("loop")
+    marginal, still = (line.text for line in free.lines if line.counts and not line.passed)
+    assert "at the equilibrium is marginal (|z| = 1): nothing returns x after a disturbance" in marginal
+    assert "no state changes in this run" in still and "start.x or start.v or reference.goal" in still
+    sailing = assess(ClosedLoop(System(boat, law), {"reference.goal": 1.0}, seconds=1.0), parts=["run"])
+    assert sailing.passed is True
+    # a corner that grows is worse than the others, which are marginal
+    grown = assess(ClosedLoop(System(boat, law, ranges={"plant.drag": (-2.0, 2.0)}), seconds=1.0))
+    assert grown.passed is False and "UNSTABLE" in grown.banner
+
+
 @pytest.mark.parametrize(
     ("verdict", "vacuous", "passed"),
     [("proved", "", True), ("proved", "empty", None), ("unknown", "", None), ("refuted", "", False)],

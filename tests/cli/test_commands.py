@@ -93,7 +93,6 @@ def test_verify_tells_expected_verdicts(tmp_path):
     nominal, worst = (done.json["linear"][k] for k in ("nominal", "worst"))
     for mild, bad in zip(nominal["disk_margins"], worst["disk_margins"], strict=True):
         assert 0 < bad["guaranteed"] < mild["guaranteed"] <= mild["reached"]
-    assert worst["sampled"]["largest_period_s"]["1"] < nominal["sampled"]["largest_period_s"]["1"]
     (printed,) = done.json["claims"]
     assert printed["verdict"] == printed["expected"] == "refuted"
     assert printed["counterexample"]["values"]

@@ -42,6 +42,7 @@ def test_many_runs_have_a_summary_that_names_what_fails() -> None:
     hit = run(7, min_clearance_m=-0.01, **low)
     lines = series_lines([hit, *(run(seed, **late, **low) for seed in range(4))])
     assert lines[0] == "tank by ball, truth: 1 of 5 runs arrive, 1 collide" and "-0.010 m (seed 7)" in lines[1]
+    assert series_lines([run(0, **late, **low, echo_warnings=["no echo"]), run(1)])[-1] == "  no echo"
     assert "seed 7: reached" in lines[2] and "seed 0: time limit" in lines[3] and "disk margin of 0.10" in lines[4]
     assert len(lines) == 5 and max(map(len, lines)) <= 100
     assert "arrival" not in series_lines([run(0, **late)])[1]

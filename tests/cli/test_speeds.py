@@ -5,7 +5,8 @@ from surctl.marine.assessment import Mission
 from surctl.marine.cli.linear_part import linear_part, over_speeds
 from surctl.marine.control import load_gains
 from surctl.marine.vehicle import load_vehicle
-from surctl.marine.verification import loop_margins
+from surctl.marine.verification import cruise_loop
+from surctl.verification.sampled_margins import SampledLoop
 from tests.cli.process import surctl
 
 GAINS = load_gains("default").values
@@ -22,7 +23,7 @@ def test_every_speed_is_judged_and_the_worst_named():
     assert over.stable and set(over.data["worst_cruise_m_per_s"].values()) == {0.05}
     assert [one["cruise_m_per_s"] for one in over.data["speeds"]] == [0.05, 0.22]
     for one in over.data["speeds"]:
-        margins = loop_margins(load_vehicle("sur400"), GAINS, cruise=one["cruise_m_per_s"], dt=0.05)
+        margins = SampledLoop(cruise_loop(load_vehicle("sur400"), GAINS, cruise=one["cruise_m_per_s"], dt=0.05)).margins
         assert one["margins"] == [m.to_dict() for m in margins]
     assert over.data["margins"] == found[-1].data["margins"] and over.lines[-len(found[-1].lines) :] == found[-1].lines
     assert [line.split(":")[0].strip() for line in over.lines[1:4]] == [

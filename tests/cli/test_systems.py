@@ -160,6 +160,17 @@ def test_a_run_gives_the_figures_and_signals_of_the_system(file: str) -> None:
     assert "  no costs: a run that ends at its start" in run("simulate", file, "start.x=6", "--seconds", "1").stdout
 
 
+def test_files_of_another_command_are_named_when_they_are_replaced(file: str, tmp_path: Path) -> None:
+    def ran(*words: str) -> str:
+        return CliRunner().invoke(app, [*words, "--out", str(tmp_path)]).stderr
+
+    first = ("simulate", file, "--seconds", "0.1", "--save", "csv")
+    assert "replaced" not in ran(*first) + ran(*first)  # the same files
+    (tmp_path / "notes.txt").write_text("kept")
+    says = ran(*first, "k=2")
+    assert "contained results of another command, which this command replaced: pool-pump.csv\n" in says
+
+
 def test_a_run_that_is_not_finite_fails(file: str) -> None:
     words = ("simulate", file, "plant.blow=1", "k=0", "--seconds", "3")
     lost = data(*words, status=1)

@@ -12,7 +12,7 @@ from surctl.errors import InputError
 from surctl.marine.assessment import Mission
 from surctl.marine.cli.linear_part import linear_part as linear_side_of
 from surctl.marine.cli.robot_options import DEFAULT_VEHICLE, at_hand, choose_vehicle, export_command
-from surctl.marine.cli.runs import loop_lines_of_run
+from surctl.marine.cli.runs import RunOutput, loop_lines_of_run
 from surctl.marine.cli.verify import _speeds
 from surctl.marine.control import build_law, load_gains
 from surctl.marine.simulation import LIBRARY as SCENARIOS
@@ -142,6 +142,18 @@ def test_a_run_that_arrives_on_an_unstable_loop_says_so() -> None:
     held = replace(run, law=build_law("calm"))
     result = {}
     assert loop_lines_of_run(held, result) == [] and result["linear"] is None  # calm has no linear loop
+
+
+def test_a_run_says_which_echoes_hide_the_obstacles() -> None:
+    mission = replace(load_scenario("tank-static"), time_limit=0.2)
+    diffuse = replace(mission, sensors=mission.sensors.hearing("diffuse"))
+    for scenario, sensing, hidden in ((diffuse, "sonar", 1), (diffuse, "truth", 0), (mission, "sonar", 0)):
+        run = simulate(scenario, WU, gains=GAINS, law=build_law(sonar=sensing == "sonar"), sensing=sensing)
+        ran = RunOutput().ran(run, run.to_dict())
+        assert (
+            sum("echoes of the water surface hide obstacles; sonar.pitch_deg" in line for line in ran.brief) == hidden
+        )
+        assert len(ran.data["echo_warnings"]) == hidden
 
 
 def test_lint_tells_a_name_that_is_no_file_s_and_a_region_whose_cruise_is_its_cap(tmp_path: Path) -> None:

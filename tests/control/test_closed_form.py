@@ -13,7 +13,7 @@ from surctl.marine.control.paper import DAMPING
 from surctl.marine.export import closed_form
 from surctl.marine.simulation import law_numbers, load_scenario, simulate
 from surctl.marine.vehicle import load_vehicle
-from surctl.priority.optimality import nsb
+from surctl.priority import nsb
 
 GAINS = load_gains("default")
 

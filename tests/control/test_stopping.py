@@ -104,6 +104,15 @@ def test_a_retreat_that_yields_leads_no_faster_towards_another_bound() -> None:
     assert braking((0.0, 0.0), (0.1, -0.05), [CLOSE_LEFT, RIGHT], yields=1.0)[1] == pytest.approx(-0.02)
 
 
+def test_bounds_that_oppose_a_retreat_on_both_sides_do_not_turn_it_back() -> None:
+    """Beside a box 0.03 m away, between two unknown places: the second bound once sent the robot towards the box."""
+    box = (0.2079, 0.9781, -0.02)
+    unknown = [(-0.515, -0.8572, 0.0), (0.7547, -0.6561, 0.0)]
+    command = braking((0.0, 0.0), (0.0, -0.05), [box, *unknown], yields=1.0)
+    for *normal, bound in (box, *unknown):
+        assert command @ normal <= max(bound, 0.0) + 1e-9
+
+
 def test_it_brakes_first_for_what_it_closes_in_on() -> None:
     """0.02 m/s too fast to the right. A retreat from a contact ahead is missed by more, but the robot recedes there."""
     ahead = (1.0, 0.0, -0.1)

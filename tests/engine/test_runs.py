@@ -144,7 +144,8 @@ def test_the_hull_touches_a_wall_and_stays_outside() -> None:
 def test_echoes_of_a_fan_are_those_of_the_own_plant_and_the_cone_tilts() -> None:
     scenario = replace(load_scenario("tank-static"), depth=-2.5)
     boat = load_vehicle("sur540-tilting")
-    world, array = build_world(scenario, boat, seed=0), scenario.sensors.array_on(boat["radius"])
+    world = build_world(scenario, boat, seed=0)
+    array = replace(scenario.sensors.array_on(boat["radius"]), pitch=0.0)
     bodies = world.bodies(0.0)
     mine = OwnPhysics(world, boat, array)
     fan, cone, few = (
@@ -169,7 +170,8 @@ def test_echoes_of_a_fan_are_those_of_the_own_plant_and_the_cone_tilts() -> None
 def test_reflectors_are_those_of_the_own_plant(echoes: str) -> None:
     base, boat = replace(load_scenario("tank-static"), depth=-1.0), load_vehicle("sur540-tilting")
     scenario = replace(base, sensors=base.sensors.hearing(echoes))
-    world, array = build_world(scenario, boat, seed=0), scenario.sensors.array_on(boat["radius"])
+    world = build_world(scenario, boat, seed=0)
+    array = replace(scenario.sensors.array_on(boat["radius"]), pitch=0.0)
     mine, cone = OwnPhysics(world, boat, array), MujocoPhysics(world, boat, array, EngineOptions(count=4000))
     ranges = []
     for x, y, heading in ((1.0, 2.5, 0.2), (3.2, 2.2, 0.0), (3.2, 2.2, 2.0)):

@@ -112,7 +112,7 @@ def test_the_law_with_sonars_says_what_ages_and_what_ends() -> None:
     equipment = load_scenario("tank-static").sensors.on(0.27)
     law = build_law(sonar=True, equipment=equipment)
     ages = {port.name for port in law.state if port.gap == "age"}
-    assert ages == {"own_age", "mover_age", "sonar_since", "sonar_age", "silent"}
+    assert ages == {"own_age", "mover_age", "sonar_since", "sonar_age", "silent", "face_age"}
     kept = {port.name for port in law.state if port.gap == "keep"}
     assert {"map_cells", "map_corner", "progress", "launched", "sonar_distrust", "stalled"} <= kept
     assert not {name for name in kept if name.startswith("own_")}

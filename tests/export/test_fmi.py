@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from surctl.export.fmu import description_2, description_3, unit_sources, write_fmu
+from surctl.export.fmu import description, unit_sources, write_fmu
 from surctl.export.precision import Rounded, evaluated
 from surctl.ir.cache import compile_program
 from surctl.marine.control import build_law, load_gains
@@ -194,7 +194,8 @@ def test_every_number_has_unit_range_and_a_description_of_its_own(tmp_path: Path
     from fmpy.validation import validate_fmu
 
     law, bundle, p = guarded()
-    for fmi, text in ((2, description_2(law, bundle, p, ["fmi2.c"])), (3, description_3(law, bundle, p))):
+    for fmi in (2, 3):
+        text = description(law, bundle, p, ["fmi2.c"], fmi=fmi)
         folder = tmp_path / str(fmi)
         folder.mkdir()
         (folder / "modelDescription.xml").write_bytes(text)

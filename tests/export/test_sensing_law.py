@@ -55,7 +55,7 @@ def test_a_flight_with_faults_agrees_to_the_last_bit(flown: tuple[Run, Controlle
     struck = (record.time > 2.0) & (record.time < 4.0)
     assert np.ptp(run.telemetry("healthy")[struck, 0]) == 1.0  # the fault reached the law
     cells = record.law_state[:, law.state.slice("map_cells")]
-    assert cells.shape[1] == 2304 and cells.min() == -1.0 and cells.max() == 1.0  # and the map was drawn on
+    assert cells.shape[1] == 2304 and cells.min() == -1.0 and cells.max() > 3.0  # and the map was drawn on
 
 
 def test_in_floats_it_keeps_its_senses_and_its_tick() -> None:
@@ -63,7 +63,7 @@ def test_in_floats_it_keeps_its_senses_and_its_tick() -> None:
     law = build_law(sonar=True)
     assert in_real(law, "float32") is law
     numbers = law.inputs.size + law.gains.size + law.outputs.size + 7 + memory(law.block)
-    assert 4 * numbers + 1280 <= 1024 * 29  # what the compiler counts of the other mode
+    assert 4 * numbers + 1280 <= 1024 * 30  # what the compiler counts of the other mode
 
 
 def test_single_steps_far_from_any_flight_agree_to_the_last_bit(flown: tuple[Run, Controller]) -> None:

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from surctl.ir import Block
-from surctl.ir.c99 import emit_c99
+from surctl.ir.c99_routine import emit_block
 from surctl.ir.cache import compile_program
 
 Vector = NDArray[np.float64]
@@ -95,7 +95,7 @@ def whole(makers: dict[str, Make]) -> ca.Function:
 def compiled(
     programs: Sequence[Block],
     folder: Path,
-    emit: Callable[..., str] = emit_c99,
+    emit: Callable[..., str] = emit_block,
     head: str = "",
     *,
     flags: Sequence[str] = (),

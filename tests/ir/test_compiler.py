@@ -9,7 +9,7 @@ import pytest
 
 from surctl.errors import InputError, SurctlError, ToolMissing
 from surctl.ir import lower
-from surctl.ir.c99 import emit_c99
+from surctl.ir.c99_routine import emit_block
 from surctl.ir.cache import compile_program, compiler_version, find_compiler, quick_flags, tuned_flags
 from tests.tools import need_compiler, need_module
 
@@ -146,7 +146,7 @@ def test_three_thousand_operations_compile(tmp_path: Path) -> None:
     # the input comes from outside, or the compiler would evaluate everything itself
     main = "int main(int argc, char **argv) { double x[4] = {argc, 2.0, 3.0, 4.0}; double y[8]; (void)argv; "
     source = tmp_path / "large.c"
-    text = emit_c99(program, symbol="f")
+    text = emit_block(program, symbol="f")
     source.write_text(f"#include <math.h>\n{text}{main}f(x, y); return y[0] > 1e300; }}\n")
     built = compile_program([source], tmp_path / "large")
     assert subprocess.run([str(built)], check=False).returncode == 0

@@ -1,4 +1,4 @@
-"""Runs side by side: the vector text, the scalar text, the replay and CasADi give the same numbers."""
+"""Runs side by side: the C text, the replay and CasADi give the same numbers."""
 
 from __future__ import annotations
 
@@ -10,12 +10,10 @@ from hypothesis import strategies as st
 
 from surctl.errors import InputError
 from surctl.ir import Gather, Loop, Program, Real, Routine, compile_block, lower, replay, to_casadi
-from surctl.ir.c99_routine import emit_block
 from tests.ir.expressions import EXACT, LIBM_MAKERS, grown, picks, whole
 from tests.tools import need_compiler, widest_vectors
 
-# -mno-avx takes the scalar text; without it, the vectors
-TEXTS = [("-O1",), ("-mno-avx",), ("-O3", *widest_vectors())]
+TEXTS = [("-O1",), ("-O3", *widest_vectors())]
 
 
 def bench(body: ca.Function, entries: int, *, lanes: int, turns: int = 3) -> Routine:
@@ -38,7 +36,7 @@ def drawn(routine: Routine, seed: int, count: int = 40) -> list[np.ndarray]:
 
 
 @pytest.mark.parametrize(("lanes", "real"), [(4, "float64"), (8, "float32")])
-def test_every_operation_in_every_text(lanes: int, real: Real) -> None:
+def test_every_operation_with_every_flag(lanes: int, real: Real) -> None:
     need_compiler()
     routine = bench(whole(EXACT), len(EXACT), lanes=lanes)
     inputs = drawn(routine, 1)
@@ -75,13 +73,6 @@ def test_one_lane_of_many_is_the_plain_loop() -> None:
     every = replay(plain, np.zeros_like(c), x, q, s, at)[1].reshape(8, -1)
     side = replay(wide, np.zeros((1, 8 * c.shape[1])), by_entry, q, s, at)[1].reshape(-1, 8).T
     np.testing.assert_array_equal(side, every)
-
-
-def test_a_choice_is_a_mask_where_there_are_vectors_and_no_double_is_left_in_float() -> None:
-    routine = bench(whole(EXACT), len(EXACT), lanes=4)
-    assert "vector_size(32)" in emit_block(routine, symbol="f")
-    text = emit_block(routine, symbol="f", real="float32")
-    assert "double" not in text and "vector_size(16)" in text and "sqrtf(" in text
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from surctl.ir import Call, Loop, Program, Routine, c99_routine, lower, replay
-from surctl.ir.c99_folded import PRAGMA
+from surctl.ir.c99_program import PRAGMA
 from surctl.ir.c99_routine import emit_block, emit_parts
 from surctl.ir.cache import compile_program
 from tests.ir.expressions import caller
@@ -84,5 +84,5 @@ def test_a_small_block_stays_whole_and_is_that_of_emit_block() -> None:
     block = looped("dive", chain("sink", 3))
     parts = emit_parts(block, symbol="law")
     assert list(parts.files) == [""]
-    whole = emit_block(block, symbol="law", folded=True)
+    whole = emit_block(block, symbol="law")
     assert whole == f"{PRAGMA}\n\n" + parts.files[""].replace("\nvoid law(", "\nstatic void law(")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Sequence
-from functools import partial
 from pathlib import Path
 
 import casadi as ca
@@ -21,15 +20,15 @@ from tests.tools import need_compiler
 COUNT = 9  # of each variant; every variant has routines of its own
 
 
-@pytest.mark.parametrize(("first", "folded", "few"), [(0, False, 8), (COUNT, True, 8), (2 * COUNT, True, 0)])
+@pytest.mark.parametrize(("first", "few"), [(0, 8), (COUNT, 8), (2 * COUNT, 0)])
 def test_random_routines_bit_for_bit_and_their_inputs_stay(
-    tmp_path: Path, first: int, folded: bool, few: int, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, first: int, few: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     need_compiler()
     monkeypatch.setattr(c99_routine, "_FEW", few)  # 0: no array is so small that what a loop leaves is copied
     wrong = []
     routines = [random_routine(seed) for seed in range(first, first + COUNT)]
-    natives = compiled(routines, tmp_path, partial(emit_block, folded=folded), flags=("-O1",))
+    natives = compiled(routines, tmp_path, flags=("-O1",))
     for seed, (routine, native) in enumerate(zip(routines, natives, strict=True), first):
         rng = np.random.default_rng(seed)
         for _ in range(3):
@@ -174,20 +173,17 @@ def stays(how: str) -> Routine:
 
 
 @pytest.mark.parametrize("how", ["read", "cut", "changed in place"])
-@pytest.mark.parametrize("folded", [True])
-def test_an_input_that_a_flagged_loop_leaves_is_only_read_where_it_stands(
-    tmp_path: Path, folded: bool, how: str
-) -> None:
+def test_an_input_that_a_flagged_loop_leaves_is_only_read_where_it_stands(tmp_path: Path, how: str) -> None:
     need_compiler()
     routine = stays(how)
-    (native,) = compiled([routine], tmp_path, partial(emit_block, folded=folded), flags=("-O1",))
+    (native,) = compiled([routine], tmp_path, flags=("-O1",))
     x = np.random.default_rng(3).normal(size=40)
     for flag in (0.0, 1.0, np.nan):
         kept = x.copy()
         want, have = replay(routine, x, np.array([flag])), native(x, np.array([flag]))
         assert all(a.tobytes() == b.tobytes() for a, b in zip(have, want, strict=True))
         assert x.tobytes() == kept.tobytes()
-    text = emit_block(routine, symbol="f", folded=folded).split("static void f(")[1]
+    text = emit_block(routine, symbol="f").split("static void f(")[1]
     assert ("_now = in0;" in text) is (how == "read")  # it is copied where others have to find it, or change it
 
 
@@ -234,12 +230,11 @@ def views_outlive() -> Routine:
     return Routine("r", (("x", 3),), steps, ("y", "z", "k", "e_last"))
 
 
-@pytest.mark.parametrize("folded", [False, True])
-def test_what_is_still_read_is_not_written_over(tmp_path: Path, folded: bool) -> None:
+def test_what_is_still_read_is_not_written_over(tmp_path: Path) -> None:
     need_compiler()
     routines = [written_early(), views_outlive()]
     routines += [one_body_twice(read, index_first=first) for read in "pq" for first in (False, True)]
-    natives = compiled(routines, tmp_path, partial(emit_block, folded=folded), flags=("-O1",))
+    natives = compiled(routines, tmp_path, flags=("-O1",))
     for routine, native in zip(routines, natives, strict=True):
         inputs = [np.random.default_rng(3).normal(size=size) for _, size in routine.inputs]
         for have, want in zip(native(*inputs), replay(routine, *inputs), strict=True):

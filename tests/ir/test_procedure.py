@@ -112,9 +112,9 @@ def test_compiled_code_and_checker_give_the_bytes_of_the_replay() -> None:
 
 
 def test_loops_over_entries_run_four_at_once_and_only_those() -> None:
-    text = emit_block(example(), symbol="f")
+    text = emit_block(example(), symbol="f", vectors=True)
     assert text.count("+ 4 <=") == 1  # not the loops with branches or indices from an array
-    assert "FOUR" not in emit_block(example(), symbol="f", folded=True)
+    assert "FOUR" not in emit_block(example(), symbol="f")
 
 
 class Table:
@@ -165,7 +165,7 @@ def table(function: Any, n: int, k: int) -> Procedure:
 
 @pytest.mark.parametrize("k", [5, 8, 15, 24])
 def test_loops_with_inner_loops_run_together_where_no_iteration_needs_another(k: int) -> None:
-    text, alone = (emit_block(table(f, 4, k), symbol="f") for f in (reflect, chained))
+    text, alone = (emit_block(table(f, 4, k), symbol="f", vectors=True) for f in (reflect, chained))
     assert ("+ 8 <=" in text) == (k > 8)  # a group of eight must not reach the next column of T
     assert "_total0" in text and "FOUR(" not in alone.replace("FOUR(entry)", "")
     need_compiler()

@@ -132,7 +132,7 @@ def test_a_law(sonar: bool) -> None:
     found = same(block)
     assert text_anew(found) == block.text()
     assert len(nested(found)) == len({b.digest() for b in nested(block).values()})
-    assert emit_block(found, symbol="law", folded=True) == emit_block(block, symbol="law", folded=True)
+    assert emit_block(found, symbol="law") == emit_block(block, symbol="law")
     text = write_block(block)
     start = time.process_time()
     read_block(text)

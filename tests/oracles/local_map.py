@@ -23,7 +23,6 @@ from surctl.marine.sensing.mapping.firing import (
     READING,
     RING,
     WIDEST,
-    WIDEST_FREE,
 )
 from surctl.marine.sensing.mapping.local_map import LocalMap
 from surctl.marine.sensing.mapping.programs import _AT_A_WALL, _FAR, _SLACK
@@ -64,34 +63,21 @@ def map_step(
     x, y = ((now[axis] + 0.5) * edge for axis in (0, 1))
     stays = np.outer(was[1] == now[1], was[0] == now[0])
     value = np.where(stays, _torus(local_map, _sized("cells", cells, n * n)), 0.0)
-    specular, directed = local_map.specular, local_map.smooth or local_map.specular
     value = _faded(value, local_map.dt / local_map.free_time, local_map.dt / local_map.mark_time)
     beams = [_Beam(firing, x, y) for firing in firings]
 
-    def may(beam: _Beam, value: Vector) -> NDArray[np.bool_]:
-        # cells that are not known to be free, of an echo from the beam's direction
-        silent = _includes(value, beam.direction) if specular else True
-        return np.asarray((_level(value) >= -local_map.known) | np.logical_not(silent))
-
-    explained = [bool(np.any(beam.on_arc(edge) & may(beam, value) & (beam.square <= beam.cutoff**2))) for beam in beams]
+    known = -local_map.known
+    explained = [bool(np.any(beam.on_arc(edge) & (value >= known) & (beam.square <= beam.cutoff**2))) for beam in beams]
     for beam, already in zip(beams, explained, strict=True):
-        free, cleared, remark = beam.in_front(edge, _level(value)), np.array(-1.0), np.array(1.0)
-        blind = np.maximum(value, BLIND)
-        if directed:
-            now = _level(value)
-            lasting = (now > (0 if specular else PROTECTED)) & (_stored(value) > DIRECTIONS)
-            moved = (beam.far > 0) & (beam.square > max(beam.near - MOVED * edge, 0.0) ** 2)
-            strict = (beam.square < NEAR * NEAR * (edge * edge)) & ~moved & (not specular)
-            free &= np.logical_not(lasting) | _includes(value, beam.direction, np.where(strict, 0.0, BESIDE))
-            remark = _sector_with(value, beam.direction, goes_on=now > BLIND, widest=WIDEST)
-            blind = np.where(now > BLIND, value, BLIND)
-        if specular:
-            near = _sector_with(value, beam.direction, goes_on=now > 0, widest=WIDEST) - (1 - BLIND)
-            blind = np.where(now > BLIND, value, near)
-            cleared = -_sector_with(value, beam.direction, goes_on=now < 0, widest=WIDEST_FREE)
-        marked = beam.on_arc(edge) & (may(beam, value) | (not already))
-        mark = remark if beam.clear >= 0 else blind
-        value = np.where(free, cleared, np.where(marked, mark, value))
+        now = _level(value)
+        lasting = (now > PROTECTED) & (_stored(value) > DIRECTIONS)
+        moved = (beam.far > 0) & (beam.square > max(beam.near - MOVED * edge, 0.0) ** 2)
+        strict = (beam.square < NEAR * NEAR * (edge * edge)) & ~moved
+        stays = lasting & ~_includes(value, beam.direction, np.where(strict, 0.0, BESIDE))
+        marked = beam.on_arc(edge) & ((value >= known) | (not already))
+        remark = _sector_with(value, beam.direction, goes_on=now > BLIND)
+        mark = remark if beam.clear >= 0 else np.where(now > BLIND, value, BLIND)
+        value = np.where(beam.in_front(edge, now) & ~stays, -1.0, np.where(marked, mark, value))
     dx, dy = np.broadcast_arrays(x - here[0], (y - here[1])[:, None])
     square = dx * dx + dy * dy
     value = np.where(square < hull * hull, -1.0, value)
@@ -99,30 +85,25 @@ def map_step(
         (low + _AT_A_WALL * edge < centres) & (centres < high - _AT_A_WALL * edge)
         for centres, low, high in zip((x, y), *ends, strict=True)
     )
-    blank = (
-        (_level(value) >= -local_map.known)
-        & (value <= 0)
-        & (square > (hull + RING * edge) ** 2)
-        & np.outer(along, across)
-    )
-    many = _blocks(local_map, _level(value) >= -local_map.known).sum(axis=1, keepdims=True) >= local_map.held
+    blank = (value >= known) & (value <= 0) & (square > (hull + RING * edge) ** 2) & np.outer(along, across)
+    many = _blocks(local_map, value >= known).sum(axis=1, keepdims=True) >= local_map.held
     blank &= _torus(local_map, np.repeat(many, local_map.block**2, axis=1))
     marks, blanks = (_nearest(local_map, which, dx, dy, square) for which in (value > 0, blank))
     return _blocks(local_map, value).reshape(-1), window, marks, blanks
 
 
 def _level(value: Vector) -> Vector:
-    # strength of a mark or of a cleared cell, see `directions.level`
-    return np.asarray(value - np.sign(value) * 2 * _stored(value))
+    # strength of a mark or of a cleared cell, see `firing.level`
+    return np.asarray(value - 2 * _stored(value))
 
 
 def _stored(value: Vector) -> Vector:
-    return np.asarray(np.floor(np.abs(value) / 2))
+    return np.asarray(np.floor(np.maximum(value, 0.0) / 2))
 
 
 def _faded(value: Vector, free: float, mark: float) -> Vector:
-    after = value - np.where(value > 0, mark, -free)
-    return np.where((_level(value) <= mark) & (_level(value) >= -free), 0.0, after)
+    marks = np.where(_level(value) <= mark, 0.0, value - mark)
+    return np.where(value > 0, marks, np.minimum(value + free, 0.0))
 
 
 def _bearing(x: Vector, y: Vector) -> Vector:
@@ -132,23 +113,23 @@ def _bearing(x: Vector, y: Vector) -> Vector:
     return np.asarray(np.where(y >= 0, upper, 4 - upper) * (DIRECTIONS / 4))
 
 
-def _includes(value: Vector, direction: Vector, beside: Vector | float = BESIDE) -> NDArray[np.bool_]:
-    """Return whether the sector of each cell includes a direction, or is close to it; see `directions.includes`."""
+def _includes(value: Vector, direction: Vector, beside: Vector) -> NDArray[np.bool_]:
+    """Return whether the sector of each cell includes a direction, or is close to it; see `firing.includes`."""
     stored = _stored(value)
     further = np.floor(np.maximum(stored - 1, 0) / DIRECTIONS)
     off = np.mod(direction - (stored - 1 - DIRECTIONS * further), DIRECTIONS)
     return np.asarray((stored < 1) | (off <= further + 1 + beside) | (off >= DIRECTIONS - beside))
 
 
-def _sector_with(value: Vector, direction: Vector, *, goes_on: NDArray[np.bool_], widest: int) -> Vector:
-    """Return the absolute number of each cell with a direction in its sector; see `directions.sector_with`."""
+def _sector_with(value: Vector, direction: Vector, *, goes_on: NDArray[np.bool_]) -> Vector:
+    """Return the number of a mark in each cell with a direction in its sector; see `firing.sector_with`."""
     stored = _stored(value)
     further = np.floor(np.maximum(stored - 1, 0) / DIRECTIONS)
     first, now = stored - 1 - DIRECTIONS * further, np.minimum(np.floor(direction), DIRECTIONS - 1)
     after = np.mod(now - first, DIRECTIONS)
     before = DIRECTIONS - after + further
-    grown = (after <= further) | ((after <= widest) & (after <= before))
-    keep = (stored >= 1) & goes_on & (grown | (before <= widest))
+    grown = (after <= further) | ((after <= WIDEST) & (after <= before))
+    keep = (stored >= 1) & goes_on & (grown | (before <= WIDEST))
     count = np.where(keep, np.where(grown, np.maximum(after, further), before), 0)
     return np.asarray(3 + 2 * (np.where(keep & grown, first, now) + DIRECTIONS * count))
 

@@ -15,8 +15,9 @@ from surctl.marine.control import build_law, load_gains
 from surctl.marine.report import ReportData
 from surctl.marine.simulation import Run, load_scenario, simulate
 from surctl.marine.vehicle import Vehicle, load_vehicle
-from surctl.marine.verification import claims, law_loop, loop_margins
-from surctl.marine.verification.linear import linear_side
+from surctl.marine.verification import claims, law_loop
+from surctl.marine.verification.corners import corners
+from surctl.marine.verification.linear import cruise_corners
 from surctl.tuning import SweepTable
 from surctl.verification import Verdict, falsify
 
@@ -88,8 +89,7 @@ def report() -> ReportData:
         vehicle=vehicle(),
         gains=GAINS,
         speeds=SPEEDS,
-        margins=loop_margins(vehicle(), GAINS.values, **ABOUT),
-        linear=(linear_side(vehicle(), GAINS.values, **ABOUT),),
+        linear=cruise_corners(corners(vehicle()), GAINS.values, **ABOUT),
         loops={"0.15 m/s": law_loop(build_law("guarded"), vehicle(), GAINS, cruise=0.15).linear},
         verdicts=(verdict("v1-printed"), verdict("m-norm-printed"), verdict("v1-corrected")),
         runs=(run(), run(sensing="sonar")),

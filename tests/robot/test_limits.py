@@ -125,6 +125,10 @@ def test_an_srdf_file_disables_pairs_and_meshes_need_shapes(tmp_path: Path) -> N
     ball = Capsule([0.1, 0, 0], [0.1, 0, 0], 0.02)
     pairs = [(pair[0], pair[2]) for pair in with_mesh.self_collision(shapes={"tip": [ball]}).pairs]
     assert ("base", "tip") in pairs and ("link2", "tip") not in pairs  # link2 is the neighbour of its rigid body
+    with pytest.raises(
+        InputError, match=r'links base, link2: are less than the margin .* <disable_collisions link1="base"'
+    ):
+        robot.self_collision(shapes={"base": [Capsule((-1, 0, 0), (1, 0, 0), 2.0)], "link2": [ball], "link3": []})
     with pytest.raises(InputError, match="has no pair of links"):
         load_urdf(written(tmp_path, *ARM), lock=["elbow", "wrist"]).self_collision()
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from functools import partial
 from pathlib import Path
 
 import casadi as ca
@@ -9,9 +11,11 @@ import numpy as np
 import pytest
 
 from surctl.errors import InputError
+from surctl.ir import replay
 from surctl.robot import Robot, StackController, load_urdf
 from surctl.robot.robot import flat_pose
 from surctl.system import NONFINITE, linearise, run_system
+from surctl.system.linear import unresponsive
 from surctl.tasks import SetTask, Task
 from tests.robot.robots import ARM, joint, link, written
 from tests.tools import need_compiler
@@ -68,6 +72,27 @@ def test_a_step_says_what_binds_and_what_it_costs(arm: Robot, control: StackCont
     assert abs(free).max() <= 2 * ACCELERATION * DT
 
 
+@pytest.mark.parametrize(
+    ("q", "before", "shoulder"),
+    [
+        (0.2, 0.0, "upper acceleration limit 8 rad/s²"),
+        (0.2, 1.95, "upper speed limit 2 rad/s"),
+        (2.4, 1.2, "upper position limit 2.5 rad"),
+        (2.4, 1.9, "lower acceleration limit -8 rad/s²"),  # too fast: it brakes as fast as it may
+    ],
+)
+def test_a_bound_of_a_joint_is_that_of_its_position_speed_or_acceleration(
+    arm: Robot, q: float, before: float, shoulder: str
+) -> None:
+    need_compiler()
+    limits = [arm.joint_limits(acceleration=ACCELERATION)]
+    control = StackController([arm.posture_task("home", gain=9.0)], limits=limits, dt=DT, mode="projected")
+    control.reset([before, 0.0])
+    control.step([q, 0.5], home=[9.0, 0.5])
+    assert control.binding()["joint.shoulder"] == shoulder
+    assert f"`joint.shoulder` ({shoulder})" in control.explain()
+
+
 @pytest.mark.parametrize("beyond", [[1.5, 0.6], [0.05, 1.4], [-0.8, 0.9]])
 def test_a_damped_arm_rests_at_the_point_nearest_to_a_target_out_of_reach(arm: Robot, beyond: list[float]) -> None:
     need_compiler()
@@ -87,6 +112,7 @@ def test_a_damped_arm_rests_at_the_point_nearest_to_a_target_out_of_reach(arm: R
         short[control] = float(np.linalg.norm(arm.pose("link3", q)[:2, 3] - beyond)) - (far - 1.0)
         if control is damped:
             assert short[control] < 1e-6 and np.ptp(speeds[-50:], axis=0).max() < 1e-3
+            assert control.stage == "limited" and not control.binding(), "no limit, but the reach of the arm"
     assert short[strict] > 1e-4
     # close to the stretched arm, at rest: the bound of the damping
     for bend in (1e-2, 1e-5, 1e-9, 0.0):
@@ -94,6 +120,33 @@ def test_a_damped_arm_rests_at_the_point_nearest_to_a_target_out_of_reach(arm: R
         heading = np.arctan2(beyond[1], beyond[0]) + 0.5
         v = damped.step([heading, bend], tool=target)
         assert np.linalg.norm(v) <= np.sqrt(1.5 / c) + 1e-9
+
+
+def test_tasks_below_one_out_of_reach_are_damped_by_what_it_misses(tmp_path: Path) -> None:
+    need_compiler()
+    links = ("base", *(f"link{k}" for k in range(1, 6)), "tip")
+    limit = 'lower="-2.5" upper="2.5" velocity="2"'
+    joints = [
+        joint(f"j{k}", links[k - 1], links[k], xyz=(0.3 * (k > 1), 0, 0), axis=(0, 1 - k % 2, k % 2), limit=limit)
+        for k in range(1, 6)
+    ]
+    tip = joint("tip", links[5], "tip", "fixed", xyz=(0.3, 0, 0))
+    arm = load_urdf(written(tmp_path, *map(link, links), *joints, tip))
+    tool = arm.frame_task("tip", target="tool", gain=5.0, max_speed=0.3, max_rate=1.0)
+    limits = [arm.joint_limits(acceleration=ACCELERATION)]
+    control = StackController(
+        [tool.position, tool.orientation, arm.posture_task("home", [0.5] * 5, gain=5.0)],
+        limits=limits, dt=DT, damping=0.05,
+    )  # fmt: skip
+    q, apart, stages = np.array([0.3, 0.8, -0.4, 0.5, 0.2]), [], []
+    target = arm.pose("tip", [-0.5] * 5)
+    target[:3, 3] = [2.25, 0.5, 0.3]
+    for _ in range(750):
+        q = arm.integrate(q, control.step(q, tool=target), DT)
+        apart.append(np.linalg.norm(arm.pose("tip", q)[:3, 3] - target[:3, 3]))
+        stages.append(control.stage)
+    assert "met" in stages and set(stages[-100:]) == {"limited"}
+    assert np.ptp(apart[-100:]) < 6e-5, "damped by its own desired rate alone: 1.4e-4"
 
 
 @pytest.mark.parametrize("angle", [1e-1, 1e-3, 1e-6, 1e-9, 0.0])
@@ -110,8 +163,9 @@ def test_damping_bounds_each_task_and_keeps_the_tasks_above(arm: Robot, angle: f
     missing = abs(rate - J @ first).item()
     assert abs(v[0] - first[0]) < 2e-6
     assert v @ v <= first @ first + missing**2 / (c * rate) + 1e-3
-    free = (c * rate + J[0, 1] ** 2) * v[1] - J[0, 1] * (rate - J[0, 0] * v[0])
-    assert abs(free) < 1e-5, "v minimises ‖J v − x‖² + c ‖x‖ ‖v‖²"
+    size = np.hypot(rate, 10.0 * 0.1)  # at rest, the last v missed the whole desired rate of `turn`
+    free = (c * size + J[0, 1] ** 2) * v[1] - J[0, 1] * (rate - J[0, 0] * v[0])
+    assert abs(free) < 1e-5, "v minimises ‖J v − x‖² + c √(‖x‖² + 100 m²) ‖v‖²"
 
 
 def test_nan_never_becomes_a_command(arm: Robot, control: StackController) -> None:
@@ -129,7 +183,7 @@ def test_a_mistake_gives_one_line(arm: Robot, control: StackController) -> None:
     posture = arm.posture_task("home")
     for call, problem in (
         (lambda: control.step([0, 0]), "tool: is missing"),
-        (lambda: control.step([0, 0], tool=[0] * 7, hom=[0, 0]), "did you mean 'home'"),
+        (lambda: control.step([0, 0], tol=[0] * 7), "tol: is no target or gain of the controller; did you mean 'tool'"),
         (lambda: control.step([0, 0], tool=[0] * 6), "tool: has 6 numbers"),
         (lambda: control.step([0, 0], tool=np.ones((4, 4))), "is not a pose"),
         (lambda: StackController([posture, other.posture_task("two")], dt=0.1), "are of different robots"),
@@ -140,7 +194,6 @@ def test_a_mistake_gives_one_line(arm: Robot, control: StackController) -> None:
         (lambda: StackController([posture], limits=arm.joint_limits(), dt=0.1), "is not a list; write [limit]"),
         (lambda: StackController([posture], dt=0.1, damping=-1.0), "damping = -1.0"),
         (lambda: StackController([posture], dt=0.1, damping=0.1, mode="nsb"), "mode = 'nsb': has no damping"),
-        (lambda: StackController([posture], dt=0.1, budget=9), "budget = 9: is too small; give"),
         (lambda: StackController([posture], dt=0.1, budget=True), "budget = True: is not a whole number"),
         (lambda: StackController([posture], dt=0.1, budget=2**31), "budget = 2147483648: is too large; give less than"),
         (lambda: StackController([posture], dt=0.1, budget=9, mode="nsb"), "mode = 'nsb': has no budget"),
@@ -163,13 +216,24 @@ def test_a_loop_with_it_is_linearised_through_the_loops_of_the_solver(arm: Robot
     pose = flat_pose(arm.pose("link3", q))
     poles = linearise(control.system(), {"start.q": [q], "reference.tool": pose[None]}).poles()
     assert sorted(abs(np.asarray(poles)))[-2:] == pytest.approx([1 - gain * DT] * 2, rel=1e-3)
+    assert unresponsive(run_system(control.system(), 0.2)) == {"v[0]": 0.0, "v[1]": 0.0}
 
 
-def test_a_budget_is_the_bound_of_a_step(arm: Robot) -> None:
-    tool = arm.frame_task("link3", target="tool").position
-    control = StackController([tool], limits=[arm.joint_limits(acceleration=ACCELERATION)], dt=DT, budget=9000)
-    assert control.controller.block.operations == 9000
-    assert control.step([0.3, 0.8], tool=arm.pose("link3", [0.4, 1.0])).any() and control.stage == "limited"
+def test_a_budget_is_the_bound_of_a_step_and_one_that_suffices_is_named(arm: Robot) -> None:
+    need_compiler()
+    limits, draws = [arm.joint_limits(acceleration=ACCELERATION)], np.random.default_rng(7)
+    tool, build = arm.frame_task("link3", target="tool").position, partial(StackController, limits=limits, dt=DT)
+    with pytest.raises(InputError, match=r"is too small; give .* such as .*, which suffices") as caught:
+        build([tool], budget=9)
+    least, useful = map(int, re.findall(r"\d{2,}", str(caught.value)))
+    block, short = build([tool], budget=useful).controller.block, build([tool], budget=least)
+    assert block.operations == useful
+    for _ in range(5):
+        target = flat_pose(arm.pose("link3", draws.uniform(-1.5, 1.5, 2)))
+        v, _, status, _ = replay(block, np.zeros(2), [*draws.uniform(-2.5, 2.5, 2), *target], [1.0])
+        assert v.any() and status == 0.0
+    assert not short.step([0.3, 0.8], tool=arm.pose("link3", [0.4, 1.0])).any()
+    assert short.stage == "unconfirmed" and f"raise it: {useful} suffices" in short.explain()
 
 
 def test_it_is_the_controller_of_a_system(arm: Robot, control: StackController) -> None:
@@ -178,6 +242,8 @@ def test_it_is_the_controller_of_a_system(arm: Robot, control: StackController) 
     pose = np.append(arm.pose("link3", goal)[:3, 3], [0, 0, 0, 1])
     run = run_system(system, 2.0, {"start.q": [[0.2, 1.0]], "reference.tool": pose[None]})
     assert run["q"][-1] == pytest.approx(goal, abs=1e-4) and (run.status == 0).all()
+    assert run["tool_position"] == pytest.approx(np.linalg.norm(arm.pose("link3", run["q"][-1])[:3, 3] - pose[:3]))
+    assert run["height"] == 0.0 and run["home_posture"] == pytest.approx(np.hypot(0.4, 0.3), abs=1e-4)
 
 
 def test_its_c_code_computes_the_same_bytes(arm: Robot, tmp_path: Path) -> None:

@@ -11,9 +11,16 @@ from surctl.marine.sensing.mapping.firing import (
     _INSIDE_MORE,
     _OF_A_MARK,
     _OF_THE_UNKNOWN,
+    BENT,
+    BESIDE,
     BLIND,
+    DIRECTIONS,
+    MOVED,
+    NEAR,
+    PROTECTED,
     READING,
     RING,
+    WIDEST,
 )
 from surctl.marine.sensing.mapping.programs import _AT_A_WALL, _FAR, _SLACK
 
@@ -43,15 +50,21 @@ class _Plain:
         beside = real(_AT_A_WALL) * edge
         counts = (centre > walls[[0, 2], None] + beside) & (centre < walls[[1, 3], None] - beside)
         old = self._torus(cells) * np.outer(stays[1], stays[0])
-        value = old - _smaller(_larger(old, real(-chart.dt / chart.free_time)), real(chart.dt / chart.mark_time))
+        fades = real(chart.dt / chart.mark_time)
+        marks = np.where(self._level(old) <= fades, real(0), old - fades)
+        value = np.where(old > 0, marks, _smaller(old + real(chart.dt / chart.free_time), real(0)))
         firings = [self._firing(part, centre, edge) for part in np.split(slots, chart.slots)]
         known = real(-chart.known)
         found = [np.any(f["arc"] & (value >= known) & (f["square"] <= f["cutoff"])) for f in firings]
         for f, already in zip(firings, found, strict=True):
             share = np.where(value > 0, real(_OF_A_MARK), real(_OF_THE_UNKNOWN))
             deep = _smaller(real(_INSIDE) * edge + real(_INSIDE_MORE), share * f["beam"])
-            free = (f["inside"] > deep) & (f["square"] < f["clear"] ** 2) & ((f["clear"] > 0) | (value <= real(BLIND)))
-            mark = real(1) if f["clear"] >= 0 else _larger(value, real(BLIND))
+            strength = self._level(value)
+            free = (f["inside"] > deep) & (f["square"] < f["clear"] ** 2)
+            free &= (f["clear"] > 0) | (strength <= real(BLIND))
+            lasts, remark = self._by_direction(f, value, edge)
+            free &= ~lasts
+            mark = remark if f["clear"] >= 0 else np.where(strength > real(BLIND), value, real(BLIND))
             value = np.where(free, real(-1), np.where(f["arc"] & ((value >= known) | (not already)), mark, value))
         square = (x * x) + (y * y)[:, None]
         value = np.where(square < hull * hull, real(-1), value)
@@ -72,11 +85,45 @@ class _Plain:
         (ex, ey), (cosine, sine) = named["axis"], named["half"]
         x, y = centre - named["apex"][:, None]
         clear, near, far, reach = (named[name][0] for name in ("clear", "near", "far", "cutoff"))
-        along, across = x * ex + (y * ey)[:, None], np.abs(x * ey + (-y * ex)[:, None])
+        along, beside = x * ex + (y * ey)[:, None], x * ey + (-y * ex)[:, None]
+        across = np.abs(beside)
         square, beam = x * x + (y * y)[:, None], along * sine
         inside = beam - across * cosine
         arc = (square >= near * near) & (square <= far * abs(far)) & (inside > self.real(-0.5) * edge)
-        return {"beam": beam, "inside": inside, "square": square, "arc": arc, "clear": clear, "cutoff": reach * reach}
+        away = self._bearing(along * ex + beside * ey, along * ey - beside * ex)
+        moved = _larger(near - self.real(MOVED) * edge, self.real(0)) if far > 0 else self.real(1e3)
+        named = {"beam": beam, "inside": inside, "square": square, "arc": arc, "clear": clear, "cutoff": reach * reach}
+        return {**named, "away": away, "moved": square > moved * moved}
+
+    def _level(self, value):
+        return value - self.real(2) * np.floor(_larger(value, self.real(0)) / self.real(2))
+
+    def _bearing(self, x, y):
+        real = self.real
+        share = np.abs(y) / _larger(np.abs(x) + np.abs(y), real(1e-9))
+        share = share + real(BENT) * share * (real(1) - share) * (real(2) * share - real(1))
+        upper = np.where(x >= 0, share, real(2) - share)
+        return np.where(y >= 0, upper, real(4) - upper) * real(DIRECTIONS / 4)
+
+    def _by_direction(self, f, value, edge):
+        """Which cells are marks that silence does not clear, and each cell's value after an echo."""
+        real, whole, strength = self.real, self.real(DIRECTIONS), self._level(value)
+        stored = np.floor(_larger(value, real(0)) / real(2))
+        further = np.floor(_larger(stored - real(1), real(0)) / whole)
+        first = stored - real(1) - whole * further
+        strict = (f["square"] < real(NEAR * NEAR) * (edge * edge)) & ~f["moved"]
+        beside = np.where(strict, real(0), real(BESIDE))
+        off = (f["away"] - first) - whole * np.floor((f["away"] - first) / whole)
+        inside = (stored < 1) | (off <= further + real(1) + beside) | (off >= whole - beside)
+        lasts = (strength > real(PROTECTED)) & (stored > DIRECTIONS) & ~inside
+        now = _smaller(np.floor(f["away"]), real(DIRECTIONS - 1))
+        after = (now - first) - whole * np.floor((now - first) / whole)
+        before = whole - after + further
+        grown = (after <= further) | ((after <= WIDEST) & (after <= before))
+        keep = (stored >= 1) & (strength > real(BLIND)) & (grown | (before <= WIDEST))
+        count = np.where(keep, np.where(grown, _larger(after, further), before), real(0))
+        at = np.where(keep & grown, first, now)
+        return lasts, real(3) + real(2) * (at + whole * count)
 
     def _nearest(self, which, x, y, square):
         """(sectors · 3,) of each block's first nearest cell; a block by a nearer one alone is replaced."""

@@ -157,7 +157,7 @@ def test_any_number_of_sensors(count):
 
 @pytest.mark.parametrize("degrees", [15, 75, 120, 179])
 def test_beams_up_to_a_half_circle(degrees):
-    array = SonarArray(beam_angle=math.radians(degrees))
+    array = SonarArray(beam_angle=math.radians(degrees), pitch=0.0)
     beside = (Disc((0.27 + math.cos(math.radians(degrees / 2)), math.sin(math.radians(degrees / 2))), 0.01),)
     assert true_range(array, 0, position=(0, 0), heading=0.0, shapes=beside) == pytest.approx(0.99)
     assert true_range(array, 0, position=(0, 0), heading=0.1, shapes=beside) < math.inf

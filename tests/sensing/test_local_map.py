@@ -29,8 +29,7 @@ CHARTS = {
     "the law's": {},
     "small": {"slots": 3, "blocks": 4, "block": 3, "sectors": 8, "mark_time": 2.0, "free_time": 1.0, "known": 0.6},
     "blocks of one cell": {"slots": 1, "blocks": 11, "block": 1, "sectors": 4},
-    "smooth": {"smooth": True, "blocks": 6, "mark_time": 8.0},
-    "specular": {"specular": True, "blocks": 6},
+    "short memory": {"blocks": 6, "mark_time": 8.0},
     "one block": {"blocks": 1, "block": 7, "sectors": 12, "free_time": 0.12},
 }
 SITE = (0.1, 2.9, -2.75, 30.0)
@@ -78,7 +77,10 @@ def same(chart, found, expected):
 
 @pytest.mark.parametrize(
     ("name", "walls"),
-    [("small", OPEN), ("specular", OPEN)],  # the law's: `test_maps_side_by_side_have_the_same_bits`; others: study 40
+    [
+        ("small", OPEN),
+        ("short memory", OPEN),
+    ],  # the law's: `test_maps_side_by_side_have_the_same_bits`; others: study 40
 )
 def test_the_routine_and_the_numbers_agree(name, walls):
     need_compiler()
@@ -93,10 +95,9 @@ def test_the_routine_and_the_numbers_agree(name, walls):
     ):
         same(chart, found, expected)
     cells, nearest = np.array([m[0] for m in made]), np.array([m[2:] for m in made])[:, :, 2::3]
-    if chart.smooth or chart.specular:
-        assert cells.max() > 3 and (cells.min() < -2 - 2 * 32) == chart.specular  # the latter with several directions
-        cells -= np.sign(cells) * 2 * np.floor(np.abs(cells) / 2)
-    assert cells.min() == -1.0 and cells.max() in (BLIND, 1.0)  # the smallest holds what is blind alone
+    assert cells.max() > 3 + 2 * 32 or chart.side < 13  # several directions; the smallest holds what is blind alone
+    cells -= 2 * np.floor(np.maximum(cells, 0) / 2)
+    assert cells.min() == -1.0 and cells.max() in (BLIND, 1.0)
     assert np.any((cells > 0) & (cells < 1)) and np.any((cells < 0) & (cells > -1))
     if chart.side > 7 and walls == OPEN:  # otherwise the hull is all of it
         assert all(np.any(nearest[:, k] < FAR) and np.any(nearest[:, k] == FAR) for k in range(2))
@@ -397,10 +398,15 @@ around = cache(Around)
 
 @pytest.mark.parametrize("beam", WIDE)
 def test_once_swept_a_mark_stands_before_every_surface(beam):
-    """In each direction the nearest mark is at most 0.06 m beyond the surface: less than a cell."""
+    """In each direction the nearest mark is at most 0.06 m beyond a surface within 1.1 m: less than a cell.
+
+    Farther off, a mark elsewhere on the arc, which silence from other directions does not clear, explains some echoes.
+    """
     seen = around(beam)
+    beyond = seen.mark - seen.away
     assert len(seen.rows) > 60
-    assert np.max(seen.mark - seen.away) < 0.06 < EDGE
+    assert np.max(beyond[seen.away < 1.1]) < 0.06 < EDGE
+    assert 0 < np.mean(beyond > 0.06) < 0.1
 
 
 @pytest.mark.parametrize("beam", WIDE)
@@ -497,7 +503,7 @@ def test_a_smooth_mark_silent_from_beside_stays_unless_an_echo_comes_from_close_
     def beam(angle, reading):
         return firing(mark - 0.3 * np.array([math.cos(angle), math.sin(angle)]), angle, reading, half=half)
 
-    chart = Chart(smooth=True)
+    chart = Chart()
     for heard in (0.1, 0.3):
         chart((0.0, 0.0), beam(heard, 0.3))
     assert chart.at(*mark) > 0.99
@@ -542,7 +548,7 @@ def same_bits(found, expected):
 
 
 @pytest.mark.parametrize(
-    ("name", "real", "walls"),  # `plain_map` has no directions, and so no "specular"; `numbers` has
+    ("name", "real", "walls"),
     [("small", np.float32, (-0.4, 30.0, -30.0, -1.5))],
 )
 def test_the_routine_has_the_bits_of_whole_arrays(name, real, walls):

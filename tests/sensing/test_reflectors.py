@@ -71,7 +71,7 @@ def test_shapes_with_limits_of_their_own_against_ray_casting() -> None:
 
 
 def test_faces_surface_and_floor_against_rays_in_space() -> None:
-    array, levels, kinds = SonarArray(hull_radius=0.1), 0, set()
+    array, levels, kinds = SonarArray(hull_radius=0.1, pitch=0.0), 0, set()
     rough = replace(MIXED, floor=REFLECTORS["diffuse"])
     cast = list(zip([*BODIES, *WALLS], limits(), strict=True))
     planes = [(0.0, rough.surface.incidence_limit), (-DEPTH, rough.floor.incidence_limit)]
@@ -88,12 +88,13 @@ def test_faces_surface_and_floor_against_rays_in_space() -> None:
 
 
 def test_a_pitch_silences_the_surface_and_narrows_the_beam() -> None:
-    array, rough = SonarArray(hull_radius=0.1), REFLECTORS["diffuse"]
+    array, rough = SonarArray(hull_radius=0.1, pitch=0.0), REFLECTORS["diffuse"]
     place, open_water = {"place": (3.0, 2.0, -0.15), "heading": 0.0}, Surfaces((), (rough,) * 4, rough, rough, 9.0)
     for degrees, wanted in ((0.0, 0.15 / math.sin(math.radians(37.5))), (-17.0, 0.15 / math.sin(math.radians(20.5)))):
         pitched = replace(array, pitch=math.radians(degrees))
         assert certain_range(pitched, 0, shapes=[], surfaces=open_water, **place) == pytest.approx(wanted)
-    pitched = replace(array, pitch=math.radians(-18.0))
+    pitched = replace(array, pitch=None)  # the default
+    assert pitched.elevation == pytest.approx(math.radians(-18.0))
     assert certain_range(pitched, 0, shapes=[], surfaces=open_water, **place) > 4.5
     assert pitched.half_angle == pytest.approx(math.acos(math.cos(math.radians(37.5)) / math.cos(math.radians(18))))
     near = [(Box((3.3, 2.0), (0.1, 1.0)), REFLECTORS["silent"])]  # hides the surface

@@ -12,12 +12,20 @@ import pytest
 
 from surctl.files import read_toml
 from surctl.marine.sensing import SonarArray
-from surctl.marine.simulation import Finding, findings, load_scenario
+from surctl.marine.simulation import Finding, findings
 from surctl.marine.simulation.echo_fit import echo_findings, unheard_faces
 from surctl.marine.simulation.scenario import LIBRARY, Scenario, scenario_from_table
 from surctl.marine.vehicle import load_vehicle
 
-BASE = load_scenario("tank-static")
+LEVEL = {"pitch_deg": 0.0, "floor_m": 0.0}  # level sonars, and no floor that the law knows
+
+
+def _base() -> Scenario:
+    table = read_toml(LIBRARY / "tank-static.toml") | {"sonar": LEVEL}
+    return scenario_from_table(table, source="level.toml")
+
+
+BASE = _base()
 VEHICLE = load_vehicle(BASE.vehicle)
 BESIDE_WALLS = ["OS1 -y", "OS2 +y", "OS3 -y"]
 
@@ -25,7 +33,7 @@ BESIDE_WALLS = ["OS1 -y", "OS2 +y", "OS3 -y"]
 def _echoes(change: Callable[[dict[str, Any]], object], *, of: str = "tank-static") -> list[Finding]:
     """Findings about echoes of a built-in scenario after a change of its file."""
     table = read_toml(LIBRARY / f"{of}.toml")
-    table.setdefault("sonar", {})
+    table.setdefault("sonar", dict(LEVEL))
     change(table)
     scenario = scenario_from_table(table, source="changed.toml")
     return echo_findings(scenario, load_vehicle(scenario.vehicle), scenario.sensors.equipment.array)
@@ -126,7 +134,7 @@ def test_obstacles_above_or_below_the_fan_of_the_sonars_have_no_findings() -> No
 
     faces, corners = [f.text for f in _echoes(sunk) if "hears" in f.text]
     assert "hears OS3 -y: " in faces and "a corner of OS3 along" in corners
-    silent = [f.text for f in _echoes(sunk) if "never" in f.text or "ever" in f.text]
+    silent = [f.text for f in _echoes(sunk) if "ever receives" in f.text]
     assert silent == ["no sonar ever receives an echo of OS2: the robot does not avoid it"]
 
 
@@ -163,26 +171,24 @@ def _level(*, depth: float = 1.0, site: dict[str, str] | None = None, **sonar: o
 def test_a_floor_that_the_law_knows_is_not_reported_and_the_remedies_do_not_exclude_each_other() -> None:
     tilted: dict[str, Any] = {"echoes": "diffuse", "pitch_deg": -18.0}
     (floor,) = _level(**tilted).values()
-    assert "hears the floor at 1.03 m" in floor and floor.endswith(
-        "not heard; sonar.floor_m = 1 makes it known to the law"
-    )
+    assert "hide obstacles; sonar.floor_m = 1 makes it known to the law: at" in floor and "hears it at 1.03 m" in floor
     assert not _level(**tilted, floor_m=1.0)
     assert _level(**tilted, floor_m=1.5)  # the law expects the echo later
 
     both = _level(echoes="diffuse")
-    assert both["site.surface"].endswith(
-        "sonar.pitch_deg below -17.5 makes it silent; then give sonar.floor_m = 1, because the floor answers"
-    )
-    assert both["site.floor"].endswith("not heard; sonar.floor_m = 1 makes it known to the law")
+    remedy = "sonar.pitch_deg below -17.5 makes it silent; then give sonar.floor_m = 1, because the floor answers: at"
+    assert remedy in both["site.surface"]
+    assert "hide obstacles; sonar.floor_m = 1 makes it known to the law: at" in both["site.floor"]
     silent = _level(site={"floor": "diffuse"})
-    assert silent["site.floor"].endswith(
-        "sonar.floor_m = 1 makes it known to the law, and sonar.pitch_deg above 17.5 makes it silent"
-    )
+    remedy = "sonar.floor_m = 1 makes it known to the law, and sonar.pitch_deg above 17.5 makes it silent: at"
+    assert remedy in silent["site.floor"]
 
 
 def test_the_pitch_that_is_offered_silences_a_surface_that_answers_at_any_angle() -> None:
     ideal: dict[str, Any] = {"depth": 5.0, "site": {"surface": "ideal"}}
-    assert _level(**ideal)["site.surface"].endswith("sonar.pitch_deg below -35.6 makes it silent")
+    assert _level(**ideal)["site.surface"].startswith(
+        "echoes of the water surface hide obstacles; sonar.pitch_deg below -35.6 makes it silent: "
+    )
     assert _level(**ideal, pitch_deg=-35.5) and not _level(**ideal, pitch_deg=-35.7)
 
 
@@ -193,21 +199,15 @@ def test_findings_have_the_key_of_the_file_that_causes_them() -> None:
     assert keys(lambda table: table["sonar"].update(echoes="webots")) == {"sonar.echoes"}
     assert keys(lambda table: table["sonar"].update(incidence_limit_deg=20.0)) == {"sonar.incidence_limit_deg"}
     assert keys(lambda table: table["obstacles"][0].update(reflector="webots")) == {"reflector"}
-    assert keys(lambda table: table["site"].update(walls={"x0": "webots"})) == {"site.walls"}
+    assert keys(lambda table: table["site"].update(walls={"x0": "silent"})) == {"site.walls"}
 
 
-def test_smooth_walls_alone_have_the_surface_model_smooth_as_their_remedy() -> None:
-    def walls(table: dict[str, Any], *, kind: str = "specular", **sonar: object) -> None:
-        table["site"]["walls"] = kind
-        table["sonar"] |= sonar
+def test_walls_that_do_not_answer_near_their_normal_are_reported() -> None:
+    def walls(kind: str) -> list[Finding]:
+        return _echoes(lambda table: table["site"].update(walls=kind))
 
-    (found,) = _echoes(walls)
-    assert found.text == (
-        "the walls answer only within 5° of their normal, but with surface_model = 'diffuse' the law takes a reading "
-        'from beyond a known wall for a fault of the sonar; surface_model = "smooth" is for such walls'
-    )
-    assert not _echoes(lambda table: walls(table, surface_model="smooth"))
-    (found,) = _echoes(lambda table: walls(table, kind="silent", surface_model="smooth"))
+    assert not walls("specular")  # within 5° of their normal
+    (found,) = walls("silent")
     assert "the walls never answer" in found.text and "within 3°" in found.text
 
 
@@ -220,7 +220,7 @@ def test_mixed_reflectors_are_told_apart_and_a_name_does_not_split_a_line() -> N
         first["name"] = "OS\n1"
 
     found = [f.text for f in _echoes(mixed)]
-    assert found[0].startswith("some surfaces answer only within 5° or 22.5° (by their reflectors) of their normal;")
+    assert found[0].startswith("some surfaces answer only within 5° or 22.5° (by their reflectors) of their normal: ")
     assert "hears OS\\n1 -y, OS2 +y: these faces answer only within 5° or 22.5°" in found[1]
     assert "hears OS3 +x, OS3 -x, OS3 +y, OS3 -y: these faces are silent" in found[2]
     assert "edges of OS3 0.5 m" in found[-1] and not [text for text in found if "\n" in text or " 0°" in text]

@@ -22,7 +22,7 @@ TANK, POOL = load_scenario("tank-static"), load_scenario("pool-static")
 
 
 def _found(scenario: Any = TANK, vehicle: str = "sur540-flooded", *, spin: float | None = None, **array: Any) -> Any:
-    sensors = Sensors(Equipment(array=SonarArray(**array)))
+    sensors = Sensors(Equipment(array=SonarArray(**{"pitch": 0.0} | array)))
     gains = None if spin is None else load_gains("default").with_values({"spin": spin})
     every = findings(replace(scenario, sensors=sensors), load_vehicle(vehicle), gains=gains)
     return [(f.level, f.key) for f in every if f.key.startswith("sonar")]

@@ -108,11 +108,12 @@ def test_a_reflector_without_a_name_has_no_table() -> None:
 
 def test_lint_says_what_is_unhearable() -> None:
     boat = load_vehicle("sur400")
-    texts = {f.key: f.text for f in findings(pool(sonar={"echoes": "diffuse"}), boat)}
+    level = {"echoes": "diffuse", "pitch_deg": 0.0, "floor_m": 0.0}
+    texts = {f.key: f.text for f in findings(pool(sonar=level), boat)}
     assert "hears the water surface at 0.25 m" in texts["site.surface"] and "below -17.5" in texts["site.surface"]
     assert "hears the floor at 1.40 m" in texts["site.floor"]
-    tilted = {f.key for f in findings(pool(sonar={"echoes": "diffuse", "pitch_deg": -18.0}), boat)}
-    assert "site.surface" not in tilted
+    tilted = {f.key for f in findings(pool(sonar={"echoes": "diffuse"}), boat)}
+    assert not {"site.surface", "site.floor"} & tilted
     smooth = [f for f in findings(pool(sonar={"echoes": "specular"}), boat) if f.key == "sonar.echoes"]
     assert [f.level for f in smooth] == ["warning", "info"]
     assert "within 5° of their normal" in smooth[0].text and "Obstacle1 2.5 m" in smooth[1].text

@@ -36,7 +36,6 @@ SENSORS = {
             ),
             station=BaseStation(position_sd=0.02, velocity_sd=0.03, messages=LATE),
             own=OwnState(yaw_sd=0.02, rate_sd=0.001, fixes=LATE),
-            surface_model="specular",
             floor=1.5,
             search_limit=45.0,
         ),

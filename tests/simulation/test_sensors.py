@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import pi
+from math import degrees, pi
 from pathlib import Path
 
 import numpy as np
@@ -123,11 +123,26 @@ def test_a_wrong_angle_is_stated_in_degrees(tmp_path: Path, key: str, value: flo
         _loaded(tmp_path, f"[sonar]\n{key} = {value}\n")
 
 
-@pytest.mark.parametrize("floor", [0.1, 0.15])
-def test_a_floor_that_is_not_below_the_robot_is_refused(tmp_path: Path, floor: float) -> None:
-    with pytest.raises(InputError, match=r"goes down to z = -0\.15 m; give the depth .* above 0\.15 m") as caught:
-        _loaded(tmp_path, f"[sonar]\nfloor_m = {floor}\n")
+def test_a_floor_above_the_robot_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"goes down to z = -0\.15 m; give the depth .* at least 0\.15 m") as caught:
+        _loaded(tmp_path, "[sonar]\nfloor_m = 0.1\n")
     assert caught.value.key == "sonar.floor_m" and str(tmp_path) in str(caught.value)
+
+
+def test_by_default_the_law_knows_the_floor_of_the_site_and_hears_no_rough_water_surface(tmp_path: Path) -> None:
+    for line, floor, elevation in (
+        ("", 1.0, -18.0),
+        ("floor_m = 0", None, -18.0),
+        ("beam_deg = 30", 1.0, 0.0),
+        ("beam_deg = 50\npitch_deg = 4", 1.0, 4.0),
+    ):
+        equipment = _loaded(tmp_path, f"[sonar]\n{line}\n").equipment
+        assert equipment.floor == floor and degrees(equipment.array.elevation) == pytest.approx(elevation)
+
+
+def test_the_removed_key_of_the_surface_model_has_its_remedy(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"sonar\.surface_model = 'smooth': .* one law serves all surfaces; remove it"):
+        _loaded(tmp_path, '[sonar]\nsurface_model = "smooth"\n')
 
 
 @pytest.mark.parametrize(
@@ -137,11 +152,8 @@ def test_a_floor_that_is_not_below_the_robot_is_refused(tmp_path: Path, floor: f
         ("[[0.27, 0], [0, 0.27], [0.27, 0], [0, -0.27]]", r"mounts_m = \(0.27, 0.0\): sensor 2 .* of 180 degrees"),
     ],
 )
-@pytest.mark.parametrize("surfaces", ["smooth", "diffuse"])
-def test_mounts_that_a_hull_cannot_have_are_named_with_their_file(
-    tmp_path: Path, mounts: str, message: str, surfaces: str
-) -> None:
-    sensors = _loaded(tmp_path, f'[sonar]\nmounts_m = {mounts}\nsurface_model = "{surfaces}"')
+def test_mounts_that_a_hull_cannot_have_are_named_with_their_file(tmp_path: Path, mounts: str, message: str) -> None:
+    sensors = _loaded(tmp_path, f"[sonar]\nmounts_m = {mounts}")
     with pytest.raises(InputError, match=rf"scenario\.toml: sonar\.{message}"):
         sensors.on(0.27)
     with pytest.raises(InputError, match=rf"scenario\.toml: sonar\.{message}"):

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from surctl.sos import Certificate, Polynomial, Program, certify, is_semidefinite, monomials
+from surctl.sos import Certificate, Polynomial, certify, monomials
 from surctl.sos.polynomial import joined
 from surctl.verification.proving.squares import zeros_of
 
@@ -103,33 +103,8 @@ def test_irrational_zeros_restrict_the_squares() -> None:
     assert_proves(certify(target, zeros=zeros), target)
 
 
-def test_infeasible_and_empty_programs() -> None:
-    program = Program()
-    squares = program.squares([(), ((0, 1),)])
-    program.zero(squares + X**2 + 1)
-    assert program.solve() is None
-    with pytest.raises(ValueError, match="needs a number"):
-        program.minimise(squares)
+def test_no_proof_of_a_false_statement() -> None:
     assert certify(Polynomial({})) is not None
     assert certify(-1 * X**2) is None
     assert certify(X) is None
-
-
-def test_a_large_matrix_of_large_numbers_is_tested_exactly() -> None:
-    rng = np.random.default_rng(3)
-    root = rng.integers(-1000, 1000, size=(60, 60))
-    gram = (root.astype(object) @ root.T.astype(object) * 10**60).tolist()
-    assert is_semidefinite(gram)
-    gram[0][0] = gram[1][1] = 10**66
-    gram[0][1] = gram[1][0] = 10**66 + 1
-    assert not is_semidefinite(gram)
-
-
-@pytest.mark.parametrize("size", [2, 10])  # small matrices are not decomposed in floats first
-def test_a_nearly_singular_matrix_is_decided_by_its_exact_determinant(size: int) -> None:
-    many = 10**20
-    for last, positive in ((many + 2, False), (many + 3, True)):  # determinants -1 and 10^20 - 1, times the rest
-        matrix = [[many * (i == j) for j in range(size)] for i in range(size)]
-        matrix[0][1] = matrix[1][0] = many + 1
-        matrix[1][1] = last
-        assert is_semidefinite(matrix) is positive
+    assert certify(-1 - X**2) is None

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from surctl.errors import InputError
 from surctl.ir import Layout, Port
 from surctl.system import Controller, Plant, System, find_equilibrium, linearise, linearise_plant, run_system
+from surctl.system.linear_loop import LinearLoop, LoopNames
 from tests.system.examples import level, pendulum, pendulum_plant
 
 
@@ -44,6 +45,21 @@ def test_the_search_leaves_a_saturated_start() -> None:
     assert find_equilibrium(loop(50.0)).x == pytest.approx([50.0, 0.0])
     with pytest.raises(InputError, match=r"`v` still moves, and command `f` does not depend on the state there"):
         find_equilibrium(loop(1e7))
+
+
+def test_the_search_begins_in_the_box_where_zero_and_the_default_state_do_not_lead_to_an_equilibrium() -> None:
+    gap, speed, pull = Port("gap", (1,), "m", "of air"), Port("speed", (1,), "m/s", ""), Port("pull", (1,), "A", "")
+    magnet = Plant(
+        "magnet", Layout((gap, speed)), Layout((pull,)),
+        lambda x, f, d, p: {"gap": x["speed"], "speed": 9.81 - 1e-4 * (f["pull"] / x["gap"]) ** 2},
+    )  # fmt: skip
+    law = Controller(
+        "hold", 0.001, Layout((gap, speed)), Layout((pull,)),
+        lambda x, u, p: 0.01 * (9.81 / 1e-4) ** 0.5 + 800 * (u["gap"] - 0.01) + 20 * u["speed"],
+    )  # fmt: skip
+    with pytest.raises(InputError, match=r"begin near the equilibrium: start.gap=…"):
+        find_equilibrium(System(magnet, law))
+    assert find_equilibrium(System(magnet, law, within={"gap": (0.008, 0.013)})).x == pytest.approx([0.01, 0.0])
 
 
 @given(exponent=st.integers(-20, 6), size=st.floats(-12, 6))
@@ -139,3 +155,29 @@ def test_mistakes_in_openings_are_named() -> None:
         linearise(pendulum()).loop("torqe")
     with pytest.raises(InputError, match="opening: is missing"):
         linearise(pendulum()).loop()
+
+
+_SLOW, _TURN = 1.0 - 1e-7, [[np.cos(0.1), -np.sin(0.1)], [np.sin(0.1), np.cos(0.1)]]
+
+
+@pytest.mark.parametrize(
+    ("blocks", "stability", "states"),
+    [
+        ([[[0.5]], [[_SLOW]]], "stable", ()),
+        ([[[0.5]], [[1.0]], [[1.0]]], "marginal", ("b0", "c0")),  # two integrators
+        ([[[_SLOW]], [[1.0 + 5e-10]]], "marginal", ("b0",)),
+        ([_TURN, [[0.9]]], "marginal", ("a0", "a1")),  # an oscillation without damping
+        ([[[1.0, 0.1], [0.0, 0.5]]], "marginal", ("a0",)),
+        ([[[1.0, 0.1], [0.0, 1.0]], [[1.0]]], "UNSTABLE", ()),  # an integrator of an integrator
+        ([[[1.0]], [[1.001]]], "UNSTABLE", ()),
+    ],
+)
+def test_states_that_do_not_return_are_named_and_no_growing_loop_is_marginal(blocks, stability, states) -> None:
+    A = ca.diagcat(*map(ca.DM, blocks)).full()
+    n, names = len(A), tuple(f"{'abc'[k]}{i}" for k, block in enumerate(blocks) for i in range(len(block)))
+    change = np.linalg.qr(np.random.default_rng(1).normal(size=(n, n)))[0] if stability == "stable" else np.eye(n)
+    zero = np.zeros((n, 0))
+    plant = (change.T @ A @ change, zero, zero, zero.T, np.zeros((0, 0)))
+    law = (np.zeros((0, 0)),) * 6
+    loop = LinearLoop(plant, law, LoopNames("p", "c", names, (), (), (), ()), 0.1, sampled=True)
+    assert (loop.stability, loop.marginal) == (stability, states)

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from surctl.errors import InputError
-from surctl.priority import solve_least_distance
+from surctl.priority import Level, Row, build_problem, solve
 from surctl.tasks import Barrier, BrakingBarrier
 from tests.tasks.numbers import function, rows_at
 
@@ -37,9 +37,11 @@ def body_to_world(psi):
 
 
 def nearest_velocity(wanted, A, lower, upper):
-    found = solve_least_distance(np.asarray(wanted), A=np.array(A), lower=np.array(lower), upper=np.array(upper))
+    rows = [Row(f"row{i}", "actuator", *row) for i, row in enumerate(zip(A, lower, upper, strict=True))]
+    go = Level("go", np.eye(len(wanted)), np.asarray(wanted))
+    found = solve(build_problem([go], rows), mode="filter", backend="daqp")
     assert found.status == "optimal"
-    return found.x
+    return found.v
 
 
 @given(st.integers(0, 2**32 - 1))

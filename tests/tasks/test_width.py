@@ -8,7 +8,6 @@ import pytest
 
 from surctl.errors import InputError
 from surctl.priority import assemble, solve
-from surctl.priority.diagnosis import diagnose
 from surctl.tasks import (
     AccelerationLimit,
     Barrier,
@@ -84,7 +83,5 @@ def test_widths_that_do_not_fit_are_refused() -> None:
     np.testing.assert_allclose(at[1], [[rate * np.cos(1.0), -rate * np.sin(1.0), 0, 1]])
     turned = Task(name="wrist", eta=joints, sigma=joints[3], target=0.4, kinematics=np.eye(4))
     assert check_task(turned).rank == 1  # no heading, so a full turn may change its reference
-    with pytest.raises(InputError, match="not the pose x, y, z, psi"):
-        diagnose(Stack((turned,)), ([-1] * 4, [1] * 4))
     with pytest.raises(InputError, match="task heading: eta: is not an SX symbol of shape"):
         heading_task(eta, 0.0)  # entry 3 of a pose in six degrees of freedom is roll

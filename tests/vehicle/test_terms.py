@@ -195,7 +195,7 @@ def test_laws_know_the_drag_at_their_cruise_speed() -> None:
     same = plain.with_values({"Yv": plain["Yv"] + 0.8, "Nr": plain["Nr"] + 0.2})
     gains = load_gains("default").values
     there = cruise_loop(same, gains, cruise=0.4, dt=0.05)
-    np.testing.assert_allclose(cruise_loop(vehicle, gains, cruise=0.4, dt=0.05).direct[4], there.direct[4], rtol=1e-12)
+    np.testing.assert_allclose(cruise_loop(vehicle, gains, cruise=0.4, dt=0.05).law[1], there.law[1], rtol=1e-12)
     scenario = replace(load_scenario("tank-static"), cruise=0.4)
     numbers = [
         law_numbers(scenario, load_gains("default"), v)[PARAMETERS.slice("linear_drag")] for v in (vehicle, same)

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from surctl.errors import InputError
 from surctl.marine.vehicle import load_vehicle
-from surctl.marine.verification import LINEAR_METRICS, cruise_loop, linear_table, loop_margins
-from surctl.marine.verification.cruise_loop import LOOP_NAMES, POSE, THRUSTS
-from surctl.marine.verification.linear_table import LINEAR_PARAMETERS, STEP_NAMES, step_system
+from surctl.marine.verification import LINEAR_METRICS, cruise_loop, linear_table
+from surctl.marine.verification.linear_table import LINEAR_PARAMETERS, LOOP_NAMES
+from surctl.verification import system_margins
 
 GAINS = {"k1": 0.3, "k2": 0.3, "k_psi": 0.6, "k_r": 1.5, "k_v": 1.5, "lookahead": 1.2}
 VEHICLE = load_vehicle("sur540-flooded")
@@ -62,13 +62,13 @@ def test_margins_are_those_of_stability_margins_and_disk_margins(k: int) -> None
     one = cruise_loop(VEHICLE, row(VALUES, k), **ABOUT)
     if not one.stable:
         for name, nothing in (("gain_margin", 1), ("phase_margin_deg", 0), ("delay_margin_s", 0), ("disk_margin", 0)):
-            assert {whole()[f"{name}.{loop}"][k] for loop in LOOP_NAMES} | {whole()[name][k]} == {nothing}
+            assert {whole()[f"{name}.{loop}"][k] for loop in LOOP_NAMES.values()} | {whole()[name][k]} == {nothing}
         assert np.isinf(whole()["sensitivity_peak"][k]) and whole()["rejection_rad_per_s.yaw"][k] == 0
         assert np.isnan(whole()["crossover_rad_per_s.yaw"][k])
         return
     omega = np.geomspace(1e-4, np.pi / 0.05, 500)
-    places = [one.opened(signal) for signal in (*THRUSTS, *POSE)]
-    for name, loop in zip(LOOP_NAMES, places, strict=True):
+    places = [one.opened(signal) for signal in LOOP_NAMES]
+    for name, loop in zip(LOOP_NAMES.values(), places, strict=True):
         system = control.ss(*loop, ABOUT["dt"])
         found = control.stability_margins(control.frd(system, omega, smooth=True), returnall=True)
         gain, phase, at_phase = found[0], found[1], found[4]
@@ -100,29 +100,23 @@ def test_margins_are_those_of_stability_margins_and_disk_margins(k: int) -> None
 @pytest.mark.parametrize("k", [0, 1, 2, 7])
 def test_step_responses_are_those_of_step_info(k: int) -> None:
     one = cruise_loop(VEHICLE, row(VALUES, k), **ABOUT)
-    for name in STEP_NAMES:
-        settling, overshoot = whole()[f"settling_time_s.{name}"][k], whole()[f"overshoot.{name}"][k]
+    for signal in ("x", "y", "psi"):
+        settling, overshoot = (whole()[f"{name}.{LOOP_NAMES[signal]}"][k] for name in ("settling_time_s", "overshoot"))
         if not one.stable:
             assert settling == overshoot == np.inf
             continue
-        A, b, c = step_system(one, name)
-        time = ABOUT["dt"] * np.arange(1.5 * settling / ABOUT["dt"])
-        # minimal: blocks that this step does not reach leave integrators that are slow to no effect
-        told = control.step_response(control.ss(A, b, c, 0, ABOUT["dt"]), time)
-        final = float(np.real(control.evalfr(control.ss(A, b, c, 0, ABOUT["dt"]), np.exp(1e-9j))))
-        info = control.step_info(told.outputs, told.time, yfinal=final)
-        assert settling == pytest.approx(info["SettlingTime"], rel=5e-3, abs=2 * time[1])
-        at = int(np.clip(np.argmax(told.outputs / final), 1, len(time) - 2))
-        bend, slope, middle = np.polyfit([-1.0, 0.0, 1.0], told.outputs[at - 1 : at + 2] / final, 2)
-        between = middle - slope**2 / (4 * bend) if bend < 0 else middle  # the peak is between two control instants
-        assert overshoot == pytest.approx(max(info["Overshoot"] / 100, between - 1), abs=1e-3)
+        A, B, C, D = one.transferred([f"measured.{signal}"], [f"measured.{signal}"])
+        closed = control.ss(A, B, C, D, ABOUT["dt"])
+        info = control.step_info(closed, T=ABOUT["dt"] * np.arange(2 * settling / ABOUT["dt"]))
+        assert settling == pytest.approx(info["SettlingTime"], abs=1.5 * ABOUT["dt"])
+        assert overshoot == pytest.approx(info["Overshoot"] / 100, abs=1e-3)
 
 
 def test_the_table_and_the_margins_of_one_point_are_one() -> None:
     for k in range(2):
-        for m in loop_margins(VEHICLE, row(VALUES, k), **ABOUT):
-            assert whole()[f"disk_margin.{m.name}"][k] == pytest.approx(m.disk_margin, rel=1e-9)
-            assert whole()[f"delay_margin_s.{m.name}"][k] == pytest.approx(m.delay_margin_s, rel=1e-9)
+        for m in system_margins(cruise_loop(VEHICLE, row(VALUES, k), **ABOUT), *LOOP_NAMES):
+            assert whole()[f"disk_margin.{LOOP_NAMES[m.name]}"][k] == pytest.approx(m.disk_margin, rel=1e-9)
+            assert whole()[f"delay_margin_s.{LOOP_NAMES[m.name]}"][k] == pytest.approx(m.delay_margin_s, rel=1e-9)
 
 
 def test_knobs_of_the_plant_leave_the_model_alone() -> None:

@@ -24,15 +24,9 @@ def test_every_row_holds_the_poles_of_its_value(knob: str) -> None:
         np.testing.assert_allclose(np.sort_complex(poles), np.sort_complex(expected), atol=1e-6)
 
 
-def test_poles_are_followed_and_instability_is_seen() -> None:
-    locus = sweep_locus(VEHICLE, GAINS, "k_psi", np.linspace(0.2, 6.0, 300), **ABOUT)
-    step = np.abs(np.diff(locus.poles, axis=0)).max()
-    sizes = np.sort(np.abs(locus.poles), axis=1)
-    assert step < 1.0 < np.ptp(sizes)
-    assert locus.stable[0] and not locus.stable[-1]
-    # a pair that crosses the boundary keeps its two columns
-    crossed = (locus.poles[0].real < 0) & (locus.poles[-1].real > 0)
-    assert crossed.sum() == 2
+def test_instability_is_seen() -> None:
+    stable = sweep_locus(VEHICLE, GAINS, "k_psi", np.linspace(0.2, 6.0, 30), **ABOUT).stable
+    assert stable[0] and not stable[-1]
 
 
 def test_it_is_drawn_about_a_point() -> None:
@@ -43,19 +37,6 @@ def test_it_is_drawn_about_a_point() -> None:
         gains = {**GAINS, "k_r": 0.8, "k_v": value}
         expected = sweep_locus(plant, gains, "k_v", [value, 9.0], cruise=0.2, dt=0.05, model=VEHICLE).poles[0]
         np.testing.assert_allclose(np.sort_complex(poles), np.sort_complex(expected), atol=1e-9)
-
-
-def test_where_poles_part_there_are_more_values() -> None:
-    values = np.linspace(0.5, 3.0, 21)
-    rough, fine = (sweep_locus(VEHICLE, GAINS, "k_v", values, **ABOUT, smooth=s) for s in (np.inf, 0.05))
-    assert set(values) < set(fine.values.tolist()) and np.all(np.diff(fine.values) > 0)
-    assert np.array_equal(np.sort_complex(fine.poles[np.isin(fine.values, values)]), np.sort_complex(rough.poles))
-
-    def furthest(poles: np.ndarray) -> float:
-        return float((np.abs(np.diff(poles, axis=0)) / np.abs(poles[1:])).max())
-
-    assert furthest(rough.poles) > 0.3 and furthest(fine.poles) < 0.06
-    assert len(fine.values) < 200, "only where it is rough"
 
 
 @pytest.mark.parametrize(

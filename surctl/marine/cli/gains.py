@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from surctl.marine.simulation import SafetyClaim
     from surctl.marine.tuning import Derivation
     from surctl.marine.vehicle import Vehicle
-    from surctl.marine.verification.linear import SlowMargins
+    from surctl.marine.verification.speeds import OverSpeeds
     from surctl.verification import Inapplicable
 
 _SPEED = FiniteRange(min=0, max=100, min_open=True)
@@ -97,11 +97,11 @@ def derive(
     )  # fmt: skip
 
 
-def _slow(vehicle: Vehicle, derivation: Derivation) -> SlowMargins | None:
+def _slow(vehicle: Vehicle, derivation: Derivation) -> OverSpeeds | None:
     """Return the least margins of the gains from rest to the cruise speed; None for a law that steers."""
     from surctl.marine.control import default_law
     from surctl.marine.verification.cruise_loop import has_cruise_loop
-    from surctl.marine.verification.linear import slow_margins
+    from surctl.marine.verification.speeds import slow_margins
 
     law = default_law(vehicle)
     if not has_cruise_loop(law, "los"):

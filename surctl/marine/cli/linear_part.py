@@ -53,51 +53,46 @@ def linear_part(assessment: Assessment, mission: Mission) -> LinearPart:
             word = why
         unjudged: dict[str, Any] = {"margins": [], "linear": {key: why}}
         return LinearPart([f"margins: {word}"], unjudged, None, mission.cruise, assessment)
-    lines, linear, peak = _law_lines(loop, mission) if loop.law is not None else _cruise_lines(loop, mission)
-    if loop.motion:
-        lines.append(f"  {loop.motion}")
-        linear["motion"] = loop.motion
+    lines, linear, peak = _loop_lines(loop, mission)
     data: dict[str, Any] = {"margins": [m.to_dict() for m in loop.margins], "linear": linear}
     source = law_source(mission.law_ref)
-    if loop.law is not None and source.scans and "sonar" in source.sensing:
+    if loop.mode is None and source.scans and "sonar" in source.sensing:
         further, data["by_sonar"] = _by_sonar(mission)
         lines += further
     return LinearPart(lines, data, loop.stable, mission.cruise, assessment, peak)
 
 
-def _law_lines(loop: LoopAnalysis, mission: Mission) -> tuple[list[str], dict[str, Any], float]:
-    assert loop.law is not None  # the caller asked
-    return [f"margins of {mission.vehicle.name}:", *loop.law.lines()], loop.law.to_dict(), math.inf
+def _loop_lines(loop: LoopAnalysis, mission: Mission) -> tuple[list[str], dict[str, Any], float]:
+    from surctl.marine.verification.corners import corners
+    from surctl.marine.verification.linear import slowest_mode
+    from surctl.tuning.loop_responses import sensitivity_curves
 
-
-def _cruise_lines(loop: LoopAnalysis, mission: Mission) -> tuple[list[str], dict[str, Any], float]:
-    import numpy as np
-
-    from surctl.marine.verification import cruise_loop
-    from surctl.marine.verification.linear import DISK_PLACES, open_loop, slowest_mode
-    from surctl.verification.linear import sensitivity_of
-
-    vehicle, gains, dt = mission.vehicle, mission.gains.values, mission.period
-    nominal, worst, mode = *loop.sides, loop.mode
-    assert mode is not None  # the analysis is that of a cruise
-    lines = list(mode.lines())
-    if not nominal.stable:
-        lines.append(
-            "  the kinematic claims assume that the vehicle follows the commanded velocity, but this loop is unstable"
-        )
-    law = mission.law_ref
-    nominal_loop = cruise_loop(vehicle, gains, cruise=loop.cruise, dt=dt, law=law)
-    shown = DISK_PLACES[:2] if nominal_loop.stable else ()
-    curves = [sensitivity_of(open_loop(nominal_loop, place), place, highest=np.pi / dt) for place in shown]
+    loops, nominal, vehicle = loop.loops, loop.nominal, mission.vehicle
+    assert loops is not None  # the caller asked
+    lines, data = [f"{nominal.head}, {vehicle.name}:", *loops.lines(), *nominal.notes()], loops.to_dict()
+    curves = []
+    for place, signals in nominal.linear.places.items() if nominal.stable else ():
+        omega, S, T = sensitivity_curves(nominal.linear, signals)
+        curves.append({"place": place, "omega_rad_s": omega.tolist(), "S": S.tolist(), "T": T.tolist(),
+                       "peak_S": float(S.max()), "peak_T": float(T.max())})  # fmt: skip
     if curves:
-        peaks = "; ".join(f"S {c.S.max():.2f}, T {c.T.max():.2f} ({c.place})" for c in curves)
+        peaks = "; ".join(f"S {c['peak_S']:.2f}, T {c['peak_T']:.2f} ({c['place']})" for c in curves)
         lines.append(f"  largest sensitivity of all loops together: {peaks}")
-    lines += [*nominal.lines(), *(worst.lines() if worst.corner else [])]
-    if not worst.stable and worst.at not in (None, vehicle):
-        lines += slowest_mode(worst.at, gains, cruise=loop.cruise, dt=dt, model=vehicle, law=law).remedy_lines()
-    data = {"nominal": nominal.to_dict(), "worst": worst.to_dict(), "mode": mode.to_dict()}
-    peak = max((float(c.S.max()) for c in curves), default=math.inf)
-    return lines, data | {"sensitivity": [c.to_dict() for c in curves]}, peak
+    data["sensitivity"] = curves
+    if loop.mode is not None:
+        lines += loop.mode.lines()
+        data["mode"] = loop.mode.to_dict()
+        worst = corners(vehicle, mission.uncertainty).vehicle(loops.corner)
+        if not nominal.stable:
+            claims = "the kinematic claims assume that the vehicle follows the commanded velocity"
+            lines.append(f"  {claims}, but this loop is unstable")
+        elif not loops.stable:
+            about: dict[str, Any] = {"dt": mission.period, "model": vehicle, "law": mission.law_ref}
+            lines += slowest_mode(worst, mission.gains.values, cruise=loop.cruise, **about).remedy_lines()
+    if loop.motion:
+        lines.append(f"  {loop.motion}")
+        data["motion"] = loop.motion
+    return lines, data, max((c["peak_S"] for c in curves), default=math.inf)
 
 
 def _by_sonar(mission: Mission) -> tuple[list[str], list[dict[str, Any]]]:
@@ -139,15 +134,16 @@ def speed_lines(
     Speeds are in m/s. A warning is printed if the speed limit `cap` [m/s] exceeds one of these speeds.
     """
     from surctl.ir.cache import stored_numbers
-    from surctl.marine.verification.linear import bearable_speed, corners, margin_speed
+    from surctl.marine.verification.corners import corners
+    from surctl.marine.verification.linear import bearable_speed
     from surctl.verification.linear import LEAST_DISK_MARGIN
 
     tried = corners(vehicle, uncertainty or None)
 
     def searched() -> dict[str, float]:
-        nominal = bearable_speed(vehicle, gains, dt=dt, law=law)
-        stable = margin_speed(tried, gains, dt=dt, highest=nominal, least=0.0, law=law)
-        robust = margin_speed(tried, gains, dt=dt, highest=stable, law=law)
+        nominal = bearable_speed(tried.alone, gains, dt=dt, law=law)
+        stable = bearable_speed(tried, gains, dt=dt, law=law)
+        robust = bearable_speed(tried, gains, dt=dt, law=law, least=LEAST_DISK_MARGIN)
         return {"nominal_stable": nominal, "stable": stable, "with_margin": robust, "disk_margin": LEAST_DISK_MARGIN}
 
     key = ([each.digest() for each in tried.vehicles], sorted(gains.items()), dt, law)

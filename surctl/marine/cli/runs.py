@@ -11,13 +11,14 @@ from typing import TYPE_CHECKING, Any
 import click
 from click.core import ParameterSource
 
-from surctl.cli.output import FILE, Count, finish, progress, same_command, saving, stoppable, together
+from surctl.cli.output import FILE, Count, finish, prepare_out, progress, same_command, saving, stoppable, together
 from surctl.cli.simulate import Ran, conduct_runs
 from surctl.errors import InputError
 from surctl.marine.cli.robot_options import RobotOptions, choose_gains, choose_vehicle
 
 if TYPE_CHECKING:
     from surctl.marine.cli.sensor_options import SensorOptions
+    from surctl.marine.control import Gains, Law
     from surctl.marine.simulation import Case, Run, SafetyClaim
     from surctl.marine.simulation.campaign.campaign import Campaign
     from surctl.marine.simulation.campaign.worlds import Plan
@@ -62,7 +63,8 @@ def activity_line(run: Run) -> str:
 def series_lines(runs: Sequence[Mapping[str, Any]]) -> list[str]:
     """Return at most five lines about runs of one scenario that differ in the seed.
 
-    The lines name two runs that collide or do not arrive, and a low margin of the linear loop, which all runs share.
+    The lines name two runs that collide or do not arrive, and what all runs share: echoes that hide obstacles, or else
+    a low margin of the linear loop.
     """
 
     times = [run["time_s"] for run in runs if run["reached"]]
@@ -81,7 +83,9 @@ def series_lines(runs: Sequence[Mapping[str, Any]]) -> list[str]:
         for run in failing[:2]
     ]
     linear = worst["linear"] or {}
-    if not linear.get("stable", True):
+    if worst.get("echo_warnings"):
+        lines.append(f"  {worst['echo_warnings'][0]}")
+    elif not linear.get("stable", True):
         lines.append("  the linear loop at this speed is unstable")
     elif linear.get("short"):
         lines.append(f"  the linear loop has {linear['short']}")
@@ -90,62 +94,52 @@ def series_lines(runs: Sequence[Mapping[str, Any]]) -> list[str]:
 
 def loop_lines_of_run(run: Run, result: dict[str, Any]) -> list[str]:
     """Add to `result` whether the linear loop at cruise speed is stable; return lines to print if its margin is low."""
-    from surctl.marine.control import law_source
-    from surctl.marine.verification import law_loop
-
-    speed, result["linear"] = run.scenario.fastest, None
-    if law_source(run.law.ref).steering is not None:
-        try:
-            loop = law_loop(run.law, run.vehicle, run.gains, cruise=speed)
-        except InputError:  # the thrust cannot hold this speed; lint reports it
-            return []
-        result["linear"] = {"cruise_m_per_s": loop.cruise, "stable": loop.stable, "sampled": loop.to_dict()}
-        return [] if loop.stable else ["  the linear loop at this speed is unstable:", f"    {loop.lines()[0]}"]
     attitude = run.attitude
     result["linear"], lines = linear_warning(
-        run.vehicle, run.gains.values, cruise=speed, dt=run.law.dt, law=run.law.ref, guidance=run.law.guidance,
+        run.vehicle, run.gains, run.law, cruise=run.scenario.fastest,
         crab="" if attitude is None else f", mean crab angle {attitude.crab_angle_deg:.0f} deg",
     )  # fmt: skip
     return lines
 
 
 def linear_warning(
-    vehicle: Vehicle,
-    gains: Mapping[str, float],
-    *,
-    cruise: float,
-    dt: float,
-    law: str,
-    guidance: str,
-    model: Vehicle | None = None,
-    crab: str = "",
+    vehicle: Vehicle, gains: Gains, law: Law, *, cruise: float, model: Vehicle | None = None, crab: str = ""
 ) -> tuple[dict[str, Any] | None, list[str]]:
     """Return the stability and the margins of the linear loop of a run as data, and lines about a defect.
 
     There are lines if the loop is unstable, or if a margin at the worst corner is below the least one. The data is
-    None if the law has no linear loop, or if the thrust cannot hold the speed (which lint reports). `crab` is appended
-    to the first line.
+    None if the law has no linear loop about a cruise, or if the thrust cannot hold the speed (which lint reports).
+    `crab` is appended to the first line.
     """
+    from surctl.marine.control import law_source
+    from surctl.marine.verification import law_corners
+    from surctl.marine.verification.corners import corners
     from surctl.marine.verification.cruise_loop import has_cruise_loop
-    from surctl.marine.verification.linear import corner_margin, slowest_mode
+    from surctl.marine.verification.linear import cruise_corners, slowest_mode
 
-    if not has_cruise_loop(law, guidance):
+    steered = law_source(law.ref).steering is not None
+    if not (steered or has_cruise_loop(law.ref, law.guidance)):
         return None, []
+    about: dict[str, Any] = {"cruise": cruise, "dt": law.dt, "model": model, "law": law.ref}
     try:
-        least = corner_margin(vehicle, gains, cruise=cruise, dt=dt, model=model, law=law)
+        if steered:
+            least = law_corners(law, vehicle, gains, cruise=cruise)
+        else:
+            least = cruise_corners(corners(vehicle), gains.values, proved=False, **about)
     except InputError:
         return None, []
-    data: dict[str, Any] = {"cruise_m_per_s": cruise, "stable": True, "disk_margin": least.margin}
+    stable = least.nominal.stable
+    data: dict[str, Any] = {"cruise_m_per_s": cruise, "stable": stable, "disk_margin": least.disk}
     data |= {"corner": least.corner, "delay_margin_s": least.delay.delay_s, "short": least.short}
     if least.enough:
         return data, []
-    mode = slowest_mode(vehicle, gains, cruise=cruise, dt=dt, model=model, law=law)
-    data |= {"stable": mode.stable, "mode": mode.to_dict()}
-    if mode.stable:
-        word = f"has {least.short}" if least.margin > 0 else f"is unstable at {least.corner}"
+    mode = None if steered else slowest_mode(vehicle, gains.values, **about)
+    data["mode"] = None if mode is None else mode.to_dict()
+    if stable:
+        word = f"has {least.short}" if least.disk > 0 else f"is unstable at {least.corner}"
         return data, [f"  the linear loop at this speed {word}{crab}"]
-    head = f"  the linear loop at this speed is unstable{crab}:"
-    return data, [head, *(f"    {line.strip()}" for line in mode.lines())]
+    lines = [] if mode is None else [f"    {line.strip()}" for line in mode.lines()]
+    return data, [f"  the linear loop at this speed is unstable{crab}{':' if lines else ''}", *lines]
 
 
 @dataclass(frozen=True)
@@ -181,12 +175,15 @@ class RunOutput:
             link: report of what computed its control steps in place of the law, or None.
         """
         from surctl.marine.simulation import save_record
+        from surctl.marine.simulation.echo_fit import level_findings
         from surctl.marine.simulation.explanation import failure, stop_reason
 
         first = head or run_line(run)
         weak = loop_lines_of_run(run, data)
-        brief = [first, *(f"warning: {line.strip(' :')}" for line in weak[:1])]
-        lines = [first, activity_line(run), *middle, *weak]
+        echoes = level_findings(run.scenario, run.vehicle) if run.sensing == "sonar" else []
+        data["echo_warnings"] = [one.text for one in echoes]
+        brief = [first, *(f"warning: {text.strip(' :')}" for text in (*data["echo_warnings"], *weak[:1]))]
+        lines = [first, activity_line(run), *middle, *(f"  {text}" for text in data["echo_warnings"]), *weak]
         if reason := stop_reason(run):
             data["stop_reason"] = reason
             brief.append(f"{run.metrics.stopped_because}: {reason}")
@@ -380,9 +377,8 @@ class CampaignOptions:
             reports[-1]["vehicle_from"] = choice.origin
             case = plan.case  # with the unchanged scenario and vehicle
             reports[-1]["linear"], warning = linear_warning(
-                case.vehicle, case.gains.values, cruise=case.scenario.cruise, dt=case.build().dt, law=case.law,
-                guidance=case.guidance, model=case.model,
-            )  # fmt: skip
+                case.vehicle, case.gains, case.build(), cruise=case.scenario.cruise, model=case.model
+            )
             lines += [choice.line(plan.case.vehicle.name), *_lines(campaign, files, worst), *warning]
             counts = campaign.summary.stopped
             ends = [f"{one.count} {name}" for name, one in counts.items() if one.count]
@@ -469,7 +465,6 @@ def simulate_again(path: Path, show: RunOutput, *, trust: bool, as_json: bool) -
 
     The exit status is 1 if the result differs from the campaign or if the run does not arrive.
     """
-    from surctl.files import prepare_folder
     from surctl.marine.simulation.campaign.campaign import load_replay
 
     context = click.get_current_context()
@@ -481,7 +476,7 @@ def simulate_again(path: Path, show: RunOutput, *, trust: bool, as_json: bool) -
             remedy = f"drop {what}, or edit the file"
             raise InputError(f"already sets {what}", key="--from", value=str(path), remedy=remedy)
     if show.out is not None:
-        prepare_folder(show.out)
+        prepare_out(show.out)
     replay = load_replay(path, trust=trust)
 
     def again() -> Iterator[Ran]:

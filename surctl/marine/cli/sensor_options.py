@@ -177,7 +177,7 @@ def sensor_data(scenario: Scenario) -> dict[str, Any]:
     reflectors = scenario.reflectors.tables() | ({"obstacles": own} if own else {})
     return {
         "beam_deg": degrees(sensors.equipment.array.beam_angle),
-        "pitch_deg": degrees(sensors.equipment.array.pitch),
+        "pitch_deg": degrees(sensors.equipment.array.elevation),
         "echoes": sensors.echo_model,
         "reflectors": {name: table for name, table in reflectors.items() if table},
         "own_state": "truth" if sensors.equipment.own is None else "measured",

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from surctl.cli.output import Count, collected
+from surctl.cli.output import Count, collected, prepare_out
 from surctl.cli.simulate import Ran, check_save, conduct_runs
 from surctl.errors import InputError
 from surctl.marine.cli.robot_options import (
@@ -120,7 +120,7 @@ def simulate(
 
     _check_save(save, frame, out=out, campaign=campaign.any)
     if out is not None:
-        prepare_folder(out)
+        (prepare_folder if campaign.any else prepare_out)(out)
     names = [load_scenario(name).vehicle for name in words] if robot.vehicle is None else [robot.vehicle]
     law, above = choose_law(robot.law, [load_vehicle(name) for name in names])
     own = law_source(law).gains

@@ -33,8 +33,7 @@ if TYPE_CHECKING:
     from surctl.marine.verification.linear_table import Locus
     from surctl.tuning import SobolIndices, SweepTable
 
-_LOCUS = 61  # number of parameter values at which poles are computed
-_SMOOTH = 0.02  # parameter values are added where a pole moves further than this share of its modulus
+_LOCUS = 401  # number of parameter values at which poles are computed
 _PRINTED = (  # columns of the text output
     "deviation_m", "path_error_m", "time_s", "min_clearance_m_worst", "effort_n", "delay_margin_s", "disk_margin",
     "disk_margin_at_m_per_s", "reached_worst", "score", "feasible",
@@ -243,7 +242,6 @@ def _locus(
         cruise=max(c.scenario.cruise for c in cases if c.vehicle == first.vehicle),
         dt=first.build().dt,
         model=first.model,
-        smooth=_SMOOTH,
         about=at,
         law=first.law if has_cruise_loop(first.law, "los") else TRACKING_LAW,
     )

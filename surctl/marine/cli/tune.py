@@ -267,12 +267,16 @@ def check_goal_cases(goals: Sequence[Goal], plan: Plan, file: str) -> None:
 
 def caps(cases: Sequence[Case], gains: Mapping[str, float]) -> list[str]:
     """Return one line for each vehicle whose speed limit exceeds the largest speed with a stable linear loop."""
+    from surctl.marine.verification.corners import corners
     from surctl.marine.verification.cruise_loop import has_cruise_loop
-    from surctl.marine.verification.linear import cap_above_bearable
+    from surctl.marine.verification.linear import bearable_speed, cap_above
 
     distinct = {(c.vehicle.name, c.scenario.cap): c for c in cases if has_cruise_loop(c.law, c.guidance)}
     texts = (
-        cap_above_bearable(c.vehicle, gains, cap=c.scenario.cap, dt=c.build().dt, law=c.law) for c in distinct.values()
+        cap_above(
+            c.vehicle, bearable_speed(corners(c.vehicle).alone, gains, dt=c.build().dt, law=c.law), cap=c.scenario.cap
+        )
+        for c in distinct.values()
     )
     return [f"warning: {line}" for line in texts if line is not None]
 

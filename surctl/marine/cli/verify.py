@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from surctl.cli.output import FiniteRange, finish, progress, refusal_line, saving
+from surctl.cli.output import FiniteRange, finish, prepare_out, progress, refusal_line, saving
 from surctl.cli.verify import Claimed, decide_claims, failed_lines, next_check, refused
 from surctl.errors import InputError
 from surctl.marine.cli.claims import (
@@ -108,8 +108,8 @@ def verify(
     The claim mission says that the robot stays near the scenario's path; mission:REGION uses the region claim REGION.
 
     surctl linearises the closed loop about straight cruise (with --law: about the law's steady motion), and prints
-    margins, poles, slowest mode, stable speeds and control periods, for the nominal and the worst vehicle within
-    --uncertainty or the vehicle's ranges. surctl list shows region and braking claims, which are checked only if you
+    margins, poles, slowest mode and stable speeds, for the nominal and the worst vehicle within --uncertainty or the
+    vehicle's ranges. surctl list shows region and braking claims, which are checked only if you
     name them. The key kind of a claim file is claim (an inequality; --show prints examples), region (a region claim
     with ranges of your own), lyapunov or barrier (a region of attraction or a barrier of dynamics in the file). Exit
     status: 1 if a verdict is not the expected one, a named claim is not applicable, or a margin or no-contact claim
@@ -121,7 +121,6 @@ def verify(
     Examples: surctl verify --out proofs; surctl verify region-cruise-20 claim.toml; surctl verify loop.py:build k=2
     """
     from surctl.assessment import assess
-    from surctl.files import prepare_folder
     from surctl.marine.assessment import Mission
     from surctl.marine.control import PATH_FOLLOWING, build_law, law_source
     from surctl.marine.simulation import load_scenario
@@ -155,7 +154,7 @@ def verify(
         _show(chosen, regions, [*missions, *braking], left_out, as_json=as_json)
     check_held(cruise or (), robot, cap=speeds[1], key="--cruise")
     if out is not None:
-        prepare_folder(out)
+        prepare_out(out)
     require_own_speeds(regions, fastest, cap)
     check_barrier(barrier, movers)
     forms = {"barrier": barrier, "movers": movers}

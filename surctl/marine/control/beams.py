@@ -78,32 +78,24 @@ class Expected(NamedTuple):
 
     def where(self, placed: ca.SX, nothing: float) -> Expected:
         """Return a copy in which the walls give the range `nothing` [m] unless `placed` is 1."""
-        walls = ca.if_else(placed, self.walls, nothing)
-        if self.possible is self.walls:
-            return Expected(walls, self.things, walls, walls)
-        sure, possible = (ca.if_else(placed, one, nothing) for one in (self.sure, self.possible))
+        walls, sure, possible = (ca.if_else(placed, one, nothing) for one in (self.walls, self.sure, self.possible))
         return Expected(walls, self.things, sure, possible)
 
     def unexplained(self, reading: ca.SX, sensor: int) -> ca.SX:
         """Return whether no wall and no known obstacle explains an echo at the range `reading` [m]."""
         nearer: ca.SX = reading < ca.fmin(self.possible[sensor], self.things[sensor]) - _TOLERANCE
-        if self.possible is self.walls:
-            return nearer
         # the nearest point of the walls may answer too, if a wall is less smooth than assumed
         off = ca.fabs(reading - self.walls[sensor])
         return ca.logic_and(nearer, off > _TOLERANCE)
 
 
-def expected(
-    array: SonarArray, around: StepState, apexes: Sequence[ca.SX], p: Mapping[str, ca.SX], *, smooth: bool
-) -> Expected:
+def expected(array: SonarArray, around: StepState, apexes: Sequence[ca.SX], p: Mapping[str, ca.SX]) -> Expected:
     """Return the range [m] that each sonar should measure, for echoes of the walls and of moving obstacles."""
     far = ca.SX([-1e3, 1e3, -1e3, 1e3])
     none = ca.SX(0, 3), ca.SX(0, 1)
     discs = (around.movers[:, :3], around.movers[:, 5])
-    angles: tuple[float, ...] = (SURE, POSSIBLE) if smooth else ()
     scenes: list[tuple[ca.SX, tuple[ca.SX, ca.SX], float | None]] = [(p["walls"], none, None), (far, discs, None)]
-    scenes += [(p["walls"], none, angle) for angle in angles]
+    scenes += [(p["walls"], none, angle) for angle in (SURE, POSSIBLE)]
 
     def ranges(half: float, axis: ca.SX, apex: ca.SX) -> tuple[ca.SX]:
         beam = {"azimuth": 0.0, "hull_radius": 0.0, "half_angle": half, "maximum": array.maximum}
@@ -126,8 +118,7 @@ def expected(
         )[0]
         tables.append(table)
     every = ca.vertcat(*tables)
-    walls = every[:, 0]
-    return Expected(walls, every[:, 1], *((every[:, 2], every[:, 3]) if smooth else (walls, walls)))
+    return Expected(*(every[:, k] for k in range(4)))
 
 
 def corrected(array: SonarArray, samples: ca.SX) -> ca.SX:

@@ -443,8 +443,7 @@ def _decide(
             layer_depth, aimed = aimed_depth(xs, eta, nu, us["column"], ps)
             parameters = {**ps, "depth": aimed}
         perceived = perceive(xs, us, ps, dt=dt) if source.perceive is None else perceived_by(source, us, ps, chosen.law)
-        smooth = chosen.equipment.surface_model != "diffuse"
-        scan = Scan(us["unknown"], us["sonars"], us["placed"], us["echoed"], smooth) if scans else None
+        scan = Scan(us["unknown"], us["sonars"], us["placed"], us["echoed"]) if scans else None
         situation = Situation(
             avoidance, desired, perceived, xs, eta, nu, parameters, dt, scan, moving, barrier, movers, steering
         )

@@ -149,16 +149,12 @@ class Decision:
 
 
 class Scan(NamedTuple):
-    """The inputs, except obstacle points, of a law with a sonar map; see `ports.scan_inputs`.
-
-    `smooth` is True if obstacles answer near their normal only.
-    """
+    """The inputs, except obstacle points, of a law with a sonar map; see `ports.scan_inputs`."""
 
     unknown: ca.SX
     sonars: ca.SX
     placed: ca.SX
     echoed: ca.SX
-    smooth: bool = False
 
 
 class Situation(NamedTuple):
@@ -194,15 +190,15 @@ def lower_levels(
     scans nothing. While the robot does not know its position, its commanded depth
     rate is 0.
 
-    If obstacles are smooth (`Scan.smooth`), the robot turns to the left while it passes an obstacle on its right
-    (`side` 1), and to the right while it passes one on its left: each beam then sweeps past the obstacle from back to
-    front. In the other sense, the obstacle's end passes unheard through the gap between two beams.
+    The robot turns to the left while it passes an obstacle on its right (`side` 1), and to the right while it passes
+    one on its left: each beam then sweeps past the obstacle from back to front. In the other sense, the end of a smooth
+    obstacle, which answers near its normal only, passes unheard through the gap between two beams.
     """
     depth = TaskLevel.of(depth_task(eta, p["depth"], gain=p["k2"]))
     if scan is None:
         return depth, TaskLevel.of(heading_task(eta, desired.heading, gain=p["k_psi"]))
     turning = ca.if_else(scan.echoed, ca.fmin(ca.fmax(p["spin_limit"], -p["spin"]), p["spin"]), 0)
-    if scan.smooth and side is not None:
+    if side is not None:
         turning = ca.if_else(side == 0, turning, side * ca.fabs(turning))
     depth = depth._replace(reference=ca.if_else(scan.placed, depth.reference, 0))
     return depth, TaskLevel("scan", ca.SX([[0, 0, 0, 1]]), turning, "rad/s")

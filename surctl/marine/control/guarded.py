@@ -101,7 +101,7 @@ def guarded_law(s: Situation, calm: float | None = None) -> Decision:
         acceleration=p["brake"] * weakest_acceleration(p),
         slower=slower,
         # with smoothed commands more runs touch (study 33)
-        keeps=x["stalled"] < _RETURNS if scan is not None and scan.smooth and calm is None else None,
+        keeps=x["stalled"] < _RETURNS if scan is not None and calm is None else None,
     )
     velocity, stopped, memory = choice.velocity, ca.SX(0), {}
     bounds = [(sector.normal, sector.bound) for sector in sectors]
@@ -141,8 +141,7 @@ def guarded_law(s: Situation, calm: float | None = None) -> Decision:
         if calm is not None:
             brake = partial(brake, brake=ca.if_else(away, BRAKE, BRAKE_AT_START), hard=HARD)
         velocity = brake(velocity, over_ground, bounds[:marks])
-        yields = ca.logic_not(chased) if scan.smooth else None
-        velocity = brake(velocity, over_ground, [*bounds[marks:], *firm], yields=yields)
+        velocity = brake(velocity, over_ground, [*bounds[marks:], *firm], yields=ca.logic_not(chased))
         # the walls' normals are at right angles, so one projection after the other is exact
         for sector in sectors[-len(perceived.walls) :]:
             velocity -= ca.fmax(ca.dot(velocity, sector.normal) - sector.bound, 0) * sector.normal

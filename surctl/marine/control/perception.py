@@ -274,12 +274,7 @@ class _Builder:
     def _map(self) -> LocalMap:
         array = self.equipment.array
         slots = min(array.size, ceil(self.dt / array.firing_period - 1e-9))
-        smooth, specular = (self.equipment.surface_model == model for model in ("smooth", "specular"))
-        return LocalMap(dt=self.dt, slots=slots, sectors=SECTORS, smooth=smooth, specular=specular)
-
-    @property
-    def _smooth(self) -> bool:
-        return self.equipment.surface_model != "diffuse"
+        return LocalMap(dt=self.dt, slots=slots, sectors=SECTORS)
 
     @cached_property
     def _ranges(self) -> RangeTracker:
@@ -323,8 +318,7 @@ class _Builder:
         n = self.equipment.array.size
         silent = Port("silent", (n,), "s", "time since the last plausible firing of each sonar", _NEVER)
         launched = Port("launched", (1,), "1", "1 after the free water around the start is marked in the map")
-        face = FACE_PORTS if self._map.smooth else ()
-        last = tuple(after_gap(port) for port in (*own, *movers, *self._ranges.ports("sonar_"), silent, *face))
+        last = tuple(after_gap(port) for port in (*own, *movers, *self._ranges.ports("sonar_"), silent, *FACE_PORTS))
         return Layout((*last, launched))
 
     @cached_property
@@ -339,10 +333,10 @@ class _Builder:
         known = (Port("movers", (slots, 6), "m, m/s, 1", "moving obstacles at the present time"),) if slots else ()
         pose = tuple(self.outputs.port(name) for name in ("eta", "nu"))
         column = (self.outputs.port("column"),) if "column" in self.outputs else ()
-        face = (Port("face", (3,), "m, m^2", "nearest point of the face beside the robot"),) if self._map.smooth else ()
+        face = Port("face", (3,), "m, m^2", "nearest point of the face beside the robot")
         uncertainty = Port("uncertainty", (1,), "m", "position uncertainty that the margin does not cover")
         flags = tuple(self.outputs.port(name) for name in ("placed", "echoed"))
-        return Layout((*pose, uncertainty, *flags, *known, sonars, *column, *face))
+        return Layout((*pose, uncertainty, *flags, *known, sonars, *column, face))
 
     def _split(self) -> Program:
         # three parts: small states, map cells, map corner
@@ -379,7 +373,7 @@ class _Builder:
         edge = known["hull"] / CELLS_A_HULL
         axes, apexes, halves = beams(array, around, known["hull"])
         velocity = planar_rotation(around.eta[3]) @ around.nu[:2]
-        ranges = expected(array, around, apexes, known, smooth=self._smooth)
+        ranges = expected(array, around, apexes, known)
         ranges = ranges.where(around.placed, 2 * array.maximum)  # without a position, no echo counts as too long
         shortest = array.lowest / array.scale + array.resolution  # no range is expected below the shortest reading
         ranging = self._ranges.update(
@@ -388,7 +382,7 @@ class _Builder:
             fresh=inputs["fresh"],
             closing=ca.vertcat(*(ca.dot(velocity, axis) for axis in axes)),
             expected=ca.fmax(ranges.walls, shortest),
-            longest=ca.fmax(ranges.sure, shortest) if self._smooth else None,
+            longest=ca.fmax(ranges.sure, shortest),
             turn=around.nu[3],
             prefix="sonar_",
         )
@@ -409,7 +403,7 @@ class _Builder:
             blind = reading <= shortest
             usable = ca.logic_and(arrived, around.placed)
             clear = ca.fmax(least_of(recent) - _READING - _DIAGONAL * edge, 0)
-            cleared = ca.if_else(starting, 0, clear) if local_map.smooth else clear
+            cleared = ca.if_else(starting, 0, clear)
             fired.append(Firing(apexes[i], axes[i], halves[i], usable, reading, least_of(recent), echo, blind))
             firing = {
                 "apex": apexes[i],
@@ -439,11 +433,10 @@ class _Builder:
             perceived["movers"] = around.movers
         if "column" in self.outputs:
             perceived["column"] = inputs["column"]
-        if local_map.smooth:
-            face, perceived["face"] = face_after(
-                x, fired, around.eta[:2], dt=self.dt, blind=shortest, hull=known["hull"], deep=edge / 2
-            )
-            after |= face
+        face, perceived["face"] = face_after(
+            x, fired, around.eta[:2], dt=self.dt, blind=shortest, hull=known["hull"], deep=edge / 2
+        )
+        after |= face
         free = known["hull"] + ca.if_else(x["launched"], 0, known["launch"])
         outputs = {
             "small_next": self._small.join(
@@ -510,10 +503,8 @@ class _Builder:
             return [ca.if_else(mark[2] < _FAR, contact, 0), ca.if_else(there, unknown_row, ca.DM([0, 0, 100]))]
 
         with Recording() as recording:
-            tables = [ca.reshape(flat, 3, local_map.sectors).T for flat in (marked, unknown)]
-            if local_map.smooth:
-                tables[0] = with_face(tables[0], perceived["face"])
-            marks, blank = each("sector_ahead", sector, *tables)
+            nearest, blanks = (ca.reshape(flat, 3, local_map.sectors).T for flat in (marked, unknown))
+            marks, blank = each("sector_ahead", sector, with_face(nearest, perceived["face"]), blanks)
             contacts = [*(each("mover_ahead", mover, perceived["movers"]) if self._movers else []), marks]
         values = {
             "eta": perceived["eta"],

@@ -10,6 +10,7 @@ import casadi as ca
 
 from surctl.ir import fold, tabulated
 from surctl.marine.guidance.braking import BrakeSymbols, closing_bound
+from surctl.marine.guidance.sectors import slowed
 from surctl.tasks import allowed_closing_speed
 
 Barrier = Literal["simple", "inertia"]
@@ -103,7 +104,10 @@ def braked(
     def within(velocity: ca.SX, row: ca.SX) -> ca.SX:
         return velocity - yields * ca.fmax(ca.dot(velocity, row[:2]) - ca.fmax(row[2], 0), 0) * row[:2]
 
-    return fold("within", within, velocity, tabulated(bounds, 3))
+    velocity = fold("within", within, velocity, tabulated(bounds, 3))
+    # one bound after another: where they oppose each other, the result may still violate an earlier one
+    allowed = slowed(velocity, [(normal, ca.fmax(bound, 0)) for normal, bound in bounds])
+    return ca.if_else(yields, allowed, velocity)
 
 
 def _worst(velocity: ca.SX, bounds: Bounds) -> tuple[ca.SX, ca.SX]:

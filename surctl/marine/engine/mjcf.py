@@ -347,7 +347,7 @@ def write_mjcf(
     text = _TEXT.format(
         vehicle=vehicle.name,
         scenario=scenario.name,
-        block=emit_block(fluid_program(body), symbol="surctl_fluid", folded=True),
+        block=emit_block(fluid_program(body), symbol="surctl_fluid"),
         parameters=_numbers(body.parameters.tolist()),
         environment=_numbers(environment(body, scenario, vehicle["radius"]).tolist()),
         joint="free" if body.options.dof == 6 else "x",

@@ -68,9 +68,9 @@ class _Rays:
         for sensor, azimuth in enumerate(array.azimuths):
             x, y, _ = array.apex(sensor, position=(0.0, 0.0), heading=0.0)
             cones = array.cones[sensor]
-            if not fan and array.pitch != 0.0 and cones == ((0.0, array.half_angle),):
+            if not fan and array.elevation != 0.0 and cones == ((0.0, array.half_angle),):
                 cones = ((0.0, 0.5 * array.beam_angle),)
-            rise = np.eye(3) if fan else _about_y(-array.pitch)
+            rise = np.eye(3) if fan else _about_y(-array.elevation)
             parts = [
                 _beam_directions(half, count=options.count, fan=fan) @ (_about_z(azimuth + offset) @ rise).T
                 for offset, half in cones

@@ -154,11 +154,8 @@ def origin_entries(law: Exportable, p: Vector, origin: Origin) -> dict[str, Any]
             with contextlib.suppress(NotApplicable):  # fins at several places have no fixed share
                 fins["side_per_m"] = side_per_moment(vehicle)
     if origin.equipment is not None:
-        floor = origin.equipment.floor
-        entries["sensors"] = {"surface_model": origin.equipment.surface_model}
-        entries["sensors"] |= {} if floor is None else {"floor_m": floor}
-        search = origin.equipment.search_limit
-        entries["sensors"] |= {} if search is None else {"search_limit_s": search}
+        assumed = {"floor_m": origin.equipment.floor, "search_limit_s": origin.equipment.search_limit}
+        entries["sensors"] = {key: value for key, value in assumed.items() if value is not None}
     return entries
 
 

@@ -20,10 +20,11 @@ from surctl.export.evidence import ReplayedRun
 from surctl.export.supplement import UNKNOWN, Listed, Supplement, step_line
 from surctl.ir import Real, c_literal
 from surctl.marine.control import ARC_LENGTHS, FED
+from surctl.marine.control.beams import SURE
 from surctl.marine.export.origin import Origin, check_belonging, origin_entries
 from surctl.marine.guidance import AT_CORNER, MAX_WAYPOINTS, ROW
 from surctl.marine.guidance.following import SHORTEST
-from surctl.marine.sensing import INCIDENCE_LIMITS, Equipment, SonarArray
+from surctl.marine.sensing import INCIDENCE_LIMIT, Equipment, SonarArray
 from surctl.marine.sensing.localisation.own_state import LONGEST_AGE, LONGEST_LATENCY
 from surctl.marine.simulation import Run
 from surctl.marine.simulation.explanation import failure
@@ -119,23 +120,12 @@ def _sonars(equipment: Equipment, origin: Origin) -> list[str]:
         f"{k}: ({x + 0.0:.3g}, {y + 0.0:.3g}) m, axis {degrees(a):.4g}°"
         for k, ((x, y), a) in enumerate(zip(np.round(places, 6), array.azimuths, strict=True))
     )
-    within = INCIDENCE_LIMITS[equipment.surface_model]
     echo = (
-        "every face in the beam answers, however oblique, with the range of its nearest point in the beam. Faces that "
-        "answer only near their normal (smooth walls: within about 30°) are not covered: the robot collides with them"
-        if within is None
-        else f"a face answers within {degrees(within):.3g}° of its normal, and is silent otherwise. A corner that "
-        "points at the hull may be heard too late or not at all, and is not covered"
-    )
-    walls = (
-        "a known wall may be silent where a beam meets it obliquely, so a reading counts as a fault only beyond a wall "
-        "that the beam meets within 3° of its normal. "
-        + {
-            "smooth": "For 9 s a mark is cleared only by silence from directions from which it was heard",
-            "specular": "A mark is cleared only by silence from directions from which it was heard",
-        }[equipment.surface_model]
-        if equipment.surface_model != "diffuse"
-        else "a known wall always answers, so a reading beyond the wall counts as a fault"
+        f"a face answers within {degrees(INCIDENCE_LIMIT):.3g}° of its normal, with the range of its nearest point in "
+        "the beam, and may be silent otherwise. A corner that points at the hull may be heard too late or not at all, "
+        "and is not covered. A known wall may be silent where a beam meets it obliquely, so a reading counts as a "
+        f"fault only beyond a wall that the beam meets within {degrees(SURE):.3g}° of its normal. For 9 s a mark is "
+        "cleared only by silence from directions from which it was heard"
     )
     floor = "The law knows neither water surface nor floor: "
     if equipment.floor is not None:
@@ -152,19 +142,19 @@ def _sonars(equipment: Equipment, origin: Origin) -> list[str]:
             "counts. Time near a moving obstacle, at the end of the path, and without thrust does not count."
         ]
     )
-    tilt = f", its axis {abs(degrees(array.pitch)):.3g}° {'above' if array.pitch > 0 else 'below'} the horizontal"
-    tilt = tilt if array.pitch else ""
+    tilt, side = abs(degrees(array.elevation)), "above" if array.elevation > 0 else "below"
+    tilted = f", its axis {tilt:.3g}° {side} the horizontal" if tilt else ""
     step = f"{1000 * array.resolution:.4g} mm"
     samples = f"{array.samples} {'sample' if array.samples == 1 else 'samples'} a firing"
     return [
         f"Origin of the ranges: the sonar's place on the hull (x forward, y left of the hull's centre; axis "
         f"counter-clockwise from forward), by row: {apex}. A module that measures from elsewhere: convert its ranges. "
         "Ranges from the centre are too long by these distances, and the robot then passes too close or collides.",
-        f"Echoes that the law is designed for: {echo}. Surface model `{equipment.surface_model}`: {walls}. {floor}"
+        f"Echoes that the law is designed for: {echo}. {floor}"
         "mount the sonars, or drop echoes, "
         "so that they give none; an echo of theirs counts as an obstacle.",
         f"Ranges: {array.blind:g} to {array.maximum:g} m; nearer than {array.blind:g} m reads {array.lowest:.4g} m; "
-        f"beam {degrees(array.beam_angle):.4g}° wide{tilt}. No echo reads {array.maximum:g} m.",
+        f"beam {degrees(array.beam_angle):.4g}° wide{tilted}. No echo reads {array.maximum:g} m.",
         f"Firing plan: one sonar every {array.firing_period:g} s in the order {', '.join(map(str, array.order))}; each "
         f"fires every {array.cycle:.4g} s. A sonar that answers less often than every 0.3 s counts as unhealthy.",
         f"In the simulated run, each sample of an echo is {array.scale:.4g} r + bias + noise, limited to "

@@ -16,9 +16,7 @@ from surctl.marine.report.plan_view import plot_run
 from surctl.marine.report.signals import plot_run_signals
 from surctl.marine.simulation import Run
 from surctl.marine.vehicle import Vehicle
-from surctl.marine.verification import cruise_loop, law_loop
-from surctl.marine.verification.cruise_loop import has_cruise_loop
-from surctl.marine.verification.linear import DISK_PLACES, open_loop
+from surctl.marine.verification import law_loop
 from surctl.marine.verification.region.nominal import nominal_motion
 from surctl.report.evidence import margin_slice, plot_counterexample, plot_open_boxes, plot_slice
 from surctl.report.motion_plots import plot_motion
@@ -29,7 +27,7 @@ from surctl.report.theme import (
 )
 from surctl.tuning import Tuning
 from surctl.verification import Verdict
-from surctl.verification.linear import stored_disk_margin
+from surctl.verification.sampled_margins import open_loop
 
 # The plots that `surctl verify --out` writes: margins, refuted claims, boxes of proofs, and regions
 
@@ -72,10 +70,10 @@ def save_margins(
     speeds = sorted((float(speed) for speed in np.atleast_1d(cruise)), reverse=True)
     loops = [law_loop(law, vehicle, gains, cruise=u) for u in speeds]
     figures = plot_tightest({f"{u:g} m/s": loop.linear for u, loop in zip(speeds, loops, strict=True)})
-    if loops[0].stable and has_cruise_loop(law.ref, "los"):
-        loop = cruise_loop(vehicle, gains.values, cruise=speeds[0], dt=law.dt, law=law.ref)
-        pairs = [(open_loop(loop, place), stored_disk_margin(open_loop(loop, place), place)) for place in DISK_PLACES]
-        figures["disk"] = plot_disk_margins(pairs, highest=np.pi / law.dt)
+    if loops[0].stable:
+        linear = loops[0].linear
+        opened = [open_loop(linear, *signals) for signals in linear.places.values()]
+        figures["disk"] = plot_disk_margins(list(zip(opened, loops[0].disks, strict=True)), highest=np.pi / law.dt)
     return [save_figure(figure, folder, ("margins", vehicle.name, name)) for name, figure in figures.items()]
 
 

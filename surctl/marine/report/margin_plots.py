@@ -4,12 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.cm import ScalarMappable
-from matplotlib.collections import LineCollection
-from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
@@ -89,15 +85,8 @@ def plot_locus(
     ax = dress(ax or new_axes(6.4, 4.9), x="real part [1/s]", y="imaginary part [rad/s]")
     edge = radius or 1.15 * _below_the_gap(np.sort(np.abs(data.poles).max(axis=0)))
     _grid(ax, edge)
-    colours, norm = mpl.colormaps["viridis"], Normalize(float(data.values.min()), float(data.values.max()))
-    middle = (data.values[1:] + data.values[:-1]) / 2
-    for pole in data.poles.T:
-        points = np.column_stack([pole.real, pole.imag])
-        lines = LineCollection(
-            list(np.stack([points[:-1], points[1:]], axis=1)), cmap=colours, norm=norm, linewidths=2.2
-        )
-        lines.set_array(middle)
-        ax.add_collection(lines)
+    colours = np.repeat(data.values, data.poles.shape[1])
+    points = ax.scatter(data.poles.real.ravel(), data.poles.imag.ravel(), s=5, c=colours, cmap="viridis")
     _pole_mark(ax, data.poles[0], "o", INK, f"start: {data.values[0]:.3g}")
     if picked is not None:
         at = int(np.argmin(np.abs(data.values - picked)))
@@ -105,7 +94,7 @@ def plot_locus(
     ax.axvline(0.0, color=BAD, linewidth=1.2, label="stability boundary")
     ax.set_xlim(-edge, max(0.12 * edge, min(edge, 1.1 * float(data.poles.real.max()))))
     ax.set_ylim(-edge, edge)
-    bar = ax.figure.colorbar(ScalarMappable(norm, colours), ax=ax)
+    bar = ax.figure.colorbar(points, ax=ax)
     bar.set_label(
         printable(f"{data.parameter} [{unit}]" if unit else data.parameter), fontsize=9.5, color=INK, parse_math=False
     )

@@ -130,9 +130,9 @@ def render_page(data: ReportData, *, runs: Section | None = None) -> str:
         (True, False)
     """
     evidence = [one for one in (decisive_section(data),) if one is not None]
-    if data.margins or data.linear or data.verdicts or data.inapplicable:
+    if data.linear or data.verdicts or data.inapplicable:
         evidence.append(findings_section(data))
-    if data.margins or data.loops:
+    if data.linear or data.loops:
         evidence.append(loops_section(data))
     if data.verdicts:
         evidence.append(claims_section(data))

@@ -1,12 +1,11 @@
 """Sections of the HTML report on the design: loops, sweep, export, computing time, and tables of parameters.
 
-The disk margins hold for simultaneous perturbations of all loops. For the sampled loop, the report gives the largest
-control period and the largest delay up to which the loop is stable.
+The disk margins hold for simultaneous perturbations of all loops.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from surctl.assessment import Assessment
@@ -15,7 +14,6 @@ from surctl.marine.control import Gains
 from surctl.marine.report.goals import COLUMN_TITLES
 from surctl.marine.simulation import Run
 from surctl.marine.vehicle import Vehicle, parameter_spec
-from surctl.marine.verification.linear import LinearSide
 from surctl.report.document import (
     Block,
     Cell,
@@ -33,7 +31,7 @@ from surctl.report.sweep_plots import axis_title
 from surctl.report.theme import number
 from surctl.system import LinearLoop
 from surctl.tuning import SweepTable
-from surctl.verification import Inapplicable, LoopMargins, Verdict
+from surctl.verification import Inapplicable, LoopCorners, Verdict
 
 _NOTHING = Assessment("", {}, (), {})
 
@@ -75,8 +73,7 @@ class ReportData:
     vehicle: Vehicle
     gains: Gains
     speeds: tuple[float, float] | None = None
-    margins: tuple[LoopMargins, ...] = ()
-    linear: tuple[LinearSide, ...] = ()
+    linear: LoopCorners | None = None
     loops: Mapping[str, LinearLoop] = field(default_factory=dict)
     verdicts: tuple[Verdict, ...] = ()
     inapplicable: tuple[Inapplicable, ...] = ()
@@ -103,9 +100,9 @@ class ReportData:
         return self.deciding
 
 
-def _linear_blocks(sides: Sequence[LinearSide]) -> list[Block]:
-    """Return a table of disk margins and a table of poles and sampling; empty if there is no analysis."""
-    if not sides:
+def _linear_blocks(loops: LoopCorners | None) -> list[Block]:
+    """Return a table of disk margins and a table of poles; empty if there is no analysis."""
+    if loops is None:
         return []
     text = (
         "All loops at once: the gains and phases of all loops may vary together, in any combination, within the disk "
@@ -113,26 +110,20 @@ def _linear_blocks(sides: Sequence[LinearSide]) -> list[Block]:
         "destabilises the loop. The sampled loop is computed without approximation: thrust is constant over each "
         "control period, and delays are whole periods."
     )
-    return [Paragraph(text), disk_table([(side.of, disk) for side in sides for disk in side.disks]), _sampled(sides)]
-
-
-def _sampled(sides: Sequence[LinearSide]) -> Table:
+    worst = f"worst of {loops.of}"
+    named = [("nominal", disk) for disk in loops.nominal.disks] + [(worst, disk) for disk in loops.disks]
+    poles = (("nominal", loops.nominal.slowest_per_s, loops.nominal), (worst, loops.slowest_per_s, loops.worst))
     rows: tuple[tuple[Cell | str, ...], ...] = tuple(
         (
-            side.of,
-            outcome_cell(side.stable, "stable", "UNSTABLE"),
-            *(Cell(number(v, digits=3), number=True) for v in (side.slowest_per_s, side.least_damping)),
-            *(Cell(number(v, digits=3), number=True) for v in side.sampled.largest_period_s),
-            Cell(str(side.sampled.delay_periods), number=True),
+            of,
+            outcome_cell(loop.stable, "stable", "UNSTABLE"),
+            *(Cell(number(v, digits=3), number=True) for v in (slowest, loop.least_damping)),
         )
-        for side in sides
+        for of, slowest, loop in poles
     )
-    periods = tuple(f"largest period [s], {d}" for d in ("no delay", "1 period of delay", "2 periods of delay"))
-    heads = (
-        "vehicle", "closed loop", "slowest pole [1/s]", "least damping [1]", *periods,
-        f"tolerated periods of delay at {number(sides[0].sampled.period_s)} s",
-    )  # fmt: skip
-    return Table("Poles, and the sampled loop", heads, rows)
+    heads = ("vehicle", "closed loop", "slowest pole [1/s]", "least damping [1]")
+    each = margins_table("Margins of each loop alone about cruise, nominal vehicle", loops.nominal.margins)
+    return [each, Paragraph(text), disk_table(named), Table("Poles", heads, rows)]
 
 
 _SWEPT = (
@@ -190,18 +181,11 @@ def _provenance(gains: Gains) -> str:
 def loops_section(data: ReportData) -> Section:
     """Return a section with the margins of each loop, and plots of the loops that tolerate the least delay."""
     text = (
-        "Each loop is opened at one place while all others stay closed, about straight cruise. The loops surge, sway, "
-        "heave and yaw are opened at the thrust command, along_track, cross_track, depth and heading at the "
-        "measurement."
+        "Each loop of the sampled law is opened at one place while all others stay closed, about straight cruise: "
+        "surge, yaw and the like at the thrust command, x, y, psi, u, v and r at the measurement."
     )
-    if any(m.name == "psi" for m in data.margins):  # a law that is linearised numerically
-        text = (
-            "Each loop of the sampled law is opened at one place while all others stay closed, about straight cruise: "
-            "surge, yaw and the like at the thrust command, x, y, psi, u, v and r at the measurement."
-        )
     blocks: list[Block] = [
         Paragraph(text),
-        margins_table("Margins of each loop alone about cruise, nominal vehicle", data.margins),
         *_linear_blocks(data.linear),
     ]
     pictures = tuple(

@@ -57,8 +57,11 @@ class Simulations:
             raise InputError("must be at least 1", key="seeds", value=self.seeds)
 
     def scenario(self, name: str) -> Scenario:
-        """Return the library's scenario with the given name."""
-        return load_scenario(name)
+        """Return the library's scenario with the given name, with level sonars and no assumption about the floor."""
+        scenario = load_scenario(name)
+        equipment = scenario.sensors.equipment
+        equipment = replace(equipment, array=replace(equipment.array, pitch=0.0), floor=None)
+        return replace(scenario, sensors=replace(scenario.sensors, equipment=equipment))
 
     def batch(self, name: str, sensing: Sensing, vehicle: str = "", factors: Factors = ()) -> BatchResult:
         """Return the metrics of the runs with all seeds; `vehicle` names another vehicle than the scenario's.
@@ -75,14 +78,10 @@ class Simulations:
         return self._batches[key]
 
     def in_webots(self, name: str) -> BatchResult:
-        """Return the metrics of the runs with sonars to which surfaces answer within 22.5° of their normal, as Webots.
-
-        The law assumes the surface model `smooth`.
-        """
+        """Return the metrics of the runs by sonar where surfaces answer within 22.5° of their normal, as in Webots."""
         scenario = self.scenario(name)
-        sensors = scenario.sensors.hearing("webots")
-        sensors = replace(sensors, equipment=replace(sensors.equipment, surface_model="smooth"))
-        case = Case(replace(scenario, sensors=sensors), load_vehicle(scenario.vehicle), self.gains, sensing="sonar")
+        scenario = replace(scenario, sensors=scenario.sensors.hearing("webots"))
+        case = Case(scenario, load_vehicle(scenario.vehicle), self.gains, sensing="sonar")
         return simulate_batch(case, seeds=np.arange(self.seeds), threads=self.threads)
 
     def run(self, name: str, sensing: Sensing = "truth") -> Run:

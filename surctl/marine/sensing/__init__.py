@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 from surctl.lazy import load_at_first_use
 
 if TYPE_CHECKING:
-    from surctl.marine.sensing.equipment import INCIDENCE_LIMITS, SURFACE_MODELS, Equipment
+    from surctl.marine.sensing.equipment import INCIDENCE_LIMIT, Equipment
     from surctl.marine.sensing.localisation.base_station import BaseStation, Delivery, OwnState
     from surctl.marine.sensing.localisation.own_state import OwnStateFilter
     from surctl.marine.sensing.mapping.local_map import LocalMap
@@ -17,9 +17,8 @@ if TYPE_CHECKING:
 
 __all__ = [
     "FAULT_KINDS",
-    "INCIDENCE_LIMITS",
+    "INCIDENCE_LIMIT",
     "REFLECTORS",
-    "SURFACE_MODELS",
     "BaseStation",
     "Delivery",
     "Equipment",

@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import Finding
-from surctl.marine.control.beams import floor_range
-from surctl.marine.sensing import INCIDENCE_LIMITS, Reflector, SonarArray, Surfaces
+from surctl.marine.control.beams import SURE, floor_range
+from surctl.marine.sensing import INCIDENCE_LIMIT, Reflector, SonarArray, Surfaces
 from surctl.marine.sensing.sonar.returns import level_range
 from surctl.marine.simulation.obstacle import Obstacle
 from surctl.marine.simulation.reflectors import ECHOES
@@ -47,17 +47,16 @@ def _obstacle_reflectors(scenario: Scenario, array: SonarArray) -> tuple[Reflect
 
 
 def unanswered(scenario: Scenario) -> str:
-    """Return which obstacles answer otherwise than the law's surface model says, as text; empty if none does."""
-    equipment = scenario.sensors.equipment
-    within = INCIDENCE_LIMITS[equipment.surface_model]
+    """Return which obstacles answer less than the law assumes, as text; empty if none does."""
     groups: dict[str, list[str]] = {}
-    for obstacle, reflector in zip(scenario.obstacles, _obstacle_reflectors(scenario, equipment.array), strict=True):
+    reflectors = _obstacle_reflectors(scenario, scenario.sensors.equipment.array)
+    for obstacle, reflector in zip(scenario.obstacles, reflectors, strict=True):
         limit, curved = reflector.incidence_limit, obstacle.size_m is None
         if reflector.silent(curved=curved):
             how = "silent"
         elif limit == 0 or (curved and reflector.cylinder_range is not None):
             how = "detected with a probability"
-        elif limit is not None and (within is None or limit < within - _ANGLE):
+        elif limit is not None and limit < INCIDENCE_LIMIT - _ANGLE:
             how = f"silent beyond {degrees(limit):.3g} deg of the normal"
         else:
             continue
@@ -236,13 +235,7 @@ def _hit(obstacle: Obstacle, x: Array, y: Array, ux: Array, uy: Array) -> Array:
 
 _SIDES: dict[str, Point] = {"+x": (1.0, 0.0), "-x": (-1.0, 0.0), "+y": (0.0, 1.0), "-y": (0.0, -1.0)}
 # obstacles or faces that a finding names
-_CLEARED = {
-    "diffuse": "silence is free water: a smooth face that a beam meets obliquely is cleared from the map",
-    "smooth": "a mark of a smooth obstacle lasts 9 s, and a face that never answered is not in the map",
-    "specular": "a face that never answered is not in the map",
-}
 _OBLIQUE = pi / 3  # [rad] with a larger limit, the missions arrive as if all surfaces answered (chosen)
-_SURE = radians(3.0)  # [rad] within which known walls answer, as all laws assume but those for diffuse surfaces
 
 
 @dataclass(frozen=True)
@@ -279,6 +272,12 @@ def echo_findings(scenario: Scenario, vehicle: Vehicle, array: SonarArray) -> li
     if surfaces is None:
         return listed
     return [*listed, *_level(scenario, array, surfaces), *_weak(vehicle, met)]
+
+
+def level_findings(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
+    """Return the findings about echoes of water surface and floor, which hide what is farther away."""
+    surfaces = scenario.surfaces
+    return [] if surfaces is None else [*_level(scenario, scenario.sensors.on(vehicle["radius"]).array, surfaces)]
 
 
 def unheard_faces(scenario: Scenario, array: SonarArray) -> Iterator[tuple[_Surface, str]]:
@@ -331,31 +330,26 @@ def _some(names: Sequence[str]) -> str:
 
 def _oblique(scenario: Scenario, met: Sequence[_Surface], walls: Sequence[_Surface]) -> Iterator[Finding]:
     # surfaces that answer near their normal only; `_silent` names the silent obstacles
-    assumed = scenario.sensors.equipment.surface_model
     listed = [s for s in met if s.limit is not None and 0 < s.limit < _OBLIQUE and not s.silent]
-    smooth = [s for s in walls if s.limit is not None and s.limit < _OBLIQUE]
     if listed:
-        listed += [wall for wall in smooth if wall.limit]
+        listed += [wall for wall in walls if wall.limit is not None and 0 < wall.limit < _OBLIQUE]
         which = "surfaces" if len(listed) == len(met) + len(walls) else "some surfaces"
         text = (
-            f"{which} answer only within {_angle(listed)} of their normal; with surface_model = {assumed!r}, "
-            f"{_CLEARED[assumed]}; simulate many seeds before a launch"
+            f"{which} answer only within {_angle(listed)} of their normal: a mark of such an obstacle lasts 9 s, and a "
+            "face that never answered is not in the map; simulate many seeds before a launch"
         )
         yield Finding("warning", _key(listed), text)
-        smooth = [wall for wall in smooth if not wall.limit]
-    if assumed != "diffuse":  # such a law knows that walls may be silent, but not near their normal
-        smooth = [wall for wall in smooth if wall.limit is not None and wall.limit < _SURE]
+    # the law knows that walls may be silent, but not near their normal
+    smooth = [wall for wall in walls if wall.limit is not None and wall.limit < SURE]
     if smooth:
         turned = [wall for wall in smooth if wall.limit]
         parts = [f"answer only within {_angle(turned)} of their normal"] if turned else []
         parts += ["never answer"] if len(turned) < len(smooth) else []
         which = "the walls" if len(smooth) == len(walls) else "some walls"
-        text = f"{which} {' or '.join(parts)}, but with surface_model = {assumed!r} the law "
-        if assumed == "diffuse":
-            text += "takes a reading from beyond a known wall for a fault of the sonar; "
-            text += 'surface_model = "smooth" is for such walls'
-        else:
-            text += f"takes a reading from beyond a wall that a beam meets within {degrees(_SURE):.3g}° for a fault"
+        text = (
+            f"{which} {' or '.join(parts)}, but the law takes a reading from beyond a wall that a beam meets within "
+            f"{degrees(SURE):.3g}° of its normal for a fault of the sonar"
+        )
         yield Finding("warning", _key(smooth), text)
 
 
@@ -418,7 +412,7 @@ def _level(scenario: Scenario, array: SonarArray, surfaces: Surfaces) -> Iterato
         return None if at is None or at > array.maximum else at
 
     for side, name, what in ((1, "surface", "water surface"), (-1, "floor", "floor")):
-        at = distance(side, array.pitch)
+        at = distance(side, array.elevation)
         if at is None or (side == -1 and from_floor is not None and from_floor <= at):
             continue
         pitch = _silencing(array, surfaces.surface if side == 1 else surfaces.floor, side=side, gap=gaps[side])
@@ -434,8 +428,8 @@ def _level(scenario: Scenario, array: SonarArray, surfaces: Surfaces) -> Iterato
         elif within and known is None and distance(-1, tilted) is not None:
             remedy += f"; then give sonar.floor_m = {surfaces.depth:g}, because the floor answers"
         text = (
-            f"every sonar hears the {what} at {at:.2f} m at the depth of {depth:g} m and takes it for an "
-            f"obstacle: what is farther away is not heard; {remedy}"
+            f"echoes of the {what} hide obstacles; {remedy}: at the depth of {depth:g} m, every sonar hears it at "
+            f"{at:.2f} m and takes it for an obstacle, and does not hear what is farther away"
         )
         yield Finding("warning", f"site.{name}", text)
 

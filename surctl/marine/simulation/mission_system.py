@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -21,14 +19,14 @@ from surctl.marine.simulation.loop import case_of
 from surctl.marine.simulation.scenario import Scenario
 from surctl.marine.simulation.sensors import FIRING
 from surctl.marine.simulation.world import build_world
-from surctl.marine.vehicle import PLANT_DISTURBANCE, Vehicle, build_plant, plant_layout, plant_parameters, plant_state
-from surctl.system import Cost, Parts, Plant, Sampled, System
+from surctl.marine.vehicle import PLANT_DISTURBANCE, Vehicle, vehicle_plant
+from surctl.marine.vehicle.linearise import DELIVERED, valued
+from surctl.system import Cost, Parts, Sampled, System
 from surctl.system.sampled import CLOCK
 
 _STEPS = 6  # of integration in a control period
 _COMMAND = Layout((Port("tau", (4,), "N, N m", "thrust command in {B}"),))
 _POSE = Layout((Port("eta", (4,), "m, rad", "x, y, z and heading in {E}"),))
-_DRIVEN = (Port("delivered", (4,), "N, N m", "thrust command with the errors of the thrusters"), *PLANT_DISTURBANCE)
 
 
 def mission_system(
@@ -75,13 +73,13 @@ def mission_system(
     numbers = loop.parameters.unpack(pack(case, loop, {}, np.array([seed])).parameters[0])
 
     def part(*names: str) -> Layout:
-        return _valued(Layout(tuple(loop.parameters.port(name) for name in names if name in loop.parameters)), numbers)
+        return valued(Layout(tuple(loop.parameters.port(name) for name in names if name in loop.parameters)), numbers)
 
     bodies = tuple(f"body{k}" for k in range(len(structure.bodies)))
     surroundings = part("world_hull", "walls", *bodies, "there", "heights", "depths")
     return System(
-        _plant(scenario, vehicle),
-        replace(law, gains=_valued(law.gains, numbers), inputs=_valued(law.inputs, numbers)),
+        vehicle_plant(vehicle, scenario.start_pose),
+        replace(law, gains=valued(law.gains, numbers), inputs=valued(law.inputs, numbers)),
         substeps=_STEPS,
         sensors=(
             _surroundings(structure, law, surroundings),
@@ -113,29 +111,6 @@ def _check(scenario: Scenario, vehicle: Vehicle, law: Law) -> None:
         problem = "has thrusters whose force is not that of the law's command"
         remedy = "give the law allocation; a craft with fins has none: use simulate"
         raise InputError(problem, key="vehicle", value=vehicle.name, remedy=remedy)
-
-
-def _plant(scenario: Scenario, vehicle: Vehicle) -> Plant:
-    own, numbers, ode = plant_state(vehicle.form), plant_layout(vehicle.form), build_plant(vehicle.form).ode
-    values = numbers.unpack(plant_parameters(vehicle))
-    # the command has the name `tau`, too
-    renamed = (replace(port, name="thrust") if port.name == "tau" else port for port in own)
-    state = _valued(Layout(tuple(renamed)), {"eta": scenario.start_pose})
-
-    def rate(x: Parts, f: Parts, d: Parts, p: Parts) -> Any:
-        return ode(state.join(x), f["delivered"], PLANT_DISTURBANCE.join(f), numbers.join(p))
-
-    return Plant("vehicle", state, Layout(_DRIVEN), rate, _valued(numbers, values))
-
-
-def _valued(layout: Layout, values: Mapping[str, Any]) -> Layout:
-    """Return a layout with these default values by name; a port without one keeps its own."""
-
-    def valued(port: Port) -> Port:
-        default: Any = np.ravel(values[port.name]) if port.name in values else port.default
-        return replace(port, default=default)
-
-    return Layout(tuple(map(valued, layout)))
 
 
 def _surroundings(structure: Structure, law: Law, parameters: Layout) -> Sampled:
@@ -180,9 +155,8 @@ def _progress(parameters: Layout) -> Sampled:
 
 
 def _thrusters(parameters: Layout) -> Sampled:
-    outputs = Layout(_DRIVEN[:1])
     return Sampled(
-        "thrusters", _COMMAND, outputs, lambda x, u, p, w: u["tau"] * p["thrust_gain"] + p["thrust_bias"],
+        "thrusters", _COMMAND, DELIVERED, lambda x, u, p, w: u["tau"] * p["thrust_gain"] + p["thrust_bias"],
         parameters=parameters,
     )  # fmt: skip
 

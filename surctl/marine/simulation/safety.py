@@ -29,7 +29,7 @@ from surctl.marine.guidance.braking import (
     stopping_distance_with_drag,
     tabled_stopping_distance,
 )
-from surctl.marine.sensing import INCIDENCE_LIMITS
+from surctl.marine.sensing import INCIDENCE_LIMIT
 from surctl.marine.simulation.echo_fit import unanswered
 from surctl.marine.simulation.scenario import Scenario
 from surctl.marine.simulation.toml_text import toml_text
@@ -486,12 +486,8 @@ def safety_claim(
 def _echoes(scenario: Scenario, vehicle: Vehicle, sight: float) -> str:
     # what must be true of surfaces for obstacles to be detected at the distance `sight` [m]
     array = scenario.sensors.array_on(vehicle["radius"])  # refuses mounts that this hull cannot have
-    surfaces = scenario.sensors.equipment.surface_model
-    within, model = INCIDENCE_LIMITS[surfaces], f"surface_model {surfaces}"
-    if within is None:
-        return f"every face of an obstacle in a beam answers, at any angle of incidence ({model})"
-    at = array.corner_range(within)
-    text = f"faces answer within {degrees(within):.3g} deg of their normal ({model})"
+    at = array.corner_range(INCIDENCE_LIMIT)
+    text = f"faces answer within {degrees(INCIDENCE_LIMIT):.3g} deg of their normal"
     if at >= sight:
         return text
     when = f"is heard {at:.2f} m away at best" if at > 0 else "is touched before it is heard"

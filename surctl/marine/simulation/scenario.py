@@ -298,7 +298,8 @@ def scenario_from_table(table: dict[str, Any], *, source: str) -> Scenario:
     model = validate(table, _ScenarioFile, file=source)
     route, path = _route(model, source)
     with mistakes_in(source):
-        sensors = replace(sensors_from_tables(model.sonar, model.base_station, model.own_state), source=source)
+        sensors = sensors_from_tables(model.sonar, model.base_station, model.own_state, depth=model.site.depth_m)
+        sensors = replace(sensors, source=source)
     scenario = Scenario(
         model.name,
         model.title,
@@ -365,10 +366,10 @@ def _check(scenario: Scenario) -> None:
         problem = f"is above cap_m_per_s = {scenario.cap:g}"
         remedy = "lower it or raise the cap"
         raise InputError(problem, file=source, key="cruise_m_per_s", value=scenario.cruise, remedy=remedy)
+    _check_depths(scenario)
     with mistakes_in(source):
         _ = scenario.surfaces
         scenario.sensors.check_floor(scenario.deepest)
-    _check_depths(scenario)
     check_spacing(scenario, cap=scenario.cap)
     inside = [("path_m", point) for point in scenario.path.waypoints.tolist()]
     inside += [(f"obstacles.{o.name}.centre_m", list(o.centre_m)) for o in scenario.obstacles]

@@ -9,7 +9,7 @@ import numpy as np
 
 from surctl.errors import InputError
 from surctl.marine.guidance import Path
-from surctl.marine.sensing import BaseStation, Delivery, Equipment, OwnState, SonarArray
+from surctl.marine.sensing import BaseStation, Delivery, OwnState, SonarArray
 from surctl.marine.simulation.scenario import Scenario
 from surctl.marine.simulation.sensors import Sensors
 
@@ -75,10 +75,7 @@ def _equal(one: Path, other: Path) -> bool:
 def _sensors(sensors: Sensors) -> dict[str, Any]:
     equipment = sensors.equipment
     sonar = _array(equipment.array) | ({"echoes": sensors.echoes} if sensors.echoes else {})
-    if equipment.surface_model != Equipment().surface_model:
-        sonar["surface_model"] = equipment.surface_model
-    if equipment.floor is not None:
-        sonar["floor_m"] = equipment.floor
+    sonar["floor_m"] = 0.0 if equipment.floor is None else equipment.floor
     if equipment.search_limit is not None:
         sonar["search_limit_s"] = equipment.search_limit
     sonar |= {
@@ -109,7 +106,7 @@ def _array(array: SonarArray) -> dict[str, Any]:
         table["step_m"] = array.step
     if array.mounts is not None:
         table["mounts_m"] = [list(mount) for mount in array.mounts]
-    if array.pitch != plain.pitch:
+    if array.pitch is not None:
         table["pitch_deg"] = _degrees(array.pitch)
     if array.incidence_limit is not None:
         table["incidence_limit_deg"] = _degrees(array.incidence_limit)

@@ -6,9 +6,10 @@ from collections.abc import Callable, Set
 from dataclasses import dataclass, field, replace
 from functools import partial
 from math import degrees, gcd, pi
-from typing import Annotated, Literal, TypeVar
+from typing import TYPE_CHECKING, Annotated, Literal, TypeVar
 
-from pydantic import Field
+from pydantic import Field, ValidationError, model_validator
+from pydantic_core import PydanticCustomError
 
 from surctl.errors import InputError, check_known, mistakes_in
 from surctl.files import Strict
@@ -23,9 +24,11 @@ from surctl.marine.sensing import (
     Reflector,
     SonarArray,
 )
-from surctl.marine.sensing.equipment import SurfaceModel
 from surctl.marine.sensing.sonar.faults import check_faults
 from surctl.marine.simulation.reflectors import ECHOES
+
+if TYPE_CHECKING:
+    from pydantic_core import InitErrorDetails
 
 T = TypeVar("T")
 
@@ -49,8 +52,7 @@ class SonarTable(Strict):
     pitch_deg: float | None = None
     incidence_limit_deg: Degrees | None = None
     echoes: Literal["ideal", "webots", "specular", "diffuse"] | None = None
-    surface_model: SurfaceModel = "diffuse"
-    floor_m: Positive | None = None
+    floor_m: NotNegative | None = None
     search_limit_s: Positive | None = None
     minimum_m: Positive | None = None
     blind_time_s: Positive | None = None
@@ -67,6 +69,19 @@ class SonarTable(Strict):
     calibrated_for_m_per_s: Positive | None = None
     faults: tuple[Fault, ...] = ()
     chances: FaultChances = FaultChances()
+
+    @model_validator(mode="before")
+    @classmethod
+    def _one_law(cls, data: object) -> object:
+        if not isinstance(data, dict) or "surface_model" not in data:
+            return data
+        text = "is no key any more, because one law serves all surfaces; remove it"
+        wrong: InitErrorDetails = {
+            "type": PydanticCustomError("removed", text),
+            "loc": ("surface_model",),
+            "input": data["surface_model"],
+        }
+        raise ValidationError.from_exception_data(cls.__name__, [wrong])
 
 
 class _DeliveryTable(Strict):
@@ -145,11 +160,11 @@ class Sensors:
         return replace(self, equipment=replace(self.equipment, array=array), echoes="" if simple else echoes)
 
     def check_floor(self, deepest: float) -> None:
-        """Raise InputError if the floor that the law assumes is not below z = `deepest` [m]."""
+        """Raise InputError if the floor that the law assumes is above z = `deepest` [m]."""
         floor = self.equipment.floor
-        if floor is not None and floor <= -deepest:
-            problem = f"is not below the robot, which goes down to z = {deepest:g} m"
-            remedy = f"give the depth of the floor below the water surface, above {-deepest:g} m"
+        if floor is not None and floor < -deepest:
+            problem = f"is above the robot, which goes down to z = {deepest:g} m"
+            remedy = f"give the depth of the floor below the water surface, at least {-deepest:g} m"
             raise InputError(problem, key="sonar.floor_m", value=floor, remedy=remedy)
 
     @property
@@ -192,8 +207,8 @@ _TIMES = {"period_s": "period", "latency_s": "latency", "gaps_s": "gaps"}
 _KEYS = {name: key for key, name in (_NAMES | _ANGLES | _TIMES).items()}
 
 
-def sensors_from_tables(sonar: SonarTable, station: StationTable, own: OwnStateTable) -> Sensors:
-    """Return the sensors that the tables of a scenario file describe."""
+def sensors_from_tables(sonar: SonarTable, station: StationTable, own: OwnStateTable, *, depth: float) -> Sensors:
+    """Return the sensors that the tables of a scenario file describe; `depth` is that of the site [m]."""
     array = _in_table("sonar", lambda: _array(sonar), stated=sonar.model_fields_set)
     base_station = BaseStation(
         position_sd=station.position_sd_m,
@@ -214,8 +229,7 @@ def sensors_from_tables(sonar: SonarTable, station: StationTable, own: OwnStateT
         array=array,
         station=base_station,
         own=own_state,
-        surface_model=sonar.surface_model,
-        floor=sonar.floor_m,
+        floor=(depth if sonar.floor_m is None else sonar.floor_m) or None,
         search_limit=sonar.search_limit_s,
     )
     echoes = sonar.echoes if sonar.echoes is not None and not _simple(sonar.echoes)[0] else ""

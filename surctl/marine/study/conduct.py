@@ -30,7 +30,6 @@ from surctl.study import StudyParts
 from surctl.system import LinearLoop
 from surctl.tuning import LocalExecutor, SweepTable, grid, sweep
 from surctl.verification import Inapplicable, LoopMargins, Verdict, decide
-from surctl.verification.linear import short_margins
 
 if TYPE_CHECKING:
     from surctl.marine.report import ReportData
@@ -59,21 +58,18 @@ class Loops:
     def to_dict(self) -> dict[str, Any] | None:
         """Return the analysis of all loops together as plain data; None if there is none."""
         one = self.analysis
-        if one.law is not None:
-            return one.law.to_dict()
-        if one.mode is None:
+        if one.loops is None:
             return None
-        nominal, worst = one.sides
-        table = {"nominal": nominal.to_dict(), "worst": worst.to_dict(), "mode": one.mode.to_dict()}
+        table = one.loops.to_dict() | ({} if one.mode is None else {"mode": one.mode.to_dict()})
         return table | ({} if self.over is None else {"speeds": self.over.to_dict()})
 
 
 def loops_of(plan: Plan, gains: Gains, analysis: LoopAnalysis) -> Loops:
     """Return the control loops of a plan's vehicle with these gains."""
-    if analysis.law is not None:
-        return Loops(analysis, loops={analysis.law.nominal.place or "nominal": analysis.law.nominal.linear})
-    if analysis.mode is None:
+    if analysis.loops is None:
         return Loops(analysis)
+    if analysis.mode is None:
+        return Loops(analysis, loops={analysis.nominal.place or "nominal": analysis.nominal.linear})
     vehicle, law = plan.vehicle, build_law(plan.law)
     speeds = sorted({*plan.cruise, analysis.cruise}, reverse=True)
     return Loops(
@@ -154,7 +150,7 @@ def _speed_notes(loops: Loops) -> list[Line]:
         (late, late_at), (disk, disk_at) = over.worst("delay_margin_s"), over.worst("disk_margin")
         margin_text = f"least delay margin {late:.2f} s (at {late_at:g} m/s), "
         margin_text += f"least disk margin {disk:.2f} (at {disk_at:g} m/s)"
-        short = short_margins((disk, f"at {disk_at:g} m/s"), (late, f"at {late_at:g} m/s"))
+        short = over.short
         margin_text += f"; too small: {short}" if short else ""
         poles = over.figures["slowest_pole_per_s"]
         held = bool((poles < 0).all())
@@ -338,8 +334,7 @@ class Study(StudyParts):
             vehicle=self.plan.vehicle,
             gains=self.gains,
             speeds=(fastest.cruise, fastest.cap),
-            margins=self.loops.margins,
-            linear=self.loops.analysis.sides,
+            linear=self.loops.analysis.loops,
             loops=self.loops.loops,
             gains_file=str(self.gain_file),
             verdicts=self.verdicts,

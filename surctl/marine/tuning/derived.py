@@ -22,10 +22,13 @@ from surctl.marine.control import GAINS, Gains, GainSpec, build_law, default_law
 from surctl.marine.vehicle import LIBRARY, Vehicle, load_vehicle, steady_speed
 from surctl.marine.vehicle.linearise import check_cruise
 from surctl.marine.verification import law_corners
-from surctl.marine.verification.cruise_loop import CruiseLoop, cruise_loops, loop_delays
-from surctl.marine.verification.linear import DISK_PLACES, corner_margin, open_loop
+from surctl.marine.verification.corners import corners
+from surctl.marine.verification.cruise_loop import POSE, THRUSTS, CruisePoint, cruise_groups
+from surctl.marine.verification.linear import cruise_corners
+from surctl.system import LinearLoop
 from surctl.verification.linear import LEAST_DISK_MARGIN, screened_peaks
 from surctl.verification.loops import LEAST_DELAY_MARGIN
+from surctl.verification.sampled_margins import delays_at, open_loop
 
 
 class HashedVehicle:
@@ -212,8 +215,9 @@ def _climbed(value: Callable[[Array, float], Array], start: Array, best: Array, 
 
 
 def _corner_share(vehicle: Vehicle, inner: Array, cruise: float, dt: float) -> tuple[float, Vehicle]:
-    least = corner_margin(vehicle, rule(vehicle, inner, cruise=cruise, dt=dt), cruise=cruise, dt=dt)
-    return min(least.shares), least.weakest
+    tried, gains = corners(vehicle), rule(vehicle, inner, cruise=cruise, dt=dt)
+    least = cruise_corners(tried, gains, cruise=cruise, dt=dt, proved=False)
+    return min(least.shares), tried.vehicle(least.weakest)
 
 
 def _margins(vehicle: Vehicle, inner: Array, cruise: float, dt: float, *, above: float) -> Array:
@@ -234,21 +238,21 @@ def _estimates(
 ) -> Array:
     # disk margin of the vehicle at both places together; of a plant, the lesser of both places
     loops = _loops(vehicle, inner, cruise, speed, dt, plant or vehicle)
-    places = ("both",) if plant is None else DISK_PLACES[:2]
-    peaks = np.max([screened_peaks(open_loop(loops, place)) for place in places], axis=0)
-    growth, stable = np.maximum(loops.rates[:, 0].real, 0.0), np.isfinite(peaks)
+    places = ((*THRUSTS, *POSE),) if plant is None else (THRUSTS, POSE)
+    peaks = np.max([screened_peaks(open_loop(loops, *signals)) for signals in places], axis=0)
+    growth, stable = np.maximum(loops.slowest_per_s, 0.0), np.isfinite(peaks)
     least = _TARGET if plant is None else _ABOVE * LEAST_DISK_MARGIN
     shares = np.where(stable, 1 / peaks / least, _UNSTABLE / (1 + growth))
     if stable.any():
-        late = loop_delays(loops[stable]).min(axis=0) / (_ABOVE * LEAST_DELAY_MARGIN)
+        late = delays_at(loops[stable], (*THRUSTS, *POSE)).min(axis=0) / (_ABOVE * LEAST_DELAY_MARGIN)
         shares[stable] = np.minimum(shares[stable], np.maximum(late, _UNSTABLE))
     return shares
 
 
-def _loops(vehicle: Vehicle, inner: Array, cruise: float, speed: float, dt: float, plant: Vehicle) -> CruiseLoop:
-    rows = [rule(vehicle, one, cruise=cruise, dt=dt) for one in inner]
-    gains = {name: np.array([row[name] for row in rows]) for name in rows[0]}
-    return cruise_loops([plant], gains, cruise=speed, dt=dt, model=vehicle)
+def _loops(vehicle: Vehicle, inner: Array, cruise: float, speed: float, dt: float, plant: Vehicle) -> LinearLoop:
+    points = [CruisePoint(plant, vehicle, rule(vehicle, one, cruise=cruise, dt=dt), speed) for one in inner]
+    ((_, loops),) = cruise_groups(points, dt=dt)
+    return loops
 
 
 TUNED_FOR = ("sur400", "sur400-tilting", "sur540-flooded", "sur540-light", "sur540-tilting")
@@ -467,8 +471,8 @@ def _derivation(hashed: HashedVehicle, cruise: float, dt: float) -> Derivation:
     inner, _ = searched_inner(vehicle, cruise, dt)
     searched = bool(np.any(inner != inner_start(vehicle, cruise=cruise, dt=dt)))
     values = rule(vehicle, inner, cruise=cruise, dt=dt)
-    least = corner_margin(vehicle, values, cruise=cruise, dt=dt, proved=True)
-    margins = float(np.nan_to_num(least.margin)), least.delay.delay_s
+    least = cruise_corners(corners(vehicle), values, cruise=cruise, dt=dt)
+    margins = float(np.nan_to_num(least.disk)), least.delay.delay_s
     bearable = cruise if least.enough else _bearable(vehicle, cruise, dt, inner)
     gains = _named(vehicle, inner, cruise, dt, margins)
     return Derivation(gains, vehicle.name, cruise, dt, *margins, bearable, searched, munk_rate(vehicle, cruise))

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from itertools import product
 from types import MappingProxyType
 
 import numpy as np
@@ -22,6 +21,7 @@ from surctl.marine.simulation.loop import SingleRun
 from surctl.marine.tuning.goals import PART_OF, Goal
 from surctl.marine.vehicle import Vehicle
 from surctl.marine.verification import law_loop, linear_table, steady_motion
+from surctl.marine.verification.corners import range_ends
 from surctl.marine.verification.cruise_loop import has_cruise_loop
 from surctl.marine.verification.law_loop import OperatingPoint, operating_point, steadiest
 from surctl.marine.verification.speeds import check_held
@@ -156,14 +156,8 @@ def corners(vehicle: Vehicle) -> tuple[dict[str, float], ...]:
     too, and so are all thrust limits. These three choices give up to eight corners. A parameter without a range keeps
     its value.
     """
-    ends = []
-    for group in _GROUPS:
-        known = [(f"plant.{name}", vehicle.parameters[name].range) for name in group]
-        low = {name: r[0] for name, r in known if r is not None}
-        high = {name: r[1] for name, r in known if r is not None}
-        ends.append((low, high) if low else ({},))
-    combinations = [{**m, **d, **t} for m, d, t in product(*ends)]
-    return ({}, *combinations) if combinations != [{}] else ({},)
+    ends = ({f"plant.{name}": value for name, value in one.items()} for one in range_ends(vehicle, _GROUPS))
+    return ({}, *(one for one in ends if one))
 
 
 def conditions(cases: Sequence[Case], *, seeds: Sequence[int], with_corners: bool = True) -> tuple[Condition, ...]:

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from surctl.marine.vehicle.identification.identify import HELD_OUT, Identified, identify
     from surctl.marine.vehicle.identification.model import CONSTANT_FORCE, FITTED
     from surctl.marine.vehicle.identification.prediction import Prediction, predict
-    from surctl.marine.vehicle.linearise import linearise, plant_system
+    from surctl.marine.vehicle.linearise import linearise, vehicle_plant
     from surctl.marine.vehicle.motion_log import FRAME_TEXT, FRAMES, LOG_MOTION, LOG_THRUST, LOG_TILT, Frame, MotionLog
     from surctl.marine.vehicle.parameters import LIBRARY, Parameter, Vehicle, load_vehicle, write_vehicle
     from surctl.marine.vehicle.specs import PARAMETERS, TERMS, ParameterSpec, PlantForm, parameter_spec
@@ -72,12 +72,12 @@ __all__ = [
     "plant_layout",
     "plant_parameters",
     "plant_state",
-    "plant_system",
     "plant_thrust_limit",
     "predict",
     "sphere",
     "steady_speed",
     "trim_thrust",
+    "vehicle_plant",
     "write_vehicle",
 ]
 

@@ -1,18 +1,21 @@
-"""Linearisation of a vehicle as a python-control system; whether its thrust, or a law, can hold a cruise speed."""
+"""A vehicle as the plant of a system; its linearisation; whether its thrust, or a law, can hold a cruise speed."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surctl.errors import InputError
+from surctl.ir import Layout, Port
 from surctl.marine.vehicle.dynamics import (
     PAPER,
     PLANT_DISTURBANCE,
     build_plant,
+    plant_layout,
     plant_parameters,
     plant_state,
     trim_function,
@@ -21,6 +24,7 @@ from surctl.marine.vehicle.dynamics import (
 )
 from surctl.marine.vehicle.parameters import Vehicle
 from surctl.marine.vehicle.specs import PlantForm
+from surctl.system import Parts, Plant
 
 TILT_NAMES = ("phi", "theta", "p", "q")
 STATE_NAMES = ("x", "y", "z", "psi", "u", "v", "w", "r", "Fu", "Fv", "Fw", "Fr")
@@ -36,18 +40,17 @@ SIGNAL_UNITS = dict(
 """Unit of each signal, by name."""
 
 
-def linearise(vehicle: Vehicle, nu: NDArray[np.float64], psi: float = 0.0, *, units: bool = False) -> Any:
+def linearise(vehicle: Vehicle, nu: NDArray[np.float64], psi: float = 0.0) -> Any:
     """Return a `control.StateSpace` from thrust command to the whole plant state, linearised about trimmed motion.
 
     Args:
         vehicle: the vehicle; its trim thrust must lie strictly inside the thrust limits.
         nu: body velocity (4,) [m/s, rad/s] of the operating point in still water.
         psi: heading [rad].
-        units: whether to append units to the signal names, as in "u [m/s]".
 
     Returns:
-        The StateSpace system with inputs `THRUST_NAMES`, and with states and outputs `state_names(vehicle)`, in the
-        units `SIGNAL_UNITS`.
+        The StateSpace system with inputs `THRUST_NAMES`, and with states and outputs `STATE_NAMES`, and `TILT_NAMES` if
+        the vehicle rolls and pitches, in the units `SIGNAL_UNITS`. If `thrust_lag` is 0, there are no thrust states.
 
     Raises:
         InputError: the operating point needs more thrust than the vehicle has.
@@ -65,7 +68,7 @@ def linearise(vehicle: Vehicle, nu: NDArray[np.float64], psi: float = 0.0, *, un
     _check_trim(vehicle, nu)
     (a,), (b,), _ = plant_jacobians(plant_parameters(vehicle)[None], nu[None], psi=psi, form=vehicle.form)
     keep = dynamic_states(vehicle.form, lagged=vehicle["thrust_lag"] > 0)
-    names = labelled(state_names(vehicle), units=units)
+    names = [(*STATE_NAMES, *TILT_NAMES)[k] for k in keep]
     return control.ss(
         a[np.ix_(keep, keep)],
         b[keep],
@@ -73,7 +76,7 @@ def linearise(vehicle: Vehicle, nu: NDArray[np.float64], psi: float = 0.0, *, un
         np.zeros((len(keep), 4)),
         states=names,
         outputs=names,
-        inputs=labelled(THRUST_NAMES, units=units),
+        inputs=list(THRUST_NAMES),
         name=vehicle.name,
     )
 
@@ -81,15 +84,6 @@ def linearise(vehicle: Vehicle, nu: NDArray[np.float64], psi: float = 0.0, *, un
 def dynamic_states(form: PlantForm, *, lagged: bool) -> list[int]:
     """Return the places of a plant's states that have dynamics: without thrust lag, the thrust has none."""
     return [k for k in range(plant_state(form).size) if lagged or not 8 <= k < len(STATE_NAMES)]
-
-
-def state_names(vehicle: Vehicle) -> tuple[str, ...]:
-    """Return the names of the states of a vehicle's plant: `STATE_NAMES`, and `TILT_NAMES` if it rolls and pitches.
-
-    If `thrust_lag` is 0, there are no thrust states.
-    """
-    names = (*STATE_NAMES, *TILT_NAMES)
-    return tuple(names[k] for k in dynamic_states(vehicle.form, lagged=vehicle["thrust_lag"] > 0))
 
 
 def _check_trim(vehicle: Vehicle, nu: NDArray[np.float64]) -> None:
@@ -170,11 +164,6 @@ def can_hold(thrust: NDArray[np.float64], least: NDArray[np.float64], most: NDAr
     return inside
 
 
-def labelled(names: Sequence[str], *, units: bool = True) -> list[str]:
-    """Return the signal names with their units appended, as in "u [m/s]"; dimensionless signals have no unit."""
-    return [f"{name} [{SIGNAL_UNITS[name]}]" if units and name in SIGNAL_UNITS else name for name in names]
-
-
 def plant_jacobians(
     parameters: NDArray[np.float64],
     nu: NDArray[np.float64],
@@ -213,51 +202,47 @@ def plant_jacobians(
     )
 
 
-def plant_system(vehicle: Vehicle, *, current: ArrayLike = (0.0, 0.0, 0.0), units: bool = True) -> Any:
-    """Return a `control.NonlinearIOSystem` from thrust command to the whole plant state, continuous in time.
-
-    `control.input_output_response` interpolates inputs between the given times, but the simulation of this toolkit
-    holds inputs constant. `control.input_output_response` may also skip a short input. Therefore give times on both
-    sides of a step of an input, and limit the step size with `solve_ivp_kwargs={"max_step": ...}`. With "rtol" and
-    "atol" of 1e-12, the computed motion agrees with the fixed-step simulation to 1e-8 in SI units. `control.linearize`
-    about trimmed motion gives the system that `linearise` returns.
+def vehicle_plant(vehicle: Vehicle, pose: ArrayLike = (0.0, 0.0, 0.0, 0.0)) -> Plant:
+    """Return a vehicle as the plant of a system, for a controller of your own and for `to_control`.
 
     Args:
-        vehicle: the vehicle; the system includes its thrust limits and thrust lag.
-        current: steady current (3,) [m/s] in the world frame {E} (east, north, up).
-        units: whether to append units to the signal names, as in "u [m/s]".
+        vehicle: the vehicle, with its thrust limits and thrust lag; its numbers are the defaults of the parameters.
+        pose: x, y, z [m] and heading [rad] at the start.
 
     Returns:
-        The system with inputs `THRUST_NAMES`, and with states and outputs `state_names(vehicle)`.
-
-    Raises:
-        InputError: the current does not consist of three finite numbers.
+        The plant with the inputs `delivered`, the thrust command, and the current, wave and drift of the water.
 
     Example:
         >>> import control
         >>> import numpy as np
-        >>> from surctl.marine.vehicle import load_vehicle, plant_system
-        >>> system, t = plant_system(load_vehicle("sur400")), np.linspace(0, 60, 301)
-        >>> ahead = np.outer([5.0, 0.0, 0.0, 0.0], np.ones(301))  # N
-        >>> response = control.input_output_response(system, t, ahead)
-        >>> round(float(response.states[4, -1]), 2)  # m/s after a minute
+        >>> from surctl.marine.vehicle import load_vehicle, vehicle_plant
+        >>> from surctl.system import to_control
+        >>> plant, t = to_control(vehicle_plant(load_vehicle("sur400"))), np.linspace(0, 60, 301)
+        >>> ahead = np.outer([5.0, *np.zeros(plant.ninputs - 1)], np.ones(301))  # N
+        >>> states = control.input_output_response(plant, t, ahead).states
+        >>> round(float(states[4, -1]), 2)  # m/s after a minute
         0.38
     """
-    import control  # imported here because the import takes seconds
+    own, numbers, ode = plant_state(vehicle.form), plant_layout(vehicle.form), build_plant(vehicle.form).ode
+    # the command of a law has the name `tau`, too
+    renamed = (replace(port, name="thrust") if port.name == "tau" else port for port in own)
+    state = valued(Layout(tuple(renamed)), {"eta": pose})
 
-    flow = np.asarray(current, dtype=float)
-    if flow.shape != (3,) or not np.isfinite(flow).all():
-        raise InputError("must be three finite numbers", key="current", value=current, remedy="give x, y, z in m/s")
-    ode, p, d = build_plant(vehicle.form).ode, plant_parameters(vehicle), PLANT_DISTURBANCE.pack({"current": flow})
-    keep = dynamic_states(vehicle.form, lagged=vehicle["thrust_lag"] > 0)
-    whole = np.zeros(plant_state(vehicle.form).size)
+    def rate(x: Parts, f: Parts, d: Parts, p: Parts) -> Any:
+        return ode(state.join(x), f["delivered"], PLANT_DISTURBANCE.join(f), numbers.join(p))
 
-    def rate(t: float, x: NDArray[np.float64], u: NDArray[np.float64], params: Mapping[str, Any]) -> Any:
-        state = whole.copy()
-        state[keep] = x
-        return np.asarray(ode(state, u, d, p)).reshape(-1)[keep]
+    parameters = valued(numbers, numbers.unpack(plant_parameters(vehicle)))
+    return Plant("vehicle", state, Layout((*DELIVERED, *PLANT_DISTURBANCE)), rate, parameters)
 
-    names = labelled(state_names(vehicle), units=units)
-    return control.nlsys(
-        rate, None, inputs=labelled(THRUST_NAMES, units=units), outputs=names, states=names, name=vehicle.name
-    )
+
+DELIVERED = Layout((Port("delivered", (4,), "N, N m", "thrust command with the errors of the thrusters"),))
+
+
+def valued(layout: Layout, values: Mapping[str, Any]) -> Layout:
+    """Return a layout with these default values by name; a port without one keeps its own."""
+
+    def one(port: Port) -> Port:
+        default: Any = np.ravel(values[port.name]) if port.name in values else port.default
+        return replace(port, default=default)
+
+    return Layout(tuple(map(one, layout)))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -12,6 +12,8 @@ from surctl.marine.vehicle import TERMS, Vehicle
 MASS_SPREAD, DRAG_SPREAD = 0.05, 0.2
 """Relative uncertainty of all masses and of all drag coefficients of a vehicle whose file states no ranges (*chosen*).
 """
+
+NOMINAL = "the nominal vehicle"
 
 _GROUPS: tuple[tuple[str, ...], ...] = (
     ("m11",), ("m22",), ("m33",), ("m44",), ("Xu", "Xuu"), ("Yv",), ("Zw",), ("Nr",), ("thrust_lag",),
@@ -39,9 +41,24 @@ class Corners:
     labels: tuple[str, ...]
     assumed: bool = False
 
-    def label(self, vehicle: Vehicle) -> str:
-        """Return the label of one of the vehicles."""
-        return next(label for label, one in zip(self.labels, self.vehicles, strict=True) if one is vehicle)
+    @property
+    def others(self) -> dict[str, Vehicle]:
+        """The vehicles by label, without the nominal one."""
+        return dict(zip(self.labels[1:], self.vehicles[1:], strict=True))
+
+    @property
+    def alone(self) -> Corners:
+        """The nominal vehicle alone."""
+        return Corners(self.vehicles[:1], f"{NOMINAL} alone", (NOMINAL,))
+
+    def vehicle(self, label: str) -> Vehicle:
+        """Return the vehicle with a label."""
+        return self.others.get(label, self.vehicles[0])
+
+    def held(self, loops: Sequence[tuple[str, object | None]], cruise: float) -> str:
+        """Return `text`, and how many of the vehicles have no loop because they cannot hold a cruise speed [m/s]."""
+        unable = sum(loop is None for _, loop in loops)
+        return self.text + (f"; {unable} of them cannot hold {cruise:g} m/s with their thrust" if unable else "")
 
 
 def corners(
@@ -71,17 +88,16 @@ def corners(
     Raises:
         InputError: the uncertainty is out of range.
     """
-    stated = [group for group in _groups(vehicle, alike=alike) if any(_ranged(vehicle, name) for name in group)]
-    if uncertainty is None and stated:
-        named = [[name for name in group if _ranged(vehicle, name) and name not in known] for group in stated]
-        free = [group for group in named if group]
-        if not free:
-            return Corners((vehicle,), "the nominal vehicle alone", ("nominal",))
-        vehicles = tuple(_with(vehicle, _ends(vehicle, free, side)) for side in product((0, 1), repeat=len(free)))
-        tied = ", with equal mass in surge and sway" if _MASSES in stated else ""
-        labels = tuple(_label(one, free) for one in vehicles)
+    groups = _groups(vehicle, alike=alike)
+    if uncertainty is None and range_ends(vehicle, groups) != [{}]:
+        ends = range_ends(vehicle, groups, known=known)
+        if ends == [{}]:
+            return Corners((vehicle,), f"{NOMINAL} alone", (NOMINAL,))
+        vehicles = tuple(_with(vehicle, values) for values in ends)
+        tied = ", with equal mass in surge and sway" if _MASSES in groups and _ranged(vehicle, "m11") else ""
+        labels = tuple(_label(one, ends[0]) for one in vehicles)
         text = f"the {len(vehicles)} corners of its parameter ranges{tied}"
-        return Corners((vehicle, *vehicles), text, ("nominal", *labels))
+        return Corners((vehicle, *vehicles), text, (NOMINAL, *labels))
     assumed = uncertainty is None
     mass, drag = (spread * MASS_SPREAD, spread * DRAG_SPREAD) if uncertainty is None else (uncertainty, uncertainty)
     if not 0 <= mass < 1:
@@ -94,7 +110,7 @@ def corners(
     off = f"mass and drag off by ±{mass:.0%}"
     if drag != mass:
         off = f"mass off by ±{mass:.0%} and drag by ±{drag:.0%}"
-    return Corners((vehicle, *scaled), f"the corners with {off}", ("nominal", *labels), assumed)
+    return Corners((vehicle, *scaled), f"the corners with {off}", (NOMINAL, *labels), assumed)
 
 
 def _groups(vehicle: Vehicle, *, alike: bool) -> list[tuple[str, ...]]:
@@ -113,8 +129,8 @@ def _factors(share: float) -> tuple[float, ...]:
     return (1 - share, 1 + share) if share > 0 else ()
 
 
-def _label(vehicle: Vehicle, groups: list[list[str]]) -> str:
-    units = {name: vehicle.parameters[name].unit for group in groups for name in group}
+def _label(vehicle: Vehicle, names: Iterable[str]) -> str:
+    units = {name: vehicle.parameters[name].unit for name in names}
     return ", ".join(f"{name} = {vehicle[name]:.4g}" + (f" {u}" if u != "1" else "") for name, u in units.items())
 
 
@@ -123,14 +139,19 @@ def _alike(vehicle: Vehicle) -> bool:
     return surge.value == sway.value and surge.range == sway.range
 
 
-def _ends(vehicle: Vehicle, groups: list[list[str]], side: tuple[int, ...]) -> dict[str, float]:
-    values = {}
-    for group, end in zip(groups, side, strict=True):
-        for name in group:
-            ends = vehicle.parameters[name].range
-            assert ends is not None  # every parameter of the groups has a range
-            values[name] = float(ends[end])
-    return values
+def range_ends(
+    vehicle: Vehicle, groups: Iterable[Sequence[str]], *, known: Collection[str] = ()
+) -> list[dict[str, float]]:
+    """Return all combinations of the ends of a vehicle's ranges; the parameters of one group take the same end.
+
+    Parameters without a range, and those that are `known`, are in none of them.
+    """
+    each: list[tuple[dict[str, float], ...]] = []
+    for group in groups:
+        ranges = {name: vehicle.parameters[name].range for name in group if name not in known}
+        ends = [{name: float(span[side]) for name, span in ranges.items() if span is not None} for side in (0, 1)]
+        each.append(tuple(ends) if ends[0] else ({},))
+    return [{name: value for part in one for name, value in part.items()} for one in product(*each)]
 
 
 def _scaled(vehicle: Vehicle, mass: float, drag: float, known: Collection[str]) -> Vehicle:

@@ -13,8 +13,8 @@ followed), do not belong to the loop.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
-from functools import cached_property, partial
+from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -25,15 +25,20 @@ from surctl.marine.allocation import allocate
 from surctl.marine.control import Gains, Law, law_source
 from surctl.marine.simulation import Run, Scenario
 from surctl.marine.vehicle import PLANT_PARAMETERS, Vehicle, plant_parameters, trim_thrust
-from surctl.marine.vehicle.linearise import SIGNAL_UNITS, STATE_NAMES, TILT_NAMES, check_cruise, plant_jacobians
-from surctl.marine.vehicle.specs import AXES
-from surctl.marine.verification.corners import corners
-from surctl.marine.verification.cruise_loop import COUPLED, FAR, NEUTRAL, in_loop, law_numbers, moving_states
+from surctl.marine.vehicle.linearise import STATE_NAMES, check_cruise, plant_jacobians
+from surctl.marine.verification.corners import NOMINAL, corners
+from surctl.marine.verification.cruise_loop import (
+    COUPLED,
+    FAR,
+    NEUTRAL,
+    assembled,
+    in_loop,
+    law_numbers,
+    moving_states,
+)
 from surctl.own_code import label
 from surctl.system import LinearLoop
-from surctl.system.linear_loop import LoopNames, delayed
-from surctl.verification.loops import LoopMargins
-from surctl.verification.sampled_margins import LoopCorners, SampledLoop, corners_of, system_margins
+from surctl.verification.sampled_margins import LoopCorners, SampledLoop, corners_of
 
 Array = NDArray[np.float64]
 
@@ -175,64 +180,40 @@ _KINK = 0.01  # relative difference of one-sided derivatives that is reported
 
 @dataclass(frozen=True, eq=False)
 class LawLoop(SampledLoop):
-    """The linear sampled loop of a law about a cruise.
+    """The linear sampled loop of a law about a cruise or a steady motion.
 
     Attributes:
         law: name of the law.
         cruise: cruise speed U [m/s].
-        linear: the loop, with the thrust commands and the measurements as signals.
-        place: the motion about which the loop is linearised, as text.
+        place: the motion about which the loop is linearised, as text; empty: the straight cruise.
         free: coordinates that change nothing; they are left out.
         kink: difference of the one-sided derivatives of the law there, relative to their size; 0 if it is smooth.
     """
 
-    law: str
-    cruise: float
-    linear: LinearLoop
+    law: str = ""
+    cruise: float = 0.0
     place: str = ""
     free: tuple[str, ...] = ()
     kink: float = 0.0
 
     @property
-    def places(self) -> dict[str, tuple[str, ...]]:
-        """The thrust commands, and the measured pose if the law uses it."""
-        names = self.linear.names
-        pose = tuple(name for name in names.outputs if name in STATE_NAMES[:4])
-        return {"thrust": names.commands} | ({"measurement": pose} if pose else {})
+    def head(self) -> str:
+        """Of what the loop is, as text."""
+        return f"sampled loop of law {self.law} {f'about {self.place}' if self.place else f'at {self.cruise:g} m/s'}"
 
-    @cached_property
-    def margins(self) -> tuple[LoopMargins, ...]:
-        """Margins of each loop alone, opened at a thrust command or a measurement."""
-        return system_margins(self.linear)
-
-    def lines(self) -> list[str]:
-        """Return lines of text with the margins of each loop."""
-        where = f"about {self.place}" if self.place else f"at {self.cruise:g} m/s"
-        head = f"sampled loop of law {self.law} {where}, linearised numerically: "
-        notes = [f"  left out, because nothing depends on it: {', '.join(self.free)}"] if self.free else []
-        notes = ["  x is the position along the motion, y the position to its left", *notes] if self.place else notes
+    def notes(self) -> list[str]:
+        """Return lines of text about what the loop leaves out, and about derivatives that jump."""
+        notes = ["  x is the position along the motion, y the position to its left"] if self.place else []
+        notes += [f"  left out, because nothing depends on it: {', '.join(self.free)}"] if self.free else []
         if self.kink > _KINK:
             slopes = f"the derivatives of the law to both sides differ by {self.kink:.0%}"
             notes.append(f"  caution: {slopes} there; the margins are those of their mean")
-        if not self.stable:
-            return [f"{head}UNSTABLE, largest pole |z| = {abs(self.poles[0]):.5f}", *notes]
-        disks = ", ".join(f"{each.guaranteed:.2f} ({each.place})" for each in self.disks)
-        lines = [f"{head}stable, disk margin {self.disk:.2f}; all loops at once: {disks}"]
-        return [*lines, *(f"  loop {margin.line()}" for margin in self.margins), *notes]
+        return notes
 
     def to_dict(self) -> dict[str, Any]:
         """Return the stability of the loop as plain data for JSON."""
-        return {
-            "law": self.law,
-            "cruise_m_per_s": self.cruise,
-            "stable": self.stable,
-            "disk_margin": self.disk,
-            "disk_margins": [each.to_dict() for each in self.disks],
-            "largest_pole": float(np.abs(self.poles[0])),
-            "place": self.place or None,
-            "free": list(self.free),
-            "kink": self.kink,
-        }
+        about = {"law": self.law, "cruise_m_per_s": self.cruise, "place": self.place or None}
+        return {**about, **super().to_dict(), "free": list(self.free), "kink": self.kink}
 
 
 def law_loop(
@@ -266,59 +247,41 @@ def law_loop(
         >>> loop.stable, [m.name for m in loop.margins]
         (True, ['surge', 'sway', 'heave', 'yaw', 'x', 'y', 'z', 'psi', 'u', 'v', 'w', 'r'])
     """
-    if "samples" in law.inputs:
-        raise InputError("uses sonars", key="law", value=law.name, remedy="build it with sonar=False")
-    if at is not None:
-        return _loop(law, vehicle, at, place=at.text)
+    at = _motion(law, vehicle, gains, cruise=cruise, model=model or vehicle) if at is None else at
+    return _loop(law, vehicle, at, _differentiated(law, at))
+
+
+def _motion(law: Law, vehicle: Vehicle, gains: Gains, *, cruise: float, model: Vehicle) -> OperatingPoint:
     check_cruise(vehicle, cruise)
-    p = law_numbers(model or vehicle, gains.with_own(law_source(law.ref).gains), cruise=cruise)
+    p = law_numbers(model, gains.with_own(law_source(law.ref).gains), cruise=cruise)
     nu, x = np.array([cruise, 0.0, 0.0, 0.0]), law.initial_state()
     x[law.state.slice("progress")] = FAR  # arc length of the path's middle
     if "surge" in law.state:  # in a cruise, a law that predicts its speed through the water has found it
         x[law.state.slice("surge")] = cruise
-    return _loop(law, vehicle, OperatingPoint(x, law.inputs.pack({"eta": np.zeros(4), "nu": nu}), p, nu, 0.0, ""))
+    return OperatingPoint(x, law.inputs.pack({"eta": np.zeros(4), "nu": nu}), p, nu, 0.0, "")
 
 
-def _loop(law: Law, vehicle: Vehicle, at: OperatingPoint, *, place: str = "") -> LawLoop:
-    (Az, By, C, D), kink, axis = _differentiated(law, at)
-    linear, free = _linear(law, vehicle, at, (Az, By, C, D), axis)
-    return LawLoop(label(law.ref), at.speed, linear, place, free, kink)
+Slopes = tuple[tuple[Array, Array, Array, Array], float, float]
 
 
-def _linear(
-    law: Law, vehicle: Vehicle, at: OperatingPoint, slopes: tuple[Array, Array, Array, Array], axis: float
-) -> tuple[LinearLoop, tuple[str, ...]]:
-    # the loop, and the coordinates that are left out
+def _loop(law: Law, vehicle: Vehicle, at: OperatingPoint, slopes: Slopes) -> LawLoop:
+    # without the coordinates on which nothing depends
+    (Az, By, C, D), kink, axis = slopes
     form = vehicle.form
     along, ahead = _turned(axis).T @ at.current, _turned(at.heading).T @ at.current
     numbers, psi = plant_parameters(vehicle)[None], at.heading - axis
     (A,), (B,), _ = plant_jacobians(numbers, at.nu[None], psi=psi, form=form, current=along)
     B = B @ delivered(vehicle, at.nu - np.array([*ahead, 0.0, 0.0]))
-    Az, By, C, D = slopes
     acting = [bool(np.abs(row).max() > COUPLED) for row in np.hstack([C, D])]
     lagged = float(plant_parameters(vehicle)[PLANT_PARAMETERS.slice("thrust_lag")][0]) > 0
     included = moving_states(A, acting, lagged=lagged)
     slope = np.abs(np.vstack([By[in_loop(Az, By, C)], D])).max(axis=0)
     felt = slope > np.maximum(COUPLED, np.where(np.arange(8) < 2, NEUTRAL * slope[:2].max(), 0.0))
     free = _free(A, felt, [k for k in included if k < 4])
-    included = [k for k in included if k not in free]
-    moving, driven = [k for k in included if k < 8], [k for k in range(4) if acting[k]]
-    states = [(*STATE_NAMES, *TILT_NAMES)[k] for k in included]
-    A, B = A[np.ix_(included, included)], B[np.ix_(included, driven)]
-    own = in_loop(Az, By[:, moving], C)
-    Az, By, C, D = Az[np.ix_(own, own)], By[np.ix_(own, moving)], C[np.ix_(driven, own)], D[np.ix_(driven, moving)]
-    names, axes = states[: len(moving)], [AXES[k] for k in driven]
-    # a state of the law may have several entries, so the loop names them by number
-    inner = [f"law_{k}" for k in range(len(own))] + [f"late_{axis}" for axis in axes]
-    none = np.zeros((len(driven), 0))
-    measured = np.eye(len(names), len(states))
-    plant = (A, B, np.zeros((len(states), 0)), measured, np.zeros((len(names), 0)))
-    controller = delayed((Az, By, np.zeros((len(own), 0)), C, D, none), 1)
-    force = tuple(axes)
-    units = [(f"command.{axis}", "N m" if axis == "yaw" else "N") for axis in axes]
-    units += [(f"measured.{name}", SIGNAL_UNITS[name]) for name in names]
-    labels = LoopNames("craft", "law", tuple(states), tuple(inner), force, force, tuple(names), units=tuple(units))
-    return LinearLoop(plant, controller, labels, law.dt), tuple(STATE_NAMES[k] for k in free)
+    moving = [k for k in included if k not in free]
+    outputs, driven = [k for k in moving if k < 8], [k for k in range(4) if acting[k]]
+    linear = assembled(A, B, (Az, By, C, D), law, moving=moving, outputs=outputs, driven=driven, dt=law.dt)
+    return LawLoop(linear, label(law.ref), at.speed, at.text, tuple(STATE_NAMES[k] for k in free), kink)
 
 
 def _free(A: Array, felt: NDArray[np.bool_], coordinates: Sequence[int]) -> list[int]:
@@ -358,13 +321,15 @@ def _turned(angle: float) -> Array:
     return np.array([[c, -s], [s, c]])
 
 
-def _differentiated(law: Law, at: OperatingPoint) -> tuple[tuple[Array, Array, Array, Array], float, float]:
+def _differentiated(law: Law, at: OperatingPoint) -> Slopes:
     """Return A, B, C, D of z⁺ = A z + B y and thrust = C z + D y, the relative difference of one-sided derivatives, and
     the direction of x [rad].
 
     y = (x, y, z, ψ, u, v, w, r), with x along the motion over ground and y to its left; where the law depends on one
     direction alone, such as the distance from a line, that direction is the nearer of both, exactly.
     """
+    if "samples" in law.inputs:
+        raise InputError("uses sonars", key="law", value=law.name, remedy="build it with sonar=False")
     size, eta, nu = law.state.size, law.inputs.slice("eta"), law.inputs.slice("nu")
     turned = np.eye(4)
     turned[:2, :2] = _turned(at.course)
@@ -403,39 +368,6 @@ def _neutral(slopes: Array) -> float:
     return float((np.arctan2(directions[0, 1], directions[0, 0]) + 0.5 * quarter) % quarter - 0.5 * quarter)
 
 
-@dataclass(frozen=True, eq=False)
-class LawCorners(LoopCorners[LawLoop]):
-    """The loop of a law for the nominal plant and for the worst corner of its uncertainty.
-
-    Corners at which the thrust cannot hold the cruise speed are left out (`lost`).
-
-    Attributes:
-        at: the vehicle of the worst corner.
-        text: description of all corners.
-    """
-
-    at: Vehicle = field(kw_only=True)
-    text: str = field(kw_only=True)
-
-    @property
-    def stable(self) -> bool:
-        """Whether the loop is stable at every corner at which the thrust holds the speed."""
-        return self.nominal.stable and self.worst.stable
-
-    def lines(self) -> list[str]:
-        """Return lines of text: the nominal loop, then the worst corner."""
-        left = f"; at {len(self.lost)} of them the thrust cannot hold the speed" if self.lost else ""
-        word = f"disk margin {self.disk:.2f}" if self.worst.stable else "UNSTABLE"
-        lines = [*self.nominal.lines(), f"  worst of {self.text}{left}: {word} at {self.corner}"]
-        late = f"{self.delay.delay_s:.2f} s ({self.delay.where})"
-        return [*lines, *([f"  least delay margin of one loop alone: {late}"] if self.worst.stable else [])]
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the analysis as plain data for JSON."""
-        worst = {**self.worst.to_dict(), "corner": self.corner, "of": self.text, "delay_margin": self.delay._asdict()}
-        return {**self.nominal.to_dict(), "worst": worst}
-
-
 def law_corners(
     law: Law,
     vehicle: Vehicle,
@@ -444,10 +376,11 @@ def law_corners(
     cruise: float,
     uncertainty: float | None = None,
     at: OperatingPoint | None = None,
-) -> LawCorners:
+) -> LoopCorners:
     """Return the loop of a law about a straight cruise for the nominal plant and the worst corner of its parameters.
 
-    With `at`, every loop is linearised about that steady motion.
+    With `at`, every loop is linearised about that steady motion. Corners whose thrust cannot hold the speed are left
+    out.
 
     The corners are those of the ranges in the vehicle file. If the file states none, all masses are off by ±5 % and all
     drag coefficients by ±20 %; with `uncertainty`, both by this share.
@@ -469,11 +402,16 @@ def law_corners(
         >>> result.stable, round(result.nominal.disk, 2), result.corner
         (True, 0.66, 'mass +5%, drag -20%')
     """
-    nominal = law_loop(law, vehicle, gains, cruise=cruise, at=at)
-    tried = corners(vehicle, uncertainty)
-    loop_of = partial(law_loop, law, gains=gains, cruise=cruise, model=vehicle, at=at)
-    plants = ((tried.label(plant), partial(loop_of, plant)) for plant in tried.vehicles[1:])
-    result = corners_of(nominal, "the nominal vehicle", plants)
-    # a corner without a loop is one at which the thrust cannot hold the speed
-    plant = next((p for p in tried.vehicles[1:] if tried.label(p) == result.corner), vehicle)
-    return LawCorners(**vars(result), at=plant, text=tried.text)
+    motion = _motion(law, vehicle, gains, cruise=cruise, model=vehicle) if at is None else at
+    slopes, tried = _differentiated(law, motion), corners(vehicle, uncertainty)  # the law's model is the same at each
+
+    def loop(plant: Vehicle) -> LinearLoop | None:
+        try:
+            if at is None:
+                check_cruise(plant, cruise)
+            return _loop(law, plant, motion, slopes).linear
+        except InputError:  # the thrust cannot hold the speed
+            return None
+
+    built = [(name, loop(plant)) for name, plant in tried.others.items()]
+    return corners_of(_loop(law, vehicle, motion, slopes), built, name=NOMINAL, of=tried.held(built, cruise))

@@ -14,6 +14,7 @@ from surctl.marine.vehicle import Vehicle
 from surctl.marine.vehicle.linearise import WITHIN_LAW, check_cruise
 from surctl.marine.verification.cruise_loop import TRACKING_LAW
 from surctl.marine.verification.linear_table import LINEAR_METRICS, linear_table
+from surctl.verification.linear import short_margins
 from surctl.verification.loops import worst_place
 
 
@@ -108,6 +109,17 @@ class OverSpeeds:
         place = int(worst_place(self._ill(name)))
         return float(self.figures[name][place]), self.cruise[place]
 
+    @property
+    def short(self) -> str:
+        """The margins at the worst corner that do not suffice at some speed, as text; empty if both do."""
+        disk, delay = ((value, f"at {u:.3g} m/s") for value, u in map(self.worst, ("disk_margin", "delay_margin_s")))
+        return short_margins(disk, delay)
+
+    @property
+    def sentence(self) -> str:
+        """The margins that do not suffice, as a sentence of gains that have both margins at the largest speed."""
+        return f"margins below {max(self.cruise):g} m/s, where the vehicle starts and turns: {self.short}"
+
     def _ill(self, name: str) -> NDArray[np.float64]:
         values = self.figures[name]
         return values if LINEAR_METRICS[name].better == "low" else -values
@@ -130,6 +142,7 @@ def over_speeds(
     dt: float,
     columns: Collection[str] = ("delay_margin_s", "disk_margin", "sensitivity_peak", "slowest_pole_per_s"),
     law: str = TRACKING_LAW,
+    uncertainty: float | None = None,
 ) -> OverSpeeds:
     """Return the columns of `linear_table` at each cruise speed [m/s]; `dt` is the control period [s].
 
@@ -146,5 +159,27 @@ def over_speeds(
         >>> round(pole, 3), speed
         (-0.065, 0.05)
     """
-    table = linear_table(vehicle, {}, base=gains, cruise=list(cruise), dt=dt, columns=columns, law=law)
-    return OverSpeeds(tuple(cruise), {name: table[name] for name in columns})
+    about: dict[str, Any] = {"columns": columns, "law": law, "uncertainty": uncertainty}
+    return OverSpeeds(tuple(cruise), linear_table(vehicle, {}, base=gains, cruise=list(cruise), dt=dt, **about))
+
+
+_SLOWER = (0.05, 0.35, 0.7)
+"""Speeds between rest and the cruise speed at which margins are examined, as shares of the cruise speed."""
+
+
+def slow_margins(vehicle: Vehicle, gains: Mapping[str, float], *, cruise: float, dt: float, **about: Any) -> OverSpeeds:
+    """Return the margins at the worst corner at the cruise speed [m/s] and three slower ones, as `over_speeds`.
+
+    The Munk moment falls with the square of the speed, so that some gains fit a fast vehicle better than a slow one.
+
+    Example:
+        >>> from surctl.marine.tuning import derive_gains
+        >>> from surctl.marine.vehicle import load_vehicle
+        >>> from surctl.marine.verification.speeds import slow_margins
+        >>> rov = load_vehicle("bluerov2-wu")
+        >>> gains = derive_gains(rov, cruise=0.33).gains.values
+        >>> slow_margins(rov, gains, cruise=0.33, dt=0.05).short
+        'a disk margin of 0.27 at 0.0165 m/s ...'
+    """
+    speeds = (*(share * cruise for share in _SLOWER), cruise)
+    return over_speeds(vehicle, gains, cruise=speeds, dt=dt, columns=("disk_margin", "delay_margin_s"), **about)

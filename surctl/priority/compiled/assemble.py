@@ -70,15 +70,13 @@ class Assembly:
         amounts = {row.name: float(by) for row, by in zip(self.limits, moved, strict=False) if by > 0.0}
         return build_problem(levels, limits, moved=amounts)
 
-    def step(
-        self, mode: Mode = "projected", *, sweeps: int = 1, damping: float = 0.0, fallback: Fallback = "exact"
-    ) -> AssembledStep:
+    def step(self, mode: Mode = "projected", *, damping: float = 0.0, fallback: Fallback = "exact") -> AssembledStep:
         """Compile a priority step that first evaluates tasks and limits, and return it with its own arrays.
 
         Raises:
             InputError: the Jacobian of a set-based task has more than one row; `priority_step` lists the other errors.
         """
-        return AssembledStep(self, mode, sweeps=sweeps, damping=damping, fallback=fallback)
+        return AssembledStep(self, mode, damping=damping, fallback=fallback)
 
     @property
     def shapes(self) -> tuple[LevelShape, ...]:
@@ -118,18 +116,14 @@ class AssembledStep(PriorityStep):
     inputs: Mapping[str, Array]
     moved: Array
 
-    def __init__(
-        self, assembly: Assembly, mode: Mode, *, sweeps: int = 1, damping: float = 0.0, fallback: Fallback = "exact"
-    ) -> None:
+    def __init__(self, assembly: Assembly, mode: Mode, *, damping: float = 0.0, fallback: Fallback = "exact") -> None:
         """Compile the step; the arguments are those of `Assembly.step`."""
         for task in assembly.stack.tasks:
             if isinstance(task, SetTask) and task.size > 1:
                 problem = f"is set-based and has {task.size} rows; a compiled level has 1"
                 raise InputError(problem, key=f"task {task.name}", remedy="put its split() into the stack")
         n, places = assembly.stack.velocities, max(1, len(assembly.limits))
-        step = priority_step(
-            mode, n=n, levels=assembly.shapes, rows=places, sweeps=sweeps, damping=damping, fallback=fallback
-        )
+        step = priority_step(mode, n=n, levels=assembly.shapes, rows=places, damping=damping, fallback=fallback)
         inputs, outputs, self.solve, self.compiled = bound(_fused(lower(assembly.function), step, mode))
         places = len(step.inputs)
         self._take(mode, n, assembly.shapes, outputs[:places], outputs[places + 1 :])

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError, ToolMissing
-from surctl.ir import Call, Loop, Program, Routine, Step, compile_block, lower, lower_named, replay
+from surctl.ir import Call, Program, Routine, Step, compile_block, lower, lower_named, replay
 from surctl.ir.native import warn_slower
 from surctl.priority.compiled.sweep import HUGE, gate, into, sweep, swept
 from surctl.priority.hierarchy.kernel import hierarchy
@@ -33,6 +33,8 @@ from surctl.priority.solver.fallback import CLAMPED, MET, Sizes, limited_step
 OUTPUTS = ("v", "active", "multipliers", "opening", "status", "count", "target")
 """Names of the outputs of a step, in order."""
 
+_MOST_BOUNDED = 8
+
 _RAW = tuple(f"{name}_raw" for name in OUTPUTS)
 _STACK = ("J", "lower", "upper")
 
@@ -43,7 +45,6 @@ def priority_step(
     n: int,
     levels: tuple[LevelShape, ...],
     rows: int,
-    sweeps: int = 1,
     damping: float = 0.0,
     precision: Precision = FLOAT64,
     fallback: Fallback = "exact",
@@ -88,13 +89,11 @@ def priority_step(
         n: number of velocities.
         levels: number of Jacobian rows and kind of each level.
         rows: number of constraint rows m, at least 1.
-        sweeps: number of sweeps over all levels; each sweep starts from the velocity of the previous sweep. 1 in mode
-            lexicographic.
         damping: λ [unit of J]; 0 in mode lexicographic.
         precision: tolerances of the solver for the number type with which the routine runs.
-        fallback: "exact", or "bounded" for modes filter and projected without damping. If limits and task 1 are
-            incompatible, or need more than 4 iterations, "bounded" computes a velocity that is not optimal, at constant
-            cost; see module `solver.fallback`.
+        fallback: "exact", or "bounded" for modes filter and projected without damping and up to 8 velocities. If limits
+            and task 1 are incompatible, or need more than 4 iterations, "bounded" computes a velocity that is not
+            optimal, at constant cost; see module `solver.fallback`.
 
     Raises:
         InputError: the mode is unknown, or n, `rows`, a level or a setting is out of range; the message names the
@@ -110,8 +109,11 @@ def priority_step(
         >>> v.round(3).tolist(), active.tolist()  # held back by row 1 at its upper bound
         ([0.1, 0.4], [1.0, 0.0])
     """
-    shape, settings = StackShape(n, levels), Settings(mode, sweeps, damping)
+    shape, settings = StackShape(n, levels), Settings(mode, damping)
     check_fallback(fallback, mode=mode, damping=damping)
+    if fallback == "bounded" and n > _MOST_BOUNDED:
+        problem = f"is for at most {_MOST_BOUNDED} velocities, whose search has code without loops"
+        raise InputError(problem, key="fallback", value=fallback, remedy="use the exact fallback")
     if not isinstance(rows, int | np.integer) or rows < 1:
         raise InputError("must be a whole number of at least 1", key="rows", value=rows, remedy="give 1 or more")
     inputs = (*shape.inputs, ("rows", rows * (n + 3)), ("box", 2 * n))
@@ -133,7 +135,7 @@ def priority_step(
 
 
 def _projected(shape: StackShape, sizes: Sizes, settings: Settings) -> tuple[Step, ...]:
-    """Return the steps of mode projected: each sweep projects v on the levels from the lowest to 2, then on level 1."""
+    """Return the steps of mode projected: projections on the levels from the lowest to 2, then on level 1."""
     n, fixed = shape.n, (*_STACK, "rows", "box")
     carried = (*sizes.solution, ("target", n))
     after = tuple(f"{name}_next" for name in OUTPUTS)
@@ -160,9 +162,7 @@ def _projected(shape: StackShape, sizes: Sizes, settings: Settings) -> tuple[Ste
         after,
     )
     state = ("zero", "zero", "zero", "none", "none", "none", "zero")
-    if settings.sweeps == 1:
-        return (Call(turn, (*state, *fixed), _RAW),)
-    return (Loop(turn, settings.sweeps, state, _RAW, fixed=fixed),)
+    return (Call(turn, (*state, *fixed), _RAW),)
 
 
 def _unlimited(n: int) -> Program:
@@ -251,7 +251,6 @@ class PriorityStep:
         n: int,
         levels: Sequence[LevelShape],
         rows: int,
-        sweeps: int = 1,
         damping: float = 0.0,
         fallback: Fallback = "exact",
     ) -> None:
@@ -260,7 +259,7 @@ class PriorityStep:
         Initially all constraint rows are zero with infinite bounds, and the box is unbounded.
         """
         shapes = tuple(levels)
-        routine = priority_step(mode, n=n, levels=shapes, rows=rows, sweeps=sweeps, damping=damping, fallback=fallback)
+        routine = priority_step(mode, n=n, levels=shapes, rows=rows, damping=damping, fallback=fallback)
         inputs, outputs, self.solve, self.compiled = bound(routine)
         self._take(mode, n, shapes, inputs, outputs)
         self.rows[:] = idle_row(n)
@@ -290,7 +289,6 @@ class PriorityStep:
         mode: Mode = "projected",
         *,
         rows: int | None = None,
-        sweeps: int = 1,
         damping: float = 0.0,
         fallback: Fallback = "exact",
     ) -> PriorityStep:
@@ -304,7 +302,6 @@ class PriorityStep:
             n=problem.width,
             levels=level_shapes(problem),
             rows=places,
-            sweeps=sweeps,
             damping=damping,
             fallback=fallback,
         )

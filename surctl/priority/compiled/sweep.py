@@ -11,7 +11,7 @@ from typing import NamedTuple
 import casadi as ca
 
 from surctl.errors import InputError
-from surctl.ir import Call, Loop, Program, Step, lower
+from surctl.ir import Call, Program, Step, lower
 from surctl.ir.procedure import Procedure
 from surctl.priority.compiled.projections import checks, projections
 from surctl.priority.settings import CUTOFF, ZERO_ROW, Settings
@@ -250,11 +250,8 @@ def sweep(shape: StackShape, *, damping: float, highest: int = 0) -> Program | P
 
 
 def swept(shape: StackShape, settings: Settings) -> tuple[Step, ...]:
-    """Return the steps that compute the velocity after `settings.sweeps` sweeps over all levels, from v = 0."""
-    one, fixed = sweep(shape, damping=settings.damping), ("J", "lower", "upper")
-    if settings.sweeps == 1:
-        return (Call(one, ("zero", *fixed), ("swept",)),)
-    return (Loop(one, settings.sweeps, ("zero",), ("swept",), fixed=fixed),)
+    """Return the steps that compute the velocity after a sweep over all levels, from v = 0."""
+    return (Call(sweep(shape, damping=settings.damping), ("zero", "J", "lower", "upper"), ("swept",)),)
 
 
 def gate(shape: StackShape) -> Program | Procedure:

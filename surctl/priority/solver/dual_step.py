@@ -10,14 +10,14 @@ several steps to become active is called pending between these steps.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 from typing import NamedTuple
 
 import casadi as ca
 
-from surctl.ir import Block, Call, Gather, Loop, Program, Routine, lower
-from surctl.priority.solver.elimination import FLOAT64, LOOPED, Precision
+from surctl.ir import Program, lower
+from surctl.priority.solver.elimination import FLOAT64, Precision
 
 
 class _Planar(NamedTuple):
@@ -77,69 +77,6 @@ def _cross(a: ca.SX, b: ca.SX) -> ca.SX:
 def _across(a: ca.SX) -> ca.SX:
     """Return the vector (2,) rotated by 90° counter-clockwise."""
     return ca.vertcat(-a[1], a[0])
-
-
-def _against_slots(d: int) -> Routine:
-    """Return the routine that splits a normal into a combination of the active normals and the rest.
-
-    Inputs: normals (d·d,), numbers (d,), as in `iteration`; normal (d,). Outputs: rest (d,), the part of the normal
-    outside the span of the active normals; r (d,), the coefficients of the combination, 0 for an empty slot.
-    """
-    zeros = [ca.densify(ca.SX.zeros(size)) for size in (d * d, d, d)]
-    a, b = ca.SX.sym("a", d), ca.SX.sym("b", d)
-    steps = (
-        Call(lower(ca.Function("no_slots", [], zeros)), (), ("Q_none", "inverse_none", "none")),
-        Loop(
-            _column(d), d, ("Q_none", "inverse_none"), ("Q", "inverse", "R"), sliced=("normals", "numbers"), index=True
-        ),
-        Loop(_outside(d), d, ("normal",), ("rough", "part"), sliced=("Q", "inverse")),
-        Loop(_outside(d), d, ("rough",), ("rest", "more"), sliced=("Q", "inverse")),
-        Call(lower(ca.Function("inside", [a, b], [a + b])), ("part", "more"), ("inside",)),
-        Loop(_back(d), d, ("inside",), ("r",), fixed=("R",), index=True),
-    )  # fmt: skip
-    return Routine(f"against_{d}", (("normals", d * d), ("numbers", d), ("normal", d)), steps, ("rest", "r"))
-
-
-def _outside(d: int) -> Program:
-    """Return a program that subtracts from a vector its component along q and returns its factor; inverse is 1/‖q‖²."""
-    vector, q, inverse = ca.SX.sym("vector", d), ca.SX.sym("q", d), ca.SX.sym("inverse")
-    part = ca.dot(q, vector) * inverse
-    return lower(ca.Function("outside_slot", [vector, q, inverse], [vector - part * q, part]))
-
-
-def _column(d: int) -> Routine:
-    """Return the routine for column number `turn` of Q and R; columns of Q that are not yet computed are 0."""
-    q, number, turn = ca.SX.sym("q", d), ca.SX.sym("number"), ca.SX.sym("turn")
-    used = number != 0
-    inverse = ca.if_else(used, 1 / ca.if_else(used, ca.dot(q, q), 1), 0)
-    at, old, old_inverse = ca.SX.sym("at"), ca.SX.sym("old", d), ca.SX.sym("old_inverse")
-    new, new_inverse, here = ca.SX.sym("new", d), ca.SX.sym("new_inverse"), ca.eq(at, turn)
-    placed = [ca.if_else(here, new, old), ca.if_else(here, new_inverse, old_inverse)]
-    place = lower(ca.Function("place_slot", [at, old, old_inverse, turn, new, new_inverse], placed))
-    steps = (
-        Loop(_outside(d), d, ("column",), ("q", "R"), sliced=("Q", "inverse")),
-        Call(lower(ca.Function("inverse_square", [q, number], [inverse])), ("q", "number"), ("q_inverse",)),
-        Loop(
-            place, d, (), ("Q_next", "inverse_next"), sliced=("Q", "inverse"), fixed=("turn", "q", "q_inverse"),
-            index=True,
-        ),
-    )  # fmt: skip
-    inputs = (("turn", 1), ("Q", d * d), ("inverse", d), ("column", d), ("number", 1))
-    return Routine(f"slot_column_{d}", inputs, steps, ("Q_next", "inverse_next", "R"))
-
-
-def _back(d: int) -> Routine:
-    """Return the routine for one step of the back substitution R r = inside, from the last column to the first."""
-    turn, r, column = ca.SX.sym("turn"), ca.SX.sym("r", d), ca.SX.sym("column", d)
-    index = lower(ca.Function("from_the_end", [turn], [d - 1 - turn]))
-    entry = sum((ca.if_else(ca.eq(turn, d - 1 - i), r[i], 0) for i in range(d)), ca.SX(0))
-    reduced = lower(ca.Function("back", [turn, r, column], [r - column * entry]))
-    steps = (
-        Call(index, ("turn",), ("at",)),
-        Gather("R", "at", d, "column"),
-        Call(reduced, ("turn", "r", "column"), ("r_next",)),
-    )
-    return Routine(f"back_{d}", (("turn", 1), ("r", d), ("R", d * d)), steps, ("r_next",))
 
 
 OPTIMAL, STUCK, SKIPPED = 1, 2, 3
@@ -324,12 +261,7 @@ class _Place:
             return _Place(outside, missed * at.whole, missed * at.full, at.rate, at.r, at.ratios)
         triangle = _Triangle.of(slots)
         rest, inside = triangle.split(entering.normal)
-        return _Place.by(slots, entering, rest, r=triangle.solve(inside), precision=precision)
-
-    @staticmethod
-    def by(slots: _Slots, entering: _Entering, rest: ca.SX, *, r: list[ca.SX], precision: Precision) -> _Place:
-        """Return the relation if `rest` is the part of the entering normal outside the span of the active normals."""
-        square = dot(rest, rest)
+        r, square = triangle.solve(inside), dot(rest, rest)
         outside = square > precision.parallel
         whole = entering.missed / ca.if_else(outside, square, 1)
         ratios = [u / ca.if_else(ca.eq(rate, 0), 1, rate) for u, rate in zip(slots.multipliers, r, strict=True)]
@@ -369,8 +301,8 @@ class _Step:
 
 
 @cache
-def iteration(space: Space) -> Block:
-    """Return the program or routine for one iteration, which updates the first seven of its inputs.
+def iteration(space: Space) -> Program:
+    """Return the program for one iteration, which updates the first seven of its inputs.
 
     The inputs are point, normals, multipliers, numbers, pending, status, count, number and row.
 
@@ -387,14 +319,7 @@ def iteration(space: Space) -> Block:
     slots = _Slots([normals[d * j : d * (j + 1)] for j in range(d)], ca.vertsplit(u), ca.vertsplit(numbers))
     entering = _Entering.of(space, row, number, point)
     inputs = [point, normals, u, numbers, pending, status, count, number, row]
-    if d < LOOPED:
-        place = _Place.of(slots, entering, space.precision)
-    else:
-        begin = ca.Function(f"enter_{d}", [number, row], [entering.normal])
-        normal, rest, r_entries = ca.SX.sym("normal", d), ca.SX.sym("rest", d), ca.SX.sym("r", d)
-        entering = replace(entering, normal=normal)
-        place = _Place.by(slots, entering, rest, r=ca.vertsplit(r_entries), precision=space.precision)
-        inputs += [normal, rest, r_entries]
+    place = _Place.of(slots, entering, space.precision)
     step = _Step.of(slots, entering, place, _size(point), space.precision)
     r = place.r
     multiplier = pending[1] + step.length
@@ -409,18 +334,7 @@ def iteration(space: Space) -> Block:
         step.status,
         count + 1,
     ]
-    end = lower(ca.Function(f"iterate_{d}", inputs, outputs), reciprocals=True)
-    if d < LOOPED:
-        return end
-    keys = ("point", "normals", "multipliers", "numbers", "pending", "status", "count", "number", "row")
-    ports = tuple((key, size) for key, (_, size) in zip(keys, end.inputs[:-3], strict=True))
-    names, results = tuple(key for key, _ in ports), tuple(f"{key}_next" for key in keys[:7])
-    steps = (
-        Call(lower(begin), names[7:], ("normal",)),
-        Call(_against_slots(d), ("normals", "numbers", "normal"), ("rest", "r")),
-        Call(end, (*names, "normal", "rest", "r"), results),
-    )
-    return Routine(f"iteration_{d}", ports, steps, results)
+    return lower(ca.Function(f"iterate_{d}", inputs, outputs), reciprocals=True)
 
 
 def _exchange(slots: _Slots, step: _Step, r: list[ca.SX], entering: _Entering, multiplier: ca.SX) -> _Slots:

@@ -5,6 +5,7 @@ from surctl.verification.formula.node import (
     Node,
     Statement,
     derivative,
+    exact_values,
     number,
     ordered,
     power,
@@ -21,12 +22,11 @@ from surctl.verification.formula.parser import (
     is_name,
     parse,
     parse_relation,
-    reads_back,
     text_of,
 )
 
 __all__ = [
-    "BRANCHING", "FUNCTIONS", "IDENTIFIER", "Node", "Statement", "derivative", "from_casadi", "is_name", "number",
-    "ordered", "parse", "parse_relation", "power", "reads_back", "rebuilt", "substitute", "text_of", "to_casadi",
+    "BRANCHING", "FUNCTIONS", "IDENTIFIER", "Node", "Statement", "derivative", "exact_values", "from_casadi", "is_name",
+    "number", "ordered", "parse", "parse_relation", "power", "rebuilt", "substitute", "text_of", "to_casadi",
     "values_of", "variable",
 ]  # fmt: skip

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import operator
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
@@ -305,13 +306,63 @@ def values_of(roots: Sequence[Node], at: Mapping[str, Array]) -> Array:
     return np.array([np.broadcast_to(known[root], (count,)) for root in roots])
 
 
+def exact_values(roots: Sequence[Node], at: Mapping[str, Any]) -> list[Any] | None:
+    """Return the values of expressions at a point; None if one is not rational, as most sines, or is not defined.
+
+    The point has fractions, or polynomials with rational coefficients.
+
+    Example:
+        >>> from fractions import Fraction
+        >>> from surctl.verification.formula import exact_values, parse, variable
+        >>> exact_values([parse("max(0, 3*x - 1)", {"x": variable("x")})], {"x": Fraction(1, 2)})
+        [Fraction(1, 2)]
+    """
+    known: dict[Node, Any] = {}
+    for node in ordered(*roots):
+        args = [known[a] for a in node.args]
+        match node.op:
+            case "num":
+                known[node] = node.value
+            case "var" if node.name in at:
+                known[node] = at[node.name]
+            case "div" if args[1]:
+                known[node] = args[0] / args[1]
+            case "pow" if args[0] or node.value > 0:
+                known[node] = args[0] ** node.value.numerator
+            case op if op in _AT_ZERO and not args[0]:
+                known[node] = _AT_ZERO[op]
+            case "atan2" if not args[0] and args[1] > 0:
+                known[node] = Fraction(0)
+            case "sqrt" if args[0] >= 0:
+                known[node] = Fraction(*map(math.isqrt, args[0].as_integer_ratio()))
+                if known[node] ** 2 != args[0]:
+                    return None
+            case op if op in _EXACT:
+                known[node] = _EXACT[op](*args)
+            case _:
+                return None
+    return [known[root] for root in roots]
+
+
+_AT_ZERO: Mapping[str, Fraction] = MappingProxyType(
+    dict.fromkeys(("sin", "tan", "tanh", "atan", "asin", "sinh"), Fraction(0))
+    | dict.fromkeys(("cos", "exp", "cosh"), Fraction(1))
+)
+_EXACT: Mapping[str, Callable[..., Any]] = MappingProxyType(
+    {"add": operator.add, "sub": operator.sub, "mul": operator.mul, "neg": operator.neg, "abs": abs, "min": min,
+     "max": max}
+)  # fmt: skip
+
+
 # Convert expressions of the claim grammar to CasADi SX expressions; `formula.reader` does the opposite
 
 
-_CASADI: Mapping[str, Callable[..., ca.SX]] = MappingProxyType(
-    {"sqrt": ca.sqrt, "sin": ca.sin, "cos": ca.cos, "atan2": ca.atan2, "acos": ca.acos, "abs": ca.fabs,
-     "min": ca.fmin, "max": ca.fmax, "asin": ca.asin, "tan": ca.tan, "exp": ca.exp, "log": ca.log, "sinh": ca.sinh,
-     "cosh": ca.cosh, "tanh": ca.tanh}
+_CASADI: Mapping[str, Callable[..., Any]] = MappingProxyType(
+    {"add": operator.add, "sub": operator.sub, "mul": operator.mul, "div": operator.truediv, "neg": operator.neg,
+     "sqrt": ca.sqrt, "sin": ca.sin, "cos": ca.cos, "atan2": ca.atan2, "acos": ca.acos, "abs": ca.fabs, "min": ca.fmin,
+     "max": ca.fmax, "asin": ca.asin, "tan": ca.tan, "exp": ca.exp, "log": ca.log, "sinh": ca.sinh, "cosh": ca.cosh,
+     "tanh": ca.tanh, "atan": lambda a: ca.atan2(a, 1),  # the instruction set has no atan
+     "select": lambda a, b, x, y: ca.if_else(a <= b, x, y)}
 )  # fmt: skip
 
 
@@ -319,38 +370,19 @@ def to_casadi(root: Node, symbols: Mapping[str, ca.SX]) -> ca.SX:
     """Convert an expression of the claim grammar to a CasADi SX expression; exact numbers become doubles."""
     converted: dict[Node, ca.SX] = {}
     for node in ordered(root):
-        converted[node] = _symbolic(node, [converted[a] for a in node.args], symbols)
+        args = [converted[a] for a in node.args]
+        match node.op:
+            case "num" | "pi":
+                converted[node] = ca.SX(float(node.value) if node.op == "num" else math.pi)
+            case "var":
+                converted[node] = symbols[node.name]
+            case "pow":
+                converted[node] = _multiplied(args[0], node.value.numerator)
+            case "powr":
+                converted[node] = ca.power(args[0], float(node.value))
+            case _:
+                converted[node] = _CASADI[node.op](*args)
     return ca.SX(converted[root])
-
-
-def _symbolic(node: Node, args: list[ca.SX], symbols: Mapping[str, ca.SX]) -> ca.SX:
-    match node.op:
-        case "num":
-            return ca.SX(float(node.value))
-        case "pi":
-            return ca.SX(math.pi)
-        case "var":
-            return symbols[node.name]
-        case "add":
-            return args[0] + args[1]
-        case "sub":
-            return args[0] - args[1]
-        case "mul":
-            return args[0] * args[1]
-        case "div":
-            return args[0] / args[1]
-        case "neg":
-            return -args[0]
-        case "pow":
-            return _multiplied(args[0], node.value.numerator)
-        case "powr":
-            return ca.SX(ca.power(args[0], float(node.value)))
-        case "atan":
-            return ca.atan2(args[0], 1)  # the instruction set has no atan
-        case "select":
-            return ca.if_else(args[0] <= args[1], args[2], args[3])
-        case _:
-            return ca.SX(_CASADI[node.op](*args))
 
 
 def _multiplied(base: ca.SX, exponent: int) -> ca.SX:

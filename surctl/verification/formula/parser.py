@@ -19,7 +19,7 @@ from __future__ import annotations
 import math
 import re
 import sys
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from fractions import Fraction
@@ -31,7 +31,7 @@ from typing import NamedTuple
 import casadi as ca
 
 from surctl.errors import InputError, UnsupportedOperation, nearest
-from surctl.verification.formula.node import ARITY, DEEPEST, PI, Node, number, ordered, power, variable
+from surctl.verification.formula.node import ARITY, DEEPEST, PI, Node, exact_values, number, ordered, power, variable
 
 FUNCTIONS = (
     "abs", "acos", "asin", "atan", "atan2", "cos", "cosh", "exp", "log", "max", "min", "select", "sin", "sinh", "sqrt",
@@ -49,6 +49,7 @@ _TOKEN = re.compile(
 LARGEST_POWER = 64
 """The largest exponent."""
 _LARGEST_EXPONENT, _MOST_DIGITS, _LARGEST_NUMBER = 320, 400, Fraction(sys.float_info.max)
+_CONSTANT = frozenset({"num", "neg", "add", "sub", "mul", "div"})  # operations of an exponent
 _LONGEST = 30  # most digits of numerator and denominator of an exponent
 
 
@@ -92,32 +93,6 @@ def parse_relation(text: str, known: Mapping[str, Node], *, file: object = None,
     if signs[0] == "<=" and second == number(0):
         return first
     return first - second if signs[0] == "<=" else second - first
-
-
-def decimal(text: str) -> Fraction:
-    """Return the exact value of a decimal number such as 1.5e-3."""
-    return Fraction(text)
-
-
-def _constant(root: Node) -> Fraction | None:
-    """Return the value of an expression of numbers and + - * /; None if the expression is another."""
-    values: dict[Node, Fraction] = {}
-    for node in ordered(root):
-        args = [values[a] for a in node.args]
-        match node.op:
-            case "num":
-                values[node] = node.value
-            case "add" | "sub":
-                values[node] = args[0] + args[1] if node.op == "add" else args[0] - args[1]
-            case "mul":
-                values[node] = args[0] * args[1]
-            case "div" if args[1]:
-                values[node] = args[0] / args[1]
-            case "neg":
-                values[node] = -args[0]
-            case _:
-                return None
-    return values[root]
 
 
 class _Token(NamedTuple):
@@ -211,7 +186,8 @@ class _Parser:
             return base
         token = self._next
         tree = self._signed_constant()
-        value = _constant(tree)
+        values = exact_values([tree], {}) if all(n.op in _CONSTANT for n in ordered(tree)) else None
+        value = values[0] if values else None
         if value is None or abs(value) > LARGEST_POWER or max(map(len, map(str, value.as_integer_ratio()))) > _LONGEST:
             remedy = f"write a constant of at most {LARGEST_POWER}, such as 2, -1.5 or (3/2)"
             raise self._mistake("is not an exponent", token, remedy)
@@ -229,7 +205,7 @@ class _Parser:
         if token.kind == "number":
             exponent = re.split("[eE]", token.text)[1:]
             long = len(token.text) > _MOST_DIGITS or (exponent and abs(int(exponent[0][:9])) > _LARGEST_EXPONENT)
-            if long or (value := decimal(token.text)) > _LARGEST_NUMBER:
+            if long or (value := Fraction(token.text)) > _LARGEST_NUMBER:
                 raise self._mistake("is out of range", token, "scale the claim")
             return number(value)
         if token.kind == "name":
@@ -273,10 +249,8 @@ class _Parser:
 # Write an expression as text, from which the parser restores the expression exactly
 
 
-_SHALLOW = 50  # depth up to which no text is nested too deeply for the parser
 _DIGITS = 120  # most decimals of a number that is not written as a fraction
 _LARGEST = 10**16  # integers below it are written as such
-_BESIDE = 10  # most characters of an operation beside its operands: a name, commas, blanks and parentheses
 
 
 @lru_cache(128)
@@ -293,42 +267,6 @@ def text_of(root: Node) -> str:
             raise InputError(f"is longer than {LONGEST} characters", key="expression", remedy="split the claim")
         texts[node] = text, level
     return texts[root][0]
-
-
-def reads_back(root: Node, names: Collection[str]) -> bool:
-    """Return whether the parser certainly restores the very same expression from the text of an expression.
-
-    Otherwise it may refuse the text, or restore another expression with the same values, such as 1 divided by 3 for
-    the number 1/3.
-
-    Args:
-        root: the expression.
-        names: the names that the parser knows.
-    """
-    if root.depth > _SHALLOW:
-        return False
-    lengths: dict[Node, int] = {}
-    for node in ordered(root):
-        op, length = node.op, _BESIDE
-        if op == "num":
-            text = decimal_text(node.value)
-            if "/" in text or "e-3" in text:  # the parser has a least exponent
-                return False
-            length += len(text)
-        elif op == "var":
-            if node.name not in names or node.name in FUNCTIONS or node.name == "pi":
-                return False
-            length += len(node.name)
-        elif op == "neg" and node.args[0].op == "num":
-            return False  # the parser reads a negative number
-        elif op in ("pow", "powr"):
-            exponent = node.value
-            if op == "powr" or exponent.denominator != 1 or abs(exponent.numerator) > LARGEST_POWER:
-                return False
-        for a in node.args:
-            length += lengths[a]
-        lengths[node] = length
-    return lengths[root] <= LONGEST
 
 
 _LONG_NUMBER = re.compile(r"(?<![\w.])(?=\d*\.)((?:0?\.0*)?[1-9](?:\.?\d){16})\d+(?![\w.])")

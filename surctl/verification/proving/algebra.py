@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from math import isqrt
 
-from surctl.sos.polynomial import ONE, Monomial, Polynomial, joined
+from surctl.sos.polynomial import ONE, Monomial, Polynomial
 from surctl.verification.formula import Node, number, ordered, power, variable
 from surctl.verification.formula.node import PI
 
@@ -24,7 +24,8 @@ from surctl.verification.formula.node import PI
 Poly = dict[Monomial, Fraction]
 """A polynomial: the coefficient of each monomial; no coefficient is 0."""
 
-_MOST = 400
+MOST_TERMS = 1500
+"""Largest number of terms of a polynomial."""
 _KEY = frozenset
 
 
@@ -63,26 +64,6 @@ def scaled(a: Mapping[Monomial, Fraction], factor: Fraction | int) -> Poly:
     return {m: c * factor for m, c in a.items()} if factor else {}
 
 
-def multiplied(a: Mapping[Monomial, Fraction], b: Mapping[Monomial, Fraction]) -> Poly:
-    """Return the product a b without using relations between atoms."""
-    if len(a) * len(b) > _MOST * 10:
-        raise TooLarge
-    total: Poly = {}
-    for m, c in a.items():
-        for n, d in b.items():
-            product = joined(m, n)
-            value = d if c is ONE else c if d is ONE else c * d
-            if product in total:
-                value += total[product]
-            if value:
-                total[product] = value
-            else:
-                total.pop(product, None)
-    if len(total) > _MOST:
-        raise TooLarge
-    return total
-
-
 def leading(a: Mapping[Monomial, Fraction]) -> tuple[Monomial, Fraction]:
     """Return the leading monomial and its coefficient, in a fixed order of monomials."""
     first = max(a, key=lambda m: (sum(e for _, e in m), m))
@@ -115,9 +96,13 @@ class Algebra:
         words: mapping from the index of an atom to its original expression, which gives narrower intervals than the
             expression multiplied out.
         factor_words: mapping from the index of a factor to its original expression.
+
+    Args:
+        split: whether sine and cosine of a sum are those of its terms, as in the checker.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, *, split: bool = False) -> None:
+        self._split = split
         self.atoms: list[tuple[str, tuple[Ratio | str, ...]]] = []
         self.factors: list[Poly] = []
         self.positive: set[int] = set()
@@ -218,7 +203,12 @@ class Algebra:
 
     def product(self, a: Poly, b: Poly) -> Poly:
         """Return the product a b, simplified by relations between atoms such as sin² = 1 − cos²."""
-        return self._reduced(multiplied(a, b))
+        if len(a) * len(b) > 8 * MOST_TERMS:
+            raise TooLarge
+        total = self._reduced(_multiplied(a, b))
+        if len(total) > MOST_TERMS:
+            raise TooLarge
+        return total
 
     def root(self, a: Ratio, *, words: Node | None = None) -> Ratio:
         """Return √a; the denominators of a are assumed to be positive. `words` is the original expression of a."""
@@ -289,7 +279,7 @@ class Algebra:
             by = args[0].over
             if kind == "sin":
                 by = {(): Fraction(1), ((self._atom("cos", args[0]), 2),): Fraction(-1)}
-            pending = added(pending, multiplied({rest: coefficient}, by))
+            pending = added(pending, _multiplied({rest: coefficient}, by))
         return total
 
     # ---- angles
@@ -301,7 +291,8 @@ class Algebra:
         rest: Poly = {}
         total = (Ratio(constant(1)), Ratio({}))
         for monomial, coefficient in angle.over.items():
-            known = self._known_turn(monomial, coefficient)
+            if (known := self._known_turn(monomial, coefficient)) is None and self._split:
+                known = self._one_turn(monomial, coefficient)
             if known is None:
                 rest[monomial] = coefficient
             else:
@@ -339,6 +330,15 @@ class Algebra:
         cosine = self.plus(self.times(a[0], b[0]), self.times(a[1], b[1]), -1)
         return cosine, self.plus(self.times(a[1], b[0]), self.times(a[0], b[1]))
 
+    def _one_turn(self, monomial: Monomial, coefficient: Fraction) -> tuple[Ratio, Ratio]:
+        times, size = abs(coefficient.numerator), Fraction(1, coefficient.denominator)
+        if times >= 9:
+            times, size = 1, abs(coefficient)
+        one = total = self._leaf_angle(Ratio({monomial: size}))
+        for _ in range(times - 1):
+            total = self._sum_of_turns(total, one)
+        return total if coefficient > 0 else (total[0], Ratio({m: -c for m, c in total[1].over.items()}))
+
     def _leaf_angle(self, angle: Ratio) -> tuple[Ratio, Ratio]:
         sign = 1 if leading(angle.over)[1] > 0 else -1
         upright = Ratio(scaled(angle.over, sign), angle.under)
@@ -360,6 +360,11 @@ class Algebra:
             self._factor_at[key] = len(self.factors)
             self.factors.append(poly)
         return self._factor_at[key]
+
+
+def _multiplied(a: Poly, b: Poly) -> Poly:
+    terms = (Polynomial(a) * Polynomial(b)).terms.items()
+    return {m: c if isinstance(c, Fraction) else Fraction(c) for m, c in terms}
 
 
 def _square_root(value: Fraction) -> Fraction:
@@ -457,44 +462,3 @@ class Written:
 
 def _rank(m: Monomial) -> tuple[int, Monomial]:
     return sum(e for _, e in m), m
-
-
-# Normal forms with the angles of the checker's normal forms, for proofs by sums of squares
-
-
-MOST_TERMS = 1500
-"""Largest number of terms of a polynomial."""
-
-
-class SplitAngles(Algebra):
-    """Normal forms as in the checker: sine and cosine of a sum are those of its terms; products may be large."""
-
-    def product(self, a: Poly, b: Poly) -> Poly:
-        """Return the product a b, simplified by relations between atoms."""
-        if len(a) * len(b) > 8 * MOST_TERMS:
-            raise TooLarge
-        terms = (Polynomial(a) * Polynomial(b)).terms.items()
-        total = self._reduced({m: c if isinstance(c, Fraction) else Fraction(c) for m, c in terms})
-        if len(total) > MOST_TERMS:
-            raise TooLarge
-        return total
-
-    def _turned(self, angle: Ratio) -> tuple[Ratio, Ratio]:
-        if angle.under:
-            return self._leaf_angle(angle)
-        total = (Ratio(constant(1)), Ratio({}))
-        for monomial, coefficient in angle.over.items():
-            total = self._sum_of_turns(total, self._one_turn(monomial, coefficient))
-        return total
-
-    def _one_turn(self, monomial: Monomial, coefficient: Fraction) -> tuple[Ratio, Ratio]:
-        known = self._known_turn(monomial, coefficient)
-        if known is not None:
-            return known
-        times, size = abs(coefficient.numerator), Fraction(1, coefficient.denominator)
-        if times >= 9:
-            times, size = 1, abs(coefficient)
-        one = total = self._leaf_angle(Ratio({monomial: size}))
-        for _ in range(times - 1):
-            total = self._sum_of_turns(total, one)
-        return total if coefficient > 0 else (total[0], Ratio({m: -c for m, c in total[1].over.items()}))

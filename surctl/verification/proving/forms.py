@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from fractions import Fraction
+from typing import NamedTuple
 
 import numpy as np
 
@@ -24,7 +26,7 @@ from surctl.verification.formula import (
     text_of,
     variable,
 )
-from surctl.verification.proving.algebra import Algebra, Poly, Ratio, SplitAngles, TooLarge, Written, added
+from surctl.verification.proving.algebra import Algebra, Poly, Ratio, TooLarge, Written, added
 from surctl.verification.proving.intervals import Ends
 from surctl.verification.proving.tape import build_tape
 from surctl.verification.proving.touching import touching_form
@@ -93,9 +95,7 @@ def cases_of(parts: Sequence[Node]) -> list[Case]:
     """Return one case for each choice of branches; if there are too many branches, a single case without choices."""
     branches = _branches(parts)
     left, right, *constraints = parts
-    if len(branches) > MOST_BRANCHES:
-        return [Case("", left - right, tuple(constraints))]
-    if not branches:
+    if not 0 < len(branches) <= MOST_BRANCHES:
         return [Case("", left - right, tuple(constraints))]
     cases = []
     for bits in range(2 ** len(branches)):
@@ -186,51 +186,62 @@ def as_written(case: Case) -> Form:
     return Form(case.margin, (), (number(0),) * len(case.constraints))
 
 
+class Normal(NamedTuple):
+    """A case in normal form: margin = over / Π under; `factors` are all denominators as positive expressions."""
+
+    algebra: Algebra
+    written: Written
+    margin: Ratio
+    over: Poly
+    signs: dict[int, int]
+    factors: dict[int, Node]
+    under: tuple[Node, ...]
+    guards: list[Ratio | None]
+
+
+def normal_form(case: Case, names: Sequence[str], box: Ends, most: int, *, split: bool = False) -> Normal | None:
+    """Return a case in normal form; None if a denominator has no certain sign, or the margin over `most` terms.
+
+    Raises:
+        TooLarge: the margin has no normal form.
+    """
+    algebra = Algebra(split=split)
+    margin = algebra.of(case.margin)
+    guards = [_constraint_ratio(algebra, c) for c in case.constraints]
+    written = Written(algebra)
+    signs = _signs_of(algebra, written, names, box) if len(margin.over) <= most else None
+    if signs is None:
+        return None
+    factors = {at: written.factor(at) if sign > 0 else -written.factor(at) for at, sign in signs.items()}
+    under = tuple(itertools.chain.from_iterable((factors[at],) * e for at, e in margin.under))
+    return Normal(algebra, written, margin, _signed(margin, signs), signs, factors, under, guards)
+
+
 def _touching(case: Case, names: Sequence[str], box: Ends) -> Iterator[Form]:
     """Yield the form whose terms are all exactly 0 where the claim holds with equality, if this is known."""
     if not case.touching:
         return
-    algebra = SplitAngles()
-    try:
-        margin = algebra.of(case.margin)
-    except TooLarge:
-        return
-    written = Written(algebra)
-    signs = signs_of(algebra, written, names, box)
-    if signs is None or len(margin.over) > _MOST_TERMS:
-        return
-    node = touching_form(algebra, written, signed(margin, signs), case.touching)
-    if node is not None:
-        factors = {at: written.factor(at) if sign > 0 else -written.factor(at) for at, sign in signs.items()}
-        under = itertools.chain.from_iterable((factors[at],) * e for at, e in margin.under)
-        yield Form(node, tuple(under), (number(0),) * len(case.constraints))
+    with suppress(TooLarge):
+        if (normal := normal_form(case, names, box, _MOST_TERMS, split=True)) is not None:
+            node = touching_form(normal.algebra, normal.written, normal.over, case.touching)
+            if node is not None:
+                yield Form(node, normal.under, (number(0),) * len(case.constraints))
 
 
 def _rewritten(case: Case, names: Sequence[str], box: Ends) -> Iterator[Form]:
-    algebra = Algebra()
-    margin = algebra.of(case.margin)
-    guards = [constraint_ratio(algebra, c) for c in case.constraints]
-    if len(margin.over) > _MOST_TERMS:
+    normal = normal_form(case, names, box, _MOST_TERMS)
+    if normal is None:
         return
-    written = Written(algebra)
-    signs = signs_of(algebra, written, names, box)
-    if signs is None:
-        return
-    over = signed(margin, signs)
-    ratios = [None if g is None else Ratio(signed(g, signs), g.under) for g in guards]
-    sizes = _Sizes(algebra, written, names, box)
-    rest, weights = _reduced(algebra, over, ratios, sizes)
-    factors = {at: written.factor(at) if sign > 0 else -written.factor(at) for at, sign in signs.items()}
-    under = tuple(itertools.chain.from_iterable((factors[at],) * e for at, e in margin.under))
+    written = normal.written
+    ratios = [None if g is None else Ratio(_signed(g, normal.signs), g.under) for g in normal.guards]
+    rest, weights = _reduced(normal.algebra, normal.over, ratios, _Sizes(normal.algebra, written, names, box))
     if any(weights):
-        multipliers = [
-            _multiplier(written, poly, ratio, margin, factors) for poly, ratio in zip(weights, ratios, strict=True)
-        ]
-        yield Form(written.poly(rest), under, tuple(multipliers))
-    yield Form(written.poly(over), under, (number(0),) * len(guards))
+        multipliers = [_multiplier(normal, poly, ratio) for poly, ratio in zip(weights, ratios, strict=True)]
+        yield Form(written.poly(rest), normal.under, tuple(multipliers))
+    yield Form(written.poly(normal.over), normal.under, (number(0),) * len(ratios))
 
 
-def constraint_ratio(algebra: Algebra, constraint: Node) -> Ratio | None:
+def _constraint_ratio(algebra: Algebra, constraint: Node) -> Ratio | None:
     """Return a constraint as a ratio of polynomials; None if it is too large."""
     try:
         return algebra.of(constraint)
@@ -238,7 +249,7 @@ def constraint_ratio(algebra: Algebra, constraint: Node) -> Ratio | None:
         return None
 
 
-def signs_of(algebra: Algebra, written: Written, names: Sequence[str], box: Ends) -> dict[int, int] | None:
+def _signs_of(algebra: Algebra, written: Written, names: Sequence[str], box: Ends) -> dict[int, int] | None:
     """Return the sign of every denominator on the box; None if a sign is unknown or not as a rewriting assumed."""
     signs: dict[int, int] = {}
     if not algebra.factors:
@@ -252,21 +263,21 @@ def signs_of(algebra: Algebra, written: Written, names: Sequence[str], box: Ends
     return signs
 
 
-def signed(ratio: Ratio, signs: dict[int, int]) -> Poly:
+def _signed(ratio: Ratio, signs: dict[int, int]) -> Poly:
     """Return the numerator of a fraction whose denominators have these signs, for positive denominators."""
     flips = sum(e for at, e in ratio.under if signs[at] < 0)
     return {m: -c for m, c in ratio.over.items()} if flips % 2 else dict(ratio.over)
 
 
-def _multiplier(written: Written, weight: Poly, guard: Ratio | None, margin: Ratio, factors: dict[int, Node]) -> Node:
+def _multiplier(normal: Normal, weight: Poly, guard: Ratio | None) -> Node:
     """Return the multiplier weight · (denominator of the constraint) / (denominator of the margin) as an expression."""
     if guard is None or not weight:
         return number(0)
-    tree = written.poly(weight)
+    tree = normal.written.poly(weight)
     for at, exponent in guard.under:
-        tree = tree * power(factors[at], exponent)
-    for at, exponent in margin.under:
-        tree = tree / power(factors[at], exponent)
+        tree = tree * power(normal.factors[at], exponent)
+    for at, exponent in normal.margin.under:
+        tree = tree / power(normal.factors[at], exponent)
     return tree
 
 

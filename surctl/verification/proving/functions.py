@@ -6,7 +6,7 @@ Each function returns intervals for the part of `a` on which it is defined; `def
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from fractions import Fraction
 
 import numpy as np
@@ -68,8 +68,7 @@ def tan(a: Ends) -> Ends:
     """Return the tangent; the whole real line where a may contain a pole."""
     parts = []
     for end in a:
-        sine, cosine = iv.sine_cosine(iv.point(end))
-        low, high = iv.divide(sine, cosine)
+        low, high = iv.divide(iv.sine(iv.point(end)), iv.cosine(iv.point(end)))
         parts.append((np.where(end == 0, 0.0, low), np.where(end == 0, 0.0, high)))
     fine = _between_poles(a)
     return np.where(fine, parts[0][0], -np.inf), np.where(fine, parts[1][1], np.inf)
@@ -105,23 +104,30 @@ def _logs(x: Array, exponent: float) -> Array:
     return np.clip(exponent * np.log(np.maximum(x, 5e-324)), -1e3, 1e3)
 
 
-def defined(op: str, a: Ends, exponent: Fraction) -> NDArray[np.bool_]:
-    """Return for each interval whether the operation is defined on all of it; `exponent` is the exponent of `powr`."""
-    low, high = a
+def defined(op: str, args: Sequence[Ends], exponent: Fraction) -> NDArray[np.bool_]:
+    """Return for each interval whether an operation is defined on all of it; `exponent` is that of `pow` and `powr`."""
+    low, high = args[-1]
+    fine = np.ones(low.shape, dtype=bool)
     match op:
+        case "div":
+            fine = (low > 0) | (high < 0)
+        case "pow" if exponent < 0:
+            fine = (low > 0) | (high < 0)
+        case "atan2":
+            fine = np.logical_or.reduce([(below > 0) | (above < 0) for below, above in args])
         case "exp":
             fine = high <= LARGEST_EXPONENT
         case "sinh" | "cosh":
             fine = (low >= -LARGEST_EXPONENT) & (high <= LARGEST_EXPONENT)
         case "log":
             fine = low > 0
-        case "asin":
+        case "sqrt":
+            fine = low >= 0
+        case "asin" | "acos":
             fine = (low >= -1) & (high <= 1)
         case "tan":
-            fine = _between_poles(a)
+            fine = _between_poles(args[-1])
         case "powr":
             fine = low >= 0 if exponent > 0 else low > 0
-        case _:
-            fine = np.ones(low.shape, dtype=bool)
     certain: NDArray[np.bool_] = fine
     return certain

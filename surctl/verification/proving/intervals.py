@@ -123,20 +123,26 @@ def divide(a: Ends, b: Ends) -> Ends:
 
 
 def _quotient(x: Array, y: Array) -> Ends:
-    exact = x == 0
-    q = np.where(exact, 0.0, x / y)
+    exact = (x == 0) | (y == 1)
+    q = np.where(x == 0, 0.0, x / y)
     return np.where(exact, q, _down(q)), np.where(exact, q, _up(q))
 
 
 def squared_root(a: Ends) -> Ends:
     """Return √a for the nonnegative part of a."""
     low, high = np.sqrt(np.maximum(a[0], 0.0)), np.sqrt(np.maximum(a[1], 0.0))
-    return np.where(low > 0, np.maximum(_down(low), 0.0), 0.0), np.where(high > 0, _up(high), 0.0)
+    exact = [(root == 0) | (root == 1) for root in (low, high)]
+    return np.where(exact[0], low, _down(low)), np.where(exact[1], high, _up(high))
 
 
-def sine_cosine(a: Ends) -> tuple[Ends, Ends]:
-    """Return sin a and cos a."""
-    return _wave(a, np.sin, 0.25), _wave(a, np.cos, 0.0)
+def sine(a: Ends) -> Ends:
+    """Return sin a."""
+    return _wave(a, np.sin, 0.25)
+
+
+def cosine(a: Ends) -> Ends:
+    """Return cos a."""
+    return _wave(a, np.cos, 0.0)
 
 
 def _wave(a: Ends, function: np.ufunc, crest: float) -> Ends:

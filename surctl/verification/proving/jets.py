@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from fractions import Fraction
 
 import numpy as np
 
-from surctl.verification.proving import functions as fn
 from surctl.verification.proving import intervals as iv
 from surctl.verification.proving.intervals import Ends
 
@@ -78,108 +76,6 @@ class Jet:
         value = iv.divide(iv.point(one), self.value)
         squared = iv.square(value)
         return self.through(value, lambda: iv.negate(squared), lambda: _times(2, iv.multiply(squared, value)))
-
-    def root(self) -> Jet:
-        """Return the square root of this quantity."""
-        value = iv.squared_root(self.value)
-        half = iv.point(np.full_like(value[0], 0.5))
-
-        def first() -> Ends:
-            return _not_negative(iv.divide(half, value))
-
-        def second() -> Ends:
-            return iv.negate(_not_negative(iv.divide(_times(0.5, first()), _not_negative(self.value))))
-
-        return self.through(value, first, second)
-
-    def sine(self) -> Jet:
-        """Return the sine of this quantity."""
-        sine, cosine = iv.sine_cosine(self.value)
-        return self.through(sine, lambda: cosine, lambda: iv.negate(sine))
-
-    def cosine(self) -> Jet:
-        """Return the cosine of this quantity."""
-        sine, cosine = iv.sine_cosine(self.value)
-        return self.through(cosine, lambda: iv.negate(sine), lambda: iv.negate(cosine))
-
-    def arccosine(self) -> Jet:
-        """Return the arccosine of this quantity."""
-        x = self.value
-        one = iv.point(np.ones_like(x[0]))
-        rest = _not_negative(iv.subtract(one, iv.square(x)))
-
-        def first() -> Ends:
-            return iv.negate(_not_negative(iv.divide(one, iv.squared_root(rest))))
-
-        def second() -> Ends:
-            return iv.multiply(x, iv.negate(_not_negative(iv.divide(one, iv.multiply(rest, iv.squared_root(rest))))))
-
-        return self.through(iv.acos(x), first, second)
-
-    def exponential(self) -> Jet:
-        """Return e to the power of this quantity."""
-        value = fn.exp(self.value)
-        return self.through(value, lambda: value, lambda: value)
-
-    def logarithm(self) -> Jet:
-        """Return the natural logarithm of this quantity."""
-        x = self.value
-
-        def first() -> Ends:
-            low, high = iv.divide(iv.point(np.ones_like(x[0])), x)
-            return np.where(x[1] == 1, 1.0, low), np.where(x[0] == 1, 1.0, high)
-
-        return self.through(fn.log(x), first, lambda: iv.negate(iv.square(first())))
-
-    def hyperbolic_sine(self) -> Jet:
-        """Return the hyperbolic sine of this quantity."""
-        value = fn.sinh(self.value)
-        return self.through(value, lambda: fn.cosh(self.value), lambda: value)
-
-    def hyperbolic_cosine(self) -> Jet:
-        """Return the hyperbolic cosine of this quantity."""
-        value = fn.cosh(self.value)
-        return self.through(value, lambda: fn.sinh(self.value), lambda: value)
-
-    def hyperbolic_tangent(self) -> Jet:
-        """Return the hyperbolic tangent of this quantity."""
-        return self._of_tangent(fn.tanh(self.value), -1)
-
-    def tangent(self) -> Jet:
-        """Return the tangent of this quantity."""
-        return self._of_tangent(fn.tan(self.value), 1)
-
-    def _of_tangent(self, t: Ends, sign: int) -> Jet:
-        # tan' = 1 + tan², tan'' = 2 tan (1 + tan²); tanh' = 1 − tanh², tanh'' = −2 tanh (1 − tanh²)
-        def first() -> Ends:
-            one = iv.point(np.ones_like(t[0]))
-            return _not_negative((iv.add if sign > 0 else iv.subtract)(one, iv.square(t)))
-
-        return self.through(t, first, lambda: _times(2 * sign, iv.multiply(t, first())))
-
-    def arcsine(self) -> Jet:
-        """Return the arcsine of this quantity; its derivatives are unbounded at ±1."""
-        x = self.value
-        one = iv.point(np.ones_like(x[0]))
-        rest = _not_negative(iv.subtract(one, iv.square(x)))
-
-        def first() -> Ends:
-            low, high = iv.divide(one, iv.squared_root(rest))
-            return np.where(np.isinf(low), low, np.maximum(low, 1.0)), high
-
-        def second() -> Ends:
-            return iv.multiply(x, iv.divide(one, iv.multiply(rest, iv.squared_root(rest))))
-
-        return self.through(fn.arcsine(x), first, second)
-
-    def real_power(self, exponent: Fraction) -> Jet:
-        """Return a power of this quantity with a fractional exponent."""
-        x, e = self.value, exponent
-        return self.through(
-            fn.powr(x, e),
-            lambda: iv.multiply(_enclosed(e, x), fn.powr(x, e - 1)),
-            lambda: iv.multiply(_enclosed(e * (e - 1), x), fn.powr(x, e - 2)),
-        )
 
     def angle(self, x: Jet) -> Jet:
         """Return atan2(y, x), where this quantity is y."""
@@ -264,13 +160,3 @@ def _row(a: Ends) -> Ends:
 
 def _times(factor: float, a: Ends) -> Ends:
     return iv.multiply(iv.point(np.full_like(a[0], factor)), a)
-
-
-def _enclosed(number: Fraction, like: Ends) -> Ends:
-    # the doubles below and above the nearest one
-    near = np.full_like(like[0], float(number))
-    return np.nextafter(near, -np.inf), np.nextafter(near, np.inf)
-
-
-def _not_negative(a: Ends) -> Ends:
-    return np.maximum(a[0], 0.0), a[1]

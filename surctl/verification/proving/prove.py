@@ -51,26 +51,36 @@ _MOST_SHOWN = 500  # largest number of open boxes that are stored for plots
 
 
 @dataclass(frozen=True, eq=False)
-class Proof:
+class Cases:
+    """The cases of a proof, or what is left open.
+
+    Attributes:
+        cases: entries `cases` of the certificate; empty if the proof is incomplete.
+        slack: amount by which the left side may exceed the right side, in the claim's unit; 0 if the proof is exact.
+        remaining: description of the part of the domain that the proof does not cover; empty if it is complete.
+        open_boxes: the largest unproved boxes; a box is a mapping from variable names to (lower, upper).
+        boxes: number of boxes of the proof; if it is incomplete, number of boxes in all attempts at the case that
+            failed.
+    """
+
+    cases: tuple[dict[str, Any], ...]
+    slack: float
+    remaining: str
+    open_boxes: tuple[dict[str, list[float]], ...] = ()
+    boxes: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class Proof(Cases):
     """The result of an attempted proof.
 
     Attributes:
         certificate: the certificate for `surctl.certcheck`; None if the proof is incomplete.
-        slack: amount by which the certificate lets the left side exceed the right side, in the claim's unit; 0 if the
-            proof is exact.
-        remaining: description of the part of the domain that the proof does not cover; empty if the proof is complete.
-        open_boxes: the largest unproved boxes; a box is a mapping from variable names to (lower, upper).
-        boxes: number of boxes of the proof; if the proof is incomplete, number of boxes in all attempts at the case
-            that failed.
         seconds: duration of the attempt [s].
     """
 
-    certificate: dict[str, Any] | None
-    slack: float
-    remaining: str
-    open_boxes: tuple[dict[str, list[float]], ...]
-    boxes: int
-    seconds: float
+    certificate: dict[str, Any] | None = None
+    seconds: float = 0.0
 
 
 def prove(
@@ -108,30 +118,10 @@ def prove(
         statement = statement_of(claim)
         texts = [text_of(part) for part in statement.parts]
     except InputError as error:  # an expression is too long, or has an operation that the grammar lacks
-        return Proof(None, 0.0, error.problem, (), 0, time.perf_counter() - began)
+        return Proof((), 0.0, error.problem, seconds=time.perf_counter() - began)
     shown = prove_cases(statement, claim.name, time_limit=time_limit, slack=slack, progress=progress)
     certificate = None if shown.remaining else _certificate(claim, texts, shown)
-    seconds = time.perf_counter() - began
-    return Proof(certificate, shown.slack, shown.remaining, shown.open_boxes, shown.boxes, seconds)
-
-
-@dataclass(frozen=True, eq=False)
-class Cases:
-    """The cases of a proof, or what is left open; `slack`, `remaining`, `open_boxes` and `boxes` are those of `Proof`.
-
-    Attributes:
-        cases: entries `cases` of the certificate; empty if the proof is incomplete.
-        slack: amount by which the left side may exceed the right side.
-        remaining: what the proof does not cover; empty if it is complete.
-        open_boxes: the largest unproved boxes.
-        boxes: number of boxes.
-    """
-
-    cases: tuple[dict[str, Any], ...]
-    slack: float
-    remaining: str
-    open_boxes: tuple[dict[str, list[float]], ...] = ()
-    boxes: int = 0
+    return Proof(**vars(shown), certificate=certificate, seconds=time.perf_counter() - began)
 
 
 def prove_cases(
@@ -317,7 +307,7 @@ def _simple(
     case, statement = attempt.case, attempt.statement
     plain, box = as_written(case), (statement.lower, statement.upper)
     bound = build_tape(statement.names, [plain.numerator])
-    if everywhere and (bound.upper(*box) <= 0 or (not polynomial and bound.run(root).jets[0].value[1][0] <= 0)):
+    if everywhere and bound.run(root).jets[0].value[1][0] <= 0:
         return _Shown(plain, replace(_without_boxes(root, 1), tree="n"), 0.0)
     if everywhere and polynomial:
         squares = prove_by_squares(case, statement.names, box, seconds=seconds, most=_SIMPLE)

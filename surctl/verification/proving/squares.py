@@ -5,12 +5,12 @@ from __future__ import annotations
 import itertools
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from fractions import Fraction
 from functools import cached_property, reduce
 from math import ceil, log2, prod
 from operator import mul
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,20 +18,18 @@ from numpy.typing import NDArray
 from surctl.errors import InputError
 from surctl.sos.exact import Certificate, certify, completed
 from surctl.sos.polynomial import Monomial, Polynomial, quotient
-from surctl.verification.formula import Node, number, ordered, text_of
+from surctl.verification.formula import Node, exact_values, number, ordered, text_of
 from surctl.verification.proving.algebra import (
     MOST_TERMS,
     Poly,
     Ratio,
-    SplitAngles,
     TooLarge,
-    Written,
     constant,
     single,
 )
-from surctl.verification.proving.forms import Case, Form, constraint_ratio, signed, signs_of
+from surctl.verification.proving.forms import Case, Form, normal_form
 from surctl.verification.proving.tape import build_tape
-from surctl.verification.proving.touching import VALUES, fact_polynomial, facts_about
+from surctl.verification.proving.touching import fact_polynomial, facts_about
 
 # Search for points at which a polynomial that is not negative is 0: a sum of squares is 0 at all of them
 
@@ -136,15 +134,8 @@ _PLAIN = 3  # number of the first identities, for which no zeros of the polynomi
 _LEVELS = 3  # the degrees of the identity: that of the polynomial, and 2 and 4 more
 
 
-@dataclass(frozen=True)
-class SquaresProof:
-    """Attempt to prove a case by sums of squares.
-
-    Attributes:
-        form: form of the margin; None if the attempt failed.
-        squares: entry `squares` of the case in the certificate; empty if the attempt failed.
-        tried: what was tried, for the text about an unproved claim.
-    """
+class SquaresProof(NamedTuple):
+    """Form of the margin and entry `squares` of the case, if sums of squares prove it; what was tried, in words."""
 
     form: Form | None
     squares: dict[str, Any]
@@ -200,18 +191,12 @@ class _Problem:
 
     def __init__(self, case: Case, names: tuple[str, ...], box: tuple[Array, Array]) -> None:
         self._names, self._box, self._at = names, box, case.touching
-        self._algebra = algebra = SplitAngles()
-        margin = algebra.of(case.margin)
-        guards = [constraint_ratio(algebra, c) for c in case.constraints]
-        written = Written(algebra)
-        ends = box[0][:, None], box[1][:, None]
-        signs = signs_of(algebra, written, names, ends)
         self.usable = False
-        if signs is None or not margin.over or len(margin.over) > MOST_TERMS:
+        normal = normal_form(case, names, (box[0][:, None], box[1][:, None]), MOST_TERMS, split=True)
+        if normal is None or not normal.over:
             return
-        over = signed(margin, signs)
-        factors = {at: written.factor(at) if sign > 0 else -written.factor(at) for at, sign in signs.items()}
-        under = tuple(itertools.chain.from_iterable((factors[at],) * e for at, e in margin.under))
+        self._algebra, self._written = normal.algebra, normal.written
+        written, over, under, guards = normal.written, normal.over, normal.under, normal.guards
         # the checker reads a polynomial from the margin as it is written
         node = case.margin if not under and _has_no_division(case.margin) else written.poly(over)
         self.form = Form(node, under, (number(0),) * len(guards))
@@ -221,7 +206,6 @@ class _Problem:
             return
         if not self._read_ranges([written.atom(at) for at in self._atoms]):
             return
-        self._written = written
         self._decimals = [tuple(Fraction(repr(float(x))) for x in pair) for pair in zip(*box, strict=True)]
         self._choose_symbols({m: -c for m, c in over.items()})
         self.target = self.moved({m: -c for m, c in over.items()})
@@ -284,8 +268,8 @@ class _Problem:
             name: min(max(Fraction(0), low), high)
             for name, (low, high) in zip(self._names, self._decimals, strict=True)
         } | dict(self._at)
-        values = {at: self._value(at, nearest) for at in self._atoms}
-        known = {at: v for at, v in values.items() if v is not None}
+        values = {at: exact_values([self._written.atom(at)], nearest) for at in self._atoms}
+        known: dict[int, Fraction] = {at: v[0] for at, v in values.items() if v is not None}
         self._touching = False
         if all(k in known for m in target for k, _ in m):
             nonzero = [(m, c) for m, c in target.items() if all(known[k] for k, _ in m)]
@@ -303,30 +287,6 @@ class _Problem:
         place = {at: k for k, at in enumerate(self._atoms)}
         self._by = {at: self._scales[k] * Polynomial.variable(k) + self._origins[k] for at, k in place.items()}
         self._place = place
-
-    def _value(self, at: int, point: dict[str, Fraction]) -> Fraction | None:
-        """Return the exact value of an atom at a point; None if it is not known to be rational."""
-        kind, args = self._algebra.atoms[at]
-        if kind == "var":
-            return point[str(args[0])]
-        inside = args[0] if args else None
-        if not isinstance(inside, Ratio) or inside.under or (len(args) > 1 and not self._is_atan(at)):
-            return None
-        kind = "atan" if kind == "atan2" else kind
-        total = Fraction(0)
-        for m, c in inside.over.items():
-            for k, e in m:
-                value = self._value(k, point)
-                if value is None:
-                    return None
-                c *= value**e
-            total += c
-        if total == 0 and kind in VALUES:
-            return VALUES[kind][1]
-        if kind == "sqrt" and total >= 0:
-            root = Fraction(float(total) ** 0.5).limit_denominator(10**6)
-            return root if root * root == total else None
-        return None
 
     def moved(self, poly: Poly) -> Polynomial:
         """Return a polynomial in atoms as a polynomial in the symbols."""

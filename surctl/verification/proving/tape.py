@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
-from math import inf
+from fractions import Fraction
+from functools import cached_property, lru_cache
+from math import inf, nextafter, pi
 from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.verification.formula import Node, ordered, text_of
+from surctl.verification.formula import Node, derivative, number, ordered, text_of, variable
+from surctl.verification.proving import functions as fn
 from surctl.verification.proving import intervals as iv
-from surctl.verification.proving.functions import LARGEST_EXPONENT, defined
 from surctl.verification.proving.intervals import Ends
 from surctl.verification.proving.jets import Jet, choose
-from surctl.verification.proving.scalars import applied, enclosed
 
 Array = NDArray[np.float64]
 
@@ -88,41 +89,25 @@ class Tape:
                 jets.append(self._step(node, operands, box, order))
                 if self.total:
                     continue
-                fine = ~_undefined(node, operands, count)
+                fine = np.ones(count, dtype=bool)
+                if args:
+                    fine = fn.defined(node.op, [operand.value for operand in operands], node.value)
                 for a in args:
                     fine = fine & defined[a]
                 defined.append(fine)
         return Read(tuple(jets[r] for r in self.roots), tuple(defined[r] for r in self.roots))
-
-    def upper(self, lower: Array, upper: Array) -> float:
-        """Return an upper bound of the first expression on one box (n,); inf if an operation is not arithmetic.
-
-        The bound is the one of `run`, without the cost of small arrays.
-        """
-        values: dict[Node, tuple[float, float]] = {}
-        known = dict(zip(self.names, zip(lower.tolist(), upper.tolist(), strict=True), strict=True))
-        for node in self.nodes:
-            ends = applied(node, [values[a] for a in node.args], known)
-            if ends is None:
-                return inf
-            values[node] = ends
-        return values[self.expressions[0]][1]
 
     def trouble(self, boxes: Ends) -> tuple[int, str]:
         """Return the index of one of the boxes (n, count) on which an operation is undefined, and a description of it.
 
         The text is empty if all operations are defined on all boxes.
         """
-        jets: list[Jet] = []
-        with np.errstate(all="ignore"):
-            for node, args in self.steps:
-                operands = [jets[a] for a in args]
-                jets.append(self._step(node, operands, boxes, 0))
-                undefined = _undefined(node, operands, boxes[0].shape[1])
-                if undefined.any():
-                    at = int(np.argmax(undefined))
-                    low, high = (float(end[at]) for end in operands[-1].value)
-                    return at, f"{_TROUBLES[node.op]} [{low:.3g}, {high:.3g}] in {_short(text_of(node))}"
+        read = build_tape(self.names, self.nodes).run(boxes)
+        for (node, args), fine in zip(self.steps, read.defined, strict=True):
+            if not fine.all():
+                at = int(np.argmin(fine))
+                low, high = (float(end[at]) for end in read.jets[args[-1]].value)
+                return at, f"{_TROUBLES[node.op]} [{low:.3g}, {high:.3g}] in {_short(text_of(node))}"
         return 0, ""
 
     def _step(self, node: Node, args: list[Jet], box: Ends, order: int) -> Jet:
@@ -132,7 +117,7 @@ class Tape:
                 at = self.names.index(node.name)
                 return _jet((box[0][at], box[1][at]), at, n, order)
             case "num" | "pi":
-                low, high = enclosed(node)
+                low, high = _enclosed(node)
                 return _jet((np.full(count, low), np.full(count, high)), None, n, order)
             case "add":
                 return args[0] + args[1]
@@ -142,24 +127,17 @@ class Tape:
                 # the product of equal factors is a square, which gives narrower intervals
                 return args[0].power(2) if node.args[0] == node.args[1] else args[0] * args[1]
             case "div":
-                return args[0] * args[1].inverse()
+                inverse = args[1].inverse()
+                return inverse if node.args[0] == number(1) else args[0] * inverse  # a product is rounded
             case "neg":
                 return -args[0]
             case "pow":
                 exponent = node.value.numerator
                 return args[0].power(exponent) if exponent >= 0 else args[0].power(-exponent).inverse()
-            case "sqrt":
-                return args[0].root()
-            case "sin":
-                return args[0].sine()
-            case "cos":
-                return args[0].cosine()
-            case "acos":
-                return args[0].arccosine()
             case "powr":
-                return args[0].real_power(node.value)
+                return _through(node, fn.powr(args[0].value, node.value), args[0])
             case _ if node.op in _UNARY:
-                return _UNARY[node.op](args[0])
+                return _through(node, _UNARY[node.op](args[0].value), args[0])
             case "atan":
                 return args[0].angle(_jet(iv.point(np.ones(count)), None, n, order))
             case "atan2":
@@ -179,9 +157,22 @@ def build_tape(names: Sequence[str], roots: Sequence[Node]) -> Tape:
     return Tape(tuple(names), tuple(roots))
 
 
-_UNARY: Mapping[str, Callable[[Jet], Jet]] = MappingProxyType(
-    {"asin": Jet.arcsine, "tan": Jet.tangent, "exp": Jet.exponential, "log": Jet.logarithm,
-     "sinh": Jet.hyperbolic_sine, "cosh": Jet.hyperbolic_cosine, "tanh": Jet.hyperbolic_tangent}
+def _through(node: Node, value: Ends, inside: Jet) -> Jet:
+    """Return a function of one quantity, with its value there; its derivatives are those of its expression."""
+    first, second = _derivatives(node.op, node.value)
+    at = inside.value[0][None], inside.value[1][None]
+    return inside.through(value, lambda: first.run(at).jets[0].value, lambda: second.run(at).jets[0].value)
+
+
+@lru_cache(64)
+def _derivatives(op: str, exponent: Fraction) -> tuple[Tape, Tape]:
+    first = derivative(Node(op, (variable("t"),), exponent), "t")
+    return build_tape(["t"], [first]), build_tape(["t"], [derivative(first, "t")])
+
+
+_UNARY: Mapping[str, Callable[[Ends], Ends]] = MappingProxyType(
+    {"sqrt": iv.squared_root, "sin": iv.sine, "cos": iv.cosine, "acos": iv.acos, "asin": fn.arcsine, "tan": fn.tan,
+     "exp": fn.exp, "log": fn.log, "sinh": fn.sinh, "cosh": fn.cosh, "tanh": fn.tanh}
 )  # fmt: skip
 _TOTAL = frozenset({"num", "pi", "var", "add", "sub", "mul", "neg"})
 _TROUBLES = {
@@ -194,28 +185,8 @@ _TROUBLES = {
     "tan": "tangent of an interval that may contain a pole:",
     "log": "logarithm of an interval that is partly 0 or negative:",
     "powr": "fractional power of an interval that contains 0 or negative numbers:",
-    **{op: f"{op} of an interval beyond {LARGEST_EXPONENT:.0f}:" for op in ("exp", "sinh", "cosh")},
+    **{op: f"{op} of an interval beyond {fn.LARGEST_EXPONENT:.0f}:" for op in ("exp", "sinh", "cosh")},
 }
-
-
-def _undefined(node: Node, args: list[Jet], count: int) -> NDArray[np.bool_]:
-    # (B,): whether the operation is undefined at some point of the box
-    if node.op == "sqrt":
-        return ~(args[0].value[0] >= 0)
-    if node.op == "div" or (node.op == "pow" and node.value < 0):
-        low, high = args[-1].value
-        return ~((low > 0) | (high < 0))
-    if node.op == "acos":
-        low, high = args[0].value
-        return ~((low >= -1) & (high <= 1))
-    if node.op == "atan2":
-        away = np.zeros(count, dtype=bool)
-        for low, high in (a.value for a in args):
-            away = away | (low > 0) | (high < 0)
-        return ~away
-    if node.op in _UNARY or node.op == "powr":
-        return ~defined(node.op, args[0].value, node.value)
-    return np.zeros(count, dtype=bool)
 
 
 def _jet(value: Ends, at: int | None, n: int, order: int) -> Jet:
@@ -226,6 +197,21 @@ def _jet(value: Ends, at: int | None, n: int, order: int) -> Jet:
     if at is not None:
         slope[at] = 1.0
     return Jet(value, iv.point(slope), iv.point(np.zeros((n, n, value[0].size))) if order > 1 else None)
+
+
+def _enclosed(node: Node) -> tuple[float, float]:
+    """Return two doubles that enclose an exact number or π: the nearest double below and the nearest double above."""
+    if node.op == "pi":
+        return pi, nextafter(pi, 4.0)  # the double lies below π
+    value, largest = node.value, sys.float_info.max
+    try:
+        near = float(value)
+    except OverflowError:
+        return (largest, inf) if value > 0 else (-inf, -largest)
+    over, under = near.as_integer_ratio()
+    above = over * value.denominator - value.numerator * under  # a comparison of fractions is slow
+    low = near if above <= 0 else nextafter(near, -inf)
+    return low, near if above >= 0 else nextafter(near, inf)
 
 
 def _short(text: str) -> str:

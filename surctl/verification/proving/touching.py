@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from fractions import Fraction
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from surctl.sos.polynomial import Monomial, Polynomial
-from surctl.verification.formula import Node, number, ordered, parse, power, substitute, variable
-from surctl.verification.proving.algebra import Algebra, Poly, Ratio, SplitAngles, TooLarge, Written, constant
+from surctl.verification.formula import Node, exact_values, number, ordered, parse, power, rebuilt, substitute, variable
+from surctl.verification.proving.algebra import Algebra, Poly, Ratio, TooLarge, Written, constant
 from surctl.verification.proving.intervals import Ends
 from surctl.verification.proving.tape import build_tape
 
@@ -59,31 +60,14 @@ def facts_about(op: str, low: float, high: float, *, touching: bool) -> list[Fac
 
 def fact_polynomial(text: str, op: str, argument: Polynomial, atom: Polynomial) -> Polynomial:
     """Return a text in t with a polynomial for t, and another one for the function `op` of t."""
-    values: dict[Node, Polynomial] = {}
-    root = parse(text, {"t": variable("t")})
-    for node in ordered(root):
-        args = [values[a] for a in node.args]
-        match node.op:
-            case "num":
-                values[node] = Polynomial.constant(node.value)
-            case "var":
-                values[node] = argument
-            case "add":
-                values[node] = args[0] + args[1]
-            case "sub":
-                values[node] = args[0] - args[1]
-            case "neg":
-                values[node] = -args[0]
-            case "mul":
-                values[node] = args[0] * args[1]
-            case "div":
-                values[node] = args[0] * (1 / Fraction(args[1].terms[()]))
-            case "pow":
-                values[node] = args[0] ** node.value.numerator
-            case _:
-                assert node.op == op
-                values[node] = atom
-    return values[root]
+
+    def change(node: Node, args: tuple[Node, ...]) -> Node:
+        return variable("value") if node.op == op else Node(node.op, args, node.value, node.name)
+
+    root = rebuilt(parse(text, {"t": variable("t")}), change)
+    values: Any = exact_values([root], {"t": argument, "value": atom})
+    total: Polynomial = Polynomial.constant(0) + values[0]
+    return total
 
 
 def _odd(op: str, low: float, high: float) -> list[Fact]:
@@ -158,7 +142,7 @@ def _short(x: float, rounded: Callable[[float], int]) -> str:
 def vanishes(node: Node) -> bool:
     """Return True only if an expression is 0 wherever it is defined, which exact rewriting shows."""
     try:
-        return not SplitAngles().of(node).over
+        return not Algebra(split=True).of(node).over
     except (TooLarge, ArithmeticError):
         return False
 

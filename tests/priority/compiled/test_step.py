@@ -18,7 +18,6 @@ from surctl.priority import Level, Mode, PriorityProblem, Row, Settings, build_p
 from surctl.priority.compiled import sweep
 from surctl.priority.compiled.step import OUTPUTS, PriorityStep, priority_step
 from surctl.priority.optimality import is_optimal
-from surctl.priority.reference import polyhedron_of
 from surctl.priority.shapes import LevelShape, StackShape
 from surctl.priority.solver.elimination import LOOPED
 from tests.oracles.priority_references import daqp_hierarchy, printed_law, svd_cascade
@@ -32,8 +31,7 @@ VALUES = (LevelShape(2), LevelShape(1))
 SETS = (LevelShape(1, True), LevelShape(2), LevelShape(1, True))
 MODES: tuple[Mode, ...] = ("nsb", "filter", "projected", "lexicographic")
 SETTINGS = [Settings(mode) for mode in MODES] + [
-    Settings("nsb", sweeps=3, damping=0.1),
-    Settings("projected", sweeps=3),
+    Settings("nsb", damping=0.1),
     Settings("projected", damping=0.1),
 ]
 STATUS = {"met": "optimal", "limited": "limited", "relaxed": "relaxed", "clamped": "clamped"}
@@ -48,7 +46,7 @@ def tick_for(shapes: tuple[LevelShape, ...], chosen: Settings) -> PriorityStep:
     need_compiler()
     key = (shapes, chosen)
     if key not in _made:
-        _made[key] = PriorityStep(chosen.mode, n=N, levels=shapes, rows=M, sweeps=chosen.sweeps, damping=chosen.damping)
+        _made[key] = PriorityStep(chosen.mode, n=N, levels=shapes, rows=M, damping=chosen.damping)
     return _made[key]
 
 
@@ -62,12 +60,12 @@ def size(v: Array) -> float:
 
 @pytest.mark.parametrize(
     ("shapes", "chosen"),
-    [(VALUES, chosen) for chosen in SETTINGS[:4]],  # with sets, several sweeps and damping: study 40
-    ids=lambda one: f"{one.mode}-{one.sweeps}-{one.damping}" if isinstance(one, Settings) else f"{len(one)} levels",
+    [(VALUES, chosen) for chosen in SETTINGS[:4]],  # with sets and damping: study 40
+    ids=lambda one: f"{one.mode}-{one.damping}" if isinstance(one, Settings) else f"{len(one)} levels",
 )
 def test_solve_runs_the_step_and_agrees_with_the_reference(shapes: tuple[LevelShape, ...], chosen: Settings) -> None:
     tick, rng, seen = tick_for(shapes, chosen), np.random.default_rng(11), set()
-    arguments = {"mode": chosen.mode, "sweeps": chosen.sweeps, "damping": chosen.damping}
+    arguments = {"mode": chosen.mode, "damping": chosen.damping}
     for _ in range(16):
         problem = draw_of_shape(rng, shapes)
         idle = [Row(f"idle{i}", "barrier", np.zeros(N), -1.0, 1.0) for i in range(M - len(problem.rows))]
@@ -165,7 +163,7 @@ def test_no_level_is_served_worse_than_by_daqp_s_hierarchy(shapes: tuple[LevelSh
             other = daqp_hierarchy(problem)
         except SolverError:
             continue
-        rows = polyhedron_of(problem)
+        rows = problem.limits
         assert rows.violation(tick.v).max() <= 1e-9
         if rows.violation(other).max() > 1e-9:
             continue
@@ -188,7 +186,7 @@ def test_the_opening_is_the_least() -> None:
             tick.load(problem)
             tick.solve()
             if tick.stage == "relaxed":
-                rows = polyhedron_of(problem)
+                rows = problem.limits
                 opens = -rows.soft.astype(float)
                 sides = [(rows.A, rows.upper), (-rows.A, -rows.lower)]
                 G = np.vstack([np.column_stack([A, opens])[np.isfinite(b)] for A, b in sides])
@@ -445,7 +443,7 @@ def test_loops_and_expressions_give_equal_projections(damping: float, monkeypatc
             assert np.abs(a - b).max() <= 1e-11 * size(a)
 
 
-@pytest.mark.parametrize("options", [{}, {"sweeps": 3}, {"damping": 0.1}, {"fallback": "bounded"}])
+@pytest.mark.parametrize("options", [{}, {"damping": 0.1}, {"fallback": "bounded"}])
 @pytest.mark.parametrize("shapes", [(LevelShape(1),), (LevelShape(2),), (LevelShape(1, True),), (LevelShape(1),) * 2])
 def test_one_velocity_under_mode_projected(shapes: tuple[LevelShape, ...], options: dict[str, Any]) -> None:
     for bound, v in ((0.8, 0.5), (0.3, 0.3)):
@@ -472,8 +470,8 @@ def test_wrong_shapes_are_told_by_name() -> None:
         priority_step("nsb", n=4, levels=(LevelShape(1), LevelShape(2, True)), rows=1)
     with pytest.raises(InputError, match="no such priority mode"):
         priority_step("nsbb", n=4, levels=VALUES, rows=1)  # type: ignore[arg-type]
-    with pytest.raises(InputError, match="sweeps"):
-        priority_step("lexicographic", n=4, levels=VALUES, rows=1, sweeps=2)
+    with pytest.raises(InputError, match="damping"):
+        priority_step("lexicographic", n=4, levels=VALUES, rows=1, damping=0.1)
     for wrong in ({"n": 0}, {"levels": ()}, {"levels": (LevelShape(0),)}, {"rows": 0}):
         with pytest.raises(InputError):
             priority_step("projected", **{"n": 4, "levels": VALUES, "rows": 1, **wrong})

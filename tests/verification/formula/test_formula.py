@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from mpmath import mp, mpf
 
 from surctl.errors import InputError, UnsupportedOperation
-from surctl.verification.formula import from_casadi, number, parse, reads_back, text_of, to_casadi, variable
-from surctl.verification.formula.node import PI, power
+from surctl.verification.formula import from_casadi, number, parse, text_of, to_casadi, variable
+from surctl.verification.formula.node import PI
 from surctl.verification.proving.algebra import Algebra, TooLarge, Written
 from tests.verification.expressions import NAMES, NoValue, TooClose, expressions, worth
 
@@ -27,34 +27,12 @@ def test_text_reads_back_as_what_was_written(root) -> None:
     assert abs(value - worth(again, POINT)) <= abs(value) * mpf(10) ** -40
 
 
-@settings(max_examples=100, deadline=None, derandomize=True)
-@given(expressions())
-def test_an_expression_that_reads_back_is_restored_exactly(root) -> None:
-    again = parse(text_of(root), KNOWN)
-    assert not reads_back(root, NAMES) or again == root
-    # what was read reads back, but for fractional powers and negative numbers below minus
-    assert not reads_back(again, NAMES) or parse(text_of(again), KNOWN) == again
-
-
-def test_what_the_parser_changes_or_refuses_does_not_read_back() -> None:
-    x = KNOWN["x"]
-    third, small = number(Fraction(1, 3)), number(Fraction("5e-324"))
-    long = x
+def test_a_text_that_is_too_long_is_refused() -> None:
+    long = KNOWN["x"]
     for _ in range(40):
         long = long * long
-    others = (third, x + third, -number(2), small, variable("w") * x, variable("sin"), long, power(x, Fraction(1, 2)))
-    assert not any(reads_back(node, [*NAMES, "sin"]) for node in (*others, power(x, 65)))
     with pytest.raises(InputError, match="longer than"):
         text_of(long)
-    for text in (
-        "x^2*y - 0.5*(x - 3)^3/y",
-        "-x^2 + (-2)*y",
-        "-3*x + sin(x)^2",
-        "x - -1.5e-7",
-        "x^-2*(2*y)",
-        "pi - (x - y)",
-    ):
-        assert reads_back(parse(text, KNOWN), NAMES), text
 
 
 @settings(max_examples=24, deadline=None, derandomize=True)

@@ -8,13 +8,16 @@ from numpy.typing import NDArray
 
 from surctl.errors import InputError
 from surctl.marine.vehicle import load_vehicle
-from surctl.marine.verification import cruise_loop, loop_margins
-from surctl.marine.verification.linear import DISK_PLACES, open_loop
+from surctl.marine.verification import cruise_loop
+from surctl.marine.verification.cruise_loop import POSE, THRUSTS
+from surctl.verification import system_margins
 from surctl.verification.linear import OpenLoop, _balanced, disk_margin, stored_disk_margin, structured_bounds
+from surctl.verification.sampled_margins import open_loop
 
 GAINS = {"k1": 0.3, "k2": 0.3, "k_psi": 0.6, "k_r": 1.5, "k_v": 1.5, "lookahead": 1.2}
 VEHICLE = load_vehicle("sur540-flooded")
 LOOP = cruise_loop(VEHICLE, GAINS, cruise=0.15, dt=0.05)
+PLACES = {**LOOP.places, "both": (*THRUSTS, *POSE)}
 
 
 def of(system: control.StateSpace) -> OpenLoop:
@@ -76,13 +79,13 @@ def test_the_satellite_bears_far_less_in_all_loops_than_in_each() -> None:
     assert together.reached < 0.5 * min(each)
 
 
-@pytest.mark.parametrize("place", DISK_PLACES)
+@pytest.mark.parametrize("place", PLACES)
 def test_the_perturbation_that_is_found_destabilises_and_none_smaller_by_the_bound_does(place: str) -> None:
-    loop = open_loop(LOOP, place)
+    loop = open_loop(LOOP, *PLACES[place])
     found = disk_margin(loop, place)
     q = len(loop.D)
     assert found.stable and found.guaranteed <= found.reached <= 1.01 * found.guaranteed
-    L = loop.response(np.array([found.frequency_rad_s]))[0]
+    L = loop.response(loop.warped(np.array([found.frequency_rad_s])))[0]
     S, T = np.linalg.inv(np.eye(q) + L), L @ np.linalg.inv(np.eye(q) + L)
     delta = structured_bounds((S - T) / 2)[2]
     assert np.max(np.abs(delta)) == pytest.approx(found.reached, rel=1e-6)
@@ -91,9 +94,8 @@ def test_the_perturbation_that_is_found_destabilises_and_none_smaller_by_the_bou
 
 
 def test_no_gains_inside_the_margin_destabilise() -> None:
-    low, high = disk_margin(open_loop(LOOP, "both"), "both").gain
-    rng = np.random.default_rng(5)
-    loop = open_loop(LOOP, "both")
+    loop, rng = open_loop(LOOP, *PLACES["both"]), np.random.default_rng(5)
+    low, high = disk_margin(loop).gain
     draws = np.exp(rng.uniform(np.log(low), np.log(high), size=(200, 8)))
     draws[:100] = np.where(rng.uniform(size=(100, 8)) < 0.5, low, high)
     for factors in draws:
@@ -102,9 +104,9 @@ def test_no_gains_inside_the_margin_destabilise() -> None:
 
 
 def test_all_thrusts_at_once_bear_no_more_than_the_worst_of_them() -> None:
-    margins = loop_margins(VEHICLE, GAINS, cruise=0.15, dt=0.05)
-    for place, names in (("thrust", margins[:4]), ("measurement", margins[4:])):
-        assert disk_margin(open_loop(LOOP, place), place).guaranteed <= min(m.disk_margin for m in names)
+    for signals in LOOP.places.values():
+        least = min(m.disk_margin for m in system_margins(LOOP, *signals))
+        assert disk_margin(open_loop(LOOP, *signals)).guaranteed <= least
 
 
 def test_a_peak_between_the_points_of_the_grid_is_not_missed() -> None:
@@ -145,25 +147,25 @@ def test_scalings_balance_rows_and_columns_of_every_frequency() -> None:
 
 def test_integral_action_stays_closed_when_the_thrust_is_opened() -> None:
     loop = cruise_loop(VEHICLE, {**GAINS, "k_i": 0.2}, cruise=0.15, dt=0.05)
-    for place in DISK_PLACES:
-        closed = 0.025 * np.linalg.eigvals(open_loop(loop, place).complementary().A)
+    for signals in PLACES.values():
+        closed = np.linalg.eigvals(open_loop(loop, *signals).complementary().A)
         poles = np.log((1 + closed) / (1 - closed)) / 0.05
         assert np.sort(poles.real) == pytest.approx(np.sort(loop.rates.real), abs=1e-5)
 
 
 def test_an_unstable_loop_has_nothing_left_and_a_wrong_place_is_named() -> None:
     bad = cruise_loop(VEHICLE, {**GAINS, "k_psi": 60.0}, cruise=0.15, dt=0.05)
-    found = disk_margin(open_loop(bad, "thrust"), "thrust")
+    found = disk_margin(open_loop(bad, *THRUSTS))
     assert not found.stable and (found.guaranteed, found.gain) == (0.0, (1.0, 1.0))
-    with pytest.raises(InputError, match=r"place = .*thrust"):
-        open_loop(LOOP, "thrusts")
+    with pytest.raises(InputError, match=r"opening = 'swayy'.*sway"):
+        open_loop(LOOP, "swayy")
 
 
 def test_a_stored_margin_is_the_computed_one_and_another_loop_has_its_own(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setenv("SURCTL_CACHE", str(tmp_path / "cache"))
-    loop, faster = (open_loop(cruise_loop(VEHICLE, GAINS, cruise=u, dt=0.05), "thrust") for u in (0.15, 0.1))
+    loop, faster = (open_loop(cruise_loop(VEHICLE, GAINS, cruise=u, dt=0.05), *THRUSTS) for u in (0.15, 0.1))
     first = stored_disk_margin(loop, "thrust")
     assert first == disk_margin(loop, "thrust")
 

@@ -8,8 +8,11 @@ import pytest
 from surctl.marine.control import load_gains
 from surctl.marine.vehicle import load_vehicle
 from surctl.marine.verification import cruise_loop
-from surctl.marine.verification.linear import bearable_speed, linear_side, open_loop, slowest_mode
+from surctl.marine.verification.corners import corners
+from surctl.marine.verification.cruise_loop import THRUSTS
+from surctl.marine.verification.linear import bearable_speed, cruise_corners, slowest_mode
 from surctl.verification.linear import DiskMargin, disk_margin
+from surctl.verification.sampled_margins import open_loop
 
 GAINS = load_gains("default").values
 WU = load_vehicle("bluerov2-wu")  # 17 kg in surge, 24.2 kg in sway
@@ -39,7 +42,7 @@ def test_with_one_mass_there_is_no_munk_moment_and_the_thrust_bounds_the_speed()
     assert next(iter(mode.participation)) == "y" and "UNSTABLE" not in "".join(mode.lines())
     linear, quadratic, most = (vehicle[name] for name in ("Xu", "Xuu", "Fu_max"))
     held = np.roots([quadratic, linear, -most]).max()
-    assert bearable_speed(vehicle, GAINS, dt=0.05) == pytest.approx(held, rel=1e-6)
+    assert bearable_speed(corners(vehicle).alone, GAINS, dt=0.05) == pytest.approx(held, rel=1e-6)
 
 
 def test_participation_is_that_of_the_mode_s_residue() -> None:
@@ -62,8 +65,9 @@ def test_a_disk_margin_that_cannot_be_shown_is_not_judged_and_ends_nothing(
 ) -> None:
     monkeypatch.setenv("SURCTL_CACHE", str(tmp_path / "cache"))  # this result must not be stored for others
     monkeypatch.setattr("surctl.verification.linear._STEPS", 0)
-    loop = open_loop(cruise_loop(WU, GAINS, cruise=0.15, dt=0.05), "thrust")
-    found: DiskMargin = disk_margin(loop, "thrust")
+    loop = open_loop(cruise_loop(WU, GAINS, cruise=0.15, dt=0.05), *THRUSTS)
+    found: DiskMargin = disk_margin(loop)
     assert found.stable and np.isnan(found.guaranteed) and found.reached > 0
-    side = linear_side(WU, GAINS, cruise=0.15, dt=0.05)
-    assert side.stable and "not determined (thrust)" in "\n".join(side.lines())
+    loops = cruise_corners(corners(WU).alone, GAINS, cruise=0.15, dt=0.05)
+    assert loops.stable and np.isnan(loops.disk)
+    assert "all commands at once: disk margin not determined" in "\n".join(loops.lines())

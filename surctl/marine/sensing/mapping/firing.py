@@ -5,12 +5,10 @@ cell is free only if the firing comes from a direction from which a surface in t
 that answered from two directions also answers from every direction between them. A marked cell therefore stores the
 sector of directions from which it was heard. Once this sector has several directions, only silence from within it, or
 close to it, clears the cell.
-A cleared cell stores the sector of directions from which it was silent. An echo from another direction may come from
-a surface in this cell.
 
-The number of a cell is ±(s + 2 (1 + a + 32 w)): + for a mark, − for a cleared cell; s is the strength in (0, 1], which
-fades; a is the first direction of the sector, counter-clockwise, of 32; and w + 1 is the number of directions in the
-sector. A number within ±1 has no sector: a cell under the hull is free from every direction.
+The number of a mark is s + 2 (1 + a + 32 w): s is the strength in (0, 1], which fades; a is the first direction of the
+sector, counter-clockwise, of 32; and w + 1 is the number of directions in the sector. A number within ±1 has no sector:
+the mark of a blind firing, or, below 0, a cleared cell.
 """
 
 from __future__ import annotations
@@ -20,8 +18,8 @@ import casadi as ca
 DIRECTIONS = 32
 """Number of directions of the compass, about 11 degrees each."""
 
-WIDEST, WIDEST_FREE = 4, 24
-"""Most directions that a sector has besides its first, of a mark and of a cleared cell.
+WIDEST = 4
+"""Most directions that a sector has besides its first.
 
 A surface of the paper's simulator answers from 45 degrees."""
 
@@ -29,17 +27,17 @@ BESIDE = 1.0
 """Directions beside a sector that still count: the error of a direction, and of the place of a cell."""
 
 NEAR = 10
-"""Distance [cells] from the sensor within which, in a `smooth` map, no direction beside a sector counts.
+"""Distance [cells] from the sensor within which no direction beside a sector counts.
 
 The corner of a face that was heard stays marked there until the robot has passed it, although it has fallen silent."""
 
 MOVED = 2
-"""Distance [cells] behind a mark of a `smooth` map from which an echo makes `NEAR` not apply.
+"""Distance [cells] behind a mark from which an echo makes `NEAR` not apply.
 
 The surface that was marked answers, and so has moved: no face's end is in front of an echo from the same body."""
 
 PROTECTED = 0.85
-"""Strength below which any silence clears a mark of a `smooth` map: it was last heard 9 s before."""
+"""Strength below which any silence clears a mark: it was last heard 9 s before."""
 
 BENT = 0.42
 """Coefficient of the cubic that makes the directions of `bearing` nearly equal in width."""
@@ -56,13 +54,12 @@ def bearing(x: ca.SX, y: ca.SX) -> ca.SX:
 
 def level(value: ca.SX) -> ca.SX:
     """Return the strength of a mark in (0, 1], of a cleared cell in [−1, 0), or 0."""
-    whole = 2 * ca.floor(ca.fabs(value) / 2)
-    return value - ca.if_else(value > 0, whole, -whole)
+    return value - 2 * ca.floor(ca.fmax(value, 0) / 2)
 
 
 def _sector(value: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
     # whether the number has a sector; its first direction; its further directions
-    stored = ca.floor(ca.fabs(value) / 2)
+    stored = ca.floor(ca.fmax(value, 0) / 2)
     further = ca.floor(ca.fmax(stored - 1, 0) / DIRECTIONS)
     return stored >= 1, stored - 1 - DIRECTIONS * further, further
 
@@ -71,17 +68,17 @@ def _modulo(difference: ca.SX) -> ca.SX:
     return difference - DIRECTIONS * ca.floor(difference / DIRECTIONS)
 
 
-def sector_with(value: ca.SX, direction: ca.SX, *, goes_on: ca.SX, widest: int) -> ca.SX:
-    """Return the absolute number, at strength 1, of a cell whose sector includes a direction (see `bearing`).
+def sector_with(value: ca.SX, direction: ca.SX, *, goes_on: ca.SX) -> ca.SX:
+    """Return the number, at strength 1, of a mark whose sector includes a direction (see `bearing`).
 
-    The old sector stays if `goes_on` holds and if the new sector has at most `widest` directions besides its first.
+    The old sector stays if `goes_on` holds and if the new sector has at most `WIDEST` directions besides its first.
     """
     has, first, further = _sector(value)
     now = ca.fmin(ca.floor(direction), DIRECTIONS - 1)
     after = _modulo(now - first)
     before = DIRECTIONS - after + further
-    grown = ca.logic_or(after <= further, ca.logic_and(after <= widest, after <= before))
-    keep = ca.logic_and(ca.logic_and(has, goes_on), ca.logic_or(grown, before <= widest))
+    grown = ca.logic_or(after <= further, ca.logic_and(after <= WIDEST, after <= before))
+    keep = ca.logic_and(ca.logic_and(has, goes_on), ca.logic_or(grown, before <= WIDEST))
     at = ca.if_else(ca.logic_and(keep, grown), first, now)
     count = ca.if_else(keep, ca.if_else(grown, ca.fmax(after, further), before), 0)
     return 3 + 2 * (at + DIRECTIONS * count)
@@ -89,10 +86,10 @@ def sector_with(value: ca.SX, direction: ca.SX, *, goes_on: ca.SX, widest: int) 
 
 def confirms(value: ca.SX) -> ca.SX:
     """Return whether a mark was heard from several directions; along the arc of an echo most marks are false."""
-    return ca.floor(ca.fabs(value) / 2) > DIRECTIONS
+    return ca.floor(value / 2) > DIRECTIONS
 
 
-def includes(value: ca.SX, direction: ca.SX, beside: ca.SX | float = BESIDE) -> ca.SX:
+def includes(value: ca.SX, direction: ca.SX, beside: ca.SX) -> ca.SX:
     """Return whether the sector includes a direction (see `bearing`), or is at most `beside` directions beside it."""
     has, first, further = _sector(value)
     off = _modulo(direction - first)
@@ -125,12 +122,12 @@ _OF_THE_UNKNOWN, _OF_A_MARK = 0.4, 0.75
 MIDDLE = 1.0 - _OF_THE_UNKNOWN
 """Share of a narrow beam's width in which the beam clears unknown cells."""
 
-LIMITS = ("cosine", "sine", "near", "far", "cutoff", "clear", "whole", "outside", "clears", "ranged", "regular")
-"""Names of the limits of a firing: squared ranges [m²], `whole` and `outside` [m], the last three numbers 0 or 1."""
-
-AXIS = ("axis_x", "axis_y", "moved")
-"""Names of three more limits if the map stores directions: the beam's axis in {E}, and the squared range [m²] from
-which marks in front of the echo have moved."""
+LIMITS = (
+    *("cosine", "sine", "near", "far", "cutoff", "clear", "whole", "outside", "clears", "ranged", "regular"),
+    *("axis_x", "axis_y", "moved"),
+)
+"""Names of the limits of a firing: squared ranges [m²]; `whole` and `outside` [m]; three numbers 0 or 1; the axis of
+the beam in {E}; and the squared range [m²] from which marks in front of the echo have moved."""
 
 
 def split(slots: ca.SX, count: int) -> list[dict[str, ca.SX]]:
@@ -169,7 +166,7 @@ def limit_values(slot: dict[str, ca.SX], edge: ca.SX) -> dict[str, ca.SX]:
 
 def named_limits(limits: ca.SX) -> dict[str, ca.SX]:
     """Return the limits of a firing as a dictionary whose keys are the names in `LIMITS`."""
-    return {name: limits[k] for k, name in enumerate((*LIMITS, *AXIS)[: limits.numel()])}
+    return {name: limits[k] for k, name in enumerate(LIMITS)}
 
 
 def direction(column: ca.SX, row: ca.SX, limit: dict[str, ca.SX]) -> ca.SX:
@@ -179,26 +176,18 @@ def direction(column: ca.SX, row: ca.SX, limit: dict[str, ca.SX]) -> ca.SX:
     return bearing(along * ex + across * ey, along * ey - across * ex)
 
 
-def by_direction(
-    value: ca.SX, away: ca.SX, *, near: ca.SX, moved: ca.SX, known: float, specular: bool
-) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX, ca.SX]:
-    """Return what a firing from the direction `away` (see `bearing`) means for a cell that stores directions.
+def by_direction(value: ca.SX, away: ca.SX, *, near: ca.SX, moved: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
+    """Return what a firing from the direction `away` (see `bearing`) means for a cell.
 
-    The results are: whether the cell is a mark that silence from this direction does not clear; the cell's value after
-    an echo, after a blind firing, and after silence; and whether the cell may have caused an echo. `near` says whether
-    the cell is near the sensor (see `nearby`), `moved` whether an echo came from close behind it.
+    The results are: whether the cell is a mark that silence from this direction does not clear; and the cell's value
+    after an echo, and after a blind firing. `near` says whether the cell is near the sensor (see `nearby`), `moved`
+    whether an echo came from close behind it.
     """
     strict = ca.logic_and(near, ca.logic_not(moved))
-    now, beside = level(value), includes(value, away, BESIDE if specular else ca.if_else(strict, 0, BESIDE))
-    mark = ca.logic_and(now > (0 if specular else PROTECTED), confirms(value))
+    now, beside = level(value), includes(value, away, ca.if_else(strict, 0, BESIDE))
+    mark = ca.logic_and(now > PROTECTED, confirms(value))
     lasts = ca.logic_and(mark, ca.logic_not(beside))
-    remark = sector_with(value, away, goes_on=now > BLIND, widest=WIDEST)
-    if not specular:
-        return lasts, remark, ca.if_else(now > BLIND, value, BLIND), ca.SX(-1), now >= -known
-    unmeasured = sector_with(value, away, goes_on=now > 0, widest=WIDEST) - (1 - BLIND)
-    silent = -sector_with(value, away, goes_on=now < 0, widest=WIDEST_FREE)
-    may = ca.logic_or(now >= -known, ca.logic_not(beside))
-    return lasts, remark, ca.if_else(now > BLIND, value, unmeasured), silent, may
+    return lasts, sector_with(value, away, goes_on=now > BLIND), ca.if_else(now > BLIND, value, BLIND)
 
 
 def nearby(line: tuple[ca.SX, ca.SX, ca.SX], limit: dict[str, ca.SX]) -> ca.SX:
@@ -227,6 +216,6 @@ def in_front(line: tuple[ca.SX, ca.SX, ca.SX], limit: dict[str, ca.SX], value: c
     """Return whether the whole cell is free: it lies deep enough inside the cone, and is nearer than the echo."""
     beam = line[0] * limit["sine"]
     deep = ca.fmin(limit["whole"], ca.if_else(value > 0, _OF_A_MARK, _OF_THE_UNKNOWN) * beam)
-    marks = value if "axis_x" not in limit else level(value)
+    marks = level(value)
     short = ca.logic_and(line[2] < limit["clear"], ca.logic_or(limit["clears"], marks <= BLIND))
     return ca.logic_and(_inside(line, limit) > deep, short)

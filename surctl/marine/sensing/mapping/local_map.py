@@ -12,8 +12,8 @@ opposite side, so the size of the map does not depend on the site. If the window
 never extends beyond the walls, because no cells are needed there. Unknown cells in the two rows of cells beside a wall
 are ignored, because the range error hides these two rows from most beams. An object there that is wider than two cells
 also extends into the third row, which is not ignored. Each cell holds one number. When a cell is marked, its number
-becomes 1 and fades to 0 within `mark_time`. When a cell is cleared, its number becomes −1 and fades to 0 within
-`free_time`.
+becomes 1 and fades to 0 within `mark_time`; it also stores the directions from which the cell was heard (see
+`mapping.firing`). When a cell is cleared, its number becomes −1 and fades to 0 within `free_time`.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from surctl.errors import InputError
 from surctl.ir import Call, Gather, Loop, Port, Program, Routine, Step, lower
-from surctl.marine.sensing.mapping.firing import READING_SIZE
+from surctl.marine.sensing.mapping.firing import LIMITS, READING_SIZE
 from surctl.marine.sensing.mapping.programs import BASE, BEAM, NONE, MapParameters, MapPrograms
 
 Vector: TypeAlias = NDArray[np.float64]
@@ -328,7 +328,7 @@ class _Steps:
         sizes |= {"place": 4, "walls": 4, "slots": self.local_map.slots * READING_SIZE, "corner": 2, "corner_next": 2}
         sizes |= dict.fromkeys(("column_beam", "row_beam", *self.columns[1:], *self.rows[1:]), b * BEAM)
         sizes |= dict.fromkeys(("column_bounds", "row_bounds"), self.programs.bounds_size)
-        sizes |= dict.fromkeys(("limits", *self.limits), len(self.programs.limit_names))
+        sizes |= dict.fromkeys(("limits", *self.limits), len(LIMITS))
         listed = [(name, 1) if isinstance(name, str) else name for name in names]
         return tuple((name, count * sizes.get(name, 1)) for name, count in listed)
 

@@ -19,8 +19,6 @@ import casadi as ca
 from surctl.errors import InputError, check_number
 from surctl.ir import Program, lower_named
 from surctl.marine.sensing.mapping.firing import (
-    AXIS,
-    BLIND,
     LIMITS,
     READING_SIZE,
     RING,
@@ -28,7 +26,6 @@ from surctl.marine.sensing.mapping.firing import (
     cell_line,
     direction,
     in_front,
-    includes,
     level,
     limit_values,
     named_limits,
@@ -65,10 +62,6 @@ class MapParameters:
         free_time: time [s] until a cleared cell has faded to 0 (design choice).
         known: fraction of `free_time` (design choice); in this last part of `free_time`, a cleared cell no longer
             counts as known to be free.
-        smooth: whether surfaces answer only near their normal: marks then store the directions from which they were
-            heard, and for 9 s silence clears a mark only from within these directions (see `directions`).
-        specular: whether surfaces are mirrors: as `smooth`, but as long as the mark lasts, and also for marks of blind
-            firings; and a cell that was silent may cause an echo from another direction.
     """
 
     dt: float
@@ -79,8 +72,6 @@ class MapParameters:
     mark_time: float = 60.0
     free_time: float = 60.0
     known: float = 0.3
-    smooth: bool = False
-    specular: bool = False
 
     def __post_init__(self) -> None:
         for name in ("dt", "mark_time", "free_time"):
@@ -125,15 +116,9 @@ class MapPrograms:
     def __init__(self, local_map: MapParameters, lanes: int) -> None:
         self.lanes, self.block, self.slots = lanes, local_map.block, local_map.slots
         self.sectors, self.side, self.held = local_map.sectors, local_map.side, local_map.held
-        self.known, self.specular = local_map.known, local_map.specular
-        self.directed = local_map.smooth or local_map.specular  # whether cells store directions
+        self.known = local_map.known
         # amounts by which the value of a marked cell and of a cleared cell approach 0 in one period
         self.fades = (local_map.dt / local_map.mark_time, local_map.dt / local_map.free_time)
-
-    @property
-    def limit_names(self) -> tuple[str, ...]:
-        """Names of the limits of a firing."""
-        return (*LIMITS, *AXIS) if self.directed else LIMITS
 
     @cached_property
     def bounds_size(self) -> int:
@@ -159,7 +144,7 @@ class MapPrograms:
         limits, explained = {}, {}
         for s, slot in enumerate(split(slots, self.slots)):
             values = limit_values(slot, edge)
-            limits[f"limits_{s}"] = ca.vertcat(*(values[name] for name in self.limit_names))
+            limits[f"limits_{s}"] = ca.vertcat(*(values[name] for name in LIMITS))
             explained[f"explained_{s}"] = values["far"] < values["near"]  # no cell is on an empty arc
         ring = hull + RING * edge
         complete = reduce(ca.logic_and, explained.values())
@@ -268,13 +253,9 @@ class MapPrograms:
         """Program that tests whether a cell may have caused an echo: it is on the arc and not known to be free."""
         hit, value = ca.SX.sym("hit"), ca.SX.sym("value")
         column, across, row, down = self._cell()
-        limits = ca.SX.sym("limits", len(self.limit_names))
+        limits = ca.SX.sym("limits", len(LIMITS))
         limit, line = named_limits(limits), cell_line(across, down)
-        faded = self._faded(value, column, row)
-        may = self._level(faded) >= -self.known
-        if self.specular:
-            may = ca.logic_or(may, ca.logic_not(includes(faded, direction(across, down, limit))))
-        near = ca.logic_and(may, line[2] <= limit["cutoff"])
+        near = ca.logic_and(self._faded(value, column, row) >= -self.known, line[2] <= limit["cutoff"])
         after = ca.logic_or(hit, ca.logic_and(on_arc(line, limit), near))
         inputs = {
             **{"hit": hit, "cells": value, "column": column, "column_beam": across},
@@ -286,17 +267,13 @@ class MapPrograms:
         """Program that computes a cell's value after a firing."""
         value, explained = ca.SX.sym("value"), ca.SX.sym("explained")
         _, across, _, down = self._cell()
-        limits = ca.SX.sym("limits", len(self.limit_names))
+        limits = ca.SX.sym("limits", len(LIMITS))
         limit, line = named_limits(limits), cell_line(across, down)
-        free, remark, cleared, may = in_front(line, limit, value), ca.SX(1), ca.SX(-1), value >= -self.known
-        blind = ca.fmax(value, BLIND)
-        if self.directed:
-            away, near, moved = direction(across, down, limit), nearby(line, limit), line[2] > limit["moved"]
-            now = by_direction(value, away, near=near, moved=moved, known=self.known, specular=self.specular)
-            lasts, remark, blind, cleared, may = now
-            free = ca.logic_and(free, ca.logic_not(lasts))
-        marked = ca.logic_and(on_arc(line, limit), ca.logic_or(may, ca.logic_not(explained)))
-        after = ca.if_else(free, cleared, ca.if_else(marked, ca.if_else(limit["ranged"], remark, blind), value))
+        away, near, moved = direction(across, down, limit), nearby(line, limit), line[2] > limit["moved"]
+        lasts, remark, blind = by_direction(value, away, near=near, moved=moved)
+        free = ca.logic_and(in_front(line, limit, value), ca.logic_not(lasts))
+        marked = ca.logic_and(on_arc(line, limit), ca.logic_or(value >= -self.known, ca.logic_not(explained)))
+        after = ca.if_else(free, -1, ca.if_else(marked, ca.if_else(limit["ranged"], remark, blind), value))
         inputs = {"cells": value, "column_beam": across, "row_beam": down, "limits": limits, "explained": explained}
         return lower_named("observe", inputs, {"after": after})
 
@@ -310,7 +287,7 @@ class MapPrograms:
     def tally(self) -> Program:
         """Program that computes the largest value of a block's cells, and the number of cells not known to be free."""
         largest, count, value = ca.SX.sym("largest"), ca.SX.sym("count"), ca.SX.sym("value")
-        outputs = {"largest_next": ca.fmax(largest, value), "count_next": count + (self._level(value) >= -self.known)}
+        outputs = {"largest_next": ca.fmax(largest, value), "count_next": count + (value >= -self.known)}
         return lower_named("tally", {"largest": largest, "count": count, "cells": value}, outputs)
 
     # --- the nearest cell of a block ----------------------------------------------------------------------------------
@@ -349,7 +326,7 @@ class MapPrograms:
             square = columns[self._entry(k, BASE, which)] + row[which]
             holds = value > 0
             if unknown:
-                blank = ca.logic_and(self._level(value) >= -self.known, value <= 0)
+                blank = ca.logic_and(value >= -self.known, value <= 0)
                 holds = ca.logic_and(blank, square > hull[1])
             nearer = ca.logic_and(holds, square < least)
             dx = ca.if_else(nearer, columns[self._entry(k, BASE, 0)], dx)
@@ -396,14 +373,8 @@ class MapPrograms:
 
     def _faded(self, value: ca.SX, column: ca.SX, row: ca.SX) -> ca.SX:
         old = value * (row[2] * column[2])
-        if self.directed:
-            now = level(old)
-            after = old - ca.if_else(old > 0, self.fades[0], -self.fades[1])
-            return ca.if_else(ca.logic_and(now <= self.fades[0], now >= -self.fades[1]), 0, after)
-        return old - ca.fmin(ca.fmax(old, -self.fades[1]), self.fades[0])
-
-    def _level(self, value: ca.SX) -> ca.SX:
-        return level(value) if self.directed else value
+        after = ca.fmin(old + self.fades[1], 0)
+        return ca.if_else(old > 0, ca.if_else(level(old) <= self.fades[0], 0, old - self.fades[0]), after)
 
     @staticmethod
     def _cell() -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
@@ -412,7 +383,7 @@ class MapPrograms:
         return column, across, row, down
 
     def _limits(self) -> list[dict[str, ca.SX]]:
-        return [named_limits(ca.SX.sym(f"limits_{s}", len(self.limit_names))) for s in range(self.slots)]
+        return [named_limits(ca.SX.sym(f"limits_{s}", len(LIMITS))) for s in range(self.slots)]
 
     @staticmethod
     def _limit_symbols(limits: list[dict[str, ca.SX]]) -> dict[str, ca.SX]:

@@ -8,7 +8,7 @@ water, longer than the time ΔT between two firings.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from math import acos, asin, atan2, ceil, cos, degrees, hypot, inf, isfinite, pi, remainder, sin
+from math import acos, asin, atan2, ceil, cos, degrees, hypot, inf, isfinite, pi, radians, remainder, sin
 
 from surctl.errors import InputError, check_number
 from surctl.marine.world import Vector2
@@ -62,6 +62,7 @@ def open_cones(
 
 
 _SLACK = 1e-9  # s
+_HIGHEST = radians(19.5)  # [rad] elevation of the steepest direction up to which a rough water surface is silent
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,7 +76,8 @@ class SonarArray:
         hull_radius: radius [m] of the hull, a disc about the robot's centre.
         beam_angle: full opening angle [rad] of the beam, a circular cone, below π (75°, a design choice).
         pitch: elevation of the beams' axes [rad], positive towards the water surface, less than half of `beam_angle`
-            (a design choice); sensors that look down receive fewer echoes of the surface.
+            (a design choice). None: 0, or lower, so that no direction of the beam rises by more than 19.5°: a rough
+            water surface, which answers up to 70° off its normal, is silent then. For the default beam: −18°.
         incidence_limit: largest angle [rad] between the outward normal of a surface and the direction to the sensor
             at which the surface reflects, in (0, π/2) (Webots' default for its sonars is 22.5°); None: every surface
             reflects.
@@ -103,7 +105,7 @@ class SonarArray:
     mounts: tuple[tuple[float, float], ...] | None = None
     hull_radius: float = 0.27
     beam_angle: float = 75.0 * pi / 180.0
-    pitch: float = 0.0
+    pitch: float | None = None
     incidence_limit: float | None = None
     minimum: float = 0.2
     blind_time: float | None = None
@@ -134,15 +136,20 @@ class SonarArray:
         return len(self.azimuths)
 
     @property
+    def elevation(self) -> float:
+        """Elevation [rad] of the beams' axes: `pitch`, or its default."""
+        return min(0.0, _HIGHEST - 0.5 * self.beam_angle) if self.pitch is None else self.pitch
+
+    @property
     def half_angle(self) -> float:
         """Half the beam's opening angle in the horizontal plane [rad]; less than half of `beam_angle` with a pitch."""
-        if self.pitch == 0.0:
+        if self.elevation == 0.0:
             return 0.5 * self.beam_angle
-        return acos(cos(0.5 * self.beam_angle) / cos(self.pitch))
+        return acos(cos(0.5 * self.beam_angle) / cos(self.elevation))
 
     def steepest(self, side: int) -> float:
         """Return the elevation [rad] of the beam's steepest direction, at most π/2; side 1: upwards, −1: downwards."""
-        return min(0.5 * self.beam_angle + side * self.pitch, 0.5 * pi)
+        return min(0.5 * self.beam_angle + side * self.elevation, 0.5 * pi)
 
     @property
     def cycle(self) -> float:
@@ -262,9 +269,9 @@ def _check_geometry(array: SonarArray) -> None:
     check_number("array.hull_radius", array.hull_radius, unit="m", zero=True)
     wide = 0 < array.beam_angle < pi
     _require(array, "beam_angle", wide, "must lie between 0 and pi", "give the full angle in radians")
-    level = isfinite(array.pitch) and abs(array.pitch) < 0.5 * array.beam_angle
+    level = isfinite(array.elevation) and abs(array.elevation) < 0.5 * array.beam_angle
     problem = "must be less than half of the beam angle, so that the beam contains the horizontal plane"
-    _require(array, "pitch", level, problem, "give radians, positive upwards")
+    _require(array, "pitch", level, problem, "give radians, positive upwards, or None for the default")
     limit = array.incidence_limit
     remedy = "give radians, or None if every surface reflects"
     _require(array, "incidence_limit", limit is None or 0 < limit < pi / 2, "must lie between 0 and pi/2", remedy)

@@ -187,7 +187,7 @@ def rim(array: SonarArray, cosine: Any, *, side: int) -> tuple[Any, Any]:
 
     `cosine` is that of the bearing from the beam's axis. Elevations count in the direction of `side`.
     """
-    pitch = side * array.pitch
+    pitch = side * array.elevation
     up, half = sin(pitch), cos(0.5 * array.beam_angle)
     symbolic = isinstance(cosine, ca.SX)
     larger, either = (ca.fmax, ca.if_else) if symbolic else (max, lambda holds, yes, no: yes if holds else no)

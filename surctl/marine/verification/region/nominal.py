@@ -48,13 +48,13 @@ def nominal_motion(document: Mapping[str, Any]) -> tuple[Dynamics, Node]:
 def _cruise(law: Mapping[str, Any], limits: list[float]) -> dict[str, str]:
     """Return the rates of the deviations from the cruise of a vehicle that is the law's model."""
     v, ahead = law["cruise"], law["lookahead"]
-    wish = f"min(max({v} - {law['k1']}*x_e, 0), {law['cap']}/sqrt(1 + (y_e/{ahead})^2))"
+    pace = f"min(max({v} - {law['k1']}*x_e, 0), {law['cap']}/sqrt(1 + (y_e/{ahead})^2))"
     rates = {"x_e": "along", "y_e": "across"}
     pairs = zip(law["mass_kg"], law["linear_drag"], law["quadratic_drag"], limits, strict=True)
-    for (m, a, b, limit), (name, speed, wished) in zip(
-        pairs, (("along", f"(along + {v})", f"({wish})"), ("across", "across", f"(-({wish})*y_e/{ahead})")), strict=True
+    for (m, a, b, limit), (name, speed, desired) in zip(
+        pairs, (("along", f"(along + {v})", f"({pace})"), ("across", "across", f"(-({pace})*y_e/{ahead})")), strict=True
     ):
-        command = f"{a}*{wished} + {b}*{wished}*abs({wished}) + {m * law['k_v']}*({wished} - {speed})"
+        command = f"{a}*{desired} + {b}*{desired}*abs({desired}) + {m * law['k_v']}*({desired} - {speed})"
         thrust = f"min(max({command}, -{limit}), {limit})"
         rates[name] = f"({thrust} - {a}*{speed} - {b}*{speed}*abs({speed}))/{m}"
     return rates

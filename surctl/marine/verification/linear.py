@@ -1,8 +1,8 @@
-"""The slowest mode: its states, cause and remedies; the largest bearable speed, and a speed cap above it."""
+"""The linear loop of a mission's vehicle about its cruise: worst corner, slowest mode, and the speeds it bears."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -11,18 +11,177 @@ from numpy.typing import NDArray
 
 from surctl.marine.control.gains import setting
 from surctl.marine.vehicle import Vehicle
-from surctl.marine.verification.cruise_loop import LINEAR_GAINS, TRACKING_LAW, CruiseLoop, cruise_loop, cruise_loops
+from surctl.marine.verification.corners import NOMINAL, Corners
+from surctl.marine.verification.cruise_loop import (
+    LINEAR_GAINS,
+    TRACKING_LAW,
+    CruisePoint,
+    cruise_groups,
+    cruise_loop,
+    each_loop,
+)
+from surctl.marine.verification.law_loop import LawLoop
+from surctl.own_code import label
+from surctl.system import LinearLoop
+from surctl.verification.linear import screened_peaks
+from surctl.verification.sampled_margins import LoopCorners, corners_of, open_loop
 
 Array = NDArray[np.float64]
 
-_SPEEDS, _ROUNDS = 60, 3  # speeds and rounds of the search for the bearable speed; each round divides the interval
+
+def cruise_corners(
+    tried: Corners,
+    gains: Mapping[str, float],
+    *,
+    cruise: float,
+    dt: float,
+    model: Vehicle | None = None,
+    proved: bool = True,
+    law: str = TRACKING_LAW,
+) -> LoopCorners:
+    """Return the loop of a law about a straight cruise, nominal and at the worst corner of a vehicle's ranges.
+
+    Vehicles that cannot hold the cruise speed have no straight cruise to linearise about; they are left out.
+
+    Args:
+        tried: the vehicles, the nominal one first.
+        gains, cruise, dt, law: as for `cruise_loop`.
+        model: the controller's model of the vehicle; default the nominal vehicle.
+        proved: whether the disk margin is proved between frequencies, in ten times the time.
+
+    Raises:
+        InputError: a gain is missing or not positive, or the nominal vehicle cannot hold the cruise speed.
+
+    Example:
+        >>> from surctl.marine.control import load_gains
+        >>> from surctl.marine.vehicle import load_vehicle
+        >>> from surctl.marine.verification.corners import corners
+        >>> from surctl.marine.verification.linear import cruise_corners
+        >>> tried, gains = corners(load_vehicle("bluerov2-wu")), load_gains("default").values
+        >>> [round(cruise_corners(tried, gains, cruise=u, dt=0.05).disk, 2) for u in (0.1, 0.47)]
+        [0.75, 0.0]
+    """
+    vehicle, believed = tried.vehicles[0], model or tried.vehicles[0]
+    nominal = cruise_loop(vehicle, gains, cruise=cruise, dt=dt, model=believed, law=law)
+    points = [CruisePoint(plant, believed, gains, cruise) for plant in tried.others.values()]
+    named = list(zip(tried.others, each_loop(points, dt=dt, law=law), strict=True))
+    one = LawLoop(nominal, label(law), cruise)
+    return corners_of(one, named, name=NOMINAL, of=tried.held(named, cruise), proved=proved)
+
+
 _HIGHEST = 10.0  # [m/s] largest speed that is tried
+_SPEEDS, _ROUNDS = 30, 3  # speeds and rounds of the search for a speed; each round divides the interval
+
+
+def bearable_speed(
+    tried: Corners,
+    gains: Mapping[str, float],
+    *,
+    dt: float,
+    least: float = 0.0,
+    model: Vehicle | None = None,
+    law: str = TRACKING_LAW,
+) -> float:
+    """Return the largest cruise speed [m/s] up to which every vehicle holds it and its loop is stable; 0 if none.
+
+    The search divides the range up to the largest speed that the thrust can hold (10 m/s at most) into 30 steps, and
+    refines the first step in which a loop is lost. Higher speeds at which it is good again are ignored. The search uses
+    only the vehicles that are worst at the last result; all vehicles are compared at the new result.
+
+    Args:
+        tried: the vehicles.
+        gains: the gains by name, as for `cruise_loop`.
+        dt: control period [s].
+        least: disk margin of all loops that is required too, in (0, 2], estimated on a coarse grid; 0: stability alone.
+        model: the controller's model; default the first vehicle.
+        law: a law for which `has_cruise_loop` holds.
+
+    Raises:
+        InputError: a gain is missing or not positive.
+
+    Example:
+        >>> from surctl.marine.control import load_gains
+        >>> from surctl.marine.vehicle import load_vehicle
+        >>> from surctl.marine.verification.corners import corners
+        >>> from surctl.marine.verification.linear import bearable_speed
+        >>> tried, gains = corners(load_vehicle("bluerov2-wu")), load_gains("default").values
+        >>> [round(bearable_speed(tried, gains, dt=0.05, least=least), 2) for least in (0.0, 0.3)]
+        [0.2, 0.17]
+    """
+    about: dict[str, Any] = {"dt": dt, "model": model or tried.vehicles[0], "law": law, "least": least}
+    speed, searched = min(min(map(_fastest, tried.vehicles)), _HIGHEST), list[int]()
+    while speed > 0:
+        ill = _lacking(tried.vehicles, gains, np.full(len(tried.vehicles), speed), **about)
+        worst = int(np.argmax(ill))
+        if ill[worst] <= 0 or worst in searched:
+            return speed
+        searched.append(worst)
+        low, high = 0.0, speed
+        for _ in range(_ROUNDS):
+            speeds = np.linspace(low, high, _SPEEDS + 1)[1:]
+            lost = np.flatnonzero(_lacking([tried.vehicles[worst]] * _SPEEDS, gains, speeds, **about) > 0)
+            first = int(lost[0]) if lost.size else _SPEEDS - 1  # the end itself is lost
+            low, high = float(speeds[first - 1]) if first else low, float(speeds[first])
+        speed = low
+    return 0.0
+
+
+def _lacking(
+    vehicles: Sequence[Vehicle],
+    gains: Mapping[str, float],
+    speeds: Array,
+    *,
+    dt: float,
+    model: Vehicle,
+    law: str,
+    least: float,
+) -> Array:
+    """Return what each vehicle at its speed lacks, (n,), greater than 0 if it lacks something; inf without a loop.
+
+    It is the real part of the slowest pole, or how far the structured singular value exceeds that of the margin.
+    """
+    lacking = np.full(len(vehicles), np.inf)
+    points = [CruisePoint(one, model, gains, float(speed)) for one, speed in zip(vehicles, speeds, strict=True)]
+    for at, loops in cruise_groups(points, dt=dt, law=law):
+        lacking[at] = np.where(loops.decays, -1.0, 1.0) * np.abs(loops.slowest_per_s)
+        if least > 0:
+            peaks = [screened_peaks(open_loop(loops, *signals)) for signals in loops.places.values()]
+            lacking[at] = np.max(peaks, axis=0) - 1 / least
+    return lacking
+
+
+def cap_above(vehicle: Vehicle, bearable: float, *, cap: float) -> str | None:
+    """Return a line of text if the linear loop becomes unstable below the speed cap `cap` [m/s]; otherwise None.
+
+    `bearable` is the speed [m/s] up to which the loop is stable (`bearable_speed`). The result is also None if the loop
+    is stable at all speeds that the thrust can hold, even if the cap is higher.
+
+    Example:
+        >>> from surctl.marine.vehicle import load_vehicle
+        >>> from surctl.marine.verification.linear import cap_above
+        >>> cap_above(load_vehicle("bluerov2-wu"), 0.2, cap=0.47)
+        'the cap of 0.47 m/s is above the bearable speed of 0.2 m/s, up to which the linear loop ... is stable'
+    """
+    if bearable >= min(cap, _fastest(vehicle), _HIGHEST):
+        return None
+    if bearable == 0:
+        return f"the linear loop of {vehicle.name} is unstable at every speed with these gains, so no cap helps"
+    stable = f"up to which the linear loop of {vehicle.name} is stable"
+    return f"the cap of {cap:g} m/s is above the bearable speed of {bearable:.3g} m/s, {stable}"
+
+
+def _fastest(vehicle: Vehicle) -> float:
+    # slightly below the speed [m/s] at which the drag equals the thrust limit
+    linear, quadratic, limit = vehicle["Xu"], vehicle["Xuu"], vehicle["Fu_max"]
+    root = linear + np.sqrt(linear**2 + 4 * quadratic * limit)
+    return float(2 * limit / root * (1 - _EDGE)) if root > 0 else np.inf
+
+
 _FACTORS = np.array([1.1, 1.25, 1.5, 2.0, 3.0, 5.0, 10.0])  # factors by which a gain is changed
 _NAMED = 0.1  # least participation of a state that is printed
 _COUNTED = 1e-3  # least participation of a state that is stored
 _EDGE = 1e-9
 _BROUGHT = 0.02  # a term is named as the cause if it moves the pole by more than this share of |s|
-
 _AT_ONCE = 1e-2  # share of the control period: held for so short a time, a thrust is not delayed
 
 
@@ -137,7 +296,7 @@ def slowest_mode(
     model: Vehicle | None = None,
     law: str = TRACKING_LAW,
 ) -> Mode:
-    """Return the mode of the slowest pole; for the arguments see `loop_margins`.
+    """Return the mode of the slowest pole; for the arguments see `cruise_loop`.
 
     The participation of state k in mode i is |w_ki v_ki|, the product of the entries of the left and the right
     eigenvector, divided by the sum of these products over all k (Pérez-Arriaga, Verghese and Schweppe 1982).
@@ -162,7 +321,7 @@ def slowest_mode(
     grouped: dict[str, float] = {}
     names = (*loop.names.states, *loop.names.controller_states)
     for name, part in zip(names, share / share.sum(), strict=True):
-        whole = "delay" if name.startswith("late_") else name
+        whole = "delay" if name.startswith("late_") else name.partition("[")[0]
         grouped[whole] = grouped.get(whole, 0.0) + float(part)
     pole = np.log(complex(z[at])) / dt
     real = float(pole.real)
@@ -173,89 +332,12 @@ def slowest_mode(
         {k: v for k, v in sorted(grouped.items(), key=lambda item: -item[1]) if v >= _COUNTED},
         _without(loop, vehicle, gains, cruise=cruise, model=model or vehicle, law=law),
         {} if real < -_EDGE else _remedies(vehicle, gains, cruise=cruise, dt=dt, model=model or vehicle, law=law),
-        bearable_speed(vehicle, gains, dt=dt, model=model, law=law),
+        bearable_speed(Corners((vehicle,), "", (NOMINAL,)), gains, dt=dt, model=model, law=law),
     )
 
 
-def bearable_speed(
-    vehicle: Vehicle, gains: Mapping[str, float], *, dt: float, model: Vehicle | None = None, law: str = TRACKING_LAW
-) -> float:
-    """Return the largest cruise speed [m/s] up to which the linear loop is stable and the thrust suffices; 0 if none.
-
-    The search divides the range up to the largest speed that the thrust can hold (10 m/s at most) into 60 steps. The
-    search refines the first step in which the loop becomes unstable. Higher speeds at which the loop is stable again
-    are ignored.
-
-    Raises:
-        InputError: a gain is missing or not positive.
-
-    Example:
-        >>> from surctl.marine.control import load_gains
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> from surctl.marine.verification.linear import bearable_speed
-        >>> gains = load_gains("default").values
-        >>> [round(bearable_speed(load_vehicle(name), gains, dt=0.05), 2) for name in ("sur400", "bluerov2-wu")]
-        [0.38, 0.2]
-    """
-    low, high = 0.0, min(_fastest(vehicle), _HIGHEST)
-    for _ in range(_ROUNDS):
-        speeds = np.linspace(low, high, _SPEEDS + 1)[1:]
-        lost = np.flatnonzero(~_stable(vehicle, gains, speeds, dt=dt, model=model or vehicle, law=law))
-        if not lost.size:
-            return float(high)
-        low, high = float(speeds[lost[0] - 1]) if lost[0] else low, float(speeds[lost[0]])
-    return low
-
-
-def cap_above_bearable(
-    vehicle: Vehicle, gains: Mapping[str, float], *, cap: float, dt: float, law: str = TRACKING_LAW
-) -> str | None:
-    """Return a line of text if the linear loop becomes unstable below the speed cap `cap` [m/s]; otherwise None.
-
-    The text gives the cap and the bearable speed, up to which the loop is stable (see `bearable_speed`).
-
-    The result is also None if the loop is stable at all speeds that the thrust can hold, even if the cap is higher.
-
-    Raises:
-        InputError: a gain is missing or not positive.
-
-    Example:
-        >>> from surctl.marine.control import load_gains
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> from surctl.marine.verification.linear import cap_above_bearable
-        >>> gains = load_gains("default").values
-        >>> cap_above_bearable(load_vehicle("bluerov2-wu"), gains, cap=0.47, dt=0.05)
-        'the cap of 0.47 m/s is above the bearable speed of ... m/s, up to which the linear loop ... is stable'
-        >>> cap_above_bearable(load_vehicle("sur400"), gains, cap=0.22, dt=0.05)
-    """
-    return cap_above(vehicle, bearable_speed(vehicle, gains, dt=dt, law=law), cap=cap)
-
-
-def cap_above(vehicle: Vehicle, bearable: float, *, cap: float) -> str | None:
-    """Return the line of `cap_above_bearable` for a bearable speed [m/s] that is known."""
-    if bearable >= min(cap, _fastest(vehicle), _HIGHEST):
-        return None
-    if bearable == 0:
-        return f"the linear loop of {vehicle.name} is unstable at every speed with these gains, so no cap helps"
-    stable = f"up to which the linear loop of {vehicle.name} is stable"
-    return f"the cap of {cap:g} m/s is above the bearable speed of {bearable:.3g} m/s, {stable}"
-
-
-def _fastest(vehicle: Vehicle) -> float:
-    # slightly below the speed [m/s] at which the drag equals the thrust limit
-    linear, quadratic, limit = vehicle["Xu"], vehicle["Xuu"], vehicle["Fu_max"]
-    root = linear + np.sqrt(linear**2 + 4 * quadratic * limit)
-    return float(2 * limit / root * (1 - _EDGE)) if root > 0 else np.inf
-
-
-def _stable(
-    vehicle: Vehicle, gains: Mapping[str, float], speeds: Array, *, dt: float, model: Vehicle, law: str
-) -> NDArray[np.bool_]:
-    return cruise_loops([vehicle], gains, cruise=speeds, dt=dt, model=model, law=law).decays
-
-
 def _without(
-    loop: CruiseLoop, vehicle: Vehicle, gains: Mapping[str, float], *, cruise: float, model: Vehicle, law: str
+    loop: LinearLoop, vehicle: Vehicle, gains: Mapping[str, float], *, cruise: float, model: Vehicle, law: str
 ) -> dict[str, float]:
     """Return, for each physical term, the real part [1/s] of the slowest pole of the loop without this term."""
     A, *inputs = loop.plant
@@ -264,22 +346,19 @@ def _without(
     munk[yaw, [surge, sway]] = 0.0
     coriolis[[surge, sway], yaw] = 0.0
     coupled = bool(vehicle.form.terms)  # the slopes then include coupled inertia and drag
-    slowest["yaw moment by surge and sway" if coupled else "Munk moment (m22 - m11) u v"] = _slowest(
-        replace(loop, plant=(munk, *inputs))
+    slowest["yaw moment by surge and sway" if coupled else "Munk moment (m22 - m11) u v"] = float(
+        replace(loop, plant=(munk, *inputs)).slowest_per_s
     )
-    slowest["surge and sway force by yaw" if coupled else "Coriolis force m11 u r"] = _slowest(
-        replace(loop, plant=(coriolis, *inputs))
+    slowest["surge and sway force by yaw" if coupled else "Coriolis force m11 u r"] = float(
+        replace(loop, plant=(coriolis, *inputs)).slowest_per_s
     )
-    slowest["loop delay"] = _slowest(loop.resampled(_AT_ONCE * loop.dt, 0))
+    others = {"loop delay": (vehicle, _AT_ONCE * loop.dt)}
     if vehicle["thrust_lag"] > 0:
-        instant = vehicle.with_values({"thrust_lag": 0.0})
-        without = cruise_loop(instant, gains, cruise=cruise, dt=float(loop.dt), model=model, law=law)
-        slowest["thrust lag"] = _slowest(without)
+        others["thrust lag"] = (vehicle.with_values({"thrust_lag": 0.0}), loop.dt)
+    for name, (plant, dt) in others.items():
+        without = cruise_loop(plant, gains, cruise=cruise, dt=dt, model=model, law=law)
+        slowest[name] = float(without.slowest_per_s)
     return slowest
-
-
-def _slowest(loop: CruiseLoop) -> float:
-    return float(loop.rates[0].real)
 
 
 def _remedies(
@@ -290,8 +369,10 @@ def _remedies(
     names = np.repeat(LINEAR_GAINS, len(factors))
     # with the digits that are printed
     tried = np.array([float(f"{gains[name] * factor:.3g}") for name in LINEAR_GAINS for factor in factors])
-    changed = {name: np.where(names == name, tried, value) for name, value in gains.items()}
-    good = cruise_loops([vehicle], changed, cruise=cruise, dt=dt, model=model, law=law).decays
+    changed = [{**gains, name: value} for name, value in zip(names.tolist(), tried.tolist(), strict=True)]
+    good = np.zeros(len(tried), dtype=bool)
+    for at, loops in cruise_groups([CruisePoint(vehicle, model, one, cruise) for one in changed], dt=dt, law=law):
+        good[at] = loops.decays
     remedies: dict[str, tuple[float, float]] = {}
     for name, value in zip(names[good].tolist(), tried[good].tolist(), strict=True):
         far = abs(float(np.log(value / gains[name])))
