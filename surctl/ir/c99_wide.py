@@ -289,11 +289,12 @@ class _RoutineText(RoutineText):
     def _masked(self, loop: Loop, at: int, whole: list[str], arguments: list[str]) -> list[str]:
         """Return the C lines of an iteration in which runs that have ended keep their state."""
         assert loop.until is not None
-        fresh = {name: self._array(f"fresh{at}_{k}", self.sizes[name]) for k, name in enumerate(loop.carried)}
+        # by place, not by name: several entries of the state may begin with the same array
+        fresh = [self._array(f"fresh{at}_{k}", self.sizes[name]) for k, name in enumerate(loop.carried)]
         flag = self.local[loop.results[loop.until]]
         # the flag is updated last, since it selects the runs that have not ended
         order = [k for k in range(len(fresh)) if k != loop.until] + [loop.until]
-        targets = [(self.local[loop.results[k]], loop.carried[k]) for k in order]
+        targets = [(self.local[loop.results[k]], fresh[k], self.sizes[loop.carried[k]]) for k in order]
         index = whole[: int(loop.index)]
         return [
             f"        const unsigned run = running({flag});",
@@ -302,7 +303,7 @@ class _RoutineText(RoutineText):
             "        if (run == ALL_LANES) {",
             *(f"    {line}" for line in whole[len(index) :]),
             "        } else {",
-            *self.call("            ", self.writer.named[function_key(loop)], [*arguments, *fresh.values()]),
-            *(f"            keep({to}, {fresh[name]}, {flag}, {self.sizes[name]});" for to, name in targets),
+            *self.call("            ", self.writer.named[function_key(loop)], [*arguments, *fresh]),
+            *(f"            keep({to}, {new}, {flag}, {size});" for to, new, size in targets),
             "        }",
         ]

@@ -104,17 +104,22 @@ def pairs() -> ca.Function:
 
 
 def search() -> Routine:
-    """Turns of a routine until a flag is up, inside turns of another, with pieces taken by what was found."""
+    """Turns of a routine until a flag is up, inside turns of another, with pieces taken by what was found.
+
+    Two parts of the state of the inner turns begin with the same array.
+    """
     step = program(
-        "step", {"x": 1, "up": 1, "v": 2, "limit": 1}, lambda x, up, v, limit: [x + 1 + v[0] ** 2, x > limit, v[::-1]]
+        "step",
+        {"x": 1, "up": 1, "v": 2, "w": 2, "limit": 1},
+        lambda x, up, v, w, limit: [x + 1 + v[0] ** 2, x > limit, v[::-1], w + v],
     )
     turn = Routine(
         "turn",
-        (("x", 1), ("up", 1), ("v", 2), ("limit", 1), ("table", 8)),
-        (Gather("table", "x", 2, "row"), Call(step, ("x", "up", "row", "limit"), ("y", "over", "flipped"))),
-        ("y", "over", "flipped"),
+        (("x", 1), ("up", 1), ("v", 2), ("w", 2), ("limit", 1), ("table", 8)),
+        (Gather("table", "x", 2, "row"), Call(step, ("x", "up", "row", "w", "limit"), ("y", "over", "flipped", "sum"))),
+        ("y", "over", "flipped", "sum"),
     )
-    inner = Loop(turn, 9, ("x", "up", "v"), ("x2", "up2", "v2"), fixed=("limit", "table"), until=1)
+    inner = Loop(turn, 9, ("x", "up", "v", "v"), ("x2", "up2", "flip2", "v2"), fixed=("limit", "table"), until=1)
     again = program("again", {"x": 1, "k": 1}, lambda x, k: [x - 2 * k, ca.SX(0)])
     outer = Routine(
         "outer",
