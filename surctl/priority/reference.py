@@ -204,9 +204,10 @@ def _minimiser(R: Array, r: Array, G: Array, lower: Array, upper: Array, solver:
     best = centre if (bound > -_FEASIBLE).all() else None
     for slack, convex in ((0.0, 1e-6), *((_FEASIBLE, 1e-4),) * 3):  # a set without inside may seem empty
         *exact, centre = [*solver.minimisers(R, r, H, bound, slack, convex, centre), centre]
-        for y in exact[:2]:
-            if (H @ y <= bound + tolerance).all():
-                return y
+        for share in (1e-3, 1.0):
+            for y in exact[:2]:
+                if (H @ y <= bound + share * tolerance).all():
+                    return y
         for y in exact[2:]:
             best, centre = (y if (H @ y <= bound + tolerance).all() else best), y
     return best
