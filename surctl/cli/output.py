@@ -418,12 +418,14 @@ def _folded(text: str, most: int) -> list[str]:
 
 
 def _shortened(line: str, width: int) -> str:
-    """Return at most `width` columns of a line, cut where a clause in its second half ends, else after a word."""
+    """Return at most `width` columns of a line, cut after a word, and in its last third after a clause."""
     if len(line) <= width:
         return line
     words = line[: width - 1].rpartition(" ")[0]
-    clause = max((end.start() for end in re.finditer(r"[,;:](?= )| (?=\()", words + " ")), default=0)
-    return (words[:clause].rstrip(",;:") if 2 * clause >= width else words) + " …"
+    if words.count("(") > words.count(")") and 2 * words.rindex("(") >= width:  # no half of a parenthesis
+        words = words[: words.rindex("(") - 1]
+    clause = max((end.start() for end in re.finditer(r"[,;:](?= )", words + " ")), default=0)
+    return (words[:clause] if 3 * clause >= 2 * width else words) + " …"
 
 
 def _command_lines(command: str, *, first: bool) -> list[str]:

@@ -431,20 +431,16 @@ def held_plant(A: Array, B: Array, E: Array, dt: float | Array) -> tuple[Array, 
     return held[..., :n], held[..., n : n + B.shape[-1]], held[..., n + B.shape[-1] :]
 
 
-def delayed(law: tuple[Array, ...], periods: int) -> tuple[Array, ...]:
-    """Return the matrices of a controller, as in `LinearLoop`, whose commands are whole periods late.
+def delayed(law: tuple[Array, ...]) -> tuple[Array, ...]:
+    """Return the matrices of a controller, as in `LinearLoop`, whose commands are one period late.
 
     The commands that wait are states of it, after its own.
     """
     Az, By, Br, Cz, Dy, Dr = law
-    if not periods:
-        return law
     many, (m, k) = Cz.shape[:-2], Cz.shape[-2:]
-    size, longer = k + m * periods, np.zeros((*many, m * (periods - 1), By.shape[-1]))
-    A, C = np.zeros((*many, size, size)), np.zeros((*many, m, size))
-    A[..., :k, :k], A[..., k : k + m, :k], A[..., k + m :, k : size - m] = Az, Cz, np.eye(size - m - k)
-    C[..., size - m :] = np.eye(m)
-    entering = [np.concatenate([B, D, longer[..., : B.shape[-1]]], axis=-2) for B, D in ((By, Dy), (Br, Dr))]
+    A, C = np.zeros((*many, k + m, k + m)), np.zeros((*many, m, k + m))
+    A[..., :k, :k], A[..., k:, :k], C[..., k:] = Az, Cz, np.eye(m)
+    entering = [np.concatenate([B, D], axis=-2) for B, D in ((By, Dy), (Br, Dr))]
     return A, entering[0], entering[1], C, 0 * Dy, 0 * Dr
 
 

@@ -50,7 +50,7 @@ def test_many_runs_have_a_summary_that_names_what_fails() -> None:
 
 
 def test_a_margin_without_bound_is_never_lost() -> None:
-    margin = LoopMargins("heave", True, 2.5, math.inf, math.inf, 0.9, 1.0, 0.0)
+    margin = LoopMargins("heave", True, 2.5, math.inf, math.inf, 0.9, 1.0, 0.0, 1.5, 0.3)
     assert margin.line() == "heave: gain factor below 2.5, phase never lost, delay never lost, disk margin 0.9"
 
 

@@ -116,9 +116,11 @@ def test_what_fails_comes_before_what_holds(
 
 def test_a_line_is_cut_after_a_clause(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("SURCTL_VERBOSE")
-    margins = "ok   margins: disk margin 0.62 at the worst corner, 0.86 nominal; least delay margin 0.28 s at a corner"
-    shown = printed(capsys, ["head", margins, *("ok   more" for _ in range(9))], then=["surctl list"])
-    assert shown[1] == "ok   margins: disk margin 0.62 at the worst corner, 0.86 nominal …"
+    first = "ok   margins at the equilibrium: disk margin 0.62 at the worst corner, 0.86 nominal"
+    second = "ok   region-cruise-20: proved: from 0.248 m beside the path"
+    lines = ["head", f"{first}; least delay margin of one loop", f"{second} (not for a start at rest, {'x ' * 30})"]
+    shown = printed(capsys, [*lines, *("ok   more" for _ in range(9))], then=["surctl list"])
+    assert shown[1:3] == [f"{first} …", f"{second} …"]
 
 
 def test_no_line_ends_between_a_number_and_its_unit(

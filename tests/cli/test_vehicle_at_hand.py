@@ -146,7 +146,9 @@ def test_a_run_that_arrives_on_an_unstable_loop_says_so() -> None:
 
 def test_a_run_says_which_echoes_hide_the_obstacles() -> None:
     mission = replace(load_scenario("tank-static"), time_limit=0.2)
-    diffuse = replace(mission, sensors=mission.sensors.hearing("diffuse"))
+    equipment = mission.sensors.equipment
+    level = replace(mission.sensors, equipment=replace(equipment, array=replace(equipment.array, pitch=0.0)))
+    diffuse = replace(mission, sensors=level.hearing("diffuse"))
     for scenario, sensing, hidden in ((diffuse, "sonar", 1), (diffuse, "truth", 0), (mission, "sonar", 0)):
         run = simulate(scenario, WU, gains=GAINS, law=build_law(sonar=sensing == "sonar"), sensing=sensing)
         ran = RunOutput().ran(run, run.to_dict())

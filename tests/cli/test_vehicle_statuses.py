@@ -110,7 +110,7 @@ def test_no_contact_that_holds_says_on_which_refuted_claim_it_does_not_rest(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    late = load_vehicle("sur400").with_values({"Xuu": 80.0, "Yvv": 80.0, "thrust_lag": 3.0})
+    late = load_vehicle("sur400").with_values({"Xuu": 80.0, "Yvv": 80.0, "thrust_lag": 2.0})
     Path("v.toml").write_text(write_vehicle(late))
     Path("g.toml").write_text(write_gains(load_gains("default").with_values({"margin": 2.0})))
     done = invoked("verify", "braking-retreat", "braking-mass", *WORDS, "--vehicle", "v.toml", "--verbose")

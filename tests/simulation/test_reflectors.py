@@ -110,8 +110,9 @@ def test_lint_says_what_is_unhearable() -> None:
     boat = load_vehicle("sur400")
     level = {"echoes": "diffuse", "pitch_deg": 0.0, "floor_m": 0.0}
     texts = {f.key: f.text for f in findings(pool(sonar=level), boat)}
-    assert "hears the water surface at 0.25 m" in texts["site.surface"] and "below -17.5" in texts["site.surface"]
-    assert "hears the floor at 1.40 m" in texts["site.floor"]
+    assert "echoes of the water surface" in texts["site.surface"] and "hears it at 0.25 m" in texts["site.surface"]
+    assert "below -17.5" in texts["site.surface"]
+    assert "echoes of the floor" in texts["site.floor"] and "hears it at 1.40 m" in texts["site.floor"]
     tilted = {f.key for f in findings(pool(sonar={"echoes": "diffuse"}), boat)}
     assert not {"site.surface", "site.floor"} & tilted
     smooth = [f for f in findings(pool(sonar={"echoes": "specular"}), boat) if f.key == "sonar.echoes"]

@@ -227,7 +227,7 @@ def assembled(
         tuple(axes), tuple(measured), units=tuple(units),
         places=(("commands", tuple(axes)), *([("measurements", pose)] if pose else [])),
     )  # fmt: skip
-    return LinearLoop(plant, delayed((*direct, none(len(axes), 0)), 1), labels, dt)
+    return LinearLoop(plant, delayed((*direct, none(len(axes), 0))), labels, dt)
 
 
 def held(plants: Array, cruise: ArrayLike, form: PlantForm) -> NDArray[np.bool_]:
