@@ -206,7 +206,7 @@ def law_words(reference: str) -> list[str]:
     return ["--law", own_file(reference)]
 
 
-trust_option = click.option("--trust", is_flag=True, help="Permit the Python law that a study or saved run names.")
+trust_option = click.option("--trust", is_flag=True, help="Permit running the Python law that a study or run names.")
 
 
 priority_options = together(
