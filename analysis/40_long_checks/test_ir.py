@@ -13,13 +13,13 @@ from surctl.errors import ToolMissing
 from surctl.ir import Call, Loop, Real, Routine, compile_block, lower, memory, replay
 from surctl.ir.frames import stack_bytes
 from surctl.ir.native import _source
-from tests.ir import test_folded, test_stored
+from tests.ir import test_program_text, test_stored
 from tests.ir.test_places import mixed, moved
 from tests.tools import need_compiler
 
 
 def test_every_operation_inside_every_other_treats_special_numbers_alike(tmp_path: Path) -> None:
-    test_folded.test_every_operation_inside_every_other_treats_special_numbers_alike(tmp_path, 1)
+    test_program_text.test_every_operation_inside_every_other_treats_special_numbers_alike(tmp_path, 1)
 
 
 SUM = moved("sum", [300, 300], lambda a, b: [a + b])

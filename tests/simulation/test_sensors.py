@@ -140,11 +140,6 @@ def test_by_default_the_law_knows_the_floor_of_the_site_and_hears_no_rough_water
         assert equipment.floor == floor and degrees(equipment.array.elevation) == pytest.approx(elevation)
 
 
-def test_the_removed_key_of_the_surface_model_has_its_remedy(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"sonar\.surface_model = 'smooth': .* one law serves all surfaces; remove it"):
-        _loaded(tmp_path, '[sonar]\nsurface_model = "smooth"\n')
-
-
 @pytest.mark.parametrize(
     ("mounts", "message"),
     [

@@ -6,10 +6,9 @@ from collections.abc import Callable, Set
 from dataclasses import dataclass, field, replace
 from functools import partial
 from math import degrees, gcd, pi
-from typing import TYPE_CHECKING, Annotated, Literal, TypeVar
+from typing import Annotated, Literal, TypeVar
 
-from pydantic import Field, ValidationError, model_validator
-from pydantic_core import PydanticCustomError
+from pydantic import Field
 
 from surctl.errors import InputError, check_known, mistakes_in
 from surctl.files import Strict
@@ -26,9 +25,6 @@ from surctl.marine.sensing import (
 )
 from surctl.marine.sensing.sonar.faults import check_faults
 from surctl.marine.simulation.reflectors import ECHOES
-
-if TYPE_CHECKING:
-    from pydantic_core import InitErrorDetails
 
 T = TypeVar("T")
 
@@ -69,19 +65,6 @@ class SonarTable(Strict):
     calibrated_for_m_per_s: Positive | None = None
     faults: tuple[Fault, ...] = ()
     chances: FaultChances = FaultChances()
-
-    @model_validator(mode="before")
-    @classmethod
-    def _one_law(cls, data: object) -> object:
-        if not isinstance(data, dict) or "surface_model" not in data:
-            return data
-        text = "is no key any more, because one law serves all surfaces; remove it"
-        wrong: InitErrorDetails = {
-            "type": PydanticCustomError("removed", text),
-            "loc": ("surface_model",),
-            "input": data["surface_model"],
-        }
-        raise ValidationError.from_exception_data(cls.__name__, [wrong])
 
 
 class _DeliveryTable(Strict):
