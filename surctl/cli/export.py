@@ -191,9 +191,7 @@ class Compared(NamedTuple):
 @click.argument("words", nargs=-1, metavar="[FILE.py:FUNCTION [NAME=VALUE]...]")
 @seconds_option
 @click.option("--name", metavar="TEXT", help="Prefix of all names in C (default: name of the law).")
-@click.option(
-    "--target", default="c99", metavar="NAME", help="c99 (default), fmu, fmu3, mjcf, one of --targets to check."
-)
+@click.option("--target", default="c99", metavar="NAME", help="c99 (default), fmu, fmu3, mjcf, or one of --targets.")
 @click.option(
     "--real", default="float64", metavar="NAME", help="Number type of the C code: float64 (default) or float32."
 )

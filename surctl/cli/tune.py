@@ -53,7 +53,7 @@ if TYPE_CHECKING:
 @click.command
 @click.argument("words", nargs=-1, metavar="FILE.py:FUNCTION [NAME=VALUE,...]...]")
 @click.option(
-    "--gain", "gain", multiple=True, metavar="NAME[=A..B]", help="Gain to tune, and the range A to B; repeatable."
+    "--gain", "gain", multiple=True, metavar="NAME[=A..B]", help="Gain to tune, with its range from A to B; repeatable."
 )
 @click.option(
     "--goals",

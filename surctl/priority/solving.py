@@ -323,8 +323,8 @@ def solve(
             strict priority within the limits.
         damping: see `Settings`.
         backend: None for the compiled step. Otherwise the reference solver in NumPy (module `reference`) is used, with
-            this QP solver: "daqp", "osqp", another name in `BACKENDS`, or a `Kernel`. It also solves, with DAQP, what
-            the step does not take: a set-based level with several rows.
+            this QP solver: "daqp", "osqp" or another solver of the package qpsolvers. The reference solver with DAQP
+            also solves what the compiled step does not take: a set-based level with several rows.
 
     Raises:
         InputError: the mode or the backend is unknown, or a setting is out of range.

@@ -54,7 +54,7 @@ if TYPE_CHECKING:
 )
 @priority_options
 @barrier_options
-@click.option("--sensing", metavar="NAME", help="Obstacles: sonar (default if usable) or truth (exact).")
+@click.option("--sensing", metavar="NAME", help="Obstacles: sonar (default if the law can), or truth.")
 @sensor_options
 @click.option("--constant-gains", is_flag=True, help="Write gains and mission as constants; needs --sensing truth.")
 @click.option(

@@ -55,8 +55,8 @@ _SYSTEM = click.IntRange(1, 255)
     metavar="DEG/S",
     help="Yaw rate of the vehicle at full stick [deg/s] (default 45).",
 )
-@click.option("--target", type=_SYSTEM, default=1, metavar="N", help="MAVLink id of the autopilot (default 1).")
-@click.option("--system", type=_SYSTEM, default=255, metavar="N", help="MAVLink id of surctl fly (default 255).")
+@click.option("--target", type=_SYSTEM, default=1, metavar="N", help="MAVLink system id of the autopilot (default 1).")
+@click.option("--system", type=_SYSTEM, default=255, metavar="N", help="MAVLink system id of surctl fly (default 255).")
 @click.option(
     "--loss",
     type=FiniteRange(0.0, 1.0),

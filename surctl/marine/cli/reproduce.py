@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     "--independent", is_flag=True, help="Simulate each scenario in MuJoCo, too (one more column of the output)."
 )
 @click.option(
-    "--webots", is_flag=True, help="Simulate sonars with the echoes of Webots, too (one more column of the output)."
+    "--webots", is_flag=True, help="Simulate sonars also with the echo model of the simulator Webots (one more column)."
 )
 @out_folder
 @as_json

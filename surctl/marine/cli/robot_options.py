@@ -206,7 +206,7 @@ def law_words(reference: str) -> list[str]:
     return ["--law", own_file(reference)]
 
 
-trust_option = click.option("--trust", is_flag=True, help="Run a law in Python that the study or saved run names.")
+trust_option = click.option("--trust", is_flag=True, help="Permit running the Python law that a study or run names.")
 
 
 priority_options = together(
@@ -221,7 +221,7 @@ priority_options = together(
         "--fallback",
         default="exact",
         metavar="NAME",
-        help="Solver if limits conflict: exact (default), bounded (time).",
+        help="Solver if limits conflict: exact (default), bounded (fast).",
     ),
 )
 """A decorator that adds these options to a command; the command receives them as `priority_mode` and `fallback`."""
@@ -235,7 +235,7 @@ barrier_options = together(
         "--movers",
         default="predict",
         metavar="NAME",
-        help="Moving obstacles: predict (default), barrier (brakes only).",
+        help="Moving obstacles: predict (default); barrier: only brake.",
     ),
 )
 """A decorator that adds these options to a command; the command receives them as `barrier` and `movers`."""

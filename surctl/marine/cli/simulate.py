@@ -55,7 +55,7 @@ if TYPE_CHECKING:
     "--avoidance",
     default="corrected",
     metavar="NAME",
-    help="Eq. (20): corrected (default), printed, consistent (signs).",
+    help="Equation (20) of law paper: corrected (default), printed, or consistent (every angle counter-clockwise).",
 )
 @click.option(
     "--guidance", default="los", metavar="NAME", help="Path guidance: los (default); for currents ilos or alos."
@@ -69,7 +69,7 @@ if TYPE_CHECKING:
 @plant_options
 @click.option("--seed", type=Count(0), default=0, help="Seed of the first run (default 0).")
 @click.option("--runs", type=Count(1), default=1, help="Runs per scenario, each with its seed (default 1).")
-@click.option("--explain", "explained", is_flag=True, help="Print when which limits override which tasks of the law.")
+@click.option("--explain", "explained", is_flag=True, help="Print which limits override tasks of the law, and when.")
 @animate_option
 @click.option("--frame", metavar="NAME", help="Axes in the files of --save: enu (default) or ned.")
 @campaign_options

@@ -109,7 +109,8 @@ def sweep(
     as best, or if margins, runs or claims fail at the best point.
 
     The parameters of a system of your own, FILE.py:FUNCTION, are its gains (by name), plant.NAME, reference.NAME,
-    disturbance.NAME and start.NAME. With --seeds N, each run samples plant.NAME=LOW..HIGH; the worst run counts.
+    disturbance.NAME and start.NAME. With --seeds N, N runs draw plant.NAME=LOW..HIGH at random;
+    the worst counts.
 
     Examples: surctl sweep --scenario pool-static lookahead=0.6,0.9,1.2 k_v=0.5..3:6:log;
     surctl sweep k_v=1..3 plant.m11=30..60 --sensitivity deviation_m;

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 @click.command
 @click.argument("words", nargs=-1, metavar="[STUDY")
-@click.option("--cruise", type=SPEEDS, metavar="U1,U2,...", help="Cruise speeds [m/s] for loop goals that state none.")
+@click.option("--cruise", type=SPEEDS, metavar="U1,U2,...", help="Cruise speeds [m/s] for loop goals without speeds.")
 @click.option(
     "--seeds", type=Count(1, 1_000_000), default=4, help="Simulate each gain set with the seeds 0 to N-1 (default 4)."
 )
@@ -74,8 +74,8 @@ def tune(
     status: 1 if the gains miss a hard goal in the search or in the test, or if a line of the output says FAIL.
 
     For FILE.py:FUNCTION, a system of your own, the search minimises the first cost or, with --goals, the largest
-    normalised soft goal. In every case, all other costs must stay within their bounds, and the disk margin must be at
-    least 0.3; case k has the k-th value of each list NAME=V1,V2.
+    soft goal (value/bound). In every case, the other costs must meet their bounds, and the disk margin must be at
+    least 0.3; NAME=V1,V2 states the value of a parameter in each case.
 
     Examples: surctl tune my-study.toml --gain k_v=0.5..3 --goals my-goals.toml; surctl tune my-system.py:build --page
     """

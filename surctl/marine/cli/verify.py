@@ -79,7 +79,7 @@ _SPEED = FiniteRange(min=0, max=100, min_open=True)
 )
 @click.option("--scenario", metavar="FILE", help="Scenario (name or file) for the no-contact claim.")
 @click.option("--law", metavar="NAME", help="Law: name or FILE.py:FUNCTION (default: guarded or steered).")
-@click.option("--sensing", metavar="NAME", help="Obstacles: sonar (default if usable) or truth (exact).")
+@click.option("--sensing", metavar="NAME", help="Obstacles: sonar (default if the law can), or truth.")
 @barrier_options
 @click.option("--show", is_flag=True, help="Print claims as claim files, and check no claim.")
 def verify(
@@ -103,17 +103,17 @@ def verify(
     """Prove or refute built-in claims or your own, and print loop margins.
 
     A claim is proved (with a certificate for `surctl check`), refuted (with a counterexample), unknown (neither), or
-    not applicable (an assumption does not hold). The paper's claims assume cruise speed, and velocities equal to their
-    commands (at most --cap). With --scenario, surctl also checks the no-contact claim: the robot touches no obstacle.
-    The claim mission says that the robot stays near the scenario's path; mission:REGION uses the region claim REGION.
+    not applicable (an assumption does not hold). The robot paper's claims assume cruise speed, and
+    velocities equal to commands (at most --cap). With --scenario, surctl also checks the no-contact claim: the robot
+    touches no obstacle. Claim mission: the robot stays near the scenario's path; mission:REGION uses the region claim
+    REGION.
 
     surctl linearises the closed loop about straight cruise (with --law: about the law's steady motion), and prints
     margins, poles, slowest mode and stable speeds, for the nominal and the worst vehicle within --uncertainty or the
-    vehicle's ranges. surctl list shows region and braking claims, which are checked only if you
-    name them. The key kind of a claim file is claim (an inequality; --show prints examples), region (a region claim
-    with ranges of your own), lyapunov or barrier (a region of attraction or a barrier of dynamics in the file). Exit
-    status: 1 if a verdict is not the expected one, a named claim is not applicable, or a margin or no-contact claim
-    fails.
+    vehicle's ranges. surctl checks region and braking claims (see surctl list) only if you name them. The key kind of a
+    claim file is claim (an inequality; --show prints examples), region (a region claim with ranges of your own),
+    lyapunov or barrier (a region of attraction or a barrier of dynamics in the file). Exit status: 1 if a verdict is
+    not the expected one, a named claim is not applicable, or a margin or no-contact claim fails.
 
     For FILE.py:FUNCTION, a system of your own, surctl prints equilibrium, poles and margins of the sampled loop. With
     arguments within.STATE=LOW..HIGH for all states, surctl proves a region of attraction in this box.
