@@ -105,8 +105,8 @@ def sweep(
     """Simulate scenarios at each combination of parameter values, compute loop margins, and select the best point.
 
     A parameter is a gain (k_v), a number of the vehicle (vehicle.m11; plant.m11 changes the plant, but not the
-    controller's model), a number of the scenario (scenario.cruise) or seed. Exit status: 1 if no point qualifies
-    as best, or if margins, runs or claims fail at the best point.
+    controller's model), a number of the scenario (scenario.cruise) or seed. Exit status: 1 if no point is feasible, or
+    if margins, runs or claims fail at the best point.
 
     The parameters of your own system, FILE.py:FUNCTION, are its gains (by name), plant.NAME, reference.NAME,
     disturbance.NAME and start.NAME. With --seeds N, plant.NAME=LOW..HIGH is random in N runs per point; the worst
