@@ -354,7 +354,7 @@ class RegionWords:
 
         try:
             dynamics = sampled_dynamics(system, self.within, values=values, ranges=self.ranges)
-            require_common(dynamics)
+            require_common(dynamics, {**system.ranges, **self.ranges})
         except NotApplicable as reason:
             return reason
         numbers: dict[str, float | None] = {}

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 
@@ -192,8 +193,11 @@ def exact_root(rates: Sequence[Node], near: Mapping[str, Fraction], moving: Sequ
     return root if end is not None and not any(end) else None
 
 
-def require_common(dynamics: Dynamics) -> None:
-    """Raise NotApplicable unless the equilibrium lies inside the box and is one for all parameters."""
+def require_common(dynamics: Dynamics, names: Collection[str] = ()) -> None:
+    """Raise NotApplicable unless the equilibrium lies inside the box and is one for all parameters.
+
+    Of the `names` in the message, those of a system such as `plant.mass` replace `plant_mass` of its dynamics.
+    """
     d = dynamics
     for s in d.states:
         if not s.lower < s.equilibrium < s.upper:
@@ -202,9 +206,12 @@ def require_common(dynamics: Dynamics) -> None:
     if not d.rests():
         middle = [replace(p, lower=m, upper=m) for p, m in zip(d.parameters, d.ranges.mean(axis=0), strict=True)]
         alone = [(*middle[:k], p, *middle[k + 1 :]) for k, p in enumerate(d.parameters)]
-        names = [p.name for p, one in zip(d.parameters, alone, strict=True) if not replace(d, parameters=one).rests()]
-        moving = ", ".join(names or [p.name for p in d.parameters])
-        because = f"its equilibrium moves with {moving}; a region is about one point: give NAME=VALUE..VALUE"
+        typed = {re.sub(r"\W+", "_", name): name for name in names}
+        held = [m for m, one in zip(middle, alone, strict=True) if not replace(d, parameters=one).rests()] or middle
+        moving = {typed.get(p.name, p.name): f"{p.lower:.6g}" for p in held}
+        words = " ".join(f"{name}={value}..{value}" for name, value in moving.items())
+        because = f"its equilibrium moves with {', '.join(moving)}, and a region is about one point: give {words}"
+        because += f" (the proof then holds for {'this value' if len(moving) == 1 else 'these values'} only)"
         raise NotApplicable(because, to="the loop", key=f"{d.name}.equilibrium")
 
 

@@ -129,7 +129,7 @@ def limits_sentence(dynamics: Dynamics, function: Node, level: float, whole: Dyn
         return ""
     text = f"no limit (min, max) of the rates acts at {inside.sum()} samples of the region; "
     beyond = v[acts & np.isfinite(v)]
-    return text + (f"a limit acts at V = {beyond.min():.3g}" if beyond.size else "no limit acts in the box")
+    return text + (f"a limit acts at V = {beyond.min():.3g}" if beyond.size else "nor at any sample of the box")
 
 
 _HELP, _HELP_MOST = 0.2, 10.0  # share of the time limit for weaker claims, and the most [s]

@@ -230,16 +230,17 @@ def render_sections(
 
 
 _FACTS = 3  # lines under the banner, also where all of them hold
+_MAIN = "region"  # what is about it precedes the other lines of its rank
 
 
 def _linked(lines: Sequence[Line], sections: Sequence[Section]) -> list[Line]:
-    # worst first, each with the nearest anchor that the page has
+    # worst first, then the region, each with the nearest anchor that the page has
     there = {section.anchor for section in sections} | {h.anchor for section in sections for h in section.headings}
     linked = []
     for line in lines:
         whole = line.about.partition("-")[0]  # the section, if the page does not show this part of it
         linked.append(replace(line, about=next((name for name in (line.about, whole) if name in there), "")))
-    return sorted(linked, key=lambda line: line.rank)
+    return sorted(linked, key=lambda line: (line.rank, line.about != _MAIN))
 
 
 def _counted(lines: Sequence[Line]) -> str:

@@ -277,7 +277,7 @@ def test_simulate_says_that_the_hull_crabs_in_an_unstable_loop(tmp_path):
     words = ("simulate", "fast.toml", "--vehicle", "bluerov2-wu")
     bad = surctl(*words, "--gains", "default", cwd=tmp_path)
     assert re.search(r"reached at .* s, but crabbing \d+ deg", bad.out), bad.out
-    assert "linear loop at this speed is unstable" in bad.out
+    assert re.search(r"linear loop at 0\.\d+ m/s is unstable", bad.out)
     good = surctl(*words, cwd=tmp_path)
     assert "gains derived from the vehicle bluerov2-wu at 0.47 m/s" in good.out and "but crabbing" not in good.out
     assert re.search(r"has a disk margin of 0\.\d+ at .* and a delay margin of 0\.\d+ s in sway at", good.out)
@@ -297,6 +297,12 @@ def test_lint_knows_which_hull_fits_the_pool(tmp_path, vehicle, status):
     assert bool(errors) == bool(status)
     if errors:
         assert "0.020 m inside a wall at the start" in errors[0]["text"]
+
+
+def test_a_run_that_starts_inside_a_wall_says_so(tmp_path):
+    done = surctl("simulate", "pool-static", "--vehicle", "sur540-flooded", "--json", cwd=tmp_path)
+    (warning,) = done.json["runs"][0]["start_warnings"]
+    assert "0.020 m inside a wall at the start; the least clearance counts walls only after" in warning
 
 
 def test_explanations_name_who_gave_up_what_and_a_picture_is_drawn(tmp_path):

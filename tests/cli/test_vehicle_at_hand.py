@@ -138,7 +138,7 @@ def test_a_run_that_arrives_on_an_unstable_loop_says_so() -> None:
         assert result["linear"]["stable"] is stable and bool(lines) is bool(told) and told in "".join(lines)
         assert set(result["attitude"]) >= {"crab_angle_deg", "heading_error_deg", "oscillates"}
     run = simulate(fast, WU, gains=GAINS, law=build_law())
-    assert "the linear loop at this speed is unstable" in loop_lines_of_run(run, {})[0]
+    assert "the linear loop at 0.47 m/s is unstable" in loop_lines_of_run(run, {})[0]
     held = replace(run, law=build_law("calm"))
     result = {}
     assert loop_lines_of_run(held, result) == [] and result["linear"] is None  # calm has no linear loop

@@ -58,6 +58,8 @@ def test_limits_are_said_not_to_act_exactly_where_they_do_not(seed: int) -> None
     assert "no limit (min, max) of the rates acts at" in inside
     assert float(inside.rpartition("V = ")[2]) == pytest.approx(edge, rel=0.02)
     assert limits_sentence(d, parse("x^2", X), 1.1 * edge, d) == ""
+    idle = replace(d, rates=(parse("max(-9, min(9, -x))", X),))
+    assert limits_sentence(idle, parse("x^2", X), edge, idle).endswith("of the region; nor at any sample of the box")
     free = replace(d, rates=(parse("-x", X),))
     assert limits_sentence(free, parse("x^2", X), edge, free) == ""
 

@@ -33,6 +33,16 @@ def test_where_sections_are_folded_the_worst_three_lines_are_open() -> None:
     assert "remark" in folded and "bad" not in folded
 
 
+def test_a_proved_region_of_attraction_is_open() -> None:
+    lines = (*(Line(True, name, "runs") for name in ("fine", "sound", "well")), Line(True, "proved", "region"))
+    sections = (Section("runs", "Runs", (), folded=True), Section("region", "Region", ()))
+    page = render_sections(
+        title="t", subject="s", version="0", command="", passed=True, banner="x", lines=lines, sections=sections
+    )
+    open_, folded, _ = re.split(r"<details>|</details>", page, maxsplit=2)
+    assert "proved" in open_ and "well" in folded and "proved" not in folded
+
+
 def test_claims_are_one_table_of_sentences_below_the_figures() -> None:
     unfit = Inapplicable("braking-rule-20", "m11 = 1 kg and m22 = 2 kg differ")
     regions = (Inapplicable("region-cruise-20, region-cruise-20-soft", "m11 = 3 kg and m22 = 4 kg differ"),)

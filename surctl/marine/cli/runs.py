@@ -83,10 +83,10 @@ def series_lines(runs: Sequence[Mapping[str, Any]]) -> list[str]:
         for run in failing[:2]
     ]
     linear = worst["linear"] or {}
-    if worst.get("echo_warnings"):
-        lines.append(f"  {worst['echo_warnings'][0]}")
+    if texts := [*worst.get("start_warnings", ()), *worst.get("echo_warnings", ())]:
+        lines.append(f"  {texts[0]}")
     elif not linear.get("stable", True):
-        lines.append("  the linear loop at this speed is unstable")
+        lines.append(f"  the linear loop at {linear['cruise_m_per_s']:g} m/s is unstable")
     elif linear.get("short"):
         lines.append(f"  the linear loop has {linear['short']}")
     return lines
@@ -137,9 +137,9 @@ def linear_warning(
     data["mode"] = None if mode is None else mode.to_dict()
     if stable:
         word = f"has {least.short}" if least.disk > 0 else f"is unstable at {least.corner}"
-        return data, [f"  the linear loop at this speed {word}{crab}"]
+        return data, [f"  the linear loop at {cruise:g} m/s {word}{crab}"]
     lines = [] if mode is None else [f"    {line.strip()}" for line in mode.lines()]
-    return data, [f"  the linear loop at this speed is unstable{crab}{':' if lines else ''}", *lines]
+    return data, [f"  the linear loop at {cruise:g} m/s is unstable{crab}{':' if lines else ''}", *lines]
 
 
 @dataclass(frozen=True)
@@ -175,6 +175,7 @@ class RunOutput:
             link: report of what computed its control steps in place of the law, or None.
         """
         from surctl.marine.simulation import save_record
+        from surctl.marine.simulation.clearance import end_findings
         from surctl.marine.simulation.echo_fit import level_findings
         from surctl.marine.simulation.explanation import failure, stop_reason
 
@@ -182,8 +183,15 @@ class RunOutput:
         weak = loop_lines_of_run(run, data)
         echoes = level_findings(run.scenario, run.vehicle) if run.sensing == "sonar" else []
         data["echo_warnings"] = [one.text for one in echoes]
-        brief = [first, *(f"warning: {text.strip(' :')}" for text in (*data["echo_warnings"], *weak[:1]))]
-        lines = [first, activity_line(run), *middle, *(f"  {text}" for text in data["echo_warnings"]), *weak]
+        found = end_findings(run.scenario, run.vehicle)
+        data["start_warnings"] = [
+            f"{one.text}; the least clearance counts walls only after the hull was clear of them"
+            for one in found
+            if one.key == "path_m" and (one.clearance_m or 0) < 0 and one.text.endswith("at the start")
+        ]
+        warnings = [*data["start_warnings"], *data["echo_warnings"]]
+        brief = [first, *(f"warning: {text.strip(' :')}" for text in (*warnings, *weak[:1]))]
+        lines = [first, activity_line(run), *middle, *(f"  {text}" for text in warnings), *weak]
         if reason := stop_reason(run):
             data["stop_reason"] = reason
             brief.append(f"{run.metrics.stopped_because}: {reason}")

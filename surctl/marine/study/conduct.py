@@ -295,6 +295,7 @@ class Study(StudyParts):
             for sensing, law in (("truth", law_of_truth), ("sonar", sonar_law))[: 1 if plan.unheard else 2]:
                 run = simulate(leg.scenario, leg.vehicle, gains=self.gains, law=law, sensing=sensing, seed=plan.seed)
                 line = f"{leg.scenario.name} {sensing}: {run.metrics.stopped_because} at {run.metrics.time_s:.1f} s"
+                line += f"; does not count: {leg.misfit}" if leg.misfit else ""
                 self.progress(line)
                 self.ran.append(line)
                 self.runs += (run,)
