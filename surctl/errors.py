@@ -32,7 +32,8 @@ __all__ = [
 LOST = 3
 """Exit status of a command some of whose output is lost: the disk is full or read-only, or stdout is closed."""
 
-LOSSES = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS)
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+LOSSES = (*_FULL, errno.EIO, errno.EROFS)
 """Error numbers of a file system that takes no more output, whatever the name of the file is."""
 
 
@@ -144,9 +145,8 @@ class Finding:
 
 
 def cannot_write(
-    place: object, error: Exception, *, key: str | None = None, more: str = "",
-    remedy: str = "free disk space, or choose a folder that you may write to",
-) -> InputError:  # fmt: skip
+    place: object, error: Exception, *, key: str | None = None, more: str = "", remedy: str | None = None
+) -> InputError:
     """Return the InputError for a file or folder that cannot be written; its exit status is 3 for the `LOSSES`.
 
     Args:
@@ -154,18 +154,25 @@ def cannot_write(
         error: the exception of the attempt.
         key: option that names the place, if the message shall name it.
         more: what else the message says about the problem.
-        remedy: what to do.
+        remedy: what to do; default: what the cause suggests.
 
     Example:
         >>> from surctl.errors import cannot_write
         >>> full = cannot_write("out", OSError(28, "No space left on device"))
-        >>> full.problem, full.exit_status
-        ('cannot be written (No space left on device)', 3)
+        >>> full.problem, full.remedy, full.exit_status
+        ('cannot be written (No space left on device)', 'free disk space', 3)
+        >>> cannot_write("out", OSError(13, "Permission denied")).remedy
+        'choose a folder that you may write to'
     """
+    number = getattr(error, "errno", None)
+    if remedy is None:
+        another = "choose a folder that you may write to"
+        unclear = f"free disk space, or {another}"  # the library that writes gives no error number of the system
+        remedy = "free disk space" if number in _FULL else another if (number or 0) > 0 else unclear
     problem = f"cannot be written ({getattr(error, 'strerror', None) or error}){more}"
     file, value = (place, None) if key is None else (None, place)
     outcome = InputError(problem, file=file, key=key, value=value, remedy=remedy)
-    if getattr(error, "errno", None) in LOSSES:
+    if number in LOSSES:
         outcome.exit_status = LOST
     return outcome
 

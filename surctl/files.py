@@ -364,8 +364,8 @@ def _model_in(annotation: Any) -> Any:
     return None
 
 
-def prepare_folder(folder: Path, *, key: str = "--out") -> Path:
-    """Create the output folder; an error message names the option `key`.
+def prepare_folder(folder: Path, *, key: str = "--out", value: Path | None = None) -> Path:
+    """Create the output folder; an error message names the option `key` and its `value` (default: the folder).
 
     Raises:
         InputError: the path is a file, is not UTF-8, or the folder cannot be written.
@@ -392,7 +392,7 @@ def prepare_folder(folder: Path, *, key: str = "--out") -> Path:
         probe.write_bytes(b"")
         probe.unlink()
     except OSError as error:
-        raise cannot_write(str(folder), error, key=key, remedy="name another folder") from None
+        raise cannot_write(str(value or folder), error, key=key, remedy="name another folder") from None
     return folder
 
 

@@ -150,7 +150,8 @@ def object_of(reference: str, kind: type[Built], *, key: str) -> Built:
     if not callable(builder):
         here = space["__name__"]
         known = [name for name, value in space.items() if getattr(value, "__module__", None) == here]
-        raise InputError("has no such function", file=path, key=key, value=function, remedy=nearest(function, known))
+        remedy = nearest(function, known) if known else f"write a function {function} that returns a {kind.__name__}"
+        raise InputError("has no such function", file=path, key=key, value=function, remedy=remedy)
     built = _guarded(path, function, builder)
     if not isinstance(built, kind):
         raise InputError(

@@ -348,6 +348,7 @@ def test_a_study_puts_run_margins_sweep_and_export_on_one_page(file: str) -> Non
 
 MISTAKES = {
     "no such file": (("simulate", "yours.py:build", "--seconds", "1"), "yours.py: system: cannot be read"),
+    "no function": (("verify", "one.py:build"), "write a function build that returns a System"),
     "no such function": (("verify", "mine.py:bild"), "no such function; did you mean 'build'"),
     "another type": (("verify", "mine.py:number"), "returns float, not System"),
     "a function that fails": (("simulate", "mine.py:fails", "--seconds", "1"), "fails with ZeroDivisionError"),
@@ -421,6 +422,7 @@ MISTAKES = {
 @pytest.mark.parametrize("case", MISTAKES)
 def test_a_mistake_is_one_line(file: str, case: str) -> None:
     Path("broken.py").write_text("import no_such_module\n")
+    Path("one.py").write_text("x = 1\n")
     for other, name in (("named", "guarded"), ("module", "queue")):
         Path(f"{other}.py").write_text(
             "from dataclasses import replace\nfrom mine import build as made\n\ndef build():\n    system = made()\n"

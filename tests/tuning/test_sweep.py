@@ -169,6 +169,7 @@ def test_mistakes_in_a_design_are_named(make, words):
     [
         ([Axis("kv", (1, 2))], {}, "kv.*k_v"),
         ([Axis("vehicle.m12", (1, 2))], {}, "vehicle.m11|vehicle.m22"),
+        ([Axis("vehicle.mass", (1, 2))], {}, "the masses are vehicle.m11, vehicle.m22, vehicle.m33"),
         ([Axis("k_v", (0, 2))], {}, "k_v.*greater than 0"),
         ([Axis("beta_max", (0.1, 0.9))], {}, "beta_max.*at most 0.5"),
         ([Axis("k_v", (1, 2))], {"seeds": ()}, "seeds"),

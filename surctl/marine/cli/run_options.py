@@ -63,7 +63,7 @@ def check_animate(path: Path | None, *, runs: int, campaign: bool, film: Path | 
         )
     if film is not None and film.resolve() == path.resolve():
         raise InputError("is also the file of --film", key="--animate", value=str(path), remedy="name two files")
-    prepare_folder(check_animation(path).parent, key="--animate")
+    prepare_folder(check_animation(path).parent, key="--animate", value=path)
 
 
 plant_options = together(
@@ -146,7 +146,7 @@ class PlantOptions:
             from surctl.marine.report.animation import check_animation
 
             check_pictures()
-            prepare_folder(check_animation(self.film, key="--film").parent, key="--film")
+            prepare_folder(check_animation(self.film, key="--film").parent, key="--film", value=self.film)
         if self.view:
             from surctl.marine.engine.pictures import check_screen
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import cache
@@ -422,6 +423,10 @@ def _numbers(vehicle: Vehicle) -> str:
 
 
 def _nearest_parameter(name: str, known: set[str]) -> str:
+    group, _, word = name.partition(".")
+    masses = sorted(k for k in known if re.fullmatch(rf"{re.escape(group)}\.m(11|22|33)", k)) if word == "mass" else []
+    if masses:
+        return "the masses are " + ", ".join(masses)
     hint = nearest(name, known)
     if hint.startswith("did you mean"):
         return hint
