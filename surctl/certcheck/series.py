@@ -92,6 +92,8 @@ def _series(table: ExpressionTable, root: int, point: arb) -> list[arb]:
             known[at] = _step(entry.op, entry.value, [known[a] for a in entry.args], point)
     except (ValueError, ZeroDivisionError):
         raise Undefined("a division by an interval that contains 0") from None
+    if known[root].prec <= _ORDER:  # coefficients that were cut off, by a smaller `ctx.cap`, would be read as 0
+        raise Undefined("a series of too few terms")
     coefficients = [known[root][k] for k in range(_ORDER + 1)]
     if not all(c.is_finite() for c in coefficients):
         raise Undefined("a function that has no Taylor series on the whole interval")

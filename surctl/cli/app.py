@@ -96,7 +96,7 @@ def app() -> None:
 @click.command
 @click.argument("shell", type=click.Choice(["bash", "zsh", "fish"]))
 def completion(shell: str) -> None:
-    """Print a script for a shell that completes the names of commands, options and values.
+    """Print a script that lets a shell complete the names of commands, options and values.
 
     For bash, add this line to ~/.bashrc: eval "$(surctl completion bash)".
 

@@ -146,7 +146,8 @@ def open_loop(linear: LinearLoop, *openings: str) -> OpenLoop:
     A pole at z = -1 changes the frequency response by 1e-6.
     """
     A, B, C, D = linear.opened(*openings)
-    at_end = np.linalg.cond(A + np.eye(A.shape[-1])) > _SINGULAR  # the transform maps a pole at z = -1 to infinity
+    # the transform maps a pole at z = -1 to infinity
+    at_end = A.size > 0 and np.linalg.cond(A + np.eye(A.shape[-1])) > _SINGULAR
     A = A * (1 - _INWARDS * np.asarray(at_end)[..., None, None])
     return OpenLoop.of_sampled(A, B, C, D, linear.dt)
 

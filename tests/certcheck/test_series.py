@@ -128,3 +128,9 @@ def test_what_the_expansion_does_not_know_is_rejected() -> None:
     for ends in ((libmp.fninf, libmp.fzero), (libmp.fzero, libmp.finf)):
         with pytest.raises(Rejected, match="unbounded"):
             same_sign(table, roots, ends)
+
+
+def test_a_cap_on_flints_series_proves_nothing_false(monkeypatch: pytest.MonkeyPatch) -> None:
+    table, roots = table_of("1 - 0.6*t^5 - t^6")  # negative at 1
+    monkeypatch.setattr(ctx, "cap", 3)  # of the whole process: another package may have set it
+    assert not same_sign(table, roots, span(0.0, 1.0))

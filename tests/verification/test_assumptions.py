@@ -14,6 +14,7 @@ from surctl.marine.verification import claims
 from surctl.marine.verification.braking import BRAKING_CLAIMS, braking_claim_named
 from surctl.marine.verification.library import applicable_claims
 from surctl.marine.verification.region import REGION_CLAIMS, region_statement
+from surctl.marine.verification.region.turning import TurningClaim
 
 GAINS = load_gains("default")
 
@@ -97,6 +98,19 @@ _PLACES = {
     "cruise": _CRUISE,
     "turning": _CRUISE,
 }
+
+
+def test_claims_state_the_vehicle_with_its_thrusters_and_no_more_thrust_than_it_has() -> None:
+    boat = plain(load_vehicle("bluerov2-thrusters"))
+    limit = 40.0 * np.sqrt(2.0)  # of vectored thrusters: more than nine decimals
+    vehicle = boat.with_values({"Fu_max": limit, "Fv_max": limit, "m22": boat["m11"]})
+    assert vehicle.actuators is not None and round(limit, 9) > limit
+    braking = braking_claim_named("braking-simple-20", vehicle, GAINS, cap=0.22)
+    stated = braking.document([[0.1]], 0.0)
+    turning = region_statement("region-turning-20").claim(vehicle, GAINS, cruise=0.15, cap=0.22)
+    assert isinstance(turning, TurningClaim)
+    assert stated["sha256_vehicle"] == turning.digests[0] == vehicle.digest()
+    assert turning.thrust[0] <= limit and stated["vehicle"]["most_n"] >= limit
 
 
 def test_a_refused_claim_costs_no_other_one_its_result() -> None:

@@ -10,7 +10,9 @@ import pytest
 
 from surctl.ir import Layout, Port
 from surctl.system import Action, Controller, Plant, System, linearise
+from surctl.system.linear_loop import LinearLoop, LoopNames
 from surctl.verification import system_disk_margin, system_margins
+from surctl.verification.sampled_margins import SampledLoop, corners_of
 from tests.system.examples import ANGLE, RATE, TORQUE, level, pendulum, pendulum_plant
 
 
@@ -169,6 +171,16 @@ def test_a_pole_at_the_nyquist_frequency_is_no_obstacle() -> None:
     at, near = linearise(loop(-1.0)), linearise(loop(-0.99999))
     assert system_margins(at, "f")[0].disk_margin == pytest.approx(system_margins(near, "f")[0].disk_margin, rel=1e-4)
     assert system_disk_margin(at).guaranteed == pytest.approx(system_disk_margin(near).guaranteed, rel=1e-4)
+
+
+def test_a_loop_without_memory_has_all_margins() -> None:
+    """A sampled plant without states: nothing of a command returns."""
+    nothing, wide, tall = np.zeros((0, 0)), np.zeros((1, 0)), np.zeros((0, 1))
+    names = LoopNames("plant", "law", (), (), ("f",), ("f",), ("y",))
+    law = (nothing, tall, nothing, wide, np.array([[-2.0]]), wide)
+    loop = SampledLoop(LinearLoop((nothing, tall, nothing, wide, wide), law, names, 0.1, sampled=True))
+    assert loop.stable and loop.slowest_per_s == -np.inf and loop.disk == pytest.approx(2.0, rel=0.01)
+    assert corners_of(loop, [("other", loop.linear)]).enough
 
 
 def test_an_unstable_loop_has_no_margins() -> None:

@@ -54,7 +54,7 @@ if TYPE_CHECKING:
 )
 @priority_options
 @barrier_options
-@click.option("--sensing", metavar="NAME", help="Obstacles: sonar (default if the law can), or truth.")
+@click.option("--sensing", metavar="NAME", help="Obstacles: sonar (default if the law allows it) or truth.")
 @sensor_options
 @click.option("--constant-gains", is_flag=True, help="Write gains and mission as constants; needs --sensing truth.")
 @click.option(
@@ -65,7 +65,7 @@ if TYPE_CHECKING:
     metavar="F",
     help="Certificate file to add to the bundle; repeatable.",
 )
-@click.option("--seed", type=Count(0), default=0, help="Seed of the compared run (default 0).")
+@click.option("--seed", type=Count(0), default=0, help="Seed of noise, drift and waves (default 0).")
 @collected(robot=RobotOptions, sensors=SensorOptions, options=ExportOptions)
 def export(
     words: tuple[str, ...],

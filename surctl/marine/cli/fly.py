@@ -80,9 +80,7 @@ _SYSTEM = click.IntRange(1, 255)
     "cut (no link), blind (no position), join (ends cut and blind) or quit (surctl fly is killed).",
 )
 @click.option("--seed", type=Count(0), default=0, help="Rehearsal: seed of the message loss (default 0).")
-@click.option(
-    "--out", type=FOLDER, help="Folder for the record (default surctl-out/fly; in a rehearsal, no record is written)."
-)
+@click.option("--out", type=FOLDER, help="Folder for the record (default surctl-out/fly; in a rehearsal, none).")
 @as_json
 def fly(
     scenario: str,
@@ -105,12 +103,12 @@ def fly(
     out: Path | None,
     as_json: bool,
 ) -> None:
-    """Steer a vehicle with the autopilot ArduSub along the path of a scenario by an exported law, over MAVLink.
+    """Steer a vehicle whose autopilot is ArduSub along the path of a scenario by an exported law, over MAVLink.
 
     surctl fly steers only after the operator arms the vehicle in the mode of --mode, and never arms the vehicle. If the
-    link or the measured position is lost, surctl fly sends neutral commands; after a long loss, a restart or a change
-    of mode, the operator must disarm and arm the vehicle again. Before the first use, read notebooks/guides/field.md.
-    Exit status: 1 if the vehicle does not arrive, or collides in a rehearsal.
+    link or the measured position is lost, surctl fly sends neutral commands; after a long loss, a restart of the
+    autopilot or a change of mode, the operator must disarm and arm the vehicle again. Before the first use, read
+    notebooks/guides/field.md. Exit status: 1 if the vehicle does not arrive, or collides in a rehearsal.
 
     Examples: surctl fly tank-speed-015 --dry-run; surctl fly tank-speed-015 --mavlink udp:0.0.0.0:14550
     """

@@ -148,7 +148,7 @@ def margin_of_all(assessment: Assessment) -> float:
 law_option = click.option(
     "--law",
     metavar="NAME",
-    help="Law: guarded (default), steered (default if no sway), calm, paper, closed_form or FILE.py:FUNCTION.",
+    help="Law: guarded (default), steered (default without sway), calm, paper, closed_form or FILE.py:FUNCTION.",
 )
 
 
@@ -206,7 +206,7 @@ def law_words(reference: str) -> list[str]:
     return ["--law", own_file(reference)]
 
 
-trust_option = click.option("--trust", is_flag=True, help="Permit running the Python law that a study or run names.")
+trust_option = click.option("--trust", is_flag=True, help="Permit running the Python law of a study or saved run.")
 
 
 priority_options = together(
@@ -235,7 +235,7 @@ barrier_options = together(
         "--movers",
         default="predict",
         metavar="NAME",
-        help="Moving obstacles: predict (default); barrier: only brake.",
+        help="Moving obstacles: predict (default); barrier only brakes.",
     ),
 )
 """A decorator that adds these options to a command; the command receives them as `barrier` and `movers`."""

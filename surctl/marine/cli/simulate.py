@@ -68,7 +68,7 @@ if TYPE_CHECKING:
 @controller_options
 @plant_options
 @click.option("--seed", type=Count(0), default=0, help="Seed of the first run (default 0).")
-@click.option("--runs", type=Count(1), default=1, help="Runs per scenario, each with its seed (default 1).")
+@click.option("--runs", type=Count(1), default=1, help="Runs per scenario, one for each seed (default 1).")
 @click.option("--explain", "explained", is_flag=True, help="Print which limits override tasks of the law, and when.")
 @animate_option
 @click.option("--frame", metavar="NAME", help="Axes in the files of --save: enu (default) or ned.")

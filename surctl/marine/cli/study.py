@@ -52,8 +52,8 @@ def study(
     and the obstacles of the scenario tank-static.
 
     For FILE.py:FUNCTION, a system of your own, the report has a simulated run, margins, costs over a sweep of gains,
-    and C code. A WORD sets a number of the run (NAME=VALUE), the range of a swept gain (GAIN=LOW..HIGH:COUNT), or the
-    range of a state in the box in which to prove a region of attraction (within.STATE=LOW..HIGH).
+    and C code. A WORD sets a parameter of the run (NAME=VALUE), the range of a swept gain (GAIN=LOW..HIGH:COUNT), or
+    the range of a state in the box in which to prove a region of attraction (within.STATE=LOW..HIGH).
 
     Examples: surctl study; surctl study my-vehicle.toml --out results; surctl study --vehicle otter --json >
     study.json; surctl study my_system.py:build --seconds 5

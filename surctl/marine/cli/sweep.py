@@ -62,7 +62,7 @@ _EXPLAINED = ("deviation_m", "path_error_m")  # columns whose meaning is printed
 @click.option(
     "--gains",
     metavar="FILE",
-    help="Gains not swept (default: built-in for the vehicle, else derived).",
+    help="Gain set for the gains not swept (default: built-in for the vehicle, else derived).",
 )
 @law_option
 @click.option(
@@ -105,12 +105,12 @@ def sweep(
     """Simulate scenarios at each combination of parameter values, compute loop margins, and select the best point.
 
     A parameter is a gain (k_v), a number of the vehicle (vehicle.m11; plant.m11 changes the plant, but not the
-    controller's model), a number of the scenario (scenario.cruise) or seed. Exit status: 1 if no point qualifies
-    as best, or if margins, runs or claims fail at the best point.
+    controller's model), a number of the scenario (scenario.cruise) or seed. Exit status: 1 if no point is feasible, or
+    if margins, runs or claims fail at the best point.
 
-    The parameters of a system of your own, FILE.py:FUNCTION, are its gains (by name), plant.NAME, reference.NAME,
-    disturbance.NAME and start.NAME. With --seeds N, N runs draw plant.NAME=LOW..HIGH at random;
-    the worst counts.
+    The parameters of your own system, FILE.py:FUNCTION, are its gains (by name), plant.NAME, reference.NAME,
+    disturbance.NAME and start.NAME. With --seeds N, plant.NAME=LOW..HIGH is random in N runs per point; the worst
+    counts.
 
     Examples: surctl sweep --scenario pool-static lookahead=0.6,0.9,1.2 k_v=0.5..3:6:log;
     surctl sweep k_v=1..3 plant.m11=30..60 --sensitivity deviation_m;

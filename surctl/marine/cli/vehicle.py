@@ -42,8 +42,8 @@ def thrusters(
     out: Path | None,
     as_json: bool,
 ) -> None:
-    """Print the largest forces that the thrusters of a vehicle give on each axis alone and on all axes together. With
-    --force, print the force of each thruster for a given total force.
+    """Print the largest forces that the thrusters of a vehicle give on each axis alone, and the share of the vehicle's
+    force limits that they give on all axes at once. With --force, print the force of each thruster for a total force.
 
     Examples: surctl vehicle thrusters bluerov2-heavy --out pictures; surctl vehicle thrusters bluerov2-heavy --failed
     T2 --force 40 30 0 5
@@ -218,8 +218,8 @@ def from_gazebo(
     """Write a vehicle file with mass, added mass and drag of a Gazebo model: SDF, or URDF of uuv_simulator.
 
     surctl reads the plugin gz::sim::systems::Hydrodynamics, the element fluid_added_mass, and a hydrodynamic_model of
-    type fossen. The vehicle file has surge, sway, heave and yaw of the model, without roll and pitch. A xacro
-    file is expanded first: xacro FILE > robot.urdf.
+    type fossen. The vehicle file has surge, sway, heave and yaw of the model, without roll and pitch. First expand a
+    xacro file: xacro FILE > robot.urdf.
 
     Example: surctl vehicle from-gazebo model.sdf --name auv --diameter 0.5 --thrust 40 --yaw-thrust 6
     """
@@ -297,13 +297,13 @@ def from_log(
     roll and pitch. If the vehicle of --start has roll and pitch, the table also needs at least one of roll_rad,
     pitch_rad, p_rad_per_s, q_rad_per_s.
 
-    Logs of ArduPilot (.BIN, .tlog), ROS (.bag, .db3 or folder, .mcap) and PX4 (.ulg) need --map, and so do tables without
-    these column names. --topics prints the topics and fields of a log.
+    Logs of ArduPilot (.BIN, .tlog), ROS (.bag, .db3 or folder, .mcap) and PX4 (.ulg) need --map, and so do tables
+    without these column names. --topics prints the topics and fields of a log.
 
     If the log does not determine a parameter, the parameter keeps its value from --start, and the vehicle file says so.
     If the 95 % interval of a fitted mass or drag lies below 0, no file is written, and the exit status is 1. As a test,
-    a fit to the first part of the log predicts the last part; the output compares its errors with those of constant
-    velocity.
+    a fit to the first part of the log predicts the last part; the output compares its errors with those of a
+    prediction with constant velocity.
 
     Example: surctl vehicle from-log trial.csv --start my-vehicle.toml --name fitted
     """

@@ -79,7 +79,7 @@ _SPEED = FiniteRange(min=0, max=100, min_open=True)
 )
 @click.option("--scenario", metavar="FILE", help="Scenario (name or file) for the no-contact claim.")
 @click.option("--law", metavar="NAME", help="Law: name or FILE.py:FUNCTION (default: guarded or steered).")
-@click.option("--sensing", metavar="NAME", help="Obstacles: sonar (default if the law can), or truth.")
+@click.option("--sensing", metavar="NAME", help="Obstacles: sonar (default if the law allows it) or truth.")
 @barrier_options
 @click.option("--show", is_flag=True, help="Print claims as claim files, and check no claim.")
 def verify(
@@ -103,10 +103,9 @@ def verify(
     """Prove or refute built-in claims or your own, and print loop margins.
 
     A claim is proved (with a certificate for `surctl check`), refuted (with a counterexample), unknown (neither), or
-    not applicable (an assumption does not hold). The robot paper's claims assume cruise speed, and
-    velocities equal to commands (at most --cap). With --scenario, surctl also checks the no-contact claim: the robot
-    touches no obstacle. Claim mission: the robot stays near the scenario's path; mission:REGION uses the region claim
-    REGION.
+    not applicable (an assumption does not hold). The robot paper's claims assume that velocities equal their commands.
+    With --scenario, surctl also checks the no-contact claim: the robot touches no obstacle. Claim mission: the robot
+    stays near the scenario's path; mission:REGION uses the region claim REGION.
 
     surctl linearises the closed loop about straight cruise (with --law: about the law's steady motion), and prints
     margins, poles, slowest mode and stable speeds, for the nominal and the worst vehicle within --uncertainty or the

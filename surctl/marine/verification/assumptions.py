@@ -53,3 +53,10 @@ def check_no_integral(gains: Gains) -> None:
         raise NotApplicable(
             f"k_i = {gains['k_i']:g} 1/s^2 and the claim assumes a loop without integral action", to="these gains"
         )
+
+
+def nine_decimals(value: float, *, up: bool) -> float:
+    """Return a value rounded to nine decimals, never beyond it in the other direction."""
+    near = round(float(value), 9)
+    wrong = near < value if up else near > value
+    return round(near + (1e-9 if up else -1e-9), 9) if wrong else near

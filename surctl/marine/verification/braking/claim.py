@@ -14,7 +14,7 @@ from surctl.marine.control import Barrier, Gains
 from surctl.marine.control.stopping import BRAKE
 from surctl.marine.guidance.braking import Brakes, Watch, brakes_of
 from surctl.marine.vehicle import Vehicle
-from surctl.marine.verification.assumptions import check_no_integral
+from surctl.marine.verification.assumptions import check_no_integral, nine_decimals
 
 
 def law_numbers(barrier: Barrier, vehicle: Vehicle, gains: Gains, *, cap: float = 0.22) -> GuardedLaw:
@@ -96,7 +96,7 @@ class BrakingClaim:
         }  # fmt: skip
         return {
             "system": "braking", "assumes": list(ASSUMES),
-            **written(Stated, values | {name: _rounded(values[name]) for name in _COMPUTED}),
+            **written(Stated, values | {name: _rounded(values[name], _UP.get(name)) for name in _COMPUTED}),
             "law": None if self.law is None else written(GuardedLaw, vars(self.law)),
             "sha256_vehicle": self.digests[0], "sha256_law": self.digests[1],
         }  # fmt: skip
@@ -104,7 +104,11 @@ class BrakingClaim:
 
 _COMPUTED = ("mass", "ratio", "linear", "quadratic", "brake", "most", "side")
 # all other numbers must equal those of the exported law and of the vehicle
+# bounds of the thrust are rounded such that they hold for the vehicle
+_UP = {"brake": False, "most": True, "side": True}
 
 
-def _rounded(value: Any) -> Any:
-    return list(map(_rounded, value)) if isinstance(value, tuple) else round(float(value), 9)
+def _rounded(value: Any, up: bool | None) -> Any:
+    if isinstance(value, tuple):
+        return [_rounded(part, up) for part in value]
+    return round(float(value), 9) if up is None else nine_decimals(value, up=up)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from math import ceil, sqrt
@@ -99,7 +97,7 @@ def _rule(*, wide: bool, sideways: float = 0.0) -> Callable[[str, Vehicle, Gains
         _check(vehicle, wide=wide)
         acting = _drag(vehicle, "along", wide=wide)
         brakes = _diagonal(_true(vehicle, LEAST_THRUST, wide=wide), acting)
-        digests = (_digest(vehicle), "0" * 64)  # there is no law
+        digests = (vehicle.digest(), "0" * 64)  # there is no law
         return BrakingClaim(
             name, brakes, _SENSED, acting, _COLUMNS, _fastest(cap), sideways=sideways,
             side=0.0 if (ratio := _ratio(vehicle, wide=wide)) == 1 else brakes.most, speeds=_rows(cap), digests=digests,
@@ -138,7 +136,7 @@ def _guarded(
             side=brakes.most,
             law=numbers,
             speeds=_rows(cap),
-            digests=(_digest(vehicle), law.block.digest()),
+            digests=(vehicle.digest(), law.block.digest()),
             ratio=_ratio(vehicle, wide=wide),
         ).braking_with(brakes.least)
 
@@ -166,11 +164,6 @@ def _attained(law: GuardedLaw, brakes: Brakes) -> float:
 
 def _rows(cap: float) -> tuple[float, ...]:
     return _SPEEDS if cap <= _CAP else (*_SPEEDS, cap)
-
-
-def _digest(vehicle: Vehicle) -> str:
-    numbers = json.dumps({key: p.value for key, p in vehicle.parameters.items()}, sort_keys=True)
-    return hashlib.sha256(numbers.encode()).hexdigest()
 
 
 BRAKING_CLAIMS: Mapping[str, BrakingEntry] = {

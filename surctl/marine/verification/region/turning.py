@@ -17,7 +17,7 @@ from surctl.certcheck.turning_terms import coupling_of, inverse_masses, turn_poi
 from surctl.errors import InputError, NotApplicable
 from surctl.marine.control import Gains, build_law
 from surctl.marine.vehicle import Vehicle
-from surctl.marine.verification.assumptions import check_no_integral, check_sway_force
+from surctl.marine.verification.assumptions import check_no_integral, check_sway_force, nine_decimals
 
 Pair = tuple[float, float]
 
@@ -224,7 +224,7 @@ def turning_claim(
         drag_factor=factors(share, "Xu", "Yv", "Xuu", "Yvv"),
         mass_asymmetry=(asymmetry if mass_asymmetry is None else mass_asymmetry) if mass_share != 0 else 0.0,
         drag_asymmetry=asymmetry if share != 0 else 0.0,
-        thrust=(round(float(limits[0]), 9), round(float(limits[1]), 9)),
+        thrust=(nine_decimals(limits[0], up=False), nine_decimals(limits[1], up=False)),
         yaw_limit=float(limits[3]),
         yaw_rate=yaw_rate,
         mass=(vehicle["m11"], vehicle["m22"]),
