@@ -348,7 +348,7 @@ def test_a_study_puts_run_margins_sweep_and_export_on_one_page(file: str) -> Non
 
 MISTAKES = {
     "no such file": (("simulate", "yours.py:build", "--seconds", "1"), "yours.py: system: cannot be read"),
-    "no function": (("verify", "one.py:build"), "write a function build that returns a System"),
+    "a file without a function": (("verify", "one.py:build"), "write a function build that returns a System"),
     "no such function": (("verify", "mine.py:bild"), "no such function; did you mean 'build'"),
     "another type": (("verify", "mine.py:number"), "returns float, not System"),
     "a function that fails": (("simulate", "mine.py:fails", "--seconds", "1"), "fails with ZeroDivisionError"),

@@ -183,10 +183,9 @@ class RunOutput:
         weak = loop_lines_of_run(run, data)
         echoes = level_findings(run.scenario, run.vehicle) if run.sensing == "sonar" else []
         data["echo_warnings"] = [one.text for one in echoes]
-        inside = end_findings(run.scenario, run.vehicle)
         data["start_warnings"] = [
             f"{one.text}; the least clearance counts walls only after the hull was clear of them"
-            for one in inside
+            for one in end_findings(run.scenario, run.vehicle)
             if one.key == "path_m" and (one.clearance_m or 0) < 0 and one.text.endswith("at the start")
         ]
         warnings = [*data["start_warnings"], *data["echo_warnings"]]
