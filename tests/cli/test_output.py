@@ -38,7 +38,7 @@ def test_many_runs_have_a_summary_that_names_what_fails() -> None:
     calm = series_lines([run(0), run(1)])
     assert calm[0] == "tank by ball, truth: 2 of 2 runs arrive, 0 collide" and "40.00 to 41.00 s" in calm[1]
     late = {"reached": False, "stopped_because": "time limit"}
-    low = {"linear": {"stable": True, "disk_margin": 0.1, "short": "a disk margin of 0.10"}}
+    low = {"linear": {"cruise_m_per_s": 0.15, "stable": True, "disk_margin": 0.1, "short": "a disk margin of 0.10"}}
     hit = run(7, min_clearance_m=-0.01, **low)
     lines = series_lines([hit, *(run(seed, **late, **low) for seed in range(4))])
     assert lines[0] == "tank by ball, truth: 1 of 5 runs arrive, 1 collide" and "-0.010 m (seed 7)" in lines[1]
@@ -46,7 +46,7 @@ def test_many_runs_have_a_summary_that_names_what_fails() -> None:
     assert "seed 7: reached" in lines[2] and "seed 0: time limit" in lines[3] and "disk margin of 0.10" in lines[4]
     assert len(lines) == 5 and max(map(len, lines)) <= 100
     assert "arrival" not in series_lines([run(0, **late)])[1]
-    assert "unstable" in series_lines([run(0, linear={"stable": False})])[-1]
+    assert "unstable" in series_lines([run(0, linear={"cruise_m_per_s": 0.15, "stable": False})])[-1]
 
 
 def test_a_margin_without_bound_is_never_lost() -> None:
