@@ -88,14 +88,14 @@ def test_scenarios_that_the_hull_does_not_fit_are_left_out_by_either_way(tmp_pat
     goals = (
         'kind = "goals"\nname = "g"\n[[goals]]\nname = "soon"\nmetric = "time_s"\nat_most = "50 s"\ncases = ["%s"]\n'
     )
-    (tmp_path / "goals.toml").write_text(goals % "pool-static")
+    (tmp_path / "goals.toml").write_text(goals % "pool-ahead")
     for words in (("own.toml",), ("--vehicle", "own.toml")):
         done = surctl("tune", *words, "--goals", "goals.toml", cwd=tmp_path)
         assert done.status == 2
         said = [line for line in done.err.splitlines() if "is left out" in line]
-        assert [line.split()[0] for line in said[:2]] == ["pool-static", "pool-behind"]
+        assert [line.split()[0] for line in said[:2]] == ["pool-ahead", "pool-behind"]
         assert all("inside a wall" in line for line in said)
-        assert "goals.toml: goals.soon.cases = 'pool-static': is left out: the 0.27 m hull of own" in done.complaint
+        assert "goals.toml: goals.soon.cases = 'pool-ahead': is left out: the 0.27 m hull of own" in done.complaint
 
 
 def test_the_command_to_repeat_replaces_the_options_that_it_changes(monkeypatch):

@@ -178,13 +178,13 @@ def test_the_built_in_plan():
     assert [leg.scenario.name for leg in plan.deciding] == [
         "tank-static-0.1",
         "tank-moving-0.1",
-        "pool-static",
+        "pool-ahead-0.15",
         "pool-behind",
     ]
     assert [case.name for case in plan.sweep_cases] == [
         "tank-static-0.1/sur540-flooded/truth",
         "tank-moving-0.1/sur540-flooded/truth",
-        "pool-static/sur400/truth",
+        "pool-ahead-0.15/sur400/truth",
         "pool-behind/sur400/truth",
     ]
 
@@ -210,8 +210,8 @@ def test_a_vehicle_file_flies_the_built_in_study_with_that_vehicle(tmp_path):
     assert {leg.vehicle.name for leg in plan.legs} == {'my "boat"'}
     assert [leg.scenario.name for leg in plan.deciding] == ["tank-static", "tank-moving"]
     misfits = {leg.scenario.name: leg.misfit for leg in plan.legs if leg.misfit}
-    assert set(misfits) == {"pool-static", "pool-behind"}
-    assert "0.020 m inside a wall at the start" in misfits["pool-static"]
+    assert set(misfits) == {"pool-ahead", "pool-behind"}
+    assert "0.020 m inside a wall at the start" in misfits["pool-ahead"]
 
 
 @pytest.mark.parametrize("name", ["sur540-flooded", "girona500", "otter"])
@@ -240,7 +240,7 @@ def test_a_study_without_a_sweep_has_its_own_gains_as_the_only_point(tmp_path):
 def test_other_vehicles_take_every_scenario_of_a_plan_that_they_fit():
     plan = load_plan().by([load_vehicle(name) for name in ("sur400", "sur540-flooded")])
     kept = [(leg.scenario.name, leg.vehicle.name) for leg in plan.deciding]
-    assert [v for s, v in kept if s == "pool-static"] == ["sur400"] and ("tank-static-0.1", "sur540-flooded") in kept
+    assert [v for s, v in kept if s == "pool-ahead-0.15"] == ["sur400"] and ("tank-static-0.1", "sur540-flooded") in kept
     assert all("wall" in (leg.left_out or "") for leg in plan.left_out)
 
 
