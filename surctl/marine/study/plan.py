@@ -285,7 +285,7 @@ def load_plan(file: str | None = None, *, vehicle: str | None = None, trust: boo
         >>> from surctl.marine.study import load_plan
         >>> plan = load_plan()
         >>> plan.vehicle.name, [leg.scenario.name for leg in plan.legs]
-        ('sur540-flooded', ['tank-static-0.1', 'tank-moving-0.1', 'pool-static', 'pool-behind'])
+        ('sur540-flooded', ['tank-static-0.1', 'tank-moving-0.1', 'pool-ahead-0.15', 'pool-behind'])
         >>> [(axis.name, axis.values) for axis in plan.axes[:3]]
         [('lookahead', (0.5, 0.8, 1.2)), ('k_v', (1.0, 1.5, 2.0)), ('margin', (0.065,))]
     """
