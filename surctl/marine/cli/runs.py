@@ -175,7 +175,7 @@ class RunOutput:
             link: report of what computed its control steps in place of the law, or None.
         """
         from surctl.marine.simulation import save_record
-        from surctl.marine.simulation.clearance import end_findings
+        from surctl.marine.simulation.clearance import start_findings
         from surctl.marine.simulation.echo_fit import level_findings
         from surctl.marine.simulation.explanation import failure, stop_reason
 
@@ -185,8 +185,8 @@ class RunOutput:
         data["echo_warnings"] = [one.text for one in echoes]
         data["start_warnings"] = [
             f"{one.text}; the least clearance counts walls only after the hull was clear of them"
-            for one in end_findings(run.scenario, run.vehicle)
-            if one.key == "path_m" and (one.clearance_m or 0) < 0 and one.text.endswith("at the start")
+            for one in start_findings(run.scenario, run.vehicle)
+            if one.clearance_m is not None and one.clearance_m < 0
         ]
         warnings = [*data["start_warnings"], *data["echo_warnings"]]
         brief = [first, *(f"warning: {text.strip(' :')}" for text in (*warnings, *weak[:1]))]

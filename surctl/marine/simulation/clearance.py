@@ -220,10 +220,15 @@ def _met(scenario: Scenario, vehicle: Vehicle) -> list[Obstacle]:
 
 def end_findings(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
     """Return the findings at the start and the target only, without the slow search for gaps on the way."""
-    results = _at_walls(scenario, vehicle)
+    results = _at_walls(scenario, vehicle, _ends(scenario))
     for obstacle in _met(scenario, vehicle):
         results += _at_still(obstacle, scenario, vehicle) if obstacle.still else _at_moving(obstacle, scenario, vehicle)
     return results
+
+
+def start_findings(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
+    """Return the findings about walls at the start only."""
+    return _at_walls(scenario, vehicle, _ends(scenario)[:1])
 
 
 def _ends(scenario: Scenario) -> list[tuple[str, NDArray[np.float64], float]]:
@@ -248,9 +253,11 @@ def _launch(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
     return results
 
 
-def _at_walls(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
+def _at_walls(
+    scenario: Scenario, vehicle: Vehicle, ends: list[tuple[str, NDArray[np.float64], float]]
+) -> list[Finding]:
     results = []
-    for name, point, near in _ends(scenario):
+    for name, point, near in ends:
         clearance = min(wall.nearest(point)[0] for wall in scenario.walls) - vehicle["radius"] + near
         if clearance < _CLEARANCE:
             where = f"{-clearance:.3f} m inside a wall" if clearance < 0 else f"only {clearance:.3f} m from a wall"
