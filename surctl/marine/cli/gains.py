@@ -53,7 +53,7 @@ def derive(
     """Derive gains from the mass, drag, thrust, lag and hull of a vehicle, and print the stability margins.
 
     VEHICLE is the name of a built-in vehicle, or a vehicle file. If the derived gains miss the required margins at the
-    cruise speed, the output gives the largest speed with these margins, and the exit status is 1.
+    cruise speed, the exit status is 1, and the output gives the largest speed for which derived gains reach them.
 
     Examples: surctl gains derive bluerov2-wu; surctl gains derive rov.toml --cruise 0.3 --out gains.toml
     """
