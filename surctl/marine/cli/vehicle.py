@@ -294,8 +294,8 @@ def from_log(
     Fr_N_m (constant until the next row), and any measured columns of x_m, y_m, z_m, psi_rad, u_m_per_s, v_m_per_s,
     w_m_per_s, r_rad_per_s. In a table, x is east, y north, z up, u forward, v left, w up; with --frame ned, x is north,
     y east, z down, v right, w down. The velocities in a table are along axes that turn with the heading, but not with
-    roll and pitch. If the vehicle of --start has roll and pitch, the table also needs at least one of roll_rad,
-    pitch_rad, p_rad_per_s, q_rad_per_s.
+    roll and pitch. If the vehicle of --start has roll and pitch, the table also needs roll_rad or pitch_rad,
+    and may have p_rad_per_s and q_rad_per_s.
 
     Logs of ArduPilot (.BIN, .tlog), ROS (.bag, .db3 or folder, .mcap) and PX4 (.ulg) need --map, and so do tables
     without these column names. --topics prints the topics and fields of a log.

@@ -78,7 +78,7 @@ _SPEED = FiniteRange(min=0, max=100, min_open=True)
     "--cap", type=_SPEED, metavar="V", help="Largest commanded speed [m/s] (default: that of --scenario, else 0.22)."
 )
 @click.option("--scenario", metavar="FILE", help="Mission whose no-contact claim is checked: name or file.")
-@click.option("--law", metavar="NAME", help="Law: name or FILE.py:FUNCTION (default: guarded or steered).")
+@click.option("--law", metavar="NAME", help="Law or FILE.py:FUNCTION (default guarded; no sway: steered).")
 @click.option("--sensing", metavar="NAME", help="Obstacles: sonar (default if the law allows it) or truth.")
 @barrier_options
 @click.option("--show", is_flag=True, help="Print claims as claim files, and check no claim.")
