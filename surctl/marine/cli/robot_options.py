@@ -235,7 +235,7 @@ barrier_options = together(
         "--movers",
         default="predict",
         metavar="NAME",
-        help="Moving obstacles: predict (default), barrier (brakes).",
+        help="Moving obstacles: predict (default), barrier (brakes only).",
     ),
 )
 """A decorator that adds these options to a command; the command receives them as `barrier` and `movers`."""

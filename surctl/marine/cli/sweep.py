@@ -110,7 +110,7 @@ def sweep(
 
     The parameters of your own system, FILE.py:FUNCTION, are its gains (by name), plant.NAME, reference.NAME,
     disturbance.NAME and start.NAME. With --seeds N, plant.NAME=LOW..HIGH is random in N runs per point; the worst
-    counts.
+    run counts.
 
     Examples: surctl sweep --scenario pool-static lookahead=0.6,0.9,1.2 k_v=0.5..3:6:log;
     surctl sweep k_v=1..3 plant.m11=30..60 --sensitivity deviation_m;

@@ -298,7 +298,7 @@ def from_log(
     and may have p_rad_per_s and q_rad_per_s.
 
     Logs of ArduPilot (.BIN, .tlog), ROS (.bag, .db3 or folder, .mcap) and PX4 (.ulg) need --map, and so do tables
-    without these column names. --topics prints the topics and fields of a log.
+    with other column names. --topics prints the topics and fields of a log.
 
     If the log does not determine a parameter, the parameter keeps its value from --start, and the vehicle file says so.
     If the 95 % interval of a fitted mass or drag lies below 0, no file is written, and the exit status is 1. As a test,

@@ -104,8 +104,8 @@ def verify(
 
     A claim is proved (with a certificate for `surctl check`), refuted (with a counterexample), unknown (neither), or
     not applicable (an assumption does not hold). The robot paper's claims assume that velocities equal their commands.
-    With --scenario, surctl also checks the no-contact claim: the robot touches no obstacle. Claim mission: the robot
-    stays near the scenario's path; mission:REGION uses the region claim REGION.
+    With --scenario, surctl also checks the no-contact claim: the robot touches no static obstacle. Claim mission: the
+    robot stays near the scenario's path; mission:REGION uses the region claim REGION.
 
     surctl linearises the closed loop about straight cruise (with --law: about the law's steady motion), and prints
     margins, poles, slowest mode and stable speeds, for the nominal and the worst vehicle within --uncertainty or the
