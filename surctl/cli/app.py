@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import logging
 import os
+import shutil
 import sys
 import warnings
 from collections.abc import MutableMapping
@@ -79,7 +80,7 @@ class _Commands(click.Group):
         return super().resolve_command(ctx, args)
 
 
-@click.group(cls=_Commands, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+@click.group(cls=_Commands, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(__version__, prog_name="surctl")
 def app() -> None:
     """Write a control law once, then simulate, tune and prove it, and export it as C: a toolkit in Python, with an
@@ -122,6 +123,11 @@ _COMMANDS = {  # in the order in which a newcomer needs them; a description fits
 }
 
 
+def _columns() -> int:
+    """Return the width of help: all columns of the terminal (click leaves two empty), at most 100."""
+    return max(50, min(shutil.get_terminal_size().columns, 100))
+
+
 def main() -> None:
     """Run the command line on `sys.argv` and exit with its status.
 
@@ -158,7 +164,7 @@ def main() -> None:
 
 def _status() -> int:
     try:
-        status = app(prog_name="surctl", standalone_mode=False)
+        status = app(prog_name="surctl", standalone_mode=False, terminal_width=_columns())
         sys.stdout.flush()
     except click.exceptions.NoArgsIsHelpError as error:
         click.echo(error.format_message())

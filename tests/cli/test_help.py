@@ -16,7 +16,7 @@ import pytest
 
 from surctl.cli.app import app
 from surctl.errors import LOST, cannot_write
-from tests.cli.process import surctl
+from tests.cli.process import surctl, surctl_here
 
 
 def _commands(command: click.Command, words: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], click.Command]]:
@@ -85,6 +85,12 @@ def test_each_help_fits_a_screen(words: tuple[str, ...]) -> None:
     lines = context.get_help().split("\n")
     assert len(lines) <= 50
     assert not [line for line in lines if re.search(r"\w-$", line)], "a copied line must not break a name"
+
+
+def test_help_uses_all_columns_of_the_terminal(tmp_path) -> None:
+    lines = surctl_here("simulate", "--help", cwd=tmp_path, COLUMNS="80").out.splitlines()
+    assert len(lines) <= 50
+    assert max(map(len, lines)) == 80
 
 
 @pytest.mark.parametrize("example", EXAMPLES)
