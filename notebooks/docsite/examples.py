@@ -1,4 +1,4 @@
-"""An extension of the docstring parser: it takes the section `Example:` as code, as it takes `Examples:` by itself."""
+"""An extension of the docstring parser: the section `Example:` is code, as `Examples:` is; `__post_init__` is not shown."""
 
 from __future__ import annotations
 
@@ -12,6 +12,8 @@ class Examples(griffe.Extension):
     """Rename the section in each docstring before it is parsed; otherwise the code becomes running text."""
 
     def on_object(self, *, obj: griffe.Object, **_: Any) -> None:
-        """Rename the section of one module, class, function or attribute."""
+        """Rename the section of one module, class, function or attribute; hide the checks of a dataclass."""
+        if obj.name == "__post_init__":
+            obj.public = False
         if obj.docstring:
             obj.docstring.value = re.sub(r"^( *)Example:$", r"\1Examples:", obj.docstring.value, flags=re.MULTILINE)

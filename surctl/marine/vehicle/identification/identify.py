@@ -314,7 +314,7 @@ def _check_tilt(log: MotionLog, start: Vehicle) -> None:
     tilt = log.motion[:, 8:10]
     if not np.isfinite(tilt).any():
         problem = "rolls and pitches, and the log contains neither roll nor pitch"
-        remedy = f"add columns ({', '.join(LOG_TILT)}), or start from a vehicle without weight and buoyancy"
+        remedy = f"add columns ({', '.join(LOG_TILT[:2])}), or start from a vehicle without weight and buoyancy"
         raise InputError(problem, file=start.source or start.name, key="start", remedy=remedy)
     for row, column in np.argwhere(np.abs(tilt) >= _MOST_TILT):
         raise InputError(
