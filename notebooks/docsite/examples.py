@@ -13,7 +13,7 @@ class Examples(griffe.Extension):
 
     def on_object(self, *, obj: griffe.Object, **_: Any) -> None:
         """Rename the section of one module, class, function or attribute; hide the checks of a dataclass."""
-        if obj.name == "__post_init__":
-            obj.public = False
+        if obj.is_class:
+            obj.members.pop("__post_init__", None)
         if obj.docstring:
             obj.docstring.value = re.sub(r"^( *)Example:$", r"\1Examples:", obj.docstring.value, flags=re.MULTILINE)
