@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pairs import Pair
+from pairs import Pair, blocks
 from points import vectors
 
 from surctl.certcheck import seal
@@ -27,7 +27,6 @@ from surctl.certcheck.bundle import (  # a forger writes hashes as the export do
 )
 from surctl.ir import Block, Program, replay
 from surctl.ir.routine import changed_programs, nested
-from surctl.ir.stored import read_block
 
 __all__ = ["KINDS", "Change", "changed"]
 
@@ -342,7 +341,7 @@ def law_list(pair: Pair, draw: random.Random) -> Change | None:
     certified = claim.get("sha256_law") or claim["about"]["controller"]
     manifest = json.loads(pair.bundle.files["manifest.json"])
     file = next(name for name, entry in manifest["lists"].items() if entry["sha256"] == certified)
-    law = read_block(f"{pair.bundle.files[file]}\nsha256 {certified}\n")
+    law = blocks()[certified]
     for _ in range(20):
         changed_law = mutated(law, draw)
         if changed_law is not None and differs_where_claimed(pair, file, (law, changed_law)):

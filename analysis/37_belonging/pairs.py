@@ -14,7 +14,7 @@ import numpy as np
 from surctl.export import Bundle
 from surctl.export import bundle as core
 from surctl.export.supplement import PlantLists
-from surctl.ir import Layout, Port
+from surctl.ir import Block, Layout, Port
 from surctl.lyapunov import Problem, continuous_dynamics, solve
 from surctl.marine.control import Law, build_law, law_source, load_gains
 from surctl.marine.export import build_bundle
@@ -66,6 +66,13 @@ def laws() -> dict[str, Mapping[str, Any]]:
         {}, {"barrier": "inertia"}, {"barrier": "inertia", "movers": "barrier"}
     )  # fmt: skip
     return {build_law(**options).block.digest(): options for options in choices}
+
+
+@cache
+def blocks() -> dict[str, Block]:
+    """Return the instruction lists of the laws of the pairs by their digest."""
+    laws_ = [build_law(**options) for options in (*laws().values(), {"law": "steered"})]
+    return {law.block.digest(): law.block for law in (*laws_, *(build().controller for build, *_ in _OWN))}
 
 
 def numbers_for(claim: Mapping[str, Any], law: Law, vehicle: Vehicle) -> dict[str, np.ndarray]:

@@ -13,7 +13,7 @@ from surctl.errors import ToolMissing
 from surctl.ir import Call, Loop, Real, Routine, compile_block, lower, memory, replay
 from surctl.ir.frames import stack_bytes
 from surctl.ir.native import _source
-from tests.ir import test_program_text, test_stored
+from tests.ir import test_program_text
 from tests.ir.test_places import mixed, moved
 from tests.tools import need_compiler
 
@@ -54,10 +54,6 @@ def test_six_thousand_operations_lower() -> None:
         pool.append(pool[-1] * 0.5 + pool[-4] if k % 2 else ca.fmin(pool[-2], pool[-3]) - k)
     function = ca.Function("large", [x], [ca.vertcat(*pool[-8:])])
     assert lower(function).operations > 6000
-
-
-def test_a_law_with_sonars_is_read_as_it_was_written() -> None:
-    test_stored.test_a_law(True)
 
 
 def test_what_runs_on_this_machine_holds_no_function_that_a_compiler_needs_long_for() -> None:

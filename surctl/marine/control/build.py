@@ -1,26 +1,24 @@
 """Function `build_law`: a law assembled or from the cache, options that it refuses, its form for 32-bit numbers.
 
-Of the bytes of a cached law, the first line is JSON that describes the law and gives the length of each routine's text.
-The texts of the routines follow. The cache checks a digest of all bytes, and each text contains a digest of its
-routine, so an altered file is not loaded.
+A law is pickled in the cache. Only files of the cache are unpickled: they belong to this user, nobody else can write
+them, and the cache checks a digest of their bytes; it also holds the libraries that this process loads.
 """
 
 from __future__ import annotations
 
 import hashlib
-import json
-from collections.abc import Callable, Iterable, Sequence
+import pickle
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
-from typing import Any, cast, get_args
+from typing import cast, get_args
 
 import casadi as ca
 
 from surctl.errors import InputError, SurctlError, check_known
-from surctl.ir import Block, Call, Layout, Port, Real, Recording, Routine, fold, tabulated, without_libm
+from surctl.ir import Block, Call, Layout, Real, Recording, Routine, fold, tabulated, without_libm
 from surctl.ir.c99 import rearranged
 from surctl.ir.cache import cached_bytes, source_digest
-from surctl.ir.stored import read_block, write_block
 from surctl.marine.control.closing import CLIMB, Closing, Memory, yaw_limit
 from surctl.marine.control.dead_end import aimed_depth, dead_end_next, forgetting, standing
 from surctl.marine.control.decision import Decision, Scan, Situation, TaskLevel, perceive
@@ -37,7 +35,7 @@ from surctl.marine.control.law import (
     scan_telemetry,
     with_allocation,
 )
-from surctl.marine.control.perception import PERCEPTION, PerceptionStage, build_perception
+from surctl.marine.control.perception import PerceptionStage, build_perception
 from surctl.marine.control.ports import (
     CONTACT_SLOTS,
     DEFAULT_ARRAY,
@@ -79,66 +77,31 @@ def _solver_inputs(levels: Sequence[TaskLevel], rows: Sequence[LimitRow]) -> dic
     return {name: ca.densify(value) for name, value in inputs.items()}
 
 
-_WORDS = ("name", "ref", "avoidance", "mode", "dt", "guidance", "barrier", "movers", "fallback")
 _STAGES = ("closed", "pre", "post")
+
+
+def _pickled(block: Block) -> bytes:
+    block.digest()  # stored with the block, so that no process computes it again
+    return pickle.dumps(block)
 
 
 def law_bytes(law: Law) -> bytes:
     """Return the law, and those of its stages that are built, as bytes that `law_from` can read."""
-    stages = [name for name in _STAGES if name in law.stages.__dict__]
-    blocks = [write_block(block) for block in (law.block, *(getattr(law.stages, name) for name in stages))]
-    head: dict[str, Any] = {word: getattr(law, word) for word in _WORDS}
-    own = [port for port in law.gains if port.name not in PARAMETERS]
-    head |= {"gains": _listed(own), "state": _listed(law.state)}
-    head |= {"inputs": _listed(law.inputs), "outputs": _listed(law.outputs)}
-    head |= {"levels": law.levels, "rows": law.rows, "stages": stages, "lengths": [len(text) for text in blocks]}
-    if law.perception is not None:
-        head["perception"] = {name: _listed(getattr(law.perception, name)) for name in ("state", "inputs", "outputs")}
-    return "\n".join([json.dumps(head), "".join(blocks)]).encode()
+    law.block.digest()
+    stages = {name: _pickled(getattr(law.stages, name)) for name in _STAGES if name in law.stages.__dict__}
+    return pickle.dumps((replace(law, stages=None), stages))  # type: ignore[arg-type]  # `law_from` adds them
 
 
 def law_from(stored: bytes, other: Callable[[str], Block]) -> Law:
-    """Load a law from the bytes of `law_bytes`; each part of the law is parsed when it is first used.
+    """Load a law from the bytes of `law_bytes`; each of its stages is loaded when it is first used.
 
     `other` returns a stage by name that the bytes do not contain; it is called when that stage is needed.
     """
-    first, _, rest = stored.decode().partition("\n")
-    head = json.loads(first)
-    texts = []
-    for length in head["lengths"]:
-        texts.append(rest[:length])
-        rest = rest[length:]
-    block = read_block(texts[0])
-    stages: dict[str, Callable[[], Block]] = {name: partial(other, name) for name in _STAGES}
-    stages |= {name: partial(read_block, text) for name, text in zip(head["stages"], texts[1:], strict=True)}
-    return Law(
-        **{word: head[word] for word in _WORDS},
-        state=_layout(head["state"]),
-        inputs=_layout(head["inputs"]),
-        outputs=_layout(head["outputs"]),
-        gains=Layout((*PARAMETERS, *_layout(head["gains"]))),
-        block=block,
-        stages=Stages(**stages),
-        levels=tuple((name, count, unit) for name, count, unit in head["levels"]),
-        rows=tuple(head["rows"]),
-        perception=_perception(head["perception"], block) if "perception" in head else None,
-    )
-
-
-def _perception(head: dict[str, list[list[Any]]], whole: Block) -> PerceptionStage:
-    assert isinstance(whole, Routine)
-    (block,) = (step.block for step in whole.steps if isinstance(step, Call) and step.block.name == PERCEPTION)
-    return PerceptionStage(_layout(head["state"]), _layout(head["inputs"]), _layout(head["outputs"]), block)
-
-
-def _listed(layout: Iterable[Port]) -> list[list[Any]]:
-    return [[port.name, port.shape, port.unit, port.meaning, port.default, port.gap] for port in layout]
-
-
-def _layout(listed: list[list[Any]]) -> Layout:
-    return Layout(
-        tuple(Port(name, tuple(shape), unit, text, default, gap) for name, shape, unit, text, default, gap in listed)
-    )
+    law: Law
+    stages: dict[str, bytes]
+    law, stages = pickle.loads(stored)
+    load = {name: partial(pickle.loads, stages[name]) if name in stages else partial(other, name) for name in _STAGES}
+    return replace(law, stages=Stages(**load))
 
 
 _MEMORY = ("carried", "reported", "flags")
@@ -375,8 +338,10 @@ def _cached_law(chosen: _Configuration) -> Law:
         return law_bytes(built[0])
 
     def part(name: str) -> Block:
-        text = cached_bytes(key, f".{name}", lambda: write_block(getattr(_built(chosen).stages, name)).encode())
-        return read_block(text.decode())
+        stage: Block = pickle.loads(
+            cached_bytes(key, f".{name}", lambda: _pickled(getattr(_built(chosen).stages, name)))
+        )
+        return stage
 
     key = hashlib.sha256(f"{sources}\0{chosen!r}".encode()).hexdigest()
     stored = cached_bytes(key, ".law", build)
