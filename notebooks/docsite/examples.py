@@ -1,4 +1,4 @@
-"""An extension of the docstring parser: the section `Example:` is code, as `Examples:` is; `__post_init__` is not shown."""
+"""An extension of the docstring parser: `Example:` is code, as `Examples:` is; `__post_init__` is not shown."""
 
 from __future__ import annotations
 
