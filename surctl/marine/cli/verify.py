@@ -72,7 +72,7 @@ _SPEED = FiniteRange(min=0, max=100, min_open=True)
     type=SPEEDS,
     metavar="V1,V2",
     help="Cruise speeds [m/s], or LOW..HIGH:COUNT: margins at each, claims at the largest "
-    "(default: --scenario, else 0.15).",
+    "(default: scenario's, else 0.15).",
 )
 @click.option(
     "--cap", type=_SPEED, metavar="V", help="Largest commanded speed [m/s] (default: that of --scenario, else 0.22)."
