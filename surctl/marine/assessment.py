@@ -11,9 +11,9 @@ import numpy as np
 
 from surctl.assessment import SATURATED, Assumption, Figure, Line, Part, loop_figures, loop_line
 from surctl.errors import InputError, NotApplicable
-from surctl.marine.control import BARRIER, Barrier, Gains, Law, Movers, build_law, default_law, law_source
+from surctl.marine.control import BARRIER, Barrier, Gains, Law, Movers, default_law, law_source
 from surctl.marine.guidance import Guidance, Path
-from surctl.marine.simulation import Case, Disturbance, Run, SafetyClaim, Scenario, Sensing, simulate
+from surctl.marine.simulation import Case, Disturbance, Run, SafetyClaim, Scenario, Sensing, simulate, vehicle_law
 from surctl.marine.simulation.echo_fit import detection_range
 from surctl.marine.simulation.explanation import stop_reason
 from surctl.marine.simulation.loop import simulate_case
@@ -371,7 +371,8 @@ def _analyse_loop(
         InputError: the law is a user's own and fails.
     """
     source = law_source(law)
-    built = build_law(law, guidance=guidance) if dt is None else build_law(law, guidance=guidance, dt=dt)
+    period: dict[str, Any] = {} if dt is None else {"dt": dt}
+    built = vehicle_law(vehicle, law, guidance=guidance, **period)
     if source.steering is None and has_cruise_loop(law, guidance):
         try:
             check_cruise(vehicle, cruise)
@@ -490,7 +491,7 @@ class Mission:
     @property
     def period(self) -> float:
         """Control period [s]."""
-        return build_law(self.law_ref).dt if self.dt is None else self.dt
+        return vehicle_law(self.vehicle, self.law).dt if self.dt is None else self.dt
 
     @property
     def law_ref(self) -> str:

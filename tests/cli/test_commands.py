@@ -302,7 +302,8 @@ def test_lint_knows_which_hull_fits_the_pool(tmp_path, vehicle, status):
 def test_a_run_that_starts_inside_a_wall_says_so(tmp_path):
     done = surctl("simulate", "pool-static", "--vehicle", "sur540-flooded", "--json", cwd=tmp_path)
     (warning,) = done.json["runs"][0]["start_warnings"]
-    assert "0.020 m inside a wall at the start; the least clearance counts walls only after" in warning
+    assert "0.020 m inside a wall at the start; this is no collision, because walls stop a run only" in warning
+    assert -0.021 < done.json["runs"][0]["min_clearance_m"] <= -0.02
 
 
 def test_explanations_name_who_gave_up_what_and_a_picture_is_drawn(tmp_path):

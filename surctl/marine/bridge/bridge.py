@@ -39,9 +39,9 @@ from surctl.marine.bridge.wire import (
     Wire,
     mode_of,
 )
-from surctl.marine.control import Gains, Law, build_law, default_law, law_source
+from surctl.marine.control import Gains, Law, default_law, law_source
 from surctl.marine.export import build_bundle, closed_form, operating_envelope
-from surctl.marine.simulation import Scenario, law_numbers
+from surctl.marine.simulation import Scenario, law_numbers, vehicle_law
 from surctl.marine.tuning import gains_for
 from surctl.marine.vehicle import Vehicle
 
@@ -372,13 +372,7 @@ def plan_session(
         ToolMissing: there is no C compiler.
     """
     reference = law or default_law(vehicle)
-    built = build_law(
-        reference,
-        sonar=sonar,
-        equipment=scenario.sensors.on(vehicle["radius"]),
-        depths=scenario.depths is not None,
-        actuators=vehicle.actuators,
-    )
+    built = vehicle_law(vehicle, reference, scenario, sonar=sonar)
     tuned = gains or gains_for(None, vehicle, cruise=scenario.cruise, own=law_source(reference).gains)[0]
     p = law_numbers(scenario, tuned.with_own(law_source(reference).gains), vehicle)
     within = operating_envelope(built, scenario, vehicle, built.gains, tuned=p)

@@ -96,8 +96,8 @@ def _loop_lines(loop: LoopAnalysis, mission: Mission) -> tuple[list[str], dict[s
 
 
 def _by_sonar(mission: Mission) -> tuple[list[str], list[dict[str, Any]]]:
-    from surctl.marine.control import build_law
     from surctl.marine.sensing import OwnState
+    from surctl.marine.simulation import vehicle_law
     from surctl.marine.verification import sonar_margins
 
     scenario = next(iter(mission.scenarios), None)
@@ -107,7 +107,7 @@ def _by_sonar(mission: Mission) -> tuple[list[str], list[dict[str, Any]]]:
     law, vehicle, cruise = mission.law_ref, mission.vehicle, mission.cruise
     gains = mission.gains
     try:
-        margins = sonar_margins(build_law(law, sonar=True), vehicle, gains, cruise=cruise, own=own)
+        margins = sonar_margins(vehicle_law(vehicle, law, sonar=True), vehicle, gains, cruise=cruise, own=own)
     except InputError as error:
         return [f"margins by sonar: not judged, because {error.key} {error.problem}"], []
     late = f"own-state filter and fixes {own.fixes.latency:g} s late"

@@ -184,7 +184,7 @@ class RunOutput:
         echoes = level_findings(run.scenario, run.vehicle) if run.sensing == "sonar" else []
         data["echo_warnings"] = [one.text for one in echoes]
         data["start_warnings"] = [
-            f"{one.text}; the least clearance counts walls only after the hull was clear of them"
+            f"{one.text}; this is no collision, because walls stop a run only after the hull was clear of them"
             for one in start_findings(run.scenario, run.vehicle)
             if one.clearance_m is not None and one.clearance_m < 0
         ]
@@ -316,6 +316,7 @@ class CampaignOptions:
         """
         from surctl.marine.control import law_source
         from surctl.marine.simulation import Case, load_scenario
+        from surctl.marine.simulation.campaign.campaign import law_of
         from surctl.marine.simulation.campaign.worlds import WORLDS_VEHICLE, MonteCarlo, RandomWorlds, world_template
         from surctl.marine.vehicle import load_vehicle
 
@@ -333,11 +334,14 @@ class CampaignOptions:
             cases.append(robot.case(law, mission, craft, tuned.gains))
         for line in dict.fromkeys(lines):
             progress(line)
-        for case in cases[:1]:
-            case.build()  # reports a mistake before any file is written
-        if self.worlds is None:
-            return [MonteCarlo(case, seed) for case in cases]
-        return [RandomWorlds(case, seed, self.monte_carlo) for case in cases]
+        plans: list[Plan] = (
+            [MonteCarlo(case, seed) for case in cases]
+            if self.worlds is None
+            else [RandomWorlds(case, seed, self.monte_carlo) for case in cases]
+        )
+        for plan in plans[:1]:
+            law_of(plan)  # reports a mistake before any file is written
+        return plans
 
     def run(
         self,
@@ -354,7 +358,7 @@ class CampaignOptions:
         `vehicle` is the value of the option `--vehicle`, or None.
         """
         from surctl.files import write_file
-        from surctl.marine.simulation.campaign.campaign import CampaignFolder, run_campaign
+        from surctl.marine.simulation.campaign.campaign import CampaignFolder, law_of, run_campaign
 
         names = [plan.name for plan in plans]
         if len(set(names)) < len(names):
@@ -384,7 +388,7 @@ class CampaignOptions:
             reports[-1]["vehicle_from"] = choice.origin
             case = plan.case  # with the unchanged scenario and vehicle
             reports[-1]["linear"], warning = linear_warning(
-                case.vehicle, case.gains, case.build(), cruise=case.scenario.cruise, model=case.model
+                case.vehicle, case.gains, law_of(plan), cruise=case.scenario.cruise, model=case.model
             )
             lines += [choice.line(plan.case.vehicle.name), *_lines(campaign, files, worst), *warning]
             counts = campaign.summary.stopped

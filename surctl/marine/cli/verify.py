@@ -121,7 +121,7 @@ def verify(
     """
     from surctl.assessment import assess
     from surctl.marine.assessment import Mission
-    from surctl.marine.control import PATH_FOLLOWING, build_law, law_source
+    from surctl.marine.control import PATH_FOLLOWING, law_source
     from surctl.marine.simulation import load_scenario
     from surctl.marine.vehicle import load_vehicle
     from surctl.marine.verification.braking_claims import NOT_RESTED_ON
@@ -194,7 +194,7 @@ def verify(
         if linear.stable is not None and cascaded:
             margins_at = cruise or speeds[:1]
             held, held_data = speed_lines(
-                robot, values, law=chosen_law, cruise=speeds[0], cap=speeds[1], dt=build_law().dt,
+                robot, values, law=chosen_law, cruise=speeds[0], cap=speeds[1], dt=subjects[-1].period,
                 uncertainty=uncertainty, short=linear.short,
             )  # fmt: skip
         lines += [*held, f"not assessed: {', '.join(assessed[-1].omitted)} (surctl study assesses all)"]
@@ -322,9 +322,9 @@ def _draw(
     progress("pictures")
     pictures = list[Path]()
     with saving("plots"):
-        from surctl.marine.control import build_law
         from surctl.marine.report import plot_mission, plot_region
         from surctl.marine.report.files import save_margins, save_verdicts
+        from surctl.marine.simulation import vehicle_law
         from surctl.report.theme import save_figure
 
         pictures += save_verdicts(verdicts, out)
@@ -334,5 +334,6 @@ def _draw(
                 tube = document["kind"] == "mission"
                 plot = plot_mission(document) if tube else plot_region(document)
                 pictures.append(save_figure(plot, out, (one.data["claim"], "tube" if tube else "levels")))
-        pictures += [] if cruise is None else save_margins(build_law(law), vehicle, gains, out, cruise=cruise)
+        if cruise is not None:
+            pictures += save_margins(vehicle_law(vehicle, law), vehicle, gains, out, cruise=cruise)
     return [str(path) for path in pictures]

@@ -211,10 +211,10 @@ def runs_section(data: ReportData) -> Section:
         "time [s]", "paper's time [s]", "least clearance [m]", "path error [m]", "length [m]", "mean thrust [N]",
     )  # fmt: skip
     text = (
-        "Clearance is the distance from the hull to the nearest obstacle; walls count once the hull has been clear of "
-        "them. The path error is the rms distance to the path outside avoidance. Sensing: with sonar, the law detects "
-        "the obstacles by sonar; with truth, it receives their true positions. The column “counts” says whether the "
-        "run counts towards the result."
+        "Clearance is the distance from the hull to the nearest obstacle or wall; a wall is touched once the hull has "
+        "been clear of it. The path error is the rms distance to the path outside avoidance. Sensing: with sonar, the "
+        "law detects the obstacles by sonar; with truth, it receives their true positions. The column “counts” says "
+        "whether the run counts towards the result."
     )
     blocks: list[Block] = [Paragraph(text), Table("Closed-loop runs", heads, rows), *_surface_notes(data)]
     chosen, used, left = _to_draw(data), 0, 0

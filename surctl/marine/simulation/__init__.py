@@ -6,7 +6,7 @@ from surctl.lazy import load_at_first_use
 
 if TYPE_CHECKING:
     from surctl.errors import Finding
-    from surctl.marine.simulation.batch.case import Case
+    from surctl.marine.simulation.batch.case import Case, vehicle_law
     from surctl.marine.simulation.batch.engines import BatchResult, simulate_batch
     from surctl.marine.simulation.explanation import explain, priority_timeline
     from surctl.marine.simulation.fit import findings
@@ -69,6 +69,7 @@ __all__ = [
     "save_record",
     "simulate",
     "simulate_batch",
+    "vehicle_law",
 ]
 
 load_at_first_use(__name__)

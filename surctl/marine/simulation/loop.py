@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 from surctl.errors import InputError, SurctlError, nearest
 from surctl.ir import on_vectors, to_casadi
 from surctl.ir.cache import cached_bytes
-from surctl.marine.control import NONFINITE, WORKING, Gains, Law, build_law, check_forces, default_law
+from surctl.marine.control import NONFINITE, WORKING, Gains, Law, check_forces
 from surctl.marine.guidance import ROW
-from surctl.marine.simulation.batch.case import Case
+from surctl.marine.simulation.batch.case import Case, vehicle_law
 from surctl.marine.simulation.batch.counting import metrics_table
 from surctl.marine.simulation.batch.engines import loop_sources
 from surctl.marine.simulation.batch.loop import Loop, loop_of
@@ -67,9 +67,8 @@ def simulate(
 
     Args:
         scenario: the mission.
-        law: the law; default: `build_law` of the vehicle's `default_law`, with sonars if `sensing` is `sonar`, and with
-            allocation if the vehicle has thrusters. A law without allocation commands a force on each axis, which the
-            simulation then allocates to the vehicle's thrusters.
+        law: the law; default: `vehicle_law`, with sonars if `sensing` is `sonar`. A law without allocation commands a
+            force on each axis, which the simulation then allocates to the vehicle's thrusters.
         sensing: `truth`: the law receives the exact positions of all obstacles and its exact pose; `sonar`: the law
             receives the echoes of its sonars, and noisy measurements of the moving obstacles and of its pose.
         model: vehicle model of the controller; default: the simulated vehicle.
@@ -93,13 +92,7 @@ def simulate(
     if sensing not in SENSING:
         raise InputError("is not known", key="sensing", value=sensing, remedy=nearest(str(sensing), SENSING))
     sonar = sensing == "sonar"
-    law = law or build_law(
-        default_law(vehicle),
-        sonar=sonar,
-        equipment=scenario.sensors.on(vehicle["radius"]),
-        depths=scenario.depths is not None,
-        actuators=vehicle.actuators,
-    )
+    law = law or vehicle_law(vehicle, scenario=scenario, sonar=sonar)
     check_forces(law.ref, vehicle)
     thrusters = Thrusters.of(vehicle, law, thruster_faults)
     if sonar != ("samples" in law.inputs):
@@ -132,9 +125,8 @@ def simulate(
         values = run.sense(ranges)
         step = (stepper or law.step)(values["x"], values["u"], values["p"])
         state = run.plant if other is None else other.state
-        clear = run.value("clear") > 0 or values["clearance"][1] > 0  # walls count once the hull was clear of them
-        clearance = values["clearance"] if clear else values["clearance"][:1]
-        rows.append((time, state, step.tau, clearance.min(), values["x"], values["u"], step.status, step.telemetry))
+        clearance = values["clearance"].min()
+        rows.append((time, state, step.tau, clearance, values["x"], values["u"], step.status, step.telemetry))
         fed.append(values["p"])
         thrust, components = run.thrust(step, thrusters, time, state)
         if other is None:

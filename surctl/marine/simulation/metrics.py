@@ -98,7 +98,7 @@ class Metrics:
     """The metrics of one run, as `METRICS` defines them.
 
     Attributes:
-        min_clearance_m: walls count once the hull was clear of them.
+        min_clearance_m: negative also for a run that starts inside a wall, which is no collision.
         stopped_because: reason why the run ended, one of `STOPS`, or `LINK_LOST`.
         crab_angle_deg, max_crab_angle_deg, heading_error_deg: as in `attitude_of`, but avoidance intervals do not count
             for the crab angle, because the robot avoids obstacles by sway. They are NaN if the law uses sonars,

@@ -9,8 +9,9 @@ import numpy as np
 
 from surctl.errors import InputError
 from surctl.ir import Layout, Port
-from surctl.marine.control import Gains, Law, build_law, check_forces, default_law
+from surctl.marine.control import Gains, Law, check_forces
 from surctl.marine.guidance import FOLLOWING, MAX_WAYPOINTS, follow
+from surctl.marine.simulation.batch.case import vehicle_law
 from surctl.marine.simulation.batch.counting import path_square
 from surctl.marine.simulation.batch.loop import clearances, free_column, loop_of, obstacle_points, pushed, with_walls
 from surctl.marine.simulation.batch.pack import pack, structure_of
@@ -63,7 +64,7 @@ def mission_system(
         >>> run["eta"][-1, :2].round(2).tolist(), round(run["min_clearance_m"], 2)
         ([1.6, 1.12], 0.22)
     """
-    law = law or build_law(default_law(vehicle), depths=scenario.depths is not None, actuators=vehicle.actuators)
+    law = law or vehicle_law(vehicle, scenario=scenario)
     check_forces(law.ref, vehicle)
     _check(scenario, vehicle, law)
     build_world(scenario, vehicle, seed=seed)  # refuses a start inside an obstacle
@@ -123,8 +124,9 @@ def _surroundings(structure: Structure, law: Law, parameters: Layout) -> Sampled
 
     def step(x: Parts, u: Parts, p: Parts, w: Parts) -> dict[str, ca.SX]:
         bodies, eta = structure.bodies_at(p, u["time"]), u["eta"]
-        clear, distance = with_walls(x["clear"], clearances(bodies, p, eta[:3]))
-        after = {"clear": clear, "clear_water": distance, "least": ca.fmin(x["least"], distance)}
+        distances = clearances(bodies, p, eta[:3])
+        clear, distance = with_walls(x["clear"], distances)
+        after = {"clear": clear, "clear_water": distance, "least": ca.fmin(x["least"], ca.mmin(distances))}
         if "contacts" in law.inputs:
             near = [body.beside(eta[2], p["world_hull"]) for body in bodies]
             after["contacts"] = obstacle_points(near, eta, law.inputs.port("contacts").shape[0])

@@ -14,11 +14,11 @@ from surctl.export import Bundle
 from surctl.export.evidence import ReplayedRun
 from surctl.files import write_file
 from surctl.marine.assessment import LoopAnalysis, Mission
-from surctl.marine.control import Gains, Law, build_law, law_source, write_gains
+from surctl.marine.control import Gains, Law, law_source, write_gains
 from surctl.marine.export import build_bundle
 from surctl.marine.export.origin import origin_of
 from surctl.marine.export.robot_bundle import replay_of
-from surctl.marine.simulation import Run, Scenario, findings, law_numbers, simulate
+from surctl.marine.simulation import Run, Scenario, findings, law_numbers, simulate, vehicle_law
 from surctl.marine.study.plan import Leg, Plan
 from surctl.marine.tuning import MissionSweep, picked_gains
 from surctl.marine.tuning.derived import has_tuned
@@ -70,7 +70,7 @@ def loops_of(plan: Plan, gains: Gains, analysis: LoopAnalysis) -> Loops:
         return Loops(analysis)
     if analysis.mode is None:
         return Loops(analysis, loops={analysis.nominal.place or "nominal": analysis.nominal.linear})
-    vehicle, law = plan.vehicle, build_law(plan.law)
+    vehicle, law = plan.vehicle, vehicle_law(plan.vehicle, plan.law)
     speeds = sorted({*plan.cruise, analysis.cruise}, reverse=True)
     return Loops(
         analysis,
@@ -192,18 +192,9 @@ def with_perception(plan: Plan, leg: Leg) -> Law:
     Raises:
         InputError: the law cannot use the sonars of the scenario.
     """
-    mission, actuators = leg.scenario, leg.vehicle.actuators
     if plan.unheard:
-        return build_law(plan.law, guidance=plan.guidance, actuators=actuators)
-    equipment = mission.sensors.on(leg.vehicle["radius"])
-    return build_law(
-        plan.law,
-        sonar=True,
-        equipment=equipment,
-        guidance=plan.guidance,
-        depths=mission.depths is not None,
-        actuators=actuators,
-    )
+        return vehicle_law(leg.vehicle, plan.law, guidance=plan.guidance)
+    return vehicle_law(leg.vehicle, plan.law, leg.scenario, sonar=True, guidance=plan.guidance)
 
 
 @dataclass(eq=False, kw_only=True)
@@ -268,7 +259,7 @@ class Study(StudyParts):
     def __post_init__(self) -> None:
         # the laws are built first: their errors come before the long computations
         plan, legs = self.plan, self._legs
-        self._laws = [build_law(plan.law, guidance=plan.guidance, actuators=leg.vehicle.actuators) for leg in legs]
+        self._laws = [vehicle_law(leg.vehicle, plan.law, guidance=plan.guidance) for leg in legs]
         self._sonar_laws = [with_perception(plan, leg) for leg in legs]
         self._runs_section: Section | None = None
         self._first = next(k for k, leg in enumerate(legs) if leg.misfit is None)

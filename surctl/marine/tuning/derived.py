@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 
 from surctl.errors import InputError
 from surctl.ir.cache import stored_numbers
-from surctl.marine.control import GAINS, Gains, GainSpec, build_law, default_law, law_source, load_gains
+from surctl.marine.control import GAINS, Gains, GainSpec, default_law, law_source, load_gains
+from surctl.marine.simulation import vehicle_law
 from surctl.marine.vehicle import LIBRARY, Vehicle, load_vehicle, steady_speed
 from surctl.marine.vehicle.linearise import check_cruise
 from surctl.marine.verification import law_corners
@@ -498,7 +499,8 @@ def _steered(vehicle: Vehicle, cruise: float, dt: float) -> Derivation:
     def margins(speed: float) -> tuple[float, float]:
         law = default_law(vehicle)
         gains = _named(vehicle, inner_start(vehicle.at_speed(speed), cruise=speed, dt=dt), speed, dt, (1.0, 1.0))
-        loops = law_corners(build_law(law, dt=dt), vehicle, gains.with_own(law_source(law).gains), cruise=speed)
+        own = gains.with_own(law_source(law).gains)
+        loops = law_corners(vehicle_law(vehicle, law, dt=dt), vehicle, own, cruise=speed)
         return float(np.nan_to_num(loops.disk)), loops.delay.delay_s
 
     reached, bearable = margins(cruise), cruise

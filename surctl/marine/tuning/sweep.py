@@ -19,7 +19,7 @@ from surctl.errors import InputError, nearest
 from surctl.marine.control import Barrier, Gains, GainSpec, Movers, build_law, law_ref
 from surctl.marine.guidance import AvoidanceForm, Guidance
 from surctl.marine.guidance.tracking import check_guidance
-from surctl.marine.simulation import METRICS, Case, Scenario, Sensing, simulate_batch
+from surctl.marine.simulation import METRICS, Case, Scenario, Sensing, simulate_batch, vehicle_law
 from surctl.marine.simulation.batch.case import case_parameters, check_speeds
 from surctl.marine.vehicle import Vehicle, load_vehicle
 from surctl.marine.verification import LINEAR_METRICS, linear_table
@@ -259,7 +259,7 @@ class MissionSweep(SweepSubject):
                 values,
                 base=case.gains.values,
                 cruise=case.scenario.cruise if cruise is None else cruise,
-                dt=build_law(case.law).dt,
+                dt=vehicle_law(case.vehicle, case.law).dt,
                 model=case.model,
                 law=case.law,
             )

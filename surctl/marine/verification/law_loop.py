@@ -271,10 +271,12 @@ def _loop(law: Law, vehicle: Vehicle, at: OperatingPoint, slopes: Slopes) -> Law
     along, ahead = _turned(axis).T @ at.current, _turned(at.heading).T @ at.current
     numbers, psi = plant_parameters(vehicle)[None], at.heading - axis
     (A,), (B,), _ = plant_jacobians(numbers, at.nu[None], psi=psi, form=form, current=along)
-    B = B @ delivered(vehicle, at.nu - np.array([*ahead, 0.0, 0.0]))
+    J = delivered(vehicle, at.nu - np.array([*ahead, 0.0, 0.0]))
+    B = B @ J
     acting = [bool(np.abs(row).max() > COUPLED) for row in np.hstack([C, D])]
+    pushed = np.abs(J[:, acting]).max(axis=1, initial=0.0) > COUPLED
     lagged = float(plant_parameters(vehicle)[PLANT_PARAMETERS.slice("thrust_lag")][0]) > 0
-    included = moving_states(A, acting, lagged=lagged)
+    included = moving_states(A, pushed, lagged=lagged)
     slope = np.abs(np.vstack([By[in_loop(Az, By, C)], D])).max(axis=0)
     felt = slope > np.maximum(COUPLED, np.where(np.arange(8) < 2, NEUTRAL * slope[:2].max(), 0.0))
     free = _free(A, felt, [k for k in included if k < 4])
@@ -325,6 +327,7 @@ def _differentiated(law: Law, at: OperatingPoint) -> Slopes:
     """Return A, B, C, D of z⁺ = A z + B y and thrust = C z + D y, the relative difference of one-sided derivatives, and
     the direction of x [rad].
 
+    The thrust is the command of the law before an allocation to thrusters, whose effect `delivered` gives.
     y = (x, y, z, ψ, u, v, w, r), with x along the motion over ground and y to its left; where the law depends on one
     direction alone, such as the distance from a line, that direction is the nearer of both, exactly.
     """
@@ -346,7 +349,8 @@ def _differentiated(law: Law, at: OperatingPoint) -> Slopes:
 
     def outputs(dz: Array, du: Array, step: float) -> Array:
         done = law.step(at.x + step * dz, at.u + step * du, at.p)
-        return np.concatenate([done.x_next, done.tau])
+        desired = done.tau if law.actuators is None else done.telemetry[law.telemetry_slice("tau_desired")]
+        return np.concatenate([done.x_next, desired])
 
     here = outputs(*directions[0], 0.0)
     ahead = np.array([(outputs(dz, du, _STEP) - here) / _STEP for dz, du in directions]).T

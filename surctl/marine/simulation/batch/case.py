@@ -23,6 +23,31 @@ from surctl.priority import Mode
 Vector = NDArray[np.float64]
 
 
+def vehicle_law(vehicle: Vehicle, law: str = "", scenario: Scenario | None = None, **options: Any) -> Law:
+    """Build the law that controls a vehicle, with allocation to its thrusters, if it has any.
+
+    Args:
+        vehicle: the vehicle.
+        law: reference of the law; empty: the law for the vehicle's forces, see `default_law`.
+        scenario: the mission, which has the sensors of a law with sonars and may allow other depths; or None.
+        options: further arguments of `build_law`.
+
+    Raises:
+        InputError: the vehicle lacks a force that the law needs; or as for `build_law`.
+
+    Example:
+        >>> from surctl.marine.simulation import vehicle_law
+        >>> from surctl.marine.vehicle import load_vehicle
+        >>> vehicle_law(load_vehicle("bluerov2-thrusters")).outputs.port("thruster_force").shape
+        (6,)
+    """
+    law = law or default_law(vehicle)
+    check_forces(law, vehicle)
+    if scenario is not None:
+        options |= {"equipment": scenario.sensors.on(vehicle["radius"]), "depths": scenario.depths is not None}
+    return build_law(law, actuators=vehicle.actuators, **options)
+
+
 @dataclass(frozen=True)
 class Case:
     """One simulation setup: a scenario with one vehicle and one law.
@@ -78,19 +103,17 @@ class Case:
 
     def build(self, fallback: str = "exact") -> Law:
         """Build the law of the simulation setup, with a `fallback` as for `build_law`."""
-        sonar = self.sensing == "sonar"
-        return build_law(
+        return vehicle_law(
+            self.vehicle,
             self.law,
+            self.scenario,
+            sonar=self.sensing == "sonar",
             avoidance=self.avoidance,
             mode=self.mode,
-            sonar=sonar,
-            equipment=self.scenario.sensors.on(self.vehicle["radius"]),
             guidance=self.guidance,
             barrier=self.barrier,
             movers=self.movers,
-            depths=self.scenario.depths is not None,
             fallback=fallback,
-            actuators=self.vehicle.actuators,
         )
 
 

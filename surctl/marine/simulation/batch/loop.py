@@ -271,7 +271,7 @@ class _Builder:
         }
         v = {name: ca.SX.sym(name, size) for name, size in symbols.items()}
         place = old["plant"][:2]
-        clear, clearance = with_walls(old["clear"], v["clearance"])
+        clear, free = with_walls(old["clear"], v["clearance"])
         with Recording() as recording:
             total = (
                 v["total"]
@@ -284,7 +284,7 @@ class _Builder:
         end_depth = parameters["depth"] + (parameters["mission"][-1, 2] if self.structure.rises else 0)
         level = not (self.structure.depths or self.structure.rises)
         left = gap if level else ca.sqrt(gap**2 + (old["plant"][2] - end_depth) ** 2)
-        collided = clearance <= 0
+        collided = free <= 0
         near, path_depth = parameters["waypoints"], parameters["depth"]
         if self.mission:
             following, near, here, path_depth = self.mission.progress(old, parameters, v)
@@ -300,8 +300,8 @@ class _Builder:
         stop = ca.if_else(reached, _code("reached"), ca.if_else(collided, _code("collision"), stop))
         ended = stop > 0
         last = old["step"] + 1 >= parameters["steps"]
-        clear_between, between = with_walls(clear, v["clearance_between"])
-        least = ca.fmin(old["least"], clearance)
+        clear_between, _ = with_walls(clear, v["clearance_between"])
+        least = ca.fmin(old["least"], ca.mmin(v["clearance"]))
 
         new: dict[str, ca.SX] = {
             "done": ca.logic_or(ended, last),
@@ -309,7 +309,7 @@ class _Builder:
             "plant": v["plant_next"],
             **({} if self.alone else {"law": v["x_next"]}),
             "clear": clear_between,
-            "least": ca.if_else(ended, least, ca.fmin(least, between)),
+            "least": ca.if_else(ended, least, ca.fmin(least, ca.mmin(v["clearance_between"]))),
             "stop": stop,
             "last_place": place,
         }
@@ -386,7 +386,10 @@ def free_column(bodies: Sequence[Body], w: Mapping[str, ca.SX], place: ca.SX) ->
 
 
 def with_walls(clear: ca.SX, clearances: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """Return whether the hull was clear of the walls once, from then on they count; and its clearance [m]."""
+    """Return whether the hull was clear of the walls once, and the clearance [m] that decides on a collision.
+
+    A hull that starts inside a wall does not collide with the walls until it was clear of them.
+    """
     now = ca.logic_or(clear, clearances[1] > 0)
     return now, ca.if_else(now, ca.fmin(clearances[0], clearances[1]), clearances[0])
 

@@ -20,11 +20,13 @@ from pydantic import Field
 from surctl import __version__
 from surctl.errors import InputError, cannot_write
 from surctl.files import Strict, file_name, prepare_folder, read_toml, validate, write_file
-from surctl.marine.control import Barrier, Gains, Movers, law_ref, law_source, load_gains
+from surctl.marine.control import Barrier, Gains, Law, Movers, law_ref, law_source, load_gains
 from surctl.marine.guidance import AvoidanceForm, Guidance
 from surctl.marine.simulation.batch.case import Case
 from surctl.marine.simulation.batch.engines import simulate_batch, stored_loop
+from surctl.marine.simulation.batch.loop import build_loop
 from surctl.marine.simulation.batch.pack import structure_of
+from surctl.marine.simulation.batch.structure import Structure
 from surctl.marine.simulation.campaign.summary import RunTable, Summary, assumptions, summarise
 from surctl.marine.simulation.campaign.worlds import Plan, SampledRun
 from surctl.marine.simulation.metrics import METRICS
@@ -283,6 +285,15 @@ def _broken(run: SampledRun) -> tuple[str, ...]:
     return assumptions(case, run.draw, detection=sees, fastest=FASTEST)
 
 
+def law_of(plan: Plan) -> Law:
+    """Return the law of the compiled loop that simulates the runs of a plan."""
+    return build_loop(_structure(plan)).law
+
+
+def _structure(plan: Plan) -> Structure:
+    return structure_of(plan.case, plan.values(0, 1))
+
+
 @dataclass(frozen=True)
 class CampaignFolder:
     """A folder of campaigns; an interrupted campaign resumes from it, and a finished campaign does not run again.
@@ -320,8 +331,7 @@ class CampaignFolder:
     @contextmanager
     def store(self, plan: Plan) -> Iterator[ChunkStore]:
         """Open and lock the chunk store of a campaign."""
-        structure = structure_of(plan.case, plan.values(0, 1))
-        digest = stored_loop(structure).digest
+        digest = stored_loop(_structure(plan)).digest
         text = json.dumps([_request(plan), digest, CHUNK], sort_keys=True)
         store = ChunkStore(
             self.path / "campaign.chunks" / file_name(plan.name), hashlib.sha256(text.encode()).hexdigest()
