@@ -191,11 +191,13 @@ class Compared(NamedTuple):
 @click.argument("words", nargs=-1, metavar="[FILE.py:FUNCTION [NAME=VALUE]...]")
 @seconds_option
 @click.option("--name", metavar="TEXT", help="Prefix of all names in C (default: name of the law).")
-@click.option("--target", default="c99", metavar="NAME", help="c99 (default), fmu, fmu3, mjcf, or one of --targets.")
+@click.option(
+    "--target", default="c99", metavar="NAME", help="c99 (default), fmu, fmu3, mjcf, or a processor (--targets)."
+)
 @click.option(
     "--real", default="float64", metavar="NAME", help="Number type of the C code: float64 (default) or float32."
 )
-@click.option("--check", is_flag=True, help="Compare C code with Python on all --targets.")
+@click.option("--check", is_flag=True, help="Compare C code with Python, on each entry of --targets.")
 @click.option("--prove", is_flag=True, help="Prove by Frama-C that the C code has no run-time error.")
 @click.option("--targets", metavar="A,B", help="Compilers and processors of --check (default: all).")
 @click.option("--steps", type=Count(1), help="Steps at random states in --check (default 100000).")
