@@ -51,7 +51,7 @@ _MOST_JSON = 100_000  # largest number of points printed as JSON
 @click.option(
     "--seeds", type=Count(1, 1_000_000), default=1, help="Simulate each point with the seeds 0 to N-1 (default 1)."
 )
-@click.option("--workers", type=Count(1), help="Parallel processes or threads (default 2).")
+@click.option("--workers", type=Count(1), help="Number of processes or threads (default 2).")
 @click.option("--dask", metavar="ADDRESS", help="Run on the Dask scheduler at ADDRESS, not locally.")
 @click.option(
     "--out",

@@ -148,7 +148,7 @@ def margin_of_all(assessment: Assessment) -> float:
 law_option = click.option(
     "--law",
     metavar="NAME",
-    help="Law: guarded (default), steered (default if no sway force), calm, paper, closed_form or FILE.py:FUNCTION.",
+    help="Law: guarded (default), steered (default without sway thrust), calm, paper, closed_form or FILE.py:FUNCTION.",
 )
 
 

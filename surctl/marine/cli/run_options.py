@@ -236,7 +236,7 @@ controller_options = together(
         "--link-deadline",
         type=float,
         metavar="S",
-        help="Thrust 0 if C's command is older than S s (default 0.25).",
+        help="Thrust 0 if a command is older than S s (default 0.25).",
     ),
     click.option("--link-compact", is_flag=True, help="Request short replies from the C code, for a slow link."),
     click.option(

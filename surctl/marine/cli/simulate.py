@@ -55,7 +55,7 @@ if TYPE_CHECKING:
     "--avoidance",
     default="corrected",
     metavar="NAME",
-    help="Law paper, equation (20): corrected (default), printed, or consistent (every angle counter-clockwise).",
+    help="Equation (20) of --law paper: corrected (default), printed, or consistent (every angle counter-clockwise).",
 )
 @click.option(
     "--guidance", default="los", metavar="NAME", help="Path guidance: los (default); for currents ilos or alos."

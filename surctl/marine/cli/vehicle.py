@@ -42,8 +42,9 @@ def thrusters(
     out: Path | None,
     as_json: bool,
 ) -> None:
-    """Print the largest forces that the thrusters of a vehicle give on each axis alone, and the share of the vehicle's
-    force limits that they give on all axes at once. With --force, print the force of each thruster for a total force.
+    """Print the largest forces that the thrusters of a vehicle give on one axis at a time, and the share of the
+    vehicle's force limits that they give on all axes at once. With --force, print the force of each thruster for a
+    total force.
 
     Examples: surctl vehicle thrusters bluerov2-heavy --out pictures; surctl vehicle thrusters bluerov2-heavy --failed
     T2 --force 40 30 0 5
