@@ -38,16 +38,16 @@ if TYPE_CHECKING:
     "vehicles",
     multiple=True,
     metavar="FILE",
-    help="Vehicle: name or file; repeatable (default: the study's).",
+    help="Vehicle: name or file; repeatable (default: that of STUDY).",
 )
 @click.option(
     "--guidance",
     metavar="NAME",
-    help="Path guidance of simulated runs: los, ilos or alos (default: the study's). Loop margins always use los.",
+    help="Path guidance of simulated runs: los, ilos or alos (default: that of STUDY). Loop margins always use los.",
 )
-@click.option("--law", metavar="NAME", help="Law: NAME or FILE.py:FUNCTION (default: the study's).")
+@click.option("--law", metavar="NAME", help="Law: NAME or FILE.py:FUNCTION (default: that of STUDY).")
 @click.option("--scenario", metavar="FILE", help="Scenario of --page (default: the first of the study).")
-@click.option("--gains", "gains_file", metavar="FILE", help="Initial gain set: name or file (default: the study's).")
+@click.option("--gains", "gains_file", metavar="FILE", help="Initial gain set: name or file (default: that of STUDY).")
 @trust_option
 def tune(
     words: Sequence[str],
