@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 @click.option(
     "--guidance",
     metavar="NAME",
-    help="Path guidance of simulated runs: los, ilos or alos (default: that of STUDY). Loop margins always use los.",
+    help="Path guidance of simulated runs: los, ilos, alos (default: that of STUDY). Margins always use los.",
 )
 @click.option("--law", metavar="NAME", help="Law: NAME or FILE.py:FUNCTION (default: that of STUDY).")
 @click.option("--scenario", metavar="FILE", help="Scenario of --page (default: the first of the study).")
