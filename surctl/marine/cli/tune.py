@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     "vehicles",
     multiple=True,
     metavar="FILE",
-    help="Vehicle: name or file; repeatable (default: that of STUDY).",
+    help="Vehicle, repeatable: name or file (default: STUDY's).",
 )
 @click.option(
     "--guidance",
