@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.errors import InputError, mistakes_in, nearest
+from surctl.errors import InputError, check_known, mistakes_in, nearest
 from surctl.recorded import file_bytes, xml_root
 
 # Capsules (and spheres) around the links of a robot, and the distance between two of them
@@ -355,10 +355,7 @@ def _joint(element: Element) -> Joint:
     name = _name(element)
     key = f"joint {name}"
     kind = element.get("type", "")
-    if kind not in get_args(JointType):
-        raise InputError(
-            "is not a joint type", key=f"{key}: type", value=kind, remedy=nearest(kind, get_args(JointType))
-        )
+    check_known(kind, get_args(JointType), "is not a joint type", key=f"{key}: type")
     ends = []
     for tag in ("parent", "child"):
         end = _one(element, tag, key)
@@ -414,9 +411,7 @@ def _check_tree(links: dict[str, Link], joints: dict[str, Joint]) -> str:
     parents: dict[str, Joint] = {}
     for joint in joints.values():
         for tag, link in (("parent", joint.parent), ("child", joint.child)):
-            if link not in links:
-                key = f"joint {joint.name}: {tag}"
-                raise InputError("is not the name of a link", key=key, value=link, remedy=nearest(link, links))
+            check_known(link, links, "is not the name of a link", key=f"joint {joint.name}: {tag}")
         if joint.child in parents:
             problem = f"is the child of joints {parents[joint.child].name} and {joint.name}"
             raise InputError(problem, key=f"link {joint.child}", remedy="a robot is a tree: remove one of the joints")
@@ -454,8 +449,7 @@ def _check_mimics(joints: dict[str, Joint]) -> None:
         passed, at = [joint.name], joint
         while at.mimic is not None:
             key = f"joint {at.name}: mimic"
-            if at.mimic.joint not in joints:
-                raise InputError("no such joint", key=key, value=at.mimic.joint, remedy=nearest(at.mimic.joint, joints))
+            check_known(at.mimic.joint, joints, "no such joint", key=key)
             at = joints[at.mimic.joint]
             if at.type in ("planar", "floating"):
                 raise InputError(f"is {at.type}", key=key, value=at.name, remedy="mimic a joint with one position")
