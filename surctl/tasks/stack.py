@@ -13,7 +13,7 @@ from surctl.tasks.task import (
     Expression,
     Kind,
     LimitRow,
-    Quantity,
+    TaskBase,
     Task,
     checked_kind,
     checked_positive,
@@ -28,7 +28,7 @@ _TURN = 2.0 * math.pi
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class SetTask(Quantity):
+class SetTask(TaskBase):
     """A task that keeps σ between two bounds by K(lower − σ) ≤ σ̇ − σ̇_set ≤ K(upper − σ) (Escande et al. 2014).
 
     K is the gain, and σ̇_set is the rate at which the bounds move. While σ is between its bounds, σ̇ may have both
@@ -127,7 +127,7 @@ class RateLimit:
             task.
     """
 
-    task: Quantity
+    task: TaskBase
     limit: Expression
     kind: Kind = "set"
 

@@ -63,7 +63,7 @@ Kinematics: TypeAlias = Expression | Literal["vehicle"] | None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Quantity:
+class TaskBase:
     """A quantity σ of the configuration η, with what `Task` and `SetTask` have in common; see there.
 
     Raises:
@@ -143,7 +143,7 @@ class Quantity:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Task(Quantity):
+class Task(TaskBase):
     """A quantity σ of the configuration η that converges to a desired value.
 
     Attributes:
@@ -162,7 +162,7 @@ class Task(Quantity):
             For m = 4 there is no default, because η may be a pose or the angles of four joints.
 
     Raises:
-        InputError: see `Quantity`; the target counts as the other numbers.
+        InputError: see `TaskBase`; the target counts as the other numbers.
     """
 
     target: Expression = 0.0
