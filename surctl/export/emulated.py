@@ -17,7 +17,7 @@ from urllib.parse import urlsplit
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.errors import InputError, SurctlError, ToolMissing, nearest
+from surctl.errors import InputError, SurctlError, ToolMissing, check_known
 from surctl.export.bundle import Bundle, write_bundle
 from surctl.ir.cache import compile_program, packaged_compiler
 
@@ -103,8 +103,7 @@ def chosen_targets(names: Sequence[str] = ()) -> tuple[list[Target], dict[str, t
         ToolMissing: a tool of a named target is not installed.
     """
     for name in names:
-        if name not in TARGETS:
-            raise InputError("is not a known target", key="targets", value=name, remedy=nearest(name, TARGETS))
+        check_known(name, TARGETS, "is not a known target", key="targets")
     chosen = [TARGETS[name] for name in names or TARGETS]
     lacking = {target.name: target.missing for target in chosen if target.missing}
     if names and lacking:

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError
-from surctl.priority.settings import CUTOFF, ZERO_ROW
+from surctl.priority.settings import CUTOFF, negligible
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -50,7 +50,7 @@ def row_vectors(J: Array) -> RowVectors:
     _, singular, vectors = np.linalg.svd(J, full_matrices=True)
     s = np.zeros(vectors.shape[:-1])
     s[..., : singular.shape[-1]] = singular
-    return RowVectors(vectors, np.where(s > np.maximum(CUTOFF * s[..., :1], ZERO_ROW), s, 0.0))
+    return RowVectors(vectors, np.where(s > negligible(s[..., :1]), s, 0.0))
 
 
 def _joined(P: Array, own: Array) -> Array:
@@ -161,8 +161,7 @@ def nsb_velocities(jacobians: Sequence[Array], references: Sequence[Array]) -> A
 
 def _inverse(M: Array, J: Array) -> Array:
     """Return the pseudo-inverse (..., n, k) of M (..., k, n); singular values up to `CUTOFF`·‖J‖ count as 0."""
-    size, least = (np.linalg.norm(each, 2, axis=(-2, -1)) for each in (M, J))
-    least = np.maximum(CUTOFF * least, ZERO_ROW)
+    size, least = np.linalg.norm(M, 2, axis=(-2, -1)), negligible(np.linalg.norm(J, 2, axis=(-2, -1)))
     return np.asarray(np.linalg.pinv(M, rcond=least / np.maximum(size, least)))
 
 
