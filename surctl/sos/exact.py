@@ -13,26 +13,27 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from math import ceil, lcm, log2
+from typing import NamedTuple
 
 import numpy as np
+from flint import fmpq, fmpq_mat
 
 from surctl.certcheck.definite import is_semidefinite
-from surctl.sos.basis import Gram, monomials, parity_classes, pruned, restricted
+from surctl.sos.basis import Gram, echelon, monomials, parity_classes, pruned, restricted
 from surctl.sos.polynomial import Monomial, Number, Polynomial, joined
 from surctl.sos.program import Proposal, best_identity
 
 _LARGEST = 120  # largest size of a Gram matrix
 
 
-# Exact solution of sparse linear equations by a change of few unknowns
+# Exact solution of linear equations by a change of few unknowns
 
 
 Name = tuple[int, int | Monomial]
-_MOST = 4000  # most equations with more than one unknown
+_MOST = 2_000_000  # most coefficients of the equations
 
 
-@dataclass(frozen=True)
-class LinearUnknown:
+class LinearUnknown(NamedTuple):
     """An unknown of linear equations.
 
     Attributes:
@@ -49,82 +50,27 @@ class LinearUnknown:
 def corrected(rest: Mapping[Monomial, Fraction], columns: Sequence[LinearUnknown]) -> dict[Name, Fraction] | None:
     """Return changes of unknowns such that Σ change · row = rest; None if there are none.
 
+    Unknowns that few equations contain are changed first.
+
     Args:
         rest: right side of the equations; 0 where a monomial is missing.
         columns: the unknowns.
     """
-    order = sorted(range(len(columns)), key=lambda k: (len(columns[k].row), columns[k].rank))
-    place = {k: p for p, k in enumerate(order)}
-    equations: dict[Monomial, dict[int, Fraction]] = {}
-    for k, column in enumerate(columns):
-        for m, c in column.row.items():
-            equations.setdefault(m, {})[place[k]] = c
-    sides = {m: Fraction(rest.get(m, 0)) for m in equations}
-    if any(c and m not in equations for m, c in rest.items()):
+    order = sorted(columns, key=lambda column: (len(column.row), column.rank))
+    place = {m: k for k, m in enumerate(dict.fromkeys(m for column in order for m in column.row))}
+    if any(c and m not in place for m, c in rest.items()) or len(place) * len(order) > _MOST:
         return None
-    # an unknown that occurs in one equation alone solves it without an influence on the others
-    changes: dict[Name, Fraction] = {}
-    later: dict[Monomial, int] = {}
-    for m, equation in equations.items():
-        own = next((p for p in sorted(equation) if len(columns[order[p]].row) == 1), None)
-        if own is not None:
-            later[m] = own
-    solved = _eliminated(
-        {m: dict(e) for m, e in equations.items() if m not in later}, {m: s for m, s in sides.items() if m not in later}
-    )
-    if solved is None:
-        return None
-    for p, value in solved.items():
-        changes[columns[order[p]].name] = value
-        for m, c in columns[order[p]].row.items():
-            sides[m] -= c * value
-    for m, p in later.items():
-        changes[columns[order[p]].name] = sides[m] / equations[m][p]
-    return {name: value for name, value in changes.items() if value}
-
-
-def _eliminated(
-    equations: dict[Monomial, dict[int, Fraction]], sides: dict[Monomial, Fraction]
-) -> dict[int, Fraction] | None:
-    """Return one solution of the equations, in which few unknowns differ from 0."""
-    if len(equations) > _MOST:
-        return None
-    users: dict[int, set[Monomial]] = {}
-    for m, equation in equations.items():
-        for p in equation:
-            users.setdefault(p, set()).add(m)
-    solved: list[tuple[Monomial, int]] = []
-    left = set(equations)
-    while left:
-        m = min(left, key=lambda e: (len(equations[e]), e))
-        left.remove(m)
-        equation = equations[m]
-        if not equation:
-            if sides[m]:
-                return None
-            continue
-        largest = max(abs(c) for c in equation.values())
-        p = min((p for p, c in equation.items() if 4 * abs(c) >= largest), key=lambda p: (len(users[p]), p))
-        solved.append((m, p))
-        for other in list(users[p]):
-            if other == m or other not in left:
-                continue
-            factor = equations[other][p] / equation[p]
-            sides[other] -= factor * sides[m]
-            for q, c in equation.items():
-                value = equations[other].get(q, Fraction(0)) - factor * c
-                if value:
-                    equations[other][q] = value
-                    users[q].add(other)
-                else:
-                    equations[other].pop(q, None)
-                    users[q].discard(other)
-    values: dict[int, Fraction] = {}
-    for m, p in reversed(solved):
-        equation = equations[m]
-        known = sum((c * values[q] for q, c in equation.items() if q in values), Fraction(0))
-        values[p] = (sides[m] - known) / equation[p]
-    return values
+    matrix = fmpq_mat(len(place), len(order) + 1)
+    for k, row in enumerate([*(column.row for column in order), rest]):
+        for m, c in row.items():
+            matrix[place[m], k] = fmpq(*c.as_integer_ratio())
+    reduced, changes = echelon(matrix), dict[Name, Fraction]()
+    for pivot, entries in reduced.items():
+        if pivot == len(order):
+            return None
+        if entries[-1]:
+            changes[order[pivot].name] = entries[-1]
+    return changes
 
 
 _LEAST = 1e-11  # a smaller least eigenvalue of the numerical Gram matrices leaves no margin for rounding

@@ -6,6 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 
+from flint import Ordering, fmpq, fmpq_mpoly, fmpq_mpoly_ctx
+
 Monomial = tuple[tuple[int, int], ...]
 """A monomial: pairs (variable, exponent ≥ 1) in the order of the variables; () is the monomial 1."""
 Number = Fraction | float
@@ -195,28 +197,19 @@ def quotient(of: Polynomial, by: Polynomial) -> Polynomial | None:
         >>> quotient(x**3 - x * y**2, x + y) == x**2 - x * y, quotient(x**2 + y, x + y)
         (True, None)
     """
+    count = 1 + max((k for p in (of, by) for m in p.terms for k, _ in m), default=0)
+    ring = fmpq_mpoly_ctx.get(("x", count), Ordering.deglex)
+
+    def read(p: Polynomial) -> fmpq_mpoly:
+        exponents = (tuple(dict(m).get(k, 0) for k in range(count)) for m in p.terms)
+        return ring.from_dict(
+            dict(zip(exponents, (fmpq(*c.as_integer_ratio()) for c in p.terms.values()), strict=True))
+        )
+
     if not by.terms:
         return None
-    lead = max(by.terms, key=_rank)
-    scale, powers = Fraction(by.terms[lead]), dict(lead)
-    rest = dict(of.terms)
-    total: dict[Monomial, Fraction] = {}
-    while rest:
-        top = max(rest, key=_rank)
-        own = dict(top)
-        if any(own.get(k, 0) < e for k, e in lead):
-            return None
-        factor = tuple((k, e - powers.get(k, 0)) for k, e in top if e > powers.get(k, 0))
-        total[factor] = Fraction(rest[top]) / scale
-        for m, c in (by * Polynomial({factor: total[factor]})).terms.items():
-            value = Fraction(rest.get(m, 0)) - Fraction(c)
-            if value:
-                rest[m] = value
-            else:
-                rest.pop(m, None)
-    return Polynomial(total)
-
-
-def _rank(m: Monomial) -> tuple[int, tuple[tuple[int, int], ...]]:
-    # a graded order: of equal degrees, the higher power of the first variable is larger
-    return sum(e for _, e in m), tuple((-k, e) for k, e in m)
+    whole, rest = divmod(read(of), read(by))
+    if rest:
+        return None
+    terms = whole.to_dict().items()
+    return Polynomial({tuple((k, e) for k, e in enumerate(m) if e): Fraction(int(c.p), int(c.q)) for m, c in terms})
