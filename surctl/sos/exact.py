@@ -12,6 +12,7 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
+from itertools import chain, islice
 from math import ceil, lcm, log2
 from typing import NamedTuple
 
@@ -20,7 +21,7 @@ from flint import fmpq, fmpq_mat
 
 from surctl.certcheck.definite import is_semidefinite
 from surctl.sos.basis import Gram, echelon, monomials, parity_classes, pruned, restricted
-from surctl.sos.polynomial import Monomial, Number, Polynomial, joined
+from surctl.sos.polynomial import Monomial, Polynomial, from_ring, in_ring, joined
 from surctl.sos.program import Proposal, best_identity
 
 _LARGEST = 120  # largest size of a Gram matrix
@@ -188,7 +189,7 @@ def _only(
         if m not in pairs:
             return None
         [(block, place, weight)] = pairs[m]
-        values[block][place] = Fraction(c) / weight
+        values[block][place] = c / weight
     if not all(_semidefinite(len(g.basis), v) for g, v in zip(grams, values, strict=True)):
         return None
     return Certificate(tuple(GramBlock(-1, g.basis, tuple(v)) for g, v in zip(grams, values, strict=True)), (), 0.0)
@@ -211,7 +212,7 @@ def completed(target: Polynomial, blocks: Sequence[GramBlock]) -> tuple[GramBloc
     """
     grams = [Gram(-1, Polynomial.constant(1), block.basis) for block in blocks]
     rest = _remainder(target, grams, [block.entries for block in blocks], (), ())
-    waiting = {m: Fraction(c) for m, c in rest.terms.items()}
+    waiting = dict(rest.terms)
     total = []
     for block in blocks:
         entries = list(block.entries)
@@ -265,7 +266,7 @@ def _rounded(
     polynomials = [{m: near(c) for m, c in h.items()} for h in solution.multipliers]
     pairs = _pairs(grams)
     rest = _remainder(target, grams, values, relations, polynomials)
-    outside = {m: Fraction(c) for m, c in rest.terms.items() if m not in pairs}
+    outside = {m: c for m, c in rest.terms.items() if m not in pairs}
     if outside:
         columns = _columns(grams, relations, solution.multipliers, pairs)
         changes = corrected(outside, columns)
@@ -278,7 +279,7 @@ def _rounded(
                 polynomials[at][place] = polynomials[at].get(place, Fraction(0)) + change
         rest = _remainder(target, grams, values, relations, polynomials)
     # spread the remainder evenly, round it, and leave to the reader what is less than the grid
-    left = {m: Fraction(c) for m, c in rest.terms.items()}
+    left = dict(rest.terms)
     for m, c in left.items():
         places = pairs.get(m)
         if places is None:
@@ -319,49 +320,27 @@ def _remainder(
     polynomials: Sequence[Mapping[Monomial, Fraction]],
 ) -> Polynomial:
     """Return target − Σ σ_k · weight_k − Σ h_j · relation_j."""
-    parts = [(_integers(target.terms), (dict[Monomial, int]({(): -1}), 1))]
-    for gram, entries in zip(grams, values, strict=True):
-        parts.append((_square(gram, _expanded(gram, entries)), _integers(gram.weight.terms)))
-    for relation, terms in zip(relations, polynomials, strict=True):
-        parts.append((_integers(terms), _integers(relation.terms)))
-    whole = lcm(*(over * under for (_, over), (_, under) in parts))
-    total: dict[Monomial, int] = {}
-    for (first, over), (second, under) in parts:
-        factor = -(whole // (over * under))
-        for n, d in second.items():
-            d *= factor
-            for m, c in first.items():
-                product = joined(m, n)
-                total[product] = total.get(product, 0) + c * d
-    return Polynomial({m: Fraction(c, whole) for m, c in total.items() if c})
-
-
-def _integers(terms: Mapping[Monomial, Number]) -> tuple[dict[Monomial, int], int]:
-    """Return the coefficients times their common denominator, and this denominator."""
-    exact = {m: Fraction(c) for m, c in terms.items()}
-    over = lcm(*(c.denominator for c in exact.values()))
-    return {m: c.numerator * (over // c.denominator) for m, c in exact.items()}, over
-
-
-def _square(gram: Gram, entries: Sequence[Fraction]) -> tuple[dict[Monomial, int], int]:
-    """Return z' G z as integers over a common denominator."""
-    over = lcm(*(x.denominator for x in entries))
-    total: dict[Monomial, int] = {}
-    numbers = iter(entries)
-    for i, m in enumerate(gram.basis):
-        for j, n in enumerate(gram.basis[: i + 1]):
-            x = next(numbers)
-            product = joined(m, n)
-            value = x.numerator * (over // x.denominator)
-            total[product] = total.get(product, 0) + (value if i == j else 2 * value)
-    return total, over
+    roots = [gram.roots for gram in grams]
+    others = [*(gram.weight for gram in grams), *relations, *(Polynomial(terms) for terms in polynomials)]
+    rest, *every = in_ring(target, *others, *chain.from_iterable(roots))
+    factors, products = every[: len(others)], iter(every[len(others) :])
+    for gram, entries, weight in zip(roots, values, factors, strict=False):
+        own, total, place = list(islice(products, len(gram))), 0 * rest, iter(entries)
+        for i, p in enumerate(own):
+            for j in range(i + 1):
+                x = next(place) * (1 if i == j else 2)
+                total += fmpq(*x.as_integer_ratio()) * p * own[j]
+        rest -= total * weight
+    for relation, multiplier in zip(factors[len(grams) :], factors[len(grams) + len(relations) :], strict=False):
+        rest -= relation * multiplier
+    return from_ring(rest)
 
 
 def _expanded(gram: Gram, entries: Sequence[Fraction]) -> tuple[Fraction, ...]:
     """Return the lower triangle of the Gram matrix of the monomials, from that of the forms."""
     if not gram.forms:
         return tuple(entries)
-    rows = [[Fraction(f.terms.get(m, 0)) for m in gram.basis] for f in gram.forms]
+    rows = [[f.terms.get(m, Fraction(0)) for m in gram.basis] for f in gram.forms]
     size = len(rows)
     full = [[Fraction(0)] * size for _ in range(size)]
     for at, (i, j) in enumerate(zip(*np.tril_indices(size), strict=True)):
@@ -385,7 +364,7 @@ def _columns(
     columns = []
     for at, (relation, unknown) in enumerate(zip(relations, multipliers, strict=True)):
         for m in unknown:
-            row = {joined(m, n): Fraction(c) for n, c in relation.terms.items()}
+            row = {joined(m, n): c for n, c in relation.terms.items()}
             columns.append(LinearUnknown((at, m), {m: c for m, c in row.items() if m not in inside}, 0))
     for at, gram in enumerate(grams):
         place = 0
@@ -393,10 +372,8 @@ def _columns(
         for i, p in enumerate(roots):
             for j, q in enumerate(roots[: i + 1]):
                 product = p * q * gram.weight * (1 if i == j else 2)
-                row = {m: Fraction(c) for m, c in product.terms.items()}
-                columns.append(
-                    LinearUnknown((at, place), {m: c for m, c in row.items() if m not in inside}, 2 if i == j else 1)
-                )
+                row = {m: c for m, c in product.terms.items() if m not in inside}
+                columns.append(LinearUnknown((at, place), row, 2 if i == j else 1))
                 place += 1
     return [c for c in columns if c.row]
 
