@@ -19,7 +19,7 @@ from surctl.lyapunov.near import Failure, fails_nearby, point_text, short, stati
 from surctl.lyapunov.rays import hugged
 from surctl.lyapunov.sampled import sampled_region
 from surctl.lyapunov.slope_search import LABEL as SLOPES
-from surctl.lyapunov.slope_search import slope_candidate
+from surctl.lyapunov.slope_search import form_of, relative_volume, slope_candidate
 from surctl.verification.formula import Node, ordered, text_of
 
 _SHARES = (0.005, 0.02, 0.1, 0.3, 0.5, 0.7, 0.8, 0.9, 0.95, 0.97, 0.99)  # of the least level with a counterexample
@@ -142,7 +142,8 @@ def find_stability(
     if d.sampling is not None and searched:
         held = sampled_region(d, rate, time_limit=_SAMPLED * time_limit, progress=progress)
         if held is not None:
-            return StabilityResult("proved", "", held.decision, None, SLOPES, held.volume)
+            volume = relative_volume(d, form_of(held.claim.function, d.names) / held.document["claim"]["level"])
+            return StabilityResult("proved", "", held, None, SLOPES, volume)
         if _jumps(d.rates):
             return StabilityResult("unknown", f"no region of the sampled loop is proved, and the law {_JUMPS}")
     few = len(d.states) <= _FEW
@@ -261,7 +262,7 @@ class _Search:
             return None
         reason = f"V does not change on a line through the equilibrium, such as at {point_text(still)}"
         centre = f"; {self.linear.reason}" if self.linear.verdict == "marginal" else ""
-        return Failure(still, reason + centre)
+        return Failure(reason + centre, still)
 
     def instead(self, function: Node, seconds: float) -> str:
         """Return a function near the stated one, and its level, that prove a region, in words; empty if none does."""
