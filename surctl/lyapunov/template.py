@@ -35,10 +35,10 @@ class Template:
     basis: tuple[Node, ...]
     sizes: Array
 
-    def only(self, kept: NDArray[np.bool_]) -> Template:
-        """Return the template of some of the basis functions, (K,) of which are kept."""
-        basis = tuple(node for node, stays in zip(self.basis, kept, strict=True) if stays)
-        return Template(self.dynamics, basis, self.sizes[kept])
+    def only(self, chosen: NDArray[np.bool_]) -> Template:
+        """Return the template of the basis functions that are chosen (K,)."""
+        basis = tuple(node for node, stays in zip(self.basis, chosen, strict=True) if stays)
+        return Template(self.dynamics, basis, self.sizes[chosen])
 
     def coefficients(self, known: Mapping[Node, float]) -> Array:
         """Return the coefficients (K,) of a function with those of its basis functions, of which others have 0."""

@@ -46,12 +46,8 @@ class _Loop:
 
     def claim(self, name: str, statement: str, expected: VerdictWord, half: float, **entries: Any) -> Claim:
         # by default that V1 does not grow, by (11) and (12), where its rate depends on erratum E9
-        about: dict[str, Any] = {
-            "equation": "(11), (12)",
-            "errata": ("E9",),
-            "left": self.v1_rate,
-            "right": ca.SX(0),
-        } | entries
+        about: dict[str, Any] = {"equation": "(11), (12)", "errata": ("E9",), "left": self.v1_rate, "right": ca.SX(0)}
+        about |= entries
         rates = {name: self.rate[i] for i, name in enumerate(("x_e", "y_e", "z_e"))}  # at a constant turn rate
         about.setdefault("motion", Motion(rates, self.v1, "V1", "m^2"))
         return Claim(name, statement, expected=expected, variables=self.variables(half), unit="m^2/s", **about)
