@@ -1,4 +1,4 @@
-"""Sparse polynomials in numbered variables; coefficients are exact fractions or floats."""
+"""Sparse polynomials in numbered variables with exact coefficients."""
 
 from __future__ import annotations
 
@@ -6,10 +6,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 
+from flint import Ordering, fmpq, fmpq_mpoly, fmpq_mpoly_ctx
+
 Monomial = tuple[tuple[int, int], ...]
 """A monomial: pairs (variable, exponent ≥ 1) in the order of the variables; () is the monomial 1."""
 Number = Fraction | float
-"""A coefficient; integers count as fractions."""
+"""A number; as a coefficient, a float is exactly the double."""
 ONE = Fraction(1)
 """The coefficient of a variable; no multiplication is needed with this very object."""
 
@@ -31,12 +33,12 @@ class Polynomial:
         (2, Fraction(8, 1), True)
     """
 
-    terms: Mapping[Monomial, Number]
+    terms: Mapping[Monomial, Fraction]
 
     @staticmethod
     def constant(value: Number) -> Polynomial:
         """Return the constant polynomial."""
-        return Polynomial({(): _number(value)} if value else {})
+        return Polynomial({(): Fraction(value)} if value else {})
 
     @staticmethod
     def variable(index: int) -> Polynomial:
@@ -52,6 +54,9 @@ class Polynomial:
     def monomial(monomial: Monomial) -> Polynomial:
         """Return the polynomial with this monomial alone, with the coefficient 1."""
         return Polynomial({monomial: ONE})
+
+    def __bool__(self) -> bool:
+        return bool(self.terms)
 
     @property
     def degree(self) -> int:
@@ -81,9 +86,9 @@ class Polynomial:
         if not isinstance(other, Polynomial):
             if not isinstance(other, Fraction | float | int):
                 return NotImplemented
-            value = _number(other)
+            value = Fraction(other)
             return Polynomial({m: c * value for m, c in self.terms.items()} if value else {})
-        total: dict[Monomial, Number] = {}
+        total: dict[Monomial, Fraction] = {}
         for m, c in self.terms.items():
             for n, d in other.terms.items():
                 product = joined(m, n)
@@ -96,7 +101,7 @@ class Polynomial:
         return self * other
 
     def __truediv__(self, other: Number) -> Polynomial:
-        return self * (1 / _number(other))
+        return self * (1 / Fraction(other))
 
     def __pow__(self, exponent: int) -> Polynomial:
         total = Polynomial.constant(1)
@@ -118,7 +123,7 @@ class Polynomial:
 
     def derivative(self, variable: int) -> Polynomial:
         """Return the partial derivative with respect to a variable."""
-        total: dict[Monomial, Number] = {}
+        total: dict[Monomial, Fraction] = {}
         for m, c in self.terms.items():
             exponent = dict(m).get(variable, 0)
             if exponent:
@@ -140,9 +145,9 @@ class Polynomial:
             total = total + term
         return total
 
-    def _scaled(self, by: Mapping[int, tuple[Monomial, Number]]) -> Polynomial:
+    def _scaled(self, by: Mapping[int, tuple[Monomial, Fraction]]) -> Polynomial:
         """Return the polynomial with every variable replaced by a number times a monomial."""
-        total: dict[Monomial, Number] = {}
+        total: dict[Monomial, Fraction] = {}
         for m, c in self.terms.items():
             powers: dict[int, int] = {}
             for k, e in m:
@@ -158,10 +163,11 @@ class Polynomial:
     def value(self, point: Sequence[Number]) -> Number:
         """Return the value at a point, which has a number for each variable."""
         total: Number = Fraction(0)
-        for m, c in self.terms.items():
+        for m, factor in self.terms.items():
+            term: Number = factor
             for k, e in m:
-                c = c * point[k] ** e
-            total = total + c
+                term = term * point[k] ** e
+            total = total + term
         return total
 
 
@@ -173,10 +179,6 @@ def joined(m: Monomial, n: Monomial) -> Monomial:
     for variable, exponent in n:
         powers[variable] = powers.get(variable, 0) + exponent
     return tuple(sorted(powers.items()))
-
-
-def _number(value: Number) -> Number:
-    return Fraction(value) if isinstance(value, int) else value
 
 
 def _polynomial(value: Polynomial | Number) -> Polynomial:
@@ -197,26 +199,24 @@ def quotient(of: Polynomial, by: Polynomial) -> Polynomial | None:
     """
     if not by.terms:
         return None
-    lead = max(by.terms, key=_rank)
-    scale, powers = Fraction(by.terms[lead]), dict(lead)
-    rest = dict(of.terms)
-    total: dict[Monomial, Fraction] = {}
-    while rest:
-        top = max(rest, key=_rank)
-        own = dict(top)
-        if any(own.get(k, 0) < e for k, e in lead):
-            return None
-        factor = tuple((k, e - powers.get(k, 0)) for k, e in top if e > powers.get(k, 0))
-        total[factor] = Fraction(rest[top]) / scale
-        for m, c in (by * Polynomial({factor: total[factor]})).terms.items():
-            value = Fraction(rest.get(m, 0)) - Fraction(c)
-            if value:
-                rest[m] = value
-            else:
-                rest.pop(m, None)
-    return Polynomial(total)
+    first, second = in_ring(of, by)
+    whole, rest = divmod(first, second)
+    return None if rest else from_ring(whole)
 
 
-def _rank(m: Monomial) -> tuple[int, tuple[tuple[int, int], ...]]:
-    # a graded order: of equal degrees, the higher power of the first variable is larger
-    return sum(e for _, e in m), tuple((-k, e) for k, e in m)
+def in_ring(*polynomials: Polynomial) -> list[fmpq_mpoly]:
+    """Return polynomials in FLINT's ring of their variables, whose arithmetic is faster."""
+    count = 1 + max((k for p in polynomials for m in p.terms for k, _ in m), default=0)
+    ring = fmpq_mpoly_ctx.get(("x", count), Ordering.deglex)
+    return [
+        ring.from_dict(
+            {tuple(dict(m).get(k, 0) for k in range(count)): fmpq(*c.as_integer_ratio()) for m, c in p.terms.items()}
+        )
+        for p in polynomials
+    ]
+
+
+def from_ring(polynomial: fmpq_mpoly) -> Polynomial:
+    """Return a polynomial of FLINT's ring."""
+    terms = polynomial.to_dict().items()
+    return Polynomial({tuple((k, e) for k, e in enumerate(m) if e): Fraction(int(c.p), int(c.q)) for m, c in terms})
