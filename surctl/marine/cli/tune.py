@@ -74,7 +74,7 @@ def tune(
     tuned gains. Exit status: 1 if the gains miss a hard goal in the search or in the test, or if the output says FAIL.
 
     For FILE.py:FUNCTION, a system of your own, the search minimises the first cost or, with --goals, the largest soft
-    goal (value/bound). NAME=V1,V2 sets NAME to V1 in case 1, to V2 in case 2; in every case, the disk margin must be at
+    goal (value/bound). NAME=V1,V2 sets NAME to V1 in case 1, to V2 in case 2; in each case, the disk margin must be at
     least 0.3, and each cost that is not minimised must meet its bound.
 
     Examples: surctl tune my-study.toml --gain k_v=0.5..3 --goals my-goals.toml; surctl tune my-system.py:build --page
