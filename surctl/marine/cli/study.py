@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     metavar="FILE",
     help="Vehicle (name or file) of the built-in study; a large vehicle gets larger missions.",
 )
-@click.option("--gains", metavar="FILE", help="Gain set to study: name or file (default: the best of a sweep).")
+@click.option("--gains", metavar="FILE", help="Gain set to study: name or file (default: the best of its sweep).")
 @click.option(
     "--cruise",
     type=SPEEDS,
