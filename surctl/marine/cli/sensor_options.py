@@ -31,7 +31,7 @@ sensor_options = together(
         "faults",
         multiple=True,
         metavar="FAULT",
-        help="Such as stuck:0:5:2 (sonar no. 0 at 5 s for 2 s), thruster:T2.",
+        help="Such as stuck:0:5:2 (sonar 0 at 5 s for 2 s), thruster:T2.",
     ),
     click.option(
         "--chance",
