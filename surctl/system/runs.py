@@ -17,6 +17,7 @@ from surctl.ir.folding import fused
 from surctl.noise import noise_states
 from surctl.plotted import Plotted
 from surctl.system.loop import ENDED, LOST, Cost, System, once_per_system
+from surctl.system.plant import runge_kutta
 from surctl.system.values import run_numbers
 from surctl.units import is_number
 
@@ -235,11 +236,8 @@ def _integrated(system: System, x: ca.SX, f: ca.SX, constants: Mapping[str, ca.S
         return system.plant.derivative(state, f, disturbance, constants["plant"])
 
     def substep(state: ca.SX, late: ca.SX) -> ca.SX:
-        k1 = derivative(state, late)
-        k2 = derivative(state + h / 2 * k1, late + h / 2)
-        k3 = derivative(state + h / 2 * k2, late + h / 2)
-        k4 = derivative(state + h * k3, late + h)
-        return state + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+        after: ca.SX = runge_kutta(derivative, state, h, late)
+        return after
 
     moved: ca.SX = fold("substep", substep, x, late + ca.SX([k * h for k in range(steps)]))
     return moved
