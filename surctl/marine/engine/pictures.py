@@ -10,13 +10,13 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from math import cos, sin
-from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import ToolMissing, check_known
+from surctl.files import Closing
 from surctl.marine.engine.fluid import EngineOptions, body_of
 from surctl.marine.engine.mjcf import OBSTACLE, mjcf, mujoco_library, no_renderer
 from surctl.marine.engine.physics import AWAY, MujocoPhysics, mujoco_physics
@@ -67,7 +67,7 @@ def _renderer(model: Any, size: tuple[int, int]) -> Any:
         raise no_renderer(str(error)) from None
 
 
-class Scene:
+class Scene(Closing):
     """The scene of a scenario, which can be rendered at `size` (width, height) [pixels]; use it in a `with` statement.
 
     Raises:
@@ -96,12 +96,6 @@ class Scene:
         flags[kinds.mjRND_FOG] = 1
         self._look = self._mujoco.MjvOption()
         self._look.geomgroup[3] = 1
-
-    def __enter__(self) -> Scene:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        self.close()
 
     def close(self) -> None:
         """Free the memory of the renderer."""
