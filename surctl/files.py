@@ -34,12 +34,12 @@ if TYPE_CHECKING:
     from pydantic_core import ErrorDetails, InitErrorDetails
 
 __all__ = [
-    "Closing", "Mistakes", "Quantity", "Strict", "file_name", "load_model", "opened", "pick", "prepare_folder",
+    "Closeable", "Mistakes", "Quantity", "Strict", "file_name", "load_model", "opened", "pick", "prepare_folder",
     "quoted", "read_toml", "require_doubles", "validate", "write_file",
 ]  # fmt: skip
 
 
-class Closing(ABC):
+class Closeable(ABC):
     """Base class of files and connections that a `with` statement closes."""
 
     @abstractmethod

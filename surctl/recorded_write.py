@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import ToolMissing, cannot_write
-from surctl.files import Closing, opened, write_file
+from surctl.files import Closeable, opened, write_file
 
 __all__ = [
     "RECORD_FORMATS", "SCHEMAS", "Column", "McapFile", "RecordFormat", "stamp", "write_csv", "write_mat",
@@ -240,7 +240,7 @@ def stamp(time: float) -> dict[str, int]:
 _CHUNK = 1 << 18  # bytes of messages
 
 
-class McapFile(Closing):
+class McapFile(Closeable):
     """An MCAP file that grows by one compressed chunk at a time; use it in a `with` statement.
 
     A process that is killed loses at most the messages of the last chunk; `mcap recover` rebuilds the index.

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from surctl.errors import InputError, SurctlError, ToolMissing, check_known
 from surctl.export.bundle import Bundle, write_bundle
-from surctl.files import Closing
+from surctl.files import Closeable
 from surctl.ir.cache import compile_program, packaged_compiler
 
 # Compilers and processors on which the exported C is checked: this machine's, and emulated microcontrollers
@@ -177,7 +177,7 @@ class Reply(NamedTuple):
 
 
 @dataclass
-class SerialLine(Closing):
+class SerialLine(Closeable):
     """Connection to one controller; call `close` at the end, or use the connection in a `with` statement.
 
     Attributes:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from surctl.errors import InputError
-from surctl.files import Closing, opened
+from surctl.files import Closeable, opened
 from surctl.marine.bridge.bridge import Bridge, Moment
 from surctl.marine.simulation import Body
 from surctl.marine.simulation.record_file import SceneFile, write_layout
@@ -22,7 +22,7 @@ _FLUSH = 1.0  # [s] of messages for Foxglove that a killed process may lose; the
 _POINT = 0.03  # [m] radius with which a point is shown
 
 
-class FrameLog(Closing):
+class FrameLog(Closeable):
     """A telemetry log: each frame after its time, in microseconds of the Unix epoch.
 
     A frame is handed to the operating system before the next one is taken: the end of the process loses nothing.
@@ -62,7 +62,7 @@ def _frames(data: bytes) -> Iterator[bytes]:
             at += 1
 
 
-class SessionRecord(Closing):
+class SessionRecord(Closeable):
     """The record of a session in a folder: `NAME.tlog` with every frame, and `NAME.mcap` for Foxglove.
 
     `epoch` is the time of the begin [s] of the Unix epoch; default: now. With `new`, the files must not exist yet.

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import ToolMissing, check_known
-from surctl.files import Closing
+from surctl.files import Closeable
 from surctl.marine.engine.fluid import EngineOptions, body_of
 from surctl.marine.engine.mjcf import OBSTACLE, mjcf, mujoco_library, no_renderer
 from surctl.marine.engine.physics import AWAY, MujocoPhysics, mujoco_physics
@@ -67,7 +67,7 @@ def _renderer(model: Any, size: tuple[int, int]) -> Any:
         raise no_renderer(str(error)) from None
 
 
-class Scene(Closing):
+class Scene(Closeable):
     """The scene of a scenario, which can be rendered at `size` (width, height) [pixels]; use it in a `with` statement.
 
     Raises:
