@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from surctl.errors import InputError, SurctlError, ToolMissing, check_known
 from surctl.export.bundle import Bundle, write_bundle
+from surctl.files import Closeable
 from surctl.ir.cache import compile_program, packaged_compiler
 
 # Compilers and processors on which the exported C is checked: this machine's, and emulated microcontrollers
@@ -176,7 +177,7 @@ class Reply(NamedTuple):
 
 
 @dataclass
-class SerialLine:
+class SerialLine(Closeable):
     """Connection to one controller; call `close` at the end, or use the connection in a `with` statement.
 
     Attributes:
@@ -190,12 +191,6 @@ class SerialLine:
     name: str
     patience: float = 5.0
     identity: Identity | None = None
-
-    def __enter__(self) -> SerialLine:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def close(self) -> None:
         """Close the connection."""

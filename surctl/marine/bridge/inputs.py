@@ -92,7 +92,7 @@ def body_velocity(velocity: ArrayLike, rates: ArrayLike, *, roll: float, pitch: 
     return heading_velocity(v * flip, w * flip, roll=roll, pitch=-pitch)
 
 
-def parse_site(text: str, *, key: str = "--origin") -> Site:
+def parse_site(text: str) -> Site:
     """Return the site of a text "X,Y,DEG": origin of NED in {E} [m], compass direction of the x axis of {E} [deg]."""
     try:
         x, y, bearing = (float(word) for word in text.split(","))
@@ -100,7 +100,7 @@ def parse_site(text: str, *, key: str = "--origin") -> Site:
         x = y = bearing = float("nan")
     if not all(map(isfinite, (x, y, bearing))):
         raise InputError(
-            "is not a place and a direction", key=key, value=text, remedy='write "X,Y,DEG", such as 0.5,2.5,90'
+            "is not a place and a direction", key="--origin", value=text, remedy='write "X,Y,DEG", such as 0.5,2.5,90'
         )
     return Site(x, y, radians(bearing))
 

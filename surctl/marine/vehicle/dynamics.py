@@ -338,26 +338,15 @@ def trim_thrust(vehicle: Vehicle, nu: NDArray[np.float64]) -> NDArray[np.float64
         >>> trim_thrust(load_vehicle("sur400"), np.array([0.15, 0.0, 0.0, 0.2])).round(3).tolist()
         [0.964, 1.5, 0.0, 0.064]
     """
-    return np.asarray(trim_function(vehicle.form)(nu, plant_parameters(vehicle))).reshape(4)
+    return np.asarray(trim_function(vehicle.form)(nu, plant_parameters(vehicle))[0]).reshape(4)
 
 
 @cache
 def trim_function(form: PlantForm = PAPER) -> ca.Function:
-    """Return a CasADi function of (ν, p) that computes the trim thrust; ν and p may have one column for each plant."""
-    arguments = ca.MX.sym("nu", 4), ca.MX.sym("p", plant_layout(form).size)
-    return ca.Function("trim", list(arguments), [_trim(form)(*arguments)[0]])
+    """Return a CasADi function of (ν, p) that computes trim thrust (4,), and `_TILT_STATE` (4,) of that motion or 0.
 
-
-@cache
-def trim_tilt(form: PlantForm) -> ca.Function:
-    """Return a CasADi function of (ν, p) that computes `_TILT_STATE` of the trimmed motion with that velocity."""
-    arguments = ca.MX.sym("nu", 4), ca.MX.sym("p", plant_layout(form).size)
-    return ca.Function("tilt", list(arguments), [_trim(form)(*arguments)[1]])
-
-
-@cache
-def _trim(form: PlantForm) -> ca.Function:
-    # trim thrust and attitude
+    ν and p may have one column for each plant.
+    """
     flat, parameters = plant_layout(form).symbols("p")
     velocity = ca.SX.sym("nu", 4)
     if not form.tilts:

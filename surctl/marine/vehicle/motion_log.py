@@ -187,6 +187,11 @@ class MotionLog:
             remedy = f"add at least one of the columns {', '.join(LOG_MOTION)}"
             raise InputError("contains no motion", file=self.source, remedy=remedy)
 
+    def halves(self, cut: int) -> list[MotionLog]:
+        """Return the rows before the row `cut`, and those from it on, as two logs."""
+        rows = slice(cut), slice(cut, None)
+        return [MotionLog(self.time[part], self.motion[part], self.thrust[part], self.source) for part in rows]
+
 
 def read_motion_log(path: Path, *, frame: Frame | str | None = None) -> MotionLog:
     """Read time `t_s`, thrust, and any motion columns of a log file (CSV, .mat, netCDF); ignore other columns.

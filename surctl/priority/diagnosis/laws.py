@@ -111,20 +111,6 @@ def _norm(task: RowVectors, P: Array) -> Array:
     return np.asarray(np.linalg.norm(weight * inside, 2, axis=(-2, -1)))
 
 
-def equals_strict_priority(jacobians: Sequence[Array], *, tol: float = TOLERANCE) -> bool:
-    """Return whether NSB equals strict priority for all desired rates, that is, no commutator norm exceeds `tol`.
-
-    Args:
-        jacobians: J (k, n) of each level, highest priority first; with leading axes for samples, the condition must
-            hold at all samples.
-        tol: largest value of `commutator_norms` that counts as zero.
-
-    Raises:
-        InputError: as in `commutator_norms`.
-    """
-    return bool((commutator_norms(jacobians) <= tol).all())
-
-
 def strict_velocities(jacobians: Sequence[Array], references: Sequence[Array]) -> Array:
     """Return the velocity v (..., n) of strict priority for each sample (Siciliano and Slotine 1991).
 
