@@ -9,10 +9,12 @@ import pytest
 from surctl.errors import InputError, SurctlError
 from surctl.marine.vehicle import PLANT_PARAMETERS, load_vehicle, plant_parameters, plant_thrust_limit
 from surctl.tasks import (
+    AccelerationLimit,
     Barrier,
     BrakingBarrier,
     HalfPlane,
     LimitRow,
+    RateLimit,
     SetTask,
     Task,
     VelocityBox,
@@ -176,13 +178,14 @@ NUMBERS = PLANT_PARAMETERS.unpack(plant_parameters(load_vehicle("sur540-flooded"
     [
         (VelocityBox([-1] * 4, [1, 1, 1, math.inf]), []),
         (HalfPlane("wall", ECHO[[0, 1, 0, 1]], 0.3), [(ECHO, -1, 1)]),
-        (VelocityBox(NU - 0.005, NU + 0.005), WIDE),
+        (AccelerationLimit(NU, [0.1] * 4, dt=0.05), WIDE),
         (plant_thrust_limit(NU, NUMBERS, dt=0.05), WIDE),
         (Barrier("disc", ETA, h=DISC, kinematics="vehicle"), [(ETA, -3, 3)]),
         (
             BrakingBarrier("disc", ETA, h=DISC, deceleration=GAIN, reaction=0.4, kinematics="vehicle"),
             [(ETA, -3, 3), (GAIN, 0.01, 1)],
         ),
+        (RateLimit(position_task(ETA, [1.0, 2.0]), 0.1), [(ETA, -3, 3)]),
         (
             SetTask(name="band", eta=ETA, sigma=ETA[:2], lower=-1.0, upper=[0.5, math.inf], kinematics="vehicle"),
             [(ETA, -3, 3)],
@@ -251,7 +254,7 @@ HIDDEN = ca.sumsqr(ECHO - ca.DM([0.31, -0.62])) - 0.003
         (
             Rows(
                 *VelocityBox([-0.1] * 4, [0.1] * 4).rows(),
-                *VelocityBox(10 * ECHO[[0, 1, 0, 1]] - 0.1, 10 * ECHO[[0, 1, 0, 1]] + 0.1, name="acceleration").rows(),
+                *AccelerationLimit(10 * ECHO[[0, 1, 0, 1]], [0.1] * 4, dt=1).rows(),
             ),
             "contradict each other",
         ),
@@ -271,8 +274,7 @@ def test_the_point_of_a_finding_is_told():
 
 
 def test_a_predicate_is_compared_on_both_sides_of_every_bound():
-    change = ca.DM([0.05, 0.1, 0.15, 0.2])
-    limit = VelocityBox(NU - change, NU + change)
+    limit = AccelerationLimit(NU, [0.1, 0.2, 0.3, 0.4], dt=0.5)
 
     def within(reach):
         return lambda v, nu: bool((np.abs(v - nu) <= np.array(reach)).all())

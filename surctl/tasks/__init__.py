@@ -12,6 +12,7 @@ from surctl.tasks.library import (
     velocity_task,
 )
 from surctl.tasks.limits import (
+    AccelerationLimit,
     Barrier,
     BrakingBarrier,
     HalfPlane,
@@ -19,11 +20,11 @@ from surctl.tasks.limits import (
     VelocityBox,
     allowed_closing_speed,
 )
-from surctl.tasks.stack import SetTask, Stack
+from surctl.tasks.stack import RateLimit, SetTask, Stack
 from surctl.tasks.task import Kind, Limit, LimitRow, Task, wrap
 
 __all__ = [
-    "Barrier", "BrakingBarrier", "HalfPlane", "Kind", "Limit", "LimitRow",
-    "SetTask", "Stack", "Task", "ThrustLimit", "VelocityBox", "allowed_closing_speed", "clearance_task",
+    "AccelerationLimit", "Barrier", "BrakingBarrier", "HalfPlane", "Kind", "Limit", "LimitRow",
+    "RateLimit", "SetTask", "Stack", "Task", "ThrustLimit", "VelocityBox", "allowed_closing_speed", "clearance_task",
     "depth_task", "distance_task", "heading_task", "line_of_sight_task", "position_task", "velocity_task", "wrap",
 ]  # fmt: skip

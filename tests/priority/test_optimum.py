@@ -31,7 +31,7 @@ from surctl.priority.optimality import LOSS, is_least
 from surctl.priority.settings import Mode, Settings
 from surctl.priority.solver.dual_step import OPTIMAL, Space
 from surctl.priority.solver.kernel import in_blocks, search
-from surctl.tasks import Limit, Stack, Task, VelocityBox
+from surctl.tasks import AccelerationLimit, Limit, Stack, Task, VelocityBox
 from tests.oracles.stored_problems import stored_problem
 from tests.tools import need_compiler
 
@@ -132,7 +132,7 @@ def crossing(kind: str) -> tuple[Assembly, AssembledStep]:
     box = VelocityBox(*DAMPED) if kind != "apart" else VelocityBox([-1, -1], [1, 1])
     more: dict[str, list[Limit]] = {
         "one": [],
-        "acceleration": [VelocityBox(NU - 0.2, NU + 0.2, name="acceleration")],
+        "acceleration": [AccelerationLimit(NU, [2, 2], dt=0.1)],
         "apart": [VelocityBox(50 * (-1 - Q), 50 * (1 - Q), name="damper")],
     }
     task = Task(name="tool", eta=Q, sigma=Q[0] + 0.5 * Q[1], target=0.5)

@@ -16,7 +16,7 @@ from surctl.marine.vehicle import (
     plant_parameters,
     plant_thrust_limit,
 )
-from surctl.tasks import ThrustLimit
+from surctl.tasks import AccelerationLimit, ThrustLimit
 from tests.tasks.numbers import rows_at
 
 VEHICLES = ("sur540-flooded", "sur540-light", "sur400", "bluerov2-vonbenzon", "bluerov2-wu")
@@ -43,6 +43,16 @@ def reached(nu, tau, *, p, d, psi, dt, steps=20):
         c = rate(x + h / 2 * b)
         x = x + h / 6 * (a + 2 * b + 2 * c + rate(x + h * c))
     return x[PLANT_STATE.slice("nu")]
+
+
+def test_acceleration_rows():
+    nu = ca.SX.sym("nu", 4)
+    rows = rows_at(AccelerationLimit(nu, [0.1, 0.2, 0.3, 0.4], dt=0.5), [nu], [[1, 2, 3, 4]])
+    assert [r.name for r in rows] == ["acceleration.u", "acceleration.v", "acceleration.w", "acceleration.r"]
+    assert {r.kind for r in rows} == {"actuator"}
+    assert np.array_equal([r.a for r in rows], np.eye(4))
+    assert np.allclose([r.lower for r in rows], [0.95, 1.9, 2.85, 3.8])
+    assert np.allclose([r.upper for r in rows], [1.05, 2.1, 3.15, 4.2])
 
 
 @pytest.mark.parametrize("vehicle", VEHICLES)
@@ -79,7 +89,10 @@ def test_needed_thrust_holds_the_velocity():
 @pytest.mark.parametrize(
     ("make", "says"),
     [
-        (lambda: thrust(dt=0.0), "thrust: dt = 0.0: must be greater than 0"),
+        (lambda: AccelerationLimit([0] * 4, [1, 1, -1, 1], dt=0.1), "acceleration: limit = -1.0: must be at least 0"),
+        (lambda: AccelerationLimit([0] * 3, [1] * 4, dt=0.1), "acceleration: limit"),
+        (lambda: AccelerationLimit([0, 0, 0, math.nan], [1] * 4, dt=0.1), "acceleration: nu"),
+        (lambda: AccelerationLimit([0] * 4, [1] * 4, dt=0.0), "acceleration: dt = 0.0: must be greater than 0"),
         (lambda: thrust(lower=[2, 0, 0, 0]), "thrust.Fu"),
         (lambda: thrust(mass=[1, 1, 0, 1]), "thrust: mass = 0.0"),
         (lambda: thrust(mass=np.diag([1, 1, -1, 1.0])), "symmetric positive definite"),

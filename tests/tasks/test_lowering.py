@@ -7,11 +7,14 @@ import pytest
 from surctl.ir import lower
 from surctl.marine.vehicle import PLANT_PARAMETERS, plant_thrust_limit
 from surctl.tasks import (
+    AccelerationLimit,
     Barrier,
     BrakingBarrier,
+    RateLimit,
     SetTask,
     ThrustLimit,
     VelocityBox,
+    position_task,
 )
 
 ETA, NU, MASS = ca.SX.sym("eta", 4), ca.SX.sym("nu", 4), ca.SX.sym("M", 4, 4)
@@ -27,9 +30,10 @@ PLAIN = plant_thrust_limit(NU, PARTS, dt=0.05)
         VelocityBox([-0.1] * 4, [0.1, 0.1, 0.1, np.inf]),
         PLAIN,
         FULL,
-        VelocityBox(NU - 0.005, NU + 0.005, name="acceleration"),
+        AccelerationLimit(NU, [0.1] * 4, dt=0.05),
         Barrier("disc", ETA, h=DISC, alpha=lambda s: ca.fmin(s, 1), kinematics="vehicle"),
         BrakingBarrier("disc", ETA, h=DISC, deceleration=0.1, reaction=0.3, kinematics="vehicle"),
+        RateLimit(position_task(ETA, [1, 2]), 0.1),
         SetTask(name="arc", eta=ETA, sigma=ETA[3], lower=-1, upper=1, angular=True, kinematics="vehicle"),
     ],
     ids=lambda limit: type(limit).__name__,

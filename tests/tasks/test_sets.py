@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from surctl.errors import InputError
 from surctl.tasks import (
+    RateLimit,
     SetTask,
     Stack,
     Task,
@@ -138,6 +139,18 @@ def test_a_stack_holds_both_kinds():
         Stack((band, depth_task(ETA, 0.0, name="band")))
 
 
+def test_rate_limit():
+    rows = rows_at(RateLimit(depth_task(ETA, -0.15), 0.05, kind="actuator"), [ETA], [[0, 0, 0, 1.0]])
+    assert [(r.name, r.kind, r.lower, r.upper) for r in rows] == [("depth.rate", "actuator", -0.05, 0.05)]
+    task = position_task(ETA, [1.0, 2.0])
+    rows = rows_at(RateLimit(task, [0.1, 0.2]), [ETA], [[0, 0, 0, 1.0]])
+    assert [(r.name, r.kind, r.upper) for r in rows] == [("position.rate0", "set", 0.1), ("position.rate1", "set", 0.2)]
+    assert np.allclose([r.a for r in rows], np.array(function(task.jacobian(), ETA)([0, 0, 0, 1.0])))
+    symbol = ca.SX.sym("fastest")
+    rows = rows_at(RateLimit(task, symbol), [ETA, symbol], [[0, 0, 0, 1.0], 0.3])
+    assert [r.upper for r in rows] == [0.3, 0.3]
+
+
 def test_units():
     tasks = [
         position_task(ETA, [1.0, 2.0]),
@@ -176,6 +189,16 @@ def test_bad_sets_are_refused_by_name(change, says):
         SetTask(**(good | change))
     assert says in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("limit", "kind", "says"),
+    [(-1.0, "set", "depth.rate: limit = -1.0"), ([1, 2, 3], "set", "depth.rate: limit"), (1.0, "sets", "depth.rate")],
+)
+def test_bad_rate_limits_are_refused_by_name(limit, kind, says):
+    with pytest.raises(InputError) as caught:
+        RateLimit(depth_task(ETA, 0.0), limit, kind=kind)
+    assert says in str(caught.value)
 
 
 @pytest.mark.parametrize("sigma", [None, "x", ca.MX.sym("x")])

@@ -9,6 +9,7 @@ import pytest
 from surctl.errors import InputError
 from surctl.priority import assemble, solve
 from surctl.tasks import (
+    AccelerationLimit,
     Barrier,
     BrakingBarrier,
     HalfPlane,
@@ -30,7 +31,7 @@ def test_a_stack_of_any_width_is_solved_as_by_hand(n: int) -> None:
     limits = [
         VelocityBox([-0.2] * n, [0.2] * n),
         ThrustLimit(nu, np.ones(n), load=nu, lower=[-9.0] * n, upper=[9.0] * n, dt=0.1),
-        VelocityBox(nu - 0.9, nu + 0.9, name="acceleration"),
+        AccelerationLimit(nu, [9.0] * n, dt=0.1),
         HalfPlane("half", np.ones(n), 0.15 * n),
         Barrier("wall", q, h=0.2 - q[0], kinematics=S),
     ]
