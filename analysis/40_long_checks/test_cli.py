@@ -22,13 +22,14 @@ def test_a_region_claim_of_ones_own_is_proved(tmp_path: Path) -> None:
     (tmp_path / "mine.toml").write_text(
         'kind = "region"\nname = "mine"\nshare = 0.1\nforce_n = 0.1\nattempts = 2\n[gains]\nk_v = 1.2\n'
     )
-    done = surctl("verify", "mine.toml", "--out", "proofs", "--json", cwd=tmp_path)
+    assert surctl("gains", "derive", "sur540-flooded", "--out", "gains.toml", cwd=tmp_path).status == 0
+    done = surctl("verify", "mine.toml", "--gains", "gains.toml", "--out", "proofs", "--json", cwd=tmp_path)
     assert done.status == 0, done.err
     (told,) = done.json["claims"]
     assert told["claim"] == "mine" and told["verdict"] == "proved"
     stated = json.loads((tmp_path / "proofs" / "mine.json").read_text())["claim"]
-    assert stated["vehicle"]["mass_kg"] == [85.5, 104.5] and stated["vehicle"]["force_n"] == 0.1
-    assert stated["law"]["k_v"] == 1.2
+    assert stated["vehicle"]["mass_factor"] == [0.9, 1.1] and stated["vehicle"]["force_n"] == 0.1
+    assert stated["law"]["mass_kg"] == [95.0, 95.0] and stated["law"]["k_v"] == 1.2
     assert surctl("check", "proofs/mine.json", cwd=tmp_path).status == 0
     assert [path.name for path in (tmp_path / "proofs").glob("mine*.png")] == ["mine-levels.png"]
     # it is not about the law with the gains that are exported: it has gains of its own
@@ -93,16 +94,16 @@ def test_from_a_tape_measure_to_code(tmp_path: Path) -> None:
     then = shell.next
     assert shell.follow("surctl check").json["accepted"]
     shell.next = then
-    shell.follow("surctl gains derive")
+    shell.follow("surctl gains derive", "--margin", "0.218")  # the derived margin is too small for no contact
     shell.next = then
-    words = ("--sensing", "truth", "--target", "fmu", "--out", "code")
+    words = ("--scenario", "pool-behind", "--sensing", "truth", "--target", "fmu", "--out", "code")
     made = shell.follow("surctl export", *words).json
     assert made["sil"]["passed"] and (made["run"]["vehicle"], made["run"]["sensing"]) == ("scout", "truth")
     header = (tmp_path / "code" / "surctl_guarded.h").read_text()
     assert "double eta[4];" in header and "double samples" not in header
     assert shell.next[1:3] == [
         "make -C code controller && code/controller 5555",
-        "surctl simulate pool-static --vehicle scout.toml --gains gains.toml --law guarded"
+        "surctl simulate pool-behind --vehicle scout.toml --gains gains.toml --law guarded"
         " --controller tcp://127.0.0.1:5555",
     ]
     belongs = shell.follow("surctl check").json

@@ -94,6 +94,16 @@ def test_the_next_step_after_margins_that_are_too_small_gives_gains_that_have_th
     assert passed.status == 0 and (speed == cruise) is (cruise == "0.24")
 
 
+@pytest.mark.parametrize(("vehicle", "cruise"), [("sur540-flooded", "0.15"), ("bluerov2-wu", "0.4")])
+def test_the_next_derivation_replaces_the_gains_that_are_too_weak(tmp_path, vehicle: str, cruise: str) -> None:
+    """Those of the first vehicle lack margin for no contact, and no gains bear the speed of the second one."""
+    words = ("gains", "derive", vehicle, "--cruise", cruise, "--out", "mine.toml", "--json")
+    first, *_ = surctl_here(*words, cwd=tmp_path).json["next"]
+    again = surctl_here(*first.split()[1:], "--json", cwd=tmp_path)
+    assert again.status == 0 and str(again.json["file"]) == "mine.toml", again.complaint
+    assert load_gains(str(tmp_path / "mine.toml")).values == again.json["gains"]
+
+
 def test_a_study_offers_what_changes_its_result() -> None:
     vehicle = load_vehicle("bluerov2-heavy")
     vehicle = vehicle.with_values({name: 2 * vehicle[name] for name in ("m11", "m22")})

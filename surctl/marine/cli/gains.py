@@ -80,11 +80,11 @@ def derive(
         lines.append(f"  {slow.sentence}")
     brief = [line.strip() for line in lines if not line.startswith("  ") or "no contact" in line or "below" in line]
     lines += [f"  {name:<10} {value:8.4g} {derivation.gains.specs[name].unit}" for name, value in derivation.shown()]
-    then = []
+    then, better = [], "gains.toml" if out is None else str(out)
     if not derivation.reached and derivation.bearable > 0:
-        then.append(derive_words(vehicle, derivation.bearable, "gains.toml"))
+        then.append(derive_words(vehicle, derivation.bearable, better, force=out is not None))
     elif isfinite(short):
-        then.append(derive_words(vehicle, derivation.cruise, "gains.toml", margin=short))
+        then.append(derive_words(vehicle, derivation.cruise, better, margin=short, force=out is not None))
     if out is not None:
         target = write_new(out, write_gains(derivation.gains, warning=derivation.warning), force=force)
         lines.append(f"wrote {target}")

@@ -123,11 +123,16 @@ def choose_shared(
     return GainsChoice(gains, [f"gains default, not derived from {', '.join(others)}: {why}"] if others else [], None)
 
 
-def derive_words(vehicle: str, cruise: float, file: str, *, margin: float = math.nan) -> str:
-    """Return the command that writes the derived gains of a vehicle to a file, if finite with this gain `margin`."""
+def derive_words(
+    vehicle: str, cruise: float, file: str, *, margin: float = math.nan, force: bool = False
+) -> str:  # fmt: skip
+    """Return the command that writes the derived gains of a vehicle to a file, if finite with this gain `margin`.
+
+    With `force`, the command replaces the file.
+    """
     words = ["surctl", "gains", "derive", vehicle, "--cruise", f"{cruise:g}"]
     words += ["--margin", f"{margin:g}"] if math.isfinite(margin) else []
-    return shlex.join([*words, "--out", file])
+    return shlex.join([*words, "--out", file, *(["--force"] if force else [])])
 
 
 def margin_short(contact: SafetyClaim | Inapplicable | None) -> float:
