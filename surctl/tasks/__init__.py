@@ -13,7 +13,6 @@ from surctl.tasks.library import (
 )
 from surctl.tasks.limits import (
     Barrier,
-    BrakingBarrier,
     HalfPlane,
     ThrustLimit,
     VelocityBox,
@@ -23,7 +22,7 @@ from surctl.tasks.stack import SetTask, Stack
 from surctl.tasks.task import Kind, Limit, LimitRow, Task, wrap
 
 __all__ = [
-    "Barrier", "BrakingBarrier", "HalfPlane", "Kind", "Limit", "LimitRow",
+    "Barrier", "HalfPlane", "Kind", "Limit", "LimitRow",
     "SetTask", "Stack", "Task", "ThrustLimit", "VelocityBox", "allowed_closing_speed", "clearance_task",
     "depth_task", "distance_task", "heading_task", "line_of_sight_task", "position_task", "velocity_task", "wrap",
 ]  # fmt: skip
