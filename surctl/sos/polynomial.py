@@ -132,33 +132,12 @@ class Polynomial:
 
     def substituted(self, by: Mapping[int, Polynomial]) -> Polynomial:
         """Return the polynomial with the variables in `by` replaced by polynomials."""
-        if all(len(p.terms) == 1 for p in by.values()) and all(k in by for m in self.terms for k, _ in m):
-            return self._scaled({k: next(iter(p.terms.items())) for k, p in by.items()})
-        total = Polynomial({})
-        powers: dict[tuple[int, int], Polynomial] = {}
-        for m, c in self.terms.items():
-            term = Polynomial({tuple((k, e) for k, e in m if k not in by): c})
-            for k, e in m:
-                if k in by:
-                    powers[k, e] = powers.get((k, e)) or by[k] ** e
-                    term = term * powers[k, e]
-            total = total + term
-        return total
-
-    def _scaled(self, by: Mapping[int, tuple[Monomial, Fraction]]) -> Polynomial:
-        """Return the polynomial with every variable replaced by a number times a monomial."""
-        total: dict[Monomial, Fraction] = {}
-        for m, c in self.terms.items():
-            powers: dict[int, int] = {}
-            for k, e in m:
-                monomial, factor = by[k]
-                if factor != 1:
-                    c = c * factor**e
-                for variable, exponent in monomial:
-                    powers[variable] = powers.get(variable, 0) + e * exponent
-            product = tuple(sorted(powers.items()))
-            total[product] = total[product] + c if product in total else c
-        return Polynomial({m: c for m, c in total.items() if c})
+        whole, *images = in_ring(self, *by.values())
+        generators = list(whole.context().gens())
+        for k, image in zip(by, images, strict=True):
+            if k < len(generators):
+                generators[k] = image
+        return from_ring(whole.compose(*generators))
 
     def value(self, point: Sequence[Number]) -> Number:
         """Return the value at a point, which has a number for each variable."""
@@ -219,4 +198,6 @@ def in_ring(*polynomials: Polynomial) -> list[fmpq_mpoly]:
 def from_ring(polynomial: fmpq_mpoly) -> Polynomial:
     """Return a polynomial of FLINT's ring."""
     terms = polynomial.to_dict().items()
-    return Polynomial({tuple((k, e) for k, e in enumerate(m) if e): Fraction(int(c.p), int(c.q)) for m, c in terms})
+    return Polynomial(
+        {tuple((k, int(e)) for k, e in enumerate(m) if e): Fraction(int(c.p), int(c.q)) for m, c in terms}
+    )
