@@ -341,10 +341,7 @@ def _expanded(gram: Gram, entries: Sequence[Fraction]) -> tuple[Fraction, ...]:
     if not gram.forms:
         return tuple(entries)
     rows = [[f.terms.get(m, Fraction(0)) for m in gram.basis] for f in gram.forms]
-    size = len(rows)
-    full = [[Fraction(0)] * size for _ in range(size)]
-    for at, (i, j) in enumerate(zip(*np.tril_indices(size), strict=True)):
-        full[i][j] = full[j][i] = entries[at]
+    full = _full(len(rows), entries)
     columns = [[row[k] for row in rows] for k in range(len(gram.basis))]
     half = [[_dot(row, column) for row in full] for column in columns]
     return tuple(_dot(columns[i], half[j]) for i in range(len(columns)) for j in range(i + 1))
@@ -379,14 +376,13 @@ def _columns(
 
 
 def _semidefinite(size: int, entries: Sequence[Fraction]) -> bool:
-    over = 1
-    for x in entries:
-        over = lcm(over, x.denominator)
-    matrix = [[0] * size for _ in range(size)]
-    place = 0
-    for i in range(size):
-        for j in range(i + 1):
-            x = entries[place]
-            matrix[i][j] = matrix[j][i] = x.numerator * (over // x.denominator)
-            place += 1
-    return is_semidefinite(matrix)
+    over = lcm(*(x.denominator for x in entries))
+    return is_semidefinite([[x.numerator * (over // x.denominator) for x in row] for row in _full(size, entries)])
+
+
+def _full(size: int, entries: Sequence[Fraction]) -> list[list[Fraction]]:
+    """Return the symmetric matrix with this lower triangle."""
+    matrix = [[Fraction(0)] * size for _ in range(size)]
+    for i, j, x in zip(*np.tril_indices(size), entries, strict=True):
+        matrix[i][j] = matrix[j][i] = x
+    return matrix
