@@ -193,10 +193,6 @@ class RunGoal:
             np.divide(bound, size, out=out, where=size > 0)
         return np.where(np.isnan(figure), np.inf, out)
 
-    def bad_side(self) -> Literal["above", "below"]:
-        """Return the side of the limit on which the goal is missed; plots shade this side."""
-        return "above" if self.sense == "at most" else "below"
-
     def to_dict(self) -> dict[str, Any]:
         """The goal as plain data for JSON."""
         bound = {"metric": self.metric, "unit": self.unit, "limit": self.limit, "sense": self.sense}

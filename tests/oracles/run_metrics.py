@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from surctl.marine.control import Law
 from surctl.marine.simulation import Metrics, Record, Scenario
-from surctl.marine.simulation.metrics import AT_LIMIT, MOVING, NEAR_TARGET, SIGN, avoidance_intervals, path_error
+from surctl.marine.simulation.metrics import AT_LIMIT, MOVING, NEAR_TARGET, SIGN, avoidance_intervals
 from surctl.marine.simulation.run import path_depths
 
 
@@ -20,6 +20,7 @@ def measure(scenario: Scenario, law: Law, record: Record, *, reason: str, least:
     follower = scenario.follower()
     away = follower.track(where)
     excluded = avoidance_intervals(record.telemetry[:, law.telemetry_slice("avoiding")].ravel(), away)
+    apart = away**2 + (record.eta[:, 2] - path_depths(scenario, where)) ** 2
     steps = np.linalg.norm(np.diff(where, axis=0), axis=1)
     leg = scenario.target - scenario.path.waypoints[-2]
     past = (where - scenario.target) @ (leg / np.linalg.norm(leg))
@@ -32,7 +33,7 @@ def measure(scenario: Scenario, law: Law, record: Record, *, reason: str, least:
         reached=reason == "reached",
         time_s=round(float(record.time[-1]), 9),
         min_clearance_m=float(least),
-        path_error_m=path_error(away, record.eta[:, 2] - path_depths(scenario, where), excluded),
+        path_error_m=float(np.sqrt(np.mean(apart[~excluded]))) if not excluded.all() else float("nan"),
         deviation_m=float(np.sqrt(np.mean(away**2))),
         length_m=float(steps.sum()),
         effort_n=float(np.mean(np.hypot(thrust[:, 0], thrust[:, 1]))),

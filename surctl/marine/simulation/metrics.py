@@ -146,29 +146,15 @@ class Metrics:
         return tuple(coded[name] if name in coded else float(getattr(self, name)) for name in METRICS)
 
 
-def avoidance_intervals(
-    avoiding: NDArray[np.float64], distance: NDArray[np.float64], *, tube: float = TUBE
-) -> NDArray[np.bool_]:
+def avoidance_intervals(avoiding: NDArray[np.float64], distance: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Return for each of n samples whether it is in an avoidance interval.
 
-    An interval begins when avoidance begins. It ends after avoidance, when the distance to the path is at most `tube`
+    An interval begins when avoidance begins. It ends after avoidance, when the distance to the path is at most `TUBE`
     [m].
     """
     out = np.zeros(len(avoiding), dtype=bool)
     active = False
     for k, (commanded, away) in enumerate(zip(avoiding > 0.5, distance, strict=True)):
-        active = bool(commanded or (active and away > tube))
+        active = bool(commanded or (active and away > TUBE))
         out[k] = active
     return out
-
-
-def path_error(horizontal: NDArray[np.float64], vertical: NDArray[np.float64], excluded: NDArray[np.bool_]) -> float:
-    """Return the position error E_p = √(mean(Δh² + Δz²)) [m] over the samples that are not excluded.
-
-    Δh and Δz are the horizontal and the vertical distance to the path; erratum E14 explains the formula. The error is
-    NaN if all samples are excluded.
-    """
-    included = ~excluded
-    if not included.any():
-        return float("nan")
-    return float(np.sqrt(np.mean(horizontal[included] ** 2 + vertical[included] ** 2)))
