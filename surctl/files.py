@@ -8,12 +8,13 @@ import os
 import pickle
 import re
 import tomllib
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from decimal import Decimal
 from functools import cache, lru_cache
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any, Literal, TypeVar, get_args, get_origin
+from typing import IO, TYPE_CHECKING, Any, Literal, Self, TypeVar, get_args, get_origin
 
 from pydantic import (
     BaseModel,
@@ -33,9 +34,23 @@ if TYPE_CHECKING:
     from pydantic_core import ErrorDetails, InitErrorDetails
 
 __all__ = [
-    "Mistakes", "Quantity", "Strict", "file_name", "load_model", "opened", "pick", "prepare_folder", "quoted",
-    "read_toml", "require_doubles", "validate", "write_file",
+    "Closeable", "Mistakes", "Quantity", "Strict", "file_name", "load_model", "opened", "pick", "prepare_folder",
+    "quoted", "read_toml", "require_doubles", "validate", "write_file",
 ]  # fmt: skip
+
+
+class Closeable(ABC):
+    """Base class of files and connections that a `with` statement closes."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Close the file or connection."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
 
 
 class Strict(BaseModel):

@@ -132,14 +132,12 @@ def draw_normals(state: ca.SX, count: int) -> tuple[ca.SX, ca.SX]:
     """
     if count % 2:
         raise InputError("must be even", key="count", value=count)
-    one, two = [state[k] for k in range(3)], [state[k] for k in range(3, 6)]
     out = []
-    for _ in range(count // 2):
-        u1, one, two = _uniform(one, two)
-        u2, one, two = _uniform(one, two)
-        radius, turn = ca.sqrt(-2.0 * _log_of_uniform(u1)), 2.0 * pi * u2
+    uniform, state = draw_uniforms(state, count)
+    for k in range(0, count, 2):
+        radius, turn = ca.sqrt(-2.0 * _log_of_uniform(uniform[k])), 2.0 * pi * uniform[k + 1]
         out += [radius * ca.cos(turn), radius * ca.sin(turn)]
-    return ca.vertcat(*out), ca.vertcat(*one, *two)
+    return ca.vertcat(*out), state
 
 
 def draw_uniforms(state: ca.SX, count: int) -> tuple[ca.SX, ca.SX]:

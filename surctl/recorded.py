@@ -10,13 +10,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
+from xml.parsers import expat
 
 import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError, nearest
 
-__all__ = ["NO_HEADER", "Recorded", "read_recorded", "read_unnamed", "shown", "xml_root"]
+__all__ = ["NO_HEADER", "Recorded", "file_bytes", "read_recorded", "read_unnamed", "shown", "xml_root"]
 
 _Contents = tuple[dict[str, Any], str]
 """The variables by name, and the text of the file's variable or attribute `frame`."""
@@ -195,27 +196,41 @@ def _number_remedy(cell: str) -> str:
 
 
 def xml_root(raw: bytes, *, file: object, remedy: str) -> ElementTree.Element:
-    """Return the root of an XML file, with the namespaces removed from all names; the file declares its encoding.
+    """Return the root of an XML file, without the prefixes of namespaces; the file declares its encoding.
 
     Raises:
-        InputError: the file declares a document type, which may expand without bound, or is not XML; the message names
-            the file and, for a file that is not XML, the remedy.
+        InputError: the file declares a document type, which may expand without bound; contains xacro macros; or is not
+            XML. The message names the file and, for a file that is not XML, the remedy.
 
     Example:
         >>> from surctl.recorded import xml_root
         >>> xml_root(b'<gpx xmlns="http://www.topografix.com/GPX/1/1"/>', file="way.gpx", remedy="correct it").tag
         'gpx'
     """
-    plain = raw.replace(b"\0", b"")  # the letters of UTF-16 too
-    if b"<!DOCTYPE" in plain or b"<!ENTITY" in plain:
-        raise InputError("declares a document type", file=shown(file), remedy="remove the DOCTYPE")
+    # expat itself, because the parser of ElementTree refuses prefixes that are not declared, as public files have them
+    builder, parser = ElementTree.TreeBuilder(), expat.ParserCreate()
+    parser.StartElementHandler, parser.EndElementHandler = builder.start, builder.end
+    parser.CharacterDataHandler, parser.StartDoctypeDeclHandler = builder.data, _refuse_doctype
     try:
-        root = ElementTree.fromstring(raw)
-    except (ElementTree.ParseError, LookupError, ValueError) as error:  # the latter two: an encoding that is not known
+        parser.Parse(raw, True)
+        root = builder.close()
+    except expat.ExpatError as error:
+        problem = f"is not XML (line {error.lineno}: {expat.ErrorString(error.code)})"
+        raise InputError(problem, file=shown(file), remedy=remedy) from None
+    except (LookupError, ValueError) as error:  # an encoding that Python does not know, or not byte by byte
         raise InputError(f"is not XML ({error})", file=shown(file), remedy=remedy) from None
+    except InputError as error:
+        raise error.inside(shown(file)) from None
     for element in root.iter():
-        element.tag = element.tag.rpartition("}")[2]
+        prefix, _, element.tag = element.tag.rpartition(":")
+        if prefix == "xacro":
+            remedy = "expand them: xacro FILE > robot.urdf"
+            raise InputError("contains xacro macros", file=shown(file), remedy=remedy)
     return root
+
+
+def _refuse_doctype(*_: object) -> None:
+    raise InputError("declares a document type", remedy="remove the DOCTYPE")
 
 
 def shown(path: object) -> str:
@@ -331,16 +346,34 @@ def read_unnamed(path: Path, columns: Sequence[str], *, skip: int = 0) -> Record
     return Recorded(path=path, columns=named, lines=np.array(lines))
 
 
-def _text(path: Path, *, strict: bool = True) -> str:
+def file_bytes(path: Path, *, remedy: str = "check the path and its permissions", most: int = 0) -> bytes:
+    """Return the bytes of a file; with `most`, only of a file with at most this many bytes, and of no device.
+
+    Raises:
+        InputError: the file does not exist, cannot be read, or is too large.
+
+    Example:
+        >>> from pathlib import Path
+        >>> from surctl.recorded import file_bytes
+        >>> _ = Path("log.csv").write_text("t_s")
+        >>> file_bytes(Path("log.csv"))
+        b't_s'
+    """
     try:
-        raw = path.read_bytes()
+        if most and path.exists() and not path.is_file():  # such as a device that never ends
+            raise InputError("is not a file", file=shown(path), remedy=remedy)
+        if most and path.stat().st_size > most:
+            raise InputError(f"is larger than {most // 1_000_000} MB", file=shown(path), remedy=remedy)
+        return path.read_bytes()
     except FileNotFoundError:
         raise InputError("no such file", file=shown(path), remedy="check the path") from None
     except (OSError, ValueError) as error:  # ValueError: a NUL in the name
         reason = getattr(error, "strerror", None) or error
-        raise InputError(
-            f"cannot be read ({reason})", file=shown(path), remedy="check the path and its permissions"
-        ) from None
+        raise InputError(f"cannot be read ({reason})", file=shown(path), remedy=remedy) from None
+
+
+def _text(path: Path, *, strict: bool = True) -> str:
+    raw = file_bytes(path)
     try:
         text = raw.decode("utf-8-sig", "strict" if strict else "replace")
     except UnicodeDecodeError as error:

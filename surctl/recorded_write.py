@@ -13,14 +13,13 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from shutil import disk_usage
-from types import TracebackType
 from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import ToolMissing, cannot_write
-from surctl.files import opened, write_file
+from surctl.files import Closeable, opened, write_file
 
 __all__ = [
     "RECORD_FORMATS", "SCHEMAS", "Column", "McapFile", "RecordFormat", "stamp", "write_csv", "write_mat",
@@ -238,14 +237,16 @@ def stamp(time: float) -> dict[str, int]:
     return {"sec": nanoseconds // 10**9, "nsec": nanoseconds % 10**9}
 
 
-class McapFile:
+_CHUNK = 1 << 18  # bytes of messages
+
+
+class McapFile(Closeable):
     """An MCAP file that grows by one compressed chunk at a time; use it in a `with` statement.
 
     A process that is killed loses at most the messages of the last chunk; `mcap recover` rebuilds the index.
 
     Args:
         path: the file.
-        chunk: bytes of messages in a chunk.
         new: whether the file must not exist yet.
         epoch: time [s] of the Unix epoch that is added to every time.
 
@@ -263,7 +264,7 @@ class McapFile:
         b'MCAP'
     """
 
-    def __init__(self, path: Path, *, chunk: int = 1 << 18, new: bool = False, epoch: float = 0.0) -> None:
+    def __init__(self, path: Path, *, new: bool = False, epoch: float = 0.0) -> None:
         try:
             writer = importlib.import_module("mcap.writer")
         except ImportError:
@@ -274,16 +275,10 @@ class McapFile:
             ) from None
         self._file = opened(path, new=new)
         self.path, self.epoch = path, epoch
-        self._writer = writer.Writer(self._file, chunk_size=chunk)
+        self._writer = writer.Writer(self._file, chunk_size=_CHUNK)
         self._writer.start(library="surctl")
         self._channels: dict[str, int] = {}
         self._schemas: dict[str, int] = {}
-
-    def __enter__(self) -> McapFile:
-        return self
-
-    def __exit__(self, _: type[BaseException] | None, __: BaseException | None, ___: TracebackType | None) -> None:
-        self.close()
 
     def close(self) -> None:
         """Write the index and close the file."""

@@ -1,6 +1,7 @@
 """The public checks: what is right passes, and everything that is deliberately wrong is caught and named."""
 
 import math
+from functools import partial
 
 import casadi as ca
 import numpy as np
@@ -11,13 +12,13 @@ from surctl.marine.vehicle import PLANT_PARAMETERS, load_vehicle, plant_paramete
 from surctl.tasks import (
     AccelerationLimit,
     Barrier,
-    BrakingBarrier,
     HalfPlane,
     LimitRow,
     RateLimit,
     SetTask,
     Task,
     VelocityBox,
+    allowed_closing_speed,
     clearance_task,
     depth_task,
     distance_task,
@@ -33,6 +34,7 @@ ETA = ca.SX.sym("eta", 4)
 NU = ca.SX.sym("nu", 4)
 ECHO = ca.SX.sym("echo", 2)
 GAIN = ca.SX.sym("gain")
+STOPPING = partial(allowed_closing_speed, deceleration=GAIN, reaction=0.4)
 ON_TOP = [1.3, -0.4, 0.0, 0.3]
 POINT = ON_TOP[:2]
 DISC = ca.norm_2(ETA[:2] - ca.DM([1.0, 0.5])) - 0.4
@@ -182,7 +184,7 @@ NUMBERS = PLANT_PARAMETERS.unpack(plant_parameters(load_vehicle("sur540-flooded"
         (plant_thrust_limit(NU, NUMBERS, dt=0.05), WIDE),
         (Barrier("disc", ETA, h=DISC, kinematics="vehicle"), [(ETA, -3, 3)]),
         (
-            BrakingBarrier("disc", ETA, h=DISC, deceleration=GAIN, reaction=0.4, kinematics="vehicle"),
+            Barrier("disc", ETA, h=DISC, alpha=STOPPING, kinematics="vehicle"),
             [(ETA, -3, 3), (GAIN, 0.01, 1)],
         ),
         (RateLimit(position_task(ETA, [1.0, 2.0]), 0.1), [(ETA, -3, 3)]),

@@ -33,7 +33,7 @@ def test_a_world_that_stands_still(beam: float) -> None:
 
 
 def test_marks_of_a_wide_beam() -> None:
-    """Not how many are false: from 90° on, neighbours' beams overlap, and a mark heard from two directions stays."""
+    """Not that false marks are few: from 90° on, beams overlap, and a mark heard from two directions stays."""
     for check in (
         test_local_map.test_once_swept_a_mark_stands_before_every_surface,
         test_local_map.test_the_nearest_of_all_is_told_but_not_that_of_every_direction,

@@ -160,7 +160,7 @@ def run(claims: int, samples: int, seed: int) -> tuple[dict[str, tuple[int, int]
         if region is None:
             continue
         proved += 1
-        document = dict(region.decision.document)
+        document = dict(region.document)
         _, ratio = Period(document, samples, number).ratios()
         worst = float(ratio.max())
         if worst >= 1:

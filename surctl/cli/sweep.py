@@ -80,7 +80,7 @@ def sweep(
     if is_system(words):
         job = _own(
             words, seconds=seconds, design=design, points=points, sensitivity=sensitivity, seeds=seeds,
-            threads=workers or (2 if dask is None else 1), compiles=dask is None,
+            threads=workers or (2 if dask is None else 1),
         )  # fmt: skip
     else:
         job = to_application(words)
@@ -192,10 +192,8 @@ def _own(
     sensitivity: str | None,
     seeds: int,
     threads: int,
-    compiles: bool,
 ) -> SweepJob:
-    """Return the sweep of a system that the words and options ask for; `compiles` in this process."""
-    from surctl.ir.cache import find_compiler
+    """Return the sweep of a system that the words and options ask for."""
     from surctl.tuning import SystemSweep, parse_axis
     from surctl.tuning.system_sweep import choices_and_draws
 
@@ -208,8 +206,6 @@ def _own(
     chosen, draws = choices_and_draws(
         own.system, axes, design=design if sensitivity is None else "saltelli", points=points, seeds=seeds
     )
-    if compiles:
-        find_compiler()
     subject = SystemSweep(own.system, duration, draws, threads=threads, about=own.origin, source=own.word)
     count, summary = len(chosen.points) * max(map(len, draws.values()), default=1), partial(_run_summary, own, duration)
     return SweepJob(subject, chosen, count, "runs", "sweep.csv", costs, costs, {}, summary)

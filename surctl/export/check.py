@@ -8,7 +8,7 @@ import subprocess
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import asdict, astuple, dataclass
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -170,20 +170,9 @@ class BuildReport:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the report as plain data for JSON."""
-        counted = self.instructions
-        return {
-            "target": self.target,
-            "compiler": self.compiler,
-            "same": self.same,
-            "steps": self.steps,
-            "differing": self.differing,
-            "first": self.first,
-            "code_bytes": self.code_bytes,
-            "runtime_bytes": self.runtime_bytes,
-            "stack_bytes": self.stack_bytes,
-            "instructions": None if counted is None else [counted.least, counted.mean, counted.most],
-            "failure": self.failure,
-        }
+        head = {"target": self.target, "compiler": self.compiler, "same": self.same}
+        counted = None if self.instructions is None else list(astuple(self.instructions))
+        return {**head, **asdict(self), "instructions": counted}
 
     def line(self) -> str:
         """Return the report as one line of text."""

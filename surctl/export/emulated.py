@@ -17,8 +17,9 @@ from urllib.parse import urlsplit
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.errors import InputError, SurctlError, ToolMissing, nearest
+from surctl.errors import InputError, SurctlError, ToolMissing, check_known
 from surctl.export.bundle import Bundle, write_bundle
+from surctl.files import Closeable
 from surctl.ir.cache import compile_program, packaged_compiler
 
 # Compilers and processors on which the exported C is checked: this machine's, and emulated microcontrollers
@@ -103,8 +104,7 @@ def chosen_targets(names: Sequence[str] = ()) -> tuple[list[Target], dict[str, t
         ToolMissing: a tool of a named target is not installed.
     """
     for name in names:
-        if name not in TARGETS:
-            raise InputError("is not a known target", key="targets", value=name, remedy=nearest(name, TARGETS))
+        check_known(name, TARGETS, "is not a known target", key="targets")
     chosen = [TARGETS[name] for name in names or TARGETS]
     lacking = {target.name: target.missing for target in chosen if target.missing}
     if names and lacking:
@@ -177,7 +177,7 @@ class Reply(NamedTuple):
 
 
 @dataclass
-class SerialLine:
+class SerialLine(Closeable):
     """Connection to one controller; call `close` at the end, or use the connection in a `with` statement.
 
     Attributes:
@@ -191,12 +191,6 @@ class SerialLine:
     name: str
     patience: float = 5.0
     identity: Identity | None = None
-
-    def __enter__(self) -> SerialLine:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def close(self) -> None:
         """Close the connection."""

@@ -7,10 +7,9 @@ the units with fmpy.
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
+import io
 import itertools
-import os
 import platform
 import re
 import shutil
@@ -27,11 +26,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl import __version__
-from surctl.errors import InputError, cannot_write
+from surctl.errors import InputError
 from surctl.export.bundle import Bundle, ExportedFile
 from surctl.export.contract import DATA, MISSION_FILES, Exportable, commands, is_robot_law, status_table
 from surctl.export.envelope import Envelope, anywhere
 from surctl.export.rendering import render_unit
+from surctl.files import write_file
 from surctl.ir import Port
 from surctl.ir.cache import compile_program, packaged_compiler
 
@@ -367,20 +367,11 @@ def _compiled(name: str, sources: Mapping[str, str], machine: tuple[str, str], *
 
 
 def _write(folder: Path, name: str, members: dict[str, bytes]) -> ExportedFile:
-    target, staged = folder / name, folder / f".{name}.{os.getpid()}.tmp"
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        # uncompressed, because versions of zlib write different bytes
-        with zipfile.ZipFile(staged, "w", zipfile.ZIP_STORED) as archive:
-            for member, data in members.items():
-                entry = zipfile.ZipInfo(member, _DATE)
-                entry.create_system, entry.external_attr = 3, 0o644 << 16
-                archive.writestr(entry, data)
-        digest = hashlib.sha256(staged.read_bytes()).hexdigest()
-        staged.replace(target)
-    except OSError as error:
-        raise cannot_write(target, error) from None
-    finally:
-        with contextlib.suppress(OSError):
-            staged.unlink()
-    return ExportedFile(target, digest)
+    held = io.BytesIO()
+    # uncompressed, because versions of zlib write different bytes
+    with zipfile.ZipFile(held, "w", zipfile.ZIP_STORED) as archive:
+        for member, data in members.items():
+            entry = zipfile.ZipInfo(member, _DATE)
+            entry.create_system, entry.external_attr = 3, 0o644 << 16
+            archive.writestr(entry, data)
+    return ExportedFile(write_file(folder / name, held.getvalue()), hashlib.sha256(held.getvalue()).hexdigest())

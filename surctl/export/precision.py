@@ -50,8 +50,7 @@ class Rounded(_Same):
 
     def step(self, x: Vector, u: Vector, p: Vector) -> ControllerStep:
         """Run one guarded step; a number that is not finite gives tau = 0, x_next = x and status NONFINITE."""
-        rows = self.steps(*(np.atleast_2d(v) for v in (x, u, p)))
-        return ControllerStep(rows.tau[0], rows.state[0], int(rows.status[0]), rows.telemetry[0])
+        return _step(self, x, u, p)
 
     def steps(self, X: Vector, U: Vector, P: Vector) -> Rows:
         """Run one step from each row of X (T, nx), U (T, nu), P (T, np)."""
@@ -62,13 +61,7 @@ class Rounded(_Same):
         return Rows(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
     def _batch(self, X: Vector, U: Vector, P: Vector) -> Rows:
-        n_tau = command_size(self.law)
-        safe = Rows(
-            np.full(len(X), NONFINITE),
-            np.zeros((len(X), n_tau)),
-            X.copy(),
-            np.zeros((len(X), self.law.outputs.size - n_tau)),
-        )
+        safe = _refused(self.law, np.full(len(X), NONFINITE), X)
         finite = np.flatnonzero(np.isfinite(np.hstack([X, U, P])).all(axis=1))
         if not finite.size:
             return safe
@@ -79,9 +72,7 @@ class Rounded(_Same):
         safe.status[finite[number & (status < 0.0)]] = ITER
         fine = number & (status >= 0.0) & (status <= 32767.0)
         done = finite[fine]
-        for mine, fresh in zip(
-            (safe.tau, safe.state, safe.status, safe.telemetry), (*outputs[:2], status, outputs[3]), strict=True
-        ):
+        for mine, fresh in zip(safe, (status, *outputs[:2], outputs[3]), strict=True):
             mine[done] = fresh[fine]
         return safe
 
@@ -99,16 +90,12 @@ class Guarded(_Same):
 
     def step(self, x: Vector, u: Vector, p: Vector) -> ControllerStep:
         """Run one step without a check of rates; a number out of range gives tau = 0, x_next = x, negative status."""
-        x, u, p = (rounded(np.asarray(v, dtype=float), self.real) for v in (x, u, p))
-        refused = int(self.envelope.refusals(Records(*(v[None] for v in (x, u, p))))[0])
-        if refused == RANGE:  # the law itself refuses numbers that are not finite
-            size = command_size(self.law)
-            return ControllerStep(np.zeros(size), np.array(x, dtype=float), refused, np.zeros(self.outputs.size - size))
-        step = self.law.step(x, u, p)
-        row = self.envelope.limited(
-            Rows(np.array([step.status]), *(v[None] for v in (step.tau, step.x_next, step.telemetry)))
-        )
-        return ControllerStep(row.tau[0], step.x_next, int(row.status[0]), step.telemetry)
+        return _step(self, x, u, p)
+
+
+def _step(law: Rounded | Guarded, x: Vector, u: Vector, p: Vector) -> ControllerStep:
+    rows = evaluated(law, *(np.atleast_2d(np.asarray(v, dtype=float)) for v in (x, u, p)))
+    return ControllerStep(rows.tau[0], rows.state[0], int(rows.status[0]), rows.telemetry[0])
 
 
 def in_precision(law: Exportable, real: Real, envelope: Envelope | None = None) -> Exportable:
@@ -140,15 +127,14 @@ def evaluated(law: Exportable, X: Vector, U: Vector, P: Vector) -> Rows:
     )
 
 
+def _refused(law: Exportable, status: NDArray[np.int64], X: Vector) -> Rows:
+    size = command_size(law)
+    return Rows(status, *(np.zeros((len(X), size)), np.array(X)), np.zeros((len(X), law.outputs.size - size)))
+
+
 def _let_in(law: Guarded, records: Records) -> Rows:
     status = law.envelope.refusals(records)
-    size = command_size(law)
-    out = Rows(
-        status,
-        np.zeros((len(records), size)),
-        np.array(records.X, dtype=float),
-        np.zeros((len(records), law.outputs.size - size)),
-    )
+    out = _refused(law, status, records.X)
     index = np.flatnonzero(status != RANGE)  # the law itself refuses numbers that are not finite
     if index.size:
         computed = evaluated(law.law, records.X[index], records.U[index], records.P[index])

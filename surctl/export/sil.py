@@ -278,28 +278,16 @@ def software_in_the_loop(
         >>> report.passed, report.tau.mixed, len(report.fault_failures)
         (True, 0.0, 0)
     """
-    return software_in_the_loop_runs(law, [records], workdir=workdir, real=real)[0]
-
-
-def software_in_the_loop_runs(
-    law: Exportable, runs: Sequence[AnyRecord], *, workdir: Path | str | None = None, real: Real = "float64"
-) -> tuple[SilReport, ...]:
-    """Return one report per recorded run; all runs use one bundle with the gains of the first run's first record.
-
-    Arguments and errors are those of `software_in_the_loop`; an InputError is also raised if there is no run.
-    """
-    recorded = [as_records(law, run) for run in runs]
-    if not recorded:
-        raise InputError("holds no run", key="records", remedy="record at least one run of the law")
-    bundle = build_bundle(law, _named_gains(law, recorded[0]), real=real)
+    recorded = as_records(law, records)
+    bundle = build_bundle(law, _named_gains(law, recorded), real=real)
     with tempfile.TemporaryDirectory(prefix="surctl-sil-") as scratch:
         folder = Path(scratch) / bundle.name if workdir is None else Path(workdir)
         controller = build_controller(law, bundle, folder)
-        return compare_runs(controller, recorded)
+        return compare_runs(controller, [recorded])[0]
 
 
 def compare_runs(controller: Controller, runs: Sequence[AnyRecord]) -> tuple[SilReport, ...]:
-    """Return the reports of `software_in_the_loop_runs` for a controller that is already compiled.
+    """Return the report of `software_in_the_loop` for each recorded run of a controller that is already compiled.
 
     Raises:
         SurctlError: the program crashes.

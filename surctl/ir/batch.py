@@ -8,7 +8,6 @@ import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from importlib.resources import files
-from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -138,9 +137,7 @@ def _aligned(size: int) -> Array:
     return memory[skip : skip + size]
 
 
-def compile_batch(
-    step: Block, *, lanes: int | None = None, flags: Sequence[str] = (), folder: Path | None = None
-) -> Batch:
+def compile_batch(step: Block, *, lanes: int | None = None, flags: Sequence[str] = ()) -> Batch:
     """Compile a simulation step for many runs, or load the compiled step from the cache.
 
     Args:
@@ -150,7 +147,6 @@ def compile_batch(
             machine. The final states do not depend on this number, unless the step uses libm functions such as sin (see
             `without_libm`).
         flags: additional compiler flags; flags that change numerical results are refused.
-        folder: cache folder (`surctl.ir.cache.cache_folder()` if None).
 
     Raises:
         InputError: the step has other inputs or outputs, `lanes` is invalid, or a flag changes results.
@@ -160,12 +156,12 @@ def compile_batch(
     if lanes not in (None, 1, 2, 4, 8):
         raise InputError("is not a lane count", key="lanes", value=lanes, remedy="use 1, 2, 4 or 8")
     width = () if lanes is None else (f"-DLANES={lanes}",)
-    return compile_batch_source(batch_source(step), flags=(*width, *flags), folder=folder)
+    return compile_batch_source(batch_source(step), flags=(*width, *flags))
 
 
-def compile_batch_source(source: str, *, flags: Sequence[str] = (), folder: Path | None = None) -> Batch:
+def compile_batch_source(source: str, *, flags: Sequence[str] = ()) -> Batch:
     """Compile the C text of `batch_source`, or load the compiled step from the cache; see `compile_batch`."""
-    return Batch(shared_library(source, flags=flags, folder=folder, wide=True))
+    return Batch(shared_library(source, flags=flags, wide=True))
 
 
 def batch_source(step: Block) -> str:

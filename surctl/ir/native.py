@@ -119,9 +119,7 @@ def loaded(library: bytes) -> ctypes.CDLL:
         raise ToolMissing(problem, key="TMPDIR", value=tempfile.gettempdir(), remedy=remedy) from None
 
 
-def compile_block(
-    block: Block, *, flags: Sequence[str] = (), folder: Path | None = None, real: Real = "float64"
-) -> Native:
+def compile_block(block: Block, *, flags: Sequence[str] = (), real: Real = "float64") -> Native:
     """Compile a program or routine, or load the compiled library from the cache.
 
     Args:
@@ -142,7 +140,7 @@ def compile_block(
         [[0.5], [0.2]]
     """
     write = partial(_source, block, real)
-    return Native(block, shared_library(write, flags=flags, folder=folder, identity=_identity(block, real)), real=real)
+    return Native(block, shared_library(write, flags=flags, identity=_identity(block, real)), real=real)
 
 
 def _identity(block: Block, real: Real) -> str:

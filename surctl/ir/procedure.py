@@ -27,7 +27,7 @@ import hashlib
 import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from types import FunctionType
 from typing import Any, NoReturn, TypeAlias
@@ -198,6 +198,10 @@ class Procedure:
     def __post_init__(self) -> None:
         """Raise InputError for a source that a back end could not run."""
         _ = self.functions
+
+    def __reduce__(self) -> tuple[type[Procedure], tuple[Any, ...]]:
+        """Pickle the fields alone: a copy has nodes, and so types by `id`, of its own."""
+        return Procedure, tuple(getattr(self, each.name) for each in fields(self))
 
     @cached_property
     def functions(self) -> tuple[Typed, ...]:

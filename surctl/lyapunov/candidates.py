@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from surctl.lyapunov.dynamics import Dynamics
 from surctl.lyapunov.equilibrium import Linear, common_quadratic
+from surctl.lyapunov.near import slowest
 from surctl.lyapunov.rays import Grid, directions, grid
 from surctl.lyapunov.template import Template, polynomials, quadratic, with_cosines
 from surctl.verification.formula import Node
@@ -85,8 +86,7 @@ def _without_neutral(template: Template, scales: Array, matrices: Array) -> Temp
         if not alone.size or not (keep & alone.any(axis=0)).any():
             break
         keep &= ~alone.any(axis=0)
-    basis = tuple(node for node, stays in zip(template.basis, keep, strict=True) if stays)
-    return Template(template.dynamics, basis, template.sizes[keep])
+    return template.only(keep)
 
 
 def _neutral(template: Template, scales: Array, matrices: Array) -> Array:
@@ -248,8 +248,7 @@ def invariant(template: Template, scales: Array, signs: Array) -> Template:
     keep = np.ones(len(template.basis), dtype=bool)
     for s in signs:
         keep &= np.isclose(template.features(x + s[:, None] * z, w)[0], values).all(axis=1)
-    basis = tuple(node for node, used in zip(template.basis, keep, strict=True) if used)
-    return Template(d, basis, template.sizes[keep])
+    return template.only(keep)
 
 
 _MOST_CORNERS = 8
@@ -316,7 +315,7 @@ def candidates(
     start = (
         _sampled_function(template, scales, shaper.corners, half=shaper.half, matrices=linear.matrices)
         if matrix is None
-        else _quadratic(template, matrix, scales)
+        else quadratic(template, matrix)
     )
     if start is None and degree >= 4:
         template = restricted(4, even=shaper.half)
@@ -327,9 +326,7 @@ def candidates(
         fast = max(rate, _BRISK * _least_rate(d, linear))
         brisk = _Shaper(d, scales, fast, seed, half=shaper.half)
         own = common_quadratic(_shifted(d, linear, fast), scales, discrete=d.discrete)
-        shaped, volume = (
-            (start, 0.0) if own is None else brisk.shaped(template, _quadratic(template, own, scales), part)
-        )
+        shaped, volume = (start, 0.0) if own is None else brisk.shaped(template, quadratic(template, own), part)
         if volume > 0:
             yield Candidate("quadratic with a fast decrease", template.function(shaped), volume)
     coefficients, volume = shaper.shaped(template, start, part)
@@ -337,29 +334,23 @@ def candidates(
     yield Candidate(label, template.function(coefficients), volume)
     if not volume > 0 or len(scales) >= 4:  # the proof of larger regions takes too long
         if matrix is not None:  # shaping may end at a function that does not decrease close to the equilibrium
-            plain = template.function(_quadratic(template, matrix, scales))
+            plain = template.function(quadratic(template, matrix))
             yield Candidate("quadratic of the linearisation", plain, 0.0)
         return
     energy = with_cosines(template, scales)
     if len(energy.basis) > len(template.basis):
-        outcome, volume = shaper.shaped(energy, _embedded(template, coefficients, energy), part)
+        start = energy.coefficients(dict(zip(template.basis, coefficients, strict=True)))
+        outcome, volume = shaper.shaped(energy, start, part)
         yield Candidate("quadratic with the potential energy of angles", energy.function(outcome), volume)
     for higher in range(4 if label == "quadratic" else 6, degree + 1, 2):
         wider = restricted(higher, even=shaper.half)
         if len(wider.basis) > _MOST_TERMS:
             return
-        start = _embedded(template, coefficients, wider)
+        start = wider.coefficients(dict(zip(template.basis, coefficients, strict=True)))
         share = (until - time.process_time()) / (1 + (degree - higher) // 2)
         template = wider
         coefficients, volume = shaper.shaped(template, start, share)
         yield Candidate(f"polynomial of degree {higher}", template.function(coefficients), volume)
-
-
-def _quadratic(template: Template, matrix: Array, scales: Array) -> Array:
-    """Return the coefficients of (x − x*)' P (x − x*) in a template of some products of two states."""
-    d = template.dynamics
-    known = dict(zip(polynomials(d, 2, scales).basis, quadratic(d, matrix), strict=True))
-    return np.array([known[node] for node in template.basis])
 
 
 def _shifted(d: Dynamics, linear: Linear, rate: float) -> Array:
@@ -367,15 +358,6 @@ def _shifted(d: Dynamics, linear: Linear, rate: float) -> Array:
     if d.discrete:
         return np.asarray(linear.matrices / np.sqrt(1 - min(rate, 0.999)))
     return linear.matrices + np.eye(len(d.states)) * rate / 2
-
-
-def _embedded(template: Template, coefficients: Array, wider: Template) -> Array:
-    """Return the coefficients of the same function in a template that contains the basis of the other one."""
-    at = {node: k for k, node in enumerate(wider.basis)}
-    total = np.zeros(len(wider.basis))
-    for node, c in zip(template.basis, coefficients, strict=True):
-        total[at[node]] = c
-    return total
 
 
 def strict_variants(dynamics: Dynamics, linear: Linear, function: Node) -> Iterator[Candidate]:
@@ -391,7 +373,7 @@ def strict_variants(dynamics: Dynamics, linear: Linear, function: Node) -> Itera
     template = polynomials(d, 2, scales)
     x = d.equilibrium[:, None] + scales[:, None] * directions(len(scales), 256) * 0.1
     size = float(np.median(np.asarray(d.compiled(function)(x, np.repeat(d.corners()[:, :1], x.shape[1], axis=1)))))
-    coefficients = quadratic(d, matrix)
+    coefficients = quadratic(template, matrix)
     coefficients *= size / float(np.median(coefficients @ template.features(x, d.corners()[:, 0])[0]))
     if not size or not np.isfinite(coefficients).all():  # no small part of such a function
         return
@@ -402,11 +384,7 @@ def strict_variants(dynamics: Dynamics, linear: Linear, function: Node) -> Itera
 
 def _least_rate(d: Dynamics, linear: Linear) -> float:
     """Return a small part of the slowest decay rate of a quadratic function close to the equilibrium."""
-    if linear.verdict == "marginal":
-        return 0.0
-    eigenvalues = np.linalg.eigvals(linear.matrices)
-    slowest = 1 - float(np.abs(eigenvalues).max()) ** 2 if d.discrete else -2 * float(eigenvalues.real.max())
-    return _SPARE * slowest
+    return 0.0 if linear.verdict == "marginal" else _SPARE * slowest(d, linear)[1]
 
 
 @dataclass(eq=False)

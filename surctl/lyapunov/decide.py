@@ -18,7 +18,7 @@ from surctl.lyapunov.claims import Bound, DynamicClaim, Inequality, Power, Safet
 from surctl.lyapunov.dynamics import Dynamics
 from surctl.lyapunov.equilibrium import inexact, linearisation
 from surctl.lyapunov.falsified import least_level
-from surctl.lyapunov.near import fails_nearby, inward_speeds, point_text, short, stationary_state
+from surctl.lyapunov.near import Failure, fails_nearby, inward_speeds, point_text, short, stationary_state
 from surctl.lyapunov.radii import with_radii
 from surctl.verification.claim import Claim
 from surctl.verification.decide import confirmed
@@ -117,8 +117,7 @@ def decide_motion(
     _require_sound(claim)
     refuted = _refutation(claim, seed)
     if refuted is not None:
-        reason, point = refuted
-        return Decision(claim, "refuted", {}, reason, point, time.perf_counter() - began)
+        return Decision(claim, "refuted", {}, *refuted, time.perf_counter() - began)
     left = time_limit - (time.process_time() - worked)
     return replace(
         prove_motion(claim, time_limit=left, seed=seed, progress=progress), seconds=time.perf_counter() - began
@@ -239,14 +238,14 @@ def _prove_all(
     return ""
 
 
-def _refutation(claim: DynamicClaim, seed: int) -> tuple[str, Mapping[str, float]] | None:
+def _refutation(claim: DynamicClaim, seed: int) -> Failure | None:
     """Return which inequality certainly fails, in words, and where; None if no counterexample was found."""
     if isinstance(claim, Stability):
         near = fails_nearby(
             claim.dynamics, claim.function, claim.rate, linearisation(claim.dynamics), level=claim.level
         )
         if near is not None:
-            return near.reason, near.values
+            return near
     if isinstance(claim, Bound):
         inequalities = claim.inequalities()
     elif isinstance(claim, Safety):
@@ -261,24 +260,25 @@ def _refutation(claim: DynamicClaim, seed: int) -> tuple[str, Mapping[str, float
         few = not isinstance(claim, Safety) and 0 < k < len(inequalities) - 1
         point = _refuted(inequality.claim, seed, few=few)
         if point is not None:
-            return _fails(inequality.name, point), point
+            return _fails(inequality.name, point)
         low, high = inequality.exact.lower[:, None], inequality.exact.upper[:, None]
         undefined = undefined_at(inequality.exact, low + (high - low) * sobol(len(low), _FEW, 0))
         if undefined is not None:
-            return f"{inequality.name}: {undefined[1]} is not defined at {point_text(undefined[0])}", undefined[0]
+            where, what = undefined
+            return Failure(f"{inequality.name}: {what} is not defined at {point_text(where)}", where)
     if isinstance(claim, Stability):
         still = None if claim.rate is not None else stationary_state(claim)
         if still is not None:
-            return _fails(f"{claim.dynamics.name}: V decreases", still), still
+            return _fails(f"{claim.dynamics.name}: V decreases", still)
         # rays see what samples miss: a region that barely touches the set where V does not decrease
         least = least_level(claim.dynamics, claim.function, claim.rate, seed=seed)
         if least.confirmed and 0 < least.level < claim.level:
-            return _fails(f"{claim.dynamics.name}: {_CAUSES[least.cause]}", least.values), least.values
+            return _fails(f"{claim.dynamics.name}: {_CAUSES[least.cause]}", least.values)
     return None
 
 
-def _fails(name: str, point: Mapping[str, float]) -> str:
-    return f"{name}: fails at {point_text(point)}"
+def _fails(name: str, point: Mapping[str, float]) -> Failure:
+    return Failure(f"{name}: fails at {point_text(point)}", point)
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from fractions import Fraction
 
 import numpy as np
+from flint import fmpq, fmpq_mat
 from mpmath import libmp
 from numpy.typing import NDArray
 
@@ -176,17 +177,14 @@ def exact_root(rates: Sequence[Node], near: Mapping[str, Fraction], moving: Sequ
     start = exact_values(rates, near)
     if start is None or None in ends:
         return None
-    rows = [[*((end[k] - x) / _NEARBY for end in ends if end), -x] for k, x in enumerate(start)]
-    for k in range(len(rows)):  # Gauss and Jordan
-        pivot = max(range(k, len(rows)), key=lambda i: abs(rows[i][k]))
-        if not rows[pivot][k]:
-            return None
-        rows[k], rows[pivot] = rows[pivot], rows[k]
-        rows[k] = [x / rows[k][k] for x in rows[k]]
-        rows = [
-            [x - row[k] * y for x, y in zip(row, rows[k], strict=True)] if i != k else row for i, row in enumerate(rows)
-        ]
-    root = [near[name] + row[-1] for name, row in zip(moving, rows, strict=True)]
+    slopes = [fmpq(*((end[k] - x) / _NEARBY).as_integer_ratio()) for k, x in enumerate(start) for end in ends if end]
+    try:
+        step = fmpq_mat(len(start), len(start), slopes).solve(
+            fmpq_mat(len(start), 1, [fmpq(*(-x).as_integer_ratio()) for x in start])
+        )
+    except ZeroDivisionError:
+        return None
+    root = [near[name] + Fraction(int(x.p), int(x.q)) for name, x in zip(moving, step.entries(), strict=True)]
     if max(len(str(part)) for one in root for part in one.as_integer_ratio()) > _LONGEST // 2 - 2:
         return None
     end = exact_values(rates, {**near, **dict(zip(moving, root, strict=True))})

@@ -21,6 +21,7 @@ Array = NDArray[np.float64]
 _RAYS, _POINTS, _STARTS, _MOST_CORNERS = 1024, 48, 5, 16
 _NEAREST = 0.004  # least relative distance from the equilibrium
 _FLAT = 1e-8  # eigenvalues below this share of the largest one count as 0
+_LITTLE = 1e-9  # share of V by which it may grow close to the equilibrium by rounding
 _SHORT = 0.05  # length of a step along directions without a decrease of second order
 _NEARLY = 0.1  # share of the median decrease below which a point is close to a counterexample
 _OUTWARDS = (0.0, 1e-9, 1e-7, 1e-6, 1e-5, 1e-4, 3e-4, 1e-3, 3e-3)
@@ -34,7 +35,7 @@ class Falsified:
         level: V at the counterexample; a region with a larger level contains it. 0 or less if V is not positive or does
             not decrease close to the equilibrium.
         values: the counterexample: states and parameters, by name.
-        cause: "decrease", "face" or "successor": the condition that fails.
+        cause: "decrease", "face" or "successor": the condition that fails; "flat": V' is only semidefinite.
         confirmed: whether interval arithmetic confirms that the condition fails.
     """
 
@@ -134,7 +135,10 @@ def least_level(dynamics: Dynamics, function: Node, rate: float | None = None, *
     g = np.array([r[1] for r in read]).reshape(len(read), -1, _POINTS)
     if not np.all(np.isfinite(v)) or v.min() <= 0 or g[:, :, 0].max() >= 0 or search.flat(corners):
         at = np.unravel_index(np.argmin(v) if v.min() <= 0 else np.argmax(g[:, :, 0].max(axis=0)) * _POINTS, v.shape)
-        return _at(search, z[:, at[0], at[1]], corners[:, 0], min(float(v.min()), 0.0), "decrease", confirmed=False)
+        least = min(float(v.min()), 0.0)
+        rise = float((g[:, :, 0] * (z[:, :, 0] ** 2).sum(axis=0) / v[:, 0]).max()) if least == 0 else np.inf
+        cause = "decrease" if rise > _LITTLE else "flat"
+        return _at(search, z[:, at[0], at[1]], corners[:, 0], least, cause, confirmed=False)
     outcome: list[Falsified] = []
     if d.discrete:
         out = np.array([r[2] for r in read]).reshape(len(read), -1, _POINTS)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -110,17 +110,11 @@ _NEAR = 1e-3  # a failure at this distance or closer is needed
 _UNBOUNDED = 1e300  # a level that no state exceeds
 
 
-@dataclass(frozen=True)
-class Failure:
-    """A state close to the equilibrium at which a condition on V fails.
+class Failure(NamedTuple):
+    """Which condition on V or B fails, and why, in one sentence; where: states and parameters, by name."""
 
-    Attributes:
-        values: states and parameters, by name.
-        reason: the condition that fails there, and why, in one sentence.
-    """
-
-    values: Mapping[str, float]
     reason: str
+    values: Mapping[str, float]
 
 
 def slowest(d: Dynamics, linear: Linear) -> tuple[complex, float]:
@@ -194,9 +188,7 @@ def fails_nearby(
             if d.discrete and k:
                 fact = f"V+ - V <= -{rate:g} V fails" if rate else "V+ <= V fails"
             why = too_fast(d, linear, rate) if k else ""
-            return Failure(
-                point, f"{fact} close to the equilibrium, at {point_text(point)}" + (f": {why}" if why else "")
-            )
+            return Failure(f"{fact} close to the equilibrium, at {point_text(point)}{f': {why}' * bool(why)}", point)
     return None
 
 

@@ -24,7 +24,7 @@ from surctl.lyapunov.decide import Decision
 from surctl.lyapunov.dynamics import Dynamics, Range, State
 from surctl.lyapunov.radii import drift, norm, radii
 from surctl.lyapunov.rays import bounded
-from surctl.lyapunov.slope_search import Embedding, Family, quadratic, relative_volume
+from surctl.lyapunov.slope_search import Embedding, Family, quadratic
 from surctl.verification.conic import Inequality, minimise, symmetric_basis
 from surctl.verification.formula import number, text_of, variable
 
@@ -327,22 +327,9 @@ class SampledStability(Stability):
         }
 
 
-@dataclass(frozen=True, eq=False)
-class SampledRegion:
-    """A region of a sampled loop.
-
-    Attributes:
-        decision: the proved claim with its certificate.
-        volume: volume of the region relative to the box.
-    """
-
-    decision: Decision
-    volume: float
-
-
 def sampled_region(
     dynamics: Dynamics, rate: float | None, *, time_limit: float, progress: Callable[[str], None] | None = None
-) -> SampledRegion | None:
+) -> Decision | None:
     """Find and prove a region of attraction of a loop with held commands; return None if none is proved.
 
     Args:
@@ -360,7 +347,7 @@ def sampled_region(
     if shapes is None:
         return None
     p = np.asarray(np.linalg.inv(shapes.inverse), dtype=float)
-    function, volume = quadratic(dynamics, p), relative_volume(dynamics, p)
+    function = quadratic(dynamics, p)
     radius = _radii(dynamics, shapes, share or 0.0)
     for level in _LEVELS:
         left = until - time.process_time()
@@ -374,8 +361,7 @@ def sampled_region(
         if progress:
             progress(f"sampled loop: level {level:g} {'proved' if checked.accepted else checked.reason}")
         if checked.accepted:
-            decision = Decision(claim, "proved", document, "", {}, time.perf_counter() - began, checked.vacuous)
-            return SampledRegion(decision, volume * level ** (len(far) / 2))
+            return Decision(claim, "proved", document, "", {}, time.perf_counter() - began, checked.vacuous)
     return None
 
 

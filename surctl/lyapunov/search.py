@@ -7,19 +7,17 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
-import numpy as np
-
 from surctl.lyapunov.candidates import Candidate, candidates, strict_variants
 from surctl.lyapunov.claims import Stability
 from surctl.lyapunov.decide import Decision, decide_motion, has_branches, prove_by_slopes, prove_motion
 from surctl.lyapunov.dynamics import Dynamics
 from surctl.lyapunov.equilibrium import Linear, inexact, linearisation
 from surctl.lyapunov.falsified import Falsified, least_level
-from surctl.lyapunov.near import Failure, fails_nearby, short, stationary_state, too_fast
+from surctl.lyapunov.near import Failure, fails_nearby, point_text, short, stationary_state, too_fast
 from surctl.lyapunov.rays import hugged
 from surctl.lyapunov.sampled import sampled_region
 from surctl.lyapunov.slope_search import LABEL as SLOPES
-from surctl.lyapunov.slope_search import slope_candidate
+from surctl.lyapunov.slope_search import form_of, relative_volume, slope_candidate
 from surctl.verification.formula import Node, ordered, text_of
 
 _SHARES = (0.005, 0.02, 0.1, 0.3, 0.5, 0.7, 0.8, 0.9, 0.95, 0.97, 0.99)  # of the least level with a counterexample
@@ -124,29 +122,32 @@ def find_stability(
     linear = linearisation(d)
     if linear.verdict == "unstable":
         return StabilityResult("refuted", linear.reason)
+    search = _Search(d, linear, rate, level, seed, progress or (lambda text: None))
     if function is not None:
-        failure = _failure(d, function, rate, linear)
+        failure = search.failure(function)
         if failure is not None:
-            instead = _instead(d, linear, function, rate, until - time.process_time(), seed, progress)
-            result = StabilityResult("refuted", failure.reason)
-            return replace(result, label="given", counterexample=failure.values, instead=instead)
+            instead = search.instead(function, until - time.process_time())
+            return StabilityResult(
+                "refuted", failure.reason, label="given", counterexample=failure.values, instead=instead
+            )
     elif reason := too_fast(d, linear, rate):
         return StabilityResult("refuted", reason)
     elif reason := unprovable(d):
         return StabilityResult("unknown", reason)
     slopes: StabilityResult | None = None
     stated = function is not None or level is not None
-    if d.sampling is not None and not stated and linear.verdict == "stable":
+    searched = not stated and linear.verdict == "stable"
+    if d.sampling is not None and searched:
         held = sampled_region(d, rate, time_limit=_SAMPLED * time_limit, progress=progress)
         if held is not None:
-            return StabilityResult("proved", "", held.decision, None, SLOPES, held.volume)
+            volume = relative_volume(d, form_of(held.claim.function, d.names) / held.document["claim"]["level"])
+            return StabilityResult("proved", "", held, None, SLOPES, volume)
         if _jumps(d.rates):
             return StabilityResult("unknown", f"no region of the sampled loop is proved, and the law {_JUMPS}")
     few = len(d.states) <= _FEW
-    searched = function is None and level is None and linear.verdict == "stable"
     hard = has_branches(d) or len(d.variables) > _MANY or inexact(d)
     if searched and hard:
-        slopes = _by_slopes(d, linear, rate, time_limit, seed, progress)
+        slopes = search.by_slopes(time_limit)
         if slopes is not None and (first or not few):
             return slopes
     if function is not None:
@@ -156,13 +157,10 @@ def find_stability(
     trials = []
     best: StabilityResult | None = None
     for candidate in offered:
-        bound = least_level(d, candidate.function, rate, seed=seed)
         size = f", volume {candidate.volume:.3g} of the box" if function is None else ""
-        _say(progress, f"{candidate.label}: counterexample at level {bound.level:.4g}{size}")
-        trials.append((candidate, bound))
+        trials.append((candidate, search.bound(candidate, size)))
         if first and function is None and len(trials) == 1:
-            share = _MOST * (until - time.process_time())
-            best = _proved(d, candidate, bound, rate, level, share, seed, progress, start=_SIMPLE, once=True)
+            best = search.proved(*trials[0], _MOST * (until - time.process_time()), start=_SIMPLE, once=True)
             if best.verdict == "proved":
                 return best
     if not trials and slopes is None:
@@ -183,18 +181,17 @@ def find_stability(
         if best is not None and best.verdict == "proved" and candidate.volume <= _GAIN * best.volume:
             continue  # even its whole falsified region is hardly larger than what is proved
         share = rest if k == len(largest) + len(others) else (_HALF if k else _MOST) * rest
-        start = _FIRST if k else _SIMPLE
-        result = _proved(d, candidate, bound, rate, level, share, seed, progress, start=start, once=first)
+        result = search.proved(candidate, bound, share, start=_FIRST if k else _SIMPLE, once=first)
         if best is None or (result.verdict == "proved", result.volume) > (best.verdict == "proved", best.volume):
             best = result
     assert best is not None
     rest = until - time.process_time()
     if best.verdict == "unknown" and level is None and rest > 0 and slopes is None:
-        result = _proved(d, *simplest, rate, level, rest, seed, progress, start=_EASY, once=first)
+        result = search.proved(*simplest, rest, start=_EASY, once=first)
         best = result if result.verdict == "proved" else best
     rest = until - time.process_time()
     if best.verdict == "unknown" and searched and not hard and rest > 0:
-        slopes = _by_slopes(d, linear, rate, rest, seed, progress)
+        slopes = search.by_slopes(rest)
     if slopes is not None and (best.verdict == "unknown" or slopes.volume > best.volume):
         best = slopes
     if function is not None and best.verdict == "unknown" and linear.verdict == "marginal":
@@ -202,6 +199,7 @@ def find_stability(
     return best
 
 
+_CLOSE = {"flat": "V' is only semidefinite", "decrease": "V does not decrease close to the equilibrium"}
 _JUMPS = "may jump (if_else, select), for which no rule has a proof: write limits with fmin and fmax"
 
 
@@ -219,131 +217,103 @@ def _jumps(expressions: tuple[Node, ...]) -> bool:
     return any(node.op == "select" for node in ordered(*expressions))
 
 
-def _by_slopes(
-    d: Dynamics, linear: Linear, rate: float | None, seconds: float, seed: int, progress: Callable[[str], None] | None
-) -> StabilityResult | None:
-    """Return a region that the slope rule proves; None if it proves none."""
-    candidate = slope_candidate(d, linear, rate, seconds=_SLOPES * seconds)
-    if candidate is None:
-        return None
-    until = time.process_time() + _PROOF * seconds
-    for level in _SAFE:
-        claim = Stability(hugged(d, candidate.function, level), candidate.function, level, rate)
-        trial = prove_by_slopes(claim, time_limit=until - time.process_time(), feedbacks=candidate.feedbacks)
-        _say(progress, f"{candidate.label}: level {level:.4g} {trial.verdict} {trial.reason}")
-        if trial.verdict == "proved":
-            # only figures of a page: for many states, the search takes longer than the proof
-            bound = least_level(d, candidate.function, rate, seed=seed) if len(d.states) <= _SOME else None
-            volume = candidate.volume * level ** (len(d.states) / 2)
-            return StabilityResult("proved", "", trial, bound, candidate.label, volume)
-        if time.process_time() > until:
-            break
-    return None
+@dataclass(frozen=True, eq=False)
+class _Search:
+    dynamics: Dynamics
+    linear: Linear
+    rate: float | None
+    level: float | None
+    seed: int
+    say: Callable[[str], None]
 
+    def bound(self, candidate: Candidate, more: str = "") -> Falsified:
+        bound = least_level(self.dynamics, candidate.function, self.rate, seed=self.seed)
+        self.say(f"{candidate.label}: counterexample at level {bound.level:.4g}{more}")
+        return bound
 
-def _failure(d: Dynamics, function: Node, rate: float | None, linear: Linear) -> Failure | None:
-    """Return a state close to the equilibrium at which the stated function fails, for any level; None otherwise."""
-    failure = fails_nearby(d, function, rate, linear)
-    if failure is not None or rate is not None:
-        return failure
-    still = stationary_state(Stability(d, function, 1e300))
-    if still is None:
-        return None
-    at = ", ".join(f"{name} = {x:.6g}" for name, x in still.items())
-    reason = f"V does not change on a line through the equilibrium, such as at {at}"
-    centre = f"; {linear.reason}" if linear.verdict == "marginal" else ""
-    return Failure(still, reason + centre)
-
-
-def _instead(
-    d: Dynamics,
-    linear: Linear,
-    function: Node,
-    rate: float | None,
-    seconds: float,
-    seed: int,
-    progress: Callable[[str], None] | None,
-) -> str:
-    """Return a function near the stated one, and its level, that prove a region, in words; empty if none does."""
-    if linear.verdict != "stable" or too_fast(d, linear, rate):
-        return ""
-    for candidate in strict_variants(d, linear, function):
-        bound = least_level(d, candidate.function, rate, seed=seed)
-        _say(progress, f"{candidate.label}: counterexample at level {bound.level:.4g}")
-        if bound.level > 0:
-            result = _proved(d, candidate, bound, rate, None, seconds, seed, progress, start=_SIMPLE, once=True)
-            if result.claim is not None and result.verdict == "proved":
-                return f'function = "{text_of(result.claim.function)}", level = {result.claim.level:g}'
-            return ""
-    return ""
-
-
-def _proved(
-    d: Dynamics,
-    candidate: Candidate,
-    bound: Falsified,
-    rate: float | None,
-    level: float | None,
-    seconds: float,
-    seed: int,
-    progress: Callable[[str], None] | None,
-    *,
-    start: int,
-    once: bool,
-) -> StabilityResult:
-    """Return the largest level that is proved, of some shares of the least level with a counterexample."""
-    until = time.process_time() + seconds
-    if not bound.level > 0:
-        reason = "V is not positive in the box" if bound.level < 0 else _flat(d, candidate.function)
-        return replace(StabilityResult("unknown", reason), label=candidate.label, falsified=bound)
-    levels = [level] if level is not None else [short(share * bound.level, digits=4) for share in _SHARES]
-    decision: Decision | None = None
-    proved: Decision | None = None
-    low, high, k = -1, len(levels), min(start, len(levels) - 1)
-    while low < k < high and (left := until - time.process_time()) > 0:
-        # a proof that fails takes all its time, so each level leaves time for the next one
-        part = _WHOLE if start == _SIMPLE and proved is None else _PART
-        share = left if k == 0 and proved is None else part * left
-        around = d if level is not None else hugged(d, candidate.function, levels[k])
-        claim = Stability(around, candidate.function, levels[k], rate)
-        # a level below the least one with a counterexample need not be refuted again
-        # and a lower level is easier to prove than other bounds at this one
-        if level is not None:
-            trial = decide_motion(claim, time_limit=share, seed=seed)
-        else:
-            trial = prove_motion(claim, time_limit=share, seed=seed, most=2 if k == 0 else 1)
-        _say(progress, f"{candidate.label}: level {levels[k]:.4g} {trial.verdict} {trial.reason}")
-        if trial.verdict == "proved":
-            proved, low = trial, k
-            if once:
+    def by_slopes(self, seconds: float) -> StabilityResult | None:
+        """Return a region that the slope rule proves; None if it proves none."""
+        d = self.dynamics
+        candidate = slope_candidate(d, self.linear, self.rate, seconds=_SLOPES * seconds)
+        if candidate is None:
+            return None
+        until = time.process_time() + _PROOF * seconds
+        for level in _SAFE:
+            claim = Stability(hugged(d, candidate.function, level), candidate.function, level, self.rate)
+            trial = prove_by_slopes(claim, time_limit=until - time.process_time(), feedbacks=candidate.feedbacks)
+            self.say(f"{candidate.label}: level {level:.4g} {trial.verdict} {trial.reason}")
+            if trial.verdict == "proved":
+                # only figures of a page: for many states, the search takes longer than the proof
+                bound = self.bound(candidate) if len(d.states) <= _SOME else None
+                volume = candidate.volume * level ** (len(d.states) / 2)
+                return StabilityResult("proved", "", trial, bound, candidate.label, volume)
+            if time.process_time() > until:
                 break
-            # the largest level first, then between
-            k = high - 1 if high == len(levels) else (low + high) // 2
-        else:
-            decision, high = trial, k
-            k = k // 2 if proved is None else (low + high) // 2
-    if proved is not None:
-        volume = candidate.volume * (levels[low] / bound.level) ** (len(d.states) / 2)
-        return StabilityResult("proved", "", proved, bound, candidate.label, volume)
-    verdict: Literal["refuted", "unknown"] = "unknown"
-    reason = "the time limit was reached before any level was tried" if decision is None else decision.reason
-    if level is not None and decision is not None and decision.verdict == "refuted":
-        verdict = "refuted"
-    return StabilityResult(verdict, reason, decision, bound, candidate.label)
+        return None
 
+    def failure(self, function: Node) -> Failure | None:
+        """Return a state close to the equilibrium at which the stated function fails, for any level."""
+        failure = fails_nearby(self.dynamics, function, self.rate, self.linear)
+        if failure is not None or self.rate is not None:
+            return failure
+        still = stationary_state(Stability(self.dynamics, function, 1e300))
+        if still is None:
+            return None
+        reason = f"V does not change on a line through the equilibrium, such as at {point_text(still)}"
+        centre = f"; {self.linear.reason}" if self.linear.verdict == "marginal" else ""
+        return Failure(reason + centre, still)
 
-def _flat(d: Dynamics, function: Node) -> str:
-    """Return why no level is possible: V' is positive somewhere close to the equilibrium, or only semidefinite."""
-    random = np.random.default_rng(0)
-    change = d.compiled(function, d.change(function))
-    z = (d.box - d.equilibrium)[1][:, None] * random.standard_normal((len(d.states), 2000)) * 0.05
-    worst = 0.0
-    for corner in d.corners().T:
-        v, moved = np.asarray(change(d.equilibrium[:, None] + z, np.repeat(corner[:, None], z.shape[1], axis=1)))
-        worst = max(worst, float(((moved - v if d.discrete else moved) / v).max()))
-    return "V' is only semidefinite" if worst <= 1e-9 else "V does not decrease close to the equilibrium"
+    def instead(self, function: Node, seconds: float) -> str:
+        """Return a function near the stated one, and its level, that prove a region, in words; empty if none does."""
+        if self.linear.verdict != "stable" or too_fast(self.dynamics, self.linear, self.rate):
+            return ""
+        for candidate in strict_variants(self.dynamics, self.linear, function):
+            bound = self.bound(candidate)
+            if bound.level > 0:
+                result = replace(self, level=None).proved(candidate, bound, seconds, start=_SIMPLE, once=True)
+                if result.claim is not None and result.verdict == "proved":
+                    return f'function = "{text_of(result.claim.function)}", level = {result.claim.level:g}'
+                return ""
+        return ""
 
-
-def _say(progress: Callable[[str], None] | None, text: str) -> None:
-    if progress:
-        progress(text)
+    def proved(
+        self, candidate: Candidate, bound: Falsified, seconds: float, *, start: int, once: bool
+    ) -> StabilityResult:
+        """Return the largest level that is proved, of some shares of the least level with a counterexample."""
+        until, d = time.process_time() + seconds, self.dynamics
+        if not bound.level > 0:
+            reason = "V is not positive in the box" if bound.level < 0 else _CLOSE[bound.cause]
+            return StabilityResult("unknown", reason, None, bound, candidate.label)
+        stated = self.level is not None
+        levels = [self.level or short(share * bound.level, digits=4) for share in ((1.0,) if stated else _SHARES)]
+        decision: Decision | None = None
+        proved: Decision | None = None
+        low, high, k = -1, len(levels), min(start, len(levels) - 1)
+        while low < k < high and (left := until - time.process_time()) > 0:
+            # a proof that fails takes all its time, so each level leaves time for the next one
+            part = _WHOLE if start == _SIMPLE and proved is None else _PART
+            share = left if k == 0 and proved is None else part * left
+            around = d if stated else hugged(d, candidate.function, levels[k])
+            claim = Stability(around, candidate.function, levels[k], self.rate)
+            # a level below the least one with a counterexample need not be refuted again
+            # and a lower level is easier to prove than other bounds at this one
+            if stated:
+                trial = decide_motion(claim, time_limit=share, seed=self.seed)
+            else:
+                trial = prove_motion(claim, time_limit=share, seed=self.seed, most=2 if k == 0 else 1)
+            self.say(f"{candidate.label}: level {levels[k]:.4g} {trial.verdict} {trial.reason}")
+            if trial.verdict == "proved":
+                proved, low = trial, k
+                if once:
+                    break
+                # the largest level first, then between
+                k = high - 1 if high == len(levels) else (low + high) // 2
+            else:
+                decision, high = trial, k
+                k = k // 2 if proved is None else (low + high) // 2
+        if proved is not None:
+            volume = candidate.volume * (levels[low] / bound.level) ** (len(d.states) / 2)
+            return StabilityResult("proved", "", proved, bound, candidate.label, volume)
+        reason = "the time limit was reached before any level was tried" if decision is None else decision.reason
+        refuted = stated and decision is not None and decision.verdict == "refuted"
+        return StabilityResult("refuted" if refuted else "unknown", reason, decision, bound, candidate.label)

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 
@@ -27,15 +27,8 @@ from surctl.verification.formula.parser import clipped, decimal_text
 # What is proved about dynamics where a claim is not: a lower level, a lower rate, narrower ranges, a smaller box
 
 
-class NextStep(NamedTuple):
-    """What is proved instead of a claim, as entries of its file, and what is not proved either."""
-
-    instead: str
-    tried: tuple[str, ...]
-
-
-def _next_step(problem: Problem, *, seconds: float, seed: int = 0) -> NextStep:
-    """Return the first weaker claim about a region of attraction that is proved.
+def _next_step(problem: Problem, *, seconds: float, seed: int = 0) -> tuple[str, list[str]]:
+    """Return the first weaker claim about a region of attraction that is proved, and those that are not.
 
     Args:
         problem: a problem of kind `lyapunov` whose claim is not decided.
@@ -43,7 +36,7 @@ def _next_step(problem: Problem, *, seconds: float, seed: int = 0) -> NextStep:
         seed: seed of the random numbers.
     """
     if linearisation(problem.dynamics).verdict != "stable":
-        return NextStep("", ())  # no quadratic function exists, so the attempts would fail too
+        return "", []  # no quadratic function exists, so the attempts would fail too
     trials = list(_weaker(problem))
     for number, (words, one) in enumerate(trials):
         result = find_stability(
@@ -53,8 +46,8 @@ def _next_step(problem: Problem, *, seconds: float, seed: int = 0) -> NextStep:
         if result.verdict == "proved" and result.claim is not None:
             level = f"level = {every_digit(result.claim.level)}"
             text = words if one.function is None or one.level is not None else f"{words}, {level}" if words else level
-            return NextStep(text, tuple(tried for tried, _ in trials[:number]))
-    return NextStep("", tuple(words or "a lower level" for words, _ in trials))
+            return text, [tried for tried, _ in trials[:number]]
+    return "", [words or "a lower level" for words, _ in trials]
 
 
 def _weaker(problem: Problem) -> Iterator[tuple[str, Problem]]:
@@ -304,14 +297,14 @@ def solve(
     if why := unprovable(solution.problem.dynamics):
         return replace(solution, reason=why)
     began = time.perf_counter()
-    step = _next_step(solution.problem, seconds=helped, seed=seed)
+    instead, tried = _next_step(solution.problem, seconds=helped, seed=seed)
     reason = solution.reason
-    if step.tried:
-        reason += f"; not proved either: {'; '.join(step.tried)}"
-    if not step.instead:
+    if tried:
+        reason += f"; not proved either: {'; '.join(tried)}"
+    if not instead:
         reason += f"; the time limit was {time_limit:g} s of processor time"
     seconds = solution.seconds + time.perf_counter() - began
-    return replace(solution, reason=reason, instead=step.instead, seconds=seconds)
+    return replace(solution, reason=reason, instead=instead, seconds=seconds)
 
 
 def _solved(

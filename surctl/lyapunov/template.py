@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
@@ -34,6 +34,15 @@ class Template:
     dynamics: Dynamics
     basis: tuple[Node, ...]
     sizes: Array
+
+    def only(self, chosen: NDArray[np.bool_]) -> Template:
+        """Return the template of the basis functions that are chosen (K,)."""
+        basis = tuple(node for node, stays in zip(self.basis, chosen, strict=True) if stays)
+        return Template(self.dynamics, basis, self.sizes[chosen])
+
+    def coefficients(self, known: Mapping[Node, float]) -> Array:
+        """Return the coefficients (K,) of a function with those of its basis functions, of which others have 0."""
+        return np.array([known.get(node, 0.0) for node in self.basis])
 
     @cached_property
     def _function(self) -> ca.Function:
@@ -96,11 +105,12 @@ def with_cosines(template: Template, scales: Array) -> Template:
     return Template(d, tuple(basis), np.array(sizes))
 
 
-def quadratic(dynamics: Dynamics, matrix: Array) -> Array:
-    """Return the coefficients of (x − x*)' P (x − x*) in the template of polynomials of degree 2."""
-    count = len(dynamics.states)
-    rows, columns = np.triu_indices(count)
-    return np.asarray(np.where(rows == columns, 1.0, 2.0) * matrix[rows, columns])
+def quadratic(template: Template, matrix: Array) -> Array:
+    """Return the coefficients of (x − x*)' P (x − x*) in a template of products of two states."""
+    rows, columns = np.triu_indices(len(matrix))
+    products = polynomials(template.dynamics, 2, np.ones(len(matrix))).basis
+    values = np.where(rows == columns, 1.0, 2.0) * matrix[rows, columns]
+    return template.coefficients(dict(zip(products, values.tolist(), strict=True)))
 
 
 def _monomial(dynamics: Dynamics, powers: Sequence[int], whole: bool) -> Node:

@@ -8,6 +8,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from surctl.errors import check_count
 from surctl.ir import replay
 from surctl.marine.control import Law, LawSource, load_gains
 from surctl.marine.control.build import build_law_of
@@ -15,7 +16,7 @@ from surctl.marine.simulation import law_numbers, load_scenario
 from surctl.marine.vehicle import load_vehicle
 from surctl.system import NONFINITE
 from surctl.system.controller import lost_entry
-from surctl.testing.ranges import CheckFailed, checked_count, checked_type
+from surctl.testing.ranges import CheckFailed, checked_type
 
 __all__ = [
     "LawReport",
@@ -73,7 +74,7 @@ def check_law(source: LawSource, *, samples: int = 200, extent: float = 5.0, see
         >>> check_law(hold).levels
         (('depth', 1),)
     """
-    checked_count("samples", samples)
+    check_count("samples", samples, least=1)
     checked_type(source, LawSource, key="check_law")
     law, again = build_law_of(source), build_law_of(source)
     what = f"law {source.name}"

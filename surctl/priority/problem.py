@@ -11,7 +11,7 @@ from typing import Any, TypeAlias, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.errors import InputError, nearest
+from surctl.errors import InputError, check_known
 from surctl.priority.settings import ZERO_ROW
 from surctl.tasks.task import Kind
 
@@ -294,8 +294,7 @@ def _checked_level(level: Level) -> Level:
 def _checked_row(row: Row, width: int) -> Row:
     key = f"limit {row.name}"
     a, lower, upper = _numbers(row.a, key).reshape(-1), _number(row.lower, key), _number(row.upper, key)
-    if row.kind not in get_args(Kind):
-        raise InputError("unknown kind", key=key, value=row.kind, remedy=nearest(str(row.kind), get_args(Kind)))
+    check_known(row.kind, get_args(Kind), "unknown kind", key=key)
     if a.size != width:
         raise InputError(f"has {a.size} entries, expected {width}", key=key, remedy="give one entry for each velocity")
     if not np.isfinite(a).all() or math.isnan(lower) or math.isnan(upper):

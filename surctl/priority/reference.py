@@ -18,9 +18,9 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.errors import InputError, nearest
+from surctl.errors import InputError, check_known
 from surctl.priority.problem import Level, Limits, PriorityProblem
-from surctl.priority.settings import CUTOFF, ZERO_ROW, Settings
+from surctl.priority.settings import Settings, negligible
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -49,7 +49,7 @@ def row_space(J: Array, *, scale: float | None = None) -> RowSpace:
     """Decompose J (k, n) without singular values below `CUTOFF`·`scale` or `ZERO_ROW`; `scale` None means ‖J‖."""
     left, s, rows = np.linalg.svd(J, full_matrices=True)
     largest = scale if scale is not None else float(s[0]) if s.size else 0.0
-    rank = int(np.count_nonzero(s > max(CUTOFF * largest, ZERO_ROW)))
+    rank = int(np.count_nonzero(s > negligible(largest)))
     return RowSpace(left[:, :rank], s[:rank], rows[:rank], rows[rank:])
 
 
@@ -281,9 +281,7 @@ def reference_solution(problem: PriorityProblem, settings: Settings, backend: st
     """
     import qpsolvers
 
-    if backend not in qpsolvers.available_solvers:
-        known = nearest(str(backend), qpsolvers.available_solvers)
-        raise InputError("no such QP backend", key="backend", value=backend, remedy=known)
+    check_known(backend, qpsolvers.available_solvers, "no such QP backend", key="backend")
     with np.errstate(all="ignore"):  # overflow is handled below, so no warning is needed
         try:
             solution = _solution(problem, settings, _Solver(backend))

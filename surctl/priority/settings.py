@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from typing import Literal, TypeAlias, get_args
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
-from surctl.errors import InputError, nearest
+from surctl.errors import InputError, check_known
 
 CUTOFF = 1e-10
 """Singular values of a Jacobian J, or of J restricted to the null space of higher levels, below CUTOFF·‖J‖ count as
@@ -16,6 +17,12 @@ CUTOFF = 1e-10
 
 ZERO_ROW = 1e-15
 """A row, or a Jacobian, smaller than this counts as zero."""
+
+
+def negligible(largest: ArrayLike) -> NDArray[np.float64]:
+    """Return the size up to which singular values count as 0, for the largest one of the Jacobian (...)."""
+    return np.maximum(CUTOFF * np.asarray(largest, dtype=float), ZERO_ROW)
+
 
 Mode: TypeAlias = Literal["nsb", "filter", "projected", "lexicographic"]
 """nsb: the NSB law, equation (16) of the paper, without limits. filter: the velocity within the limits that is nearest
@@ -51,11 +58,7 @@ class Settings:
 
     def __post_init__(self) -> None:
         """Check that each setting is in its range and that the mode uses it."""
-        modes = get_args(Mode)
-        if self.mode not in modes:
-            raise InputError(
-                "no such priority mode", key="mode", value=self.mode, remedy=nearest(str(self.mode), modes)
-            )
+        check_known(self.mode, get_args(Mode), "no such priority mode", key="mode")
         if not isinstance(self.damping, float | int | np.floating | np.integer) or isinstance(self.damping, bool):
             raise InputError(
                 "is not a number", key="damping", value=self.damping, remedy="give a number, or leave it out"
@@ -84,9 +87,7 @@ def check_fallback(fallback: str, *, mode: str, damping: float = 0.0) -> None:
             ...
         surctl.errors.InputError: fallback = 'bounded': mode nsb has none; use mode filter or projected
     """
-    known = get_args(Fallback)
-    if fallback not in known:
-        raise InputError("is not known", key="fallback", value=fallback, remedy=nearest(str(fallback), known))
+    check_known(fallback, get_args(Fallback), key="fallback")
     if fallback != "exact" and (mode not in _BOUNDED or damping != 0.0):
         problem = f"mode {mode} has none" if mode not in _BOUNDED else "cannot be combined with damping"
         remedy = f"use mode {' or '.join(_BOUNDED)}" if mode not in _BOUNDED else "leave the damping out"

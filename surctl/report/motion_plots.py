@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from surctl.lyapunov import Dynamics
 from surctl.report.theme import AVOIDING, GOOD, INK, MUTED, ROBOT, dress, new_figure
+from surctl.system.plant import runge_kutta
 from surctl.verification.formula import Node
 
 Array = NDArray[np.float64]
@@ -132,11 +133,7 @@ def _solutions(dynamics: Dynamics, start: Array) -> Array:
     step = _TURN / max(float(rates[np.isfinite(rates)].max(initial=1e-9)), 1e-9)
     path = [start]
     for _ in range(_STEPS):
-        x = path[-1]
-        k1 = dynamics.evaluate(x)
-        k2 = dynamics.evaluate(x + step / 2 * k1)
-        k3 = dynamics.evaluate(x + step / 2 * k2)
-        path.append(_inside(x + step / 6 * (k1 + 2 * k2 + 2 * k3 + dynamics.evaluate(x + step * k3)), low, high))
+        path.append(_inside(runge_kutta(lambda x, _: dynamics.evaluate(x), path[-1], step), low, high))
     return np.array(path)
 
 

@@ -6,13 +6,13 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal, TypeAlias
+from typing import Literal, TypeAlias, get_args
 
 import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from surctl.errors import InputError, nearest
+from surctl.errors import InputError, check_known
 from surctl.ir import Port
 from surctl.robot.urdf import Joint, Urdf
 from surctl.units import as_numbers
@@ -150,10 +150,7 @@ class Kinematics:
         self.urdf = urdf
         joints = list(urdf.joints)
         if base != "fixed":
-            if base not in ("planar", "floating"):
-                raise InputError(
-                    "is not known", key="base", value=base, remedy=nearest(str(base), ("fixed", "planar", "floating"))
-                )
+            check_known(base, get_args(Base), key="base")
             if _WORLD in urdf.links or any(joint.name == "base" for joint in joints):
                 raise InputError(
                     "is the name of a link or joint", key=_WORLD, remedy="rename it, or model the base in the file"
@@ -214,8 +211,7 @@ class Kinematics:
 
     def coordinate(self, joint: str) -> Coordinate:
         """Return the place of a joint in q and v; raise InputError if the joint does not move by itself."""
-        if joint not in self._by_joint:
-            raise InputError("is not a joint that moves", key="joint", value=joint, remedy=nearest(joint, self.names))
+        check_known(joint, self.names, "is not a joint that moves", key="joint")
         return self._by_joint[joint]
 
     @cached_property
@@ -238,7 +234,7 @@ class Kinematics:
 
     def frame(self, link: str) -> Frame:
         """Return the frame of a link as expressions of q; raise InputError for an unknown link."""
-        self._check_link(link)
+        check_known(link, self.links, "is not the name of a link", key="frame")
         position = self._positions[link]
         return Frame(self._rotations[link], position, self.jacobian_at(link, position))
 
@@ -387,12 +383,6 @@ class Kinematics:
             self._functions[link] = ca.Function("frame", [self.q], results)
         rotation, position, jacobian = self._functions[link].call([self.checked(q, self.nq, "q")])
         return np.array(rotation), np.array(position), np.array(jacobian)
-
-    def _check_link(self, link: str) -> None:
-        if link not in self._rotations:
-            raise InputError(
-                "is not the name of a link", key="frame", value=link, remedy=nearest(str(link), self.links)
-            )
 
     def _followers(self, place: Coordinate) -> Iterator[tuple[Joint, float, float]]:
         """Yield the joint itself, then those that mimic it, with multiplier and offset."""

@@ -15,7 +15,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.errors import InputError, nearest
+from surctl.errors import InputError, check_known
 from surctl.robot.kinematics import Coordinate, Kinematics
 from surctl.robot.urdf import Capsule, closest_points, read_xml
 from surctl.tasks import LimitRow
@@ -284,10 +284,7 @@ def _read_srdf(robot: Kinematics, path: str | Path) -> frozenset[frozenset[str]]
     for element in read_xml(path, "robot").iter("disable_collisions"):
         pair = [element.get("link1", ""), element.get("link2", "")]
         for name in pair:
-            if name not in robot.urdf.links:
-                remedy = nearest(name, robot.urdf.links)
-                key = "disable_collisions"
-                raise InputError("is not the name of a link", file=path, key=key, value=name, remedy=remedy)
+            check_known(name, robot.urdf.links, "is not the name of a link", key="disable_collisions", file=path)
         disabled.add(frozenset(pair))
     return frozenset(disabled)
 
@@ -311,8 +308,7 @@ def _by_joint(robot: Kinematics, value: float | Mapping[str, float] | None, key:
     if not isinstance(value, Mapping):
         value = {place.joint.name: value for place in robot.coordinates if place.single}
     for joint, number in value.items():
-        if joint not in robot.joints:
-            raise InputError("no such joint", key=key, value=joint, remedy=nearest(str(joint), robot.joints))
+        check_known(joint, robot.joints, "no such joint", key=key)
         if not is_number(number) or number <= 0.0:
             raise InputError("is not a positive number", key=f"{key}: {joint}", value=number, remedy="give SI units")
     return {joint: float(number) for joint, number in value.items()}

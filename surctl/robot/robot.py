@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from surctl.errors import InputError, mistakes_in, nearest
+from surctl.errors import InputError, check_known, mistakes_in
 from surctl.ir import Port
 from surctl.robot import limits
 from surctl.robot.kinematics import Base, Kinematics, quaternion_of, rotation_of, rotation_vector
@@ -294,8 +294,7 @@ def load_urdf(path: str | Path, *, lock: Sequence[str] | Mapping[str, float] = (
     known = {joint.name: joint for joint in urdf.joints}
     positions = dict(lock) if isinstance(lock, Mapping) else dict.fromkeys(lock, 0.0)
     for name, position in positions.items():
-        if name not in known:
-            raise InputError("no such joint", file=path, key="lock", value=name, remedy=nearest(str(name), known))
+        check_known(name, known, "no such joint", key="lock", file=path)
         if known[name].type in ("planar", "floating") or not math.isfinite(position):
             remedy = "give one finite position"
             raise InputError("cannot be locked there", file=path, key=f"lock {name}", value=position, remedy=remedy)

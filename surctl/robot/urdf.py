@@ -7,14 +7,14 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, TypeAlias, cast, get_args
-from xml.etree.ElementTree import Element, TreeBuilder
-from xml.parsers import expat
+from xml.etree.ElementTree import Element
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.errors import InputError, mistakes_in, nearest
+from surctl.errors import InputError, check_known, mistakes_in, nearest
+from surctl.recorded import file_bytes, xml_root
 
 # Capsules (and spheres) around the links of a robot, and the distance between two of them
 
@@ -234,44 +234,15 @@ def read_urdf(path: str | Path) -> Urdf:
 
 
 def read_xml(path: Path, tag: str) -> Element:
-    """Return the root element of an XML file, whose tag must be `tag`.
+    """Return the root element of an XML file, whose tag must be `tag`; see `xml_root`.
 
     Raises:
-        InputError: the file cannot be read or parsed, is too large, or declares a document type, which could expand
-            entities without end.
+        InputError: the file cannot be read or parsed, or is too large.
     """
-    try:
-        if path.exists() and not path.is_file():  # such as a device that never ends
-            raise InputError("is not a file", file=path, remedy="give a URDF or SRDF file")
-        if path.stat().st_size > _LARGEST:
-            raise InputError(f"is larger than {_LARGEST // 1_000_000} MB", file=path, remedy="give a URDF or SRDF file")
-        data = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"cannot be read ({error.strerror})", file=path, remedy="check the path") from None
-    builder = TreeBuilder()
-    parser = expat.ParserCreate()
-    parser.StartElementHandler = builder.start
-    parser.EndElementHandler = builder.end
-    parser.StartDoctypeDeclHandler = _refuse
-    try:
-        parser.Parse(data, True)
-        root = builder.close()
-    except expat.ExpatError as error:
-        problem = f"line {error.lineno}: is not well-formed XML ({expat.ErrorString(error.code)})"
-        raise InputError(problem, file=path, remedy="correct the file") from None
-    except (LookupError, ValueError) as error:  # an encoding that Python does not know, or not byte by byte
-        raise InputError(f"has an unusable encoding ({error})", file=path, remedy="save it as UTF-8") from None
-    except InputError as error:
-        raise error.inside(path) from None
-    if any(element.tag.startswith("xacro:") for element in root.iter()):
-        raise InputError("contains xacro macros", file=path, remedy=f"expand them: xacro {path.name} > FILE")
+    root = xml_root(file_bytes(path, remedy="give a URDF or SRDF file", most=_LARGEST), file=path, remedy="correct it")
     if root.tag != tag:
         raise InputError(f"begins with <{root.tag}>", file=path, remedy=f"give a file that begins with <{tag}>")
     return root
-
-
-def _refuse(*_: object) -> None:
-    raise InputError("declares a document type (DOCTYPE)", remedy="remove the declaration and its entities")
 
 
 def _name(element: Element) -> str:
@@ -384,10 +355,7 @@ def _joint(element: Element) -> Joint:
     name = _name(element)
     key = f"joint {name}"
     kind = element.get("type", "")
-    if kind not in get_args(JointType):
-        raise InputError(
-            "is not a joint type", key=f"{key}: type", value=kind, remedy=nearest(kind, get_args(JointType))
-        )
+    check_known(kind, get_args(JointType), "is not a joint type", key=f"{key}: type")
     ends = []
     for tag in ("parent", "child"):
         end = _one(element, tag, key)
@@ -443,9 +411,7 @@ def _check_tree(links: dict[str, Link], joints: dict[str, Joint]) -> str:
     parents: dict[str, Joint] = {}
     for joint in joints.values():
         for tag, link in (("parent", joint.parent), ("child", joint.child)):
-            if link not in links:
-                key = f"joint {joint.name}: {tag}"
-                raise InputError("is not the name of a link", key=key, value=link, remedy=nearest(link, links))
+            check_known(link, links, "is not the name of a link", key=f"joint {joint.name}: {tag}")
         if joint.child in parents:
             problem = f"is the child of joints {parents[joint.child].name} and {joint.name}"
             raise InputError(problem, key=f"link {joint.child}", remedy="a robot is a tree: remove one of the joints")
@@ -483,8 +449,7 @@ def _check_mimics(joints: dict[str, Joint]) -> None:
         passed, at = [joint.name], joint
         while at.mimic is not None:
             key = f"joint {at.name}: mimic"
-            if at.mimic.joint not in joints:
-                raise InputError("no such joint", key=key, value=at.mimic.joint, remedy=nearest(at.mimic.joint, joints))
+            check_known(at.mimic.joint, joints, "no such joint", key=key)
             at = joints[at.mimic.joint]
             if at.type in ("planar", "floating"):
                 raise InputError(f"is {at.type}", key=key, value=at.name, remedy="mimic a joint with one position")

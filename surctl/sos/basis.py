@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from fractions import Fraction
 
 import numpy as np
+from flint import fmpq, fmpq_mat
 from numpy.typing import NDArray
 
 from surctl.sos.polynomial import Monomial, Polynomial
@@ -114,16 +115,8 @@ def restricted(gram: Gram, zeros: Sequence[Sequence[Fraction | float]]) -> Gram:
     exact = [not isinstance(zero[0], float) for zero in own]
     values = [[Fraction(x) for x in row] for row, known in zip(rows, exact, strict=True) if known]
     values += _rational(np.array([row for row, known in zip(rows, exact, strict=True) if not known], dtype=float))
-    pivots: dict[int, list[Fraction]] = {}
-    for row in values:
-        for at, other in pivots.items():
-            row = [x - row[at] * y for x, y in zip(row, other, strict=True)]
-        first = next((k for k, x in enumerate(row) if x), None)
-        if first is not None:
-            row = [x / row[first] for x in row]
-            for at, other in pivots.items():
-                pivots[at] = [x - other[first] * y for x, y in zip(other, row, strict=True)]
-            pivots[first] = row
+    flat = [fmpq(*x.as_integer_ratio()) for row in values for x in row]
+    pivots = echelon(fmpq_mat(len(values), len(gram.basis), flat))
     if not pivots:
         return gram
     forms = []
@@ -132,6 +125,13 @@ def restricted(gram: Gram, zeros: Sequence[Sequence[Fraction | float]]) -> Gram:
             terms = {gram.basis[at]: -row[k] for at, row in pivots.items() if row[k]}
             forms.append(Polynomial({m: Fraction(1), **terms}))
     return replace(gram, forms=tuple(forms), basis=gram.basis if forms else ())
+
+
+def echelon(matrix: fmpq_mat) -> dict[int, list[Fraction]]:
+    """Return the nonzero rows of the reduced row echelon form of a matrix, by the column of their leading 1."""
+    reduced, rank = matrix.rref()
+    rows = [[Fraction(int(x.p), int(x.q)) for x in row] for row in reduced.tolist()[:rank]]
+    return {next(k for k, x in enumerate(row) if x): row for row in rows}
 
 
 def _rational(rows: NDArray[np.float64]) -> list[list[Fraction]]:

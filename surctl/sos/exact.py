@@ -12,27 +12,29 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
+from itertools import chain, islice
 from math import ceil, lcm, log2
+from typing import NamedTuple
 
 import numpy as np
+from flint import fmpq, fmpq_mat
 
 from surctl.certcheck.definite import is_semidefinite
-from surctl.sos.basis import Gram, monomials, parity_classes, pruned, restricted
-from surctl.sos.polynomial import Monomial, Number, Polynomial, joined
+from surctl.sos.basis import Gram, echelon, monomials, parity_classes, pruned, restricted
+from surctl.sos.polynomial import Monomial, Polynomial, from_ring, in_ring, joined
 from surctl.sos.program import Proposal, best_identity
 
 _LARGEST = 120  # largest size of a Gram matrix
 
 
-# Exact solution of sparse linear equations by a change of few unknowns
+# Exact solution of linear equations by a change of few unknowns
 
 
 Name = tuple[int, int | Monomial]
-_MOST = 4000  # most equations with more than one unknown
+_MOST = 2_000_000  # most coefficients of the equations
 
 
-@dataclass(frozen=True)
-class LinearUnknown:
+class LinearUnknown(NamedTuple):
     """An unknown of linear equations.
 
     Attributes:
@@ -49,82 +51,27 @@ class LinearUnknown:
 def corrected(rest: Mapping[Monomial, Fraction], columns: Sequence[LinearUnknown]) -> dict[Name, Fraction] | None:
     """Return changes of unknowns such that Σ change · row = rest; None if there are none.
 
+    Unknowns that few equations contain are changed first.
+
     Args:
         rest: right side of the equations; 0 where a monomial is missing.
         columns: the unknowns.
     """
-    order = sorted(range(len(columns)), key=lambda k: (len(columns[k].row), columns[k].rank))
-    place = {k: p for p, k in enumerate(order)}
-    equations: dict[Monomial, dict[int, Fraction]] = {}
-    for k, column in enumerate(columns):
-        for m, c in column.row.items():
-            equations.setdefault(m, {})[place[k]] = c
-    sides = {m: Fraction(rest.get(m, 0)) for m in equations}
-    if any(c and m not in equations for m, c in rest.items()):
+    order = sorted(columns, key=lambda column: (len(column.row), column.rank))
+    place = {m: k for k, m in enumerate(dict.fromkeys(m for column in order for m in column.row))}
+    if any(c and m not in place for m, c in rest.items()) or len(place) * len(order) > _MOST:
         return None
-    # an unknown that occurs in one equation alone solves it without an influence on the others
-    changes: dict[Name, Fraction] = {}
-    later: dict[Monomial, int] = {}
-    for m, equation in equations.items():
-        own = next((p for p in sorted(equation) if len(columns[order[p]].row) == 1), None)
-        if own is not None:
-            later[m] = own
-    solved = _eliminated(
-        {m: dict(e) for m, e in equations.items() if m not in later}, {m: s for m, s in sides.items() if m not in later}
-    )
-    if solved is None:
-        return None
-    for p, value in solved.items():
-        changes[columns[order[p]].name] = value
-        for m, c in columns[order[p]].row.items():
-            sides[m] -= c * value
-    for m, p in later.items():
-        changes[columns[order[p]].name] = sides[m] / equations[m][p]
-    return {name: value for name, value in changes.items() if value}
-
-
-def _eliminated(
-    equations: dict[Monomial, dict[int, Fraction]], sides: dict[Monomial, Fraction]
-) -> dict[int, Fraction] | None:
-    """Return one solution of the equations, in which few unknowns differ from 0."""
-    if len(equations) > _MOST:
-        return None
-    users: dict[int, set[Monomial]] = {}
-    for m, equation in equations.items():
-        for p in equation:
-            users.setdefault(p, set()).add(m)
-    solved: list[tuple[Monomial, int]] = []
-    left = set(equations)
-    while left:
-        m = min(left, key=lambda e: (len(equations[e]), e))
-        left.remove(m)
-        equation = equations[m]
-        if not equation:
-            if sides[m]:
-                return None
-            continue
-        largest = max(abs(c) for c in equation.values())
-        p = min((p for p, c in equation.items() if 4 * abs(c) >= largest), key=lambda p: (len(users[p]), p))
-        solved.append((m, p))
-        for other in list(users[p]):
-            if other == m or other not in left:
-                continue
-            factor = equations[other][p] / equation[p]
-            sides[other] -= factor * sides[m]
-            for q, c in equation.items():
-                value = equations[other].get(q, Fraction(0)) - factor * c
-                if value:
-                    equations[other][q] = value
-                    users[q].add(other)
-                else:
-                    equations[other].pop(q, None)
-                    users[q].discard(other)
-    values: dict[int, Fraction] = {}
-    for m, p in reversed(solved):
-        equation = equations[m]
-        known = sum((c * values[q] for q, c in equation.items() if q in values), Fraction(0))
-        values[p] = (sides[m] - known) / equation[p]
-    return values
+    matrix = fmpq_mat(len(place), len(order) + 1)
+    for k, row in enumerate([*(column.row for column in order), rest]):
+        for m, c in row.items():
+            matrix[place[m], k] = fmpq(*c.as_integer_ratio())
+    reduced, changes = echelon(matrix), dict[Name, Fraction]()
+    for pivot, entries in reduced.items():
+        if pivot == len(order):
+            return None
+        if entries[-1]:
+            changes[order[pivot].name] = entries[-1]
+    return changes
 
 
 _LEAST = 1e-11  # a smaller least eigenvalue of the numerical Gram matrices leaves no margin for rounding
@@ -242,7 +189,7 @@ def _only(
         if m not in pairs:
             return None
         [(block, place, weight)] = pairs[m]
-        values[block][place] = Fraction(c) / weight
+        values[block][place] = c / weight
     if not all(_semidefinite(len(g.basis), v) for g, v in zip(grams, values, strict=True)):
         return None
     return Certificate(tuple(GramBlock(-1, g.basis, tuple(v)) for g, v in zip(grams, values, strict=True)), (), 0.0)
@@ -265,7 +212,7 @@ def completed(target: Polynomial, blocks: Sequence[GramBlock]) -> tuple[GramBloc
     """
     grams = [Gram(-1, Polynomial.constant(1), block.basis) for block in blocks]
     rest = _remainder(target, grams, [block.entries for block in blocks], (), ())
-    waiting = {m: Fraction(c) for m, c in rest.terms.items()}
+    waiting = dict(rest.terms)
     total = []
     for block in blocks:
         entries = list(block.entries)
@@ -319,7 +266,7 @@ def _rounded(
     polynomials = [{m: near(c) for m, c in h.items()} for h in solution.multipliers]
     pairs = _pairs(grams)
     rest = _remainder(target, grams, values, relations, polynomials)
-    outside = {m: Fraction(c) for m, c in rest.terms.items() if m not in pairs}
+    outside = {m: c for m, c in rest.terms.items() if m not in pairs}
     if outside:
         columns = _columns(grams, relations, solution.multipliers, pairs)
         changes = corrected(outside, columns)
@@ -332,7 +279,7 @@ def _rounded(
                 polynomials[at][place] = polynomials[at].get(place, Fraction(0)) + change
         rest = _remainder(target, grams, values, relations, polynomials)
     # spread the remainder evenly, round it, and leave to the reader what is less than the grid
-    left = {m: Fraction(c) for m, c in rest.terms.items()}
+    left = dict(rest.terms)
     for m, c in left.items():
         places = pairs.get(m)
         if places is None:
@@ -373,53 +320,28 @@ def _remainder(
     polynomials: Sequence[Mapping[Monomial, Fraction]],
 ) -> Polynomial:
     """Return target − Σ σ_k · weight_k − Σ h_j · relation_j."""
-    parts = [(_integers(target.terms), (dict[Monomial, int]({(): -1}), 1))]
-    for gram, entries in zip(grams, values, strict=True):
-        parts.append((_square(gram, _expanded(gram, entries)), _integers(gram.weight.terms)))
-    for relation, terms in zip(relations, polynomials, strict=True):
-        parts.append((_integers(terms), _integers(relation.terms)))
-    whole = lcm(*(over * under for (_, over), (_, under) in parts))
-    total: dict[Monomial, int] = {}
-    for (first, over), (second, under) in parts:
-        factor = -(whole // (over * under))
-        for n, d in second.items():
-            d *= factor
-            for m, c in first.items():
-                product = joined(m, n)
-                total[product] = total.get(product, 0) + c * d
-    return Polynomial({m: Fraction(c, whole) for m, c in total.items() if c})
-
-
-def _integers(terms: Mapping[Monomial, Number]) -> tuple[dict[Monomial, int], int]:
-    """Return the coefficients times their common denominator, and this denominator."""
-    exact = {m: Fraction(c) for m, c in terms.items()}
-    over = lcm(*(c.denominator for c in exact.values()))
-    return {m: c.numerator * (over // c.denominator) for m, c in exact.items()}, over
-
-
-def _square(gram: Gram, entries: Sequence[Fraction]) -> tuple[dict[Monomial, int], int]:
-    """Return z' G z as integers over a common denominator."""
-    over = lcm(*(x.denominator for x in entries))
-    total: dict[Monomial, int] = {}
-    numbers = iter(entries)
-    for i, m in enumerate(gram.basis):
-        for j, n in enumerate(gram.basis[: i + 1]):
-            x = next(numbers)
-            product = joined(m, n)
-            value = x.numerator * (over // x.denominator)
-            total[product] = total.get(product, 0) + (value if i == j else 2 * value)
-    return total, over
+    roots = [gram.roots for gram in grams]
+    others = [*(gram.weight for gram in grams), *relations, *(Polynomial(terms) for terms in polynomials)]
+    rest, *every = in_ring(target, *others, *chain.from_iterable(roots))
+    factors, products = every[: len(others)], iter(every[len(others) :])
+    for gram, entries, weight in zip(roots, values, factors, strict=False):
+        own, total, place = list(islice(products, len(gram))), 0 * rest, iter(entries)
+        for i, p in enumerate(own):
+            for j in range(i + 1):
+                x = next(place) * (1 if i == j else 2)
+                total += fmpq(*x.as_integer_ratio()) * p * own[j]
+        rest -= total * weight
+    for relation, multiplier in zip(factors[len(grams) :], factors[len(grams) + len(relations) :], strict=False):
+        rest -= relation * multiplier
+    return from_ring(rest)
 
 
 def _expanded(gram: Gram, entries: Sequence[Fraction]) -> tuple[Fraction, ...]:
     """Return the lower triangle of the Gram matrix of the monomials, from that of the forms."""
     if not gram.forms:
         return tuple(entries)
-    rows = [[Fraction(f.terms.get(m, 0)) for m in gram.basis] for f in gram.forms]
-    size = len(rows)
-    full = [[Fraction(0)] * size for _ in range(size)]
-    for at, (i, j) in enumerate(zip(*np.tril_indices(size), strict=True)):
-        full[i][j] = full[j][i] = entries[at]
+    rows = [[f.terms.get(m, Fraction(0)) for m in gram.basis] for f in gram.forms]
+    full = _full(len(rows), entries)
     columns = [[row[k] for row in rows] for k in range(len(gram.basis))]
     half = [[_dot(row, column) for row in full] for column in columns]
     return tuple(_dot(columns[i], half[j]) for i in range(len(columns)) for j in range(i + 1))
@@ -439,7 +361,7 @@ def _columns(
     columns = []
     for at, (relation, unknown) in enumerate(zip(relations, multipliers, strict=True)):
         for m in unknown:
-            row = {joined(m, n): Fraction(c) for n, c in relation.terms.items()}
+            row = {joined(m, n): c for n, c in relation.terms.items()}
             columns.append(LinearUnknown((at, m), {m: c for m, c in row.items() if m not in inside}, 0))
     for at, gram in enumerate(grams):
         place = 0
@@ -447,23 +369,20 @@ def _columns(
         for i, p in enumerate(roots):
             for j, q in enumerate(roots[: i + 1]):
                 product = p * q * gram.weight * (1 if i == j else 2)
-                row = {m: Fraction(c) for m, c in product.terms.items()}
-                columns.append(
-                    LinearUnknown((at, place), {m: c for m, c in row.items() if m not in inside}, 2 if i == j else 1)
-                )
+                row = {m: c for m, c in product.terms.items() if m not in inside}
+                columns.append(LinearUnknown((at, place), row, 2 if i == j else 1))
                 place += 1
     return [c for c in columns if c.row]
 
 
 def _semidefinite(size: int, entries: Sequence[Fraction]) -> bool:
-    over = 1
-    for x in entries:
-        over = lcm(over, x.denominator)
-    matrix = [[0] * size for _ in range(size)]
-    place = 0
-    for i in range(size):
-        for j in range(i + 1):
-            x = entries[place]
-            matrix[i][j] = matrix[j][i] = x.numerator * (over // x.denominator)
-            place += 1
-    return is_semidefinite(matrix)
+    over = lcm(*(x.denominator for x in entries))
+    return is_semidefinite([[x.numerator * (over // x.denominator) for x in row] for row in _full(size, entries)])
+
+
+def _full(size: int, entries: Sequence[Fraction]) -> list[list[Fraction]]:
+    """Return the symmetric matrix with this lower triangle."""
+    matrix = [[Fraction(0)] * size for _ in range(size)]
+    for i, j, x in zip(*np.tril_indices(size), entries, strict=True):
+        matrix[i][j] = matrix[j][i] = x
+    return matrix

@@ -1,17 +1,18 @@
-"""Sparse polynomials in numbered variables; coefficients are exact fractions or floats."""
+"""Sparse polynomials in numbered variables with exact coefficients."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import operator
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+
+from flint import Ordering, fmpq, fmpq_mpoly, fmpq_mpoly_ctx
 
 Monomial = tuple[tuple[int, int], ...]
 """A monomial: pairs (variable, exponent ≥ 1) in the order of the variables; () is the monomial 1."""
 Number = Fraction | float
-"""A coefficient; integers count as fractions."""
-ONE = Fraction(1)
-"""The coefficient of a variable; no multiplication is needed with this very object."""
+"""A number; as a coefficient, a float is exactly the double."""
 
 
 @dataclass(frozen=True)
@@ -31,17 +32,17 @@ class Polynomial:
         (2, Fraction(8, 1), True)
     """
 
-    terms: Mapping[Monomial, Number]
+    terms: Mapping[Monomial, Fraction]
 
     @staticmethod
     def constant(value: Number) -> Polynomial:
         """Return the constant polynomial."""
-        return Polynomial({(): _number(value)} if value else {})
+        return Polynomial({(): Fraction(value)} if value else {})
 
     @staticmethod
     def variable(index: int) -> Polynomial:
         """Return the polynomial x_index."""
-        return Polynomial({((index, 1),): ONE})
+        return Polynomial({((index, 1),): Fraction(1)})
 
     @staticmethod
     def variables(count: int) -> tuple[Polynomial, ...]:
@@ -51,7 +52,10 @@ class Polynomial:
     @staticmethod
     def monomial(monomial: Monomial) -> Polynomial:
         """Return the polynomial with this monomial alone, with the coefficient 1."""
-        return Polynomial({monomial: ONE})
+        return Polynomial({monomial: Fraction(1)})
+
+    def __bool__(self) -> bool:
+        return bool(self.terms)
 
     @property
     def degree(self) -> int:
@@ -59,109 +63,58 @@ class Polynomial:
         return max((sum(e for _, e in m) for m in self.terms), default=0)
 
     def __add__(self, other: Polynomial | Number) -> Polynomial:
-        if not isinstance(other, Polynomial | Fraction | float | int):
-            return NotImplemented
-        return self._plus(_polynomial(other), 1)
+        return self._with(other, operator.add)
 
     def __sub__(self, other: Polynomial | Number) -> Polynomial:
-        if not isinstance(other, Polynomial | Fraction | float | int):
-            return NotImplemented
-        return self._plus(_polynomial(other), -1)
+        return self._with(other, operator.sub)
 
-    def __radd__(self, other: Number) -> Polynomial:
-        return self + other
+    def __mul__(self, other: Polynomial | Number) -> Polynomial:
+        return self._with(other, operator.mul)
+
+    __radd__, __rmul__ = __add__, __mul__
 
     def __rsub__(self, other: Number) -> Polynomial:
-        return _polynomial(other) - self
+        return Polynomial.constant(other) - self
 
     def __neg__(self) -> Polynomial:
         return Polynomial({m: -c for m, c in self.terms.items()})
 
-    def __mul__(self, other: Polynomial | Number) -> Polynomial:
-        if not isinstance(other, Polynomial):
-            if not isinstance(other, Fraction | float | int):
-                return NotImplemented
-            value = _number(other)
-            return Polynomial({m: c * value for m, c in self.terms.items()} if value else {})
-        total: dict[Monomial, Number] = {}
-        for m, c in self.terms.items():
-            for n, d in other.terms.items():
-                product = joined(m, n)
-                value = d if c is ONE else c if d is ONE else c * d
-                # a sum of a fraction and the integer 0 is slow
-                total[product] = total[product] + value if product in total else value
-        return Polynomial({m: c for m, c in total.items() if c})
-
-    def __rmul__(self, other: Number) -> Polynomial:
-        return self * other
-
     def __truediv__(self, other: Number) -> Polynomial:
-        return self * (1 / _number(other))
+        return self * (1 / Fraction(other))
 
     def __pow__(self, exponent: int) -> Polynomial:
-        total = Polynomial.constant(1)
-        for _ in range(exponent):
-            total = total * self
-        return total
+        return from_ring(in_ring(self)[0] ** exponent)
 
-    def _plus(self, other: Polynomial, sign: int) -> Polynomial:
-        total = dict(self.terms)
-        for m, c in other.terms.items():
-            value = c if sign > 0 else -c
-            if m in total:
-                value = total[m] + value
-            if value:
-                total[m] = value
-            else:
-                total.pop(m, None)
-        return Polynomial(total)
+    def _with(
+        self, other: Polynomial | Number, operation: Callable[[fmpq_mpoly, fmpq_mpoly], fmpq_mpoly]
+    ) -> Polynomial:
+        if not isinstance(other, Polynomial | Fraction | float | int):
+            return NotImplemented
+        second = other if isinstance(other, Polynomial) else Polynomial.constant(other)
+        return from_ring(operation(*in_ring(self, second)))
 
     def derivative(self, variable: int) -> Polynomial:
         """Return the partial derivative with respect to a variable."""
-        total: dict[Monomial, Number] = {}
-        for m, c in self.terms.items():
-            exponent = dict(m).get(variable, 0)
-            if exponent:
-                total[tuple((k, e - (k == variable)) for k, e in m if (k, e) != (variable, 1))] = c * exponent
-        return Polynomial(total)
+        whole, _ = in_ring(self, Polynomial.variable(variable))
+        return from_ring(whole.derivative(variable))
 
     def substituted(self, by: Mapping[int, Polynomial]) -> Polynomial:
         """Return the polynomial with the variables in `by` replaced by polynomials."""
-        if all(len(p.terms) == 1 for p in by.values()) and all(k in by for m in self.terms for k, _ in m):
-            return self._scaled({k: next(iter(p.terms.items())) for k, p in by.items()})
-        total = Polynomial({})
-        powers: dict[tuple[int, int], Polynomial] = {}
-        for m, c in self.terms.items():
-            term = Polynomial({tuple((k, e) for k, e in m if k not in by): c})
-            for k, e in m:
-                if k in by:
-                    powers[k, e] = powers.get((k, e)) or by[k] ** e
-                    term = term * powers[k, e]
-            total = total + term
-        return total
-
-    def _scaled(self, by: Mapping[int, tuple[Monomial, Number]]) -> Polynomial:
-        """Return the polynomial with every variable replaced by a number times a monomial."""
-        total: dict[Monomial, Number] = {}
-        for m, c in self.terms.items():
-            powers: dict[int, int] = {}
-            for k, e in m:
-                monomial, factor = by[k]
-                if factor != 1:
-                    c = c * factor**e
-                for variable, exponent in monomial:
-                    powers[variable] = powers.get(variable, 0) + e * exponent
-            product = tuple(sorted(powers.items()))
-            total[product] = total[product] + c if product in total else c
-        return Polynomial({m: c for m, c in total.items() if c})
+        whole, *images = in_ring(self, *by.values())
+        generators = list(whole.context().gens())
+        for k, image in zip(by, images, strict=True):
+            if k < len(generators):
+                generators[k] = image
+        return from_ring(whole.compose(*generators))
 
     def value(self, point: Sequence[Number]) -> Number:
         """Return the value at a point, which has a number for each variable."""
         total: Number = Fraction(0)
-        for m, c in self.terms.items():
+        for m, factor in self.terms.items():
+            term: Number = factor
             for k, e in m:
-                c = c * point[k] ** e
-            total = total + c
+                term = term * point[k] ** e
+            total = total + term
         return total
 
 
@@ -173,14 +126,6 @@ def joined(m: Monomial, n: Monomial) -> Monomial:
     for variable, exponent in n:
         powers[variable] = powers.get(variable, 0) + exponent
     return tuple(sorted(powers.items()))
-
-
-def _number(value: Number) -> Number:
-    return Fraction(value) if isinstance(value, int) else value
-
-
-def _polynomial(value: Polynomial | Number) -> Polynomial:
-    return value if isinstance(value, Polynomial) else Polynomial.constant(value)
 
 
 # Exact division of polynomials
@@ -197,26 +142,26 @@ def quotient(of: Polynomial, by: Polynomial) -> Polynomial | None:
     """
     if not by.terms:
         return None
-    lead = max(by.terms, key=_rank)
-    scale, powers = Fraction(by.terms[lead]), dict(lead)
-    rest = dict(of.terms)
-    total: dict[Monomial, Fraction] = {}
-    while rest:
-        top = max(rest, key=_rank)
-        own = dict(top)
-        if any(own.get(k, 0) < e for k, e in lead):
-            return None
-        factor = tuple((k, e - powers.get(k, 0)) for k, e in top if e > powers.get(k, 0))
-        total[factor] = Fraction(rest[top]) / scale
-        for m, c in (by * Polynomial({factor: total[factor]})).terms.items():
-            value = Fraction(rest.get(m, 0)) - Fraction(c)
-            if value:
-                rest[m] = value
-            else:
-                rest.pop(m, None)
-    return Polynomial(total)
+    first, second = in_ring(of, by)
+    whole, rest = divmod(first, second)
+    return None if rest else from_ring(whole)
 
 
-def _rank(m: Monomial) -> tuple[int, tuple[tuple[int, int], ...]]:
-    # a graded order: of equal degrees, the higher power of the first variable is larger
-    return sum(e for _, e in m), tuple((-k, e) for k, e in m)
+def in_ring(*polynomials: Polynomial) -> list[fmpq_mpoly]:
+    """Return polynomials in FLINT's ring of their variables, whose arithmetic is faster."""
+    count = 1 + max((k for p in polynomials for m in p.terms for k, _ in m), default=0)
+    ring = fmpq_mpoly_ctx.get(("x", count), Ordering.deglex)
+    return [
+        ring.from_dict(
+            {tuple(dict(m).get(k, 0) for k in range(count)): fmpq(*c.as_integer_ratio()) for m, c in p.terms.items()}
+        )
+        for p in polynomials
+    ]
+
+
+def from_ring(polynomial: fmpq_mpoly) -> Polynomial:
+    """Return a polynomial of FLINT's ring."""
+    terms = polynomial.to_dict().items()
+    return Polynomial(
+        {tuple((k, int(e)) for k, e in enumerate(m) if e): Fraction(int(c.p), int(c.q)) for m, c in terms}
+    )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, NamedTuple, Protocol
@@ -212,16 +212,24 @@ class Controller:
         for vector, layout, name in zip(vectors, (self.state, self.inputs, self.gains), "xup", strict=True):
             if vector.size != layout.size:
                 raise InputError(f"has {vector.size} numbers, expected {layout.size}", key=f"{self.name}.{name}")
-        if all(np.isfinite(vector).all() for vector in vectors):
-            results = [np.asarray(part, dtype=float).reshape(-1) for part in self._run(*vectors)]
-            if all(np.isfinite(part).all() for part in results):
-                tau, after, status, telemetry = results
-                return ControllerStep(tau, after, int(status[0]), telemetry)
-        return ControllerStep(np.zeros(self.command.size), vectors[0].copy(), NONFINITE, np.zeros(self.telemetry.size))
+        return finite_step(self, self._run, *vectors)
 
     @cached_property
     def _run(self) -> Callable[..., list[Vector]]:
         return runnable(self.block)
+
+
+def finite_step(
+    controller: SampledController, run: Callable[..., Sequence[Any]], x: Vector, u: Vector, p: Vector
+) -> ControllerStep:
+    """Return the step that `run` computes; a number that is not finite gives a zero command and `NONFINITE`."""
+    if all(np.isfinite(vector).all() for vector in (x, u, p)):
+        results = [np.asarray(part, dtype=float).reshape(-1) for part in run(x, u, p)]
+        if all(np.isfinite(part).all() for part in results):
+            tau, after, status, telemetry = results
+            return ControllerStep(tau, after, int(status[0]), telemetry)
+    size = command_ports(controller).size
+    return ControllerStep(np.zeros(size), np.array(x, dtype=float), NONFINITE, np.zeros(controller.outputs.size - size))
 
 
 def command_ports(controller: SampledController) -> Layout:

@@ -15,6 +15,18 @@ from surctl.ir.c99 import identifier
 from surctl.system.parts import EMPTY, Parts, called, checked_layout, joined
 
 
+def runge_kutta(rate: Callable[..., Any], x: Any, h: float | ca.SX, late: ca.SX | float = 0.0) -> Any:
+    """Return x after a fourth-order Runge-Kutta step of h [s], with the rate of x and of the time `late` [s] before it.
+
+    The states are CasADi expressions or arrays.
+    """
+    k1 = rate(x, late)
+    k2 = rate(x + h / 2 * k1, late + h / 2)
+    k3 = rate(x + h / 2 * k2, late + h / 2)
+    k4 = rate(x + h * k3, late + h)
+    return x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+
+
 @dataclass(frozen=True, eq=False)
 class Plant:
     """Continuous dynamics x' = ode(x, f, d, p) with measured outputs y = measure(x, d, p).

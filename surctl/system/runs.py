@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
+from typing import Literal, get_args
 
 import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from surctl.errors import InputError, nearest
-from surctl.ir import Batch, Block, Call, Layout, Port, Recording, Routine, fold, lower_named, without_libm
+from surctl.errors import InputError, ToolMissing, check_known, nearest
+from surctl.ir import Batch, Block, Call, Layout, Port, Recording, Routine, fold, lower_named, to_casadi, without_libm
 from surctl.ir.batch import compile_batch
 from surctl.ir.folding import fused
+from surctl.ir.native import warn_slower
 from surctl.noise import noise_states
 from surctl.plotted import Plotted
 from surctl.system.loop import ENDED, LOST, Cost, System, once_per_system
+from surctl.system.plant import runge_kutta
 from surctl.system.values import run_numbers
 from surctl.units import is_number
 
@@ -51,18 +54,68 @@ class Runs(Plotted):
         return self.figures[name]
 
 
+Engine = Literal["auto", "c", "vm"]
+
+
+def final_states(
+    state: Array,
+    parameters: Array,
+    *,
+    steps: int,
+    compiled: Callable[[], Batch],
+    machine: Callable[[], ca.Function],
+    engine: Engine = "auto",
+    threads: int = 1,
+) -> tuple[Array, Engine]:
+    """Return the states (runs, n) at the end of many runs of a simulation step, and the engine that computed them.
+
+    Args:
+        state, parameters, steps, threads: as for `Batch.run`.
+        compiled: returns the compiled step.
+        machine: returns the step as a CasADi function, for CasADi's virtual machine.
+        engine: `c` compiles with the system's C compiler; `vm` uses CasADi's virtual machine; `auto` takes `c`, or `vm`
+            with a warning `SlowerEngine` if there is no compiler.
+
+    Raises:
+        InputError: the engine is unknown.
+        ToolMissing: the engine is `c`, but there is no compiler.
+    """
+    check_known(engine, get_args(Engine), key="engine")
+    if engine != "vm":
+        try:
+            return compiled().run(state, parameters, steps=steps, threads=threads), "c"
+        except ToolMissing as missing:
+            if engine == "c":
+                raise
+            warn_slower(missing)
+    step, final = machine(), state.copy()
+    left = np.flatnonzero(final[:, 0] == 0)
+    for _ in range(steps if left.size else 0):  # all runs advance together
+        final[left] = np.asarray(step.map(len(left))(final[left].T, parameters[left].T)).T
+        left = left[final[left, 0] == 0]
+        if not left.size:
+            break
+    return final, "vm"
+
+
 def simulate_system(
-    system: System, seconds: float, values: Mapping[str, ArrayLike] | None = None, *, threads: int = 1
+    system: System,
+    seconds: float,
+    values: Mapping[str, ArrayLike] | None = None,
+    *,
+    threads: int = 1,
+    engine: Engine = "auto",
 ) -> Runs:
     """Simulate many runs of a system with compiled code; the results do not depend on the number of threads.
 
     Args:
         seconds: duration [s] of a run that no stop ends earlier; it is rounded to a whole number of control periods.
         values: numbers by name, see `run_numbers`: gains, `plant.…`, `reference.…`, `disturbance.…`, `start.…`.
+        engine: `c`, `vm` or `auto`, see `final_states`.
 
     Raises:
         InputError: `run_numbers` finds an error, or the duration is shorter than a control period.
-        ToolMissing: there is no C compiler; `run_system` needs no compiler.
+        ToolMissing: the engine is `c`, but there is no C compiler.
 
     Example:
         >>> from surctl.system import Cost, simulate_system
@@ -81,7 +134,10 @@ def simulate_system(
         start[:, state.slice("noise")] = noise_states(numbers.seed)
     start[:, state.slice("sums")] = [_FIRST.get(cost.how, 0.0) for cost in system.costs.values()]
     constants = np.hstack([numbers.plant, numbers.reference, numbers.disturbance, numbers.gains, numbers.blocks])
-    ends = _compiled(system).run(start, constants, steps=steps, threads=threads)
+    ends, _ = final_states(
+        start, constants, steps=steps, compiled=lambda: _compiled(system), machine=lambda: _machine(system),
+        engine=engine, threads=threads,
+    )  # fmt: skip
     flag = ends[:, 0]
     count = ends[:, state.slice("count").start]
     reasons = np.array([ENDED, *system.stops, LOST])
@@ -235,11 +291,8 @@ def _integrated(system: System, x: ca.SX, f: ca.SX, constants: Mapping[str, ca.S
         return system.plant.derivative(state, f, disturbance, constants["plant"])
 
     def substep(state: ca.SX, late: ca.SX) -> ca.SX:
-        k1 = derivative(state, late)
-        k2 = derivative(state + h / 2 * k1, late + h / 2)
-        k3 = derivative(state + h / 2 * k2, late + h / 2)
-        k4 = derivative(state + h * k3, late + h)
-        return state + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+        after: ca.SX = runge_kutta(derivative, state, h, late)
+        return after
 
     moved: ca.SX = fold("substep", substep, x, late + ca.SX([k * h for k in range(steps)]))
     return moved
@@ -273,6 +326,11 @@ def _figure(cost: Cost, total: Array, count: Array) -> Array:
 def loop_program(system: System) -> Block:
     """Return what `simulate_system` compiles; its digest identifies all computations of a run, costs and stops too."""
     return fused(without_libm(_loop_step(system)))
+
+
+@once_per_system
+def _machine(system: System) -> ca.Function:
+    return to_casadi(_loop_step(system))
 
 
 @once_per_system

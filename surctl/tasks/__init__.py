@@ -14,7 +14,6 @@ from surctl.tasks.library import (
 from surctl.tasks.limits import (
     AccelerationLimit,
     Barrier,
-    BrakingBarrier,
     HalfPlane,
     ThrustLimit,
     VelocityBox,
@@ -24,7 +23,7 @@ from surctl.tasks.stack import RateLimit, SetTask, Stack
 from surctl.tasks.task import Kind, Limit, LimitRow, Task, wrap
 
 __all__ = [
-    "AccelerationLimit", "Barrier", "BrakingBarrier", "HalfPlane", "Kind", "Limit", "LimitRow",
+    "AccelerationLimit", "Barrier", "HalfPlane", "Kind", "Limit", "LimitRow",
     "RateLimit", "SetTask", "Stack", "Task", "ThrustLimit", "VelocityBox", "allowed_closing_speed", "clearance_task",
     "depth_task", "distance_task", "heading_task", "line_of_sight_task", "position_task", "velocity_task", "wrap",
 ]  # fmt: skip

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
+
 import casadi as ca
 
 from surctl.errors import InputError
@@ -28,17 +31,7 @@ def position_task(
         [1.0, -0.25]
     """
     column = _vector(name, "target", target, (2, 3))
-    _pose(name, eta)
-    return Task(
-        name=name,
-        eta=eta,
-        sigma=eta[: column.numel()],
-        target=column,
-        rate=rate,
-        gain=gain,
-        unit="m",
-        kinematics="vehicle",
-    )
+    return _of_pose(name, eta)(sigma=eta[: column.numel()], target=column, rate=rate, gain=gain, unit="m")
 
 
 def depth_task(
@@ -55,8 +48,7 @@ def depth_task(
         >>> rate([0, 0, -0.35, 0]).full().ravel().round(3).tolist()  # m/s, upwards
         [0.1]
     """
-    _pose(name, eta)
-    return Task(name=name, eta=eta, sigma=eta[2], target=z_d, rate=rate, gain=gain, unit="m", kinematics="vehicle")
+    return _of_pose(name, eta)(sigma=eta[2], target=z_d, rate=rate, gain=gain, unit="m")
 
 
 def heading_task(
@@ -73,18 +65,7 @@ def heading_task(
         >>> rate([0, 0, 0, -3.0]).full().ravel().round(3).tolist()  # rad/s, by the smaller angle
         [-0.142]
     """
-    _pose(name, eta)
-    return Task(
-        name=name,
-        eta=eta,
-        sigma=eta[3],
-        target=psi_d,
-        rate=rate,
-        gain=gain,
-        angular=True,
-        unit="rad",
-        kinematics="vehicle",
-    )
+    return _of_pose(name, eta)(sigma=eta[3], target=psi_d, rate=rate, gain=gain, angular=True, unit="rad")
 
 
 def velocity_task(eta: ca.SX, v_world: Expression, *, name: str = "velocity") -> Task:
@@ -99,16 +80,7 @@ def velocity_task(eta: ca.SX, v_world: Expression, *, name: str = "velocity") ->
         >>> rate([1.0, 0.5, 0, 0]).full().ravel().round(3).tolist()
         [0.1, 0.05]
     """
-    _pose(name, eta)
-    return Task(
-        name=name,
-        eta=eta,
-        sigma=eta[:2],
-        target=eta[:2],
-        rate=_vector(name, "v_world", v_world, (2,)),
-        unit="m",
-        kinematics="vehicle",
-    )
+    return _of_pose(name, eta)(sigma=eta[:2], target=eta[:2], rate=_vector(name, "v_world", v_world, (2,)), unit="m")
 
 
 def clearance_task(
@@ -129,9 +101,9 @@ def clearance_task(
         >>> rate([0.8, 0, 0, 0]).full().ravel().round(3).tolist()  # m/s, away from the echo
         [0.12]
     """
-    _pose(name, eta)
+    task = _of_pose(name, eta)
     sigma = _distance(eta, _vector(name, "echo_point", echo_point, (2,))) - _scalar(name, "margin", margin)
-    return Task(name=name, eta=eta, sigma=sigma, gain=gain, unit="m", kinematics="vehicle")
+    return task(sigma=sigma, gain=gain, unit="m")
 
 
 def distance_task(
@@ -148,17 +120,9 @@ def distance_task(
         >>> rate([0, 0, 0, 0]).full().ravel().round(3).tolist()  # m/s, negative: towards the point
         [-0.5]
     """
-    _pose(name, eta)
+    task = _of_pose(name, eta)
     sigma = _distance(eta, _vector(name, "point", point, (2,)))
-    return Task(
-        name=name,
-        eta=eta,
-        sigma=sigma,
-        target=_scalar(name, "distance", distance),
-        gain=gain,
-        unit="m",
-        kinematics="vehicle",
-    )
+    return task(sigma=sigma, target=_scalar(name, "distance", distance), gain=gain, unit="m")
 
 
 def line_of_sight_task(eta: ca.SX, point: Expression, *, gain: Expression = 1.0, name: str = "line_of_sight") -> Task:
@@ -175,17 +139,19 @@ def line_of_sight_task(eta: ca.SX, point: Expression, *, gain: Expression = 1.0,
         >>> rate([0, 0, 0, 0]).full().ravel().round(3).tolist()  # rad/s, rate of the bearing
         [-0.471]
     """
-    _pose(name, eta)
+    task = _of_pose(name, eta)
     offset = _vector(name, "point", point, (2,)) - eta[:2]
     near = ca.sumsqr(offset) < _NEAR**2
     bearing = ca.atan2(ca.if_else(near, 0.0, offset[1]), ca.if_else(near, 1.0, offset[0]))
-    return Task(name=name, eta=eta, sigma=bearing - eta[3], gain=gain, angular=True, unit="rad", kinematics="vehicle")
+    return task(sigma=bearing - eta[3], gain=gain, angular=True, unit="rad")
 
 
-def _pose(name: str, eta: ca.SX) -> None:
+def _of_pose(name: str, eta: ca.SX) -> Callable[..., Task]:
+    """Return a function that builds a task of the pose of a vehicle; raise InputError if `eta` is none."""
     if not is_symbol(eta) or eta.shape[0] != 4:
         remedy = 'write eta = ca.SX.sym("eta", 4) for x, y, z and heading, or a Task with your own sigma and kinematics'
         raise InputError("is not an SX symbol of shape (4, 1)", key=f"task {name}: eta", remedy=remedy)
+    return partial(Task, name=name, eta=eta, kinematics="vehicle")
 
 
 def _distance(eta: ca.SX, point: ca.SX) -> ca.SX:

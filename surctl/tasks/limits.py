@@ -115,8 +115,8 @@ class Barrier:
 
     Assume that v is constant during each control period dt, that α(h) = γh with γ dt ≤ 1, and that h is convex, like
     the distance from a flat wall or a convex obstacle. If the heading is constant, h ≥ 0 then holds exactly. If the
-    robot turns with yaw rate r, and ‖∂h/∂(x, y)‖ ≤ 1, then h ≥ −|r| ‖v‖ dt / (2γ). Use `BrakingBarrier` for a vehicle
-    that needs time to slow down.
+    robot turns with yaw rate r, and ‖∂h/∂(x, y)‖ ≤ 1, then h ≥ −|r| ‖v‖ dt / (2γ). For a vehicle that needs
+    time to slow down, take `allowed_closing_speed` as alpha.
 
     Attributes:
         name: name of the barrier and of its constraint row, such as "wall.left" (identifiers joined by dots).
@@ -191,95 +191,40 @@ def _check_class_k(name: str, alpha: Callable[[ca.SX], ca.SX]) -> None:
         raise InputError(problem, key=f"limit {name}: alpha", remedy="give a function that never decreases")
 
 
-@dataclass(frozen=True, eq=False)
-class BrakingBarrier:
-    """The barrier −ḣ ≤ v_max(h), where v_max(h) is the closing speed from which the vehicle can just stop at h = 0.
-
-    The function h(η) of the pose η is the distance from the obstacle. A vehicle with speed s, reaction time T and
-    deceleration a needs the stopping distance sT + s²/(2a). For h ≥ 0, v_max(h) = −aT + √((aT)² + 2ah) is the speed
-    whose stopping distance is h. For h < 0, v_max decreases with the slope 1/T to −retreat; so the vehicle must
-    retreat, but at most at the speed `retreat`. v_max is continuous and its slope is at most 1/T; at h = 0 the slope is
-    continuous too.
-
-    With a control period dt, h ≥ 0 holds exactly under five assumptions: the vehicle changes its closing speed s to the
-    commanded closing speed at a rate of at least a; h is affine in the position; the heading is constant; T ≥ 3 dt; and
-    the initial closing speed, if positive, satisfies s²/(2a) + s (T − 2 dt) ≤ h. The last inequality then holds at
-    every step. A convex obstacle in place of an affine h is safe too, because motion along its surface increases the
-    distance. T must include the lag of the thrusters and of the velocity controller.
-
-    Attributes:
-        name: name of the barrier and of its constraint row, such as "wall.left" (identifiers joined by dots).
-        eta, kinematics: configuration (m, 1), and S(η) of η̇ = S(η) v, as in `Task`.
-        h: SX scalar expression of eta and other symbols [m].
-        deceleration: a > 0 [m/s²], in the direction of the gradient of h.
-        reaction: reaction time T > 0 [s].
-        retreat: largest speed of the retreat at h < 0, at least 0 [m/s]; None for aT.
-        drift: ∂h/∂t [m/s], for an obstacle that moves; the barrier assumes that the obstacle keeps its velocity.
-        kind: kind of limit; see `Kind`.
-
-    Raises:
-        InputError: a name or shape is wrong, a number is not positive, or ∂h/∂η J(ψ) is structurally zero. The message
-            names the barrier.
-    """
-
-    name: str
-    eta: ca.SX
-    _: KW_ONLY
-    h: ca.SX
-    deceleration: Expression
-    reaction: Expression
-    retreat: Expression | None = None
-    drift: Expression = 0.0
-    kind: Kind = "barrier"
-    kinematics: Kinematics = None
-
-    def __post_init__(self) -> None:
-        """Check the barrier's attributes and convert numbers to expressions."""
-        checked_kind(checked_name(self.name), self.kind)
-        object.__setattr__(self, "h", checked_column(self.name, "h", self.h, 1))
-        object.__setattr__(self, "drift", checked_column(self.name, "drift", self.drift, 1, finite=True))
-        _closing_row(self.name, self.eta, self.h, self.kinematics)
-        for field in ("deceleration", "reaction"):
-            object.__setattr__(self, field, checked_positive(self.name, field, getattr(self, field)))
-        if self.retreat is not None:
-            object.__setattr__(self, "retreat", checked_positive(self.name, "retreat", self.retreat, zero=True))
-
-    def allowed(self) -> ca.SX:
-        """Return v_max(h), the largest allowed closing speed [m/s]; it is negative if h < 0."""
-        # Proof that s²/(2a) + s (T − 2 dt) ≤ h holds at every step, with c = v_max(h) ≥ 0. If c ≥ s, the vehicle covers
-        # at most c dt of h = cT + c²/(2a); this leaves c (T − dt) + c²/(2a) for a speed ≤ c. If c < s and the step ends
-        # at a speed above c, braking at the rate a leaves a reserve of a dt (T − 2 dt). If c < s and the step ends at
-        # c, let e = s − c. The inequality gives c ≥ e (T − 2 dt)/(2 dt) ≥ e/2, and the vehicle covers at most
-        # c dt + e dt/2 ≤ 2 c dt, which is available.
-        a, reaction = ca.SX(self.deceleration), ca.SX(self.reaction)
-        retreat = a * reaction if self.retreat is None else ca.SX(self.retreat)
-        return ca.fmax(allowed_closing_speed(self.h, deceleration=a, reaction=reaction), -retreat)
-
-    def rows(self) -> tuple[LimitRow, ...]:
-        """Return one limit row a·v ≤ upper, named NAME, where a·v is the closing speed −ḣ [m/s]."""
-        a = _closing_row(self.name, self.eta, self.h, self.kinematics)
-        return (LimitRow(self.name, self.kind, a, ca.SX(-math.inf), self.allowed() + ca.SX(self.drift)),)
-
-
-def allowed_closing_speed(distance: ca.SX, *, deceleration: ca.SX, reaction: ca.SX) -> ca.SX:
+def allowed_closing_speed(distance: ca.SX, *, deceleration: ca.SX | float, reaction: ca.SX | float) -> ca.SX:
     """Return the largest closing speed [m/s] from which the robot can still stop within a distance d [m].
 
-    At a closing speed s, the braking distance is s²/(2a) + s t. For d ≥ 0, the function returns the s whose braking
-    distance is d: −a t + √((a t)² + 2 a d). For d < 0, the robot is inside the stand-off distance, and the function
-    returns the negative speed d/t, so the robot must retreat.
+    At a closing speed s, the braking distance is s²/(2a) + s T. For d ≥ 0, the function returns the s whose braking
+    distance is d: −a T + √((a T)² + 2 a d). For d < 0, the robot is inside the stand-off distance, and the function
+    returns the negative speed d/T, so the robot must retreat.
+
+    As `alpha` of a `Barrier`, the function keeps d = h ≥ 0 exactly under five assumptions: the vehicle changes its
+    closing speed s to the commanded closing speed at a rate of at least a; h is affine in the position; the heading is
+    constant; T ≥ 3 dt with the control period dt; and the initial closing speed, if positive, satisfies
+    s²/(2a) + s (T − 2 dt) ≤ h. The last inequality then holds at every step. A convex obstacle in place of an affine h
+    is safe too, because motion along its surface increases the distance.
 
     Args:
         distance: d, clearance minus stand-off distance [m], of any sign.
         deceleration: a > 0 [m/s²], with the thrust available for braking and the largest mass.
-        reaction: reaction time t > 0 [s], the sum of thrust lag, control period and delay of the velocity loop.
+        reaction: reaction time T > 0 [s], the sum of thrust lag, control period and delay of the velocity loop.
 
     Example:
+        >>> from functools import partial
         >>> import casadi as ca
-        >>> from surctl.tasks import allowed_closing_speed
-        >>> speed = allowed_closing_speed(ca.SX(0.5), deceleration=ca.SX(0.05), reaction=ca.SX(0.8))
-        >>> round(float(speed), 3)  # m/s, half a metre off
+        >>> from surctl.tasks import Barrier, allowed_closing_speed
+        >>> stopping = partial(allowed_closing_speed, deceleration=0.05, reaction=0.8)
+        >>> round(float(stopping(ca.SX(0.5))), 3)  # m/s, half a metre off
         0.187
+        >>> eta = ca.SX.sym("eta", 4)
+        >>> Barrier("wall", eta, h=2.0 - eta[0], alpha=stopping, kinematics="vehicle").rows()[0].name
+        'wall'
     """
+    # Proof that s²/(2a) + s (T − 2 dt) ≤ h holds at every step, where c ≥ 0 is the returned speed. If c ≥ s, it covers
+    # at most c dt of h = cT + c²/(2a); this leaves c (T − dt) + c²/(2a) for a speed ≤ c. If c < s and the step ends
+    # at a speed above c, braking at the rate a leaves a reserve of a dt (T − 2 dt). If c < s and the step ends at
+    # c, let e = s − c. The inequality gives c ≥ e (T − 2 dt)/(2 dt) ≥ e/2, and the vehicle covers at most
+    # c dt + e dt/2 ≤ 2 c dt, which is available.
     at = deceleration * reaction
     inside = ca.sqrt(at * at + 2 * deceleration * ca.fmax(distance, 0)) - at
     return ca.if_else(distance >= 0, inside, distance / reaction)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
+from typing import Any
 
 import casadi as ca
 
@@ -11,14 +12,13 @@ from surctl.errors import InputError
 from surctl.tasks.task import (
     Expression,
     Kind,
-    Kinematics,
     LimitRow,
     Task,
-    as_column,
+    TaskBase,
     checked_kind,
     checked_positive,
-    sigma_column,
     sized_column,
+    wrap,
 )
 
 # Set-based task: a quantity σ of the robot's pose that may have any value between two bounds
@@ -28,7 +28,7 @@ _TURN = 2.0 * math.pi
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class SetTask:
+class SetTask(TaskBase):
     """A task that keeps σ between two bounds by K(lower − σ) ≤ σ̇ − σ̇_set ≤ K(upper − σ) (Escande et al. 2014).
 
     K is the gain, and σ̇_set is the rate at which the bounds move. While σ is between its bounds, σ̇ may have both
@@ -48,59 +48,15 @@ class SetTask:
             whole turn or longer. The message names the task.
     """
 
-    name: str
-    eta: ca.SX
-    sigma: ca.SX
     lower: Expression
     upper: Expression
-    rate: Expression = 0.0
-    gain: Expression = 1.0
-    angular: bool = False
-    unit: str = ""
-    kinematics: Kinematics = None
-    _middle: Task = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         """Check the attributes and convert every number to a column with one entry for each entry of σ."""
-        k = int(sigma_column(self.name, self.sigma).shape[0])
-        for bound in ("lower", "upper"):
-            object.__setattr__(self, bound, self._column(bound, k))
-        for i in range(k):
+        super().__post_init__()
+        self.set_columns("lower", "upper", finite=False)
+        for i in range(self.size):
             self._check_pair(i)
-        # a task for the middle of the arc provides the checks, J and the wrapped error
-        middle = Task(
-            name=self.name,
-            eta=self.eta,
-            sigma=self.sigma,
-            target=0.5 * (ca.SX(self.lower) + ca.SX(self.upper)) if self.angular else 0.0,
-            rate=self.rate,
-            gain=self.gain,
-            angular=self.angular,
-            unit=self.unit,
-            kinematics=self.kinematics,
-        )
-        object.__setattr__(self, "_middle", middle)
-        for same in ("sigma", "rate", "gain", "kinematics"):
-            object.__setattr__(self, same, getattr(middle, same))
-
-    @property
-    def size(self) -> int:
-        """Return k, the number of entries of σ."""
-        return self._middle.size
-
-    @property
-    def mapping(self) -> ca.SX:
-        """Return S(η) (m, n) of η̇ = S(η) v."""
-        return self._middle.mapping
-
-    @property
-    def rate_unit(self) -> str:
-        """Return the unit of σ̇; see `Task.rate_unit`."""
-        return self._middle.rate_unit
-
-    def jacobian(self) -> ca.SX:
-        """Return the Jacobian J, (k, n), with σ̇ = J v; see `Task.jacobian`."""
-        return self._middle.jacobian()
 
     def error(self) -> ca.SX:
         """Return the change, (k, 1), that takes each entry of σ to its nearer bound; 0 between the bounds."""
@@ -119,36 +75,20 @@ class SetTask:
         J, (lower, upper) = self.jacobian(), self.slab()
         return tuple(LimitRow(name, "set", J[i, :], lower[i], upper[i]) for i, name in enumerate(self.row_names("set")))
 
-    def row_names(self, what: str) -> tuple[str, ...]:
-        """Return the names of the limit rows: NAME.WHAT for one row, otherwise NAME.WHAT0, NAME.WHAT1, …"""
-        return self._middle.row_names(what)
-
     def split(self) -> tuple[SetTask, ...]:
         """Return one set-based task for each entry of σ, named NAME0, NAME1, …; the task itself if σ has one entry."""
         if self.size == 1:
             return (self,)
-        return tuple(
-            SetTask(
-                name=f"{self.name}{i}",
-                eta=self.eta,
-                sigma=self.sigma[i],
-                lower=ca.SX(self.lower)[i],
-                upper=ca.SX(self.upper)[i],
-                rate=ca.SX(self.rate)[i],
-                gain=ca.SX(self.gain)[i],
-                angular=self.angular,
-                unit=self.unit,
-                kinematics=self.kinematics,
-            )
-            for i in range(self.size)
-        )
+        names = ("sigma", "lower", "upper", "rate", "gain")
+        rows: list[dict[str, Any]] = [{name: getattr(self, name)[i] for name in names} for i in range(self.size)]
+        return tuple(replace(self, name=f"{self.name}{i}", **row) for i, row in enumerate(rows))
 
     def _distances(self) -> tuple[ca.SX, ca.SX]:
         # for an angle, along the shorter arc
         lower, upper = ca.SX(self.lower), ca.SX(self.upper)
         if not self.angular:
             return lower - self.sigma, upper - self.sigma
-        error, half = self._middle.error(), 0.5 * (upper - lower)
+        error, half = wrap(0.5 * (lower + upper) - self.sigma), 0.5 * (upper - lower)
         return error - half, error + half
 
     def _rate_of(self, i: int, distance: ca.SX, absent: float) -> ca.SX:
@@ -156,22 +96,6 @@ class SetTask:
         if distance.is_constant() and math.isinf(float(distance)):
             return ca.SX(absent)
         return ca.SX(self.rate)[i] + ca.SX(self.gain)[i] * distance
-
-    def _column(self, bound: str, k: int) -> ca.SX:
-        key = f"task {self.name}: {bound}"
-        try:
-            column = as_column(getattr(self, bound))
-        except ValueError:
-            raise InputError(
-                "is neither numbers nor a vector expression", key=key, remedy=f"give 1 or {k} numbers"
-            ) from None
-        if column.numel() == 1:
-            column = ca.repmat(column, k, 1)
-        if column.numel() != k:
-            raise InputError(
-                f"has {column.numel()} entries, but sigma has {k}", key=key, remedy=f"give 1 or {k} numbers"
-            )
-        return column
 
     def _check_pair(self, i: int) -> None:
         # expressions are not checked
@@ -203,7 +127,7 @@ class RateLimit:
             task.
     """
 
-    task: Task | SetTask
+    task: TaskBase
     limit: Expression
     kind: Kind = "set"
 

@@ -63,23 +63,8 @@ Kinematics: TypeAlias = Expression | Literal["vehicle"] | None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Task:
-    """A quantity σ of the configuration η that converges to a desired value.
-
-    Attributes:
-        name: identifier of the task in every message and solution.
-        eta: SX symbol (m, 1), configuration, for example the joint angles of an arm, or the pose of a vehicle: x, y, z
-            [m] in the earth frame {E} (ENU), and heading ψ [rad], counter-clockwise.
-        sigma: SX (k, 1), the expression of σ(η). If σ contains other symbols (an echo point, a waypoint), the Jacobian
-            treats them as constant; describe the motion of a target by `rate`.
-        target: desired value σ_d, (k, 1) or one number for all entries; default 0.
-        rate: desired rate σ̇_d, (k, 1) or one number [unit of σ per second]; default 0.
-        gain: convergence gain of each entry of σ, (k,) or one number [1/s], greater than 0; default 1.
-        angular: σ is an angle [rad]; its error is wrapped to (−π, π].
-        unit: unit of σ in messages, such as "m" or "rad"; "" if unknown.
-        kinematics: SX (m, n), the matrix S(η) of η̇ = S(η) v for the n velocities v that the limits and the solution are
-            about; "vehicle" for those of equations (1)–(2) if η is the pose of a vehicle. The default is the identity.
-            For m = 4 there is no default, because η may be a pose or the angles of four joints.
+class TaskBase:
+    """A quantity σ of the configuration η, with what `Task` and `SetTask` have in common; see there.
 
     Raises:
         InputError: the name is not an identifier, σ and another attribute differ in length, a number is not finite, a
@@ -89,7 +74,6 @@ class Task:
     name: str
     eta: ca.SX
     sigma: ca.SX
-    target: Expression = 0.0
     rate: Expression = 0.0
     gain: Expression = 1.0
     angular: bool = False
@@ -100,17 +84,39 @@ class Task:
         """Check the attributes and convert every number to a column with one entry for each entry of σ."""
         _check_name(self.name)
         if not is_symbol(self.eta):
-            raise _wrong(self, "eta", "is not an SX symbol of shape (m, 1)", 'write eta = ca.SX.sym("eta", 4)')
+            raise self.wrong("eta", "is not an SX symbol of shape (m, 1)", 'write eta = ca.SX.sym("eta", 4)')
         object.__setattr__(self, "kinematics", self.mapping)
-        sigma = sigma_column(self.name, self.sigma)
-        if not ca.depends_on(sigma, self.eta):
-            raise _wrong(self, "sigma", "does not depend on eta", "express it by this task's own eta symbol")
-        object.__setattr__(self, "sigma", sigma)
-        for field in ("target", "rate", "gain"):
-            object.__setattr__(self, field, _column_of(self, field, sigma.shape[0]))
-        _check_gain(self)
+        object.__setattr__(self, "sigma", _sigma_column(self.name, self.sigma))
+        if not ca.depends_on(self.sigma, self.eta):
+            raise self.wrong("sigma", "does not depend on eta", "express it by this task's own eta symbol")
+        self.set_columns("rate", "gain")
+        for number in _numbers(ca.SX(self.gain)):
+            if number <= 0:
+                raise self.wrong("gain", "must be greater than 0", "give a gain in 1/s, such as 0.5", number)
         if not isinstance(self.unit, str):
-            raise _wrong(self, "unit", "is not a text", 'write unit = "m"', self.unit)
+            raise self.wrong("unit", "is not a text", 'write unit = "m"', self.unit)
+
+    def set_columns(self, *fields: str, finite: bool = True) -> None:
+        """Convert fields to columns with one entry for each entry of σ; a single number is used for all entries."""
+        for field in fields:
+            try:
+                column = as_column(getattr(self, field))
+            except ValueError:
+                problem = "is neither numbers nor a vector expression"
+                raise self.wrong(field, problem, f"give 1 or {self.size} numbers") from None
+            if column.numel() == 1:
+                column = ca.repmat(column, self.size, 1)
+            if column.numel() != self.size:
+                problem = f"has {column.numel()} entries, but sigma has {self.size}"
+                raise self.wrong(field, problem, f"give 1 or {self.size} numbers")
+            for number in _numbers(column) if finite else ():
+                if not math.isfinite(number):
+                    raise self.wrong(field, "is not finite", "give a finite number", number)
+            object.__setattr__(self, field, column)
+
+    def wrong(self, field: str, problem: str, remedy: str, value: object = None) -> InputError:
+        """Return the error about a field of this task."""
+        return InputError(problem, key=f"task {self.name}: {field}", value=value, remedy=remedy)
 
     @property
     def size(self) -> int:
@@ -134,6 +140,37 @@ class Task:
     def jacobian(self) -> ca.SX:
         """Return the Jacobian J, (k, n), with σ̇ = J v (13); v is (u, v, w, r) in {B} for a pose."""
         return ca.densify(ca.jacobian(self.sigma, self.eta) @ self.mapping)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Task(TaskBase):
+    """A quantity σ of the configuration η that converges to a desired value.
+
+    Attributes:
+        name: identifier of the task in every message and solution.
+        eta: SX symbol (m, 1), configuration, for example the joint angles of an arm, or the pose of a vehicle: x, y, z
+            [m] in the earth frame {E} (ENU), and heading ψ [rad], counter-clockwise.
+        sigma: SX (k, 1), the expression of σ(η). If σ contains other symbols (an echo point, a waypoint), the Jacobian
+            treats them as constant; describe the motion of a target by `rate`.
+        target: desired value σ_d, (k, 1) or one number for all entries; default 0.
+        rate: desired rate σ̇_d, (k, 1) or one number [unit of σ per second]; default 0.
+        gain: convergence gain of each entry of σ, (k,) or one number [1/s], greater than 0; default 1.
+        angular: σ is an angle [rad]; its error is wrapped to (−π, π].
+        unit: unit of σ in messages, such as "m" or "rad"; "" if unknown.
+        kinematics: SX (m, n), the matrix S(η) of η̇ = S(η) v for the n velocities v that the limits and the solution are
+            about; "vehicle" for those of equations (1)–(2) if η is the pose of a vehicle. The default is the identity.
+            For m = 4 there is no default, because η may be a pose or the angles of four joints.
+
+    Raises:
+        InputError: see `TaskBase`; the target counts as the other numbers.
+    """
+
+    target: Expression = 0.0
+
+    def __post_init__(self) -> None:
+        """Check the attributes and convert every number to a column with one entry for each entry of σ."""
+        super().__post_init__()
+        self.set_columns("target")
 
     def error(self) -> ca.SX:
         """Return the error σ̃ = σ_d − σ, (k, 1); for an angle, wrapped to (−π, π]."""
@@ -190,7 +227,7 @@ def as_expression(value: Any) -> ca.SX:
         raise ValueError("not numbers") from error
 
 
-def sigma_column(name: str, value: Expression) -> ca.SX:
+def _sigma_column(name: str, value: Expression) -> ca.SX:
     """Return σ as a dense column (k, 1); raise InputError with the task's name if σ is not a column with k ≥ 1."""
     key = f"task {name}: sigma"
     try:
@@ -231,32 +268,6 @@ def _check_name(name: object) -> None:
     if not isinstance(name, str) or not name.isidentifier() or not name.isascii():
         remedy = "use letters, digits and _, starting with a letter"
         raise InputError("is not a task name", key="task.name", value=name, remedy=remedy)
-
-
-def _wrong(task: Task, field: str, problem: str, remedy: str, value: object = None) -> InputError:
-    return InputError(problem, key=f"task {task.name}: {field}", value=value, remedy=remedy)
-
-
-def _column_of(task: Task, field: str, size: int) -> ca.SX:
-    # a single number is used for all entries
-    try:
-        column = as_column(getattr(task, field))
-    except ValueError:
-        raise _wrong(task, field, "is neither numbers nor a vector expression", f"give 1 or {size} numbers") from None
-    if column.numel() == 1:
-        column = ca.repmat(column, size, 1)
-    if column.numel() != size:
-        raise _wrong(task, field, f"has {column.numel()} entries, but sigma has {size}", f"give 1 or {size} numbers")
-    for number in _numbers(column):
-        if not math.isfinite(number):
-            raise _wrong(task, field, "is not finite", "give a finite number", number)
-    return column
-
-
-def _check_gain(task: Task) -> None:
-    for number in _numbers(ca.SX(task.gain)):
-        if number <= 0:
-            raise _wrong(task, "gain", "must be greater than 0", "give a gain in 1/s, such as 0.5", number)
 
 
 def _numbers(column: ca.SX) -> list[float]:

@@ -1,6 +1,7 @@
 """A conformance check for tasks, which states where it fails; the system of the examples."""
 
-from surctl.testing.ranges import CheckFailed, Parameter
+from surctl.tasks.ranges import Parameter
+from surctl.testing.ranges import CheckFailed
 from surctl.testing.systems import cart_system
 from surctl.testing.tasks import TaskReport, check_task
 

@@ -11,10 +11,11 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.errors import InputError
+from surctl.errors import InputError, check_count
 from surctl.tasks import SetTask, Task
+from surctl.tasks.ranges import Parameter, SampledExpressions, SymbolRanges, ranges_of
 from surctl.tasks.task import axis_names, is_pose
-from surctl.testing.ranges import CheckFailed, Parameter, SampledExpressions, SymbolRanges, checked_count, ranges_of
+from surctl.testing.ranges import CheckFailed
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -92,7 +93,7 @@ def check_task(
             ...
         surctl.testing.ranges.CheckFailed: ...the reference changes when the vehicle makes a full turn ...
     """
-    checked_count("samples", samples)
+    check_count("samples", samples, least=1)
     built = task(ca.SX.sym("eta", 4)) if callable(task) else task
     if not isinstance(built, Task | SetTask):
         raise InputError("is neither a Task nor a SetTask", key="task", value=built)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import itertools
+import math
+import operator
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from enum import Enum
 from fractions import Fraction
@@ -10,26 +12,22 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from mpmath import libmp
+from flint import arb, ctx, fmpq
 from numpy.typing import NDArray
 
 from surctl.verification.formula import Node, Statement, number, ordered, power, substitute, text_of, values_of
 from surctl.verification.proving.tape import build_tape
 from surctl.verification.proving.touching import vanishes
 
-# Values of expressions at one rational point, in intervals of 256 bits; whether a value exists at all is decided too.
+# Values of expressions at one rational point, in balls of 256 bits (FLINT); whether a value exists is decided too.
 #
 # Doubles lose digits where large numbers cancel, and a value at which an expression is not defined (1/0, the logarithm
 # of 0) is often hidden behind later operations. Here every number has its exact value, and a comparison with 0 that
-# intervals cannot decide is decided by exact rewriting.
+# balls cannot decide is decided by exact rewriting.
 
 
 _BITS = 256
-_LARGEST = libmp.from_int(2**20)  # largest argument of exp, sinh, cosh and tanh
-_ONE = (libmp.fone, libmp.fone)
-_ZERO = (libmp.fzero, libmp.fzero)
-
-Interval = tuple[Any, Any]
+_ZERO = arb(0)
 
 
 class _Mark(Enum):
@@ -39,17 +37,14 @@ class _Mark(Enum):
 UNDEFINED = _Mark.UNDEFINED
 """The result for an expression that has no value at the point."""
 
-Value = Any  # an interval, UNDEFINED or None; libmp has no types
+Value = Any  # a ball, UNDEFINED or None; flint has no types
 
-_ROUNDED: Mapping[str, Callable[..., Interval]] = MappingProxyType(
-    {"add": libmp.mpi_add, "sub": libmp.mpi_sub, "mul": libmp.mpi_mul, "div": libmp.mpi_div, "abs": libmp.mpi_abs,
-     "sqrt": libmp.mpi_sqrt}
+_OPERATIONS: Mapping[str, Callable[..., arb]] = MappingProxyType(
+    {"add": operator.add, "sub": operator.sub, "mul": operator.mul, "div": operator.truediv, "neg": operator.neg,
+     "abs": abs, "pi": arb.pi, "min": arb.min, "max": arb.max,
+     **{op: getattr(arb, op) for op in (
+        "sqrt", "sin", "cos", "tan", "exp", "log", "atan", "atan2", "sinh", "cosh", "tanh")}}
 )  # fmt: skip
-_NEARLY: Mapping[str, Callable[..., Interval]] = MappingProxyType(
-    {"sin": libmp.mpi_sin, "cos": libmp.mpi_cos, "tan": libmp.mpi_tan, "exp": libmp.mpi_exp, "log": libmp.mpi_log,
-     "atan": libmp.mpi_atan, "atan2": libmp.mpi_atan2}
-)  # fmt: skip
-"""Functions whose ends are right to a few units in the last place."""
 
 _BOUNDED = frozenset({"sqrt", "log", "powr", "asin", "acos"})  # undefined where the expression of `_gap` is negative
 _EDGES = frozenset({"sqrt", "asin", "acos"})  # defined where it is 0, as are powers with a positive exponent
@@ -96,39 +91,42 @@ class Pointwise:
         self.culprit: Node | None = None
 
     def value(self, node: Node) -> Value:
-        """Return an interval around the value of an expression, UNDEFINED, or None if neither is certain.
+        """Return a ball around the value of an expression, UNDEFINED, or None if neither is certain.
 
-        The interval of a value that is certainly 0 is [0, 0].
+        The ball of a value that is certainly 0 is 0.
         """
         if node not in self._known:
-            value = self._value(node)
+            with ctx.workprec(_BITS):
+                value = self._value(node)
             if value is UNDEFINED and self.culprit is None:
                 self.culprit = node
-            if isinstance(value, tuple) and libmp.mpf_le(value[0], libmp.fzero) and libmp.mpf_ge(value[1], libmp.fzero):
-                value = _ZERO if vanishes(substitute(node, self._numbers)) else value
+            if isinstance(value, arb):
+                value = value if value.is_finite() else None
+                if value is not None and value.contains(0) and vanishes(substitute(node, self._numbers)):
+                    value = _ZERO
             self._known[node] = value
         return self._known[node]
 
     def least(self, node: Node) -> float:
         """Return a lower bound of the value of an expression; −inf if it may be undefined."""
         value = self.value(node)
-        return float(libmp.to_float(value[0], rnd="f")) if isinstance(value, tuple) else float("-inf")
+        if not isinstance(value, arb):
+            return float("-inf")
+        end = value.lower()
+        near = float(end)
+        return near if arb(near) <= end else math.nextafter(near, -math.inf)
 
     def at_most_zero(self, node: Node) -> bool:
         """Return whether an expression is certainly ≤ 0."""
         value = self.value(node)
-        return isinstance(value, tuple) and bool(libmp.mpf_le(value[1], libmp.fzero))
+        return isinstance(value, arb) and bool(value <= 0)
 
     def sign(self, node: Node) -> int | None:
         """Return the certain sign of an expression; None if it is not certain."""
         value = self.value(node)
-        if not isinstance(value, tuple):
+        if not isinstance(value, arb):
             return None
-        if libmp.mpf_gt(value[0], libmp.fzero):
-            return 1
-        if libmp.mpf_lt(value[1], libmp.fzero):
-            return -1
-        return 0 if value == _ZERO else None
+        return 1 if value > 0 else -1 if value < 0 else 0 if value == 0 else None
 
     def _value(self, node: Node) -> Value:
         if node.op == "select":
@@ -137,10 +135,10 @@ class Pointwise:
                 return UNDEFINED
             sign = self.sign(a - b)
             return None if sign is None else self.value(x if sign <= 0 else y)
-        args: list[Interval] = []
+        args: list[arb] = []
         for operand in node.args:
             value = self.value(operand)
-            if not isinstance(value, tuple):
+            if not isinstance(value, arb):
                 return value
             args.append(value)
         if (gap := _gap(node)) is not None:
@@ -150,51 +148,17 @@ class Pointwise:
             edge = node.op in _EDGES or (node.op == "powr" and node.value > 0)
             if (sign < 0 and node.op in _BOUNDED) or (sign == 0 and not edge):
                 return UNDEFINED
-        return self._applied(node, args)
-
-    def _applied(self, node: Node, args: list[Interval]) -> Value:
-        op = node.op
-        if op in _ROUNDED:
-            return _ROUNDED[op](*args, _BITS)
-        if op in ("exp", "sinh", "cosh", "tanh") and libmp.mpf_gt(libmp.mpi_abs(args[0], _BITS)[1], _LARGEST):
-            return None
-        if op in _NEARLY:
-            return _widened(_NEARLY[op](*args, _BITS))
-        match op:
-            case "num":
-                return _rational(node.value)
-            case "var":
-                return _rational(self._numbers[node.name].value)
-            case "pi":
-                return libmp.mpf_pi(_BITS, "f"), libmp.mpf_pi(_BITS, "c")
-            case "neg":
-                return libmp.mpi_neg(args[0])
-            case "min" | "max":
-                first = libmp.mpf_le if op == "min" else libmp.mpf_ge
-                return tuple(x if first(x, y) else y for x, y in zip(*args, strict=True))
+        match node.op:
+            case "num" | "var":
+                return arb(fmpq(*(node if node.op == "num" else self._numbers[node.name]).value.as_integer_ratio()))
             case "pow":
-                raised = libmp.mpi_pow_int(args[0], abs(node.value.numerator), _BITS)
-                return raised if node.value >= 0 else libmp.mpi_div(_ONE, raised, _BITS)
+                return args[0] ** int(node.value)
             case "powr":
-                inside = number(node.value) * Node("log", node.args)
-                return _ZERO if args[0] == _ZERO else self.value(Node("exp", (inside,)))
-            case "asin" | "acos":
+                return _ZERO if args[0] == 0 else args[0] ** arb(fmpq(*node.value.as_integer_ratio()))
+            case "asin" | "acos":  # at 1, a ball may reach beyond
                 rest = Node("sqrt", (number(1) - power(node.args[0], 2),))
-                return self.value(Node("atan2", (node.args[0], rest) if op == "asin" else (rest, node.args[0])))
-        # sinh, cosh and tanh
-        grows, falls = Node("exp", node.args), Node("exp", (-node.args[0],))
-        over = grows + falls if op == "cosh" else grows - falls
-        return self.value(over / (grows + falls if op == "tanh" else number(2)))
-
-
-def _rational(value: Fraction) -> Interval:
-    p, q = value.as_integer_ratio()
-    return libmp.from_rational(p, q, _BITS, "f"), libmp.from_rational(p, q, _BITS, "c")
-
-
-def _widened(a: Interval) -> Interval:
-    low, high = (libmp.mpf_shift(libmp.mpf_abs(end), 16 - _BITS) for end in a)
-    return libmp.mpf_sub(a[0], low, _BITS, "f"), libmp.mpf_add(a[1], high, _BITS, "c")
+                return self.value(Node("atan2", (node.args[0], rest) if node.op == "asin" else (rest, node.args[0])))
+        return _OPERATIONS[node.op](*args)
 
 
 Array = NDArray[np.float64]

@@ -160,8 +160,8 @@ def sampled() -> Document:
     state, zero = State("x", -1.5, 1.5), parse("0", names)
     loop = Dynamics("loop", "continuous", (state,), (zero,), (Range("p", 0.9, 1.1),), sampling=sampling)
     region = sampled_region(loop, 0.3, time_limit=30.0)
-    assert region is not None and "radius" not in region.decision.document["claim"]
-    return dict(region.decision.document)
+    assert region is not None and "radius" not in region.document["claim"]
+    return dict(region.document)
 
 
 def loaded(load: str) -> Callable[[Document], object]:

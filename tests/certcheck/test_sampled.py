@@ -58,7 +58,7 @@ def oscillator() -> Document:
 def proved(*parts: dict[str, str], bounds: dict[str, float], period: float, rate: float | None = None) -> Document:
     region = sampled_region(loop(*parts, bounds=bounds, period=period), rate, time_limit=30.0)
     assert region is not None
-    return dict(region.decision.document)
+    return dict(region.document)
 
 
 def verdict(document: Document, *changes: Change) -> str:
@@ -243,7 +243,7 @@ def test_a_false_loop_has_no_certificate() -> None:
     d = loop({"x": "x + u"}, {}, {"u": "max(-0.5, min(0.5, -2*x))"}, bounds={"x": 3.0}, period=0.1)
     region = sampled_region(d, None, time_limit=20.0)
     assert region is not None
-    widest = region.decision.claim.dynamics.box[1, 0]
+    widest = region.claim.dynamics.box[1, 0]
     assert 0.4 < widest < 0.52
 
 

@@ -10,6 +10,7 @@ import pytest
 
 from surctl.errors import SurctlError
 from surctl.ir import replay
+from surctl.ir.c99_routine import emit_parts
 from surctl.marine.control import build, build_law, load_gains
 from surctl.marine.control.build import law_bytes, law_from
 from surctl.marine.control.law import Law
@@ -50,6 +51,7 @@ def test_what_is_read_is_what_was_written(options: dict[str, object]) -> None:
         assert read.perception.block.digest() == law.perception.block.digest()
     x, u = law.initial_state(), law.inputs.pack()
     p = law_numbers(load_scenario("pool-behind"), load_gains("default"), load_vehicle("sur400"))
+    assert emit_parts(read.block, symbol="law", real="float64") == emit_parts(law.block, symbol="law", real="float64")
     for a, b in zip(replay(read.block, x, u, p), replay(law.block, x, u, p), strict=True):
         np.testing.assert_array_equal(a, b)
 

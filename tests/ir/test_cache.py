@@ -69,18 +69,19 @@ def test_a_source_with_an_identity_is_written_only_to_compile_it(builds: list[st
 def test_a_block_is_the_same_entry_only_with_the_same_operations_type_and_sources(
     builds: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setenv("SURCTL_CACHE", str(tmp_path))
     x = ca.SX.sym("x")
     half, third = (lower(ca.Function("part", [x], [x / k])) for k in (2, 3))
-    compile_block(half, folder=tmp_path)
-    assert compile_block(half, folder=tmp_path)([6.0]) == [3.0] and len(builds) == 1
-    assert compile_block(third, folder=tmp_path)([6.0]) == [2.0]
-    assert compile_block(half, folder=tmp_path, real="float32")([6.0]) == [3.0] and len(builds) == 3
+    compile_block(half)
+    assert compile_block(half)([6.0]) == [3.0] and len(builds) == 1
+    assert compile_block(third)([6.0]) == [2.0]
+    assert compile_block(half, real="float32")([6.0]) == [3.0] and len(builds) == 3
     monkeypatch.setattr(native, "source_digest", lambda *_: "other sources")
-    compile_block(half, folder=tmp_path)
+    compile_block(half)
     assert len(builds) == 4
     monkeypatch.setattr(native, "source_digest", changed)
     for _ in range(2):
-        assert compile_block(half, folder=tmp_path)([6.0]) == [3.0] and len(builds) == 5  # by the C text
+        assert compile_block(half)([6.0]) == [3.0] and len(builds) == 5  # by the C text
 
 
 def changed(*_: str) -> str:

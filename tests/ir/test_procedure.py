@@ -179,6 +179,10 @@ def test_a_procedure_is_pickled_and_changes_with_its_text() -> None:
     block = around(example())
     found = pickle.loads(pickle.dumps(block))
     assert found == block and found.digest() == block.digest()
+    assert emit_block(found, symbol="f") == emit_block(block, symbol="f")
+    ran = example()
+    ran.run([[1.0] * size for _, size in ran.inputs])
+    assert pickle.loads(pickle.dumps(ran)) == ran
     assert example(6).digest() != example(7).digest()
     assert memory(example()) == 7 + 1 + 7 + 2 + (1 + 7 + 1)
     assert example(8).operations > example(7).operations > 7 * 7

@@ -123,3 +123,9 @@ def test_the_touching_values_are_exact() -> None:
     statement = statement_of(claim.inequalities([1.0], Power(1e-3, 1), Power(1e-3, 1))[-1])
     assert statement.touching == {"x": Fraction(3, 5)}
     assert check_document(prove_motion(claim, time_limit=5.0).document).accepted
+
+
+@pytest.mark.parametrize(("rate", "cause"), [("-x - y", "flat"), ("-x + 0.1*y", "decrease")])
+def test_why_no_level_is_possible_is_named(rate: str, cause: str) -> None:
+    claim = _claim({"x": "y", "y": rate}, "x^2 + y^2", 1.0, at=(0.0, 0.0))
+    assert least_level(claim.dynamics, claim.function).cause == cause

@@ -14,10 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linprog
 
-from surctl.errors import InputError
+from surctl.errors import InputError, check_count
 from surctl.tasks import Kind, Limit, LimitRow
+from surctl.tasks.ranges import Parameter, SampledExpressions, SymbolRanges, ranges_of
 from surctl.tasks.task import as_expression
-from surctl.testing.ranges import CheckFailed, Parameter, SampledExpressions, SymbolRanges, checked_count, ranges_of
+from surctl.testing.ranges import CheckFailed
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -78,7 +79,7 @@ def check_limit(
         CheckFailed: a check fails; the message states the first failure and names the constraint row.
         InputError: a symbol has no range or two ranges, there are no samples, or the velocity is not positive.
     """
-    checked_count("samples", samples)
+    check_count("samples", samples, least=1)
     if not 0.0 < velocity < math.inf:
         raise InputError("is not a speed", key="velocity", value=velocity, remedy="give a positive number")
     rows = _shaped(limit)

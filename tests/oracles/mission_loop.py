@@ -223,14 +223,14 @@ class Loop:
             bodies = self.world.bodies(time)
             noise = self._draw()
             self._listen(bodies, noise, 0)
-            clearance = self._clearance(bodies)
+            clearance, free = self._clearance(bodies)
             u = self._inputs(bodies, noise, index)
             p = self._fed()
             step = self.stepper(self.law_state, u, p)
             self.rows.append(
                 (time, self.state, step.tau, clearance, self.law_state, u, step.status, step.telemetry, bodies)
             )
-            if clearance <= 0:
+            if free <= 0:
                 return "collision"
             self.follower.move(*self.state[:2].tolist())
             if self.follower.last and self._left() <= scenario.arrival_radius:
@@ -344,13 +344,12 @@ class Loop:
             return level
         return float(np.hypot(level, self.state[2] - scenario.end_depth))
 
-    def _clearance(self, bodies: Sequence[Body]) -> float:
+    def _clearance(self, bodies: Sequence[Body]) -> tuple[float, float]:
+        # and the one that decides on a collision: without walls until the hull was clear of them
         clearance, wall = self.physics.clearance(bodies)
         self.clear_of_walls = self.clear_of_walls or wall > 0
-        if self.clear_of_walls:
-            clearance = min(clearance, wall)
-        self.least = min(self.least, clearance)
-        return clearance
+        self.least = min(self.least, clearance, wall)
+        return min(clearance, wall), min(clearance, wall) if self.clear_of_walls else clearance
 
     def _inputs(self, bodies: Sequence[Body], noise: _StepNoise, index: int) -> NDArray[np.float64]:
         eta, nu = self.state[:4], self.state[4:8]

@@ -31,6 +31,7 @@ def test_sums_and_products_have_the_values_of_numbers(p: Polynomial, q: Polynomi
 @settings(max_examples=25, deadline=None, phases=[Phase.generate])
 def test_derivatives_follow_the_product_rule(p: Polynomial, q: Polynomial, k: int) -> None:
     assert (p * q).derivative(k) == p.derivative(k) * q + p * q.derivative(k)
+    assert all(x.derivative(k) == Polynomial.constant(j == k) for j, x in enumerate(Polynomial.variables(COUNT)))
 
 
 @given(POLYNOMIALS, POLYNOMIALS, POINTS)

@@ -25,8 +25,9 @@ def test_the_batch_gives_the_figures_of_the_recorded_runs() -> None:
     names = sorted({name for values in VALUES for name in values})
     defaults = {"start.angle": 0.4, "disturbance.gust": 0.0, "k_rate": 6.2}
     columns = {name: [values.get(name, defaults[name]) for values in VALUES] for name in names}
-    runs = simulate_system(system, 4.0, columns, threads=2)
-    assert runs.stopped.tolist()[:3] == ["time", "time", "fallen"]
+    runs, machine = (simulate_system(system, 4.0, columns, threads=2, engine=engine) for engine in ("auto", "vm"))
+    assert runs.stopped.tolist()[:3] == ["time", "time", "fallen"] and np.array_equal(machine.stopped, runs.stopped)
+    assert np.allclose(machine.state, runs.state, rtol=1e-12, atol=1e-12)
     for k, values in enumerate(VALUES):
         record = run_system(system, 4.0, values)
         assert record.stopped == runs.stopped[k]

@@ -1,5 +1,7 @@
 """Every limit can be generated as C: its rows use only operations of the instruction list."""
 
+from functools import partial
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -9,17 +11,18 @@ from surctl.marine.vehicle import PLANT_PARAMETERS, plant_thrust_limit
 from surctl.tasks import (
     AccelerationLimit,
     Barrier,
-    BrakingBarrier,
     RateLimit,
     SetTask,
     ThrustLimit,
     VelocityBox,
+    allowed_closing_speed,
     position_task,
 )
 
 ETA, NU, MASS = ca.SX.sym("eta", 4), ca.SX.sym("nu", 4), ca.SX.sym("M", 4, 4)
 FLAT, PARTS = PLANT_PARAMETERS.symbols("p")
 DISC = ca.norm_2(ETA[:2]) - 1
+STOPPING = partial(allowed_closing_speed, deceleration=0.1, reaction=0.3)
 FULL = ThrustLimit(NU, MASS, load=[0] * 4, lower=[-1] * 4, upper=[1] * 4, dt=0.05)
 PLAIN = plant_thrust_limit(NU, PARTS, dt=0.05)
 
@@ -32,7 +35,7 @@ PLAIN = plant_thrust_limit(NU, PARTS, dt=0.05)
         FULL,
         AccelerationLimit(NU, [0.1] * 4, dt=0.05),
         Barrier("disc", ETA, h=DISC, alpha=lambda s: ca.fmin(s, 1), kinematics="vehicle"),
-        BrakingBarrier("disc", ETA, h=DISC, deceleration=0.1, reaction=0.3, kinematics="vehicle"),
+        Barrier("stop", ETA, h=DISC, alpha=STOPPING, kinematics="vehicle"),
         RateLimit(position_task(ETA, [1, 2]), 0.1),
         SetTask(name="arc", eta=ETA, sigma=ETA[3], lower=-1, upper=1, angular=True, kinematics="vehicle"),
     ],

@@ -11,7 +11,6 @@ from surctl.priority import assemble, solve
 from surctl.tasks import (
     AccelerationLimit,
     Barrier,
-    BrakingBarrier,
     HalfPlane,
     SetTask,
     Stack,
@@ -68,9 +67,8 @@ def test_widths_that_do_not_fit_are_refused() -> None:
     for make in (partial(Task, sigma=joints[3]), partial(SetTask, sigma=joints[3], lower=0.0, upper=1.0)):
         with pytest.raises(InputError, match="task wrist: kinematics: is missing, and eta has four entries; give"):
             make(name="wrist", eta=joints)
-    for barrier in (partial(Barrier, alpha=1.0), partial(BrakingBarrier, deceleration=0.2, reaction=0.5)):
-        with pytest.raises(InputError, match="limit wrist: kinematics: is missing, and eta has four entries; give"):
-            barrier("wrist", joints, h=joints[3])
+    with pytest.raises(InputError, match="limit wrist: kinematics: is missing, and eta has four entries; give"):
+        Barrier("wrist", joints, h=joints[3])
     for eta_, word in ((q, "vehicle"), (joints, "vessel")):
         with pytest.raises(InputError, match=f"task wrist: kinematics = '{word}': is not known; give"):
             Task(name="wrist", eta=eta_, sigma=eta_[0], kinematics=word)

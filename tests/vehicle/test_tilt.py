@@ -26,7 +26,7 @@ from surctl.marine.vehicle import (
     plant_state,
     trim_thrust,
 )
-from surctl.marine.vehicle.dynamics import trim_tilt
+from surctl.marine.vehicle.dynamics import trim_function
 from surctl.marine.vehicle.motion_log import heading_velocity
 from surctl.marine.verification import linear_table
 
@@ -161,7 +161,7 @@ def test_energy_is_conserved_without_drag() -> None:
 def test_roll_period_and_tilt_at_rest_have_closed_forms() -> None:
     values = {"mpp": 0.30, "mqq": 0.35, "weight": 110.0, "buoyancy": 110.0, "zg": -0.02, "xg": 0.004}
     vehicle = boat(values)
-    tilt = np.asarray(trim_tilt(vehicle.form)(np.zeros(4), plant_parameters(vehicle))).ravel()
+    tilt = np.asarray(trim_function(vehicle.form)(np.zeros(4), plant_parameters(vehicle))[1]).ravel()
     # the centre of gravity hangs below the centre of buoyancy: the bow sinks
     np.testing.assert_allclose(tilt, [0, np.arctan2(0.004, 0.02), 0, 0], atol=1e-9)
     level = boat({**values, "xg": 0.0})
@@ -176,7 +176,7 @@ def test_roll_period_and_tilt_at_rest_have_closed_forms() -> None:
 def test_trim_includes_the_attitude_that_thrust_causes() -> None:
     vehicle, nu = boat({**TILT, "buoyancy": 11.5 * G, "xb": 0.0}), np.array([0.5, 0.0, 0.0, 0.0])
     tau, p = trim_thrust(vehicle, nu), plant_parameters(vehicle)
-    tilt = np.asarray(trim_tilt(vehicle.form)(nu, p)).ravel()
+    tilt = np.asarray(trim_function(vehicle.form)(nu, p)[1]).ravel()
     x = plant_state(vehicle.form).pack({"nu": nu, "tau": tau, "tilt": tilt})
     rate = np.asarray(build_plant(vehicle.form).ode(x, tau, STILL, p)).ravel()
     np.testing.assert_allclose(rate, [0.5, *[0] * 15], atol=1e-9)

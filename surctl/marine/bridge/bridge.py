@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from math import cos, hypot, inf, radians, sin
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -140,15 +142,15 @@ class Bridge:
         self._due = {"beat": -inf, "time": -inf, "rates": -inf}
         self._sample, self._began = 0, False
         self.arrived = False
-        self._takes: dict[type, Callable[[Event, float], None]] = {
+        self._takes: dict[type, Callable[[Any, float], None]] = {
             Beat: self._beat,
             Reply: self._reply,
             Position: self._position,
-            Attitude: self._attitude,
-            Odometry: self._odometry,
+            Attitude: partial(self._own, self.inputs.attitude),
+            Odometry: partial(self._own, self.inputs.odometry),
             Ranges: self._ranges,
-            Gone: self._gone,
-            Text: self._text,
+            Gone: lambda event, _: self.inputs.gone(event.system),
+            Text: lambda event, now: self.texts.append((now, f"autopilot: {event.text}")),
         }
 
     def hear(self, data: bytes, now: float) -> Sequence[Event]:
@@ -253,8 +255,7 @@ class Bridge:
         level = hypot(*(pose[:2] - scenario.target).tolist())
         return level if scenario.depths is None else hypot(level, float(pose[2]) - scenario.end_depth)
 
-    def _beat(self, event: Event, now: float) -> None:
-        assert isinstance(event, Beat)
+    def _beat(self, event: Beat, now: float) -> None:
         if not event.sub:
             if self.session.phase == "waiting":
                 self.session = self.session.to("waiting", now, "the autopilot is not ArduSub")
@@ -267,65 +268,38 @@ class Bridge:
             self.follower = self.plan.scenario.follower()
         self._changed(before, now)
 
-    def _reply(self, event: Event, now: float) -> None:
-        assert isinstance(event, Reply)
-        restarts = self.clock.restarts
-        self.clock = self.clock.reply(now, sent=event.sent, boot=event.boot)
-        self._restarted(restarts)
+    def _reply(self, event: Reply, now: float) -> None:
+        self._set_clock(self.clock.reply(now, sent=event.sent, boot=event.boot))
 
-    def _restarted(self, restarts: int) -> None:
-        if self.clock.restarts != restarts:
+    def _set_clock(self, clock: Clock) -> None:
+        if clock.restarts != self.clock.restarts:
             self.inputs.forget()
+        self.clock = clock
 
     def _stamped(self, boot: float, now: float) -> float | None:
-        restarts = self.clock.restarts
-        self.clock = self.clock.stamped(now, boot)
-        self._restarted(restarts)
+        self._set_clock(self.clock.stamped(now, boot))
         measured = self.clock.measured(boot)
         return None if measured is None else min(measured, now)
 
-    def _position(self, event: Event, now: float) -> None:
-        assert isinstance(event, Position)
+    def _position(self, event: Position, now: float) -> None:
         if event.system != self.wire.target:
             self.inputs.obstacle(event, now)
-            return
+        else:
+            self._own(self.inputs.position, event, now)
+
+    def _own(self, take: Callable[[Any, float], None], event: Position | Attitude | Odometry, now: float) -> None:
+        # a measurement of the vehicle's own motion
         measured = self._stamped(event.boot, now)
         if measured is not None:
-            self.inputs.position(event, measured)
-            self._estimated()
+            take(event, measured)
+            known = self.inputs.estimate
+            if known is not None:
+                self.session = after_estimate(self.session, known.measured)
 
-    def _attitude(self, event: Event, now: float) -> None:
-        assert isinstance(event, Attitude)
-        measured = self._stamped(event.boot, now)
-        if measured is not None:
-            self.inputs.attitude(event, measured)
-            self._estimated()
-
-    def _odometry(self, event: Event, now: float) -> None:
-        assert isinstance(event, Odometry)
-        measured = self._stamped(event.boot, now)
-        if measured is not None:
-            self.inputs.odometry(event, measured)
-            self._estimated()
-
-    def _estimated(self) -> None:
-        known = self.inputs.estimate
-        if known is not None:
-            self.session = after_estimate(self.session, known.measured)
-
-    def _ranges(self, event: Event, now: float) -> None:
-        assert isinstance(event, Ranges)
+    def _ranges(self, event: Ranges, now: float) -> None:
         measured = now if event.boot is None else self._stamped(event.boot, now)
         if measured is not None and now - measured <= self.plan.limits.estimate:
             self.inputs.ranges(event, measured)
-
-    def _gone(self, event: Event, now: float) -> None:
-        assert isinstance(event, Gone)
-        self.inputs.gone(event.system)
-
-    def _text(self, event: Event, now: float) -> None:
-        assert isinstance(event, Text)
-        self.texts.append((now, f"autopilot: {event.text}"))
 
     def _changed(self, before: Session, now: float) -> None:
         after = self.session

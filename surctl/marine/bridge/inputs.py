@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from math import atan2, cos, inf, isfinite, pi, radians, sin
+from math import cos, inf, isfinite, pi, radians, sin
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,7 +19,7 @@ from surctl.marine.control import Law
 from surctl.marine.simulation import Scenario
 from surctl.marine.simulation.world import build_world
 from surctl.marine.vehicle import Vehicle
-from surctl.marine.vehicle.motion_log import heading_velocity
+from surctl.marine.vehicle.motion_log import heading_velocity, roll_pitch_heading
 from surctl.marine.world import Disc
 
 # The scenario's frame {E} and the autopilot's local frame NED
@@ -92,7 +92,7 @@ def body_velocity(velocity: ArrayLike, rates: ArrayLike, *, roll: float, pitch: 
     return heading_velocity(v * flip, w * flip, roll=roll, pitch=-pitch)
 
 
-def parse_site(text: str, *, key: str = "--origin") -> Site:
+def parse_site(text: str) -> Site:
     """Return the site of a text "X,Y,DEG": origin of NED in {E} [m], compass direction of the x axis of {E} [deg]."""
     try:
         x, y, bearing = (float(word) for word in text.split(","))
@@ -100,7 +100,7 @@ def parse_site(text: str, *, key: str = "--origin") -> Site:
         x = y = bearing = float("nan")
     if not all(map(isfinite, (x, y, bearing))):
         raise InputError(
-            "is not a place and a direction", key=key, value=text, remedy='write "X,Y,DEG", such as 0.5,2.5,90'
+            "is not a place and a direction", key="--origin", value=text, remedy='write "X,Y,DEG", such as 0.5,2.5,90'
         )
     return Site(x, y, radians(bearing))
 
@@ -191,11 +191,8 @@ class Inputs:
 
     def odometry(self, event: Odometry, measured: float) -> None:
         """Store an odometry message of the vehicle; `measured` is the time of the measurement [s]."""
-        w, x, y, z = event.q
-        roll = atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
-        sine = 2 * (w * y - z * x)
-        pitch = atan2(sine, max(1e-12, 1 - sine * sine) ** 0.5)
-        yaw = atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+        w, *vector = event.q
+        roll, pitch, yaw = roll_pitch_heading(np.array([[*vector, w]]))[0].tolist()
         if abs(pitch) > 0.49 * pi or (self._place is not None and measured <= self._place[0]):
             return
         nu = body_velocity(event.velocity, event.rates, roll=roll, pitch=pitch)

@@ -45,23 +45,26 @@ class SessionLog(Protocol):
         """Record the newest control period of the bridge."""
 
 
-def parse_address(text: str, *, key: str = "--mavlink") -> Address:
+def parse_address(text: str) -> Address:
     """Return the address of a text "udp:HOST:PORT" (listen, as `udpin:` does) or "udpout:HOST:PORT"."""
     kind, _, rest = text.partition(":")
     host, _, number = rest.rpartition(":")
     if kind not in _FORMS:
-        raise InputError("is not known", key=key, value=text, remedy=nearest(kind, _FORMS))
+        raise InputError("is not known", key="--mavlink", value=text, remedy=nearest(kind, _FORMS))
     port = int(number) if number.isdecimal() and len(number) < 6 else 0
     if not host or not 0 < port < 65536:
         raise InputError(
-            "is not an address", key=key, value=text, remedy=f"write {kind}:HOST:PORT, such as {kind}:127.0.0.1:14550"
+            "is not an address",
+            key="--mavlink",
+            value=text,
+            remedy=f"write {kind}:HOST:PORT, such as {kind}:127.0.0.1:14550",
         )
     host = host.removeprefix("[").removesuffix("]")  # as IPv6 addresses are often written
     try:
         host.encode("idna")
     except UnicodeError:
         raise InputError(
-            "is not a name or number of a computer", key=key, value=host, remedy="such as 127.0.0.1"
+            "is not a name or number of a computer", key="--mavlink", value=host, remedy="such as 127.0.0.1"
         ) from None
     return Address(host, port, kind != "udpout")
 

@@ -6,12 +6,11 @@ import struct
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from types import TracebackType
 
 import numpy as np
 
 from surctl.errors import InputError
-from surctl.files import opened
+from surctl.files import Closeable, opened
 from surctl.marine.bridge.bridge import Bridge, Moment
 from surctl.marine.simulation import Body
 from surctl.marine.simulation.record_file import SceneFile, write_layout
@@ -23,7 +22,7 @@ _FLUSH = 1.0  # [s] of messages for Foxglove that a killed process may lose; the
 _POINT = 0.03  # [m] radius with which a point is shown
 
 
-class FrameLog:
+class FrameLog(Closeable):
     """A telemetry log: each frame after its time, in microseconds of the Unix epoch.
 
     A frame is handed to the operating system before the next one is taken: the end of the process loses nothing.
@@ -34,12 +33,6 @@ class FrameLog:
         self.path = path
         self.epoch = time.time() if epoch is None else epoch
         self._file = opened(path, new=new, buffering=0)
-
-    def __enter__(self) -> FrameLog:
-        return self
-
-    def __exit__(self, _: type[BaseException] | None, __: BaseException | None, ___: TracebackType | None) -> None:
-        self.close()
 
     def close(self) -> None:
         """Close the file."""
@@ -69,7 +62,7 @@ def _frames(data: bytes) -> Iterator[bytes]:
             at += 1
 
 
-class SessionRecord:
+class SessionRecord(Closeable):
     """The record of a session in a folder: `NAME.tlog` with every frame, and `NAME.mcap` for Foxglove.
 
     `epoch` is the time of the begin [s] of the Unix epoch; default: now. With `new`, the files must not exist yet.
@@ -96,12 +89,6 @@ class SessionRecord:
         self._ranges = bridge.plan.law.telemetry_slice("ranges") if perception else None
         write_layout(folder, sonars=self._scene.array.size if perception else 0)
         self.files = self._file.path, self._frames.path
-
-    def __enter__(self) -> SessionRecord:
-        return self
-
-    def __exit__(self, _: type[BaseException] | None, __: BaseException | None, ___: TracebackType | None) -> None:
-        self.close()
 
     def close(self) -> None:
         """Complete both files."""

@@ -127,9 +127,9 @@ MODES: dict[str, Mode] = {
 """Modes by name. In `alt_hold` the heave stick is neutral: the operator brings the vehicle to the mission's depth."""
 
 
-def mode_of(name: str, *, key: str = "--mode") -> Mode:
+def mode_of(name: str) -> Mode:
     """Return a mode by name; InputError if there is no such mode."""
-    check_known(name, MODES, key=key)
+    check_known(name, MODES, key="--mode")
     return MODES[name]
 
 
@@ -202,7 +202,7 @@ class Mapping:
             return Axes()
         sticks = [self._stick(axis, numbers[axis]) if axis in self.mode.thrust else 0.0 for axis in range(4)]
         if self.mode.rate:
-            sticks[3] = _within(yaw_rate / self.full_rate)
+            sticks[3] = _stick(yaw_rate / self.full_rate)
         ahead, left, up, turn = sticks
         return Axes(ahead, 0.0 - left, up, 0.0 - turn)
 
@@ -215,7 +215,7 @@ class Mapping:
         largest = float(self.limits[1, axis] if force > 0 else -self.limits[0, axis])
         if largest <= 0.0:
             return 0.0
-        share = _within(force / largest)
+        share = _stick(force / largest)
         one = self.thruster
         return share if one is None else one.command(share * (one.forward if share > 0 else one.reverse))
 
@@ -225,10 +225,6 @@ class Mapping:
             force = one.force(stick)
             share = force / (one.forward if force > 0 else one.reverse)
         return share * float(self.limits[1, axis] if share > 0 else -self.limits[0, axis])
-
-
-def _within(value: float) -> float:
-    return min(1.0, max(-1.0, value))
 
 
 def _common(vehicle: Vehicle) -> Thruster | None:

@@ -37,13 +37,13 @@ def scenario() -> None:
     "--depth",
     type=FiniteRange(max=0),
     metavar="Z",
-    help="Height of the path [m], below 0; the water surface is at 0 (default: lowest height in the plan).",
+    help="Height of the path [m]: negative; 0 is the water surface (default: lowest height in the plan).",
 )
 @click.option(
     "--margin",
     type=FiniteRange(min=0, min_open=True),
     default=5.0,
-    help="Width of free water around the path [m] (default 5).",
+    help="Free water on every side of the path [m] (default 5).",
 )
 @click.option("--out", type=FILE, help="File to write (default NAME.toml).")
 @click.option("--force", is_flag=True, help="Overwrite an existing file.")

@@ -219,7 +219,7 @@ priority_options = together(
         "--priority-mode",
         default="nsb",
         metavar="M",
-        help="Task priorities: nsb (default, ignores limits), or within limits: filter, projected, lexicographic "
+        help="Task priorities: nsb (default; limited afterwards), or within limits: filter, projected, lexicographic "
         "(strict).",
     ),
     click.option(

@@ -94,10 +94,10 @@ def series_lines(runs: Sequence[Mapping[str, Any]]) -> list[str]:
 
 def loop_lines_of_run(run: Run, result: dict[str, Any]) -> list[str]:
     """Add to `result` whether the linear loop at cruise speed is stable; return lines to print if its margin is low."""
-    attitude = run.attitude
+    crab = run.metrics.crab_angle_deg
     result["linear"], lines = linear_warning(
         run.vehicle, run.gains, run.law, cruise=run.scenario.fastest,
-        crab="" if attitude is None else f", mean crab angle {attitude.crab_angle_deg:.0f} deg",
+        crab=f", mean crab angle {crab:.0f} deg" if crab >= 0 else "",
     )  # fmt: skip
     return lines
 

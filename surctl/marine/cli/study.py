@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     metavar="FILE",
     help="Vehicle (name or file) of the built-in study; a large vehicle gets larger missions.",
 )
-@click.option("--gains", metavar="FILE", help="Gain set to study: name or file (default: the best of a sweep).")
+@click.option("--gains", metavar="FILE", help="Gain set to study: name or file (default: the best of its sweep).")
 @click.option(
     "--cruise",
     type=SPEEDS,
@@ -47,8 +47,8 @@ def study(
 ) -> None:
     """Sweep gains, select the best gains, verify the claims, simulate the scenarios, and export and check the C code.
 
-    FILE is a study file or a vehicle file; without FILE, the built-in study runs. If a vehicle cannot sway, or does not
-    fit into a built-in scenario, surctl scales three missions to the vehicle: a straight path, a path with a corner,
+    FILE is a study file or a vehicle file; without FILE, the built-in study runs. If a vehicle cannot sway, or fits
+    into no built-in scenario, surctl scales three missions to the vehicle: a straight path, a path with a corner,
     and the obstacles of the scenario tank-static.
 
     For FILE.py:FUNCTION, a system of your own, the report has a simulated run, margins, costs over a sweep of gains,

@@ -69,7 +69,8 @@ _EXPLAINED = ("deviation_m", "path_error_m")  # columns whose meaning is printed
     "--priority-mode",
     default="nsb",
     metavar="M",
-    help="Task priorities: nsb (default, ignores limits), or within limits: filter, projected, lexicographic (strict).",
+    help="Task priorities: nsb (default; limited afterwards), or within limits: filter, projected, lexicographic "
+    "(strict).",
 )
 @click.option(
     "--guidance",

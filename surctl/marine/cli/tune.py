@@ -70,11 +70,11 @@ def tune(
     """Search for gains that meet goals, test the gains in random runs, and search again with the runs that fail.
 
     The gains must meet the hard goals in every scenario, for every seed and at every corner of the parameter ranges of
-    the vehicle; the search minimises the soft goals. surctl also tries to refute the paper's claims with the tuned
-    gains. Exit status: 1 if the gains miss a hard goal in the search or in the test, or if the output says FAIL.
+    the vehicle; the search minimises the soft goals. surctl also tries to refute the robot paper's claims with the
+    tuned gains. Exit status: 1 if the gains miss a hard goal in the search or in the test, or if the output says FAIL.
 
     For FILE.py:FUNCTION, a system of your own, the search minimises the first cost or, with --goals, the largest soft
-    goal (value/bound). NAME=V1,V2 sets NAME to V1 in case 1, to V2 in case 2; in every case, the disk margin must be at
+    goal (value/bound). NAME=V1,V2 sets NAME to V1 in case 1, to V2 in case 2; in each case, the disk margin must be at
     least 0.3, and each cost that is not minimised must meet its bound.
 
     Examples: surctl tune my-study.toml --gain k_v=0.5..3 --goals my-goals.toml; surctl tune my-system.py:build --page

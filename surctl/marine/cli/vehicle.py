@@ -298,8 +298,8 @@ def from_log(
     roll and pitch. If the vehicle of --start has roll and pitch, the table also needs roll_rad or pitch_rad,
     and may have p_rad_per_s and q_rad_per_s.
 
-    Logs of ArduPilot (.BIN, .tlog), ROS (.bag, .db3 or folder, .mcap) and PX4 (.ulg) need --map, and so do tables
-    with other column names. --topics prints the topics and fields of a log.
+    Logs of ArduPilot (.BIN, .tlog), ROS (.bag, .db3 or folder, .mcap) and PX4 (.ulg) need --map, and so does a table
+    with column names other than those above. --topics prints the topics and fields of a log.
 
     If the log does not determine a parameter, the parameter keeps its value from --start, and the vehicle file says so.
     If the 95 % interval of a fitted mass or drag lies below 0, no file is written, and the exit status is 1. As a test,

@@ -115,7 +115,7 @@ def verify(
     not the expected one, a named claim is not applicable, or a margin or no-contact claim fails.
 
     For FILE.py:FUNCTION, a system of your own, surctl prints equilibrium, poles and margins of the sampled loop. With
-    arguments within.STATE=LOW..HIGH for all states, surctl proves a region of attraction in this box.
+    within.STATE=LOW..HIGH for each state, it tries to prove a region of attraction in the box of these ranges.
 
     Examples: surctl verify --out proofs; surctl verify region-cruise-20 claim.toml; surctl verify loop.py:build k=2
     """

@@ -26,6 +26,8 @@ from numpy.typing import NDArray
 from surctl.errors import InputError, check_known, nearest
 from surctl.ir import Program, lower_named
 from surctl.marine.vehicle import GRAVITY, WATER, Actuators, PlantForm, Vehicle, plant_layout, plant_parameters
+from surctl.marine.vehicle.dynamics import constant_force, inertia_matrix, point_of
+from surctl.tasks.task import planar_rotation
 
 if TYPE_CHECKING:
     from surctl.marine.simulation import Scenario
@@ -263,15 +265,13 @@ def _program(form: PlantForm, dof: int, drag: str, coupled: bool, boxed: bool, a
     terms = {name: p["terms"][k] for k, name in enumerate(form.terms)}
     current, outer, yaw = e[:3], e[3:6], e[6]
     radius, share, ballast = e[7], e[8], e[9]
-    rotation = _from_quaternion(q[3:]) if dof == 6 else _about_z(q[3])
+    rotation = _from_quaternion(q[3:]) if dof == 6 else ca.diagcat(planar_rotation(q[3]), 1)
     through = rotation.T @ (v[:3] - current)
     nu = ca.vertcat(through, v[5], v[3], v[4]) if dof == 6 else ca.vertcat(through, v[3])
 
     load = -_drag(nu, p, terms, form, drag)
     level = rotation[:2, 0] / ca.norm_2(rotation[:2, 0])
-    forces = ca.SX.zeros(4)
-    for axis, name in form.constant():
-        forces[axis] += terms[name]
+    forces = constant_force(p, form)
     ahead = ca.vertcat(ca.horzcat(level[0], -level[1]), ca.horzcat(level[1], level[0])) @ forces[:2]
     lift = terms.get("buoyancy", ca.SX(0)) - terms.get("weight", ca.SX(0))
     up = rotation[2, :].T
@@ -285,20 +285,14 @@ def _program(form: PlantForm, dof: int, drag: str, coupled: bool, boxed: bool, a
     moment = (yaw + forces[3]) * up - density * ca.cross(arm, up)
     arm_moment = ca.SX.zeros(3)  # moment of the thrust about the origin
     if dof == 6:
-        points = {name: ca.vertcat(*(terms.get(f"{axis}{name}", ca.SX(0)) for axis in "xyz")) for name in "gbt"}
-        moment += ca.cross(terms["buoyancy"] * points["b"] - terms["weight"] * points["g"], up)
-        arm_moment = ca.cross(points["t"], thrust[:3])
+        moment += ca.cross(terms["buoyancy"] * point_of(terms, "b") - terms["weight"] * point_of(terms, "g"), up)
+        arm_moment = ca.cross(point_of(terms, "t"), thrust[:3])
     load += _wrench(rotation.T @ world, moment, dof)
     if coupled:
         apart = ca.DM(single) @ thrust[4:]
         pushing = _wrench(thrust[:3] + apart[:3], arm_moment + ca.vertcat(0, 0, thrust[3]) + apart[3:], dof)
         mine = ca.diag(ca.vertcat(e[10], e[10], e[10], e[13], e[11], e[12])[:dof])
-        whole = ca.SX(mine)
-        diagonal = [*(p["mass"][k] for k in range(4)), *([terms["mpp"], terms["mqq"]] if dof == 6 else [])]
-        for k, entry in enumerate(diagonal):
-            whole[k, k] = entry
-        for i, j, name in form.inertia():
-            whole[i, j] = whole[j, i] = terms[name]
+        whole = inertia_matrix(p, form)
         rest = whole - mine
         factors = ca.ldl(whole)
         rate = ca.ldl_solve(load + pushing - _turned(whole @ nu, nu, dof), *factors)
@@ -359,11 +353,6 @@ def _emerged_box(z: ca.SX, up: ca.SX, sides: ca.SX) -> tuple[ca.SX, ca.SX]:
             volume += part
             first += part * ca.vertcat(x, y, (sides[2] - height) / 2)
     return volume, first
-
-
-def _about_z(angle: ca.SX) -> ca.SX:
-    c, s = ca.cos(angle), ca.sin(angle)
-    return ca.vertcat(ca.horzcat(c, -s, 0), ca.horzcat(s, c, 0), ca.horzcat(0, 0, 1))
 
 
 def _from_quaternion(quaternion: ca.SX) -> ca.SX:

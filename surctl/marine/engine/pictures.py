@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 import sys
 import time
@@ -9,22 +10,21 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from math import cos, sin
-from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import ToolMissing, check_known
+from surctl.files import Closeable
 from surctl.marine.engine.fluid import EngineOptions, body_of
 from surctl.marine.engine.mjcf import OBSTACLE, mjcf, mujoco_library, no_renderer
-from surctl.marine.engine.physics import AWAY, MujocoPhysics
+from surctl.marine.engine.physics import AWAY, MujocoPhysics, mujoco_physics
 from surctl.marine.vehicle.motion_log import quaternion
 
 if TYPE_CHECKING:
     from surctl.marine.sensing import SonarArray
     from surctl.marine.simulation import Body, Scenario, World
-    from surctl.marine.simulation.physics import PhysicsMaker
     from surctl.marine.vehicle import Vehicle
 
 Picture = NDArray[np.uint8]
@@ -67,7 +67,7 @@ def _renderer(model: Any, size: tuple[int, int]) -> Any:
         raise no_renderer(str(error)) from None
 
 
-class Scene:
+class Scene(Closeable):
     """The scene of a scenario, which can be rendered at `size` (width, height) [pixels]; use it in a `with` statement.
 
     Raises:
@@ -96,12 +96,6 @@ class Scene:
         flags[kinds.mjRND_FOG] = 1
         self._look = self._mujoco.MjvOption()
         self._look.geomgroup[3] = 1
-
-    def __enter__(self) -> Scene:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        self.close()
 
     def close(self) -> None:
         """Free the memory of the renderer."""
@@ -184,53 +178,26 @@ def check_screen() -> None:
 class watched:  # noqa: N801  # used as a function
     """The physics of a run in MuJoCo, shown in a window in real time until the window is closed."""
 
-    physics: PhysicsMaker
+    physics: mujoco_physics
 
-    def __call__(self, world: World, vehicle: Vehicle, array: SonarArray) -> _Watched:
+    def __call__(self, world: World, vehicle: Vehicle, array: SonarArray) -> MujocoPhysics:
         """Return the physics of one run."""
-        inner = self.physics(world, vehicle, array)
-        assert isinstance(inner, MujocoPhysics)
-        return _Watched(inner)
+        return _Watched(world, vehicle, array, self.physics.options)
 
 
-class _Watched:
-    def __init__(self, physics: MujocoPhysics) -> None:
-        import importlib
-
-        mujoco_library()
+class _Watched(MujocoPhysics):
+    def __init__(self, world: World, vehicle: Vehicle, array: SonarArray, options: EngineOptions) -> None:
+        super().__init__(world, vehicle, array, options)
         viewer: Any = importlib.import_module("mujoco.viewer")
-        self._physics = physics
-        self._window: Any = viewer.launch_passive(physics.model, physics.data, show_left_ui=False, show_right_ui=False)
+        self._window: Any = viewer.launch_passive(self.model, self.data, show_left_ui=False, show_right_ui=False)
         self._next = time.monotonic()
-
-    @property
-    def name(self) -> str:
-        return self._physics.name
-
-    @property
-    def contacts(self) -> Sequence[Any]:
-        return self._physics.contacts
-
-    @property
-    def state(self) -> Vector:
-        return self._physics.state
-
-    @state.setter
-    def state(self, value: Vector) -> None:
-        self._physics.state = value
 
     def advance(self, thrust: Vector, at: float, components: Vector | None = None) -> Vector:
         if not self._window.is_running():
-            return self._physics.advance(thrust, at, components)
+            return super().advance(thrust, at, components)
         with self._window.lock():
-            state = self._physics.advance(thrust, at, components)
+            state = super().advance(thrust, at, components)
         self._window.sync()
         self._next = max(self._next + 0.025, time.monotonic() - 0.1)
         time.sleep(max(0.0, self._next - time.monotonic()))
         return state
-
-    def clearance(self, bodies: Sequence[Any]) -> tuple[float, float]:
-        return self._physics.clearance(bodies)
-
-    def echo(self, sensor: int, bodies: Sequence[Any]) -> float:
-        return self._physics.echo(sensor, bodies)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -39,11 +39,12 @@ from surctl.ir import (
 )
 from surctl.ir.folding import with_constants
 from surctl.ir.procedure import Procedure
-from surctl.marine.control import NONFINITE, Law
+from surctl.marine.control import Law
 from surctl.marine.control.build import in_real
 from surctl.marine.simulation.metrics import GONE, LATE
 from surctl.noise import NoiseStream
 from surctl.system import ControllerStep
+from surctl.system.controller import finite_step
 
 Vector = NDArray[np.float64]
 
@@ -77,11 +78,7 @@ class ClosedForm(WrappedLaw):
 
     def step(self, x: Vector, u: Vector, p: Vector) -> ControllerStep:
         """Run one step; if an input or a result is not finite, return tau = 0, x_next = x and status NONFINITE."""
-        if all(np.isfinite(v).all() for v in (x, u, p)):
-            parts = [np.asarray(part, dtype=np.float64) for part in replay(self.block, x, u, p)]
-            if all(np.isfinite(part).all() for part in parts):
-                return ControllerStep(parts[0], parts[1], int(parts[2][0]), parts[3])
-        return ControllerStep(np.zeros(4), np.array(x, dtype=float), NONFINITE, np.zeros(self.outputs.size - 4))
+        return finite_step(self, partial(replay, self.block), x, u, p)
 
 
 def closed_form(law: Law, *, real: Real = "float64", constants: Vector | None = None) -> Exportable:

@@ -21,6 +21,7 @@ from surctl.marine.vehicle import load_vehicle
 from surctl.marine.verification import claims
 from surctl.marine.verification.avoidance_claims import settling_intrusion
 from surctl.marine.verification.tracking_claims import cap_limit
+from surctl.system.plant import runge_kutta
 from surctl.tasks.task import planar_rotation
 from surctl.verification import evaluate
 from surctl.verification.setting import Setting
@@ -36,11 +37,8 @@ def value(expression: ca.SX) -> float:
 def _trajectory(rate: ca.Function, start: Vector, *, duration: float, step: float = 0.05) -> Vector:
     """Return the states (k + 1, n) of ẋ = rate(x) from `start` (n,) in k = duration/step RK4 steps of `step` [s]."""
     x = ca.SX.sym("x", len(start))
-    k1 = rate(x)
-    k2 = rate(x + step / 2 * k1)
-    k3 = rate(x + step / 2 * k2)
-    k4 = rate(x + step * k3)
-    steps = ca.Function("step", [x], [x + step / 6 * (k1 + 2 * k2 + 2 * k3 + k4)]).mapaccum(round(duration / step))
+    after = runge_kutta(lambda x, _: rate(x), x, step)
+    steps = ca.Function("step", [x], [after]).mapaccum(round(duration / step))
     return np.vstack([start, np.asarray(steps(start), dtype=float).T])
 
 

@@ -20,7 +20,7 @@ from surctl.marine.simulation.motion import mission_findings, motion_findings, s
 from surctl.marine.simulation.scenario import Scenario
 from surctl.marine.simulation.world import build_world
 from surctl.marine.vehicle import Vehicle, attainable, plant_parameters
-from surctl.marine.vehicle.dynamics import trim_tilt
+from surctl.marine.vehicle.dynamics import trim_function
 from surctl.marine.vehicle.thruster_file import axis_ends
 
 _WIDE = 15.0  # [deg] tilt above which the sonars' beams leave the depth of the path, and sin² of it costs thrust
@@ -60,7 +60,7 @@ def _tilt(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
         text = f"full thrust tilts {vehicle.name} by {tilts[axis]:.0f} deg in {axis}, because it acts {height:g} m from"
         remedy = "move the thrusters to the height of the centre, lower the centre of gravity, or limit the thrust"
         results.append(Finding("warning", "vehicle", f"{text} the centre of the hull; {remedy}"))
-    tilt = np.asarray(trim_tilt(vehicle.form)(np.array([scenario.cruise, 0, 0, 0]), plant_parameters(vehicle))).ravel()
+    tilt = np.asarray(trim_function(vehicle.form)([scenario.cruise, 0, 0, 0], plant_parameters(vehicle))[1]).ravel()
     steady = degrees(hypot(*tilt[:2]))
     if not steady <= _WIDE:  # also where the vehicle has no trim
         text = f"at the cruise speed of {scenario.cruise:g} m/s {vehicle.name} is tilted by {steady:.0f} deg"

@@ -100,7 +100,7 @@ class Metrics:
     Attributes:
         min_clearance_m: negative also for a run that starts inside a wall, which is no collision.
         stopped_because: reason why the run ended, one of `STOPS`, or `LINK_LOST`.
-        crab_angle_deg, max_crab_angle_deg, heading_error_deg: as in `attitude_of`, but avoidance intervals do not count
+        crab_angle_deg, max_crab_angle_deg, heading_error_deg: while the robot moves; avoidance intervals do not count
             for the crab angle, because the robot avoids obstacles by sway. They are NaN if the law uses sonars,
             because it turns the hull to scan, or if the robot never moves.
         wasted_impulse_n_s: ∫ |τ| dt − ∫ D(s) dt ≥ 0, with the horizontal thrust command τ, the surge drag D of the

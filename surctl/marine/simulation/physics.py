@@ -21,6 +21,7 @@ from surctl.marine.simulation.world import Body, World, beside
 from surctl.marine.vehicle import PLANT_DISTURBANCE, PlantForm, Vehicle, build_plant, plant_parameters, plant_state
 from surctl.marine.vehicle.dynamics import PAPER
 from surctl.marine.world import Box, Disc
+from surctl.system.plant import runge_kutta
 
 _RK4_STEPS = (0.010, 0.010, 0.005)
 
@@ -36,11 +37,7 @@ def advance(form: PlantForm = PAPER) -> ca.Function:
     x, tau, d, p = (ca.SX.sym(n, ode.numel_in(i)) for i, n in enumerate(("x", "tau", "d", "p")))
     state = x
     for h in _RK4_STEPS:
-        k1 = ode(state, tau, d, p)
-        k2 = ode(state + h / 2 * k1, tau, d, p)
-        k3 = ode(state + h / 2 * k2, tau, d, p)
-        k4 = ode(state + h * k3, tau, d, p)
-        state = state + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+        state = runge_kutta(lambda x, _: ode(x, tau, d, p), state, h)
     return ca.Function("advance", [x, tau, d, p], [state], {"cse": True})
 
 

@@ -306,25 +306,18 @@ RUN_FORMATS = (*RECORD_FORMATS, "mcap")
 """File formats of a run: tables, and mcap, messages for Foxglove."""
 
 
-_UNITS = {
-    "t_s": "s",
-    **dict(zip(LOG_MOTION, ("m", "m", "m", "rad", "m/s", "m/s", "m/s", "rad/s"), strict=True)),
-    **dict(zip(LOG_THRUST, ("N", "N", "N", "N m"), strict=True)),
-    "clearance_m": "m",
-    "status": "1",
-}
-_MEANING = {
-    "t_s": "time",
-    **dict(zip(LOG_MOTION[:4], ("x in {E}", "y in {E}", "z in {E}", "heading, from x to y"), strict=True)),
-    **dict(zip(LOG_MOTION[4:], ("surge in {B}", "sway in {B}", "heave in {B}", "yaw rate"), strict=True)),
-    **dict(zip(LOG_THRUST, (f"commanded {axis}" for axis in ("surge", "sway", "heave", "yaw")), strict=True)),
-    "clearance_m": "distance from the hull to the nearest obstacle or wall",
-    "status": "status bits of the law",
-}
+_ABOUT = (
+    ("s", "time"), ("m", "x in {E}"), ("m", "y in {E}"), ("m", "z in {E}"), ("rad", "heading, from x to y"),
+    ("m/s", "surge in {B}"), ("m/s", "sway in {B}"), ("m/s", "heave in {B}"), ("rad/s", "yaw rate"),
+    ("N", "commanded surge"), ("N", "commanded sway"), ("N", "commanded heave"), ("N m", "commanded yaw"),
+    ("m", "distance from the hull to the nearest obstacle or wall"), ("1", "status bits of the law"),
+)  # fmt: skip
+_COLUMNS = dict(zip(("t_s", *LOG_MOTION, *LOG_THRUST, "clearance_m", "status"), _ABOUT, strict=True))
+"""Unit and meaning of each column of a file."""
 
 
-def record_columns(run: Run, *, frame: Frame | str = "enu") -> dict[str, NDArray[np.float64]]:
-    """Return arrays (n,) by name in SI units: time, η, ν, commanded thrust, clearance, status.
+def record_columns(run: Run, *, frame: Frame | str = "enu") -> dict[str, Column]:
+    """Return columns (n,) by name in SI units: time, η, ν, commanded thrust, clearance, status.
 
     The command `from-log` reads these columns.
     """
@@ -332,12 +325,8 @@ def record_columns(run: Run, *, frame: Frame | str = "enu") -> dict[str, NDArray
     eta, nu, tau = r.eta, r.nu, r.tau
     if check_frame(frame, key="--frame") == "ned":
         eta, nu, tau = swap_pose(eta), swap_body(nu), swap_body(tau)
-    columns = {"t_s": r.time}
-    columns |= dict(zip(LOG_MOTION, np.column_stack([eta, nu]).T, strict=True))
-    columns |= dict(zip(LOG_THRUST, tau.T, strict=True))
-    return {
-        k: np.asarray(v, dtype=float) for k, v in (columns | {"clearance_m": r.clearance, "status": r.status}).items()
-    }
+    values = np.column_stack([r.time, eta, nu, tau, r.clearance, r.status]).T
+    return {name: Column(v, *about) for (name, about), v in zip(_COLUMNS.items(), values, strict=True)}
 
 
 def save_record(run: Run, folder: Path, *, kind: RecordFormat | str, frame: Frame | str = "enu") -> Path:
@@ -378,13 +367,13 @@ def save_record(run: Run, folder: Path, *, kind: RecordFormat | str, frame: Fram
     about = " ".join(f"{k}={v}" for k, v in run.to_dict().items() if isinstance(v, str | int | float))
     if kind == "csv":
         above = f"# frame={frame} ({frame_text}); SI units, radians; {shown(about)}"
-        rows = [above, ",".join(columns), *(",".join(map(_plain, row)) for row in zip(*columns.values(), strict=True))]
+        lines = zip(*(column.values.tolist() for column in columns.values()), strict=True)
+        rows = [above, ",".join(columns), *(",".join(map(_plain, row)) for row in lines)]
         return write_file(path, "\n".join(rows) + "\n")
-    described = {name: Column(values, _UNITS[name], _MEANING[name]) for name, values in columns.items()}
     if kind == "mat":
-        return write_mat(path, described, texts={"frame": frame_text, "about": about})
+        return write_mat(path, columns, texts={"frame": frame_text, "about": about})
     attributes = {"title": about, "frame": frame_text}
-    return write_netcdf(path, described, sizes={"time": len(run.record.time)}, attributes=attributes)
+    return write_netcdf(path, columns, sizes={"time": len(run.record.time)}, attributes=attributes)
 
 
 def _plain(value: float) -> str:

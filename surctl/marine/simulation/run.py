@@ -1,4 +1,4 @@
-"""A simulated run: its recorded signals, its attitude (crab angle, oscillation), and its changes of depth."""
+"""A simulated run: its recorded signals, and its changes of depth."""
 
 from __future__ import annotations
 
@@ -11,98 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.marine.control import Gains, Law
-from surctl.marine.guidance import Follower
-from surctl.marine.simulation.metrics import MOVING, Metrics
+from surctl.marine.simulation.metrics import Metrics
 from surctl.marine.simulation.physics import Contact
 from surctl.marine.simulation.scenario import Scenario
 from surctl.marine.simulation.world import Body
 from surctl.marine.vehicle import Vehicle
 from surctl.own_code import label
-
-Array = NDArray[np.float64]
-
-_TRANSIENT = 0.4  # share of the run that is skipped before the search for an oscillation
-_SWING = 0.05  # share of the cruise speed: smallest sway amplitude that counts as an oscillation
-_ALIKE = 0.6  # smallest autocorrelation after one period that counts as an oscillation
-_PERIODS = 3.0  # smallest number of periods in the examined part of the run
-
-
-@dataclass(frozen=True)
-class Attitude:
-    """Crab angle, heading error and oscillation of one run.
-
-    Attributes:
-        crab_angle_deg: mean absolute angle between hull and velocity while the vehicle moves; NaN if it never moves.
-        max_crab_angle_deg: largest absolute crab angle while the vehicle moves; NaN if it never moves.
-        heading_error_deg: rms angle between the hull and the current path segment while the vehicle moves.
-        oscillates: whether the sway velocity is periodic in the last part of the run, as in a limit cycle.
-        period_s: period of the sway oscillation [s]; NaN if the sway velocity does not oscillate.
-        swing_m_per_s: amplitude of the sway velocity in the last part of the run [m/s].
-    """
-
-    crab_angle_deg: float
-    max_crab_angle_deg: float
-    heading_error_deg: float
-    oscillates: bool
-    period_s: float
-    swing_m_per_s: float
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the attitude results as plain data; NaN values are converted when a file is written."""
-        return asdict(self)
-
-
-def attitude_of(follower: Follower, cruise: float, time: Array, eta: Array, nu: Array) -> Attitude:
-    """Return crab angle, heading error and oscillation of a motion recorded at evenly spaced times (n,) [s].
-
-    `follower` must be at the start of its path. `eta` (n, 4) is in {E}, `nu` (n, 4) the body velocity [m/s, rad/s], and
-    `cruise` the cruise speed [m/s].
-    """
-    moving = np.hypot(nu[:, 0], nu[:, 1]) > MOVING * cruise
-    swings, period, amplitude = _swing(time, nu[:, 1], cruise)
-    if not moving.any():
-        nothing = float("nan")
-        return Attitude(nothing, nothing, nothing, swings, period, amplitude)
-    crab = np.abs(np.arctan2(nu[moving, 1], nu[moving, 0]))
-    off = eta[moving, 3] - follower.directions(eta[:, :2])[moving]
-    off = (off + np.pi) % (2 * np.pi) - np.pi
-    return Attitude(
-        float(np.rad2deg(crab.mean())),
-        float(np.rad2deg(crab.max())),
-        float(np.rad2deg(np.sqrt(np.mean(off**2)))),
-        swings,
-        period,
-        amplitude,
-    )
-
-
-def _swing(time: Array, sway: Array, cruise: float) -> tuple[bool, float, float]:
-    """Return whether the sway velocity is periodic, and its period [s] and amplitude [m/s].
-
-    The function computes all three from the autocorrelation of the sway velocity.
-    """
-    late = sway[int(_TRANSIENT * len(sway)) :]
-    nothing = False, float("nan"), 0.0
-    if len(late) < 8:
-        return nothing
-    middle = late - late.mean()
-    amplitude = float(np.sqrt(2) * middle.std())
-    if amplitude < _SWING * cruise:
-        return False, float("nan"), amplitude
-    size = len(middle)
-    spectrum = np.fft.rfft(middle, 2 * size)
-    raw = np.fft.irfft(np.abs(spectrum) ** 2)[:size]
-    left = np.arange(size, 0, -1)
-    correlation = raw / left / (raw[0] / size)  # divide each lag by its number of samples
-    crossed = np.flatnonzero(correlation < 0)
-    last = int(size / _PERIODS)
-    if not crossed.size or crossed[0] >= last:
-        return False, float("nan"), amplitude
-    at = int(crossed[0] + np.argmax(correlation[crossed[0] : last + 1]))
-    if at == last or correlation[at] < _ALIKE:
-        return False, float("nan"), amplitude
-    return True, float(at * (time[1] - time[0])), amplitude
-
 
 Sensing = Literal["sonar", "truth"]
 SENSING: tuple[Sensing, ...] = get_args(Sensing)
@@ -159,14 +73,6 @@ class Run:
         """Return the values (n, size) over time of the law's telemetry output with the given name."""
         return self.record.telemetry[:, self.law.telemetry_slice(name)]
 
-    @property
-    def attitude(self) -> Attitude | None:
-        """Crab angle, heading error and sway oscillation; None for a law that turns the hull to scan with sonars."""
-        if self.law.perception is not None:
-            return None
-        record, scenario = self.record, self.scenario
-        return attitude_of(scenario.follower(), scenario.cruise, record.time, record.eta, record.nu)
-
     def to_dict(self) -> dict[str, Any]:
         """Return the run as plain data for the command line; the JSON writer converts numbers that are not finite."""
         return (
@@ -184,7 +90,6 @@ class Run:
                 "movers": self.law.movers,
                 "seed": self.seed,
                 **asdict(self.metrics),
-                "attitude": None if (attitude := self.attitude) is None else attitude.to_dict(),
                 "paper_time_s": self.scenario.paper.time_s,
                 "plant": self.plant,
                 "contacts": [contact._asdict() for contact in self.contacts],

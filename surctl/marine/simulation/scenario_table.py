@@ -11,7 +11,7 @@ from surctl.errors import InputError
 from surctl.marine.guidance import Path
 from surctl.marine.sensing import BaseStation, Delivery, OwnState, SonarArray
 from surctl.marine.simulation.scenario import Scenario
-from surctl.marine.simulation.sensors import Sensors
+from surctl.marine.simulation.sensors import ANGLES, NAMES, Sensors
 
 _BESIDE = 4  # floating-point neighbours on each side that may convert to the same angle
 
@@ -86,35 +86,14 @@ def _sensors(sensors: Sensors) -> dict[str, Any]:
 
 
 def _array(array: SonarArray) -> dict[str, Any]:
-    plain = SonarArray()
-    table: dict[str, Any] = {
-        "azimuths_deg": [_degrees(angle) for angle in array.azimuths],
-        "order": list(array.order),
-        "beam_deg": _degrees(array.beam_angle),
-        "minimum_m": array.minimum,
-        "maximum_m": array.maximum,
-        "firing_period_s": array.firing_period,
-        "bits": array.bits,
-        "samples": array.samples,
-        "noise_sd_m": array.noise_sd,
-        "bias_m": array.bias,
-        "temperature_c": array.temperature,
+    angles = {key: getattr(array, name) for key, name in ANGLES.items()}
+    table = {key: getattr(array, name) for key, name in NAMES.items()}
+    table |= {
+        key: [_degrees(one) for one in angle] if isinstance(angle, tuple) else _degrees(angle)
+        for key, angle in angles.items()
+        if angle is not None
     }
-    if array.cycle_limit != plain.cycle_limit:
-        table["cycle_limit_s"] = array.cycle_limit
-    if array.step is not None:
-        table["step_m"] = array.step
-    if array.mounts is not None:
-        table["mounts_m"] = [list(mount) for mount in array.mounts]
-    if array.pitch is not None:
-        table["pitch_deg"] = _degrees(array.pitch)
-    if array.incidence_limit is not None:
-        table["incidence_limit_deg"] = _degrees(array.incidence_limit)
-    if array.blind_time is not None:
-        table["blind_time_s"] = array.blind_time
-    if array.calibrated_for is not None:
-        table["calibrated_for_m_per_s"] = array.calibrated_for
-    return table
+    return {key: value for key, value in table.items() if value is not None}
 
 
 def _station(station: BaseStation) -> dict[str, Any]:

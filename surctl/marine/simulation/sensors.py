@@ -164,7 +164,7 @@ class Sensors:
         return bool(self.faults) or any(self.chances.numbers)
 
 
-_NAMES = {
+NAMES = {
     "mounts_m": "mounts",
     "order": "order",
     "minimum_m": "minimum",
@@ -180,14 +180,16 @@ _NAMES = {
     "temperature_c": "temperature",
     "calibrated_for_m_per_s": "calibrated_for",
 }
-_ANGLES = {
+"""Field of `SonarArray` of each key of `[sonar]`; `ANGLES`: of each key in degrees."""
+
+ANGLES = {
     "azimuths_deg": "azimuths",
     "beam_deg": "beam_angle",
     "pitch_deg": "pitch",
     "incidence_limit_deg": "incidence_limit",
 }
 _TIMES = {"period_s": "period", "latency_s": "latency", "gaps_s": "gaps"}
-_KEYS = {name: key for key, name in (_NAMES | _ANGLES | _TIMES).items()}
+_KEYS = {name: key for key, name in (NAMES | ANGLES | _TIMES).items()}
 
 
 def sensors_from_tables(sonar: SonarTable, station: StationTable, own: OwnStateTable, *, depth: float) -> Sensors:
@@ -239,7 +241,7 @@ def _in_table(table: str, make: Callable[[], T], *, stated: Set[str] = frozenset
             value = values.pop(name)
             problem += "".join(f", and {_KEYS[one]} is {other:g}" for one, other in values.items())
         remedy = None if remedy is None else remedy.replace("or None ", "or leave the key out ")  # TOML has no None
-        if name in _ANGLES.values():  # the file has degrees, the sonars have radians
+        if name in ANGLES.values():  # the file has degrees, the sonars have radians
             problem, remedy = (
                 problem.replace("0 and pi", "0 and 180").replace("180/2", "90"),
                 (remedy or "").replace("radians", "degrees"),
@@ -249,17 +251,16 @@ def _in_table(table: str, make: Callable[[], T], *, stated: Set[str] = frozenset
 
 
 def _array(table: SonarTable) -> SonarArray:
-    values = {name: getattr(table, key) for key, name in _NAMES.items() if getattr(table, key) is not None}
-    for key, name in (("beam_deg", "beam_angle"), ("pitch_deg", "pitch"), ("incidence_limit_deg", "incidence_limit")):
+    values = {name: getattr(table, key) for key, name in NAMES.items() if getattr(table, key) is not None}
+    for key, name in ANGLES.items():
         value = getattr(table, key)
         if value is not None:
-            values[name] = value * pi / 180.0
+            values[name] = tuple(a * pi / 180.0 for a in value) if isinstance(value, tuple) else value * pi / 180.0
     if table.echoes is not None:
         if table.incidence_limit_deg is not None:
             raise InputError("sets the same quantity as incidence_limit_deg", key="echoes", remedy="remove one")
         values["incidence_limit"] = _simple(table.echoes)[1]
     if table.azimuths_deg is not None:
-        values["azimuths"] = tuple(a * pi / 180.0 for a in table.azimuths_deg)
         values.setdefault("order", tuple(range(len(table.azimuths_deg))))
     if table.mounts_m is not None:
         values["hull_radius"] = 0.0  # the vehicle defines the hull radius, see `Sensors.on`

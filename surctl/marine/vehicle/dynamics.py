@@ -60,12 +60,13 @@ def _hull_load(
     up = rotation[2, :].T  # the vertical
     weight, buoyancy = terms["weight"], terms["buoyancy"]
     force = thrust[:3] + rotation.T @ outer[:3] + (buoyancy - weight) * up - ca.cross(turning, linear)
-    moment = ca.cross(buoyancy * _point(terms, "b") - weight * _point(terms, "g"), up) + outer[3] * up
-    moment += ca.cross(_point(terms, "t"), thrust[:3]) - ca.cross(turning, angular) - ca.cross(velocity, linear)
+    moment = ca.cross(buoyancy * point_of(terms, "b") - weight * point_of(terms, "g"), up) + outer[3] * up
+    moment += ca.cross(point_of(terms, "t"), thrust[:3]) - ca.cross(turning, angular) - ca.cross(velocity, linear)
     return ca.vertcat(force, moment[2] + thrust[3], moment[:2])
 
 
-def _point(terms: Mapping[str, ca.SX], letter: str) -> ca.SX:
+def point_of(terms: Mapping[str, ca.SX], letter: str) -> ca.SX:
+    """Return the point (3,) [m] of gravity `g`, buoyancy `b` or thrust `t` in the frame of the hull."""
     return ca.vertcat(*(terms.get(f"{axis}{letter}", ca.SX(0)) for axis in "xyz"))
 
 
@@ -182,8 +183,8 @@ def _drag(nu: ca.SX, p: dict[str, ca.SX], form: PlantForm) -> ca.SX:
     return drag
 
 
-def _inertia(p: dict[str, ca.SX], form: PlantForm) -> ca.SX:
-    # M (4, 4), or (6, 6) with roll and pitch
+def inertia_matrix(p: dict[str, ca.SX], form: PlantForm) -> ca.SX:
+    """Return M (4, 4), or (6, 6) with roll and pitch, from the parameters by name."""
     inertia = ca.diagcat(ca.diag(p["mass"]), ca.SX(2, 2)) if form.tilts else ca.diag(p["mass"])
     terms = _terms(p, form)
     for i, j, name in form.inertia():
@@ -196,13 +197,13 @@ def _load(nu: ca.SX, p: dict[str, ca.SX], form: PlantForm) -> ca.SX:
     drag = _drag(nu, p, form)
     if not form.inertia():
         return _coriolis_force(nu, p) + drag
-    momentum = _inertia(p, form) @ nu
+    momentum = inertia_matrix(p, form) @ nu
     turning = nu[0] * momentum[1] - nu[1] * momentum[0]
     return ca.vertcat(-nu[3] * momentum[1], nu[3] * momentum[0], 0, turning) + drag
 
 
-def _constant(p: dict[str, ca.SX], form: PlantForm) -> ca.SX:
-    # constant force (4,) [N, N m] in the heading frame
+def constant_force(p: dict[str, ca.SX], form: PlantForm) -> ca.SX:
+    """Return the constant force (4,) [N, N m] in the heading frame from the parameters by name."""
     force, terms = ca.SX.zeros(4), _terms(p, form)
     for axis, name in form.constant():
         force[axis] += terms[name]
@@ -213,7 +214,7 @@ def _acceleration(load: ca.SX, p: dict[str, ca.SX], form: PlantForm) -> ca.SX:
     # M⁻¹ load, by LDLᵀ, in which the zeros of M cost nothing
     if not form.inertia():
         return load / p["mass"]
-    diagonal, transposed, permutation = ca.ldl(_inertia(p, form))
+    diagonal, transposed, permutation = ca.ldl(inertia_matrix(p, form))
     return ca.ldl_solve(load, diagonal, transposed, permutation)
 
 
@@ -221,7 +222,7 @@ def _tilted(
     nu: ca.SX, tilt: ca.SX, current: ca.SX, thrust: ca.SX, outer: ca.SX, p: dict[str, ca.SX], form: PlantForm
 ) -> tuple[ca.SX, ca.SX]:
     # ν̇ and the rate of roll, pitch, p, q; `outer` is the force of waves and the like in the heading frame
-    terms, inertia = _terms(p, form), _inertia(p, form)
+    terms, inertia = _terms(p, form), inertia_matrix(p, form)
 
     def acceleration(through: ca.SX, rotation: ca.SX) -> ca.SX:
         load = _hull_load(through, inertia @ through, thrust, outer, rotation, terms) - _drag(through, p, form)
@@ -296,11 +297,11 @@ def _plant(form: PlantForm) -> Plant:
     force = ca.vertcat(to_body @ disturbance["force"][:2], disturbance["force"][2:])
     nu_r = nu - current
     if form.tilts:
-        outer = force + _constant(parameters, form)
+        outer = force + constant_force(parameters, form)
         moved, tilted = _tilted(nu, state["tilt"], current[:3], thrust, outer, parameters, form)
         rate = ca.vertcat(jacobian(psi) @ nu, moved, thrust_rate, tilted)
     elif form.terms:
-        load = thrust + force + _constant(parameters, form) - _load(nu_r, parameters, form)
+        load = thrust + force + constant_force(parameters, form) - _load(nu_r, parameters, form)
         rate = ca.vertcat(jacobian(psi) @ nu, _acceleration(load, parameters, form) + current_rate, thrust_rate)
     else:  # in the order of equation (3), so that the results of the paper's plant keep their bits
         load = thrust + force - _coriolis_force(nu_r, parameters) - _damping_force(nu_r, parameters)
@@ -338,33 +339,22 @@ def trim_thrust(vehicle: Vehicle, nu: NDArray[np.float64]) -> NDArray[np.float64
         >>> trim_thrust(load_vehicle("sur400"), np.array([0.15, 0.0, 0.0, 0.2])).round(3).tolist()
         [0.964, 1.5, 0.0, 0.064]
     """
-    return np.asarray(trim_function(vehicle.form)(nu, plant_parameters(vehicle))).reshape(4)
+    return np.asarray(trim_function(vehicle.form)(nu, plant_parameters(vehicle))[0]).reshape(4)
 
 
 @cache
 def trim_function(form: PlantForm = PAPER) -> ca.Function:
-    """Return a CasADi function of (ν, p) that computes the trim thrust; ν and p may have one column for each plant."""
-    arguments = ca.MX.sym("nu", 4), ca.MX.sym("p", plant_layout(form).size)
-    return ca.Function("trim", list(arguments), [_trim(form)(*arguments)[0]])
+    """Return a CasADi function of (ν, p) that computes trim thrust (4,), and `_TILT_STATE` (4,) of that motion or 0.
 
-
-@cache
-def trim_tilt(form: PlantForm) -> ca.Function:
-    """Return a CasADi function of (ν, p) that computes `_TILT_STATE` of the trimmed motion with that velocity."""
-    arguments = ca.MX.sym("nu", 4), ca.MX.sym("p", plant_layout(form).size)
-    return ca.Function("tilt", list(arguments), [_trim(form)(*arguments)[1]])
-
-
-@cache
-def _trim(form: PlantForm) -> ca.Function:
-    # trim thrust and attitude
+    ν and p may have one column for each plant.
+    """
     flat, parameters = plant_layout(form).symbols("p")
     velocity = ca.SX.sym("nu", 4)
     if not form.tilts:
-        trim = _load(velocity, parameters, form) - _constant(parameters, form)
+        trim = _load(velocity, parameters, form) - constant_force(parameters, form)
         return ca.Function("trim", [velocity, flat], [trim, ca.SX.zeros(4)])
     free = ca.SX.sym("free", 8)  # thrust, attitude
-    outer = _constant(parameters, form)
+    outer = constant_force(parameters, form)
     moved, tilted = _tilted(velocity, free[4:], ca.SX.zeros(3), free[:4], outer, parameters, form)
     missed = ca.Function("missed", [free, velocity, flat], [ca.vertcat(moved, tilted)])
     solver = ca.rootfinder("solver", "newton", missed, {"error_on_fail": False, "abstol": 1e-12})

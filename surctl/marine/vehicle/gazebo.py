@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from surctl.errors import InputError, check_known
 from surctl.marine.vehicle.parameters import Parameter, Vehicle
 from surctl.marine.vehicle.specs import PARAMETERS, TERMS, parameter_spec, undamped
-from surctl.recorded import shown, xml_root
+from surctl.recorded import file_bytes, shown, xml_root
 
 _AXES = (0, 1, 2, 5)  # surge, sway, heave and yaw among the six degrees of freedom
 _FORCES, _RATES = "xyzkmn", "uvwpqr"
@@ -71,8 +71,8 @@ def gazebo_vehicle(
         thrust_lag: time constant of the thrust [s].
         link: name of the link; default: the only one with hydrodynamics.
     """
-    root = _root(path)
-    bodies = _bodies(root, path)
+    raw = file_bytes(path, remedy="give an SDF or URDF file")
+    bodies = _bodies(xml_root(raw, file=path, remedy="correct that line"), path)
     chosen = _chosen(bodies, link, path)
     body = bodies[chosen]
     values, cross = _numbers(body, chosen, path)
@@ -127,16 +127,6 @@ def _numbers(body: _Body, link: str, path: Path) -> tuple[dict[str, float], dict
     if body.volume is not None and not body.neutral:
         cross["Z0"] = _GRAVITY * (body.density * body.volume - mass)
     return values, {k: v for k, v in cross.items() if abs(v) > (_LEAST if k == "Z0" else 0.0)}
-
-
-def _root(path: Path) -> ElementTree.Element:
-    try:
-        raw = path.read_bytes()
-    except FileNotFoundError:
-        raise InputError("no such file", file=shown(path), remedy="check the path") from None
-    except (OSError, ValueError) as error:
-        raise InputError(f"cannot be read ({error})", file=shown(path), remedy="give an SDF or URDF file") from None
-    return xml_root(raw, file=path, remedy="correct that line")
 
 
 def _bodies(root: ElementTree.Element, path: Path) -> dict[str, _Body]:

@@ -20,7 +20,6 @@ from surctl.marine.vehicle.dynamics import (
     plant_state,
     trim_function,
     trim_thrust,
-    trim_tilt,
 )
 from surctl.marine.vehicle.parameters import Vehicle
 from surctl.marine.vehicle.specs import PlantForm
@@ -189,9 +188,8 @@ def plant_jacobians(
     """
     count, (along, aside), (c, s) = len(nu), current, (np.cos(psi), np.sin(psi))
     through = nu - np.array([c * along + s * aside, c * aside - s * along, 0.0, 0.0])  # velocity through the water
-    tau = np.asarray(trim_function(form)(through.T, parameters.T)).T
-    tilt = np.asarray(trim_tilt(form)(through.T, parameters.T)).T if form.tilts else np.zeros((count, 0))
-    x = np.hstack([np.zeros((count, 3)), np.full((count, 1), psi), nu, tau, tilt])
+    tau, tilt = (np.asarray(part).T for part in trim_function(form)(through.T, parameters.T))
+    x = np.hstack([np.zeros((count, 3)), np.full((count, 1), psi), nu, tau, *([tilt] if form.tilts else [])])
     water = PLANT_DISTURBANCE.pack({"current": [*current, 0.0]})
     a, b = build_plant(form).jacobians(x.T, tau.T, np.tile(water, (count, 1)).T, parameters.T)
     # CasADi returns the matrices of many calls side by side

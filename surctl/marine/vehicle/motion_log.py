@@ -96,6 +96,19 @@ def quaternion(roll: float, pitch: float, yaw: float) -> NDArray[np.float64]:
     return np.array([real, sr * cp * cy - cr * sp * sy, cr * sp * cy + sr * cp * sy, cr * cp * sy - sr * sp * cy])
 
 
+def roll_pitch_heading(quaternion: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return roll, pitch and heading (n, 3) [rad] of quaternions (n, 4) x, y, z, w from the body to the world frame.
+
+    The angles are those of the order z, y, x (Fossen 2021, section 2.2). The quaternions need not have length 1.
+    """
+    size = np.linalg.norm(quaternion, axis=1, keepdims=True)
+    x, y, z, w = (quaternion / np.where(size > 0, size, np.nan)).T
+    roll = np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
+    pitch = np.arcsin(np.clip(2 * (w * y - z * x), -1.0, 1.0))
+    heading = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+    return np.column_stack([roll, pitch, heading])
+
+
 def check_frame(frame: object, *, key: str = "frame", file: object = None) -> Frame:
     """Return the frame name if it is in `FRAMES`; otherwise raise InputError."""
     if frame not in FRAMES:
@@ -173,6 +186,11 @@ class MotionLog:
         if not np.isfinite(self.motion).any():
             remedy = f"add at least one of the columns {', '.join(LOG_MOTION)}"
             raise InputError("contains no motion", file=self.source, remedy=remedy)
+
+    def halves(self, cut: int) -> list[MotionLog]:
+        """Return the rows before the row `cut`, and those from it on, as two logs."""
+        rows = slice(cut), slice(cut, None)
+        return [MotionLog(self.time[part], self.motion[part], self.thrust[part], self.source) for part in rows]
 
 
 def read_motion_log(path: Path, *, frame: Frame | str | None = None) -> MotionLog:

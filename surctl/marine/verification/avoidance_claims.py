@@ -8,6 +8,7 @@ expression for the course that `surctl.marine.guidance.avoidance` implements.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -32,18 +33,9 @@ class _Encounter:
     def course(self, form: AvoidanceForm, side: int) -> ca.SX:
         s = self.setting
         return avoidance_course(
-            form,
-            self.phi,
-            self.e2,
-            radius=ca.SX(s.radius),
-            side=ca.SX(side),
-            delta=self.delta,
-            k3=ca.SX(s.k3),
-            speed=self.u,
-            closing=self.closing,
-            kappa=ca.SX(s.kappa),
-            standoff=ca.SX(s.standoff),
-        )
+            form, self.phi, self.e2, radius=ca.SX(s.radius), side=ca.SX(side), delta=self.delta, k3=ca.SX(s.k3),
+            speed=self.u, closing=self.closing, kappa=ca.SX(s.kappa), standoff=ca.SX(s.standoff),
+        )  # fmt: skip
 
     @property
     def closing(self) -> ca.SX:
@@ -58,15 +50,22 @@ class _Encounter:
         # the vehicle passes on either side of the obstacle: λ2 = ±1
         return ca.fmax(factor * self.rate(form, 1), factor * self.rate(form, -1))
 
-    def motion(self, form: AvoidanceForm, *, clearance: bool) -> Motion:
+    def claim(
+        self, name: str, statement: str, form: AvoidanceForm, *, static: bool = True, clearance: bool = False,
+        delta: tuple[float, float] = (0.0, 0.0), **entries: Any,
+    ) -> Claim:  # fmt: skip
+        # about the rate of V2, or of the clearance outside the radius
+        watched = (self.e2, "l - R_OB", "m") if clearance else (self.e2**2 / 2, "V2", "m^2")
         # λ2 = +1; the speeds and the course of the obstacle are constant
         across = self.u_ob * ca.sin(self.psi_ob - self.phi) - self.u * ca.sin(self.course(form, 1) - self.phi)
         rates = {"e2": self.rate(form, 1), "phi": across / (self.setting.radius + self.e2)}
-        if clearance:
-            return Motion(rates, self.e2, "l - R_OB", "m")
-        return Motion(rates, self.e2**2 / 2, "V2", "m^2")
+        return Claim(
+            name, statement, variables=self.variables(static=static, delta=delta, outside=clearance),
+            left=self.worse(form, ca.SX(-1) if clearance else self.e2), unit=f"{watched[2]}/s",
+            motion=Motion(rates, *watched), **({"right": ca.SX(0)} | entries),
+        )  # fmt: skip
 
-    def variables(self, *, static: bool, delta: tuple[float, float], outside: bool = False) -> tuple[Variable, ...]:
+    def variables(self, *, static: bool, delta: tuple[float, float], outside: bool) -> tuple[Variable, ...]:
         s = self.setting
         fastest = max(s.speed_max, s.avoidance_speed)
         moving = 0.0 if static else fastest
@@ -104,19 +103,11 @@ def v2_printed(setting: Setting) -> Claim:
     anti-collision radius R_OB.
     """
     e = _encounter(setting)
-    return Claim(
-        name="v2-printed",
-        statement="V̇2 ≤ 0, as (24) concludes, for a static obstacle and any δ ≥ 0",
-        equation="(20), (21), (24)",
-        errata=("E11",),
-        expected="refuted",
-        variables=e.variables(static=True, delta=(0.0, 2 * setting.delta)),
-        left=e.worse("consistent", e.e2),
-        right=ca.SX(0),
-        unit="m^2/s",
+    return e.claim(
+        "v2-printed", "V̇2 ≤ 0, as (24) concludes, for a static obstacle and any δ ≥ 0", "consistent",
+        equation="(20), (21), (24)", errata=("E11",), expected="refuted", delta=(0.0, 2 * setting.delta),
         witnesses=(e.point(e2=-setting.delta / 2, delta=setting.delta),),
-        motion=e.motion("consistent", clearance=False),
-    )
+    )  # fmt: skip
 
 
 def v2_static(setting: Setting) -> Claim:
@@ -125,19 +116,11 @@ def v2_static(setting: Setting) -> Claim:
     δ is the safety distance of equation (20), and e2 is the distance to the obstacle minus the anti-collision radius.
     """
     e = _encounter(setting)
-    return Claim(
-        name="v2-static",
-        statement="V̇2 ≤ −2u/√(k3²R² + (e2 + δ)²) V2 for a static obstacle where δ e2 ≥ 0",
-        equation="(24)",
-        errata=("E11",),
-        expected="proved",
-        variables=e.variables(static=True, delta=(-2 * setting.delta, 2 * setting.delta)),
-        left=e.worse("consistent", e.e2),
-        right=_rate_bound(e),
-        unit="m^2/s",
-        constraints=-e.delta * e.e2,
-        motion=e.motion("consistent", clearance=False),
-    )
+    return e.claim(
+        "v2-static", "V̇2 ≤ −2u/√(k3²R² + (e2 + δ)²) V2 for a static obstacle where δ e2 ≥ 0", "consistent",
+        equation="(24)", errata=("E11",), expected="proved", delta=(-2 * setting.delta, 2 * setting.delta),
+        right=_rate_bound(e), constraints=-e.delta * e.e2,
+    )  # fmt: skip
 
 
 def v2_obstacle(setting: Setting) -> Claim:
@@ -148,23 +131,16 @@ def v2_obstacle(setting: Setting) -> Claim:
     """
     e = _encounter(setting)
     obstacle = setting.obstacle_speed
-    return Claim(
-        name="v2-obstacle",
-        statement="V̇2 ≤ 0, as (24) concludes, for an obstacle slower than the robot, where δ e2 ≥ 0",
-        equation="(17), (23), (24)",
-        errata=("E12",),
-        expected="refuted",
-        variables=e.variables(static=False, delta=(-2 * setting.delta, 2 * setting.delta)),
-        left=e.worse("consistent", e.e2),
-        right=ca.SX(0),
-        unit="m^2/s",
-        constraints=ca.vertcat(-e.delta * e.e2, e.u_ob - e.u),
-        witnesses=(
-            e.point(e2=0.6 * setting.radius, u_ob=obstacle, recede=True, delta=setting.delta),
-            e.point(e2=-0.1 * setting.radius, u_ob=obstacle),
-        ),
-        motion=e.motion("consistent", clearance=False),
+    witnesses = (
+        e.point(e2=0.6 * setting.radius, u_ob=obstacle, recede=True, delta=setting.delta),
+        e.point(e2=-0.1 * setting.radius, u_ob=obstacle),
     )
+    return e.claim(
+        "v2-obstacle", "V̇2 ≤ 0, as (24) concludes, for an obstacle slower than the robot, where δ e2 ≥ 0", "consistent",
+        equation="(17), (23), (24)", errata=("E12",), expected="refuted", static=False,
+        delta=(-2 * setting.delta, 2 * setting.delta), constraints=ca.vertcat(-e.delta * e.e2, e.u_ob - e.u),
+        witnesses=witnesses,
+    )  # fmt: skip
 
 
 def settling_intrusion(setting: Setting) -> float:
@@ -193,19 +169,11 @@ def v2_clockwise(setting: Setting) -> Claim:
     e = _encounter(setting)
     # at this bearing the printed course points 155° away from the obstacle; the angle of (20) is 45°, because ζ = 1
     phi = float(np.deg2rad(55.0))
-    return Claim(
-        name="v2-clockwise",
-        statement="V̇2 ≤ 0 for a static obstacle and δ = 0, with (20)'s angle taken clockwise and used in (2)",
-        equation="(2), (20), (22), (24)",
-        errata=("E1", "E10"),
-        expected="refuted",
-        variables=e.variables(static=True, delta=(0.0, 0.0)),
-        left=e.worse("printed", e.e2),
-        right=ca.SX(0),
-        unit="m^2/s",
+    return e.claim(
+        "v2-clockwise", "V̇2 ≤ 0 for a static obstacle and δ = 0, with (20)'s angle taken clockwise and used in (2)",
+        "printed", equation="(2), (20), (22), (24)", errata=("E1", "E10"), expected="refuted",
         witnesses=(e.point(e2=setting.k3 * setting.radius, phi=phi),),
-        motion=e.motion("printed", clearance=False),
-    )
+    )  # fmt: skip
 
 
 def clearance_printed(setting: Setting) -> Claim:
@@ -215,19 +183,11 @@ def clearance_printed(setting: Setting) -> Claim:
     static obstacles at some bearings.
     """
     e = _encounter(setting)
-    return Claim(
-        name="clearance-printed",
-        statement="l̇ ≥ −κ(l − R_OB) where l ≥ R_OB, for a static obstacle and δ = 0, with (20) as printed",
-        equation="(2), (20), (22)",
-        errata=("E1", "E10", "E13"),
-        expected="refuted",
-        variables=e.variables(static=True, delta=(0.0, 0.0), outside=True),
-        left=e.worse("printed", ca.SX(-1)),
-        right=setting.kappa * e.e2,
-        unit="m/s",
-        witnesses=(e.point(e2=0.0, phi=float(np.deg2rad(135.0))),),
-        motion=e.motion("printed", clearance=True),
-    )
+    return e.claim(
+        "clearance-printed", "l̇ ≥ −κ(l − R_OB) where l ≥ R_OB, for a static obstacle and δ = 0, with (20) as printed",
+        "printed", equation="(2), (20), (22)", errata=("E1", "E10", "E13"), expected="refuted", clearance=True,
+        right=setting.kappa * e.e2, witnesses=(e.point(e2=0.0, phi=float(np.deg2rad(135.0))),),
+    )  # fmt: skip
 
 
 def clearance_corrected(setting: Setting) -> Claim:
@@ -238,16 +198,9 @@ def clearance_corrected(setting: Setting) -> Claim:
     """
     e = _encounter(setting)
     needed = e.u_ob + setting.kappa * setting.standoff
-    return Claim(
-        name="clearance-corrected",
-        statement="ḣ ≥ −κh, h = l − R_OB − d_s, where l ≥ R_OB and u ≥ u_OB + κ d_s; obstacle at rest or not",
-        equation="corrected form of (20)",
-        errata=("E1", "E10", "E12", "E13"),
-        expected="proved",
-        variables=e.variables(static=False, delta=(0.0, 0.0), outside=True),
-        left=e.worse("corrected", ca.SX(-1)),
-        right=setting.kappa * (e.e2 - setting.standoff),
-        unit="m/s",
-        constraints=needed - e.u,
-        motion=e.motion("corrected", clearance=True),
-    )
+    return e.claim(
+        "clearance-corrected",
+        "ḣ ≥ −κh, h = l − R_OB − d_s, where l ≥ R_OB and u ≥ u_OB + κ d_s; obstacle at rest or not", "corrected",
+        equation="corrected form of (20)", errata=("E1", "E10", "E12", "E13"), expected="proved", static=False,
+        clearance=True, right=setting.kappa * (e.e2 - setting.standoff), constraints=needed - e.u,
+    )  # fmt: skip

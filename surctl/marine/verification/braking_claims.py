@@ -62,6 +62,11 @@ def _box(vehicle: Vehicle, fastest: float) -> _Box:
     return _Box(brakes_of(vehicle), fastest)
 
 
+def _claim(name: str, statement: str, variables: tuple[Variable, ...], left: ca.SX, right: ca.SX, unit: str) -> Claim:
+    step = "guidance.braking, step 2"
+    return Claim(name, statement, step, (), "proved", variables, left, right, unit, paper=False)
+
+
 def braking_keeps(vehicle: Vehicle, fastest: float) -> Claim:
     """Return the claim that l − S does not decrease while the vehicle brakes and the distance l decreases.
 
@@ -83,19 +88,12 @@ def braking_keeps(vehicle: Vehicle, fastest: float) -> Claim:
     )
     z = s.symbol + b.lag * lags.symbol / m.symbol
     drag = x.symbol * g.symbol + x2.symbol * g.symbol * g.symbol
-    return Claim(
-        name="braking-keeps",
-        statement="d/dt (l - S) >= 0 while the vehicle brakes with F_b or more and s >= 0, multiplied by F': "
-        "s F' <= z (F_b - D(g)); the vehicle moves astern at g and the obstacle approaches at g + s",
-        equation="guidance.braking, step 2",
-        errata=(),
-        expected="proved",
-        paper=False,
-        variables=(m, x, x2, more, lags, s, g),
-        left=s.symbol * box.left(g.symbol + s.symbol),
-        right=z * (b.least + more.symbol - drag),
-        unit="N m/s",
+    statement = (
+        "d/dt (l - S) >= 0 while the vehicle brakes with F_b or more and s >= 0, multiplied by F': "
+        "s F' <= z (F_b - D(g)); the vehicle moves astern at g and the obstacle approaches at g + s"
     )
+    left, right = s.symbol * box.left(g.symbol + s.symbol), z * (b.least + more.symbol - drag)
+    return _claim("braking-keeps", statement, (m, x, x2, more, lags, s, g), left, right, "N m/s")
 
 
 def braking_retreat(vehicle: Vehicle, fastest: float) -> Claim:
@@ -109,19 +107,11 @@ def braking_retreat(vehicle: Vehicle, fastest: float) -> Claim:
     m, vo = box.mass(), box.obstacle()
     lightest = box.brakes.masses[0]
     r = Variable("r", ca.SX.sym("r"), "m/s", 0.0, box.swing / lightest, "speed at which the clearance opens")
-    return Claim(
-        name="braking-retreat",
-        statement="d/dt (l - S) >= 0 while the vehicle brakes and s = -r < 0 < z, multiplied by F': "
-        "z (D(v_o + r) - F_b) <= r F'",
-        equation="guidance.braking, step 2",
-        errata=(),
-        expected="proved",
-        paper=False,
-        variables=(m, r, vo),
-        left=(box.swing / m.symbol - r.symbol) * (box.most_drag(vo.symbol + r.symbol) - box.brakes.least),
-        right=r.symbol * box.left(vo.symbol),
-        unit="N m/s",
+    statement = (
+        "d/dt (l - S) >= 0 while the vehicle brakes and s = -r < 0 < z, multiplied by F': z (D(v_o + r) - F_b) <= r F'"
     )
+    left = (box.swing / m.symbol - r.symbol) * (box.most_drag(vo.symbol + r.symbol) - box.brakes.least)
+    return _claim("braking-retreat", statement, (m, r, vo), left, r.symbol * box.left(vo.symbol), "N m/s")
 
 
 def braking_mass(vehicle: Vehicle, fastest: float) -> Claim:
@@ -140,15 +130,6 @@ def braking_mass(vehicle: Vehicle, fastest: float) -> Claim:
     def distance(mass: ca.SX) -> ca.SX:
         return mass * (s.symbol + q.symbol / mass) ** 2
 
-    return Claim(
-        name="braking-mass",
-        statement="m z^2 with z = s + q/m lies below its chord between two masses, multiplied by their difference",
-        equation="guidance.braking, step 2",
-        errata=(),
-        expected="proved",
-        paper=False,
-        variables=(s, q, above, below),
-        left=distance(m) * (a + b),
-        right=b * distance(ca.SX(lightest)) + a * distance(m + b),
-        unit="kg^2 m^2/s^2",
-    )
+    statement = "m z^2 with z = s + q/m lies below its chord between two masses, multiplied by their difference"
+    chord = b * distance(ca.SX(lightest)) + a * distance(m + b)
+    return _claim("braking-mass", statement, (s, q, above, below), distance(m) * (a + b), chord, "kg^2 m^2/s^2")

@@ -234,7 +234,7 @@ def held(plants: Array, cruise: ArrayLike, form: PlantForm) -> NDArray[np.bool_]
     """Return whether the thrust of each plant (n, …) holds its cruise speed [m/s], a number or (n,)."""
     nu = np.zeros((len(plants), 4))
     nu[:, 0] = cruise
-    trim = np.asarray(trim_function(form)(nu.T, plants.T)).T
+    trim = np.asarray(trim_function(form)(nu.T, plants.T)[0]).T
     most = plants[:, PLANT_PARAMETERS.slice("thrust_limit")]
     least = -most  # a copy
     for axis, name in form.reverse():

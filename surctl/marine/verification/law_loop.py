@@ -333,28 +333,22 @@ def _differentiated(law: Law, at: OperatingPoint) -> Slopes:
     """
     if "samples" in law.inputs:
         raise InputError("uses sonars", key="law", value=law.name, remedy="build it with sonar=False")
-    size, eta, nu = law.state.size, law.inputs.slice("eta"), law.inputs.slice("nu")
-    turned = np.eye(4)
+    size, count = law.state.size, law.inputs.size
+    turned = np.eye(8)
     turned[:2, :2] = _turned(at.course)
-    directions = []
-    for k in range(size):
-        dz = np.zeros(size)
-        dz[k] = 1.0
-        directions.append((dz, np.zeros(law.inputs.size)))
-    for place, basis in ((eta, turned), (nu, np.eye(4))):
-        for k in range(4):
-            du = np.zeros(law.inputs.size)
-            du[place] = basis[:, k]
-            directions.append((np.zeros(size), du))
+    directions = np.zeros((size + 8, size + count))
+    directions[:size, :size] = np.eye(size)
+    for k, name in ((0, "eta"), (4, "nu")):
+        directions[size:, size:][:, law.inputs.slice(name)] = turned[k : k + 4].T
 
-    def outputs(dz: Array, du: Array, step: float) -> Array:
-        done = law.step(at.x + step * dz, at.u + step * du, at.p)
+    def outputs(step: Array) -> Array:
+        done = law.step(at.x + step[:size], at.u + step[size:], at.p)
         desired = done.tau if law.actuators is None else done.telemetry[law.telemetry_slice("tau_desired")]
         return np.concatenate([done.x_next, desired])
 
-    here = outputs(*directions[0], 0.0)
-    ahead = np.array([(outputs(dz, du, _STEP) - here) / _STEP for dz, du in directions]).T
-    behind = np.array([(here - outputs(dz, du, -_STEP)) / _STEP for dz, du in directions]).T
+    here = outputs(np.zeros(size + count))
+    ahead = np.array([(outputs(_STEP * direction) - here) / _STEP for direction in directions]).T
+    behind = np.array([(here - outputs(-_STEP * direction)) / _STEP for direction in directions]).T
     J = (ahead + behind) / 2
     kink = float(np.abs(ahead[size:] - behind[size:]).max() / max(np.abs(J[size:]).max(), COUPLED))
     inside = in_loop(J[:size, :size], J[:size, size:], J[size:, :size])  # the progress along a path may be outside

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import repeat
 from typing import Any
 
 import numpy as np
@@ -108,10 +109,15 @@ def bearable_speed(
         >>> [round(bearable_speed(tried, gains, dt=0.05, least=least), 2) for least in (0.0, 0.3)]
         [0.2, 0.17]
     """
-    about: dict[str, Any] = {"dt": dt, "model": model or tried.vehicles[0], "law": law, "least": least}
-    speed, searched = min(min(map(_fastest, tried.vehicles)), _HIGHEST), list[int]()
+    vehicles, believed = tried.vehicles, model or tried.vehicles[0]
+
+    def lacking(plants: Sequence[Vehicle], speeds: Iterable[float]) -> Array:
+        points = [CruisePoint(plant, believed, gains, speed) for plant, speed in zip(plants, speeds, strict=False)]
+        return _lacking(points, dt=dt, law=law, least=least)
+
+    speed, searched = min(min(map(_fastest, vehicles)), _HIGHEST), list[int]()
     while speed > 0:
-        ill = _lacking(tried.vehicles, gains, np.full(len(tried.vehicles), speed), **about)
+        ill = lacking(vehicles, repeat(speed))
         worst = int(np.argmax(ill))
         if ill[worst] <= 0 or worst in searched:
             return speed
@@ -119,29 +125,19 @@ def bearable_speed(
         low, high = 0.0, speed
         for _ in range(_ROUNDS):
             speeds = np.linspace(low, high, _SPEEDS + 1)[1:]
-            lost = np.flatnonzero(_lacking([tried.vehicles[worst]] * _SPEEDS, gains, speeds, **about) > 0)
+            lost = np.flatnonzero(lacking([vehicles[worst]] * _SPEEDS, speeds.tolist()) > 0)
             first = int(lost[0]) if lost.size else _SPEEDS - 1  # the end itself is lost
             low, high = float(speeds[first - 1]) if first else low, float(speeds[first])
         speed = low
     return 0.0
 
 
-def _lacking(
-    vehicles: Sequence[Vehicle],
-    gains: Mapping[str, float],
-    speeds: Array,
-    *,
-    dt: float,
-    model: Vehicle,
-    law: str,
-    least: float,
-) -> Array:
-    """Return what each vehicle at its speed lacks, (n,), greater than 0 if it lacks something; inf without a loop.
+def _lacking(points: Sequence[CruisePoint], *, dt: float, law: str, least: float) -> Array:
+    """Return what each point lacks, (n,), greater than 0 if it lacks something; inf without a loop.
 
     It is the real part of the slowest pole, or how far the structured singular value exceeds that of the margin.
     """
-    lacking = np.full(len(vehicles), np.inf)
-    points = [CruisePoint(one, model, gains, float(speed)) for one, speed in zip(vehicles, speeds, strict=True)]
+    lacking = np.full(len(points), np.inf)
     for at, loops in cruise_groups(points, dt=dt, law=law):
         lacking[at] = np.where(loops.decays, -1.0, 1.0) * np.abs(loops.slowest_per_s)
         if least > 0:
@@ -315,6 +311,7 @@ def slowest_mode(
     from scipy.linalg import eig
 
     loop = cruise_loop(vehicle, gains, cruise=cruise, dt=dt, model=model, law=law)
+    point = CruisePoint(vehicle, model or vehicle, gains, cruise)
     z, left, right = eig(loop.transition, left=True, right=True)
     at = int(np.lexsort((-z.imag, -np.abs(z)))[0])
     share = np.abs(left[:, at] * right[:, at])
@@ -330,48 +327,44 @@ def slowest_mode(
         real,
         float(abs(pole.imag)),
         {k: v for k, v in sorted(grouped.items(), key=lambda item: -item[1]) if v >= _COUNTED},
-        _without(loop, vehicle, gains, cruise=cruise, model=model or vehicle, law=law),
-        {} if real < -_EDGE else _remedies(vehicle, gains, cruise=cruise, dt=dt, model=model or vehicle, law=law),
+        _without(loop, point, law),
+        {} if real < -_EDGE else _remedies(point, dt, law),
         bearable_speed(Corners((vehicle,), "", (NOMINAL,)), gains, dt=dt, model=model, law=law),
     )
 
 
-def _without(
-    loop: LinearLoop, vehicle: Vehicle, gains: Mapping[str, float], *, cruise: float, model: Vehicle, law: str
-) -> dict[str, float]:
+def _without(loop: LinearLoop, point: CruisePoint, law: str) -> dict[str, float]:
     """Return, for each physical term, the real part [1/s] of the slowest pole of the loop without this term."""
     A, *inputs = loop.plant
     surge, sway, yaw = (loop.names.states.index(name) for name in ("u", "v", "r"))
-    munk, coriolis, slowest = A.copy(), A.copy(), {}
+    munk, coriolis, vehicle = A.copy(), A.copy(), point.plant
     munk[yaw, [surge, sway]] = 0.0
     coriolis[[surge, sway], yaw] = 0.0
     coupled = bool(vehicle.form.terms)  # the slopes then include coupled inertia and drag
-    slowest["yaw moment by surge and sway" if coupled else "Munk moment (m22 - m11) u v"] = float(
-        replace(loop, plant=(munk, *inputs)).slowest_per_s
-    )
-    slowest["surge and sway force by yaw" if coupled else "Coriolis force m11 u r"] = float(
-        replace(loop, plant=(coriolis, *inputs)).slowest_per_s
-    )
-    others = {"loop delay": (vehicle, _AT_ONCE * loop.dt)}
+    without = {
+        "yaw moment by surge and sway" if coupled else "Munk moment (m22 - m11) u v": replace(
+            loop, plant=(munk, *inputs)
+        ),
+        "surge and sway force by yaw" if coupled else "Coriolis force m11 u r": replace(
+            loop, plant=(coriolis, *inputs)
+        ),
+        "loop delay": each_loop([point], dt=_AT_ONCE * loop.dt, law=law)[0],
+    }
     if vehicle["thrust_lag"] > 0:
-        others["thrust lag"] = (vehicle.with_values({"thrust_lag": 0.0}), loop.dt)
-    for name, (plant, dt) in others.items():
-        without = cruise_loop(plant, gains, cruise=cruise, dt=dt, model=model, law=law)
-        slowest[name] = float(without.slowest_per_s)
-    return slowest
+        prompt = point._replace(plant=vehicle.with_values({"thrust_lag": 0.0}))
+        without["thrust lag"] = each_loop([prompt], dt=loop.dt, law=law)[0]
+    return {name: float(one.slowest_per_s) for name, one in without.items() if one is not None}
 
 
-def _remedies(
-    vehicle: Vehicle, gains: Mapping[str, float], *, cruise: float, dt: float, model: Vehicle, law: str
-) -> dict[str, float]:
+def _remedies(point: CruisePoint, dt: float, law: str) -> dict[str, float]:
     """For each gain, return the tried value nearest to the present value that makes the loop stable."""
     factors = np.concatenate([_FACTORS, 1 / _FACTORS])
-    names = np.repeat(LINEAR_GAINS, len(factors))
+    names, gains = np.repeat(LINEAR_GAINS, len(factors)), point.gains
     # with the digits that are printed
     tried = np.array([float(f"{gains[name] * factor:.3g}") for name in LINEAR_GAINS for factor in factors])
     changed = [{**gains, name: value} for name, value in zip(names.tolist(), tried.tolist(), strict=True)]
     good = np.zeros(len(tried), dtype=bool)
-    for at, loops in cruise_groups([CruisePoint(vehicle, model, one, cruise) for one in changed], dt=dt, law=law):
+    for at, loops in cruise_groups([point._replace(gains=one) for one in changed], dt=dt, law=law):
         good[at] = loops.decays
     remedies: dict[str, tuple[float, float]] = {}
     for name, value in zip(names[good].tolist(), tried[good].tolist(), strict=True):

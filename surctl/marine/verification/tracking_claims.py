@@ -7,13 +7,14 @@ function of the tracking error e = (x_e, y_e, z_e).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from surctl.errors import NotApplicable
 from surctl.marine.guidance.tracking import along_command, tracking_rate
-from surctl.verification.claim import Claim, Motion, Variable
+from surctl.verification.claim import Claim, Motion, Variable, VerdictWord
 from surctl.verification.setting import Setting
 
 _LEAST_BOX = 2.0  # [m] half-width of the box of tracking errors, unless the claim needs more
@@ -43,26 +44,23 @@ class _Loop:
         errors = [Variable(name, self.error[i], "m", -half, half, meanings[i]) for i, name in enumerate(names)]
         return (*errors, Variable("turn", self.turn, "rad/s", -0.5, 0.5, "turn rate of the path"))
 
-    def motion(self) -> Motion:
-        # at a constant turn rate
-        rates = {name: self.rate[i] for i, name in enumerate(("x_e", "y_e", "z_e"))}
-        return Motion(rates, self.v1, "V1", "m^2")
+    def claim(self, name: str, statement: str, expected: VerdictWord, half: float, **entries: Any) -> Claim:
+        # by default that V1 does not grow, by (11) and (12), where its rate depends on erratum E9
+        about: dict[str, Any] = {"equation": "(11), (12)", "errata": ("E9",), "left": self.v1_rate, "right": ca.SX(0)}
+        about |= entries
+        rates = {name: self.rate[i] for i, name in enumerate(("x_e", "y_e", "z_e"))}  # at a constant turn rate
+        about.setdefault("motion", Motion(rates, self.v1, "V1", "m^2"))
+        return Claim(name, statement, expected=expected, variables=self.variables(half), unit="m^2/s", **about)
 
 
 def _loop(setting: Setting, *, repaired: bool, capped: bool = False) -> _Loop:
     error, turn = ca.SX.sym("e", 3), ca.SX.sym("turn")
+    speed, lookahead, most = (ca.SX(x) for x in (setting.speed, setting.lookahead, setting.speed_max))
     along = along_command(
-        error[0],
-        error[1],
-        speed=ca.SX(setting.speed),
-        k1=ca.SX(setting.k1),
-        lookahead=ca.SX(setting.lookahead),
-        maximum=ca.SX(setting.speed_max) if capped else None,
-        repaired=repaired,
-    )
-    rate = tracking_rate(
-        error, along, speed=ca.SX(setting.speed), lookahead=ca.SX(setting.lookahead), k2=ca.SX(setting.k2), turn=turn
-    )
+        error[0], error[1], speed=speed, k1=ca.SX(setting.k1), lookahead=lookahead,
+        maximum=most if capped else None, repaired=repaired,
+    )  # fmt: skip
+    rate = tracking_rate(error, along, speed=speed, lookahead=lookahead, k2=ca.SX(setting.k2), turn=turn)
     return _Loop(error, turn, along, rate)
 
 
@@ -84,25 +82,10 @@ def v1_printed(setting: Setting) -> Claim:
     positive.
     """
     loop = _loop(setting, repaired=False)
-    witness = {
-        "x_e": 2 * setting.speed / setting.k1,
-        "y_e": max(1.0, 1.25 * _first_cross_track(setting)),
-        "z_e": 0.0,
-        "turn": 0.0,
-    }
-    return Claim(
-        name="v1-printed",
-        statement="V̇1 ≤ 0 for every tracking error, with U_h = (U_d − k1 x_e) √(y_e² + Δ²)/Δ of either sign",
-        equation="(11), (12)",
-        errata=("E9",),
-        expected="refuted",
-        variables=loop.variables(_half(setting)),
-        left=loop.v1_rate,
-        right=ca.SX(0),
-        unit="m^2/s",
-        witnesses=(witness,),
-        motion=loop.motion(),
-    )
+    x, y = 2 * setting.speed / setting.k1, max(1.0, 1.25 * _first_cross_track(setting))
+    witness = {"x_e": x, "y_e": y, "z_e": 0.0, "turn": 0.0}
+    statement = "V̇1 ≤ 0 for every tracking error, with U_h = (U_d − k1 x_e) √(y_e² + Δ²)/Δ of either sign"
+    return loop.claim("v1-printed", statement, "refuted", _half(setting), witnesses=(witness,))
 
 
 def _regional_rate(setting: Setting, half: float) -> float:
@@ -130,18 +113,8 @@ def v1_corrected(setting: Setting) -> Claim:
     """
     loop, half = _loop(setting, repaired=True), _half(setting)
     c = _regional_rate(setting, half)
-    return Claim(
-        name="v1-corrected",
-        statement=f"V̇1 ≤ −{c:.3g} ‖e‖² for |e_i| ≤ {half:g} m, with U_h = max(0, ·) and no speed cap",
-        equation="(11), (12)",
-        errata=("E9",),
-        expected="proved",
-        variables=loop.variables(half),
-        left=loop.v1_rate,
-        right=-c * ca.sumsqr(loop.error),
-        unit="m^2/s",
-        motion=loop.motion(),
-    )
+    statement = f"V̇1 ≤ −{c:.3g} ‖e‖² for |e_i| ≤ {half:g} m, with U_h = max(0, ·) and no speed cap"
+    return loop.claim("v1-corrected", statement, "proved", half, right=-c * ca.sumsqr(loop.error))
 
 
 def cap_limit(setting: Setting) -> tuple[float, float]:
@@ -172,19 +145,9 @@ def v1_speed_cap(setting: Setting) -> Claim:
     """
     loop = _loop(setting, repaired=True, capped=True)
     x, y = cap_limit(setting)
-    return Claim(
-        name="v1-speed-cap",
-        statement=f"V̇1 ≤ 0 for every tracking error, with 0 ≤ U_h ≤ {setting.speed_max:g} m/s",
-        equation="(11), (12)",
-        errata=("E9",),
-        expected="refuted",
-        variables=loop.variables(max(_LEAST_CAP_BOX, 2 * x)),
-        left=loop.v1_rate,
-        right=ca.SX(0),
-        unit="m^2/s",
-        witnesses=({"x_e": -1.2 * x, "y_e": y, "z_e": 0.0, "turn": 0.0},),
-        motion=loop.motion(),
-    )
+    statement = f"V̇1 ≤ 0 for every tracking error, with 0 ≤ U_h ≤ {setting.speed_max:g} m/s"
+    witness = {"x_e": -1.2 * x, "y_e": y, "z_e": 0.0, "turn": 0.0}
+    return loop.claim("v1-speed-cap", statement, "refuted", max(_LEAST_CAP_BOX, 2 * x), witnesses=(witness,))
 
 
 def v1_speed_cap_region(setting: Setting) -> Claim:
@@ -192,19 +155,8 @@ def v1_speed_cap_region(setting: Setting) -> Claim:
     loop = _loop(setting, repaired=True, capped=True)
     x, _ = cap_limit(setting)
     half = max(_LEAST_CAP_BOX, 2 * x)
-    claim = Claim(
-        name="v1-speed-cap-region",
-        statement=f"V̇1 ≤ 0 where x_e ≥ −{x:.3g} m, with 0 ≤ U_h ≤ {setting.speed_max:g} m/s",
-        equation="(11), (12)",
-        errata=("E9",),
-        expected="proved",
-        variables=loop.variables(half),
-        left=loop.v1_rate,
-        right=ca.SX(0),
-        unit="m^2/s",
-        motion=loop.motion(),
-    )
-    return claim.on({"x_e": (-x, half)})
+    statement = f"V̇1 ≤ 0 where x_e ≥ −{x:.3g} m, with 0 ≤ U_h ≤ {setting.speed_max:g} m/s"
+    return loop.claim("v1-speed-cap-region", statement, "proved", half).on({"x_e": (-x, half)})
 
 
 def _norm_of_m(setting: Setting, loop: _Loop) -> tuple[ca.SX, ca.SX]:
@@ -220,18 +172,11 @@ def m_norm_printed(setting: Setting) -> Claim:
     e is the tracking error, and M is the diagonal matrix of equation (12).
     """
     loop = _loop(setting, repaired=True)
-    return Claim(
-        name="m-norm-printed",
-        statement="−eᵀMe ≤ ‖e‖²‖M‖ ≤ 0: the last step says ‖e‖²‖M‖ ≤ 0",
-        equation="(12)",
-        errata=("E8",),
-        expected="refuted",
-        variables=loop.variables(_half(setting)),
-        left=ca.sumsqr(loop.error) * _norm_of_m(setting, loop)[1],
-        right=ca.SX(0),
-        unit="m^2/s",
-        witnesses=({"x_e": 1.0, "y_e": 0.0, "z_e": 0.0, "turn": 0.0},),
-    )
+    return loop.claim(
+        "m-norm-printed", "−eᵀMe ≤ ‖e‖²‖M‖ ≤ 0: the last step says ‖e‖²‖M‖ ≤ 0", "refuted", _half(setting),
+        equation="(12)", errata=("E8",), left=ca.sumsqr(loop.error) * _norm_of_m(setting, loop)[1],
+        witnesses=({"x_e": 1.0, "y_e": 0.0, "z_e": 0.0, "turn": 0.0},), motion=None,
+    )  # fmt: skip
 
 
 def m_norm_corrected(setting: Setting) -> Claim:
@@ -240,16 +185,8 @@ def m_norm_corrected(setting: Setting) -> Claim:
     e is the tracking error, M the diagonal matrix of equation (12), and U_h the commanded speed.
     """
     loop = _loop(setting, repaired=False)
-    return Claim(
-        name="m-norm-corrected",
-        statement="V̇1 ≤ −λ_min(M)‖e‖² ≤ 0 where U_h ≥ 0",
-        equation="(12)",
-        errata=("E8", "E9"),
-        expected="proved",
-        variables=loop.variables(_half(setting)),
-        left=loop.v1_rate,
-        right=-ca.fmax(_norm_of_m(setting, loop)[0], 0) * ca.sumsqr(loop.error),
-        unit="m^2/s",
-        constraints=-loop.along,
-        motion=loop.motion(),
-    )
+    right = -ca.fmax(_norm_of_m(setting, loop)[0], 0) * ca.sumsqr(loop.error)
+    return loop.claim(
+        "m-norm-corrected", "V̇1 ≤ −λ_min(M)‖e‖² ≤ 0 where U_h ≥ 0", "proved", _half(setting),
+        equation="(12)", errata=("E8", "E9"), right=right, constraints=-loop.along,
+    )  # fmt: skip

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
-from typing import TypeAlias, get_args
+from typing import TypeAlias
 
 import casadi as ca
 import numpy as np
@@ -18,7 +18,8 @@ from surctl.priority.problem import CROSSING, Level, PriorityProblem, Row, build
 from surctl.priority.settings import Fallback, Mode
 from surctl.priority.shapes import LevelShape
 from surctl.priority.solver.fallback import RELAXED
-from surctl.tasks import Kind, Limit, LimitRow, SetTask, Stack
+from surctl.tasks import Limit, LimitRow, SetTask, Stack
+from surctl.tasks.task import checked_kind
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -213,10 +214,7 @@ def assemble(stack: Stack, limits: Sequence[Limit] = (), *, inputs: Mapping[str,
             entries = getattr(row, field).numel()
             if entries != size:
                 raise InputError(f"has {entries} entries, expected {size}", key=f"limit {row.name}: {field}")
-        if row.kind not in get_args(Kind):
-            raise InputError(
-                "unknown kind of limit", key=f"limit {row.name}", value=row.kind, remedy=", ".join(get_args(Kind))
-            )
+        checked_kind(row.name, row.kind)
         if row.name in (other.name for other in rows[:i]):
             raise InputError("names two limits", key=f"limit {row.name}", remedy="rename one of them")
     agreed, box, moved = _agreed(rows, stack.velocities)

@@ -3,6 +3,6 @@
 from __future__ import annotations
 
 from surctl.priority.diagnosis.diagnose import Diagnosis, diagnose
-from surctl.priority.diagnosis.laws import commutator_norms, equals_strict_priority
+from surctl.priority.diagnosis.laws import commutator_norms
 
-__all__ = ["Diagnosis", "commutator_norms", "diagnose", "equals_strict_priority"]
+__all__ = ["Diagnosis", "commutator_norms", "diagnose"]

@@ -17,7 +17,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from surctl.errors import InputError
+from surctl.errors import InputError, check_count
 from surctl.ir.symbolic import on_columns
 from surctl.priority.diagnosis.laws import (
     TOLERANCE,
@@ -30,6 +30,7 @@ from surctl.priority.diagnosis.laws import (
 )
 from surctl.priority.settings import ZERO_ROW
 from surctl.tasks import Stack
+from surctl.tasks.ranges import Parameter, ranges_of
 from surctl.tasks.task import is_pose
 
 Array: TypeAlias = NDArray[np.float64]
@@ -52,9 +53,6 @@ class Values(NamedTuple):
 Measure: TypeAlias = Callable[[Values], Array]
 """A function that returns one non-negative number (N,) for each configuration; inf or NaN where it is undefined."""
 
-Parameter: TypeAlias = tuple[ca.SX, ArrayLike, ArrayLike]
-"""A symbol (k, 1) with its lower and upper bounds: k numbers each (or one for all), in the unit of the symbol."""
-
 
 class _Survey:
     """A stack as a function of the free variables of its region, scaled to 0 … 1, and its samples."""
@@ -70,34 +68,23 @@ class _Survey:
         from scipy.stats import qmc
 
         pose = is_pose(stack.eta, stack.tasks[0].mapping)
-        names, symbols = ["x", "y", "z", "psi"] if pose else [str(stack.eta[i]) for i in range(stack.eta.numel())], []
-        bounds = [_bounds("region", names, *_parts("region", region, 2))]
-        for parameter in parameters:
-            symbol, low, high = _parts("parameters", parameter, 3)
-            if not isinstance(symbol, ca.SX) or not symbol.is_valid_input():
-                raise InputError("is not an SX symbol", key="parameters", value=symbol, remedy="give (symbol, low, up)")
-            entries = [str(entry) for entry in ca.vertsplit(ca.vec(symbol))]
-            bounds.append(_bounds("parameters", entries, low, high))
-            names += entries
-            symbols.append(ca.vec(symbol))
-        self.names, (self.lower, self.upper) = names, np.hstack(bounds)
+        if not isinstance(region, tuple | list) or len(region) != 2:
+            raise InputError("is not (lower, upper)", key="region", value=region)
+        ranges = ranges_of([(stack.eta, *region), *parameters])
+        names = [str(entry) for entry in ca.vertsplit(ranges.vector)]
+        self.names = ["x", "y", "z", "psi", *names[4:]] if pose else names
+        self.lower, self.upper = ranges.low, ranges.high
         free = np.flatnonzero(self.upper > self.lower)
         self.free, self.sizes, self.n = free, [task.size for task in stack.tasks], stack.velocities
         world = [ca.jacobian(task.sigma, stack.eta) for task in stack.tasks]
         turns = pose or stack.tasks[0].mapping.is_constant()
         self.constant = [turns and A.is_constant() for A in world]  # so are all commutators, in a frame that turns
-        inputs, parts = ca.vertcat(stack.eta, *symbols), []
+        parts = []
         for (J, x), A, task in zip(stack.levels(), world, stack.tasks, strict=True):
-            for used in ca.symvar(ca.vertcat(ca.vec(J), x)):
-                if not ca.depends_on(inputs, used):
-                    remedy = f"give parameters=[({used}, lower, upper)]"
-                    raise InputError(f"uses {used}, which has no range", key=f"task {task.name}", remedy=remedy)
+            ranges.check(f"task {task.name}", [J, x])
             change = [ca.sumsqr(ca.jacobian(A[i, :], stack.eta)) for i in range(task.size)]
             parts += [ca.vec(J.T), x, ca.sum2(A**2), *change]
-        try:
-            self.run = on_columns(ca.Function("field", [inputs], [ca.densify(ca.vertcat(*parts))]))
-        except RuntimeError as error:
-            raise InputError("have a symbol twice", key="parameters", remedy="give each symbol once") from error
+        self.run = on_columns(ca.Function("field", [ranges.vector], [ca.densify(ca.vertcat(*parts))]))
         self.unit = np.zeros((1, 0))
         if free.size:
             self.unit = qmc.Sobol(free.size, seed=seed).random_base2(math.ceil(math.log2(samples)))
@@ -174,35 +161,6 @@ class _Survey:
         ahead, behind = np.split(values[1:], 2)
         width = np.diagonal(around[1 : u.size + 1] - around[u.size + 1 :])
         return float(values[0]), (ahead - behind) / width
-
-
-def _parts(key: str, value: Sequence[object], count: int) -> tuple[object, ...]:
-    try:
-        parts = tuple(value)
-    except TypeError:
-        parts = ()
-    if len(parts) != count:
-        remedy = "give (lower, upper)" if count == 2 else "give (symbol, lower, upper)"
-        raise InputError(f"has not {count} parts", key=key, value=value, remedy=remedy)
-    return parts
-
-
-def _bounds(key: str, names: Sequence[str], low: object, high: object) -> Array:
-    """Return the bounds (2, d) of named variables; one number for a parameter applies to all its entries."""
-    ends = []
-    for side, numbers in (("lower", low), ("upper", high)):
-        try:
-            end = np.array(numbers, dtype=float).reshape(-1)
-        except (TypeError, ValueError):
-            raise InputError("is not a bound", key=key, value=numbers, remedy="give numbers") from None
-        if end.size != len(names) and not (end.size == 1 and key == "parameters"):
-            raise InputError(f"{side} bound has {end.size} entries", key=key, remedy=f"give {len(names)}")
-        ends.append(np.broadcast_to(end, len(names)))
-    for name, least, most in zip(names, *ends, strict=True):
-        if not (math.isfinite(least) and math.isfinite(most) and least <= most):
-            remedy = "give finite bounds with lower <= upper"
-            raise InputError("is not a range", key=f"{key}: {name}", value=[float(least), float(most)], remedy=remedy)
-    return np.array(ends)
 
 
 def _text(where: Mapping[str, float]) -> str:
@@ -398,8 +356,7 @@ def diagnose(
             set-based or not finite at a sample. The message names the symbol or the task.
     """
     for name, value, least in (("samples", samples, 1), ("starts", starts, 1), ("seed", seed, 0)):
-        if not isinstance(value, int | np.integer) or isinstance(value, bool) or value < least:
-            raise InputError(f"must be a whole number of at least {least}", key=name, value=value, remedy="such as 4")
+        check_count(name, value, least=least)
     if not isinstance(threshold, float | int | np.floating) or not 0.0 < threshold < 1.0:
         raise InputError("must be between 0 and 1", key="threshold", value=threshold, remedy="such as 1e-3")
     survey = _Survey(stack, region, parameters, samples, seed)

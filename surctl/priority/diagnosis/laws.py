@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError
-from surctl.priority.settings import CUTOFF, ZERO_ROW
+from surctl.priority.settings import CUTOFF, negligible
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -50,7 +50,7 @@ def row_vectors(J: Array) -> RowVectors:
     _, singular, vectors = np.linalg.svd(J, full_matrices=True)
     s = np.zeros(vectors.shape[:-1])
     s[..., : singular.shape[-1]] = singular
-    return RowVectors(vectors, np.where(s > np.maximum(CUTOFF * s[..., :1], ZERO_ROW), s, 0.0))
+    return RowVectors(vectors, np.where(s > negligible(s[..., :1]), s, 0.0))
 
 
 def _joined(P: Array, own: Array) -> Array:
@@ -111,20 +111,6 @@ def _norm(task: RowVectors, P: Array) -> Array:
     return np.asarray(np.linalg.norm(weight * inside, 2, axis=(-2, -1)))
 
 
-def equals_strict_priority(jacobians: Sequence[Array], *, tol: float = TOLERANCE) -> bool:
-    """Return whether NSB equals strict priority for all desired rates, that is, no commutator norm exceeds `tol`.
-
-    Args:
-        jacobians: J (k, n) of each level, highest priority first; with leading axes for samples, the condition must
-            hold at all samples.
-        tol: largest value of `commutator_norms` that counts as zero.
-
-    Raises:
-        InputError: as in `commutator_norms`.
-    """
-    return bool((commutator_norms(jacobians) <= tol).all())
-
-
 def strict_velocities(jacobians: Sequence[Array], references: Sequence[Array]) -> Array:
     """Return the velocity v (..., n) of strict priority for each sample (Siciliano and Slotine 1991).
 
@@ -161,8 +147,7 @@ def nsb_velocities(jacobians: Sequence[Array], references: Sequence[Array]) -> A
 
 def _inverse(M: Array, J: Array) -> Array:
     """Return the pseudo-inverse (..., n, k) of M (..., k, n); singular values up to `CUTOFF`·‖J‖ count as 0."""
-    size, least = (np.linalg.norm(each, 2, axis=(-2, -1)) for each in (M, J))
-    least = np.maximum(CUTOFF * least, ZERO_ROW)
+    size, least = np.linalg.norm(M, 2, axis=(-2, -1)), negligible(np.linalg.norm(J, 2, axis=(-2, -1)))
     return np.asarray(np.linalg.pinv(M, rcond=least / np.maximum(size, least)))
 
 

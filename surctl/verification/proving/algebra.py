@@ -14,65 +14,22 @@ from dataclasses import dataclass
 from fractions import Fraction
 from math import isqrt
 
-from surctl.sos.polynomial import ONE, Monomial, Polynomial
+from surctl.sos.polynomial import Monomial, Polynomial
 from surctl.verification.formula import Node, number, ordered, power, variable
 from surctl.verification.formula.node import PI
 
-# Polynomials with exact rational coefficients; their indeterminates are the atoms of `proving.algebra`, by index
-
-
-Poly = dict[Monomial, Fraction]
-"""A polynomial: the coefficient of each monomial; no coefficient is 0."""
-
 MOST_TERMS = 1500
-"""Largest number of terms of a polynomial."""
-_KEY = frozenset
+"""Largest number of terms of a polynomial; its variables are the atoms of `Algebra`, by index."""
 
 
 class TooLarge(Exception):
     """Error: a polynomial has too many terms, or an operation has no normal form."""
 
 
-def constant(value: Fraction | int) -> Poly:
-    """Return a constant polynomial."""
-    return {(): value if type(value) is Fraction else Fraction(value)} if value else {}
-
-
-def single(atom: int, exponent: int = 1) -> Poly:
-    """Return the polynomial atom^exponent of one atom."""
-    return {((atom, exponent),): ONE}
-
-
-def added(a: Mapping[Monomial, Fraction], b: Mapping[Monomial, Fraction], factor: Fraction | int = 1) -> Poly:
-    """Return the sum a + factor · b."""
-    total = dict(a)
-    for monomial, coefficient in b.items():
-        value = coefficient if factor == 1 else -coefficient if factor == -1 else factor * coefficient
-        if monomial in total:
-            value += total[monomial]
-        if value:
-            total[monomial] = value
-        else:
-            total.pop(monomial, None)
-    return total
-
-
-def scaled(a: Mapping[Monomial, Fraction], factor: Fraction | int) -> Poly:
-    """Return the product factor · a."""
-    if factor == -1:
-        return {m: -c for m, c in a.items()}
-    return {m: c * factor for m, c in a.items()} if factor else {}
-
-
-def leading(a: Mapping[Monomial, Fraction]) -> tuple[Monomial, Fraction]:
+def leading(a: Polynomial) -> tuple[Monomial, Fraction]:
     """Return the leading monomial and its coefficient, in a fixed order of monomials."""
-    first = max(a, key=lambda m: (sum(e for _, e in m), m))
-    return first, a[first]
-
-
-def key_of(a: Mapping[Monomial, Fraction]) -> frozenset[tuple[Monomial, Fraction]]:
-    """Return a hashable key of the polynomial; equal polynomials have equal keys."""
-    return _KEY(a.items())
+    first = max(a.terms, key=_rank)
+    return first, a.terms[first]
 
 
 @dataclass(frozen=True)
@@ -82,7 +39,7 @@ class Ratio:
     `under` holds the pairs (index of the factor in `Algebra.factors`, exponent).
     """
 
-    over: Poly
+    over: Polynomial
     under: tuple[tuple[int, int], ...] = ()
 
 
@@ -104,7 +61,7 @@ class Algebra:
     def __init__(self, *, split: bool = False) -> None:
         self._split = split
         self.atoms: list[tuple[str, tuple[Ratio | str, ...]]] = []
-        self.factors: list[Poly] = []
+        self.factors: list[Polynomial] = []
         self.positive: set[int] = set()
         self.words: dict[int, Node] = {}
         self.factor_words: dict[int, Node] = {}
@@ -128,11 +85,11 @@ class Algebra:
     def _apply(self, node: Node, args: list[Ratio]) -> Ratio:
         match node.op:
             case "num":
-                return Ratio(constant(node.value))
+                return Ratio(Polynomial.constant(node.value))
             case "pi":
-                return Ratio(single(self._atom("pi")))
+                return Ratio(Polynomial.variable(self._atom("pi")))
             case "var":
-                return Ratio(single(self._atom("var", node.name)))
+                return Ratio(Polynomial.variable(self._atom("var", node.name)))
             case "add" | "sub":
                 return self.plus(args[0], args[1], 1 if node.op == "add" else -1)
             case "mul":
@@ -140,7 +97,7 @@ class Algebra:
             case "div":
                 return self.times(args[0], self.inverse(args[1], words=node.args[1]))
             case "neg":
-                return Ratio(scaled(args[0].over, -1), args[0].under)
+                return Ratio(-args[0].over, args[0].under)
             case "pow":
                 return self._power(args[0], node.value.numerator, node.args[0])
             case "sqrt":
@@ -148,7 +105,7 @@ class Algebra:
             case "sin" | "cos":
                 return self._turned(args[0])[node.op == "sin"]
             case "atan":
-                return self._unreduced(Node("atan2", (*node.args, number(1))), [*args, Ratio(constant(1))])
+                return self._unreduced(Node("atan2", (*node.args, number(1))), [*args, Ratio(Polynomial.constant(1))])
             case "atan2" | "acos":
                 return self._unreduced(node, args)
             case "exp" | "log" | "tan" | "tanh" | "asin" | "sinh" | "cosh":
@@ -161,17 +118,17 @@ class Algebra:
         # an atom without rewriting rules of its own
         at = self._atom(node.op, *args)
         self.words.setdefault(at, node)
-        return Ratio(single(at))
+        return Ratio(Polynomial.variable(at))
 
     # ---- arithmetic
 
     def plus(self, a: Ratio, b: Ratio, factor: int = 1) -> Ratio:
-        """Return the sum a + factor · b."""
+        """Return a + b, or a − b for a negative factor."""
         under = dict(a.under)
         for at, exponent in b.under:
             under[at] = max(under.get(at, 0), exponent)
-        over = added(self._over(a, under), self._over(b, under), factor)
-        return self._lowest(over, under)
+        first, second = self._over(a, under), self._over(b, under)
+        return self._lowest(first + second if factor > 0 else first - second, under)
 
     def times(self, a: Ratio, b: Ratio) -> Ratio:
         """Return the product a b."""
@@ -188,25 +145,25 @@ class Algebra:
         if not a.over:
             raise TooLarge
         monomial, coefficient = leading(a.over)
-        over = constant(1 / coefficient)
+        over = Polynomial.constant(1 / coefficient)
         for at, exponent in a.under:
             for _ in range(exponent):
                 over = self.product(over, self.factors[at])
-        if len(a.over) == 1:
-            under = {self._factor(single(atom)): exponent for atom, exponent in monomial}
+        if len(a.over.terms) == 1:
+            under = {self._factor(Polynomial.variable(atom)): exponent for atom, exponent in monomial}
         else:
-            at = self._factor(scaled(a.over, 1 / coefficient))
+            at = self._factor(a.over / coefficient)
             under = {at: 1}
             if words is not None and not a.under:
                 self.factor_words.setdefault(at, words if coefficient == 1 else number(1 / coefficient) * words)
         return self._lowest(over, under)
 
-    def product(self, a: Poly, b: Poly) -> Poly:
+    def product(self, a: Polynomial, b: Polynomial) -> Polynomial:
         """Return the product a b, simplified by relations between atoms such as sin² = 1 − cos²."""
-        if len(a) * len(b) > 8 * MOST_TERMS:
+        if len(a.terms) * len(b.terms) > 8 * MOST_TERMS:
             raise TooLarge
-        total = self._reduced(_multiplied(a, b))
-        if len(total) > MOST_TERMS:
+        total = self.reduced(a * b)
+        if len(total.terms) > MOST_TERMS:
             raise TooLarge
         return total
 
@@ -221,27 +178,27 @@ class Algebra:
                 over = self.product(over, self.factors[at])
         _, coefficient = leading(over)
         content = _square_root(abs(coefficient))
-        over = scaled(over, 1 / content**2)
-        if over == constant(1):
-            return self._lowest(constant(content), under)
+        over = over / content**2
+        if over == Polynomial.constant(1):
+            return self._lowest(Polynomial.constant(content), under)
         at = self._atom("sqrt", Ratio(over))
-        root = single(at)
+        root = Polynomial.variable(at)
         if words is not None and not a.under:
             inside = words if content == 1 else number(1 / content**2) * words
             self.words.setdefault(at, Node("sqrt", (inside,)))
-        return self._lowest(scaled(root, content), under)
+        return self._lowest(root * content, under)
 
     def _power(self, a: Ratio, exponent: int, words: Node) -> Ratio:
         if exponent < 0:
             return self._power(self.inverse(a, words=words), -exponent, words)
         if not exponent:
-            return Ratio(constant(1))
+            return Ratio(Polynomial.constant(1))
         result = a
         for _ in range(exponent - 1):
             result = self.times(result, a)
         return result
 
-    def _over(self, a: Ratio, under: Mapping[int, int]) -> Poly:
+    def _over(self, a: Ratio, under: Mapping[int, int]) -> Polynomial:
         """Return the numerator of the fraction a after expansion to the denominator `under`, a multiple of its own."""
         own, over = dict(a.under), a.over
         for at, exponent in under.items():
@@ -249,38 +206,35 @@ class Algebra:
                 over = self.product(over, self.factors[at])
         return over
 
-    def _lowest(self, over: Poly, under: Mapping[int, int]) -> Ratio:
+    def _lowest(self, over: Polynomial, under: Mapping[int, int]) -> Ratio:
         """Cancel the powers of single atoms that numerator and denominator have in common; return the fraction."""
         left = {}
         for at, exponent in under.items():
             factor = self.factors[at]
             (atom, _), *more = leading(factor)[0]
-            while exponent and over and len(factor) == 1 and not more and all(atom in dict(m) for m in over):
-                over = {tuple((k, e - (k == atom)) for k, e in m if e > (k == atom)): c for m, c in over.items()}
-                exponent -= 1
+            alone = len(factor.terms) == 1 and not more
+            while alone and exponent and over and all(atom in dict(m) for m in over.terms):
+                terms = {tuple((k, e - (k == atom)) for k, e in m if e > (k == atom)): c for m, c in over.terms.items()}
+                over, exponent = Polynomial(terms), exponent - 1
             left[at] = exponent
         return Ratio(over, tuple(sorted((at, e) for at, e in left.items() if e)) if over else ())
 
-    def _reduced(self, a: Poly) -> Poly:
+    def reduced(self, a: Polynomial) -> Polynomial:
         """Replace sqrt(p)² by p and sin² by 1 − cos² in a polynomial until neither occurs; return the polynomial."""
-        if not any(e >= 2 and self.atoms[k][0] in ("sqrt", "sin") for m in a for k, e in m):
-            return dict(a)
-        pending: Poly = dict(a)
-        total: Poly = {}
-        while pending:
-            monomial, coefficient = pending.popitem()
-            square = next((k for k, e in monomial if e >= 2 and self.atoms[k][0] in ("sqrt", "sin")), None)
-            if square is None:
-                total = added(total, {monomial: coefficient})
-                continue
-            kind, args = self.atoms[square]
-            assert isinstance(args[0], Ratio)
-            rest = tuple((k, e - 2 * (k == square)) for k, e in monomial if e > 2 * (k == square))
-            by = args[0].over
-            if kind == "sin":
-                by = {(): Fraction(1), ((self._atom("cos", args[0]), 2),): Fraction(-1)}
-            pending = added(pending, _multiplied({rest: coefficient}, by))
-        return total
+
+        def squared(monomial: Monomial) -> int | None:
+            return next((k for k, e in monomial if e >= 2 and self.atoms[k][0] in ("sqrt", "sin")), None)
+
+        while high := {m: k for m in a.terms if (k := squared(m)) is not None}:
+            total = Polynomial({m: c for m, c in a.terms.items() if m not in high})
+            for monomial, square in high.items():
+                kind, args = self.atoms[square]
+                assert isinstance(args[0], Ratio)
+                by = args[0].over if kind == "sqrt" else 1 - Polynomial.variable(self._atom("cos", args[0])) ** 2
+                rest = tuple((k, e - 2 * (k == square)) for k, e in monomial if e > 2 * (k == square))
+                total = total + Polynomial({rest: a.terms[monomial]}) * by
+            a = total
+        return a
 
     # ---- angles
 
@@ -288,16 +242,16 @@ class Algebra:
         """Return (cos, sin) of an angle; inverse functions and quarter turns in the angle are evaluated exactly."""
         if angle.under:
             return self._leaf_angle(angle)
-        rest: Poly = {}
-        total = (Ratio(constant(1)), Ratio({}))
-        for monomial, coefficient in angle.over.items():
+        rest: dict[Monomial, Fraction] = {}
+        total = (Ratio(Polynomial.constant(1)), Ratio(Polynomial({})))
+        for monomial, coefficient in angle.over.terms.items():
             if (known := self._known_turn(monomial, coefficient)) is None and self._split:
                 known = self._one_turn(monomial, coefficient)
             if known is None:
                 rest[monomial] = coefficient
             else:
                 total = self._sum_of_turns(total, known)
-        return self._sum_of_turns(total, self._leaf_angle(Ratio(rest))) if rest else total
+        return self._sum_of_turns(total, self._leaf_angle(Ratio(Polynomial(rest)))) if rest else total
 
     def _known_turn(self, monomial: Monomial, coefficient: Fraction) -> tuple[Ratio, Ratio] | None:
         if len(monomial) != 1 or monomial[0][1] != 1:
@@ -306,7 +260,7 @@ class Algebra:
         if kind == "pi" and coefficient.denominator <= 2:
             quarter = int(2 * coefficient) % 4
             cosine, sine = ((1, 0), (0, 1), (-1, 0), (0, -1))[quarter]
-            return Ratio(constant(cosine)), Ratio(constant(sine))
+            return Ratio(Polynomial.constant(cosine)), Ratio(Polynomial.constant(sine))
         if kind not in ("atan2", "acos") or coefficient.denominator != 1 or abs(coefficient) > 4:
             return None
         ratios, inside = [a for a in args if isinstance(a, Ratio)], self.words[monomial[0][0]].args
@@ -318,9 +272,9 @@ class Algebra:
         else:
             square = self.times(ratios[0], ratios[0])
             words = number(1) - power(inside[0], 2)
-            one = (ratios[0], self.root(self.plus(Ratio(constant(1)), square, -1), words=words))
+            one = (ratios[0], self.root(self.plus(Ratio(Polynomial.constant(1)), square, -1), words=words))
         if coefficient < 0:
-            one = (one[0], Ratio(scaled(one[1].over, -1), one[1].under))
+            one = (one[0], Ratio(-one[1].over, one[1].under))
         total = one
         for _ in range(abs(int(coefficient)) - 1):
             total = self._sum_of_turns(total, one)
@@ -334,37 +288,32 @@ class Algebra:
         times, size = abs(coefficient.numerator), Fraction(1, coefficient.denominator)
         if times >= 9:
             times, size = 1, abs(coefficient)
-        one = total = self._leaf_angle(Ratio({monomial: size}))
+        one = total = self._leaf_angle(Ratio(Polynomial({monomial: size})))
         for _ in range(times - 1):
             total = self._sum_of_turns(total, one)
-        return total if coefficient > 0 else (total[0], Ratio({m: -c for m, c in total[1].over.items()}))
+        return total if coefficient > 0 else (total[0], Ratio(-total[1].over))
 
     def _leaf_angle(self, angle: Ratio) -> tuple[Ratio, Ratio]:
         sign = 1 if leading(angle.over)[1] > 0 else -1
-        upright = Ratio(scaled(angle.over, sign), angle.under)
-        sine = scaled(single(self._atom("sin", upright)), sign)
-        return Ratio(single(self._atom("cos", upright))), Ratio(sine)
+        upright = Ratio(sign * angle.over, angle.under)
+        sine = sign * Polynomial.variable(self._atom("sin", upright))
+        return Ratio(Polynomial.variable(self._atom("cos", upright))), Ratio(sine)
 
     # ---- tables
 
     def _atom(self, kind: str, *args: Ratio | str) -> int:
-        key = (kind, *((key_of(a.over), a.under) if isinstance(a, Ratio) else a for a in args))
+        key = (kind, *((frozenset(a.over.terms.items()), a.under) if isinstance(a, Ratio) else a for a in args))
         if key not in self._atom_at:
             self._atom_at[key] = len(self.atoms)
             self.atoms.append((kind, args))
         return self._atom_at[key]
 
-    def _factor(self, poly: Poly) -> int:
-        key = key_of(poly)
+    def _factor(self, poly: Polynomial) -> int:
+        key = frozenset(poly.terms.items())
         if key not in self._factor_at:
             self._factor_at[key] = len(self.factors)
             self.factors.append(poly)
         return self._factor_at[key]
-
-
-def _multiplied(a: Poly, b: Poly) -> Poly:
-    terms = (Polynomial(a) * Polynomial(b)).terms.items()
-    return {m: c if isinstance(c, Fraction) else Fraction(c) for m, c in terms}
 
 
 def _square_root(value: Fraction) -> Fraction:
@@ -395,7 +344,7 @@ class Written:
         """Return the denominator factor with index `at` as an expression."""
         return self._algebra.factor_words.get(at) or self.poly(self._algebra.factors[at])
 
-    def poly(self, a: Poly) -> Node:
+    def poly(self, a: Polynomial) -> Node:
         """Return a polynomial in nested form.
 
         The power that most terms share is factored out first; even powers take precedence over odd powers.
@@ -403,24 +352,24 @@ class Written:
         if not a:
             return number(0)
         shared = self._shared(a)
-        if len(a) == 1 or shared is None:
-            terms = [self._term(m, c) for m, c in sorted(a.items(), key=lambda item: _rank(item[0]), reverse=True)]
+        if len(a.terms) == 1 or shared is None:
+            terms = [self._term(m, a.terms[m]) for m in sorted(a.terms, key=_rank, reverse=True)]
             tree = terms[0]
             for term in terms[1:]:
                 tree = tree - term.args[0] if term.op == "neg" else tree + term
             return tree
         atom, exponent = shared
-        inside: Poly = {}
-        outside: Poly = {}
-        for m, c in a.items():
+        inside: dict[Monomial, Fraction] = {}
+        outside: dict[Monomial, Fraction] = {}
+        for m, c in a.terms.items():
             powers = dict(m)
             if powers.get(atom, 0) >= exponent:
                 powers[atom] -= exponent
                 inside[tuple((k, e) for k, e in sorted(powers.items()) if e)] = c
             else:
                 outside[m] = c
-        tree = power(self.atom(atom), exponent) * self.poly(inside)
-        return tree + self.poly(outside) if outside else tree
+        tree = power(self.atom(atom), exponent) * self.poly(Polynomial(inside))
+        return tree + self.poly(Polynomial(outside)) if outside else tree
 
     def atom(self, at: int) -> Node:
         """Return the atom with index `at` as an expression."""
@@ -436,9 +385,9 @@ class Written:
                 self._atoms[at] = Node(kind, tuple(self.ratio(a) for a in args if isinstance(a, Ratio)))
         return self._atoms[at]
 
-    def _shared(self, a: Poly) -> tuple[int, int] | None:
+    def _shared(self, a: Polynomial) -> tuple[int, int] | None:
         counts: dict[tuple[int, int], int] = {}
-        for m in a:
+        for m in a.terms:
             for atom, exponent in m:
                 for e in range(1, exponent + 1):
                     counts[atom, e] = counts.get((atom, e), 0) + 1

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from surctl.sos.polynomial import Monomial
+from surctl.sos.polynomial import Monomial, Polynomial
 from surctl.verification.claim import Claim
 from surctl.verification.formula import (
     BRANCHING,
@@ -26,7 +26,7 @@ from surctl.verification.formula import (
     text_of,
     variable,
 )
-from surctl.verification.proving.algebra import Algebra, Poly, Ratio, TooLarge, Written, added
+from surctl.verification.proving.algebra import Algebra, Ratio, TooLarge, Written
 from surctl.verification.proving.intervals import Ends
 from surctl.verification.proving.tape import build_tape
 from surctl.verification.proving.touching import touching_form
@@ -192,7 +192,7 @@ class Normal(NamedTuple):
     algebra: Algebra
     written: Written
     margin: Ratio
-    over: Poly
+    over: Polynomial
     signs: dict[int, int]
     factors: dict[int, Node]
     under: tuple[Node, ...]
@@ -209,7 +209,7 @@ def normal_form(case: Case, names: Sequence[str], box: Ends, most: int, *, split
     margin = algebra.of(case.margin)
     guards = [_constraint_ratio(algebra, c) for c in case.constraints]
     written = Written(algebra)
-    signs = _signs_of(algebra, written, names, box) if len(margin.over) <= most else None
+    signs = _signs_of(algebra, written, names, box) if len(margin.over.terms) <= most else None
     if signs is None:
         return None
     factors = {at: written.factor(at) if sign > 0 else -written.factor(at) for at, sign in signs.items()}
@@ -263,13 +263,13 @@ def _signs_of(algebra: Algebra, written: Written, names: Sequence[str], box: End
     return signs
 
 
-def _signed(ratio: Ratio, signs: dict[int, int]) -> Poly:
+def _signed(ratio: Ratio, signs: dict[int, int]) -> Polynomial:
     """Return the numerator of a fraction whose denominators have these signs, for positive denominators."""
     flips = sum(e for at, e in ratio.under if signs[at] < 0)
-    return {m: -c for m, c in ratio.over.items()} if flips % 2 else dict(ratio.over)
+    return -ratio.over if flips % 2 else ratio.over
 
 
-def _multiplier(normal: Normal, weight: Poly, guard: Ratio | None) -> Node:
+def _multiplier(normal: Normal, weight: Polynomial, guard: Ratio | None) -> Node:
     """Return the multiplier weight · (denominator of the constraint) / (denominator of the margin) as an expression."""
     if guard is None or not weight:
         return number(0)
@@ -301,36 +301,38 @@ class _Sizes:
             low, high = min(products), max(products)
         return low, high
 
-    def bound(self, poly: Poly) -> float:
+    def bound(self, poly: Polynomial) -> float:
         """Return an upper bound of the polynomial on the root box, computed in nested form."""
         high = float(build_tape(self._names, [self._written.poly(poly)]).run(self._box).jets[0].value[1][0])
         return high if np.isfinite(high) else float("inf")
 
-    def worst(self, poly: Poly) -> float:
+    def worst(self, poly: Polynomial) -> float:
         """Return an upper bound of the polynomial, summed term by term: coarser than `bound`, but faster."""
         total = 0.0
-        for monomial, coefficient in poly.items():
+        for monomial, coefficient in poly.terms.items():
             total += max(float(coefficient) * end for end in self.of(monomial))
         return total if np.isfinite(total) else float("inf")
 
 
-def _reduced(algebra: Algebra, over: Poly, guards: Sequence[Ratio | None], sizes: _Sizes) -> tuple[Poly, list[Poly]]:
+def _reduced(
+    algebra: Algebra, over: Polynomial, guards: Sequence[Ratio | None], sizes: _Sizes
+) -> tuple[Polynomial, list[Polynomial]]:
     """Subtract nonnegative monomials times constraints from the numerator while its upper bound decreases.
 
     Return the remaining numerator and the monomials.
     """
-    weights: list[Poly] = [{} for _ in guards]
+    weights: list[Polynomial] = [Polynomial({}) for _ in guards]
     rest, bound = over, sizes.bound(over)
     for _ in range(_STEPS):
         if bound <= 0:
             break
         trials = [
-            (added(rest, algebra.product(factor, guard.over), -1), j, factor)
+            (rest - algebra.product(factor, guard.over), j, factor)
             for j, guard in enumerate(guards)
             if guard is not None
             for factor in _candidates(rest, guard.over, sizes)
         ]
-        trials = sorted(trials, key=lambda trial: (sizes.worst(trial[0]), len(trial[0])))[:_TRIALS]
+        trials = sorted(trials, key=lambda trial: (sizes.worst(trial[0]), len(trial[0].terms)))[:_TRIALS]
         if not trials:
             break
         least, k = min((sizes.bound(trial), k) for k, (trial, _, _) in enumerate(trials))
@@ -338,16 +340,16 @@ def _reduced(algebra: Algebra, over: Poly, guards: Sequence[Ratio | None], sizes
             break
         bound = least
         rest, j, factor = trials[k]
-        weights[j] = added(weights[j], factor)
+        weights[j] = weights[j] + factor
     return rest, weights
 
 
-def _candidates(rest: Poly, guard: Poly, sizes: _Sizes) -> Iterator[Poly]:
+def _candidates(rest: Polynomial, guard: Polynomial, sizes: _Sizes) -> Iterator[Polynomial]:
     """Yield nonnegative monomials whose product with the constraint cancels a term of the numerator."""
     visited: set[tuple[Monomial, object]] = set()
-    for m, c in rest.items():
+    for m, c in rest.terms.items():
         powers = dict(m)
-        for g, d in guard.items():
+        for g, d in guard.terms.items():
             if c / d <= 0 or any(powers.get(at, 0) < e for at, e in g):
                 continue
             less = dict(g)
@@ -355,4 +357,4 @@ def _candidates(rest: Poly, guard: Poly, sizes: _Sizes) -> Iterator[Poly]:
             if (quotient, c / d) in visited or sizes.of(quotient)[0] < 0:
                 continue
             visited.add((quotient, c / d))
-            yield {quotient: c / d}
+            yield Polynomial({quotient: c / d})

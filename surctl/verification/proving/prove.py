@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -23,7 +24,6 @@ from surctl.verification.proving.forms import (
     statement_of,
     substituted,
 )
-from surctl.verification.proving.intervals import Ends
 from surctl.verification.proving.search import DIMENSIONS, BoxTask, SearchResult, corners, search
 from surctl.verification.proving.squares import prove_by_squares
 from surctl.verification.proving.tape import Tape, build_tape
@@ -120,7 +120,9 @@ def prove(
     except InputError as error:  # an expression is too long, or has an operation that the grammar lacks
         return Proof((), 0.0, error.problem, seconds=time.perf_counter() - began)
     shown = prove_cases(statement, claim.name, time_limit=time_limit, slack=slack, progress=progress)
-    certificate = None if shown.remaining else _certificate(claim, texts, shown)
+    units = [v.unit for v in claim.variables]
+    about = {"name": claim.name, "statement": claim.statement, "unit": claim.unit}
+    certificate = None if shown.remaining else _certificate(statement, texts, shown, about, units)
     return Proof(**vars(shown), certificate=certificate, seconds=time.perf_counter() - began)
 
 
@@ -152,10 +154,12 @@ def prove_cases(
         needed, boxes = 0.0, 0
         for number, case in enumerate(cases):
             share = (time_limit - (time.process_time() - worked)) / (len(cases) - number)
-            label = f"{name}, case {number + 1} of {len(cases)}"
-            task = _Attempt(case, statement, written, slack, with_squares, label, progress, simply)
+            report = _reporter(f"{name}, case {number + 1} of {len(cases)}", progress)
             try:
-                done = _show(task, share)
+                task = _Attempt(case, statement, written, slack)
+                done = (task.outside() if case.choice else None) or (
+                    task.simple(share) if simply else task.show(share, with_squares=with_squares, report=report)
+                )
             except OverflowError:
                 return Cases((), 0.0, "a number of the claim is larger than any double: scale the claim")
             boxes += done.result.boxes
@@ -184,13 +188,8 @@ def prove_by_boxes(statement: Statement, *, time_limit: float) -> Cases:
 
 def _holds(statement: Statement, shown: Cases) -> bool:
     """Return whether the checker accepts a proof; facts about functions come from samples, so the checker decides."""
-    names = enumerate(statement.names)
-    box = [(float(low), float(high)) for low, high in zip(statement.lower, statement.upper, strict=True)]
-    stated = {
-        "name": "", "statement": "", "unit": "1",
-        "variables": [{"name": name, "unit": "1", "lower": box[k][0], "upper": box[k][1]} for k, name in names],
-    }  # fmt: skip
-    return check_document(_sealed(stated, [text_of(part) for part in statement.parts], shown)).accepted
+    texts, about = [text_of(part) for part in statement.parts], {"name": "", "statement": "", "unit": "1"}
+    return check_document(_certificate(statement, texts, shown, about, ["1"] * len(statement.names))).accepted
 
 
 def certain_excess(claim: Claim, points: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -214,20 +213,6 @@ def certain_excess(claim: Claim, points: NDArray[np.float64]) -> NDArray[np.floa
 
 
 @dataclass(frozen=True, eq=False)
-class _Attempt:
-    """A case to prove, with the claim's statement, the instruction list as written, and the slack."""
-
-    case: Case
-    statement: Statement
-    written: Tape
-    slack: float
-    with_squares: bool
-    label: str
-    progress: Callable[[str], None] | None
-    simply: bool
-
-
-@dataclass(frozen=True, eq=False)
 class _Shown:
     """The form and the slack that prove a case, or the best attempt; `squares` if sums of squares prove it."""
 
@@ -238,96 +223,98 @@ class _Shown:
     tried: str = ""
 
 
-def _show(attempt: _Attempt, seconds: float) -> _Shown:
-    """Return the first form and slack that prove the case; otherwise the attempt with the least unproved volume.
+class _Attempt:
+    """A case to prove, with the claim's statement, the instruction list as written, and the slack."""
 
-    The result of a failed proof counts the boxes of all attempts and gives the reason why the last attempt stopped.
-    """
-    began = time.process_time()
-    case, statement, written = attempt.case, attempt.statement, attempt.written
-    looked, tried = 0, ""
-    names = statement.names
-    root = statement.lower[:, None], statement.upper[:, None]
-    constraints = build_tape(names, case.constraints)
-    if case.choice and (outside := _outside(case, written, constraints, root)) is not None:
-        return outside
-    everywhere = written.total or all(fine[0] for fine in written.run(root).defined)
-    chosen = ordered(case.margin, *case.constraints) if case.choice else written.nodes
-    polynomial = not any(n.op in FUNCTIONS for n in chosen)
-    if attempt.simply:
-        return _simple(attempt, constraints, root, seconds, everywhere=everywhere, polynomial=polynomial)
-    best: tuple[Form, SearchResult, float] | None = None
-    usable = [form for form in forms_of(case, names, root) if _usable(form, names, root)]
-    rounds, before = (_ROUNDS, _SHORT) if attempt.slack else (_EXACT_ROUNDS, _EXACT_SHORT)
-    portion = _SHARE
-    if not attempt.slack and case.touching:
-        if excluded(case.constraints, case.touching, names, root):
-            before = len(rounds) - 1  # without equality, boxes decide sooner than sums of squares
-        elif len(names) <= _FEW and not polynomial:
-            before = _EXACT_SHORT + 1  # sums of squares with sines are large, and few dimensions have few boxes
-        elif len(names) > _FEW:
-            rounds, portion = ((_MANY, 0.0), *_EXACT_ROUNDS[1:]), _MOST_OF_IT
-        usable = [form for form in usable if touches(form.numerator, case.touching, names, root)] or usable
-    for number, (most, part) in enumerate(rounds):
-        if number == before and attempt.with_squares and everywhere:
-            rest = portion * max(seconds - (time.process_time() - began), 0.0)
-            squares = prove_by_squares(case, names, (statement.lower, statement.upper), seconds=rest)
+    def __init__(self, case: Case, statement: Statement, written: Tape, slack: float) -> None:
+        self.case, self.statement, self.written, self.slack = case, statement, written, slack
+        self.names, self.box = statement.names, (statement.lower, statement.upper)
+        self.root = statement.lower[:, None], statement.upper[:, None]
+        self.constraints = build_tape(self.names, case.constraints)
+        self.plain = as_written(case)
+
+    @cached_property
+    def everywhere(self) -> bool:
+        """Whether the claim is defined in the whole box."""
+        return self.written.total or all(fine[0] for fine in self.written.run(self.root).defined)
+
+    @cached_property
+    def polynomial(self) -> bool:
+        chosen = ordered(self.case.margin, *self.case.constraints) if self.case.choice else self.written.nodes
+        return not any(n.op in FUNCTIONS for n in chosen)
+
+    def show(self, seconds: float, *, with_squares: bool, report: Callable[[int, int], None] | None) -> _Shown:
+        """Return the first form and slack that prove the case; otherwise the attempt with the least unproved volume.
+
+        The result of a failed proof counts the boxes of all attempts and gives the reason why the last attempt stopped.
+        """
+        began = time.process_time()
+        case, names, root = self.case, self.names, self.root
+        looked, tried = 0, ""
+        best: tuple[Form, SearchResult, float] | None = None
+        usable = [form for form in forms_of(case, names, root) if _usable(form, names, root)]
+        rounds, before = (_ROUNDS, _SHORT) if self.slack else (_EXACT_ROUNDS, _EXACT_SHORT)
+        portion = _SHARE
+        if not self.slack and case.touching:
+            if excluded(case.constraints, case.touching, names, root):
+                before = len(rounds) - 1  # without equality, boxes decide sooner than sums of squares
+            elif len(names) <= _FEW and not self.polynomial:
+                before = _EXACT_SHORT + 1  # sums of squares with sines are large, and few dimensions have few boxes
+            elif len(names) > _FEW:
+                rounds, portion = ((_MANY, 0.0), *_EXACT_ROUNDS[1:]), _MOST_OF_IT
+            usable = [form for form in usable if touches(form.numerator, case.touching, names, root)] or usable
+        for number, (most, part) in enumerate(rounds):
+            if number == before and with_squares and self.everywhere:
+                rest = portion * max(seconds - (time.process_time() - began), 0.0)
+                squares = prove_by_squares(case, names, self.box, seconds=rest)
+                if squares.form is not None:
+                    return _Shown(squares.form, self._leaf("", looked), 0.0, squares.squares)
+                tried = squares.tried
+            if len(usable) == 1 and before <= number < len(rounds) - 1 and not self.slack:
+                continue  # nothing to choose: the last round alone
+            volumes = []
+            for k, form in enumerate(usable):
+                bound = build_tape(names, [form.numerator, *form.denominators])
+                task = BoxTask(bound, self.constraints, self.written, self.box, part * self.slack)
+                rest = max(seconds - (time.process_time() - began), 0.0)
+                # the last round divides the remaining time among the forms
+                share = rest / (len(usable) - k if most == rounds[-1][0] else 8 if number == 0 else max(len(usable), 4))
+                result = search(task, deadline=time.process_time() + share, most=most, progress=report)
+                looked += result.boxes
+                if result.closed:
+                    return _Shown(form, result, task.slack)
+                volumes.append(_volume(result))
+                if best is None or volumes[-1] <= _volume(best[1]):
+                    best = form, result, task.slack
+            # the next round begins with the form that left least
+            usable = [usable[k] for k in sorted(range(len(usable)), key=lambda k: volumes[k])]
+        assert best is not None  # the form as written is always usable
+        return _Shown(best[0], replace(best[1], boxes=looked, reason=result.reason), best[2], tried=tried)
+
+    def simple(self, seconds: float) -> _Shown:
+        """Return a proof without bisection, or what the whole box leaves open."""
+        bound = build_tape(self.names, [self.plain.numerator])
+        if self.everywhere and bound.run(self.root).jets[0].value[1][0] <= 0:
+            return _Shown(self.plain, self._leaf("n", 1), 0.0)
+        if self.everywhere and self.polynomial:
+            squares = prove_by_squares(self.case, self.names, self.box, seconds=seconds, most=_SIMPLE)
             if squares.form is not None:
-                return _Shown(squares.form, _without_boxes(root, looked), 0.0, squares.squares)
-            tried = squares.tried
-        if len(usable) == 1 and before <= number < len(rounds) - 1 and not attempt.slack:
-            continue  # nothing to choose: the last round alone
-        volumes = []
-        for k, form in enumerate(usable):
-            task = BoxTask(
-                build_tape(names, [form.numerator, *form.denominators]),
-                constraints, written, (statement.lower, statement.upper), part * attempt.slack,
-            )  # fmt: skip
-            rest = max(seconds - (time.process_time() - began), 0.0)
-            # the last round divides the remaining time among the forms
-            share = rest / (len(usable) - k if most == rounds[-1][0] else 8 if number == 0 else max(len(usable), 4))
-            report = _reporter(attempt.label, attempt.progress)
-            result = search(task, deadline=time.process_time() + share, most=most, progress=report)
-            looked += result.boxes
-            if result.closed:
-                return _Shown(form, result, task.slack)
-            volumes.append(_volume(result))
-            if best is None or volumes[-1] <= _volume(best[1]):
-                best = form, result, task.slack
-        # the next round begins with the form that left least
-        usable = [usable[k] for k in sorted(range(len(usable)), key=lambda k: volumes[k])]
-    assert best is not None  # the form as written is always usable
-    return _Shown(best[0], replace(best[1], boxes=looked, reason=result.reason), best[2], tried=tried)
+                return _Shown(squares.form, self._leaf("", 1), 0.0, squares.squares)
+        return self._whole_box(bound)
 
+    def outside(self) -> _Shown | None:
+        """Return the proof of a case whose branches occur nowhere in the box; None unless one box shows it."""
+        read = self.constraints.run(self.root)
+        if not any(fine[0] and jet.value[0][0] > 0 for jet, fine in zip(read.jets, read.defined, strict=True)):
+            return None
+        return self._whole_box(self.constraints)
 
-def _simple(
-    attempt: _Attempt, constraints: Tape, root: Ends, seconds: float, *, everywhere: bool, polynomial: bool
-) -> _Shown:
-    """Return a proof without bisection, or what the whole box leaves open."""
-    case, statement = attempt.case, attempt.statement
-    plain, box = as_written(case), (statement.lower, statement.upper)
-    bound = build_tape(statement.names, [plain.numerator])
-    if everywhere and bound.run(root).jets[0].value[1][0] <= 0:
-        return _Shown(plain, replace(_without_boxes(root, 1), tree="n"), 0.0)
-    if everywhere and polynomial:
-        squares = prove_by_squares(case, statement.names, box, seconds=seconds, most=_SIMPLE)
-        if squares.form is not None:
-            return _Shown(squares.form, _without_boxes(root, 1), 0.0, squares.squares)
-    return _Shown(plain, search(BoxTask(bound, constraints, attempt.written, box, 0.0), deadline=np.inf, most=1), 0.0)
+    def _whole_box(self, bound: Tape) -> _Shown:
+        task = BoxTask(bound, self.constraints, self.written, self.box, 0.0)
+        return _Shown(self.plain, search(task, deadline=np.inf, most=1), 0.0)
 
-
-def _without_boxes(root: Ends, looked: int) -> SearchResult:
-    return SearchResult("", (), (root[0][:, :0], root[1][:, :0]), looked, "")
-
-
-def _outside(case: Case, written: Tape, constraints: Tape, root: Ends) -> _Shown | None:
-    """Return the proof of a case whose branches occur nowhere in the box; None unless one box shows it."""
-    plain = as_written(case)
-    task = BoxTask(constraints, constraints, written, (root[0][:, 0], root[1][:, 0]), 0.0)
-    read = constraints.run(root)
-    if not any(fine[0] and jet.value[0][0] > 0 for jet, fine in zip(read.jets, read.defined, strict=True)):
-        return None
-    return _Shown(plain, search(task, deadline=np.inf, most=1), 0.0)
+    def _leaf(self, tree: str, looked: int) -> SearchResult:
+        return SearchResult(tree, (), (self.root[0][:, :0], self.root[1][:, :0]), looked, "")
 
 
 def _reporter(label: str, progress: Callable[[str], None] | None) -> Callable[[int, int], None] | None:
@@ -366,21 +353,13 @@ def _written(case: Case, shown: _Shown) -> dict[str, Any]:
     }
 
 
-def _certificate(claim: Claim, texts: list[str], shown: Cases) -> dict[str, Any]:
-    stated = {
-        "name": claim.name,
-        "statement": claim.statement,
-        "unit": claim.unit,
-        "variables": [
-            {"name": v.name, "unit": v.unit, "lower": float(v.lower), "upper": float(v.upper)} for v in claim.variables
-        ],
-    }
-    return _sealed(stated, texts, shown)
-
-
-def _sealed(stated: dict[str, Any], texts: list[str], shown: Cases) -> dict[str, Any]:
+def _certificate(
+    statement: Statement, texts: Sequence[str], shown: Cases, about: Mapping[str, str], units: Sequence[str]
+) -> dict[str, Any]:
+    each = zip(statement.names, units, statement.lower.tolist(), statement.upper.tolist(), strict=True)
+    variables = [dict(zip(("name", "unit", "lower", "upper"), one, strict=True)) for one in each]
     sides = {"left": texts[0], "right": texts[1], "constraints": texts[2:], "slack": shown.slack}
-    return seal("interval", stated | sides, {"cases": list(shown.cases)})
+    return seal("interval", {**about, "variables": variables, **sides}, {"cases": list(shown.cases)})
 
 
 def _left_open(statement: Statement, written: Tape, case: Case, shown: _Shown, boxes: int) -> Cases:

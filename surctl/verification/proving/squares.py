@@ -19,14 +19,7 @@ from surctl.errors import InputError
 from surctl.sos.exact import Certificate, certify, completed
 from surctl.sos.polynomial import Monomial, Polynomial, quotient
 from surctl.verification.formula import Node, exact_values, number, ordered, text_of
-from surctl.verification.proving.algebra import (
-    MOST_TERMS,
-    Poly,
-    Ratio,
-    TooLarge,
-    constant,
-    single,
-)
+from surctl.verification.proving.algebra import MOST_TERMS, Ratio, TooLarge
 from surctl.verification.proving.forms import Case, Form, normal_form
 from surctl.verification.proving.tape import build_tape
 from surctl.verification.proving.touching import fact_polynomial, facts_about
@@ -119,7 +112,7 @@ def _within(box: Sequence[tuple[Fraction, Fraction]], sides: Sequence[Polynomial
         if side.degree != 1 or len(among) != 1:
             continue
         (k,) = among
-        slope, offset = Fraction(side.terms[((k, 1),)]), Fraction(side.terms.get((), 0))
+        slope, offset = side.terms[((k, 1),)], side.terms.get((), Fraction(0))
         if slope > 0:
             ends[k][0] = max(ends[k][0], -offset / slope)
         else:
@@ -201,18 +194,18 @@ class _Problem:
         node = case.margin if not under and _has_no_division(case.margin) else written.poly(over)
         self.form = Form(node, under, (number(0),) * len(guards))
         polynomials = [over, *(g.over for g in guards if g is not None and not g.under)]
-        self._atoms = self._closed({k for p in polynomials for m in p for k, _ in m})
+        self._atoms = self._closed({k for p in polynomials for m in p.terms for k, _ in m})
         if len(self._atoms) > _MOST_ATOMS or not self._atoms:
             return
         if not self._read_ranges([written.atom(at) for at in self._atoms]):
             return
         self._decimals = [tuple(Fraction(repr(float(x))) for x in pair) for pair in zip(*box, strict=True)]
-        self._choose_symbols({m: -c for m, c in over.items()})
-        self.target = self.moved({m: -c for m, c in over.items()})
+        self._choose_symbols(-over)
+        self.target = self.moved(-over)
         self._factors: dict[str, Polynomial] = {}
         for j, guard in enumerate(guards):
             if guard is not None and guard.over and not guard.under:
-                self._factors[f"c{j}"] = self.moved({m: -c for m, c in guard.over.items()})
+                self._factors[f"c{j}"] = self.moved(-guard.over)
         self._add_bounds()
         self._facts: list[dict[str, Any]] = []
         self._add_facts()
@@ -255,14 +248,14 @@ class _Problem:
             if kind in ("sin", "cos"):
                 waiting.append(self._algebra._atom("cos" if kind == "sin" else "sin", inside[0]))
             if len(inside) == 1 or self._is_atan(at):
-                waiting += [k for m in inside[0].over for k, _ in m]
+                waiting += [k for m in inside[0].over.terms for k, _ in m]
         return sorted(among)
 
     def _is_atan(self, at: int) -> bool:
         kind, args = self._algebra.atoms[at]
-        return kind == "atan2" and isinstance(args[1], Ratio) and args[1] == Ratio(constant(1))
+        return kind == "atan2" and isinstance(args[1], Ratio) and args[1] == Ratio(Polynomial.constant(1))
 
-    def _choose_symbols(self, target: Poly) -> None:
+    def _choose_symbols(self, target: Polynomial) -> None:
         """Choose for each atom its origin and scale: symbol = (atom − origin) / scale."""
         nearest = {
             name: min(max(Fraction(0), low), high)
@@ -271,8 +264,8 @@ class _Problem:
         values = {at: exact_values([self._written.atom(at)], nearest) for at in self._atoms}
         known: dict[int, Fraction] = {at: v[0] for at, v in values.items() if v is not None}
         self._touching = False
-        if all(k in known for m in target for k, _ in m):
-            nonzero = [(m, c) for m, c in target.items() if all(known[k] for k, _ in m)]
+        if all(k in known for m in target.terms for k, _ in m):
+            nonzero = [(m, c) for m, c in target.terms.items() if all(known[k] for k, _ in m)]
             self._touching = not sum((c * prod(known[k] ** e for k, e in m) for m, c in nonzero), Fraction(0))
         self._origins, self._scales = [], []
         for at, (low, high) in zip(self._atoms, self._ranges, strict=True):
@@ -288,9 +281,9 @@ class _Problem:
         self._by = {at: self._scales[k] * Polynomial.variable(k) + self._origins[k] for at, k in place.items()}
         self._place = place
 
-    def moved(self, poly: Poly) -> Polynomial:
+    def moved(self, poly: Polynomial) -> Polynomial:
         """Return a polynomial in atoms as a polynomial in the symbols."""
-        return Polynomial(poly).substituted(self._by)
+        return poly.substituted(self._by)
 
     def _add_bounds(self) -> None:
         for at in self._atoms:
@@ -298,7 +291,7 @@ class _Problem:
             if kind != "var":
                 continue
             i = self._names.index(str(args[0]))
-            variable = self.moved(single(at))
+            variable = self._by[at]
             # as in the checker, a bound contains the double and its decimal
             self._factors[f"l{i}"] = variable - min(Fraction(float(self._box[0][i])), self._decimals[i][0])
             self._factors[f"h{i}"] = max(Fraction(float(self._box[1][i])), self._decimals[i][1]) - variable
@@ -313,7 +306,7 @@ class _Problem:
             node = self._written.ratio(inside)
             jet = build_tape(self._names, [node]).run((self._box[0][:, None], self._box[1][:, None])).jets[0]
             low, high = float(jet.value[0][0]), float(jet.value[1][0])
-            argument, atom = self.moved(inside.over), self.moved(single(at))
+            argument, atom = self.moved(inside.over), self._by[at]
             for factors in facts_about(op, low, high, touching=self._touching):
                 total = Polynomial.constant(1)
                 for text in factors:
@@ -329,9 +322,14 @@ class _Problem:
             inside = args[0] if args else None
             if kind == "sin" and isinstance(inside, Ratio):
                 cosine = self._algebra._atom("cos", inside)
-                relations.append((self._place[at], self.moved(single(at)) ** 2 + self.moved(single(cosine)) ** 2 - 1))
+                relations.append(
+                    (
+                        self._place[at],
+                        self._by[at] ** 2 + self._by[cosine] ** 2 - 1,
+                    )
+                )
             elif kind == "sqrt" and isinstance(inside, Ratio) and not inside.under:
-                relations.append((self._place[at], self.moved(single(at)) ** 2 - self.moved(inside.over)))
+                relations.append((self._place[at], self._by[at] ** 2 - self.moved(inside.over)))
         return relations
 
     def weight(self, factors: Sequence[str]) -> Polynomial:
@@ -392,7 +390,7 @@ class _Problem:
             {
                 "symbol": at,
                 "monomials": [_exponents(m, count) for m in h.terms],
-                "factors": [[Fraction(c).numerator, Fraction(c).denominator] for c in h.terms.values()],
+                "factors": [list(c.as_integer_ratio()) for c in h.terms.values()],
             }
             for (at, _), h in zip(self.relations, proof.multipliers, strict=True)
             if h.terms

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from surctl.sos.polynomial import Monomial, Polynomial
 from surctl.verification.formula import Node, exact_values, number, ordered, parse, power, rebuilt, substitute, variable
-from surctl.verification.proving.algebra import Algebra, Poly, Ratio, TooLarge, Written, constant
+from surctl.verification.proving.algebra import Algebra, Ratio, TooLarge, Written
 from surctl.verification.proving.intervals import Ends
 from surctl.verification.proving.tape import build_tape
 
@@ -186,7 +186,7 @@ def _point(point: Mapping[str, Fraction], names: Sequence[str], others: NDArray[
     return np.array([[float(point[name])] if name in point else others[k] for k, name in enumerate(names)])
 
 
-def touching_form(algebra: Algebra, written: Written, over: Poly, point: Mapping[str, Fraction]) -> Node | None:
+def touching_form(algebra: Algebra, written: Written, over: Polynomial, point: Mapping[str, Fraction]) -> Node | None:
     """Return a polynomial as expression in differences of atoms to their values at a point.
 
     If the value and the gradient of the polynomial are 0 at the point, interval arithmetic then shows exactly this,
@@ -203,17 +203,17 @@ def touching_form(algebra: Algebra, written: Written, over: Poly, point: Mapping
     """
     moved = _Moved(algebra, written, point)
     orders: dict[int, int] = {}
-    for at in {k for m in over for k, _ in m}:
+    for at in {k for m in over.terms for k, _ in m}:
         if moved.varies(at):
             value = moved.value(at)
             if value is None:
                 return None
             # the cosine of 0 has a maximum there
-            orders[at] = 2 if algebra.atoms[at][0] == "cos" and value == constant(1) else 1
+            orders[at] = 2 if algebra.atoms[at][0] == "cos" and value == Polynomial.constant(1) else 1
     if not any(moved.value(at) for at in orders):
         return None
     total = moved.polynomial(over)
-    if any(sum(orders.get(k, 0) * e for k, e in m) < 2 for m in total):
+    if any(sum(orders.get(k, 0) * e for k, e in m) < 2 for m in total.terms):
         return None
     return moved.poly(total)
 
@@ -224,42 +224,39 @@ class _Moved(Written):
     def __init__(self, algebra: Algebra, written: Written, point: Mapping[str, Fraction]) -> None:
         super().__init__(algebra)
         self._plain, self._point = written, point
-        self._values: dict[int, Poly | None] = {}
+        self._values: dict[int, Polynomial | None] = {}
         self._moved: dict[int, Node] = {}
 
     def varies(self, at: int) -> bool:
         """Return whether an atom depends on a variable that the point names."""
         return any(n.op == "var" and n.name in self._point for n in ordered(self._plain.atom(at)))
 
-    def value(self, at: int) -> Poly | None:
+    def value(self, at: int) -> Polynomial | None:
         """Return the value of an atom at the point, as a polynomial in atoms without its variables, if it is known."""
         if at not in self._values:
             self._values[at] = self._value(self._plain.atom(at))
         return self._values[at]
 
-    def _value(self, node: Node) -> Poly | None:
+    def _value(self, node: Node) -> Polynomial | None:
         fixed = substitute(node, {name: number(x) for name, x in self._point.items()})
         try:
             if node.op in VALUES and not self._algebra.of(fixed.args[0]).over:
-                return constant(VALUES[node.op][1])
+                return Polynomial.constant(VALUES[node.op][1])
             value = self._algebra.of(fixed)
         except (TooLarge, ArithmeticError):
             return None
-        return None if value.under else dict(value.over)
+        return None if value.under else value.over
 
-    def polynomial(self, a: Poly) -> Poly:
+    def polynomial(self, a: Polynomial) -> Polynomial:
         """Return a polynomial in the atoms as polynomial in the differences."""
-        among = {k for m in a for k, _ in m if self.varies(k)}
-        by = {k: Polynomial.variable(k) + Polynomial(self.value(k) or {}) for k in among}
-        apart: dict[Monomial, Poly] = {}
-        for m, c in Polynomial(a).substituted(by).terms.items():
+        among = {k for m in a.terms for k, _ in m if self.varies(k)}
+        by = {k: Polynomial.variable(k) + (self.value(k) or 0) for k in among}
+        apart: dict[Monomial, dict[Monomial, Fraction]] = {}
+        for m, c in a.substituted(by).terms.items():
             own, fixed = (tuple((k, e) for k, e in m if (k in among) == part) for part in (True, False))
-            apart.setdefault(own, {})[fixed] = Fraction(c)
-        return {
-            tuple(sorted(own + fixed)): c
-            for own, part in apart.items()
-            for fixed, c in self._algebra._reduced(part).items()
-        }
+            apart.setdefault(own, {})[fixed] = c
+        parts = [Polynomial.monomial(m) * self._algebra.reduced(Polynomial(part)) for m, part in apart.items()]
+        return sum(parts, Polynomial({}))
 
     def atom(self, at: int) -> Node:
         """Return the difference of an atom to its value, as an expression."""

@@ -226,12 +226,12 @@ def test_an_arm_is_diagnosed_in_its_own_joints():
 @pytest.mark.parametrize(
     ("region", "message"),
     [
-        (([0.0] * 3, [1.0] * 4), "region.*lower bound has 3 entries"),
-        (([0.0, 0, 0, 2.0], [1.0, 1, 1, 1.0]), "region: psi = .*is not a range"),
-        (([0.0, math.nan, 0, 0], [1.0] * 4), "region: y = .*is not a range"),
-        (([0.0] * 4, [1.0, 1, math.inf, 1]), "region: z = .*is not a range"),
-        (0.0, "region = 0.0: has not 2 parts"),
-        ((["a"] * 4, [1.0] * 4), "is not a bound"),
+        (([0.0] * 3, [1.0] * 4), "eta.*needs finite ranges of 1 or 4 entries"),
+        (([0.0, 0, 0, 2.0], [1.0, 1, 1, 1.0]), "eta = .*has no value in its range"),
+        (([0.0, math.nan, 0, 0], [1.0] * 4), "eta = .*needs finite ranges"),
+        (([0.0] * 4, [1.0, 1, math.inf, 1]), "eta = .*needs finite ranges"),
+        (0.0, "region = 0.0: is not .lower, upper."),
+        ((["a"] * 4, [1.0] * 4), "has a range that is not numeric"),
     ],
 )
 def test_a_bad_region_names_the_axis(region, message):
@@ -242,15 +242,15 @@ def test_a_bad_region_names_the_axis(region, message):
 @pytest.mark.parametrize(
     ("parameters", "message"),
     [
-        ([], "task line_of_sight: uses point_0, which has no range"),
-        ([(POINT[0], 0.0, 1.0)], "task line_of_sight: uses point_1"),
-        ([(POINT, 1.0, 0.0)], "parameters: point_0 = .*is not a range"),
-        ([(POINT, [0.0, math.nan], 1.0)], "parameters: point_1 = .*is not a range"),
-        ([(POINT, [0.0, 0.0, 0.0], 1.0)], "lower bound has 3 entries"),
-        ([(POINT, 0.0, 1.0), (POINT[1], 0.0, 1.0)], "have a symbol twice"),
-        ([(POINT, 0.0, 1.0), (ETA, 0.0, 1.0)], "have a symbol twice"),
+        ([], "task line_of_sight: contains the symbol point_0, which has no range"),
+        ([(POINT[0], 0.0, 1.0)], "task line_of_sight: contains the symbol point_1"),
+        ([(POINT, 1.0, 0.0)], "parameter point = .*has no value in its range"),
+        ([(POINT, [0.0, math.nan], 1.0)], "parameter point = .*needs finite ranges"),
+        ([(POINT, [0.0, 0.0, 0.0], 1.0)], "point = .*needs finite ranges of 1 or 2 entries"),
+        ([(POINT, 0.0, 1.0), (POINT[1], 0.0, 1.0)], "has two ranges"),
+        ([(POINT, 0.0, 1.0), (ETA, 0.0, 1.0)], "has two ranges"),
         ([(POINT + 1.0, 0.0, 1.0)], "is not an SX symbol"),
-        ([(POINT, 1.0)], "has not 3 parts"),
+        ([(POINT, 1.0)], "is not .symbol, lowest, highest."),
     ],
 )
 def test_a_bad_parameter_is_named(parameters, message):

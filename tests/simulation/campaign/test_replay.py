@@ -7,7 +7,10 @@ from math import inf
 import pytest
 
 from surctl.errors import InputError
-from surctl.marine.simulation.campaign.campaign import load_replay, run_campaign
+from surctl.marine.simulation import Case, load_scenario
+from surctl.marine.simulation.campaign.campaign import Replay, load_replay, run_campaign
+from surctl.marine.simulation.campaign.worlds import SampledRun
+from surctl.marine.vehicle import load_vehicle
 from tests.simulation.campaign.test_draws import GAINS, plan
 
 
@@ -33,6 +36,16 @@ def test_a_worst_run_flown_again_equals_its_row(drawn, tmp_path):
             assert getattr(run.metrics, name) == pytest.approx(row[name], rel=1e-9, abs=1e-9)
         assert read.difference(run) <= 1e-9
         assert run.gains.values == gains.values and run.law.mode == drawn.case.mode
+
+
+def test_the_file_of_a_run_has_the_thrusters_of_its_vehicle(tmp_path):
+    vehicle = load_vehicle("lauv")
+    case = Case(load_scenario("tank-static"), vehicle, GAINS, model=vehicle.with_values({"m11": 20.0}))
+    file = tmp_path / "run.toml"
+    file.write_text(Replay(SampledRun(case, 0), "time limit", {}, "thrusters").to_toml())
+    read = load_replay(file).run.case
+    assert vehicle.actuators is not None and read.vehicle.actuators == vehicle.actuators
+    assert read.vehicle.digest() == vehicle.digest() and read.model.digest() == case.model.digest()
 
 
 @pytest.fixture(scope="module")

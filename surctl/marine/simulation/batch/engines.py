@@ -6,25 +6,25 @@ import hashlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cache
-from typing import Any, Literal, NamedTuple, get_args
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from surctl.errors import InputError, SurctlError, ToolMissing, check_known
+from surctl.errors import InputError, SurctlError, check_known
 from surctl.ir import Batch, to_casadi, without_libm
 from surctl.ir.batch import batch_source, compile_batch_source
 from surctl.ir.cache import cached_bytes, source_digest
 from surctl.ir.folding import fused
-from surctl.ir.native import warn_slower
 from surctl.marine.control.build import LAW_SOURCES
 from surctl.marine.simulation.batch.case import Case, check_values
 from surctl.marine.simulation.batch.counting import metrics_table
-from surctl.marine.simulation.batch.loop import Loop, build_loop
-from surctl.marine.simulation.batch.pack import Packed, pack, structure_of
+from surctl.marine.simulation.batch.loop import build_loop
+from surctl.marine.simulation.batch.pack import pack, structure_of
 from surctl.marine.simulation.batch.structure import Structure
 from surctl.marine.simulation.metrics import METRICS
 from surctl.own_code import is_own
+from surctl.system.runs import Engine, final_states
 
 _FURTHER = (
     *(f"surctl.{name}" for name in ("files", "own_code", "units")),
@@ -68,9 +68,6 @@ def _built(structure: Structure) -> StoredLoop:
     return StoredLoop(step.digest(), batch_source(fused(without_libm(step))))
 
 
-Engine = Literal["auto", "c", "vm"]
-ENGINES: tuple[Engine, ...] = get_args(Engine)
-
 Columns = NDArray[np.float64]
 
 
@@ -108,8 +105,7 @@ def simulate_batch(
 
     Args:
         values: parameter values by name, see `parameters`: an array (n,) or one number for all runs.
-        engine: `c` compiles with the system's C compiler; `vm` uses CasADi's virtual machine; `auto` takes `c`, or `vm`
-            with a warning `SlowerEngine` if there is no compiler.
+        engine: `c`, `vm` or `auto`, see `surctl.system.runs.final_states`.
 
     Raises:
         InputError: a parameter or the engine is unknown, a value is out of bounds, a seed is negative, or the shapes
@@ -125,25 +121,17 @@ def simulate_batch(
         >>> runs.column("time_s").round(2).tolist(), runs.column("min_clearance_m").round(3).tolist()
         ([21.3, 20.35, 20.05], [0.093, 0.096, 0.097])
     """
-    check_known(engine, ENGINES, key="engine")
-    if threads < 1:
-        raise InputError("must be at least 1", key="threads", value=threads)
     columns, run_seeds = broadcast(values or {}, seeds)
     check_values(case, columns)
     loop = build_loop(structure_of(case, columns))
     if len(run_seeds) == 0:
         return BatchResult(np.empty((0, len(METRICS))), "c" if engine == "c" else "vm")
     packed = pack(case, loop, columns, run_seeds)
-    if engine != "vm":
-        try:
-            compiled = compiled_loop(loop.structure)
-            final = compiled.run(packed.state, packed.parameters, steps=packed.steps, threads=threads)
-            return BatchResult(metrics_table(loop.law, loop.state, final), "c")
-        except ToolMissing as missing:
-            if engine == "c":
-                raise
-            warn_slower(missing)
-    return BatchResult(metrics_table(loop.law, loop.state, _through_machine(loop, packed)), "vm")
+    final, used = final_states(
+        packed.state, packed.parameters, steps=packed.steps, compiled=lambda: compiled_loop(loop.structure),
+        machine=lambda: _machine(loop.structure), engine=engine, threads=threads,
+    )  # fmt: skip
+    return BatchResult(metrics_table(loop.law, loop.state, final), used)
 
 
 @cache
@@ -159,19 +147,6 @@ def compiled_loop(structure: Structure) -> Batch:
 @cache
 def _machine(structure: Structure) -> Any:
     return to_casadi(build_loop(structure).step)
-
-
-def _through_machine(loop: Loop, packed: Packed) -> Columns:
-    # all runs advance together, one control step at a time
-    step = _machine(loop.structure)
-    state, left = packed.state.copy(), np.arange(len(packed.state))
-    for _ in range(packed.steps):
-        moved = step.map(len(left))(state[left].T, packed.parameters[left].T)
-        state[left] = np.asarray(moved).T
-        left = left[state[left, 0] == 0]
-        if len(left) == 0:
-            break
-    return state
 
 
 def broadcast(values: Mapping[str, ArrayLike], seeds: ArrayLike) -> tuple[dict[str, Columns], NDArray[np.int64]]:

@@ -6,6 +6,7 @@ import hashlib
 import json
 import shutil
 import time
+import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
@@ -34,7 +35,7 @@ from surctl.marine.simulation.run import Run, Sensing
 from surctl.marine.simulation.scenario import scenario_from_table
 from surctl.marine.simulation.scenario_table import scenario_table
 from surctl.marine.simulation.toml_text import toml_text
-from surctl.marine.vehicle import Vehicle, parameter_spec
+from surctl.marine.vehicle import Vehicle, write_vehicle
 from surctl.marine.vehicle.parameters import vehicle_from_table
 from surctl.priority import Mode
 from surctl.store import RESUME, ChunkStore
@@ -112,11 +113,11 @@ class Replay:
             "figures": dict(self.figures),
             "draw": dict(run.draw),
             "gains": {"name": case.gains.name, "provenance": case.gains.provenance, "values": dict(case.gains.values)},
-            "vehicle": _vehicle_table(case.vehicle),
+            "vehicle": tomllib.loads(write_vehicle(case.vehicle)),
             "scenario": scenario_table(case.scenario),
         }
         if case.model is not None:
-            table["model"] = _vehicle_table(case.model)
+            table["model"] = tomllib.loads(write_vehicle(case.model))
         return toml_text(table)
 
     def difference(self, run: Run) -> float:
@@ -190,18 +191,6 @@ def _gains(table: _GainTable, law: str, path: Path) -> Gains:
     if missing:
         raise InputError("is missing", file=path, key=f"gains.values.{missing[0]}", remedy="add it")
     return base.with_values(table.values, provenance=table.provenance)
-
-
-def _vehicle_table(vehicle: Vehicle) -> dict[str, Any]:
-    table: dict[str, Any] = {"kind": "vehicle", "name": vehicle.name, "note": vehicle.note}
-    for name, known in vehicle.parameters.items():
-        spec = parameter_spec(name)
-        assert spec is not None  # a vehicle has no other parameters
-        entry: dict[str, Any] = {"value": float(known.value), "unit": known.unit, "provenance": known.provenance}
-        if known.range is not None:
-            entry["range"] = list(known.range)
-        table.setdefault(spec.table, {})[name] = entry
-    return table
 
 
 CHUNK = 128
@@ -371,7 +360,7 @@ def _entry(name: str, text: str) -> dict[str, str]:
 
 
 def _numbers(vehicle: Vehicle) -> str:
-    return repr(sorted((name, p.value, p.range) for name, p in vehicle.parameters.items()))
+    return f"{vehicle.digest()} {sorted((name, p.range) for name, p in vehicle.parameters.items())!r}"
 
 
 def _compare(note: Path, requests: Sequence[Mapping[str, Any]]) -> None:

@@ -539,10 +539,7 @@ def held_out_windows(
     cut = int(np.searchsorted(log.time, log.time[0] + (1.0 - share) * (log.time[-1] - log.time[0])))
     results = []
     try:
-        parts = [
-            MotionLog(log.time[rows], log.motion[rows], log.thrust[rows], log.source)
-            for rows in (slice(0, cut), slice(cut, len(log.time)))
-        ]
+        parts = log.halves(cut)
         fitted = identify(parts[0], start, name=start.name).vehicle
     except InputError:  # one part is too short, or has no motion
         return ()

@@ -19,6 +19,7 @@ from surctl.marine.vehicle.dynamics import PLANT_DISTURBANCE, build_plant, plant
 from surctl.marine.vehicle.motion_log import LOG_MOTION, LOG_TILT, MotionLog
 from surctl.marine.vehicle.parameters import Parameter, Vehicle
 from surctl.marine.vehicle.specs import AXES, TERMS, PlantForm
+from surctl.system.plant import runge_kutta
 
 FITTED = (
     "m11", "m22", "m33", "m44", "Xu", "Yv", "Zw", "Nr", "Xuu", "Yvv", "Zww", "Nrr", "thrust_lag",
@@ -107,11 +108,8 @@ def stepper(form: PlantForm, names: tuple[str, ...]) -> tuple[Repeated, Slope]:
     def rate(state: ca.SX) -> ca.SX:
         return ode(state, thrust, ca.DM.zeros(PLANT_DISTURBANCE.size), plant)
 
-    k1 = rate(x)
-    k2 = rate(x + dt / 2 * k1)
-    k3 = rate(x + dt / 2 * k2)
-    k4 = rate(x + dt * k3)
-    after = ca.Function("after", [x, thrust, p, known, dt], [x + dt / 6 * (k1 + 2 * k2 + 2 * k3 + k4)], {"cse": True})
+    following = runge_kutta(lambda state, _: rate(state), x, dt)
+    after = ca.Function("after", [x, thrust, p, known, dt], [following], {"cse": True})
     flag, begin = ca.SX.sym("flag"), ca.SX.sym("begin", order)
     chosen = ca.if_else(flag > 0, begin, x)
     both = ca.vertcat(p, known)

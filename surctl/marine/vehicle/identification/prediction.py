@@ -23,7 +23,7 @@ from surctl.marine.vehicle.identification.model import (
     sections_of,
     with_all_constants,
 )
-from surctl.marine.vehicle.identification.solve import minimise, simulable, without_outliers
+from surctl.marine.vehicle.identification.solve import minimise, simulable, spread_out, without_outliers
 from surctl.marine.vehicle.motion_log import LOG_MOTION, LOG_TILT, MotionLog
 from surctl.marine.vehicle.parameters import Vehicle
 
@@ -251,12 +251,8 @@ def drift_trial(log: MotionLog, start: Vehicle, parameters: Array, noise: Array)
         parameters: (p,) scaled parameters of a fit of the whole log with a constant force, where the fits begin.
         noise: (c,) standard deviation of the residuals of that fit.
     """
-    cut = len(log.time) // 2
     try:
-        halves = [
-            MotionLog(log.time[rows], log.motion[rows], log.thrust[rows], log.source)
-            for rows in (slice(0, cut), slice(cut, len(log.time)))
-        ]
+        halves = log.halves(len(log.time) // 2)
         values = [[_values(half, start, parameters, noise, drift=drift) for drift in (False, True)] for half in halves]
     except InputError:  # a half is too short
         return None
@@ -274,7 +270,9 @@ def drift_trial(log: MotionLog, start: Vehicle, parameters: Array, noise: Array)
 
 
 def _values(log: MotionLog, start: Vehicle, parameters: Array, noise: Array, *, drift: bool) -> dict[str, float]:
-    model = Model(log, start, _some(drift_sections_of(log) if drift else sections_of(log)), drift=drift)
+    model = Model(
+        log, start, spread_out(drift_sections_of(log) if drift else sections_of(log), _MOST_STEPS), drift=drift
+    )
     for k, name in enumerate(model.names):
         if name in MASS_OF:
             model.low[k] = -model.start[k] / model.scale[k]
@@ -283,12 +281,6 @@ def _values(log: MotionLog, start: Vehicle, parameters: Array, noise: Array, *, 
     theta = simulable(model, theta, noise, model.sections)
     free = np.ones(model.size, dtype=bool)
     return model.values(minimise(model, theta, noise, model.sections, free=free, tolerance=_ROUGH)[0])
-
-
-def _some(sections: tuple[LogSection, ...]) -> tuple[LogSection, ...]:
-    # sections, spread over the log, with at most `_MOST_STEPS` steps unless one is longer
-    count = int(np.clip(_MOST_STEPS // max(len(s.dt) for s in sections), 1, len(sections)))
-    return tuple(sections[k] for k in np.unique(np.linspace(0, len(sections) - 1, count).round().astype(int)))
 
 
 def _log_ratios(constant: Prediction, drifting: Prediction) -> list[float]:

@@ -6,6 +6,7 @@ the motion within these seven values can explain (Hampel 1974; Pearson 2002). Sl
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -168,11 +169,15 @@ def beginning(model: Model, noise: Array, *, free: NDArray[np.bool_]) -> Array:
 
 
 def _pieces(model: Model, rows: int) -> tuple[LogSection, ...]:
-    # pieces of all sections, spread over the log, with at most `_MOST_STEPS` steps unless one is longer
     pieces = [s.part(k, rows) for s in model.sections for k in range(0, len(s.at), rows)]
     pieces = [s for s in pieces if len(s.dt) >= _LEAST_STEPS and model.present[s.rows].any()] or [model.sections[0]]
-    count = int(np.clip(_MOST_STEPS // max(len(s.dt) for s in pieces), 1, len(pieces)))
-    return tuple(pieces[k] for k in np.unique(np.linspace(0, len(pieces) - 1, count).round().astype(int)))
+    return spread_out(pieces, _MOST_STEPS)
+
+
+def spread_out(sections: Sequence[LogSection], steps: int) -> tuple[LogSection, ...]:
+    """Return sections that are spread over a log, with at most `steps` integration steps unless one is longer."""
+    count = int(np.clip(steps // max(len(s.dt) for s in sections), 1, len(sections)))
+    return tuple(sections[k] for k in np.unique(np.linspace(0, len(sections) - 1, count).round().astype(int)))
 
 
 def simulable(model: Model, theta: Array, noise: Array, sections: tuple[LogSection, ...]) -> Array:

@@ -12,7 +12,7 @@ from pydantic import Field, model_validator
 from surctl.errors import InputError, mistakes_in
 from surctl.files import Strict, read_toml, validate
 from surctl.marine.vehicle.logs.recording import LogRecording, Topic, step_back
-from surctl.marine.vehicle.motion_log import Frame, MotionLog, heading_frame, swap_body, swapped
+from surctl.marine.vehicle.motion_log import Frame, MotionLog, heading_frame, roll_pitch_heading, swap_body, swapped
 from surctl.units import in_unit
 
 Positive = Annotated[float, Field(gt=0)]
@@ -191,19 +191,6 @@ _NORM, _SHARE = 0.05, 0.01  # a quaternion is not of length 1 if more than this 
 _HELD, _HELD_PERIODS = 1.0, 10.0  # a command counts for at most this [s], or these periods
 
 Array = NDArray[np.float64]
-
-
-def roll_pitch_heading(quaternion: Array) -> Array:
-    """Return roll, pitch and heading (n, 3) [rad] of quaternions (n, 4) x, y, z, w from the body to the world frame.
-
-    The angles are those of the order z, y, x (Fossen 2021, section 2.2). The quaternions need not have length 1.
-    """
-    size = np.linalg.norm(quaternion, axis=1, keepdims=True)
-    x, y, z, w = (quaternion / np.where(size > 0, size, np.nan)).T
-    roll = np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
-    pitch = np.arcsin(np.clip(2 * (w * y - z * x), -1.0, 1.0))
-    heading = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
-    return np.column_stack([roll, pitch, heading])
 
 
 def joined(recording: LogRecording, log_map: LogMap, *, map_name: str) -> MotionLog:
