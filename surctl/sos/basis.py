@@ -47,26 +47,16 @@ def parity_classes(basis: Sequence[Monomial], polynomials: Iterable[Polynomial])
     reduced: dict[int, int] = {}
 
     def remainder(mask: int) -> int:
-        while mask and (top := mask.bit_length()) in reduced:
-            mask ^= reduced[top]
+        for top in sorted(reduced, reverse=True):
+            mask ^= reduced[top] if mask >> top & 1 else 0
         return mask
 
-    for polynomial in polynomials:
-        for m in polynomial.terms:
-            mask = remainder(_odd(m))
-            if mask:
-                reduced[mask.bit_length()] = mask
+    for odd in {_odd(m) for polynomial in polynomials for m in polynomial.terms}:
+        if mask := remainder(odd):
+            reduced[mask.bit_length() - 1] = mask
     classes: dict[int, list[Monomial]] = {}
     for m in basis:
-        mask, low = _odd(m), 0
-        while mask:
-            top = mask.bit_length()
-            if top in reduced:
-                mask ^= reduced[top]
-            else:
-                low |= 1 << (top - 1)
-                mask ^= 1 << (top - 1)
-        classes.setdefault(low, []).append(m)
+        classes.setdefault(remainder(_odd(m)), []).append(m)
     return list(classes.values())
 
 
