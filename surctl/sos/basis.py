@@ -126,25 +126,16 @@ def echelon(matrix: fmpq_mat) -> dict[int, list[Fraction]]:
 
 def _rational(rows: NDArray[np.float64]) -> list[list[Fraction]]:
     """Return the reduced rows of a matrix whose rows span a rational subspace; nothing if it is not rational."""
-    reduced: list[list[Fraction]] = []
-    rest, done = rows.copy(), 0
-    while done < len(rest):
-        size = np.abs(rest[done:])
-        if size.max() <= _TINY:
-            break
-        row, column = (int(k) for k in np.unravel_index(np.argmax(size), size.shape))
-        rest[[done, done + row]] = rest[[done + row, done]]
-        rest[done] /= rest[done, column]
-        for other in range(len(rest)):
-            if other != done:
-                rest[other] -= rest[other, column] * rest[done]
-        done += 1
-    for values in rest[:done].tolist():
-        near = [Fraction(x).limit_denominator(_DENOMINATOR) for x in values]
-        if any(abs(float(a) - x) > _TINY for a, x in zip(near, values, strict=True)):
-            return []
-        reduced.append(near)
-    return reduced
+    from scipy.linalg import qr
+
+    if not rows.size:
+        return []
+    _, upper, order = qr(rows, mode="economic", pivoting=True)
+    rank = int((np.abs(np.diag(upper)) > _TINY).sum())
+    reduced = np.empty((rank, rows.shape[1]))
+    reduced[:, order] = np.linalg.solve(upper[:rank, :rank], upper[:rank])
+    near = [[Fraction(x).limit_denominator(_DENOMINATOR) for x in row] for row in reduced.tolist()]
+    return near if np.all(np.abs(np.array(near, dtype=float) - reduced) <= _TINY) else []
 
 
 def pruned(
