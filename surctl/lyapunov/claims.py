@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from decimal import Decimal
 from fractions import Fraction
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import Any
 
 import casadi as ca
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from surctl.errors import InputError
 from surctl.lyapunov.dynamics import Dynamics, Range, exact
 from surctl.verification.claim import Claim, Variable
-from surctl.verification.formula import Node, number, parse, power, text_of, to_casadi, variable
+from surctl.verification.formula import Node, number, power, reread, text_of, to_casadi, variable
 from surctl.verification.proving import Statement
 
 
@@ -332,16 +332,10 @@ def _inequality(
     touching: Mapping[str, Fraction] | None = None,
 ) -> Inequality:
     names = tuple(v.name for v in variables)
-    left, right, *rows = (_reread(node, names) for node in (left, right, *constraints))
+    left, right, *rows = (reread(node, names) for node in (left, right, *constraints))
     lower, upper = _ends(variables)
     exact = Statement(names, lower, upper, left, right, tuple(rows), touching or {})
     return Inequality(name, exact, tuple(variables))
-
-
-@lru_cache(256)
-def _reread(node: Node, names: tuple[str, ...]) -> Node:
-    """Return the expression that a reader of the certificate obtains from the written text."""
-    return parse(text_of(node), {name: variable(name) for name in names})
 
 
 def _ends(variables: Sequence[Range]) -> NDArray[np.float64]:

@@ -47,26 +47,16 @@ def parity_classes(basis: Sequence[Monomial], polynomials: Iterable[Polynomial])
     reduced: dict[int, int] = {}
 
     def remainder(mask: int) -> int:
-        while mask and (top := mask.bit_length()) in reduced:
-            mask ^= reduced[top]
+        for top in sorted(reduced, reverse=True):
+            mask ^= reduced[top] if mask >> top & 1 else 0
         return mask
 
-    for polynomial in polynomials:
-        for m in polynomial.terms:
-            mask = remainder(_odd(m))
-            if mask:
-                reduced[mask.bit_length()] = mask
+    for odd in {_odd(m) for polynomial in polynomials for m in polynomial.terms}:
+        if mask := remainder(odd):
+            reduced[mask.bit_length() - 1] = mask
     classes: dict[int, list[Monomial]] = {}
     for m in basis:
-        mask, low = _odd(m), 0
-        while mask:
-            top = mask.bit_length()
-            if top in reduced:
-                mask ^= reduced[top]
-            else:
-                low |= 1 << (top - 1)
-                mask ^= 1 << (top - 1)
-        classes.setdefault(low, []).append(m)
+        classes.setdefault(remainder(_odd(m)), []).append(m)
     return list(classes.values())
 
 
@@ -136,25 +126,16 @@ def echelon(matrix: fmpq_mat) -> dict[int, list[Fraction]]:
 
 def _rational(rows: NDArray[np.float64]) -> list[list[Fraction]]:
     """Return the reduced rows of a matrix whose rows span a rational subspace; nothing if it is not rational."""
-    reduced: list[list[Fraction]] = []
-    rest, done = rows.copy(), 0
-    while done < len(rest):
-        size = np.abs(rest[done:])
-        if size.max() <= _TINY:
-            break
-        row, column = (int(k) for k in np.unravel_index(np.argmax(size), size.shape))
-        rest[[done, done + row]] = rest[[done + row, done]]
-        rest[done] /= rest[done, column]
-        for other in range(len(rest)):
-            if other != done:
-                rest[other] -= rest[other, column] * rest[done]
-        done += 1
-    for values in rest[:done].tolist():
-        near = [Fraction(x).limit_denominator(_DENOMINATOR) for x in values]
-        if any(abs(float(a) - x) > _TINY for a, x in zip(near, values, strict=True)):
-            return []
-        reduced.append(near)
-    return reduced
+    from scipy.linalg import qr
+
+    if not rows.size:
+        return []
+    _, upper, order = qr(rows, mode="economic", pivoting=True)
+    rank = int((np.abs(np.diag(upper)) > _TINY).sum())
+    reduced = np.empty((rank, rows.shape[1]))
+    reduced[:, order] = np.linalg.solve(upper[:rank, :rank], upper[:rank])
+    near = [[Fraction(x).limit_denominator(_DENOMINATOR) for x in row] for row in reduced.tolist()]
+    return near if np.all(np.abs(np.array(near, dtype=float) - reduced) <= _TINY) else []
 
 
 def pruned(

@@ -22,6 +22,7 @@ from surctl.verification.formula import (
     number,
     parse,
     parse_relation,
+    reread,
     text_of,
     to_casadi,
     variable,
@@ -125,7 +126,7 @@ def load_claim(path: Path) -> Claim:
     rows = [parse_relation(text, known, file=path, key=f"constraints.{k}") for k, text in enumerate(table.constraints)]
     sides = [parse(table.left, known, file=path, key="left"), parse(table.right, known, file=path, key="right")]
     # what a reader of the certificate obtains from its texts
-    parts = [parse(text_of(node), {name: variable(name) for name in names}) for node in (*sides, *rows)]
+    parts = [reread(node, tuple(names)) for node in (*sides, *rows)]
     lower, upper = np.array([(v.lower, v.upper) for v in table.variables.values()], dtype=float).T
     exact = Statement(tuple(names), lower, upper, parts[0], parts[1], tuple(parts[2:]))
     left, right, *casadi_rows = (to_casadi(node, symbols) for node in parts)

@@ -247,11 +247,13 @@ def special_points(statement: Statement) -> Array:
 
 def _at(statement: Statement, values: Mapping[str, float]) -> Pointwise | None:
     """Return the values at a point, each the decimal of its double; None unless it certainly lies in the domain."""
+    at = _in_box(statement, values)
+    return at if at is not None and all(at.at_most_zero(g) for g in statement.constraints) else None
+
+
+def _in_box(statement: Statement, values: Mapping[str, float]) -> Pointwise | None:
     ends = zip(values.values(), statement.lower, statement.upper, strict=True)
-    if not all(low <= x <= high for x, low, high in ends):
-        return None
-    at = _pointwise(values)
-    return at if all(at.at_most_zero(g) for g in statement.constraints) else None
+    return _pointwise(values) if all(low <= x <= high for x, low, high in ends) else None
 
 
 def _pointwise(values: Mapping[str, float]) -> Pointwise:
@@ -260,10 +262,9 @@ def _pointwise(values: Mapping[str, float]) -> Pointwise:
 
 def _undefined(statement: Statement, values: Mapping[str, float]) -> Node | None:
     """Return the operation without a value at a point; None unless the point certainly refutes the statement."""
-    ends = zip(values.values(), statement.lower, statement.upper, strict=True)
-    if not all(low <= x <= high for x, low, high in ends):
+    at = _in_box(statement, values)
+    if at is None:
         return None
-    at = _pointwise(values)
     broken = [node for node in statement.parts if at.value(node) is UNDEFINED]
     others = [g for g in statement.constraints if g not in broken]
     return at.culprit if broken and all(at.at_most_zero(g) for g in others) else None

@@ -22,11 +22,12 @@ from surctl.verification.formula.parser import (
     is_name,
     parse,
     parse_relation,
+    reread,
     text_of,
 )
 
 __all__ = [
     "BRANCHING", "FUNCTIONS", "IDENTIFIER", "Node", "Statement", "derivative", "exact_values", "from_casadi", "is_name",
-    "number", "ordered", "parse", "parse_relation", "power", "rebuilt", "substitute", "text_of", "to_casadi",
+    "number", "ordered", "parse", "parse_relation", "power", "rebuilt", "reread", "substitute", "text_of", "to_casadi",
     "values_of", "variable",
 ]  # fmt: skip

@@ -269,6 +269,12 @@ def text_of(root: Node) -> str:
     return texts[root][0]
 
 
+@lru_cache(256)
+def reread(node: Node, names: tuple[str, ...]) -> Node:
+    """Return the expression of named variables that a reader obtains from the text of an expression."""
+    return parse(text_of(node), {name: variable(name) for name in names})
+
+
 _LONG_NUMBER = re.compile(r"(?<![\w.])(?=\d*\.)((?:0?\.0*)?[1-9](?:\.?\d){16})\d+(?![\w.])")
 
 

@@ -20,11 +20,9 @@ from surctl.verification.formula import (
     from_casadi,
     number,
     ordered,
-    parse,
     power,
     rebuilt,
-    text_of,
-    variable,
+    reread,
 )
 from surctl.verification.proving.algebra import Algebra, Ratio, TooLarge, Written
 from surctl.verification.proving.intervals import Ends
@@ -68,9 +66,7 @@ def statement_of(claim: Claim) -> Statement:
     names = tuple(v.name for v in claim.variables)
     rows = [claim.constraints[k] for k in range(claim.constraints.numel())]
     nodes = from_casadi(claim.symbols, names, [claim.left, claim.right, *rows])
-    # parse the written text, so that the expressions are those that a reader of the certificate obtains
-    known = {name: variable(name) for name in names}
-    nodes = [parse(text_of(node), known) for node in nodes]
+    nodes = [reread(node, names) for node in nodes]  # as a reader of the certificate obtains them
     return Statement(names, claim.lower, claim.upper, nodes[0], nodes[1], tuple(nodes[2:]))
 
 
