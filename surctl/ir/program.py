@@ -214,6 +214,10 @@ class Program:
         if any(not 0 <= r < len(self.instructions) for refs in self.output_refs for r in refs):
             raise InputError("an output refers outside the instruction list", key=self.name)
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Pickle all but the function of Python that `replay` keeps here: it belongs to its process."""
+        return {name: value for name, value in self.__dict__.items() if name != "_python"}
+
     def _problem(self, at: int, instruction: Instruction) -> str:
         op, args = instruction.op, instruction.args
         if op == "const":

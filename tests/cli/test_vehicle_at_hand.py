@@ -136,7 +136,6 @@ def test_a_run_that_arrives_on_an_unstable_loop_says_so() -> None:
         result = run.to_dict()
         lines = loop_lines_of_run(run, result)
         assert result["linear"]["stable"] is stable and bool(lines) is bool(told) and told in "".join(lines)
-        assert set(result["attitude"]) >= {"crab_angle_deg", "heading_error_deg", "oscillates"}
     run = simulate(fast, WU, gains=GAINS, law=build_law())
     assert "the linear loop at 0.47 m/s is unstable" in loop_lines_of_run(run, {})[0]
     held = replace(run, law=build_law("calm"))

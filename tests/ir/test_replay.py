@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import pickle
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -16,6 +18,13 @@ def test_a_batch_is_its_rows() -> None:
     assert batch.shape == (50, len(EXACT | LIBM_MAKERS))
     for k, row in enumerate(rows):
         np.testing.assert_allclose(batch[k], replay(program, row)[0], rtol=1e-14, atol=1e-15)
+
+
+def test_a_program_that_ran_is_pickled_as_one_that_did_not() -> None:
+    program = lower(whole(EXACT))
+    fresh = pickle.dumps(program)
+    replay(program, np.ones(4))
+    assert pickle.dumps(program) == fresh
 
 
 def test_single_precision_rounds_every_intermediate() -> None:
