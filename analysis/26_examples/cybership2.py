@@ -108,7 +108,7 @@ def main() -> int:
         free = replace(system, controller=replace(law, law=partial(positioning, limited=False)))
         within = {"eta[0]": (-2.0, 2.0), "nu[0]": (-1.0, 1.0), "controller.total[0]": (-4.0, 4.0)}
         claim = find_stability(continuous_dynamics(free, within, values=tuned.gains), degree=2, time_limit=20.0)
-        print("claim, motion along the hull below the limits:", claim.line())
+        print(f"claim, motion along the hull below the limits: {claim.verdict}: {claim.volume:.0%} of the box")
     record = run_system(system, 60.0, {**tuned.gains, **load, "start.eta": [[1.5, -1.0, 0.8]]})
     print(f"one run: within 0.05 m from {record['settling']:.1f} s on")
     report = software_in_the_loop(law, record)

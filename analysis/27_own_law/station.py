@@ -107,7 +107,9 @@ def main() -> int:
         print(f"margins: not judged, the run {error.problem}")
 
     claim = find_stability(speed_error(), degree=2)
-    print(f"claim, speed error in continuous time, without lag and limit: {claim.line()}")
+    print(
+        f"claim, speed error in continuous time, without lag and limit: {claim.verdict}: {claim.volume:.0%} of the box"
+    )
     proved = claim.verdict == "proved" and check_document(dict(claim.decision.document)).accepted
     return 0 if run.metrics.reached and exact and proved else 1
 

@@ -107,12 +107,12 @@ def main() -> int:
     record = run.record
     print(f"one run: {run.metrics.stopped_because} at {run.metrics.time_s:.1f} s")
     loop = law_loop(run.law, VEHICLE, gains, cruise=scenario.cruise, at=steady_motion(run))
-    print(*loop.lines(), sep="\n")
+    print(loop.head, *(margin.line() for margin in loop.margins), sep="\n")
     report = software_in_the_loop(built, Records(record.law_state, record.law_input, record.law_parameters))
     print(report.summary())
 
     claim = find_stability(distance(), degree=2)
-    print(f"claim, without thrust lag, while no thrust is at its limit: {claim.line()}")
+    print(f"claim, without thrust lag, while no thrust is at its limit: {claim.verdict}: {claim.volume:.0%} of the box")
     proved = claim.verdict == "proved" and check_document(dict(claim.decision.document)).accepted
     return 0 if run.metrics.reached and loop.stable and report.exact and proved else 1
 

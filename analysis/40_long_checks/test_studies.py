@@ -13,6 +13,13 @@ def test_an_example_of_a_ship_an_rov_or_a_quadrotor(example: str) -> None:
     examine_example(example)
 
 
+@pytest.mark.parametrize("law", ["wall", "station"])
+def test_a_law_of_ones_own_goes_through_the_chain_by_python(law: str) -> None:
+    need_compiler()
+    done = run(ANALYSIS / "27_own_law" / f"{law}.py", "--quick")
+    assert done.returncode == 0 and "\nclaim, " in done.stdout, done.stdout + done.stderr
+
+
 def test_by_sonar_the_way_through_the_pool_is_longer_and_takes_longer() -> None:
     need_compiler()
     done = run(ANALYSIS / "17_pool_static_limits" / "run.py", "--quick")
@@ -25,7 +32,7 @@ def test_by_sonar_the_way_through_the_pool_is_longer_and_takes_longer() -> None:
 def test_a_run_with_the_echo_model_of_smooth_walls() -> None:
     done = run(ANALYSIS / "33_echoes" / "run.py", "--quick")
     assert done.returncode == 0, done.stdout + done.stderr
-    rows = [row for row in table(done.stdout) if len(row) == 8][1:]
+    rows = [row for row in table(done.stdout) if len(row) == 9][1:]
     assert [row[:2] for row in rows] == [["`pool-behind`", "specular"]] and sum(map(int, rows[0][2:6])) == 2
 
 
