@@ -98,9 +98,9 @@ class _Steps:
         while self.lanes < _WIDEST and self.block % (2 * self.lanes) == 0:
             self.lanes *= 2
         self.programs = MapPrograms(local_map, self.lanes)
-        self.limits, self.explained, self.explained_next, self.idle = (
+        self.limits, self.explained, self.explained_next, self.idle, self.clean = (
             tuple(f"{name}_{s}" for s in range(local_map.slots))
-            for name in ("limits", "explained", "explained_next", "idle")
+            for name in ("limits", "explained", "explained_next", "idle", "clean")
         )
         # base of a column or row, then its beam for each firing
         self.columns, self.rows = (
@@ -248,17 +248,24 @@ class _Steps:
     def _change_block(self) -> Routine:
         last, bounds = ("marked_next", "unknown_next", "cells_next"), ("row_bounds", "column_bounds")
         touched = [f"cells_{k}" for k in range(self.local_map.slots + 1)]
-        fade, observe, cover = self.programs.fade(), self.programs.observe(), self.programs.cover()
-        idle = Call(self.programs.idle(), (*bounds, *self.limits, "hull"), (*self.idle, "idle_hull"))
-        rows = Loop(self._over_row(fade), self.block, (), ("cells_0",), sliced=("cells", "row"), fixed=("column",))
-        steps: list[Step] = [rows, idle]
-        observe_block = self._over_block(observe)
-        for s, explained in enumerate(self.explained):
-            beams = (f"row_beam_{s}", f"column_beam_{s}", self.limits[s], explained)
-            results = (f"observed_{s}", touched[s + 1])
-            steps.append(Loop(observe_block, 1, (self.idle[s], touched[s]), results, fixed=beams, until=0))
+        flags = (*self.idle, *self.clean, "idle_hull", "unmarked", "with_marks")
+        tally, cover = self.programs.tally(), self.programs.cover()
         fixed, count = ("row", "column", "hull"), self.block * self.block // self.lanes
-        tally = self.programs.tally()
+        steps: list[Step] = [
+            Loop(self.programs.most(), count, ("zeros",), ("most",), sliced=("cells",), lanes=self.lanes),
+            Call(self.programs.idle(), (*bounds, *self.limits, "hull", "most"), flags),
+        ]
+        rise, fade = (self._over_block(self.programs.fade(marks=marks)) for marks in (False, True))
+        steps += [
+            Loop(rise, 1, ("with_marks", "cells"), ("risen", "cells_risen"), fixed=fixed[:2], until=0),
+            Loop(fade, 1, ("unmarked", "cells_risen"), ("faded", touched[0]), fixed=fixed[:2], until=0),
+        ]
+        clear, observe = self._over_block(self.programs.clear()), self._over_block(self.programs.observe())
+        for s, explained in enumerate(self.explained):
+            beams, cleared = (f"row_beam_{s}", f"column_beam_{s}", self.limits[s]), f"cleared_{s}"
+            done = (f"emptied_{s}", cleared), (f"observed_{s}", touched[s + 1])
+            steps.append(Loop(clear, 1, (self.clean[s], touched[s]), done[0], fixed=beams, until=0))
+            steps.append(Loop(observe, 1, (self.idle[s], cleared), done[1], fixed=(*beams, explained), until=0))
         steps += [
             Loop(self._over_block(cover), 1, ("idle_hull", touched[-1]), ("covered", last[-1]), fixed=fixed, until=0),
             Loop(tally, count, ("zeros", "zeros"), ("largest", "count"), sliced=last[-1:], lanes=self.lanes),

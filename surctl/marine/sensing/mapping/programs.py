@@ -202,16 +202,25 @@ class MapPrograms:
         return lower_named("columns_bounds" if columns else "rows_bounds", inputs, {"bounds": ca.vertcat(*bounds)})
 
     def idle(self) -> Program:
-        """Program that tests whether a firing changes no cell of a block, and whether the hull covers none of them."""
+        """Program that tests which programs a block does not need: `observe`, `clear` (per firing), `cover`, two fades.
+
+        Where a block has no marks and no firing can mark one, `clear` is enough instead of `observe`.
+        """
         row, column = (ca.SX.sym(name, self.bounds_size) for name in ("row_bounds", "column_bounds"))
-        limits, hull = self._limits(), ca.SX.sym("hull", 2)
-        outputs = {}
+        limits, hull, most = self._limits(), ca.SX.sym("hull", 2), ca.SX.sym("most", self.lanes)
+        unmarked = reduce(ca.fmax, ca.vertsplit(most)) <= 0
+        plain, untouched = unmarked, []
         for s, limit in enumerate(limits):
             beside, least, arc = self._bounded(row, column, limit, s)
-            untouched = ca.logic_or(beside, ca.logic_and(arc, least >= limit["clear"]))
-            outputs[f"idle_{s}"] = ca.logic_and(untouched, limit["regular"])
+            off = ca.logic_or(beside, ca.logic_and(arc, least >= limit["clear"]))
+            untouched.append(ca.logic_and(off, limit["regular"]))
+            plain = ca.logic_and(plain, ca.logic_and(ca.logic_or(beside, arc), limit["regular"]))
+        outputs = {f"idle_{s}": ca.logic_or(off, plain) for s, off in enumerate(untouched)}
+        outputs |= {f"clean_{s}": ca.logic_or(off, ca.logic_not(plain)) for s, off in enumerate(untouched)}
         outputs["idle_hull"] = row[0] + column[0] >= hull[0]
-        inputs = {"row_bounds": row, "column_bounds": column, **self._limit_symbols(limits), "hull": hull}
+        outputs |= {"unmarked": unmarked, "with_marks": ca.logic_not(unmarked)}
+        bounds = {"row_bounds": row, "column_bounds": column}
+        inputs = {**bounds, **self._limit_symbols(limits), "hull": hull, "most": most}
         return lower_named("idle", inputs, outputs)
 
     def blank_arc(self) -> Program:
@@ -243,11 +252,20 @@ class MapPrograms:
 
     # --- what happens to a cell ---------------------------------------------------------------------------------------
 
-    def fade(self) -> Program:
-        """Program that computes a cell's value after a period in which no firing observes the cell."""
+    def most(self) -> Program:
+        """Program that computes the largest value of a block's cells; above 0 the block has a mark."""
+        most, value = ca.SX.sym("most"), ca.SX.sym("value")
+        return lower_named("most", {"most": most, "cells": value}, {"most_next": ca.fmax(most, value)})
+
+    def fade(self, *, marks: bool) -> Program:
+        """Program that computes a cell's value after a period in which no firing observes the cell.
+
+        Without `marks` the cell must not be marked.
+        """
         value, column, row = ca.SX.sym("value"), ca.SX.sym("column", BASE), ca.SX.sym("row", BASE)
         inputs = {"cells": value, "column": column, "row": row}
-        return lower_named("fade", inputs, {"faded": self._faded(value, column, row)})
+        faded = self._faded(value, column, row) if marks else self._risen(value, column, row)
+        return lower_named("fade" if marks else "rise", inputs, {"faded": faded})
 
     def seek(self) -> Program:
         """Program that tests whether a cell may have caused an echo: it is on the arc and not known to be free."""
@@ -262,6 +280,15 @@ class MapPrograms:
             **{"row": row, "row_beam": down, "limits": limits},
         }
         return lower_named("seek", inputs, {"hit_next": after})
+
+    def clear(self) -> Program:
+        """Program that computes the value of a cell without a mark after a firing that marks nothing near it."""
+        value = ca.SX.sym("value")
+        _, across, _, down = self._cell()
+        limits = ca.SX.sym("limits", len(LIMITS))
+        free = in_front(cell_line(across, down), named_limits(limits), value)
+        inputs = {"cells": value, "column_beam": across, "row_beam": down, "limits": limits}
+        return lower_named("clear", inputs, {"after": ca.if_else(free, -1, value)})
 
     def observe(self) -> Program:
         """Program that computes a cell's value after a firing."""
@@ -371,9 +398,12 @@ class MapPrograms:
         group, lane = divmod(column, self.lanes)
         return (group * size + entry) * self.lanes + lane
 
+    def _risen(self, value: ca.SX, column: ca.SX, row: ca.SX) -> ca.SX:
+        return ca.fmin(value * (row[2] * column[2]) + self.fades[1], 0)
+
     def _faded(self, value: ca.SX, column: ca.SX, row: ca.SX) -> ca.SX:
         old = value * (row[2] * column[2])
-        after = ca.fmin(old + self.fades[1], 0)
+        after = self._risen(value, column, row)
         return ca.if_else(old > 0, ca.if_else(level(old) <= self.fades[0], 0, old - self.fades[0]), after)
 
     @staticmethod
