@@ -348,13 +348,17 @@ class RegionWords:
         Raises:
             InputError: see `sampled_dynamics`; or the function, the level or the rate is not valid.
         """
+        import numpy as np
+
         from surctl.lyapunov import Problem, sampled_dynamics
         from surctl.lyapunov.equilibrium import require_common
+        from surctl.system.values import default_of
         from surctl.verification.formula import parse, variable
 
         try:
             dynamics = sampled_dynamics(system, self.within, values=values, ranges=self.ranges)
-            require_common(dynamics, {**system.ranges, **self.ranges})
+            own = {name: default_of(system, name) for name in {**system.ranges, **self.ranges}}
+            require_common(dynamics, {name: float(np.ravel(values.get(name, one))[0]) for name, one in own.items()})
         except NotApplicable as reason:
             return reason
         numbers: dict[str, float | None] = {}

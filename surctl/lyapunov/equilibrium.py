@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
+from types import MappingProxyType
 
 import numpy as np
 from flint import fmpq, fmpq_mat
@@ -191,10 +192,11 @@ def exact_root(rates: Sequence[Node], near: Mapping[str, Fraction], moving: Sequ
     return root if end is not None and not any(end) else None
 
 
-def require_common(dynamics: Dynamics, names: Collection[str] = ()) -> None:
+def require_common(dynamics: Dynamics, values: Mapping[str, float] = MappingProxyType({})) -> None:
     """Raise NotApplicable unless the equilibrium lies inside the box and is one for all parameters.
 
-    Of the `names` in the message, those of a system such as `plant.mass` replace `plant_mass` of its dynamics.
+    `values` are those of a system's parameters: the message names `plant.mass` for `plant_mass` of its dynamics, and
+    proposes its value. For other parameters it proposes the middle of the range.
     """
     d = dynamics
     for s in d.states:
@@ -204,9 +206,9 @@ def require_common(dynamics: Dynamics, names: Collection[str] = ()) -> None:
     if not d.rests():
         middle = [replace(p, lower=m, upper=m) for p, m in zip(d.parameters, d.ranges.mean(axis=0), strict=True)]
         alone = [(*middle[:k], p, *middle[k + 1 :]) for k, p in enumerate(d.parameters)]
-        typed = {re.sub(r"\W+", "_", name): name for name in names}
+        typed = {re.sub(r"\W+", "_", name): name for name in values}
         held = [m for m, one in zip(middle, alone, strict=True) if not replace(d, parameters=one).rests()] or middle
-        moving = {typed.get(p.name, p.name): f"{p.lower:.6g}" for p in held}
+        moving = {(name := typed.get(p.name, p.name)): f"{values.get(name, p.lower):.6g}" for p in held}
         words = " ".join(f"{name}={value}..{value}" for name, value in moving.items())
         because = f"its equilibrium moves with {', '.join(moving)}, and a region is about one point: give {words}"
         because += f" (the proof then holds for {'this value' if len(moving) == 1 else 'these values'} only)"
