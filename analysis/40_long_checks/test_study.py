@@ -30,7 +30,7 @@ def test_the_study_of_a_rudder_craft_tells_margins_missions_and_limits(
     texts = [note.text for note in study.notes]
     for words in (
         "disk margin",
-        "mass off by ±5% and drag by ±20%",
+        "ranges of mass ±5% and of drag ±20%",
         "nothing at rest",
         "crab angle",
     ):
@@ -70,7 +70,9 @@ def test_only_flights_by_the_exported_law_are_replayed_and_claims_that_do_not_ap
     (tmp_path / "wide.toml").write_text(WIDE)
     done = surctl("study", "main.toml", "--json", cwd=tmp_path)
     data = done.json
-    assert done.status == 0 and data["passed"]
+    assert done.status == 1  # with the set `default`, the loop margins and the gain `margin` are too small
+    failing = [line["about"] for line in data["assessment"]["lines"] if line["passed"] is False]
+    assert failing == ["margins", "runs", "runs", "sweep", "margins"]
     # at tank-speed-015 the cap is the cruise speed: no claim about catching up
     left_out = [v["claim"] for v in data["verdicts"] if v["verdict"] == "not applicable"]
     assert left_out == ["v1-speed-cap", "v1-speed-cap-region"]
@@ -79,7 +81,7 @@ def test_only_flights_by_the_exported_law_are_replayed_and_claims_that_do_not_ap
     assert set(runs) == {(name, how) for name in ("tank-speed-015", "wide") for how in ("truth", "sonar")}
     for (name, how), run in runs.items():
         assert run["vehicle"] == ("sur540-flooded" if name.startswith("tank") else "sur400")
-        assert run["decides"] == (how == "truth") and (how == "sonar" or run["reached"])
+        assert run["decides"] == (how == "sonar") and run["reached"]
     (report,) = data["export"]["sil"]
     assert report["scenario"] == "tank-speed-015" and report["passed"] and report["fault_failures"] == []
     assert max(report["tau"], report["state"], report["telemetry"]) == 0.0
