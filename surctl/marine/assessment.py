@@ -329,7 +329,7 @@ def _slow_figures(slow: OverSpeeds) -> tuple[Figure, ...]:
     rows = (("disk_margin", "1", "least disk margin"), ("delay_margin_s", "s", "least delay margin of one loop alone"))
     worst = ((name, unit, what, *slow.worst(name)) for name, unit, what in rows)
     return tuple(
-        Figure(f"slow_{name}", value, unit, f"{what} {text}", "high", where=f"at {speed:.3g} m/s")
+        Figure(f"slow_{name}", value, unit, f"{what} {text}", "high", where=f"{speed:.3g} m/s")
         for name, unit, what, value, speed in worst
     )
 
