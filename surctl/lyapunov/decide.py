@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property, partial
 from typing import Any, Literal
@@ -24,7 +24,7 @@ from surctl.verification.claim import Claim
 from surctl.verification.decide import confirmed
 from surctl.verification.doubtful import undefined_at
 from surctl.verification.falsifier import search, sobol
-from surctl.verification.formula import BRANCHING, ordered, text_of, values_of
+from surctl.verification.formula import FUNCTIONS, ordered, text_of, values_of
 from surctl.verification.proving import prove_cases
 
 Array = NDArray[np.float64]
@@ -137,8 +137,8 @@ def prove_motion(
     if isinstance(claim, Stability) and inexact(claim.dynamics):
         decision = prove_by_slopes(claim, time_limit=time_limit)
         return decision if decision.verdict == "proved" else replace(decision, reason=f"{decision.reason}; {_ROUGH}")
-    branches = has_branches(claim.dynamics)
-    if branches and not isinstance(claim, Safety):
+    first = not isinstance(claim, Safety) and has_any(claim.dynamics, FUNCTIONS)
+    if first:
         decision = prove_by_slopes(claim, time_limit=_SLOPES * time_limit)
         if decision.verdict == "proved":
             return decision
@@ -170,16 +170,16 @@ def prove_motion(
             if checked.accepted:
                 return Decision(claim, "proved", document, "", {}, time.perf_counter() - began, checked.vacuous)
             reason, proofs = f"the checker rejects the proof: {checked.reason}", {}
-    if not (branches or isinstance(claim, Safety)) and (rest := time_limit - (time.process_time() - worked)) > 0:
+    if not (first or isinstance(claim, Safety)) and (rest := time_limit - (time.process_time() - worked)) > 0:
         decision = prove_by_slopes(claim, time_limit=rest)
         if decision.verdict == "proved":
             return replace(decision, seconds=time.perf_counter() - began)
     return Decision(claim, "unknown", {}, reason, {}, time.perf_counter() - began)
 
 
-def has_branches(dynamics: Dynamics) -> bool:
-    """Return whether the rates contain limits or other cases, which multiply the work of other rules than slopes."""
-    return any(node.op in BRANCHING for node in ordered(*dynamics.rates))
+def has_any(dynamics: Dynamics, operations: Collection[str]) -> bool:
+    """Return whether the rates contain one of the operations; functions cost other rules more work than slopes."""
+    return any(node.op in operations for node in ordered(*dynamics.rates))
 
 
 def prove_by_slopes(claim: Stability | Bound, *, time_limit: float, feedbacks: Array | None = None) -> Decision:

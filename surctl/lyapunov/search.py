@@ -9,7 +9,7 @@ from typing import Literal
 
 from surctl.lyapunov.candidates import Candidate, candidates, strict_variants
 from surctl.lyapunov.claims import Stability
-from surctl.lyapunov.decide import Decision, decide_motion, has_branches, prove_by_slopes, prove_motion
+from surctl.lyapunov.decide import Decision, decide_motion, has_any, prove_by_slopes, prove_motion
 from surctl.lyapunov.dynamics import Dynamics
 from surctl.lyapunov.equilibrium import Linear, inexact, linearisation
 from surctl.lyapunov.falsified import Falsified, least_level
@@ -18,7 +18,7 @@ from surctl.lyapunov.rays import hugged
 from surctl.lyapunov.sampled import sampled_region
 from surctl.lyapunov.slope_search import LABEL as SLOPES
 from surctl.lyapunov.slope_search import form_of, relative_volume, slope_candidate
-from surctl.verification.formula import Node, ordered, text_of
+from surctl.verification.formula import BRANCHING, Node, ordered, text_of
 
 _SHARES = (0.005, 0.02, 0.1, 0.3, 0.5, 0.7, 0.8, 0.9, 0.95, 0.97, 0.99)  # of the least level with a counterexample
 _FIRST, _PART = 7, 0.4  # index of the share that is tried first; share of the remaining time for one level
@@ -145,7 +145,7 @@ def find_stability(
         if _jumps(d.rates):
             return StabilityResult("unknown", f"no region of the sampled loop is proved, and the law {_JUMPS}")
     few = len(d.states) <= _FEW
-    hard = has_branches(d) or len(d.variables) > _MANY or inexact(d)
+    hard = has_any(d, BRANCHING) or len(d.variables) > _MANY or inexact(d)
     if searched and hard:
         slopes = search.by_slopes(time_limit)
         if slopes is not None and (first or not few):
