@@ -137,8 +137,8 @@ def prove_motion(
     if isinstance(claim, Stability) and inexact(claim.dynamics):
         decision = prove_by_slopes(claim, time_limit=time_limit)
         return decision if decision.verdict == "proved" else replace(decision, reason=f"{decision.reason}; {_ROUGH}")
-    first = not isinstance(claim, Safety) and has_any(claim.dynamics, FUNCTIONS)
-    if first:
+    first = has_any(claim.dynamics, FUNCTIONS)
+    if first and not isinstance(claim, Safety):
         decision = prove_by_slopes(claim, time_limit=_SLOPES * time_limit)
         if decision.verdict == "proved":
             return decision
