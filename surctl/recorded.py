@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from surctl.errors import InputError, nearest
 
-__all__ = ["NO_HEADER", "Recorded", "file_bytes", "read_recorded", "read_unnamed", "shown", "xml_root"]
+__all__ = ["LARGEST_XML", "NO_HEADER", "Recorded", "file_bytes", "read_recorded", "read_unnamed", "shown", "xml_root"]
 
 _Contents = tuple[dict[str, Any], str]
 """The variables by name, and the text of the file's variable or attribute `frame`."""
@@ -196,7 +196,9 @@ def _number_remedy(cell: str) -> str:
 
 
 def xml_root(raw: bytes, *, file: object, remedy: str) -> ElementTree.Element:
-    """Return the root of an XML file, without the prefixes of namespaces; the file declares its encoding.
+    """Return the root of an XML file; names with the prefix of the root lose it, and others keep theirs.
+
+    The file declares its encoding. An element of another namespace, such as `drake:joint` in URDF, is no `joint`.
 
     Raises:
         InputError: the file declares a document type, which may expand without bound; contains xacro macros; or is not
@@ -221,11 +223,14 @@ def xml_root(raw: bytes, *, file: object, remedy: str) -> ElementTree.Element:
         raise InputError(f"is not XML ({error})", file=shown(file), remedy=remedy) from None
     except InputError as error:
         raise error.inside(shown(file)) from None
+    own = root.tag.rpartition(":")[0]
     for element in root.iter():
-        prefix, _, element.tag = element.tag.rpartition(":")
+        prefix, _, name = element.tag.rpartition(":")
         if prefix == "xacro":
             remedy = "expand them: xacro FILE > robot.urdf"
             raise InputError("contains xacro macros", file=shown(file), remedy=remedy)
+        if prefix == own:
+            element.tag = name
     return root
 
 
@@ -344,6 +349,10 @@ def read_unnamed(path: Path, columns: Sequence[str], *, skip: int = 0) -> Record
         raise InputError("has no rows", file=shown(path), remedy="check the file and skip_lines")
     named = dict(zip(columns, (list(cells) for cells in zip(*rows, strict=True)), strict=True))
     return Recorded(path=path, columns=named, lines=np.array(lines))
+
+
+LARGEST_XML = 20_000_000
+"""Largest size [bytes] of an XML or plan file that is read; the largest public URDF files have some megabytes."""
 
 
 def file_bytes(path: Path, *, remedy: str = "check the path and its permissions", most: int = 0) -> bytes:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError, check_known, mistakes_in, nearest
-from surctl.recorded import file_bytes, xml_root
+from surctl.recorded import LARGEST_XML, file_bytes, xml_root
 
 # Capsules (and spheres) around the links of a robot, and the distance between two of them
 
@@ -122,7 +122,6 @@ def _share(value: ca.SX) -> ca.SX:
 
 JointType: TypeAlias = Literal["fixed", "revolute", "continuous", "prismatic", "planar", "floating"]
 
-_LARGEST = 20_000_000  # bytes; the largest public URDF files have some megabytes
 _INERTIA = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 _ROUNDED = 1e-12  # kg, kg m²; public files have inertias of -5e-20
 _SNAP = 1e-12  # sines and cosines this near to 0 or ±1 come from rounding of a right angle
@@ -239,7 +238,9 @@ def read_xml(path: Path, tag: str) -> Element:
     Raises:
         InputError: the file cannot be read or parsed, or is too large.
     """
-    root = xml_root(file_bytes(path, remedy="give a URDF or SRDF file", most=_LARGEST), file=path, remedy="correct it")
+    root = xml_root(
+        file_bytes(path, remedy="give a URDF or SRDF file", most=LARGEST_XML), file=path, remedy="correct it"
+    )
     if root.tag != tag:
         raise InputError(f"begins with <{root.tag}>", file=path, remedy=f"give a file that begins with <{tag}>")
     return root

@@ -115,6 +115,13 @@ def test_a_mistake_in_the_arguments_gives_one_line(tmp_path: Path) -> None:
         assert problem in str(caught.value) and "\n" not in str(caught.value)
 
 
+def test_elements_of_other_namespaces_are_no_urdf(tmp_path: Path) -> None:
+    foreign = '<ext:axis xyz="0 1 0"/><drake:limit lower="-1" upper="1"/><ext:mimic joint="j"/>'
+    more = '<viz:link name="a"/><drake:joint name="d" type="universal"/>'
+    urdf = read_urdf(written(tmp_path, AB, more, joint("j", "a", "b", more=foreign)))
+    assert repr(urdf) == repr(read_urdf(written(tmp_path, AB, joint("j", "a", "b"))))
+
+
 def test_a_shape_inside_another_is_left_out(tmp_path: Path) -> None:
     ends = "".join(
         f'<collision><origin xyz="0 0 {z}"/><geometry><sphere radius="{r}"/></geometry></collision>'

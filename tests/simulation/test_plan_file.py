@@ -103,6 +103,8 @@ def test_files_that_are_no_mission(name: str, text: str, fragment: str, tmp_path
     assert "\n" not in str(caught.value)
     with pytest.raises(InputError, match="no such file"):
         read_mission(tmp_path / "gone.plan")
+    with pytest.raises(InputError, match="is not a file"):  # a device may never end
+        read_mission(Path("/dev/null"))
 
 
 def test_what_a_plan_leaves_out_is_said(tmp_path: Path) -> None:

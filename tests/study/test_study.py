@@ -294,6 +294,8 @@ def test_cruise_speeds_of_a_study_are_checked_when_it_is_read(tmp_path, speeds, 
     assert load_plan(str(tmp_path / "s.toml")).at_speeds([0.2, 0.05], key="--cruise").cruise == (0.05, 0.2)
     with pytest.raises(InputError, match=r"--cruise = 0\.9: is above the cap"):
         load_plan(str(tmp_path / "s.toml")).at_speeds([0.9], key="--cruise")
+    with pytest.raises(InputError, match="--cruise: does not apply to law steered"):
+        load_plan(vehicle="remus100").at_speeds([0.4], key="--cruise")
 
 
 @pytest.mark.parametrize("speed", ["0.9", "0.0", "nan", "inf"])

@@ -96,6 +96,8 @@ def test_models_that_cannot_be_used(change: tuple[str, str], fragment: str, tmp_
     assert "\n" not in str(caught.value)
     with pytest.raises(InputError, match="no such file"):
         gazebo_vehicle(tmp_path / "gone.sdf", "auv", **GIVEN)
+    with pytest.raises(InputError, match="is not a file"):  # a device may never end
+        gazebo_vehicle(Path("/dev/null"), "auv", **GIVEN)
 
 
 def test_the_link_is_chosen(tmp_path: Path) -> None:

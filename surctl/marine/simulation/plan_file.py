@@ -17,7 +17,7 @@ from surctl.errors import InputError
 from surctl.files import quoted
 from surctl.marine.simulation.route import MAX_POINTS
 from surctl.marine.simulation.scenario import scenario_from_table
-from surctl.recorded import file_bytes, shown, xml_root
+from surctl.recorded import LARGEST_XML, file_bytes, shown, xml_root
 
 _AXIS, _FLATTENING = 6378137.0, 1 / 298.257223563  # WGS 84
 _ABOVE_SEA, _ABOVE_HOME, _ABOVE_TERRAIN = (0, 5), (3, 6), (10, 11)  # frames of MAVLink
@@ -144,7 +144,7 @@ def read_mission(path: Path) -> Mission:
     of the geofence that exclude; the home position is at the surface. Of a GPX file it takes the first route, else the
     first track, else the waypoints. Everything else that changes the motion, such as hold times, is in the notes.
     """
-    raw = file_bytes(path, remedy="give a .plan or .gpx file")
+    raw = file_bytes(path, remedy="give a .plan or .gpx file", most=LARGEST_XML)
     content = _gpx(raw, path) if path.suffix.lower() == ".gpx" else _plan(raw, path)
     places, notes = content.places, tuple(content.notes)
     if len(places) > MAX_POINTS:

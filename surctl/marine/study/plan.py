@@ -22,6 +22,7 @@ from surctl.marine.tuning import Derivation, Goal, default_cruise, gains_for, lo
 from surctl.marine.tuning.derived import shared_gains
 from surctl.marine.tuning.goals import goals_from_tables
 from surctl.marine.vehicle import Vehicle, load_vehicle
+from surctl.marine.verification.cruise_loop import has_cruise_loop
 from surctl.marine.verification.library import applicable_claims
 from surctl.marine.verification.speeds import check_held, cruise_speeds
 from surctl.tuning import Axis, GoalTable
@@ -244,6 +245,9 @@ class Plan:
 
     def at_speeds(self, cruise: Sequence[float], *, key: str) -> Plan:
         """Return the plan whose linear loops are judged at these speeds [m/s]; InputError of `key` for a wrong one."""
+        if not has_cruise_loop(self.law, "los"):
+            problem = f"does not apply to law {self.law}, whose margins are judged at the cruise speeds of the missions"
+            raise InputError(problem, key=key, remedy="drop it; surctl verify --cruise takes other speeds")
         cruise = cruise_speeds(cruise, key=key)
         for leg in self.deciding:
             check_held(cruise, leg.vehicle, cap=leg.scenario.cap, key=key)

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from surctl.errors import InputError, check_known
 from surctl.marine.vehicle.parameters import Parameter, Vehicle
 from surctl.marine.vehicle.specs import PARAMETERS, TERMS, parameter_spec, undamped
-from surctl.recorded import file_bytes, shown, xml_root
+from surctl.recorded import LARGEST_XML, file_bytes, shown, xml_root
 
 _AXES = (0, 1, 2, 5)  # surge, sway, heave and yaw among the six degrees of freedom
 _FORCES, _RATES = "xyzkmn", "uvwpqr"
@@ -71,7 +71,7 @@ def gazebo_vehicle(
         thrust_lag: time constant of the thrust [s].
         link: name of the link; default: the only one with hydrodynamics.
     """
-    raw = file_bytes(path, remedy="give an SDF or URDF file")
+    raw = file_bytes(path, remedy="give an SDF or URDF file", most=LARGEST_XML)
     bodies = _bodies(xml_root(raw, file=path, remedy="correct that line"), path)
     chosen = _chosen(bodies, link, path)
     body = bodies[chosen]

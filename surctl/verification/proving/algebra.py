@@ -21,6 +21,8 @@ from surctl.verification.formula.node import PI
 MOST_TERMS = 1500
 """Largest number of terms of a polynomial; its variables are the atoms of `Algebra`, by index."""
 
+_MOST_EXPONENT = 4096
+
 
 class TooLarge(Exception):
     """Error: a polynomial has too many terms, or an operation has no normal form."""
@@ -193,6 +195,8 @@ class Algebra:
             return self._power(self.inverse(a, words=words), -exponent, words)
         if not exponent:
             return Ratio(Polynomial.constant(1))
+        if exponent * max((e for m in a.over.terms for _, e in m), default=1) > _MOST_EXPONENT:
+            raise TooLarge  # the work grows with the exponent
         result = a
         for _ in range(exponent - 1):
             result = self.times(result, a)

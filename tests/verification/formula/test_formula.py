@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from mpmath import mp, mpf
 
 from surctl.errors import InputError, UnsupportedOperation
-from surctl.verification.formula import from_casadi, number, parse, text_of, to_casadi, variable
+from surctl.verification.formula import from_casadi, number, parse, power, text_of, to_casadi, variable
 from surctl.verification.formula.node import PI
 from surctl.verification.proving.algebra import Algebra, TooLarge, Written
 from tests.verification.expressions import NAMES, NoValue, TooClose, expressions, worth
@@ -66,6 +66,13 @@ def test_the_normal_form_has_the_value_of_the_expression(root) -> None:
         return  # the form is only claimed for positive ones
     with mp.workdps(60):
         assert abs(value - same) <= (abs(value) + 1) * mpf(10) ** -30, text_of(root)
+
+
+def test_powers_of_powers_have_no_endless_normal_form() -> None:
+    x = variable("x")
+    Algebra().of(power(power(x, 64), 64))
+    with pytest.raises(TooLarge):
+        Algebra().of(power(power(power(x, 64), 64), 64))
 
 
 def test_casadi_comes_back_with_readable_numbers() -> None:
