@@ -141,6 +141,22 @@ def test_orders_mix_and_threads_change_nothing() -> None:
     assert "margin" not in LINEAR_PARAMETERS
 
 
+def test_an_axis_without_thrust_has_no_loop() -> None:
+    """A surface craft: its depth is no loop that the law closes, and decides no margin of the others."""
+    submerged = load_vehicle("sur400")
+    craft = submerged.with_values({"Fw_max": 0.0})
+    loop = cruise_loop(craft, GAINS, **ABOUT)
+    assert "heave" not in loop.names.commands and not {"z", "w"} & set(loop.names.outputs)
+    one = {name: np.array([value]) for name, value in GAINS.items()}
+    table, deep = (linear_table(vehicle, one, base=GAINS, **ABOUT) for vehicle in (craft, submerged))
+    for name in ("disk_margin", "delay_margin_s"):
+        assert np.isnan([table[f"{name}.{of}"] for of in ("heave", "depth")]).all()
+        np.testing.assert_allclose(table[f"{name}.yaw"], deep[f"{name}.yaw"])
+    slack = {name: np.array([value / 3]) for name, value in GAINS.items() if name == "k2"}
+    loose = linear_table(craft, {**one, **slack}, base=GAINS, **ABOUT)
+    np.testing.assert_array_equal(loose["disk_margin"], table["disk_margin"])
+
+
 def test_a_cruise_beyond_the_thrust_has_no_figures() -> None:
     table = linear_table(VEHICLE, {"scenario.cruise": [0.1, 0.9]}, base=GAINS, **ABOUT)
     for column in table.values():

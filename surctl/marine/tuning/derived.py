@@ -239,13 +239,16 @@ def _estimates(
 ) -> Array:
     # disk margin of the vehicle at both places together; of a plant, the lesser of both places
     loops = _loops(vehicle, inner, cruise, speed, dt, plant or vehicle)
-    places = ((*THRUSTS, *POSE),) if plant is None else (THRUSTS, POSE)
+    thrusts, pose = (
+        [name for name in names if name in (*loops.names.commands, *loops.names.outputs)] for names in (THRUSTS, POSE)
+    )
+    places = ([*thrusts, *pose],) if plant is None else (thrusts, pose)
     peaks = np.max([screened_peaks(open_loop(loops, *signals)) for signals in places], axis=0)
     growth, stable = np.maximum(loops.slowest_per_s, 0.0), np.isfinite(peaks)
     least = _TARGET if plant is None else _ABOVE * LEAST_DISK_MARGIN
     shares = np.where(stable, 1 / peaks / least, _UNSTABLE / (1 + growth))
     if stable.any():
-        late = delays_at(loops[stable], (*THRUSTS, *POSE)).min(axis=0) / (_ABOVE * LEAST_DELAY_MARGIN)
+        late = delays_at(loops[stable], [*thrusts, *pose]).min(axis=0) / (_ABOVE * LEAST_DELAY_MARGIN)
         shares[stable] = np.minimum(shares[stable], np.maximum(late, _UNSTABLE))
     return shares
 

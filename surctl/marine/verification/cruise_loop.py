@@ -144,10 +144,14 @@ def cruise_groups(
             nu = np.zeros((len(at), 4))
             nu[:, 0] = speed[at]
             A, B, _ = plant_jacobians(plants[at], nu, form=form)
-            moving = moving_states(A, np.abs(D).max(axis=(0, 2)) > COUPLED, lagged=bool(lagged[at[0]]))
+            can = plants[at][:, PLANT_PARAMETERS.slice("thrust_limit")].max(axis=0)[:, None] > 0
+            Cz, D = Cz * can, D * can  # no law moves an axis without thrust
+            acting = np.abs(D).max(axis=(0, 2)) > COUPLED
+            moving = moving_states(A, acting, lagged=bool(lagged[at[0]]))
             ratio, eye = dt / built.dt, np.eye(built.state.size)  # the law's state changes in proportion to the period
-            slopes, axes = (eye + ratio * (Az - eye), ratio * By, Cz, D), range(len(THRUSTS))
-            yield at, assembled(A, B, slopes, built, moving=moving, outputs=range(8), driven=axes, dt=dt)
+            slopes = eye + ratio * (Az - eye), ratio * By, Cz, D
+            outputs, driven = [k for k in moving if k < 8], np.flatnonzero(acting).tolist()
+            yield at, assembled(A, B, slopes, built, moving=moving, outputs=outputs, driven=driven, dt=dt)
 
 
 def each_loop(points: Sequence[CruisePoint], *, dt: float, law: str = TRACKING_LAW) -> list[LinearLoop | None]:

@@ -273,6 +273,7 @@ def _loop(law: Law, vehicle: Vehicle, at: OperatingPoint, slopes: Slopes) -> Law
     (A,), (B,), _ = plant_jacobians(numbers, at.nu[None], psi=psi, form=form, current=along)
     J = delivered(vehicle, at.nu - np.array([*ahead, 0.0, 0.0]))
     B = B @ J
+    C, D = (rows * (vehicle.thrust_limit > 0)[:, None] for rows in (C, D))  # no law moves an axis without thrust
     acting = [bool(np.abs(row).max() > COUPLED) for row in np.hstack([C, D])]
     pushed = np.abs(J[:, acting]).max(axis=1, initial=0.0) > COUPLED
     lagged = float(plant_parameters(vehicle)[PLANT_PARAMETERS.slice("thrust_lag")][0]) > 0

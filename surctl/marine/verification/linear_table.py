@@ -240,13 +240,15 @@ def _figures(loops: LinearLoop, *, columns: Collection[str]) -> dict[str, NDArra
     figures = {"slowest_pole_per_s": loops.slowest_per_s, "least_damping": damping.min(axis=1)}
     requested = {_OVER.get(name, name.partition(".")[0]) for name in columns if name not in _WORST}
     if requested & _MARGINS.keys():
-        table = margins_of(loops, LOOP_NAMES)
+        table = margins_of(
+            loops, present := [name for name in LOOP_NAMES if name in (*loops.names.commands, *loops.names.outputs)]
+        )
         for name, metric in _MARGINS.items():
-            for signal, margins in table.items():
-                figures[f"{name}.{LOOP_NAMES[signal]}"] = margins[name.replace("rad_per_s", "rad_s")]
+            key, none = name.replace("rad_per_s", "rad_s"), np.full(len(rates), np.nan)
+            figures |= {f"{name}.{of}": table[at][key] if at in present else none for at, of in LOOP_NAMES.items()}
             worst = np.max if metric.better == "low" else np.min
             over = [new for new, of in _OVER.items() if of == name]
-            figures |= {new: worst([figures[f"{name}.{loop}"] for loop in LOOP_NAMES.values()], axis=0) for new in over}
+            figures |= {new: worst([table[at][key] for at in present], axis=0) for new in over}
     for signal in _STEPS if requested & {"settling_time_s", "overshoot"} else ():
         goals = {
             kind.TYPE: kind(name=signal, source=f"measured.{signal}", end=f"measured.{signal}", at_most=1.0)
