@@ -38,7 +38,7 @@ sensor_options = together(
         "chances",
         multiple=True,
         metavar="KIND=P",
-        help="Probability P of sonar fault KIND per ping; repeatable.",
+        help="Probability P per ping of fault KIND in a run; repeatable.",
     ),
 )
 """A decorator that adds these options to a command.
