@@ -129,7 +129,7 @@ def evaluated(law: Exportable, X: Vector, U: Vector, P: Vector) -> Rows:
 
 def _refused(law: Exportable, status: NDArray[np.int64], X: Vector) -> Rows:
     size = command_size(law)
-    return Rows(status, *(np.zeros((len(X), size)), np.array(X)), np.zeros((len(X), law.outputs.size - size)))
+    return Rows(status, np.zeros((len(X), size)), np.array(X), np.zeros((len(X), law.outputs.size - size)))
 
 
 def _let_in(law: Guarded, records: Records) -> Rows:

@@ -239,9 +239,7 @@ def _estimates(
 ) -> Array:
     # disk margin of the vehicle at both places together; of a plant, the lesser of both places
     loops = _loops(vehicle, inner, cruise, speed, dt, plant or vehicle)
-    thrusts, pose = (
-        [name for name in names if name in (*loops.names.commands, *loops.names.outputs)] for names in (THRUSTS, POSE)
-    )
+    thrusts, pose = ([name for name in names if name in loops.channels()] for names in (THRUSTS, POSE))
     places = ([*thrusts, *pose],) if plant is None else (thrusts, pose)
     peaks = np.max([screened_peaks(open_loop(loops, *signals)) for signals in places], axis=0)
     growth, stable = np.maximum(loops.slowest_per_s, 0.0), np.isfinite(peaks)

@@ -240,9 +240,7 @@ def _figures(loops: LinearLoop, *, columns: Collection[str]) -> dict[str, NDArra
     figures = {"slowest_pole_per_s": loops.slowest_per_s, "least_damping": damping.min(axis=1)}
     requested = {_OVER.get(name, name.partition(".")[0]) for name in columns if name not in _WORST}
     if requested & _MARGINS.keys():
-        table = margins_of(
-            loops, present := [name for name in LOOP_NAMES if name in (*loops.names.commands, *loops.names.outputs)]
-        )
+        table = margins_of(loops, present := [name for name in LOOP_NAMES if name in loops.channels()])
         for name, metric in _MARGINS.items():
             key, none = name.replace("rad_per_s", "rad_s"), np.full(len(rates), np.nan)
             figures |= {f"{name}.{of}": table[at][key] if at in present else none for at, of in LOOP_NAMES.items()}
