@@ -9,7 +9,7 @@ adds the drift amplitude of an obstacle to its size, so that the clearance is av
 from __future__ import annotations
 
 import heapq
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import floor
 
@@ -54,23 +54,6 @@ class Gap:
         return self.width - self.drift
 
 
-@dataclass(frozen=True)
-class _Still:
-    name: str
-    centre: tuple[float, float]
-    half: tuple[float, float]
-    radius: float
-    drift: float
-
-    def distance(self, x: _Field, y: _Field) -> _Field:
-        # at the worst drift; negative inside the body
-        beyond = np.abs(x - self.centre[0]) - self.half[0], np.abs(y - self.centre[1]) - self.half[1]
-        outside = np.hypot(np.maximum(beyond[0], 0), np.maximum(beyond[1], 0))
-        inside = np.minimum(np.maximum(*beyond), 0)
-        distance: _Field = outside + inside - self.radius - self.drift
-        return distance
-
-
 def tightest_gap(scenario: Scenario, clearance: float, *, depth: float | None = None) -> Gap | None:
     """Return the tightest gap on the widest path from start to target; None if every gap on this path is wide enough.
 
@@ -87,47 +70,44 @@ def tightest_gap(scenario: Scenario, clearance: float, *, depth: float | None = 
     x, y = np.meshgrid(xs, ys, indexing="ij")
     z = scenario.depth if depth is None else depth
     beside = [o for o in scenario.obstacles if o.still and o.heights.crosses(z, clearance)]
-    bodies = [*_walls(length, width), *(_still(o) for o in beside)]
-    clear, second = np.partition([body.distance(x, y) for body in bodies], 1, axis=0)[:2]
+    bodies = {**_walls(length, width), **{f"{o.name!r}": o for o in beside}}
+    clear, second = np.partition([_always(body, (x, y)) for body in bodies.values()], 1, axis=0)[:2]
     start, target = (_uphill(clear, _cell(point, xs, ys), clearance) for point in (scenario.start, scenario.target))
     if _connected(clear >= clearance + step, start, target):
         return None
     tightest = min(_widest_path(clear, start, target), key=lambda cell: (clear[cell], second[cell]))
     place = (float(xs[tightest[0]]), float(ys[tightest[1]]))
     one, other = _pair(bodies, place, step)
-    return Gap((one.name, other.name), place, _apart(one, other), one.drift + other.drift)
+    a, b = bodies[one], bodies[other]
+    return Gap((one, other), place, a.apart(b), a.drift_m + b.drift_m)
 
 
-def _walls(length: float, width: float) -> list[_Still]:
-    # the boxes are much thicker than the site is long
+def _walls(length: float, width: float) -> dict[str, Obstacle]:
+    # boxes that are much thicker than the site is long
     far = length + width
-    return [
-        _Still("the wall x = 0", (-far, 0.0), (far, 4 * far), 0.0, 0.0),
-        _Still(f"the wall x = {length:g}", (length + far, 0.0), (far, 4 * far), 0.0, 0.0),
-        _Still("the wall y = 0", (0.0, -far), (4 * far, far), 0.0, 0.0),
-        _Still(f"the wall y = {width:g}", (0.0, width + far), (4 * far, far), 0.0, 0.0),
-    ]
+    across, along = (2 * far, 8 * far), (8 * far, 2 * far)
+    places = {
+        "the wall x = 0": ((-far, 0.0), across),
+        f"the wall x = {length:g}": ((length + far, 0.0), across),
+        "the wall y = 0": ((0.0, -far), along),
+        f"the wall y = {width:g}": ((0.0, width + far), along),
+    }
+    return {name: Obstacle(name=name, shape="box", centre_m=at, size_m=size) for name, (at, size) in places.items()}
 
 
-def _still(obstacle: Obstacle) -> _Still:
-    size = obstacle.size_m or (0.0, 0.0)
-    half = (size[0] / 2, size[1] / 2)
-    return _Still(f"{obstacle.name!r}", obstacle.centre_m, half, obstacle.rounding, obstacle.drift_m)
+def _always(body: Obstacle, point: Sequence[_Field]) -> _Field:
+    # distance [m] at the worst drift
+    distance: _Field = body.distance(point) - body.drift_m
+    return distance
 
 
-def _apart(one: _Still, other: _Still) -> float:
-    beyond = [abs(one.centre[k] - other.centre[k]) - one.half[k] - other.half[k] for k in (0, 1)]
-    outside = float(np.hypot(max(beyond[0], 0.0), max(beyond[1], 0.0)))
-    return outside + min(max(beyond), 0.0) - one.radius - other.radius
-
-
-def _pair(bodies: Sequence[_Still], place: tuple[float, float], step: float) -> tuple[_Still, _Still]:
-    """Return the body nearest to a point, and the nearest body on the opposite side of the point."""
+def _pair(bodies: Mapping[str, Obstacle], place: tuple[float, float], step: float) -> tuple[str, str]:
+    """Return the name of the body nearest to a point, and of the nearest one on the opposite side of the point."""
     slope = step / 16
     away = []
-    for body in bodies:
-        here, right, up = body.distance(*(np.array(place) + np.array([[0, 0], [slope, 0], [0, slope]])).T)
-        away.append((float(here), float(right - here), float(up - here), body))
+    for name, body in bodies.items():
+        here, right, up = _always(body, (np.array(place) + np.array([[0, 0], [slope, 0], [0, slope]])).T)
+        away.append((float(here), float(right - here), float(up - here), name))
     away.sort(key=lambda row: row[0])
     first = away[0]
     facing = [row for row in away[1:] if row[1] * first[1] + row[2] * first[2] < 0]

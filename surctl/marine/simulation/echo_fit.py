@@ -185,7 +185,7 @@ class _Face:
         length, width = self._site
         worst = self._hull - np.minimum.reduce([x, length - x, y, width - y])
         for obstacle, needed in zip(self._near, self._needed, strict=True):
-            worst = np.maximum(worst, needed - _distance(obstacle, x, y))
+            worst = np.maximum(worst, needed - obstacle.distance((x, y)))
         return np.asarray(worst)
 
     def _free(self, x: Array, y: Array, ux: Array, uy: Array) -> Array:
@@ -204,15 +204,6 @@ class _Face:
 def _grid(*counts: int) -> Array:
     axes = [np.linspace(0.0, 1.0, n) if n > 1 else np.array([0.5]) for n in counts]
     return np.stack([axis.ravel() for axis in np.meshgrid(*axes, indexing="ij")], axis=1)
-
-
-def _distance(obstacle: Obstacle, x: Array, y: Array) -> Array:
-    # `Obstacle.distance` for many points
-    own: Sequence[float] = obstacle.size_m or (0.0, 0.0)
-    dx, dy = np.abs(x - obstacle.centre_m[0]) - 0.5 * own[0], np.abs(y - obstacle.centre_m[1]) - 0.5 * own[1]
-    outside = np.hypot(np.maximum(dx, 0.0), np.maximum(dy, 0.0))
-    larger = np.maximum(dx, dy)
-    return np.asarray(np.where(larger > 0, outside, larger) - obstacle.rounding)
 
 
 def _hit(obstacle: Obstacle, x: Array, y: Array, ux: Array, uy: Array) -> Array:
