@@ -118,11 +118,12 @@ class Follower:
     """
 
     def __init__(self, path: Path, *, visit: float | None = None) -> None:
-        self._table, reach = path.table(visits=visit is not None), 2 + (SKIPS if path.fed else 1)
+        self._table, count = path.table(visits=visit is not None), 2 + (SKIPS if path.fed else 1)
         if visit is None:
             self._table[:, 4] = np.minimum(self._table[:, 4], 0.0)
-        self._points, self._rises = list(map(tuple, path.waypoints.tolist())), self._table[:, 2].tolist()
-        self._ahead, self._moved = np.arange(reach), _moved(reach)
+        self._points: list[tuple[float, float]] = path.waypoints.tolist()
+        self._rises: list[float] = self._table[:, 2].tolist()
+        self._ahead, self._moved = np.arange(count), _moved(count)
         self._visit, self._state = visit or 0.0, Layout(FOLLOWING).pack()
 
     @property
@@ -267,9 +268,9 @@ def follow_on(
 
 
 @cache
-def _moved(reach: int) -> Callable[..., list[NDArray[np.float64]]]:
+def _moved(count: int) -> Callable[..., list[NDArray[np.float64]]]:
     # `follow_on` with so many rows as a function of vectors: state, rows, number of legs, place, visit
-    layout, rows = Layout(FOLLOWING), ca.SX.sym("rows", reach, ROW)
+    layout, rows = Layout(FOLLOWING), ca.SX.sym("rows", count, ROW)
     state, old = layout.symbols("state")
     legs, place, visit = ca.SX.sym("legs"), ca.SX.sym("place", 2), ca.SX.sym("visit")
     after, _ = follow_on(old, rows, legs, place, visit=visit)

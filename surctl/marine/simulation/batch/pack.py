@@ -57,18 +57,18 @@ def structure_of(case: Case, values: Mapping[str, Columns]) -> Structure:
         moved = values.get(f"obstacle.{obstacle.name}.drift", np.asarray(obstacle.drift_m))
         kinds.append(kind_of(obstacle, drifting=bool(np.any(moved > 0))))
     optional = any(f"obstacle.{obstacle.name}.there" in values for obstacle in case.scenario.obstacles)
-    sensors, heard = case.scenario.sensors, dict[str, Any]()
+    sensors, sonars = case.scenario.sensors, dict[str, Any]()
     if case.sensing == "sonar":
         struck = any(np.any(values.get(f"sonar.{kind}", chance) > 0) for kind, chance in _chances(case))
         late = any(fault.kind == "delay" for fault in sensors.faults)
-        heard = {"equipment": sensors.on(case.vehicle["radius"]), "faults": len(sensors.faults), "chances": struck}
-        heard |= {"delays": late, "surfaces": case.scenario.surfaces}
+        sonars = {"equipment": sensors.on(case.vehicle["radius"]), "faults": len(sensors.faults), "chances": struck}
+        sonars |= {"delays": late, "surfaces": case.scenario.surfaces}
     return Structure(
         law=case.law, sensing=case.sensing, bodies=tuple(kinds), optional=optional,
         heights=any(not obstacle.heights.whole for obstacle in case.scenario.obstacles),
         depths=case.scenario.depths is not None, form=case.vehicle.form, actuators=case.vehicle.actuators,
         points=capacity_for(case.scenario.path), rises=case.scenario.path.rises is not None,
-        **law_options(case), **heard,
+        **law_options(case), **sonars,
     )  # fmt: skip
 
 

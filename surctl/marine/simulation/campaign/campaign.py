@@ -32,8 +32,7 @@ from surctl.marine.simulation.campaign.summary import RunTable, Summary, assumpt
 from surctl.marine.simulation.campaign.worlds import Plan, SampledRun
 from surctl.marine.simulation.metrics import METRICS
 from surctl.marine.simulation.run import Run, Sensing
-from surctl.marine.simulation.scenario import scenario_from_table
-from surctl.marine.simulation.scenario_table import scenario_table
+from surctl.marine.simulation.scenario import scenario_from_table, scenario_table
 from surctl.marine.simulation.toml_text import toml_text
 from surctl.marine.vehicle import Vehicle, write_vehicle
 from surctl.marine.vehicle.parameters import vehicle_from_table
