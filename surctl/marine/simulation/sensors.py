@@ -243,13 +243,13 @@ def sensors_from_tables(sonar: SonarTable, station: StationTable, own: OwnStateT
 
 
 def _delivery(table: str, stated: _DeliveryTable) -> Delivery:
-    def delivery() -> Delivery:
-        made = Delivery(**_read(stated, _DELIVERY))
-        for steps in (made.late, made.every):  # both refuse what is no multiple of the period
+    def checked() -> Delivery:
+        delivery = Delivery(**_read(stated, _DELIVERY))
+        for steps in (delivery.late, delivery.every):  # both refuse what is no multiple of the period
             steps(_PERIOD)
-        return made
+        return delivery
 
-    return _in_table(table, delivery)
+    return _in_table(table, checked)
 
 
 def _simple(echoes: str) -> tuple[bool, float | None]:

@@ -37,6 +37,7 @@ from surctl.marine.simulation.toml_text import toml_text
 from surctl.marine.vehicle import Vehicle, write_vehicle
 from surctl.marine.vehicle.parameters import vehicle_from_table
 from surctl.priority import Mode
+from surctl.recorded_write import write_csv
 from surctl.store import RESUME, ChunkStore
 
 T = TypeVar("T")
@@ -319,7 +320,7 @@ class CampaignFolder:
     def write(self, campaign: Campaign, *, worst: int) -> list[Path]:
         """Write the table of runs and the files of the worst runs; return the paths of the worst runs."""
         name, files = file_name(campaign.plan.name), self.path / "worst"
-        write_file(self.path / f"{name}.csv", campaign.table.to_csv())
+        write_csv(self.path / f"{name}.csv", campaign.table.columns())
         for old in files.glob(f"{name}-worst-*.toml"):
             try:
                 old.unlink()
