@@ -287,8 +287,9 @@ def figures(
             about = [k for k in own if k in those]
             names = {metric for metric, at in columns if at == speed}
             if about:
-                for name, values in _linear(case, speed, [conditions[k] for k in about], sets, names, threads).items():
-                    table[columns[name, speed]][:, about] = values
+                margins = _linear(case, speed, [conditions[k] for k in about], sets, names, threads)
+                for name, column in margins.items():
+                    table[columns[name, speed]][:, about] = column
         for goal in loops:
             about = sorted(set(own) & set(scope(goal, conditions)))
             for name, speed in goal.columns.items() if about else ():
