@@ -260,13 +260,10 @@ def summarise(table: RunTable) -> Summary:
     ended = np.round(table.column("stopped"))
     stopped = {reason: Share(int(np.sum(ended == code)), len(table)) for code, reason in enumerate(STOPS)}
     arrived = table.column("reached") > 0.5
-    broken: dict[str, int] = {}
     collided = table.column("collided") > 0.5
     holds = np.array([not names for names in table.broken])
     inside = Share(int(np.sum(collided & holds)), int(np.sum(holds))) if holds.any() else None
-    for k in np.flatnonzero(collided):
-        for name in table.broken[int(k)] or ("none",):
-            broken[name] = broken.get(name, 0) + 1
+    broken = dict(Counter(name for k in np.flatnonzero(collided) for name in table.broken[int(k)] or ("none",)))
     violated = dict(Counter(name for names in table.broken for name in names).most_common())
     clear = table.column("min_clearance_m")
     return Summary(
