@@ -14,8 +14,6 @@ from math import floor
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import breadth_first_order, minimum_spanning_tree
 
 from surctl.errors import Finding
 from surctl.marine.control import Gains
@@ -136,6 +134,9 @@ def _uphill(clear: _Field, cell: _Cell, clearance: float) -> _Cell:
 
 def _widest_path(clear: _Field, start: _Cell, target: _Cell) -> list[_Cell]:
     # from target to start; the smallest clearance on the path is as large as possible
+    from scipy.sparse import coo_array  # these imports take long
+    from scipy.sparse.csgraph import breadth_first_order, minimum_spanning_tree
+
     cells, flat = np.arange(clear.size).reshape(clear.shape), clear.ravel()
     one = [cells[:-1], cells[:, :-1], cells[:-1, :-1], cells[1:, :-1]]  # each cell has eight neighbours
     other = [cells[1:], cells[:, 1:], cells[1:, 1:], cells[:-1, 1:]]

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import product
 from math import asin, atan2, degrees, floor, hypot, inf, pi, radians, sqrt
 
 import numpy as np
@@ -74,19 +73,15 @@ Array = NDArray[np.float64]
 Point = tuple[float, float]
 
 _OVERLAP = 1e-5  # [m] by which a hull that fits may overlap an obstacle, for hulls that touch it
-_COARSE = (9, 9, 13, 7)  # places on the face, angles of incidence, ranges, and directions in the beam
-_BEST = 48  # places from which the search goes on
-_ROUNDS = 12  # times that it halves its steps
 
 
 def _has_echo(box: Obstacle, normal: Point, *, scenario: Scenario, array: SonarArray, limit: float) -> bool:
     """Return whether the hull fits where a sonar receives an echo of the face of a box with this outward normal.
 
     The search goes over the point of the face, the angle of incidence, the range, and the direction of the ray in the
-    beam; these determine place and heading of the hull. A grid of all four comes first, then ever smaller steps from
-    its places with the least overlap. Other still obstacles, at their places at the start, may hide the face, and none
-    may overlap the hull. `limit` is the largest angle of incidence [rad] at which the face answers, below π/2; 0: it is
-    silent.
+    beam; these determine place and heading of the hull. Other still obstacles, at their places at the start, may hide
+    the face, and none may overlap the hull. `limit` is the largest angle of incidence [rad] at which the face answers,
+    below π/2; 0: it is silent.
     """
     if limit <= 0:
         return False
@@ -138,32 +133,20 @@ class _Face:
         farthest = self._maximum + part[0] + self._hull
         near = [o for o in scenario.obstacles if o.still and o.heights.crosses(z, self._hull + BAND)]
         self._near = [o for o in near if o.apart(box) <= farthest and self._ahead(o) > -part[0] - self._hull]
-        # at most how far the hull's centre moves [m] while a number goes from 0 to 1
-        moved = (max(self._along), 2 * limit * (self._maximum + part[0]), 2 * self._maximum)
-        self._travel = np.array([*moved, part[0] * (part[2] - part[1])])
         gaps = [max(o.heights.gap(z), 0.0) for o in self._near]
         # horizontal distance that the hull, a sphere, keeps from an obstacle above or below its centre
         self._needed = [sqrt(max(self._hull**2 - gap**2, 0.0)) for gap in gaps]
 
     def has_place(self) -> bool:
         """Return whether the search finds a place."""
-        ahead = _grid(_COARSE[0], 1, 2 * _COARSE[2], 1)
-        if np.min(self._overlap(ahead)) <= _OVERLAP:
-            return True
-        points = _grid(*_COARSE)
-        overlap = self._overlap(points)
-        steps = 0.5 / (np.array(_COARSE) - 1.0)
-        offsets = np.array(list(product((-1.0, 0.0, 1.0), repeat=4)))
-        for _ in range(_ROUNDS):
-            if np.min(overlap) <= _OVERLAP:
-                return True
-            # what is left of the search cannot move a hull out of the obstacle
-            if np.min(overlap) > 2 * float(steps @ self._travel):
-                return False
-            best = points[np.argsort(overlap, kind="stable")[:_BEST]]
-            points = np.clip((best[:, None] + offsets * steps).reshape(-1, 4), 0.0, 1.0)
-            overlap, steps = self._overlap(points), 0.5 * steps
-        return bool(np.min(overlap) <= _OVERLAP)
+        from scipy.optimize import differential_evolution  # this import takes long
+
+        found = differential_evolution(
+            lambda points: self._overlap(points.T), [(0.0, 1.0)] * 4, vectorized=True, updating="deferred", rng=0,
+            popsize=16, maxiter=300, tol=0.0, atol=_OVERLAP, init="sobol", polish=False,
+            callback=lambda intermediate_result: bool(intermediate_result.fun <= _OVERLAP),
+        )  # fmt: skip
+        return bool(found.fun <= _OVERLAP)
 
     def _ahead(self, obstacle: Obstacle) -> float:
         # [m] from the plane of the face to the end of the obstacle, positive on the side of the water
@@ -199,11 +182,6 @@ class _Face:
             for obstacle in self._near:
                 free = np.minimum(free, _hit(obstacle, x, y, ux, uy))
         return free
-
-
-def _grid(*counts: int) -> Array:
-    axes = [np.linspace(0.0, 1.0, n) if n > 1 else np.array([0.5]) for n in counts]
-    return np.stack([axis.ravel() for axis in np.meshgrid(*axes, indexing="ij")], axis=1)
 
 
 def _hit(obstacle: Obstacle, x: Array, y: Array, ux: Array, uy: Array) -> Array:
