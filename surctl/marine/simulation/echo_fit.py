@@ -10,8 +10,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from math import asin, atan2, degrees, floor, hypot, inf, pi, radians, sqrt
+from math import asin, atan2, degrees, floor, hypot, pi, radians, sqrt
 
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
@@ -19,6 +20,7 @@ from surctl.errors import Finding
 from surctl.marine.control.beams import SURE, floor_range
 from surctl.marine.sensing import INCIDENCE_LIMIT, Reflector, SonarArray, Surfaces
 from surctl.marine.sensing.sonar.returns import level_range
+from surctl.marine.sensing.sonar.solids import Solid, SolidBox, SolidDisc, SolidWalls
 from surctl.marine.simulation.obstacle import Obstacle
 from surctl.marine.simulation.reflectors import ECHOES
 from surctl.marine.simulation.scenario import Scenario, escaped
@@ -130,9 +132,8 @@ class _Face:
         # the face lies a little outside the box
         self._middle = (box.centre_m[0] + nx * (0.5 * length + 1e-6), box.centre_m[1] + ny * (0.5 * width + 1e-6))
         self._along = (abs(ny) * length, abs(nx) * width)
-        farthest = self._maximum + part[0] + self._hull
-        near = [o for o in scenario.obstacles if o.still and o.heights.crosses(z, self._hull + BAND)]
-        self._near = [o for o in near if o.apart(box) <= farthest and self._ahead(o) > -part[0] - self._hull]
+        self._near = [o for o in scenario.obstacles if o.still and o.heights.crosses(z, self._hull + BAND)]
+        self._free = _free(self._near, self._site, self._maximum)
         gaps = [max(o.heights.gap(z), 0.0) for o in self._near]
         # horizontal distance that the hull, a sphere, keeps from an obstacle above or below its centre
         self._needed = [sqrt(max(self._hull**2 - gap**2, 0.0)) for gap in gaps]
@@ -148,12 +149,6 @@ class _Face:
         )  # fmt: skip
         return bool(found.fun <= _OVERLAP)
 
-    def _ahead(self, obstacle: Obstacle) -> float:
-        # [m] from the plane of the face to the end of the obstacle, positive on the side of the water
-        (nx, ny), own = self._normal, obstacle.size_m or (2 * obstacle.rounding,) * 2
-        middle = sum(n * (obstacle.centre_m[k] - self._middle[k]) for k, n in enumerate((nx, ny)))
-        return middle + 0.5 * (abs(nx) * own[0] + abs(ny) * own[1])
-
     def _overlap(self, points: Array) -> Array:
         # [m] by which the hull at each place overlaps obstacles or walls
         along, turn, share, aside = points.T
@@ -162,7 +157,7 @@ class _Face:
         angle = (2 * turn - 1) * self._limit
         c, s = np.cos(angle), np.sin(angle)
         ux, uy = c * nx - s * ny, s * nx + c * ny
-        distance = share**2 * self._free(x, y, ux, uy)
+        distance = share**2 * np.array(self._free(np.stack([x, y]), np.stack([ux, uy])))[0]
         radial = np.arctan2(-uy, -ux) - (first + aside * (last - first))
         x, y = x + distance * ux - radius * np.cos(radial), y + distance * uy - radius * np.sin(radial)
         length, width = self._site
@@ -171,35 +166,17 @@ class _Face:
             worst = np.maximum(worst, needed - obstacle.distance((x, y)))
         return np.asarray(worst)
 
-    def _free(self, x: Array, y: Array, ux: Array, uy: Array) -> Array:
-        # [m] from each point of the face along its ray to the first obstacle or wall, at most the range of the sonar
-        length, width = self._site
-        free = np.full(len(x), self._maximum)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            for place, direction, end in ((x, ux, length), (y, uy, width)):
-                wall = np.where(direction > 0, (end - place) / direction, -place / direction)
-                free = np.minimum(free, np.where(direction == 0, inf, np.maximum(wall, 0.0)))
-            for obstacle in self._near:
-                free = np.minimum(free, _hit(obstacle, x, y, ux, uy))
-        return free
 
-
-def _hit(obstacle: Obstacle, x: Array, y: Array, ux: Array, uy: Array) -> Array:
-    # [m] along each ray to the obstacle; inf if the ray misses it
-    dx, dy = obstacle.centre_m[0] - x, obstacle.centre_m[1] - y
-    if obstacle.size_m is None:
-        along, across = dx * ux + dy * uy, dx * uy - dy * ux
-        square = obstacle.rounding**2 - across**2
-        hit = (square >= 0) & (along > 0)
-        return np.where(hit, np.maximum(along - np.sqrt(np.maximum(square, 0.0)), 0.0), inf)
-    near, far = np.full(len(x), -inf), np.full(len(x), inf)
-    for offset, direction, size in ((dx, ux, obstacle.size_m[0]), (dy, uy, obstacle.size_m[1])):
-        one, other = (offset - 0.5 * size) / direction, (offset + 0.5 * size) / direction
-        beside = np.abs(offset) > 0.5 * size
-        one = np.where(direction == 0, np.where(beside, inf, -inf), one)
-        other = np.where(direction == 0, np.where(beside, -inf, inf), other)
-        near, far = np.maximum(near, np.minimum(one, other)), np.minimum(far, np.maximum(one, other))
-    return np.where((near <= far) & (far >= 0), np.maximum(near, 0.0), inf)
+def _free(obstacles: Sequence[Obstacle], site: Sequence[float], maximum: float) -> ca.Function:
+    # range [m] of rays with apexes (2, n) and unit vectors (2, n) to the first obstacle or wall, at most `maximum`
+    apex, ray, free = ca.SX.sym("apex", 2), ca.SX.sym("ray", 2), ca.SX(maximum)
+    solids: list[Solid] = [SolidWalls(ca.SX([0.0, site[0], 0.0, site[1]]))]
+    for o in obstacles:
+        centre = ca.SX(o.centre_m)
+        solids.append(SolidDisc(centre, ca.SX(o.rounding)) if o.size_m is None else SolidBox(centre, ca.SX(o.size_m)))
+    for solid in solids:
+        free = ca.fmin(free, ca.if_else(solid.holds(apex), 0.0, solid.hit(apex, ray, nothing=maximum)[0]))
+    return ca.Function("free", [apex, ray], [free])
 
 
 _SIDES: dict[str, Point] = {"+x": (1.0, 0.0), "-x": (-1.0, 0.0), "+y": (0.0, 1.0), "-y": (0.0, -1.0)}
