@@ -15,7 +15,7 @@ import click
 from surctl.cli.application import to_application
 from surctl.cli.output import FOLDER, Count, as_json, finish, progress, same_command, saving, stoppable
 from surctl.cli.subject import OwnSystem, command_line, is_system, load_system, seconds_option
-from surctl.errors import InputError, nearest
+from surctl.errors import InputError, check_known
 
 if TYPE_CHECKING:
     import numpy as np
@@ -199,9 +199,8 @@ def _own(
 
     own = load_system(words)
     duration, costs = own.seconds(seconds), list(own.costs)
-    if sensitivity is not None and sensitivity not in costs:
-        remedy = nearest(sensitivity, costs)
-        raise InputError("is not a cost of the system", key="--sensitivity", value=sensitivity, remedy=remedy)
+    if sensitivity is not None:
+        check_known(sensitivity, costs, "is not a cost of the system", key="--sensitivity")
     axes = [parse_axis(text) for text in own.settings]
     chosen, draws = choices_and_draws(
         own.system, axes, design=design if sensitivity is None else "saltelli", points=points, seeds=seeds

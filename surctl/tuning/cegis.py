@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.errors import InputError, check_count
+from surctl.errors import InputError, check_count, check_once
 from surctl.files import write_file
 from surctl.tuning.chunked import Progress
 from surctl.tuning.gain_search import conflict, search
@@ -303,10 +303,8 @@ def _chosen(done: Sequence[Round], candidates: Pool, start: NDArray[np.float64])
 
 
 def _check(request: SearchRequest, trials: int, rounds: int, runs: int) -> None:
-    names = [case.name for case in request.cases]
-    for name in names:
-        if names.count(name) > 1:  # a counterexample identifies its case by name
-            raise InputError("occurs twice", key="case", value=name, remedy="give each vehicle its own name")
+    # a counterexample identifies its case by name
+    check_once((c.name for c in request.cases), "occurs twice", key="case", remedy="give each vehicle its own name")
     request.check()
     if request.seed > MOST_SEED:
         raise InputError(

@@ -11,7 +11,7 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.errors import InputError, nearest
+from surctl.errors import InputError, check_known, check_once
 
 _SPREAD = 4.0
 
@@ -319,8 +319,7 @@ def make_design(
         >>> design.kind, design.names, design.points.shape
         ('sobol', ('k_v', 'lookahead'), (8, 2))
     """
-    if kind not in DESIGNS:
-        raise InputError("is not known", key="design", value=kind, remedy=nearest(kind, DESIGNS))
+    check_known(kind, DESIGNS, key="design")
     if kind == "grid":
         if count is not None:
             raise InputError(
@@ -349,10 +348,7 @@ def _spans(axes: Sequence[Axis | Span], kind: str) -> tuple[Span, ...]:
 def _check_names(axes: Sequence[Axis | Span]) -> None:
     if not axes:
         raise InputError("nothing to sweep", key="axis", remedy="name at least one parameter")
-    names = [axis.name for axis in axes]
-    for name in names:
-        if names.count(name) > 1:
-            raise InputError("is swept twice", key="axis", value=name, remedy="name each parameter once")
+    check_once((axis.name for axis in axes), "is swept twice", key="axis", remedy="name each parameter once")
 
 
 def _check_size(count: int) -> None:

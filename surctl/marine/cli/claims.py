@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from surctl.cli.output import progress, timed
 from surctl.cli.verify import Claimed, Decided, refused, written
-from surctl.errors import InputError, NotApplicable
+from surctl.errors import InputError, NotApplicable, check_once
 
 if TYPE_CHECKING:
     from surctl.marine.control import Gains
@@ -90,10 +90,7 @@ def library_claims(
         rest = ()
     known = {claim.name: claim for claim in rest}
     chosen = [own[w] if w in own else known[w] for w in words if w not in reasons]
-    names = [claim.name for claim in chosen]
-    twice = sorted({name for name in names if names.count(name) > 1})
-    if twice:
-        raise InputError("is given twice", key="claim", value=twice[0], remedy="rename or drop one of them")
+    check_once((c.name for c in chosen), "is given twice", key="claim", remedy="rename or drop one of them")
     return chosen, [Inapplicable.of(name, reason) for name, reason in reasons.items()]
 
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from surctl.cli.sweep import SweepJob, SweepSummary, point_rows
-from surctl.errors import InputError, nearest
+from surctl.errors import check_known
 from surctl.marine.cli.robot_options import (
     SPEEDS,
     at_hand,
@@ -131,10 +131,8 @@ def sweep(
     else:
         check_column(sensitivity)
         chosen = saltelli(parsed, base=64 if points is None else points)
-    if locus is not None and locus not in chosen.names:
-        raise InputError(
-            "is not an axis of this sweep", key="--locus", value=locus, remedy=nearest(locus, chosen.names)
-        )
+    if locus is not None:
+        check_known(locus, chosen.names, "is not an axis of this sweep", key="--locus")
     missions, robots = [load_scenario(name) for name in scenarios], [load_vehicle(name) for name in vehicles]
     law, why = choose_law(law, robots or [load_vehicle(mission.vehicle) for mission in missions])
     own = law_source(law).gains
