@@ -214,14 +214,30 @@ def law_words(reference: str) -> list[str]:
 trust_option = click.option("--trust", is_flag=True, help="Permit running the Python law of a study or saved run.")
 
 
-priority_options = together(
+form_options = together(
     click.option(
-        "--priority-mode",
-        default="nsb",
-        metavar="M",
-        help="Task priorities: nsb (default; limited afterwards), or within limits: filter, projected, lexicographic "
-        "(strict).",
+        "--avoidance",
+        default="corrected",
+        metavar="NAME",
+        help="Equation (20) of --law paper: corrected (default), printed, or consistent (every angle "
+        "counter-clockwise).",
     ),
+    click.option(
+        "--guidance", default="los", metavar="NAME", help="Path guidance: los (default); for currents ilos or alos."
+    ),
+)
+"""A decorator that adds these options to a command; the command receives them as `avoidance` and `guidance`."""
+
+
+priority_mode_option = click.option(
+    "--priority-mode",
+    default="nsb",
+    metavar="M",
+    help="Task priorities: nsb (default; limited afterwards), or within limits: filter, projected, lexicographic "
+    "(strict).",
+)
+priority_options = together(
+    priority_mode_option,
     click.option(
         "--fallback",
         default="exact",
