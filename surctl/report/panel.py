@@ -96,6 +96,8 @@ def draw_panel(panel: Panel, ax: Axes) -> Axes:
             curve(ax, one.x, one.y, label=one.label, k=one.k, faint=one.faint)
             if one.kind == "steps":
                 ax.lines[-1].set_drawstyle("steps-post")
+            if len(one.x) == 1:
+                ax.lines[-1].set_marker("o")
     low, high = _limits(panel)[1]
     for shade in panel.shades:
         end = high if shade.side == "above" else low
