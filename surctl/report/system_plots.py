@@ -23,6 +23,7 @@ from surctl.report.theme import (
     MUTED,
     ROBOT,
     dress,
+    grid_of,
     head,
     legend_above,
     legend_below,
@@ -185,9 +186,8 @@ def plot_runs(runs: Runs, names: Sequence[str] = ()) -> Figure:
     chosen = list(names or runs.figures)
     if not chosen:
         raise InputError("have no metrics", key="runs", remedy="give System(..., costs={...})")
-    figure = new_figure(4.6 * min(len(chosen), 2), 3.2 * -(-len(chosen) // 2))
-    axes = figure.subplots(-(-len(chosen) // 2), min(len(chosen), 2), squeeze=False).ravel()
-    for ax, name in zip(axes, chosen, strict=False):
+    axes = grid_of(len(chosen), most=2, size=(4.6, 3.2))
+    for ax, name in zip(axes, chosen, strict=True):
         values = runs[name]
         known = values[np.isfinite(values)]
         dress(ax, title=f"{name}, {len(known)} of {len(values)} runs", x=name, y="runs")
@@ -196,9 +196,7 @@ def plot_runs(runs: Runs, names: Sequence[str] = ()) -> Figure:
             ax.axvline(float(known.mean()), color=INK, linewidth=1.2, label="mean")
             ax.axvline(float(np.percentile(known, 95)), color=AVOIDING, linestyle="--", linewidth=1.2, label="95 %")
             legend_above(ax, columns=2)
-    for ax in axes[len(chosen) :]:
-        ax.set_axis_off()
-    return figure
+    return axes[0].figure.figure
 
 
 def plot_dependence(values: Mapping[str, ArrayLike], runs: Runs | Mapping[str, Array], name: str) -> Figure:
@@ -234,17 +232,12 @@ def plot_dependence(values: Mapping[str, ArrayLike], runs: Runs | Mapping[str, A
         raise InputError("vary nothing", key="values", remedy="give one number for each run")
     strength = {key: _rank_correlation(array, figure_values) for key, array in numbers.items()}
     order = sorted(numbers, key=lambda key: -abs(strength[key]))
-    columns = min(3, len(order))
-    rows = -(-len(order) // columns)
-    figure = new_figure(3.7 * columns, 0.5 + 2.9 * rows)
-    head(figure, f"{name} of {len(figure_values)} runs")
-    axes = figure.subplots(rows, columns, squeeze=False).ravel()
-    for ax, key in zip(axes, order, strict=False):
+    axes = grid_of(len(order), most=3, size=(3.7, 2.9), extra=0.5)
+    head(axes[0].figure.figure, f"{name} of {len(figure_values)} runs")
+    for ax, key in zip(axes, order, strict=True):
         ax.plot(numbers[key], figure_values, ".", color=ROBOT, markersize=3, alpha=0.6)
         dress(ax, title=f"{key}: rank correlation {strength[key]:.2f}", x=key, y=name)
-    for ax in axes[len(order) :]:
-        ax.set_axis_off()
-    return figure
+    return axes[0].figure.figure
 
 
 def _rank_correlation(x: Array, y: Array) -> float:

@@ -304,9 +304,7 @@ def random_draws(spans: Sequence[Span], *, count: int, seed: int = 0) -> dict[st
     return {span.name: span.at(unit[:, k]) for k, span in enumerate(spans)}
 
 
-def make_design(
-    kind: DesignName | str, axes: Sequence[Axis | Span], *, count: int | None = None, seed: int = 0
-) -> Design:
+def make_design(kind: DesignName | str, axes: Sequence[Axis | Span], *, count: int | None = None) -> Design:
     """Build the design that `kind` names, from axes in the command-line notation.
 
     Raises:
@@ -315,7 +313,7 @@ def make_design(
 
     Example:
         >>> from surctl.tuning import make_design, parse_axis
-        >>> design = make_design("sobol", [parse_axis("k_v=0.5..3"), parse_axis("lookahead=0.3..1.2")], count=8, seed=1)
+        >>> design = make_design("sobol", [parse_axis("k_v=0.5..3"), parse_axis("lookahead=0.3..1.2")], count=8)
         >>> design.kind, design.names, design.points.shape
         ('sobol', ('k_v', 'lookahead'), (8, 2))
     """
@@ -333,7 +331,7 @@ def make_design(
     spans = _spans(axes, kind)
     if count is None:
         raise InputError("is missing", key="points", remedy=f"give the number of points of {kind}: --points N")
-    return spread("lhs" if kind == "lhs" else "sobol", spans, count=count, seed=seed)
+    return spread("lhs" if kind == "lhs" else "sobol", spans, count=count)
 
 
 def _spans(axes: Sequence[Axis | Span], kind: str) -> tuple[Span, ...]:

@@ -27,7 +27,3 @@ def test_every_pole_is_a_point_and_start_and_pick_are_marked() -> None:
     assert [len(points.get_offsets()) for points in ax.collections] == [18]
     marks = {line.get_label(): line.get_xydata() for line in ax.lines}
     assert [-0.5, 1.0] in marks["start: 1"].tolist() and [-1.0, 2.0] in marks["picked: 2"].tolist()
-
-
-def test_a_reach_that_is_given_is_kept() -> None:
-    assert plot_locus(locus(60.0), radius=80.0).get_ylim() == (-80.0, 80.0)

@@ -58,18 +58,17 @@ _ASYMPTOTE_GAP = 3.0
 _ARC = np.linspace(np.pi / 2, 3 * np.pi / 2, 121)
 
 
-def plot_locus(
-    data: Locus, ax: Axes | None = None, *, unit: str = "", picked: float | None = None, radius: float | None = None
-) -> Axes:
+def plot_locus(data: Locus, ax: Axes | None = None, *, unit: str = "", picked: float | None = None) -> Axes:
     """Plot the closed-loop poles over the swept parameter, in the upper and lower half-plane.
+
+    The fast poles caused by the delay are not shown: those beyond the highest gap of a factor of 3 between the sizes of
+    all poles.
 
     Args:
         data: closed-loop poles over the swept parameter.
         ax: axes to draw in.
         unit: unit of the swept parameter.
         picked: parameter value whose poles are marked; the nearest computed value is used.
-        radius: largest |pole| shown [rad/s]; by default the largest |pole| below the highest gap of a factor of 3
-            between sorted |poles|, so that the fast poles caused by the delay are not shown.
 
     Example:
         >>> from surctl.marine.control import load_gains
@@ -83,7 +82,7 @@ def plot_locus(
         ('real part [1/s]', 'imaginary part [rad/s]', ['start: 0.2', 'picked: 0.8', 'stability boundary'])
     """
     ax = dress(ax or new_axes(6.4, 4.9), x="real part [1/s]", y="imaginary part [rad/s]")
-    edge = radius or 1.15 * _below_the_gap(np.sort(np.abs(data.poles).max(axis=0)))
+    edge = 1.15 * _below_the_gap(np.sort(np.abs(data.poles).max(axis=0)))
     _grid(ax, edge)
     colours = np.repeat(data.values, data.poles.shape[1])
     points = ax.scatter(data.poles.real.ravel(), data.poles.imag.ravel(), s=5, c=colours, cmap="viridis")

@@ -65,11 +65,10 @@ def _at_witness(name: str) -> tuple[float, bool, Mapping[str, float]]:
     return *evaluate(claim, claim.witnesses[0]), claim.witnesses[0]
 
 
-def _trajectory(rate: ca.Function, start: Vector, *, duration: float, step: float = 0.05) -> Vector:
-    """Return the states (k + 1, n) of ẋ = rate(x) from `start` (n,) in k = duration/step RK4 steps of `step` [s]."""
+def _trajectory(rate: ca.Function, start: Vector) -> Vector:
+    """Return the states (k + 1, n) of ẋ = rate(x) from `start` (n,) over 120 s, by k = 2,400 steps of RK4."""
     x = ca.SX.sym("x", len(start))
-    after = runge_kutta(lambda x, _: rate(x), x, step)
-    steps = ca.Function("step", [x], [after]).mapaccum(round(duration / step))
+    steps = ca.Function("step", [x], [runge_kutta(lambda x, _: rate(x), x, 0.05)]).mapaccum(2400)
     return np.vstack([start, np.asarray(steps(start), dtype=float).T])
 
 
@@ -141,7 +140,7 @@ def _final_distance(start: float, setting: Setting, *, delta: float = 0.0, closi
     turned = course(e2, ca.SX(0), setting, delta=delta)
     rate = clearance_rate(turned, ca.SX(0), speed=ca.SX(setting.avoidance_speed), closing=ca.SX(closing))
     f = ca.Function("rate", [e2], [rate])
-    return float(_trajectory(f, np.array([start]), duration=120.0)[-1, 0])
+    return float(_trajectory(f, np.array([start]))[-1, 0])
 
 
 def inertial_motion(start: Vector, setting: Setting, acceleration: float) -> Vector:
@@ -153,7 +152,7 @@ def inertial_motion(start: Vector, setting: Setting, acceleration: float) -> Vec
     pull = (desired - x[2:]) / 0.1  # [1/s] a velocity loop much faster than the thrust allows
     held = pull * ca.fmin(1, acceleration / ca.fmax(ca.sqrt(ca.sumsqr(pull)), 1e-9))
     f = ca.Function("rate", [x], [ca.vertcat(x[2:], held)])
-    return _trajectory(f, start, duration=120.0)
+    return _trajectory(f, start)
 
 
 @_erratum("E1", "positive direction of angles", "(17): ẏ_OB = −u_OB sin ψ_OB")
@@ -418,7 +417,7 @@ def _sway() -> Shown:
     ends = []
     for course in (False, True):
         rate = ca.Function("rate", [y], [cross_track_rate(y, u, v, lookahead=s.lookahead, course=course)])
-        ends.append(float(_trajectory(rate, np.array([1.0]), duration=120.0)[-1, 0]))
+        ends.append(float(_trajectory(rate, np.array([1.0]))[-1, 0]))
     (heading, course_end), left = ends, s.lookahead * v / u
     ours = f"y_e converges to {heading:.4f} m with heading control, to {abs(course_end):.4f} m with course control"
     why = f"with {v:.2f} m/s sway and {u:.2f} m/s surge, y_e stays at Δ_h v/u = {left:.4f} m"
