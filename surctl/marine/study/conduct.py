@@ -305,10 +305,10 @@ class Study(StudyParts):
 
     def to_dict(self) -> dict[str, Any]:
         """Return the study as plain data; the writer converts numbers that are not finite."""
-        data, swept, plan, found, one = self.common(), self.sweep, self.plan, self.data, self.analysis
+        data, swept, plan, shown, one = self.common(), self.sweep, self.plan, self.data, self.analysis
         assert swept is not None  # chosen before
         picked = None if swept.picked is None else list(swept.picked)
-        gains = {"file": found.gains_file, "values": dict(found.gains.values), "provenance": found.gains.provenance}
+        gains = {"file": shown.gains_file, "values": dict(shown.gains.values), "provenance": shown.gains.provenance}
         linear = None if one.loops is None else one.loops.to_dict()
         if linear is not None:
             linear |= {} if one.mode is None else {"mode": one.mode.to_dict()}
@@ -319,8 +319,8 @@ class Study(StudyParts):
             "sweep": data["sweep"] | {"picked": picked, "cases": list(swept.cases)},
             "margins": [m.to_dict() for m in one.margins],
             "linear": linear,
-            "verdicts": [*(v.to_dict() for v in found.verdicts), *(v.to_dict() for v in found.inapplicable)],
-            "runs": [run.to_dict() | {"decides": d} for run, d in zip(found.runs, found.decides, strict=True)],
+            "verdicts": [*(v.to_dict() for v in shown.verdicts), *(v.to_dict() for v in shown.inapplicable)],
+            "runs": [run.to_dict() | {"decides": d} for run, d in zip(shown.runs, shown.decides, strict=True)],
             "not_simulated": [
                 {"scenario": leg.scenario.name, "reason": leg.exclusion} for leg in plan.legs if leg.exclusion
             ],
