@@ -191,10 +191,7 @@ def verify(
         held, held_data = list[str](), dict[str, float]()
         if linear.stable is not None and cascaded:
             margins_at = cruise or speeds[:1]
-            held, held_data = speed_lines(
-                vehicle, values, law=chosen_law, cruise=speeds[0], cap=speeds[1], dt=subjects[-1].period,
-                uncertainty=uncertainty, short=linear.short,
-            )  # fmt: skip
+            held, held_data = speed_lines(subjects[-1], short=linear.short)
         lines += [*held, f"not assessed: {', '.join(assessed[-1].omitted)} (surctl study assesses all)"]
         result |= {
             "derived_gains": tuned.data, "uncertainty": uncertainty, "cruise_m_per_s": speeds[0],
