@@ -154,11 +154,13 @@ def verify(
         prepare_out(out)
     require_own_speeds(regions, fastest, cap)
     check_barrier(robot.barrier, robot.movers)
-    forms = {"barrier": robot.barrier, "movers": robot.movers}
-    subject, kind = (vehicle, tuned.gains), dict[str, Any](law=chosen_law, out=out)
-    of_regions, instead = region_claims(regions, *subject, speeds=speeds, seed=seed, forms=forms, **kind)
-    of_missions = mission_claims(missions, mission, *subject, speeds=speeds, seed=seed, **kind)
-    of_braking = braking_claims(braking, *subject, cap=speeds[1], **kind)
+    scenarios = () if mission is None else (replace(mission, cruise=speeds[0], cap=speeds[1]),)
+    judging: dict[str, Any] = {"barrier": robot.barrier, "movers": robot.movers, "sensing": sensed}
+    judging |= {"uncertainty": uncertainty or None, "scenarios": scenarios}
+    whole = Mission(vehicle, tuned.gains, *speeds, chosen_law, **judging)
+    of_regions, instead = region_claims(regions, whole, seed=seed, out=out)
+    of_missions = mission_claims(missions, mission, whole, seed=seed, out=out)
+    of_braking = braking_claims(braking, whole, out=out)
     limit = time_limit or _SHORT
     claims = [
         *(Claimed(c.name, partial(decide_claim, c, seed=seed, time_limit=limit, out=out)) for c in chosen),
@@ -166,12 +168,7 @@ def verify(
         *of_regions, *of_missions, *of_braking,
     ]  # fmt: skip
     cascaded = PATH_FOLLOWING in source.parts
-    scenarios = () if mission is None else (replace(mission, cruise=speeds[0], cap=speeds[1]),)
-    judging: dict[str, Any] = {"uncertainty": uncertainty or None, "sensing": sensed, **forms}
-    subjects = [
-        Mission(*subject, u, speeds[1], chosen_law, "los", scenarios, **judging)
-        for u in (() if alone else cruise or speeds[:1])
-    ]
+    subjects = [] if alone else [replace(whole, cruise=u) for u in cruise or speeds[:1]]
     # the speeds but the largest concern the loop alone
     assessed = [assess(one, parts=["loop"] if one is not subjects[-1] else ["loop", "no contact"]) for one in subjects]
     parts = [linear_part(*each) for each in zip(assessed, subjects, strict=True)]
@@ -201,7 +198,7 @@ def verify(
     beside = list[str]()
     certificates = [file for one in done for file in one.files]
     if out is not None:
-        result["pictures"] = _draw(done, verdicts, *subject, out, cruise=margins_at, law=chosen_law)
+        result["pictures"] = _draw(done, verdicts, vehicle, tuned.gains, out, cruise=margins_at, law=chosen_law)
         lines.append(f"certificates: {len(certificates)}, pictures: {len(result['pictures'])}, in {out}")
     if safety is not None:
         judges = not isinstance(safety, Inapplicable)
