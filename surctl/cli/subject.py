@@ -325,7 +325,7 @@ def mode_text(loop: SampledLoop) -> str:
     return f"|z| = {mode['size']:.6g}, {'does not decay' if math.isinf(constant) else change}{beat}"
 
 
-_WITHIN, _CLAIM = "within.", "lyapunov."
+_WITHIN, _CLAIM, _ABOUT = "within.", "lyapunov.", ("function", "level", "rate")
 
 
 @dataclass(frozen=True)
@@ -395,8 +395,8 @@ def region_words(
         name, _, text = (part.strip() for part in word.partition("="))
         if name.startswith(_CLAIM):
             key = name.removeprefix(_CLAIM)
-            if key not in ("function", "level", "rate"):
-                raise InputError("is not known", key=name, remedy=nearest(key, ("function", "level", "rate")))
+            if key not in _ABOUT:
+                raise InputError("is not known", key=name, remedy=nearest(key, _ABOUT))
             _once(claim, key, name)
             claim[key] = text
         elif name.startswith(_WITHIN) or ".." in text:

@@ -15,7 +15,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike, NDArray
 
-from surctl.errors import InputError, SurctlError, nearest
+from surctl.errors import InputError, SurctlError, check_known
 from surctl.report.design_bench import DesignBench, Slider, View
 from surctl.report.panel import Curve, Panel, Shade, draw_panel, draw_panels, panel_svg
 from surctl.report.theme import BAD, dress, legend_above, new_axes, png
@@ -417,10 +417,7 @@ def _both(bench: DesignBench, request: Request, points: Sequence[str] = ()) -> l
     """Return the loops of the present gains, and of the compared ones if there are any."""
     chosen = points or request["points"] or bench.points[:1]
     for point in chosen:
-        if point not in bench.points:
-            raise InputError(
-                "is not an operating point", key="points", value=point, remedy=nearest(str(point), bench.points)
-            )
+        check_known(point, bench.points, "is not an operating point", key="points")
     sets = [request["values"], request.get("compared")]
     return [None if k and one is None else _loops(bench, _values(bench, one), chosen) for k, one in enumerate(sets)]
 

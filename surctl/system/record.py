@@ -88,6 +88,15 @@ class Record(Plotted):
         places = _places(self.system).items()
         return {name: layout.port(port) for name, (kind, layout, port) in places if kind in (kinds or _KINDS)}
 
+    def entries(self, *kinds: str) -> list[tuple[str, str, str, Array]]:
+        """Return signal, label, unit and values (n,) of each entry of the signals of the given kinds, see `ports`."""
+        entries = []
+        for name, port in self.ports(*kinds).items():
+            alone = Layout((port,))
+            labels = (label.replace(port.name, name, 1) for label in entry_labels(alone))
+            entries += [(name, *each) for each in zip(labels, entry_units(alone), self.signals[name].T, strict=True)]
+        return entries
+
     def table(self) -> dict[str, Array]:
         """Return time, all entries of all signals, and status as columns (n,), by a label with the unit."""
         return {f"{label} [{column.unit}]": column.values for label, column in self.columns().items()}
@@ -98,12 +107,10 @@ class Record(Plotted):
         A signal with the label `time` or `status` gets a trailing underscore.
         """
         columns = {"time": Column(self.time, "s", "time since the start")}
-        for name, port in self.ports().items():
-            alone = Layout((port,))
-            labels = (label.replace(port.name, name, 1) for label in entry_labels(alone))
-            for label, unit, values in zip(labels, entry_units(alone), self.signals[name].T, strict=True):
-                key = f"{label}_" if label in ("time", "status") else label
-                columns[key] = Column(values, unit, f"{label}: {port.meaning}" if port.meaning else label)
+        ports = self.ports()
+        for name, label, unit, values in self.entries():
+            key, meaning = f"{label}_" if label in ("time", "status") else label, ports[name].meaning
+            columns[key] = Column(values, unit, f"{label}: {meaning}" if meaning else label)
         return columns | {"status": Column(self.status.astype(float), "1", "status of the controller's steps")}
 
 

@@ -84,7 +84,7 @@ def test_a_dependence_is_ordered_by_rank() -> None:
 def test_limits_are_drawn_and_the_figure_turns_dark() -> None:
     figure = plot_record(runs()[0], limits={"torque": (-5.0, 5.0)})
     ax = next(ax for ax in figure.axes if ax.get_ylabel() == "torque [N m]")
-    assert ax.get_ylim()[0] < -5 and ax.get_ylim()[1] > 5 and len(ax.patches) == 2
+    assert ax.get_ylim()[0] < -5 and ax.get_ylim()[1] > 5 and len(ax.collections) == 2
 
 
 @pytest.mark.parametrize(

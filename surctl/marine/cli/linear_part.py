@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from surctl.errors import InputError
@@ -11,7 +11,6 @@ from surctl.errors import InputError
 if TYPE_CHECKING:
     from surctl.assessment import Assessment
     from surctl.marine.assessment import LoopAnalysis, Mission
-    from surctl.marine.vehicle import Vehicle
 
 
 class LinearPart(NamedTuple):
@@ -115,30 +114,21 @@ def _by_sonar(mission: Mission) -> tuple[list[str], list[dict[str, Any]]]:
     return [head, *(each.line() for each in margins)], [each.to_dict() for each in margins]
 
 
-def speed_lines(
-    vehicle: Vehicle,
-    gains: Mapping[str, float],
-    *,
-    law: str,
-    cruise: float,
-    cap: float,
-    dt: float,
-    uncertainty: float,
-    short: bool,
-) -> tuple[list[str], dict[str, float]]:
+def speed_lines(mission: Mission, *, short: bool) -> tuple[list[str], dict[str, float]]:
     """Return the highest speeds at which all corners are stable, and have a disk margin: lines to print, numbers.
 
-    If the cruise speed [m/s] is above the second speed or a margin is too small (`short`), a line says what to change:
+    If the cruise speed is above the second speed or a margin is too small (`short`), a line says what to change:
     the speed, or the gains.
 
-    Speeds are in m/s. A warning is printed if the speed limit `cap` [m/s] exceeds one of these speeds.
+    Speeds are in m/s. A warning is printed if the speed limit of the mission exceeds one of these speeds.
     """
     from surctl.ir.cache import stored_numbers
     from surctl.marine.verification.corners import corners
     from surctl.marine.verification.linear import bearable_speed
     from surctl.verification.linear import LEAST_DISK_MARGIN
 
-    tried = corners(vehicle, uncertainty or None)
+    gains, law, dt, cruise, cap = mission.gains.values, mission.law_ref, mission.period, mission.cruise, mission.cap
+    tried = corners(mission.vehicle, mission.uncertainty)
 
     def searched() -> dict[str, float]:
         nominal = bearable_speed(tried.alone, gains, dt=dt, law=law)
@@ -164,16 +154,17 @@ def speed_lines(
             lines.append(f"  warning: the cap, {cap:g} m/s, exceeds {limit:.3g} m/s, {what}; {lower}")
             break
     if robust < cruise or short:
-        lines.append(_change(vehicle, cruise=cruise, dt=dt, robust=robust))
+        lines.append(_change(mission, robust=robust))
     return lines, numbers
 
 
-def _change(vehicle: Vehicle, *, cruise: float, dt: float, robust: float) -> str:
+def _change(mission: Mission, *, robust: float) -> str:
     # what reaches the required margins, or larger ones
     from surctl.marine.tuning import derive_gains
     from surctl.marine.tuning.derived import REQUIRED
 
-    derived = derive_gains(vehicle, cruise=cruise, dt=dt)
+    cruise = mission.cruise
+    derived = derive_gains(mission.vehicle, cruise=cruise, dt=mission.period)
     if derived.reached:
         better = (
             f"gains derived for {cruise:g} m/s have a disk margin of {derived.disk_margin:.2f} and a delay margin of "

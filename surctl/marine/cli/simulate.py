@@ -20,6 +20,7 @@ from surctl.marine.cli.robot_options import (
     choose_gains,
     choose_law,
     choose_vehicle,
+    form_options,
     law_option,
     priority_options,
     trust_option,
@@ -51,15 +52,7 @@ if TYPE_CHECKING:
 @click.option("--vehicle", metavar="FILE", help="Vehicle: name or file (default: that of the scenario).")
 @click.option("--gains", metavar="FILE", help=GAINS_HELP)
 @law_option
-@click.option(
-    "--avoidance",
-    default="corrected",
-    metavar="NAME",
-    help="Equation (20) of --law paper: corrected (default), printed, or consistent (every angle counter-clockwise).",
-)
-@click.option(
-    "--guidance", default="los", metavar="NAME", help="Path guidance: los (default); for currents ilos or alos."
-)
+@form_options
 @priority_options
 @click.option("--sensing", default="truth", metavar="NAME", help="Obstacles: true positions (truth, default) or sonar.")
 @barrier_options

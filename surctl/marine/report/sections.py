@@ -36,9 +36,9 @@ from surctl.verification import Inapplicable, LoopCorners, Verdict
 _NOTHING = Assessment("", {}, (), {})
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(kw_only=True, eq=False)
 class ReportData:
-    """The contents of one HTML report.
+    """The contents of one HTML report, which a study fills.
 
     Attributes:
         title: heading of the report.

@@ -345,7 +345,7 @@ def default_cruise(vehicle: Vehicle) -> float:
     return float(f"{min(_CRUISE_SHARE * top_speed(vehicle), _HELD * held_speed(vehicle)):.2g}")
 
 
-def derived_gains(vehicle: Vehicle, *, cruise: float, dt: float = _DT) -> Gains:
+def derived_gains(vehicle: Vehicle, *, cruise: float) -> Gains:
     """Return the gains that follow from a vehicle at a cruise speed [m/s]; see `derive_gains`.
 
     Example:
@@ -355,7 +355,7 @@ def derived_gains(vehicle: Vehicle, *, cruise: float, dt: float = _DT) -> Gains:
         >>> gains.name, gains.provenance
         ('derived', 'derived from the vehicle bluerov2-vonbenzon at 0.17 m/s, disk margin ...')
     """
-    return derive_gains(vehicle, cruise=cruise, dt=dt).gains
+    return derive_gains(vehicle, cruise=cruise).gains
 
 
 def derive_gains(vehicle: Vehicle, *, cruise: float, dt: float = _DT) -> Derivation:
@@ -393,7 +393,7 @@ def has_tuned(vehicle: Vehicle) -> bool:
 
 
 def gains_for(
-    word: str | None, vehicle: Vehicle, *, cruise: float, own: Mapping[str, GainSpec] | None = None, dt: float = _DT
+    word: str | None, vehicle: Vehicle, *, cruise: float, own: Mapping[str, GainSpec] | None = None
 ) -> tuple[Gains, Derivation | None]:
     """Return the gains of a command: the named set, else `default` for the vehicles it was chosen for, else derived.
 
@@ -404,7 +404,6 @@ def gains_for(
         vehicle: the vehicle.
         cruise: cruise speed [m/s].
         own: gains of a law of the user's own, as in `load_gains`.
-        dt: control period [s].
 
     Example:
         >>> from surctl.marine.tuning import gains_for
@@ -417,11 +416,11 @@ def gains_for(
     if word is not None or has_tuned(vehicle):
         return load_gains(word or "default", own=own), None
     try:
-        derivation = derive_gains(vehicle, cruise=cruise, dt=dt)
+        derivation = derive_gains(vehicle, cruise=cruise)
     except InputError as error:
         if error.key != "cruise" or not cruise > 0:
             raise
-        slower = derive_gains(vehicle, cruise=min(cruise, _HELD * held_speed(vehicle)), dt=dt)
+        slower = derive_gains(vehicle, cruise=min(cruise, _HELD * held_speed(vehicle)))
         provenance = f"{slower.gains.provenance}; the thrust cannot hold {cruise:g} m/s"
         derivation = replace(slower, gains=replace(slower.gains, provenance=provenance))
     return (derivation.gains.with_own(own) if own else derivation.gains), derivation

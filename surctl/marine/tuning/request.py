@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl import __version__
-from surctl.errors import EmptyDomain, InputError, nearest
+from surctl.errors import EmptyDomain, InputError, check_known
 from surctl.marine.control import PATH_FOLLOWING, Gains, law_options, law_source, write_gains
 from surctl.marine.simulation import STOPS, Case, simulate_batch
 from surctl.marine.tuning.derived import DEPENDENT, derive_gains
@@ -86,8 +86,7 @@ def gain_ranges(
     if not table:
         raise InputError("nothing is tuned", key="--gain", remedy="name at least one gain")
     for name in table:
-        if name not in base.specs:
-            raise InputError("no such gain", key="--gain", value=name, remedy=nearest(name, base.specs))
+        check_known(name, base.specs, "no such gain", key="--gain")
     stated = ((name, ends or _default(name, base)) for name, ends in table.items())
     specs = base.specs
     return tuple(
