@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Sequence
+from functools import partial
 
 import numpy as np
 
 from surctl.errors import InputError
 from surctl.ir.program import LEAVES, OPERATIONS, Instruction, Program, drop_dead
-from surctl.ir.routine import Block, Call, Loop, Routine, Step, changed_programs, nested
+from surctl.ir.routine import Block, Call, Routine, changed_programs
 
 
 class Numbering:
@@ -118,25 +119,7 @@ _LONGEST = 1200
 
 def shortened(block: Block) -> Block:
     """Return the program or routine with its long programs split, except programs that run in SIMD lanes."""
-    built: dict[int, Block] = {}
-    for key, inner in nested(block).items():
-        if isinstance(inner, Program):
-            built[key] = split(inner, _LONGEST)
-            continue
-        if not isinstance(inner, Routine):
-            built[key] = inner
-            continue
-        steps: list[Step] = []
-        for step in inner.steps:
-            if isinstance(step, Call):
-                steps.append(Call(built[id(step.block)], step.args, step.results))
-            elif isinstance(step, Loop) and step.lanes == 1:
-                whole = {name: getattr(step, name) for name in Loop.__slots__}
-                steps.append(Loop(**{**whole, "block": built[id(step.block)]}))
-            else:
-                steps.append(step)
-        built[key] = Routine(inner.name, inner.inputs, tuple(steps), inner.results)
-    return built[id(block)]
+    return changed_programs(block, partial(split, size=_LONGEST), lanes=False)
 
 
 def split(program: Program, size: int) -> Block:
