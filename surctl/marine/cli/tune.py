@@ -179,9 +179,9 @@ def mission_plan(
     plan = plan if law is None else plan.with_law(law)
     plan = plan if gains is None else plan.with_gains(gains)
     plan = plan.by([load_vehicle(vehicle) for vehicle in vehicles]) if vehicles else plan
-    if not plan.unheard:
+    if all(leg.scenario.source for leg in plan.legs):
         return plan
-    prepare_folder(out)
+    prepare_folder(out)  # the commands that are printed at the end name the file of a mission
     return plan.written(out / "missions")
 
 

@@ -26,7 +26,7 @@ from surctl.marine.verification.cruise_loop import has_cruise_loop
 from surctl.marine.verification.law_loop import OperatingPoint, operating_point, steadiest
 from surctl.marine.verification.speeds import check_held
 from surctl.own_code import is_own
-from surctl.system import LinearLoop
+from surctl.system import LinearLoop, every_combination
 from surctl.tuning.montecarlo import APART
 from surctl.tuning.pool import Condition, Evaluation, Sets, judged, scope
 
@@ -278,8 +278,8 @@ def figures(
     own_loops = [name for goal in loops for name in goal.columns]
     table = {name: np.full((count, len(conditions)), np.nan) for name in (*looped, *columns.values(), *own_loops)}
     for case, own in _by_case(conditions):
-        seeds = np.tile([conditions[k].seed for k in own], count)
-        batch = simulate_batch(case, _spread(case, [conditions[k] for k in own], sets), seeds=seeds, threads=threads)
+        values = _spread(case, [conditions[k] for k in own], sets)
+        batch = simulate_batch(case, values, seeds=values.pop("seed"), threads=threads)
         arrived = batch.column("reached").reshape(count, -1) > 0.5
         for name in looped:
             table[name][:, own] = np.where(arrived, batch.column(name).reshape(count, -1), np.nan)
@@ -287,8 +287,9 @@ def figures(
             about = [k for k in own if k in those]
             names = {metric for metric, at in columns if at == speed}
             if about:
-                for name, values in _linear(case, speed, [conditions[k] for k in about], sets, names, threads).items():
-                    table[columns[name, speed]][:, about] = values
+                margins = _linear(case, speed, [conditions[k] for k in about], sets, names, threads)
+                for name, column in margins.items():
+                    table[columns[name, speed]][:, about] = column
         for goal in loops:
             about = sorted(set(own) & set(scope(goal, conditions)))
             for name, speed in goal.columns.items() if about else ():
@@ -327,14 +328,11 @@ def _by_case(conditions: Sequence[Condition]) -> list[tuple[Case, list[int]]]:
 
 
 def _spread(case: Case, conditions: Sequence[Condition], sets: Sets) -> dict[str, NDArray[np.float64]]:
-    # the gain set is the outer index
-    count = len(next(iter(sets.values())))
-    spread = {name: np.repeat(np.asarray(values, dtype=float), len(conditions)) for name, values in sets.items()}
-    off = sorted({name for c in conditions for name in c.plant})
-    nominal = case_parameters(case) if off else {}
-    for name in off:
-        spread[name] = np.tile([c.plant.get(name, nominal[name].value) for c in conditions], count)
-    return spread
+    # every gain set with the plant and the seed of every condition
+    nominal = case_parameters(case)
+    varied = {name for c in conditions for name in c.plant}
+    plants = {name: [c.plant.get(name, nominal[name].value) for c in conditions] for name in sorted(varied)}
+    return every_combination(sets, {"seed": [c.seed for c in conditions], **plants})
 
 
 def _linear(
