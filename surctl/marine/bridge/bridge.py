@@ -247,7 +247,7 @@ class Bridge:
             return self._neutral()
         c, s = cos(pose[3]), sin(pose[3])
         u, v, w, r = reference.tolist()
-        north, east, down = self.plan.site.velocity_to_ned([c * u - s * v, s * u + c * v, w]).tolist()
+        north, east, down = self.plan.site.velocity([c * u - s * v, s * u + c * v, w]).tolist()
         return Axes(velocity=(north, east, down), yaw_rate=-r)
 
     def _left(self, pose: Vector) -> float:
