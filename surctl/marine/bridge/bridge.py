@@ -33,7 +33,6 @@ from surctl.marine.bridge.wire import (
     Event,
     Gone,
     Mapping,
-    Odometry,
     Position,
     Ranges,
     Reply,
@@ -147,7 +146,6 @@ class Bridge:
             Reply: self._reply,
             Position: self._position,
             Attitude: partial(self._own, self.inputs.attitude),
-            Odometry: partial(self._own, self.inputs.odometry),
             Ranges: self._ranges,
             Gone: lambda event, _: self.inputs.gone(event.system),
             Text: lambda event, now: self.texts.append((now, f"autopilot: {event.text}")),
@@ -287,7 +285,7 @@ class Bridge:
         else:
             self._own(self.inputs.position, event, now)
 
-    def _own(self, take: Callable[[Any, float], None], event: Position | Attitude | Odometry, now: float) -> None:
+    def _own(self, take: Callable[[Any, float], None], event: Position | Attitude, now: float) -> None:
         # a measurement of the vehicle's own motion
         measured = self._stamped(event.boot, now)
         if measured is not None:
