@@ -59,8 +59,10 @@ def _vector(value: object) -> NDArray[np.float64] | None:
 def _mat(path: Path, name: str) -> _Contents:
     from scipy.io import loadmat
 
-    if _is_hdf5(path):
-        return _mat73(path, name)
+    with path.open("rb") as file:  # a MAT-file of version 7.3 has a header of 512 bytes before the HDF5 signature
+        hdf5 = b"MATLAB 7.3" in file.read(124) or b"\x89HDF\r\n" in file.read(520)
+    if hdf5:
+        return _hdf5(path, name, kind="MAT-file", remedy="save it with -v7")
     try:
         held = loadmat(path, squeeze_me=True, chars_as_strings=True)
     except (
@@ -71,48 +73,24 @@ def _mat(path: Path, name: str) -> _Contents:
     return {key: value for key, value in held.items() if not key.startswith("__")}, str(frame or "")
 
 
-def _is_hdf5(path: Path) -> bool:
-    # a MAT-file of version 7.3 has a header of 512 bytes before the HDF5 signature
-    with path.open("rb") as file:
-        return b"MATLAB 7.3" in file.read(124) or b"\x89HDF\r\n" in file.read(520)
-
-
-def _mat73(path: Path, name: str) -> _Contents:
-    try:
-        import h5py
-    except ImportError:
-        raise InputError(
-            "is a MAT-file of version 7.3, which needs the package h5py",
-            file=name,
-            remedy="save it with -v7, or install it: pip install 'surctl[matlab]'",
-        ) from None
-    try:
-        with h5py.File(path) as file:
-            held = {key: value[()] for key, value in file.items() if isinstance(value, h5py.Dataset)}
-            texts = {key for key in held if file[key].attrs.get("MATLAB_class", b"") == b"char"}
-    except (OSError, RuntimeError, ValueError, KeyError) as error:
-        raise InputError(f"cannot be read as a MAT-file ({error})", file=name, remedy="save it with -v7") from None
-    frame = "".join(chr(int(c)) for c in np.ravel(held["frame"])) if "frame" in texts else ""
-    return {key: value for key, value in held.items() if key not in texts}, frame
-
-
-def _netcdf(path: Path, name: str) -> _Contents:
+def _hdf5(path: Path, name: str, *, kind: str = "netCDF file", remedy: str = "save it again") -> _Contents:
+    """Return the contents of a netCDF file, or of a MAT-file of version 7.3: both are HDF5 files."""
     import netCDF4
 
     try:
         with netCDF4.Dataset(path) as file:
-            values = {key: np.ma.filled(variable[:], np.nan) for key, variable in _numeric(file).items()}
-            return values, str(getattr(file, "frame", ""))
+            file.set_auto_mask(kind == "netCDF file")  # MATLAB has no number that means a missing one
+            numeric = {key: v for key, v in file.variables.items() if getattr(v.dtype, "kind", "") in "fiu"}
+            values = {key: np.ma.filled(v[:].astype(float), np.nan) for key, v in numeric.items()}
+            texts = {key: values.pop(key) for key, v in numeric.items() if getattr(v, "MATLAB_class", "") == "char"}
+            written = "".join(chr(int(c)) for c in np.ravel(texts.get("frame", [])))
+            return values, written or str(getattr(file, "frame", ""))
     except (OSError, RuntimeError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
-        raise InputError(f"cannot be read as a netCDF file ({reason})", file=name, remedy="save it again") from None
+        raise InputError(f"cannot be read as a {kind} ({reason})", file=name, remedy=remedy) from None
 
 
-def _numeric(file: Any) -> Mapping[str, Any]:
-    return {key: v for key, v in file.variables.items() if getattr(v.dtype, "kind", "") in "fiu"}
-
-
-_ARRAY_FILES: Mapping[str, Callable[[Path, str], _Contents]] = {".mat": _mat, ".nc": _netcdf}
+_ARRAY_FILES: Mapping[str, Callable[[Path, str], _Contents]] = {".mat": _mat, ".nc": _hdf5}
 
 
 _GROUPED = re.compile(r"[+-]?[1-9]\d{0,2}(,\d{3})+(\.\d*)?")
