@@ -211,7 +211,7 @@ class PlantOptions:
         if run.record.tilt is not None:
             tilt = f"; largest roll {result['max_roll_deg']:.1f} deg, pitch {result['max_pitch_deg']:.1f} deg"
         lines = [f"  {run.plant}: contacts {touched}{tilt}"]
-        result["plant_options"] = options.of(run.vehicle).to_dict()
+        result["plant_options"] = options.of(run.vehicle).model_dump(mode="json")
         if self.film is not None:
             with saving("film"):
                 from surctl.marine.report import save_film
