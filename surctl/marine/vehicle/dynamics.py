@@ -417,12 +417,12 @@ def plant_thrust_limit(
     for key in _NEEDED:
         if key not in parameters:
             raise InputError("is missing", key=f"limit {name}: {key}", remedy=nearest(key, parameters))
-    p = {key: checked_column(name, key, parameters[key], 4, finite=True) for key in _NEEDED}
-    velocity = checked_column(name, "nu", nu, 4, finite=True)
-    current = checked_column(name, "water", water, 3, finite=True)
+    p = {key: checked_column(f"limit {name}: {key}", parameters[key], 4, finite=True) for key in _NEEDED}
+    velocity = checked_column(f"limit {name}: nu", nu, 4, finite=True)
+    current = checked_column(f"limit {name}: water", water, 3, finite=True)
     relative = velocity - ca.vertcat(current, 0)
     turning = ca.vertcat(velocity[3] * current[1], -velocity[3] * current[0], 0, 0)
     load = _coriolis_force(relative, p) + _damping_force(relative, p) - p["mass"] * turning
-    load -= checked_column(name, "force", force, 4, finite=True)
+    load -= checked_column(f"limit {name}: force", force, 4, finite=True)
     most = p["thrust_limit"]
     return ThrustLimit(velocity, p["mass"], load=load, lower=-most, upper=most, dt=dt, name=name)
