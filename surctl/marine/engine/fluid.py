@@ -28,7 +28,8 @@ from surctl.errors import InputError, nearest
 from surctl.files import Strict, validate
 from surctl.ir import Program, lower_named
 from surctl.marine.vehicle import GRAVITY, WATER, Actuators, PlantForm, Vehicle, plant_layout, plant_parameters
-from surctl.marine.vehicle.dynamics import constant_force, inertia_matrix, point_of
+from surctl.marine.vehicle.dynamics import constant_force, drag_of, inertia_matrix, planar_turning, point_of
+from surctl.robot.kinematics import rotation_of
 from surctl.tasks.task import planar_rotation
 
 if TYPE_CHECKING:
@@ -239,11 +240,11 @@ def _program(form: PlantForm, dof: int, drag: str, coupled: bool, boxed: bool, a
     terms = {name: p["terms"][k] for k, name in enumerate(form.terms)}
     current, outer, yaw = e[:3], e[3:6], e[6]
     radius, share, ballast = e[7], e[8], e[9]
-    rotation = _from_quaternion(q[3:]) if dof == 6 else ca.diagcat(planar_rotation(q[3]), 1)
+    rotation = rotation_of(ca.vertcat(q[4:], q[3])) if dof == 6 else ca.diagcat(planar_rotation(q[3]), 1)
     through = rotation.T @ (v[:3] - current)
     nu = ca.vertcat(through, v[5], v[3], v[4]) if dof == 6 else ca.vertcat(through, v[3])
 
-    load = -_drag(nu, p, terms, form, drag)
+    load = -_drag(nu, p, form, drag)
     level = rotation[:2, 0] / ca.norm_2(rotation[:2, 0])
     forces = constant_force(p, form)
     ahead = ca.vertcat(ca.horzcat(level[0], -level[1]), ca.horzcat(level[1], level[0])) @ forces[:2]
@@ -285,23 +286,18 @@ def _wrench(force: ca.SX, moment: ca.SX, dof: int) -> ca.SX:
 def _turned(momentum: ca.SX, nu: ca.SX, dof: int) -> ca.SX:
     # k(M, ν): rate of the momenta because the frame of the hull turns and moves
     if dof == 4:
-        turning = nu[0] * momentum[1] - nu[1] * momentum[0]
-        return ca.vertcat(-nu[3] * momentum[1], nu[3] * momentum[0], 0, turning)
+        return planar_turning(momentum, nu)
     linear, angular = momentum[_LINEAR], momentum[_ANGULAR]
     velocity, spin = nu[_LINEAR], nu[_ANGULAR]
     return _wrench(ca.cross(spin, linear), ca.cross(spin, angular) + ca.cross(velocity, linear), dof)
 
 
-def _drag(nu: ca.SX, p: dict[str, ca.SX], terms: dict[str, ca.SX], form: PlantForm, model: str) -> ca.SX:
-    size = nu.numel()
-    speed = ca.fabs(nu[:4])
+def _drag(nu: ca.SX, p: dict[str, ca.SX], form: PlantForm, model: str) -> ca.SX:
+    drag, own = drag_of(nu, p, form), p["quadratic_drag"][:3] * nu[:3]
     if model == "speed":
-        speed[:3] = ca.sqrt(nu[0] ** 2 + nu[1] ** 2 + nu[2] ** 2)
+        drag[:3] += own * (ca.norm_2(nu[:3]) - ca.fabs(nu[:3]))
     elif model == "ellipsoid":
-        speed[:3] = 0
-    drag = ca.vertcat((p["linear_drag"] + p["quadratic_drag"] * speed) * nu[:4], ca.SX.zeros(size - 4))
-    for axis, by, name in form.drag():
-        drag[axis] += terms[name] * (nu[by[0]] if len(by) == 1 else ca.fabs(nu[by[0]]) * nu[by[1]])
+        drag[:3] -= own * ca.fabs(nu[:3])
     return drag
 
 
@@ -327,13 +323,3 @@ def _emerged_box(z: ca.SX, up: ca.SX, sides: ca.SX) -> tuple[ca.SX, ca.SX]:
             volume += part
             first += part * ca.vertcat(x, y, (sides[2] - height) / 2)
     return volume, first
-
-
-def _from_quaternion(quaternion: ca.SX) -> ca.SX:
-    unit = quaternion / ca.norm_2(quaternion)
-    w, x, y, z = (unit[k] for k in range(4))
-    return ca.vertcat(
-        ca.horzcat(1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
-        ca.horzcat(2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
-        ca.horzcat(2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
-    )

@@ -174,8 +174,8 @@ def _terms(p: dict[str, ca.SX], form: PlantForm) -> dict[str, ca.SX]:
     return {name: p["terms"][k] for k, name in enumerate(form.terms)}
 
 
-def _drag(nu: ca.SX, p: dict[str, ca.SX], form: PlantForm) -> ca.SX:
-    # D(ν)ν (4,), or (6,) with roll and pitch [N, N m], for the velocity ν through the water
+def drag_of(nu: ca.SX, p: dict[str, ca.SX], form: PlantForm) -> ca.SX:
+    """Return D(ν)ν (4,), or (6,) with roll and pitch [N, N m], for the velocity ν through the water."""
     terms = _terms(p, form)
     drag = ca.vertcat(_damping_force(nu[:4], p), ca.SX.zeros(nu.numel() - 4))
     for axis, by, name in form.drag():
@@ -194,12 +194,16 @@ def inertia_matrix(p: dict[str, ca.SX], form: PlantForm) -> ca.SX:
 
 def _load(nu: ca.SX, p: dict[str, ca.SX], form: PlantForm) -> ca.SX:
     # C(ν)ν + D(ν)ν (4,) [N, N m] for the velocity ν through the water, without roll and pitch
-    drag = _drag(nu, p, form)
+    drag = drag_of(nu, p, form)
     if not form.inertia():
         return _coriolis_force(nu, p) + drag
-    momentum = inertia_matrix(p, form) @ nu
+    return planar_turning(inertia_matrix(p, form) @ nu, nu) + drag
+
+
+def planar_turning(momentum: ca.SX, nu: ca.SX) -> ca.SX:
+    """Return C(ν)ν (4,) [N, N m] from the momenta M ν (4,) of a body without roll and pitch."""
     turning = nu[0] * momentum[1] - nu[1] * momentum[0]
-    return ca.vertcat(-nu[3] * momentum[1], nu[3] * momentum[0], 0, turning) + drag
+    return ca.vertcat(-nu[3] * momentum[1], nu[3] * momentum[0], 0, turning)
 
 
 def constant_force(p: dict[str, ca.SX], form: PlantForm) -> ca.SX:
@@ -225,7 +229,7 @@ def _tilted(
     terms, inertia = _terms(p, form), inertia_matrix(p, form)
 
     def acceleration(through: ca.SX, rotation: ca.SX) -> ca.SX:
-        load = _hull_load(through, inertia @ through, thrust, outer, rotation, terms) - _drag(through, p, form)
+        load = _hull_load(through, inertia @ through, thrust, outer, rotation, terms) - drag_of(through, p, form)
         return _acceleration(load, p, form)
 
     return _tilted_rate(nu, tilt, current, acceleration)
