@@ -10,10 +10,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from surctl.errors import InputError
-from surctl.marine.bridge import Attitude, Axes, Beat, Gone, Mapping, Position, Ranges, Reply, Site, Wire
-from surctl.marine.bridge.inputs import Inputs, parse_site, yaw_rate
+from surctl.marine.bridge.inputs import Inputs, Site, parse_site, yaw_rate
 from surctl.marine.bridge.live import parse_address
-from surctl.marine.bridge.wire import mode_of
+from surctl.marine.bridge.wire import Attitude, Axes, Beat, Gone, Mapping, Position, Ranges, Reply, Wire, mode_of
 from surctl.marine.control import build_law
 from surctl.marine.simulation import load_scenario
 from surctl.marine.vehicle import load_vehicle

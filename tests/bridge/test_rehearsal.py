@@ -20,10 +20,10 @@ from surctl.marine.bridge import (
     RehearsalResult,
     SessionRecord,
     SimulatedSub,
-    Site,
     Wire,
 )
 from surctl.marine.bridge.bridge import plan_session
+from surctl.marine.bridge.inputs import Site
 from surctl.marine.bridge.rehearsal import rehearse
 from surctl.marine.control import load_gains
 from surctl.marine.simulation import Run, load_scenario, simulate

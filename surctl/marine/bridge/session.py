@@ -268,7 +268,7 @@ def sending(session: Session, now: float, *, limits: Limits) -> Sending:
     """Return what the bridge sends in this control period.
 
     Example:
-        >>> from surctl.marine.bridge import Limits, Session, sending
+        >>> from surctl.marine.bridge.session import Limits, Session, sending
         >>> sending(Session(), 0.0, limits=Limits()), sending(Session("holding"), 0.0, limits=Limits())
         ('nothing', 'neutral')
     """

@@ -157,8 +157,7 @@ class Mapping:
         full_rate: yaw rate [rad/s] at full deflection, 45° times ArduSub's parameter ACRO_YAW_P.
 
     Example:
-        >>> from surctl.marine.bridge import Mapping
-        >>> from surctl.marine.bridge.wire import mode_of
+        >>> from surctl.marine.bridge.wire import Mapping, mode_of
         >>> from surctl.marine.vehicle import load_vehicle
         >>> mapping = Mapping.of(load_vehicle("sur540-flooded"), mode_of("alt_hold"))
         >>> mapping.axes([2.5, 1.0, 0.0, 0.1], yaw_rate=0.1)  # N, N, N, N m; rad/s
