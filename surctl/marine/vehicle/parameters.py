@@ -14,16 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, ValidationError
 
-from surctl.errors import InputError, nearest
+from surctl.errors import InputError, mistakes_in, nearest
 from surctl.files import Mistakes, Quantity, Strict, pick, quoted, read_toml, validate
 from surctl.marine.vehicle.specs import (
     DEFAULTED,
     NEEDED_TO_TILT,
     PARAMETERS,
+    SPECS,
     TERMS,
-    ParameterSpec,
     PlantForm,
-    parameter_spec,
 )
 from surctl.marine.vehicle.thruster_file import axis_ends, axis_limits, common_lag, read_actuators, thruster_text
 from surctl.marine.vehicle.thrusters import Actuators
@@ -337,7 +336,7 @@ def vehicle_from_table(table: dict[str, Any], *, source: str) -> Vehicle:
                 raise InputError("is missing", file=source, key=f"{spec.table}.{name}", remedy=remedy)
             parameters[name] = Parameter(spec.default, spec.unit, None, DEFAULTED)
     mistakes.check()
-    ordered = {name: parameters[name] for name in (*PARAMETERS, *TERMS) if name in parameters}
+    ordered = {name: parameters[name] for name in SPECS if name in parameters}
     return _possible(Vehicle(model.name, model.note, ordered, source, actuators))
 
 
@@ -400,7 +399,7 @@ def _of_thrusters(
         return {}
     said = "follows from the thrusters: the largest value with 0 on all other axes"
     limits = _largest_forces(actuators, stated=stated, source=source)
-    derived = {name: Parameter(v, _spec(name).unit, None, said) for name, v in limits.items()}
+    derived = {name: Parameter(v, SPECS[name].unit, None, said) for name, v in limits.items()}
     known = stated.get("thrust_lag")
     lag = common_lag(tables, known=None if known is None else known.value, source=source)
     derived |= {} if lag is None else {"thrust_lag": Parameter(lag, "s", None, "lag of every thruster")}
@@ -410,7 +409,7 @@ def _of_thrusters(
 def _read_section(
     section: str, table: Mapping[str, Quantity | str], source: str, mistakes: Mistakes
 ) -> dict[str, Parameter]:
-    known = [name for name, spec in (*PARAMETERS.items(), *TERMS.items()) if spec.table == section]
+    known = [name for name, spec in SPECS.items() if spec.table == section]
     shared = table.get("provenance")
     if shared is not None and (not isinstance(shared, str) or not shared.strip()):
         raise InputError(
@@ -421,41 +420,31 @@ def _read_section(
         if name == "provenance":
             continue
         with mistakes.collected():
-            parameters[name] = _read_entry(f"{section}.{name}", name, entry, shared, known, source)
+            with mistakes_in(source, f"{section}.{name}"):
+                if name not in known:
+                    raise InputError("unknown key", remedy=nearest(name, [*known, "provenance"]))
+                parameter = _parameter(name, entry, shared)
+            parameters[name] = _checked(name, parameter, file=source)
     return parameters
 
 
-def _read_entry(
-    key: str, name: str, entry: Quantity | str, shared: str | None, known: list[str], source: str
-) -> Parameter:
-    if name not in known:
-        raise InputError("unknown key", file=source, key=key, remedy=nearest(name, [*known, "provenance"]))
-    entry = _in_own_unit(name, entry, file=source)
-    provenance = entry.provenance or shared
-    if not isinstance(provenance, str):
-        raise InputError(
-            "has no provenance",
-            file=source,
-            key=key,
-            remedy=f'add provenance = "..." to [{key.partition(".")[0]}]: who measured or derived it',
-        )
-    return _checked(name, Parameter(entry.value, entry.unit, entry.range, provenance), file=source)
-
-
-def _in_own_unit(name: str, entry: Quantity | str, *, file: str) -> Quantity:
-    spec = _spec(name)
+def _parameter(name: str, entry: Quantity | str, shared: str | None) -> Parameter:
+    spec = SPECS[name]
     try:
-        return (Quantity.model_validate(entry) if isinstance(entry, str) else entry).within(spec.unit)
+        quantity = Quantity.model_validate(entry) if isinstance(entry, str) else entry
     except ValidationError:
-        problem = "must be a value with its unit"
         remedy = f'write {{ value = ..., unit = "{spec.unit}" }}'
-        raise InputError(problem, file=file, key=f"{spec.table}.{name}", value=entry, remedy=remedy) from None
-    except InputError as error:
-        raise error.inside(file, f"{spec.table}.{name}.unit") from None
+        raise InputError("must be a value with its unit", value=entry, remedy=remedy) from None
+    known = quantity.within(spec.unit)
+    provenance = known.provenance or shared
+    if not isinstance(provenance, str):
+        remedy = f'add provenance = "..." to [{spec.table}]: who measured or derived it'
+        raise InputError("has no provenance", remedy=remedy)
+    return Parameter(known.value, known.unit, known.range, provenance)
 
 
 def _checked(name: str, parameter: Parameter, *, file: str) -> Parameter:
-    spec = _spec(name)
+    spec = SPECS[name]
     key, value = f"{spec.table}.{name}", parameter.value
     for what, number in ((key, value), *((f"{key}.range", end) for end in parameter.range or ())):
         if not spec.allows(number):
@@ -472,12 +461,6 @@ def _checked(name: str, parameter: Parameter, *, file: str) -> Parameter:
     return parameter
 
 
-def _spec(name: str) -> ParameterSpec:
-    spec = parameter_spec(name)
-    assert spec is not None  # the callers have checked the name
-    return spec
-
-
 def write_vehicle(vehicle: Vehicle) -> str:
     """Return the text of a vehicle file from which the vehicle's numbers, ranges and provenances can be read again.
 
@@ -490,7 +473,7 @@ def write_vehicle(vehicle: Vehicle) -> str:
         60.0
     """
     lines = ['kind = "vehicle"', f"name = {quoted(vehicle.name)}", f"note = {quoted(vehicle.note)}"]
-    specs = {name: spec for name, spec in (*PARAMETERS.items(), *TERMS.items()) if name in vehicle.parameters}
+    specs = {name: spec for name, spec in SPECS.items() if name in vehicle.parameters}
     for table in dict.fromkeys(spec.table for spec in specs.values()):
         lines += ["", f"[{table}]"]
         for name, spec in specs.items():

@@ -28,7 +28,7 @@ from surctl.marine.simulation.obstacle import Obstacle
 from surctl.marine.simulation.run import Sensing
 from surctl.marine.simulation.scenario import Scenario
 from surctl.marine.simulation.thruster_faults import check_failed
-from surctl.marine.vehicle import Vehicle, parameter_spec
+from surctl.marine.vehicle import SPECS, Vehicle
 from surctl.priority import Mode
 
 Vector = NDArray[np.float64]
@@ -159,8 +159,7 @@ def case_parameters(case: Case) -> Mapping[str, CaseParameter]:
         for name, spec in case.gains.specs.items()
     ]
     for name, known in case.vehicle.parameters.items():
-        spec = parameter_spec(name)
-        assert spec is not None  # a vehicle has no other parameters
+        spec = SPECS[name]
         least, above = -inf if spec.signed else 0.0, not spec.zero_allowed
         only = f"{spec.meaning}, of the simulated vehicle only; the controller keeps its model"
         for kind, meaning in (("vehicle", spec.meaning), ("plant", only)):
