@@ -369,12 +369,7 @@ class Kinematics:
 
     def checked(self, value: ArrayLike, size: int, key: str) -> Array:
         """Return a vector of `size` finite numbers; raise InputError otherwise."""
-        vector = as_numbers(value, key=key).reshape(-1)
-        if vector.size != size or not np.isfinite(vector).all():
-            raise InputError(
-                f"is not {size} finite numbers", key=key, value=value, remedy=f"joints: {', '.join(self.names)}"
-            )
-        return vector
+        return as_numbers(value, key=key, size=size)
 
     def _numbers(self, link: str, q: ArrayLike) -> tuple[Array, Array, Array]:
         if link not in self._functions:

@@ -14,13 +14,13 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from surctl.errors import InputError, check_known, mistakes_in
+from surctl.errors import InputError, check_known, check_number, mistakes_in
 from surctl.ir import Port
 from surctl.robot import limits
 from surctl.robot.kinematics import Base, Kinematics, rotation_of, rotation_vector
 from surctl.robot.urdf import read_urdf
 from surctl.tasks import Task
-from surctl.units import as_numbers, is_number
+from surctl.units import as_numbers
 
 # Tasks of a robot: frames, centre of mass, posture and the direction in which a frame looks
 
@@ -125,8 +125,7 @@ def _vector(name: str, size: int, unit: str, meaning: str, default: Array) -> In
 
 
 def _number(name: str, value: float, unit: str, meaning: str) -> Input:
-    if not is_number(value) or not value > 0.0:
-        raise InputError("is not a positive number", key=name, value=value, remedy=f"give {unit}")
+    check_number(name, value, unit=unit)
     return Input(Port(name, (1,), unit, meaning, float(value)), ca.SX.sym(name), tunable=True)
 
 

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from surctl.errors import InputError, ToolMissing, check_known
+from surctl.errors import ToolMissing, check_known, check_number
 from surctl.marine.vehicle import Thruster, Vehicle
 from surctl.marine.vehicle.motion_log import roll_pitch_heading
 
@@ -176,8 +176,7 @@ class Mapping:
         Raises:
             InputError: the full yaw rate is not a positive number.
         """
-        if not (isfinite(full_rate) and full_rate > 0):
-            raise InputError("is not a yaw rate", key="full_rate", value=full_rate, remedy="give rad/s, above 0")
+        check_number("full_rate", full_rate, unit="rad/s")
         limits = vehicle.thrust_range
         if vehicle.actuators is not None:
             limits = np.array([-vehicle.actuators.most, vehicle.actuators.most])
