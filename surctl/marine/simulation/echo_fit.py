@@ -142,12 +142,12 @@ class _Face:
         """Return whether the search finds a place."""
         from scipy.optimize import differential_evolution  # this import takes long
 
-        found = differential_evolution(
+        best = differential_evolution(
             lambda points: self._overlap(points.T), [(0.0, 1.0)] * 4, vectorized=True, updating="deferred", rng=0,
             popsize=16, maxiter=300, tol=0.0, atol=_OVERLAP, init="sobol", polish=False,
             callback=lambda intermediate_result: bool(intermediate_result.fun <= _OVERLAP),
         )  # fmt: skip
-        return bool(found.fun <= _OVERLAP)
+        return bool(best.fun <= _OVERLAP)
 
     def _overlap(self, points: Array) -> Array:
         # [m] by which the hull at each place overlaps obstacles or walls

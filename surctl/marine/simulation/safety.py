@@ -80,9 +80,7 @@ def turn_rate(
     if sonar:
         desired = min(gains["spin"], believed.steady_yaw(YAW_SHARE, scenario.cruise))
     else:
-        legs = np.diff(scenario.path.waypoints, axis=0)
-        turns = np.diff(np.arctan2(legs[:, 1], legs[:, 0]))
-        desired = gains["k_psi"] * float(np.max(np.abs((turns + np.pi) % (2 * np.pi) - np.pi), initial=0.0))
+        desired = gains["k_psi"] * float(np.max(scenario.path.turns, initial=0.0))
 
     def end(name: str, which: int) -> float:
         stated = believed.parameters[name].range
