@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from itertools import combinations, pairwise
-from math import acos, ceil, degrees, floor, inf, log10, sqrt, tan
+from math import acos, ceil, degrees, floor, inf, log10, tan
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,7 @@ from surctl.marine.guidance.braking import Watch, brakes_of, fastest_obstacle, r
 from surctl.marine.simulation.clearance import tightest_gap
 from surctl.marine.simulation.obstacle import Obstacle
 from surctl.marine.simulation.scenario import Scenario
-from surctl.marine.vehicle import Vehicle
+from surctl.marine.vehicle import Vehicle, steady_speed
 from surctl.marine.vehicle.linearise import WITHIN_LAW, ahead_limit, command_range
 
 _REVERSAL = 2.4  # [rad] largest change of direction (137°) that counts as a corner; beyond it the path turns back
@@ -383,7 +383,11 @@ def _speed_key(scenario: Scenario, segment: int) -> str:
 def _cap(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
     ahead, most = vehicle.thrust_range[1], command_range(vehicle)[1]
     axes = {"surge": ("Xu", 0), "sway": ("Yv", 1)}
-    held = {axis: _held(vehicle, drag, float(most[k])) for axis, (drag, k) in axes.items() if ahead[k] > 0}
+    held = {
+        axis: steady_speed(float(most[k]), vehicle[drag], vehicle[drag + drag[-1]])
+        for axis, (drag, k) in axes.items()
+        if ahead[k] > 0
+    }
     least = min(held.values())
     if scenario.cap <= least:
         return []
@@ -392,13 +396,6 @@ def _cap(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
     if scenario.cruise > least:  # no cap from the cruise speed on is held by every axis
         return [Finding("info", "cap_m_per_s", f"{text}; so is the cruise speed: motion there is slower")]
     return [Finding("warning", "cap_m_per_s", f"{text}; write at most {np.floor(least * 1e3) / 1e3:g}")]
-
-
-def _held(vehicle: Vehicle, axis: str, most: float) -> float:
-    # speed [m/s] at which the drag equals the largest thrust
-    linear, quadratic = vehicle[axis], vehicle[axis + axis[-1]]
-    root = linear + sqrt(linear**2 + 4 * quadratic * most)
-    return 2 * most / root if root > 0 else inf
 
 
 def _share(force: tuple[float, float]) -> float:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
-from math import ceil, degrees, floor, inf, isfinite, sqrt
+from math import ceil, degrees, floor, inf, isfinite
 from typing import Any
 
 import numpy as np
@@ -34,7 +34,7 @@ from surctl.marine.simulation.echo_fit import unanswered
 from surctl.marine.simulation.scenario import Scenario
 from surctl.marine.simulation.toml_text import toml_text
 from surctl.marine.simulation.world import BAND, FOOTPRINT
-from surctl.marine.vehicle import Vehicle
+from surctl.marine.vehicle import Vehicle, steady_speed
 from surctl.marine.vehicle.dynamics import check_equation_3
 
 _STEP = 0.002  # [m/s] between two examined speeds
@@ -88,11 +88,7 @@ def turn_rate(
 
     loop, linear, quadratic = believed["m44"] * gains["k_r"], end("Nr", 0), end("Nrr", 0)
     demand = (believed["Nr"] + believed["Nrr"] * desired + loop) * desired
-
-    def held(moment: float, linear: float) -> float:
-        return 2 * moment / max(linear + sqrt(linear**2 + 4 * quadratic * moment), 1e-9)
-
-    return min(held(demand, linear + loop), held(end("Fr_max", 1), linear))
+    return min(steady_speed(demand, linear + loop, quadratic), steady_speed(end("Fr_max", 1), linear, quadratic))
 
 
 def mass_difference(vehicle: Vehicle, spread: float | None = None) -> float:
