@@ -79,13 +79,6 @@ class Path:
         return lengths
 
     @property
-    def turns(self) -> NDArray[np.float64]:
-        """By how much the direction changes at each inner waypoint (n - 2,) [rad], at least 0."""
-        ahead = np.diff(self.waypoints, axis=0)
-        turns = np.diff(np.arctan2(ahead[:, 1], ahead[:, 0]))
-        return np.abs((turns + np.pi) % (2 * np.pi) - np.pi)
-
-    @property
     def fed(self) -> bool:
         """Whether the law's parameters change along the path.
 

@@ -163,7 +163,7 @@ def _arcs(scenario: Scenario, vehicle: Vehicle, gains: Gains) -> list[Finding]:
     kinds, speeds, lengths = scenario.path.kinds, _leg_speeds(scenario), scenario.path.lengths
     if kinds is None or not np.any(kinds[1:-1] == BEND):
         return []
-    curvature = np.where(kinds[1:-1] == BEND, scenario.path.turns / ((lengths[1:] + lengths[:-1]) / 2), 0.0)
+    curvature = np.where(kinds[1:-1] == BEND, scenario.turns / ((lengths[1:] + lengths[:-1]) / 2), 0.0)
     speed = np.maximum(speeds[1:], speeds[:-1])
     if vehicle["Fv_max"] > 0:
         return _forced_arcs(scenario, vehicle, curvature, speed)
@@ -222,7 +222,7 @@ def _short(scenario: Scenario, gains: Gains) -> list[Finding]:
     """Report corners that are closer together than the look-ahead distance: the law smooths such a path."""
     path = scenario.path
     kinds = path.table(visits=scenario.corners == "visit")[1:-1, 4]
-    corner = np.concatenate([[True], (kinds != BEND) & (path.turns > np.deg2rad(30)), [True]])
+    corner = np.concatenate([[True], (kinds != BEND) & (scenario.turns > np.deg2rad(30)), [True]])
     at = np.concatenate([[0.0], np.cumsum(path.lengths)])[corner]
     near = int(np.sum(np.diff(at) < gains["lookahead"]))
     if len(path.waypoints) <= 2 or not near:

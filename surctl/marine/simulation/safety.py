@@ -80,7 +80,7 @@ def turn_rate(
     if sonar:
         desired = min(gains["spin"], believed.steady_yaw(YAW_SHARE, scenario.cruise))
     else:
-        desired = gains["k_psi"] * float(np.max(scenario.path.turns, initial=0.0))
+        desired = gains["k_psi"] * float(np.max(scenario.turns, initial=0.0))
 
     def end(name: str, which: int) -> float:
         stated = believed.parameters[name].range
