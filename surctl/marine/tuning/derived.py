@@ -31,20 +31,6 @@ from surctl.verification.linear import LEAST_DISK_MARGIN, screened_peaks
 from surctl.verification.loops import LEAST_DELAY_MARGIN
 from surctl.verification.sampled_margins import delays_at, open_loop
 
-
-class HashedVehicle:
-    """A vehicle that compares by name and parameters, as a key of a cache."""
-
-    def __init__(self, vehicle: Vehicle) -> None:
-        self.vehicle, self.key = vehicle, (vehicle.name, vehicle.digest())
-
-    def __hash__(self) -> int:
-        return hash(self.key)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, HashedVehicle) and self.key == other.key
-
-
 Array = NDArray[np.float64]
 
 DEPENDENT = ("k_v", "k_r", "k_psi", "k1", "k2", "lookahead", "wait", "margin", "reaction", "brake", "kappa", "spin")
@@ -398,7 +384,7 @@ def derive_gains(vehicle: Vehicle, *, cruise: float, dt: float = _DT) -> Derivat
         if not (np.isfinite(value) and value > 0):
             raise InputError("must be greater than 0", key=key, value=value, remedy="correct it")
     check_cruise(vehicle, cruise)
-    return _derive(HashedVehicle(vehicle), float(cruise), float(dt))
+    return _derive(vehicle, float(cruise), float(dt))
 
 
 def has_tuned(vehicle: Vehicle) -> bool:
@@ -460,14 +446,14 @@ def _tuned_digests() -> frozenset[str]:
 
 
 @lru_cache(maxsize=64)
-def _derive(hashed: HashedVehicle, cruise: float, dt: float) -> Derivation:
-    key = (*hashed.key, cruise, dt)
-    numbers: Any = stored_numbers(["surctl"], key, lambda: asdict(_derivation(hashed, cruise, dt)))
+def _derive(vehicle: Vehicle, cruise: float, dt: float) -> Derivation:
+    key = (vehicle.name, vehicle.digest(), cruise, dt)
+    numbers: Any = stored_numbers(["surctl"], key, lambda: asdict(_derivation(vehicle, cruise, dt)))
     return Derivation(**(numbers | {"gains": Gains(**numbers["gains"])}))
 
 
-def _derivation(hashed: HashedVehicle, cruise: float, dt: float) -> Derivation:
-    if (vehicle := hashed.vehicle.at_speed(cruise))["Fv_max"] == 0:
+def _derivation(vehicle: Vehicle, cruise: float, dt: float) -> Derivation:
+    if (vehicle := vehicle.at_speed(cruise))["Fv_max"] == 0:
         return _steered(vehicle, cruise, dt)
     inner, _ = searched_inner(vehicle, cruise, dt)
     searched = bool(np.any(inner != inner_start(vehicle, cruise=cruise, dt=dt)))
