@@ -158,9 +158,8 @@ def gif(pictures: Sequence[Frame]) -> bytes:
     codes = (np.asarray(palette).astype(np.int64) << 24) + colours
     each, count = np.unique(codes, return_counts=True)
     each, table = each[np.argsort(count, kind="stable")], np.zeros((256, 3), np.uint8)
-    table[each >> 24] = (
-        each[:, None] >> np.array([16, 8, 0]) & 255
-    )  # the most frequent colour of each entry: white stays white
+    # the most frequent colour of each entry: white stays white
+    table[each >> 24] = each[:, None] >> np.array([16, 8, 0]) & 255
     palette.putpalette(table.tobytes())
     first, *rest = (Image.fromarray(p).quantize(palette=palette, dither=Image.Dither.NONE) for p in pictures)
     out, duration = BytesIO(), [1000 // _RATE] * len(rest) + [2000]
