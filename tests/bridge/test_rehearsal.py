@@ -166,6 +166,9 @@ def test_a_mission_that_must_be_fed_is_refused() -> None:
     made = plan()
     with pytest.raises(InputError, match="--mode manual or guided"):
         replace(made, scenario=replace(made.scenario, depths=(-0.9, -0.1)))
+    path = made.scenario.path
+    with pytest.raises(InputError, match="legs without speed_m_per_s, depth_m and corner"):
+        replace(made, scenario=replace(made.scenario, path=replace(path, rises=np.array([0.0, -0.1]))))
 
 
 def test_the_record_of_a_session_can_be_read(tmp_path: Path) -> None:

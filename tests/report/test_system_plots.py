@@ -47,7 +47,6 @@ def test_every_result_with_a_picture_has_one() -> None:
         "Runs",
         "LinearLoop",
         "LoopScores",
-        "Locus",
     }
     assert "plotted" in [m.name for m in pkgutil.iter_modules(surctl.__path__)]
 

@@ -108,14 +108,14 @@ def test_the_result_does_not_depend_on_anything_but_the_arguments(
 
     first = derive_gains(WU, cruise=0.15)
     monkeypatch.setenv("SURCTL_CACHE", str(tmp_path))
-    derived._derive.cache_clear()
+    derived._known.clear()
     again = derive_gains(WU, cruise=0.15)
     assert again is not first and again == first
-    derived._derive.cache_clear()
+    derived._known.clear()
     slower = derive_gains(WU, cruise=0.1)
     monkeypatch.setattr(derived, "_derivation", lambda *_: pytest.fail("it is on disk"))
     assert derive_gains(WU, cruise=0.15) == first and slower != first
-    derived._derive.cache_clear()
+    derived._known.clear()
     assert derive_gains(WU, cruise=0.1) == slower
 
 

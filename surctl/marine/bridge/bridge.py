@@ -77,10 +77,10 @@ class Plan:
         """Raise InputError for a mission that has to be fed, or a depth that the mode cannot follow."""
         if self.scenario.path.fed:
             raise InputError(
-                "has more than 8 points, or speeds or depths for its legs: the bridge cannot pass these to the law",
+                "has more than 8 points, or a speed, depth or corner of a leg: the bridge cannot pass these to the law",
                 file=self.scenario.source,
                 key="path_m",
-                remedy="give at most 8 points",
+                remedy="give at most 8 points, and legs without speed_m_per_s, depth_m and corner",
             )
         if self.mapping.mode.name == "alt_hold" and self.scenario.depths is not None:
             problem = "needs a mode in which the law controls the depth"
@@ -247,7 +247,7 @@ class Bridge:
             return self._neutral()
         c, s = cos(pose[3]), sin(pose[3])
         u, v, w, r = reference.tolist()
-        north, east, down = self.plan.site.velocity_to_ned([c * u - s * v, s * u + c * v, w]).tolist()
+        north, east, down = self.plan.site.velocity([c * u - s * v, s * u + c * v, w]).tolist()
         return Axes(velocity=(north, east, down), yaw_rate=-r)
 
     def _left(self, pose: Vector) -> float:

@@ -60,16 +60,10 @@ class Site:
         return np.array([north, east, -z, self.bearing - psi])
 
     def velocity(self, ned: Iterable[float]) -> Vector:
-        """Return the velocity (3,) in {E} of a velocity north, east, down [m/s]."""
+        """Return the velocity (3,) in {E} of a velocity north, east, down [m/s], or the other way; its own inverse."""
         north, east, down = (float(v) for v in ned)
         c, s = cos(self.turn), sin(self.turn)
         return np.array([c * east - s * north, s * east + c * north, -down])
-
-    def velocity_to_ned(self, velocity: Iterable[float]) -> Vector:
-        """Return the velocity in NED (3,) of a velocity in {E}; inverse of `velocity`."""
-        x, y, z = (float(v) for v in velocity)
-        c, s = cos(self.turn), sin(self.turn)
-        return np.array([c * y - s * x, c * x + s * y, -z])
 
     def body(self, eta: Vector, velocity: Iterable[float], yaw_rate: float) -> Vector:
         """Return ν (4,) in {B} of a velocity (3,) in {E} [m/s] and a yaw rate [rad/s], counter-clockwise from above."""

@@ -366,15 +366,15 @@ def export_command(
         scenario: name or file of the scenario; None takes a built-in scenario that fits the hull.
         vehicle: name or file of the vehicle.
         gains: name or file of the gains, or the gains.
-        certificates: certificate files; the command carries those that concern the law `guarded`.
+        certificates: certificate files; the command carries those that concern this law.
         file: name or file of the gains in the command; None: `gains` itself.
         law: the law to export, a name or FILE.py:FUNCTION.
         guidance: path guidance; None: the default of the command.
         sensing: "sonar" or "truth".
     """
-    from surctl.marine.control import build_law, load_gains
+    from surctl.marine.control import load_gains
     from surctl.marine.export.origin import fitting_certificates
-    from surctl.marine.simulation import law_numbers, load_scenario
+    from surctl.marine.simulation import law_numbers, load_scenario, vehicle_law
     from surctl.marine.vehicle import load_vehicle
 
     robot = load_vehicle(vehicle)
@@ -385,7 +385,7 @@ def export_command(
     if certificates:
         values = load_gains(gains) if isinstance(gains, str) else gains
         numbers = law_numbers(load_scenario(chosen), values, robot)
-        travel = fitting_certificates(certificates, build_law(), robot, numbers)
+        travel = fitting_certificates(certificates, vehicle_law(robot, law), robot, numbers)
     words = ["surctl", "export", "--scenario", chosen, "--vehicle", vehicle, "--gains", file or str(gains)]
     words += [*law_words(law), *(() if guidance is None else ("--guidance", guidance)), "--sensing", sensing]
     return [shlex.join([*words, *(word for file in travel for word in ("--certificate", str(file)))])]

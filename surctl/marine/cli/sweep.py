@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
     from surctl.marine.control import Gains
     from surctl.marine.simulation import Case
-    from surctl.marine.verification.linear_table import Locus
+    from surctl.system import LinearLoop
     from surctl.tuning import SobolIndices, SweepTable
 
 _LOCUS = 401  # number of parameter values at which poles are computed
@@ -167,9 +167,9 @@ def _mission_summary(
     from surctl.files import write_file
     from surctl.marine.assessment import missions_of
     from surctl.marine.control import law_source, write_gains
-    from surctl.marine.report import plot_locus
     from surctl.marine.simulation import METRICS
     from surctl.marine.tuning import picked_gains
+    from surctl.report import plot_locus
 
     picked, gains, file = table.picked, picked_gains(table), out / "gains.toml"
     moved = _set_aside(file) if picked is None else []
@@ -203,8 +203,8 @@ def _mission_summary(
 
     def locus_plot() -> Axes:
         [axis] = (axis for axis in table.axes if axis.name == locus)
-        poles = _locus(cases, gains, axis.name, axis.values, best)
-        return plot_locus(poles, unit=axis.unit, picked=best.get(axis.name))
+        values, loops = _locus(cases, gains, axis.name, axis.values, best)
+        return plot_locus(loops, values, axis.name, unit=axis.unit, picked=best.get(axis.name))
 
     return SweepSummary(
         [*lines, "", where, *moved], brief, data,
@@ -216,8 +216,8 @@ def _mission_summary(
 
 def _locus(
     cases: Sequence[Case], gains: Gains, parameter: str, swept: NDArray[np.float64], at: Mapping[str, float]
-) -> Locus:
-    # poles of the first vehicle at its largest cruise speed, about the point `at`
+) -> tuple[NDArray[np.float64], list[LinearLoop]]:
+    # values, and loops of the first vehicle at its largest cruise speed, about the point `at`
     import numpy as np
 
     from surctl.marine.verification import sweep_locus
@@ -225,7 +225,7 @@ def _locus(
 
     first = cases[0]
     values = np.union1d(np.linspace(swept.min(), swept.max(), _LOCUS), [at[parameter]] if parameter in at else [])
-    return sweep_locus(
+    return values, sweep_locus(
         first.vehicle,
         gains.values,
         parameter,

@@ -175,9 +175,9 @@ def _plan(file: str | None, missions: TunedMissions, out: Path) -> Plan:
     plan = plan if missions.law is None else plan.with_law(missions.law)
     plan = plan if missions.gains_file is None else plan.with_gains(missions.gains_file)
     plan = plan.by([load_vehicle(vehicle) for vehicle in missions.vehicles]) if missions.vehicles else plan
-    if not plan.unheard:
+    if all(leg.scenario.source for leg in plan.legs):
         return plan
-    prepare_folder(out)
+    prepare_folder(out)  # the commands that are printed at the end name the file of a mission
     return plan.written(out / "missions")
 
 

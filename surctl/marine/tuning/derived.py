@@ -445,15 +445,20 @@ def _tuned_digests() -> frozenset[str]:
     return frozenset(load_vehicle(str(LIBRARY / f"{name}.toml")).digest() for name in TUNED_FOR)
 
 
-@lru_cache(maxsize=64)
+_known: dict[tuple[str, str, float, float], Derivation] = {}  # of this process
+
+
 def _derive(vehicle: Vehicle, cruise: float, dt: float) -> Derivation:
     key = (vehicle.name, vehicle.digest(), cruise, dt)
-    numbers: Any = stored_numbers(["surctl"], key, lambda: asdict(_derivation(vehicle, cruise, dt)))
-    return Derivation(**(numbers | {"gains": Gains(**numbers["gains"])}))
+    if key not in _known:
+        numbers: Any = stored_numbers(["surctl"], key, lambda: asdict(_derivation(vehicle, cruise, dt)))
+        _known[key] = Derivation(**(numbers | {"gains": Gains(**numbers["gains"])}))
+    return _known[key]
 
 
 def _derivation(vehicle: Vehicle, cruise: float, dt: float) -> Derivation:
-    if (vehicle := vehicle.at_speed(cruise))["Fv_max"] == 0:
+    vehicle = vehicle.at_speed(cruise)
+    if vehicle["Fv_max"] == 0:
         return _steered(vehicle, cruise, dt)
     inner, _ = searched_inner(vehicle, cruise, dt)
     searched = bool(np.any(inner != inner_start(vehicle, cruise=cruise, dt=dt)))

@@ -26,7 +26,7 @@ from surctl.marine.verification.cruise_loop import has_cruise_loop
 from surctl.marine.verification.law_loop import OperatingPoint, operating_point, steadiest
 from surctl.marine.verification.speeds import check_held
 from surctl.own_code import is_own
-from surctl.system import LinearLoop
+from surctl.system import LinearLoop, every_combination
 from surctl.tuning.montecarlo import APART
 from surctl.tuning.pool import Condition, Evaluation, Sets, judged, scope
 
@@ -288,8 +288,8 @@ def figures(
         groups.setdefault(id(condition.case), []).append(k)
     for own in groups.values():
         case = conditions[own[0]].case
-        seeds = np.tile([conditions[k].seed for k in own], count)
-        batch = simulate_batch(case, _spread(case, [plants[k] for k in own], sets), seeds=seeds, threads=threads)
+        values = _spread(case, [plants[k] for k in own], sets, seed=[conditions[k].seed for k in own])
+        batch = simulate_batch(case, values, seeds=values.pop("seed"), threads=threads)
         arrived = batch.column("reached").reshape(count, -1) > 0.5
         for name in looped:
             table[name][:, own] = np.where(arrived, batch.column(name).reshape(count, -1), np.nan)
@@ -297,8 +297,8 @@ def figures(
             about = [k for k in own if k in those]
             names = {metric for metric, at in columns if at == speed}
             if about:
-                for name, values in _linear(case, speed, [plants[k] for k in about], sets, names, threads).items():
-                    table[columns[name, speed]][:, about] = values
+                for name, column in _linear(case, speed, [plants[k] for k in about], sets, names, threads).items():
+                    table[columns[name, speed]][:, about] = column
         for goal in loops:
             about = sorted(set(own) & set(scope(goal, conditions)))
             for name, speed in goal.columns.items() if about else ():
@@ -323,15 +323,14 @@ def judged_goals(
     return tuple(goal for goal in goals if goal not in late), final, left
 
 
-def _spread(case: Case, plants: Sequence[Mapping[str, float]], sets: Sets) -> dict[str, NDArray[np.float64]]:
-    # the gain set is the outer index
-    count = len(next(iter(sets.values())))
-    spread = {name: np.repeat(np.asarray(values, dtype=float), len(plants)) for name, values in sets.items()}
-    off = sorted({name for plant in plants for name in plant})
-    nominal = case_parameters(case) if off else {}
-    for name in off:
-        spread[name] = np.tile([plant.get(name, nominal[name].value) for plant in plants], count)
-    return spread
+def _spread(
+    case: Case, plants: Sequence[Mapping[str, float]], sets: Sets, **others: Sequence[float]
+) -> dict[str, NDArray[np.float64]]:
+    # every gain set with every plant; others: one number of each plant, by name
+    nominal = case_parameters(case)
+    varied = sorted({name for plant in plants for name in plant})
+    own = {name: [plant.get(name, nominal[name].value) for plant in plants] for name in varied}
+    return every_combination(sets, {**others, **own})
 
 
 def _linear(

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from surctl import __version__
 from surctl.errors import EmptyDomain, InputError, check_known
-from surctl.marine.control import PATH_FOLLOWING, Gains, law_source, write_gains
+from surctl.marine.control import PATH_FOLLOWING, Gains, law_options, law_source, write_gains
 from surctl.marine.simulation import STOPS, Case, simulate_batch
 from surctl.marine.tuning.derived import DEPENDENT, derive_gains
 from surctl.marine.tuning.evaluation import check_goals, figures, fresh
@@ -140,7 +140,7 @@ def _refuted(gains: tuple[tuple[str, float], ...], seed: int) -> tuple[Verdict, 
 
 def _kind(case: Case) -> tuple[str, ...]:
     """Return the options of a case that determine its control law, without those of its perception."""
-    return case.law, case.avoidance, case.mode, case.guidance, case.barrier, case.movers
+    return case.law, *law_options(case).values()
 
 
 @dataclass(frozen=True, eq=False)

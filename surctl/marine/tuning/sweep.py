@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from surctl import __version__
 from surctl.errors import InputError, check_known, check_once, nearest
-from surctl.marine.control import Barrier, Gains, GainSpec, Movers, build_law, law_ref
-from surctl.marine.guidance import AvoidanceForm, Guidance
+from surctl.marine.control import Gains, GainSpec, build_law, law_options, law_ref
 from surctl.marine.guidance.tracking import check_guidance
 from surctl.marine.simulation import METRICS, Case, Scenario, Sensing, simulate_batch, vehicle_law
 from surctl.marine.simulation.batch.case import case_parameters, check_speeds
@@ -402,13 +401,12 @@ def picked_gains(table: SweepTable) -> Gains:
 
 def law_digest(case: Case) -> str:
     """Return a digest of the control law's instructions, without those of the solver of the priority mode."""
-    return _law_digest(case.law, case.avoidance, case.guidance, case.barrier, case.movers)
+    return _law_digest(case.law, **{**law_options(case), "mode": "nsb"})
 
 
 @cache
-def _law_digest(law: str, avoidance: AvoidanceForm, guidance: Guidance, barrier: Barrier, movers: Movers) -> str:
-    built = build_law(law, avoidance=avoidance, guidance=guidance, barrier=barrier, movers=movers)
-    return built.stages.closed.digest()
+def _law_digest(law: str, **options: Any) -> str:
+    return build_law(law, **options).stages.closed.digest()
 
 
 def _numbers(vehicle: Vehicle) -> str:

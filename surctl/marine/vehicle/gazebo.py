@@ -99,6 +99,9 @@ def _numbers(body: _Body, link: str, path: Path) -> tuple[dict[str, float], dict
     for what, value in (("mass", body.mass), ("izz", body.inertia_z)):
         if value is None:
             raise InputError("is missing", file=shown(path), key=f"{link}.{what}", remedy="add it to <inertial>")
+        if not value > 0:
+            remedy = "give a positive number"
+            raise InputError("is not positive", file=shown(path), key=f"{link}.{what}", value=value, remedy=remedy)
     mass, inertia = float(body.mass or 0.0), float(body.inertia_z or 0.0)
     rigid = np.diag([mass, mass, mass, 0.0, 0.0, inertia])
     total = (rigid + (body.added + body.added.T) / 2)[np.ix_(_AXES, _AXES)]

@@ -129,9 +129,6 @@ class Vehicle:
     actuators: Actuators | None = None
     speed: float = 1.0
 
-    def __hash__(self) -> int:
-        return hash(self.digest())
-
     def __getitem__(self, name: str) -> float:
         """Return the value of a parameter in its SI unit; for an unknown name, raise InputError with a similar name."""
         if name not in self.parameters:

@@ -144,9 +144,7 @@ def cruise_groups(
             nu = np.zeros((len(at), 4))
             nu[:, 0] = speed[at]
             A, B, _ = plant_jacobians(plants[at], nu, form=form)
-            can = plants[at][:, PLANT_PARAMETERS.slice("thrust_limit")].max(axis=0)[:, None] > 0
-            Cz, D = Cz * can, D * can  # no law moves an axis without thrust
-            acting = np.abs(D).max(axis=(0, 2)) > COUPLED
+            Cz, D, acting = thrust_rows(Cz, D, plants[at][:, PLANT_PARAMETERS.slice("thrust_limit")])
             moving = moving_states(A, acting, lagged=bool(lagged[at[0]]))
             ratio, eye = dt / built.dt, np.eye(built.state.size)  # the law's state changes in proportion to the period
             slopes = eye + ratio * (Az - eye), ratio * By, Cz, D
@@ -232,6 +230,17 @@ def assembled(
         places=(("commands", tuple(axes)), *([("measurements", pose)] if pose else [])),
     )  # fmt: skip
     return LinearLoop(plant, delayed((*direct, none(len(axes), 0))), labels, dt)
+
+
+def thrust_rows(C: Array, D: Array, limits: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Return C and D (…, 4, n) of the thrust without axes that have no limit, and whether each axis acts (4,).
+
+    No law moves an axis without thrust. `limits` are (…, 4).
+    """
+    can = limits.reshape(-1, AXES).max(axis=0)[:, None] > 0
+    C, D = C * can, D * can
+    sizes = np.abs(np.concatenate([C, D], axis=-1))
+    return C, D, sizes.reshape(-1, AXES, sizes.shape[-1]).max(axis=(0, 2)) > COUPLED
 
 
 def held(plants: Array, cruise: ArrayLike, form: PlantForm) -> NDArray[np.bool_]:

@@ -35,6 +35,7 @@ from surctl.marine.verification.cruise_loop import (
     in_loop,
     law_numbers,
     moving_states,
+    thrust_rows,
 )
 from surctl.own_code import label
 from surctl.system import LinearLoop
@@ -273,8 +274,7 @@ def _loop(law: Law, vehicle: Vehicle, at: OperatingPoint, slopes: Slopes) -> Law
     (A,), (B,), _ = plant_jacobians(numbers, at.nu[None], psi=psi, form=form, current=along)
     J = delivered(vehicle, at.nu - np.array([*ahead, 0.0, 0.0]))
     B = B @ J
-    C, D = (rows * (vehicle.thrust_limit > 0)[:, None] for rows in (C, D))  # no law moves an axis without thrust
-    acting = [bool(np.abs(row).max() > COUPLED) for row in np.hstack([C, D])]
+    C, D, acting = thrust_rows(C, D, vehicle.thrust_limit)
     pushed = np.abs(J[:, acting]).max(axis=1, initial=0.0) > COUPLED
     lagged = float(plant_parameters(vehicle)[PLANT_PARAMETERS.slice("thrust_lag")][0]) > 0
     included = moving_states(A, pushed, lagged=lagged)
@@ -282,7 +282,7 @@ def _loop(law: Law, vehicle: Vehicle, at: OperatingPoint, slopes: Slopes) -> Law
     felt = slope > np.maximum(COUPLED, np.where(np.arange(8) < 2, NEUTRAL * slope[:2].max(), 0.0))
     free = _free(A, felt, [k for k in included if k < 4])
     moving = [k for k in included if k not in free]
-    outputs, driven = [k for k in moving if k < 8], [k for k in range(4) if acting[k]]
+    outputs, driven = [k for k in moving if k < 8], np.flatnonzero(acting).tolist()
     linear = assembled(A, B, (Az, By, C, D), law, moving=moving, outputs=outputs, driven=driven, dt=law.dt)
     return LawLoop(linear, label(law.ref), at.speed, at.text, tuple(STATE_NAMES[k] for k in free), kink)
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Collection, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from types import MappingProxyType
 
 import numpy as np
@@ -28,7 +28,6 @@ from surctl.marine.verification.cruise_loop import (
     cruise_groups,
     each_loop,
 )
-from surctl.plotted import Plotted
 from surctl.system import LinearLoop
 from surctl.tuning.loop_goals import LoopGoal
 from surctl.tuning.loop_time_goals import Overshoot, Settling
@@ -269,29 +268,6 @@ def _value(goal: LoopGoal, loop: LinearLoop) -> float:
 # Closed-loop poles as one parameter varies: a root locus over a gain, a vehicle parameter or the cruise speed
 
 
-@dataclass(frozen=True, eq=False)
-class Locus(Plotted):
-    """A root locus: the closed-loop poles for every value of one parameter; `plot()` draws them.
-
-    Attributes:
-        parameter: name of the parameter.
-        values: (n,) values of the parameter, ascending or descending, in its unit.
-        poles: (n, k) complex poles [rad/s]; a row holds the poles at one value, the slowest first.
-    """
-
-    PLOT = "surctl.marine.report.margin_plots:plot_locus"
-
-    parameter: str
-    values: NDArray[np.float64]
-    poles: NDArray[np.complex128]
-
-    @property
-    def stable(self) -> NDArray[np.bool_]:
-        """Whether every pole lies in the open left half-plane, (n,)."""
-        stable: NDArray[np.bool_] = np.all(self.poles.real < -1e-9, axis=1)
-        return stable
-
-
 def sweep_locus(
     vehicle: Vehicle,
     gains: Mapping[str, float],
@@ -303,8 +279,8 @@ def sweep_locus(
     model: Vehicle | None = None,
     about: Mapping[str, float] = MappingProxyType({}),
     law: str = TRACKING_LAW,
-) -> Locus:
-    """Compute the poles of the loop over the values of one parameter.
+) -> list[LinearLoop]:
+    """Return the loops (n) over the values of one parameter, for a root locus (`surctl.report.plot_locus`).
 
     Args:
         vehicle: the plant.
@@ -318,18 +294,17 @@ def sweep_locus(
         law: a law for which `has_cruise_loop` holds.
 
     Raises:
-        InputError: the parameter moves no pole, the values are not in order or out of bounds, the vehicle cannot hold
-            the cruise speed, or the number of poles changes (because k_i or thrust_lag is 0 for some values and
-            positive for others).
+        InputError: the parameter moves no pole, the values are not in order or out of bounds, or the vehicle cannot
+            hold the cruise speed.
 
     Example:
         >>> from surctl.marine.control import load_gains
         >>> from surctl.marine.vehicle import load_vehicle
         >>> from surctl.marine.verification import sweep_locus
         >>> gains = load_gains("default").values
-        >>> locus = sweep_locus(load_vehicle("sur400"), gains, "k_psi", [0.2, 0.4, 0.8, 1.6, 3.2], cruise=0.15, dt=0.05)
-        >>> locus.poles.shape, locus.poles.real.max(axis=1).round(2).tolist()
-        ((5, 16), [-0.22, -0.22, -0.22, -0.22, 0.12])
+        >>> loops = sweep_locus(load_vehicle("sur400"), gains, "k_psi", [0.2, 0.4, 0.8, 1.6, 3.2], cruise=0.15, dt=0.05)
+        >>> [round(float(loop.slowest_per_s), 2) for loop in loops]
+        [-0.22, -0.22, -0.22, -0.22, 0.12]
     """
     if parameter not in LINEAR_PARAMETERS:
         raise InputError("moves no pole", key="locus", value=parameter, remedy=nearest(parameter, LINEAR_PARAMETERS))
@@ -345,6 +320,4 @@ def sweep_locus(
     if len(able) < len(loops):
         at = float(swept[loops.index(None)])
         raise InputError("needs more thrust than the vehicle has", key=parameter, value=at, remedy="cruise slower")
-    if len({loop.transition.shape for loop in able}) > 1:
-        raise InputError("changes the number of poles where it is 0", key=parameter, remedy="begin the range above 0")
-    return Locus(parameter, swept, LinearLoop.stacked(able).rates)
+    return able

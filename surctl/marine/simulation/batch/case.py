@@ -11,7 +11,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError, nearest
-from surctl.marine.control import Barrier, Gains, Law, Movers, build_law, check_forces, default_law, law_ref, law_source
+from surctl.marine.control import (
+    Barrier,
+    Gains,
+    Law,
+    Movers,
+    build_law,
+    check_forces,
+    default_law,
+    law_options,
+    law_ref,
+    law_source,
+)
 from surctl.marine.guidance import AvoidanceForm, Guidance
 from surctl.marine.simulation.obstacle import Obstacle
 from surctl.marine.simulation.run import Sensing
@@ -103,18 +114,8 @@ class Case:
 
     def build(self, fallback: str = "exact") -> Law:
         """Build the law of the simulation setup, with a `fallback` as for `build_law`."""
-        return vehicle_law(
-            self.vehicle,
-            self.law,
-            self.scenario,
-            sonar=self.sensing == "sonar",
-            avoidance=self.avoidance,
-            mode=self.mode,
-            guidance=self.guidance,
-            barrier=self.barrier,
-            movers=self.movers,
-            fallback=fallback,
-        )
+        kind = {"sonar": self.sensing == "sonar", "fallback": fallback, **law_options(self)}
+        return vehicle_law(self.vehicle, self.law, self.scenario, **kind)
 
 
 @dataclass(frozen=True)
