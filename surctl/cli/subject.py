@@ -391,7 +391,7 @@ def region_words(
     within: dict[str, tuple[float, float]] = {}
     ranges: dict[str, tuple[float, float]] = {}
     claim: dict[str, str] = {}
-    given = set[str]()
+    known = set[str]()
     for word in words:
         name, _, text = (part.strip() for part in word.partition("="))
         if name.startswith(_CLAIM):
@@ -405,9 +405,9 @@ def region_words(
         else:
             others.append(word)
             continue
-        if name in given:
+        if name in known:
             raise InputError("is given twice", key=name, remedy="give it once")
-        given.add(name)
+        known.add(name)
     within = {**system.within, **within}
     if not within:
         if claim:
