@@ -106,15 +106,10 @@ class MapParameters:
 
 
 class MapPrograms:
-    """The programs of a local map.
+    """The programs of a local map."""
 
-    Args:
-        lanes: number of neighbouring cells in a row that the processor computes at once (SIMD); the vectors of this
-            many columns are stored together, entry by entry.
-    """
-
-    def __init__(self, local_map: MapParameters, lanes: int) -> None:
-        self.lanes, self.block, self.slots = lanes, local_map.block, local_map.slots
+    def __init__(self, local_map: MapParameters) -> None:
+        self.block, self.slots = local_map.block, local_map.slots
         self.sectors, self.side, self.held = local_map.sectors, local_map.side, local_map.held
         self.known = local_map.known
         # amounts by which the value of a marked cell and of a cleared cell approach 0 in one period
@@ -152,12 +147,12 @@ class MapPrograms:
         return lower_named("prepare", {"place": place, "slots": slots}, outputs)
 
     def line(self) -> Program:
-        """Program that computes the base and the beams of a column or row, number `at` in the block `group`."""
-        at, group, span = ca.SX.sym("at"), ca.SX.sym("group"), ca.SX.sym("span")
+        """Program that computes the base and the beams of column `at`, or of row `at` if `is_row` is 1."""
+        number, is_row = ca.SX.sym("at"), ca.SX.sym("is_row")
         place, walls = ca.SX.sym("place", 4), ca.SX.sym("walls", 4)
         slots = ca.SX.sym("slots", self.slots * READING_SIZE)
         old, new = ca.SX.sym("old", 2), ca.SX.sym("new", 2)
-        n, number, second = self.side, self.block * group + at, span > 0.5
+        n, second = self.side, is_row > 0.5
 
         def of(pair: ca.SX) -> ca.SX:
             return ca.if_else(second, pair[1], pair[0])
@@ -178,20 +173,20 @@ class MapPrograms:
             across = ca.if_else(second, -away * ex, away * ey)
             outputs[f"beam_{s}"] = ca.vertcat(away * of(slot["axis"]), across, away * away)
         inputs = {
-            **{"at": at, "group": group, "span": span, "place": place, "walls": walls},
+            **{"at": number, "is_row": is_row, "place": place, "walls": walls},
             **{"slots": slots, "old": old, "new": new},
         }
         return lower_named("line", inputs, outputs)
 
     # --- which blocks a firing, or the hull, touches ------------------------------------------------------------------
 
-    def bounds(self, *, columns: bool) -> Program:
+    def bounds(self) -> Program:
         """Program that computes the extreme values of base and beams over the columns or rows of a block."""
         base = ca.SX.sym("base", BASE * self.block)
         beams = [ca.SX.sym(f"beam_{s}", BEAM * self.block) for s in range(self.slots)]
 
         def entries(array: ca.SX, size: int, entry: int) -> list[ca.SX]:
-            return [array[self._entry(k, size, entry) if columns else size * k + entry] for k in range(self.block)]
+            return [array[size * k + entry] for k in range(self.block)]
 
         bounds = [reduce(ca.fmin, entries(base, BASE, 1))]
         for beam in beams:
@@ -199,29 +194,36 @@ class MapPrograms:
             bounds.append(reduce(ca.fmax, along))
             bounds += [reduce(extreme, values) for values in (across, square) for extreme in (ca.fmin, ca.fmax)]
         inputs = {"base": base, **{f"beam_{s}": beam for s, beam in enumerate(beams)}}
-        return lower_named("columns_bounds" if columns else "rows_bounds", inputs, {"bounds": ca.vertcat(*bounds)})
+        return lower_named("bounds", inputs, {"bounds": ca.vertcat(*bounds)})
+
+    def untouched(self) -> Program:
+        """Program that tests whether no firing touches a block, whether the hull covers none of it, and for marks."""
+        row, column = (ca.SX.sym(name, self.bounds_size) for name in ("row_bounds", "column_bounds"))
+        limits, hull, most = self._limits(), ca.SX.sym("hull", 2), ca.SX.sym("most")
+        off = [self._untouched(*self._bounded(row, column, limit, s), limit) for s, limit in enumerate(limits)]
+        outputs = {"untouched": reduce(ca.logic_and, off), "idle_hull": row[0] + column[0] >= hull[0]}
+        bounds = {"row_bounds": row, "column_bounds": column}
+        inputs = {**bounds, **self._limit_symbols(limits), "hull": hull, "most": most}
+        return lower_named("untouched", inputs, {**outputs, "unmarked": most <= 0})
 
     def idle(self) -> Program:
-        """Program that tests which programs a block does not need: `observe`, `clear` (per firing), `cover`, two fades.
+        """Program that tests for each firing whether a block does not need `observe`, and whether it needs no `clear`.
 
-        Where a block has no marks and no firing can mark one, `clear` is enough instead of `observe`.
+        Where a block has no marks and no firing can mark one, `clear` is enough instead of `observe`; the last output
+        is then 1.
         """
         row, column = (ca.SX.sym(name, self.bounds_size) for name in ("row_bounds", "column_bounds"))
-        limits, hull, most = self._limits(), ca.SX.sym("hull", 2), ca.SX.sym("most", self.lanes)
-        unmarked = reduce(ca.fmax, ca.vertsplit(most)) <= 0
+        limits, unmarked = self._limits(), ca.SX.sym("unmarked")
         plain, untouched = unmarked, []
         for s, limit in enumerate(limits):
             beside, least, arc = self._bounded(row, column, limit, s)
-            off = ca.logic_or(beside, ca.logic_and(arc, least >= limit["clear"]))
-            untouched.append(ca.logic_and(off, limit["regular"]))
+            untouched.append(self._untouched(beside, least, arc, limit))
             plain = ca.logic_and(plain, ca.logic_and(ca.logic_or(beside, arc), limit["regular"]))
         outputs = {f"idle_{s}": ca.logic_or(off, plain) for s, off in enumerate(untouched)}
         outputs |= {f"clean_{s}": ca.logic_or(off, ca.logic_not(plain)) for s, off in enumerate(untouched)}
-        outputs["idle_hull"] = row[0] + column[0] >= hull[0]
-        outputs |= {"unmarked": unmarked, "with_marks": ca.logic_not(unmarked)}
         bounds = {"row_bounds": row, "column_bounds": column}
-        inputs = {**bounds, **self._limit_symbols(limits), "hull": hull, "most": most}
-        return lower_named("idle", inputs, outputs)
+        inputs = {**bounds, **self._limit_symbols(limits), "unmarked": unmarked}
+        return lower_named("idle", inputs, {**outputs, "unmarked_next": plain})
 
     def blank_arc(self) -> Program:
         """Program that tests whether no cell of a block can explain a firing, or another cell already explains it."""
@@ -250,22 +252,32 @@ class MapPrograms:
         arc = ca.logic_or(least > limit["far"], most < limit["near"])
         return deepest <= 2 * _TOUCHED * limit["outside"], least, arc
 
+    @staticmethod
+    def _untouched(beside: ca.SX, least: ca.SX, arc: ca.SX, limit: dict[str, ca.SX]) -> ca.SX:
+        off = ca.logic_or(beside, ca.logic_and(arc, least >= limit["clear"]))
+        return ca.logic_and(off, limit["regular"])
+
     # --- what happens to a cell ---------------------------------------------------------------------------------------
 
-    def most(self) -> Program:
-        """Program that computes the largest value of a block's cells; above 0 the block has a mark."""
-        most, value = ca.SX.sym("most"), ca.SX.sym("value")
-        return lower_named("most", {"most": most, "cells": value}, {"most_next": ca.fmax(most, value)})
+    def rise(self) -> Program:
+        """Program that computes the values of a row of cells, if none is marked, after a period without a firing.
 
-    def fade(self, *, marks: bool) -> Program:
-        """Program that computes a cell's value after a period in which no firing observes the cell.
-
-        Without `marks` the cell must not be marked.
+        It also extends by this row the search for the block's largest value; above 0 the block has a mark.
         """
-        value, column, row = ca.SX.sym("value"), ca.SX.sym("column", BASE), ca.SX.sym("row", BASE)
-        inputs = {"cells": value, "column": column, "row": row}
-        faded = self._faded(value, column, row) if marks else self._risen(value, column, row)
-        return lower_named("fade" if marks else "rise", inputs, {"faded": faded})
+        most, cells, row = ca.SX.sym("most"), ca.SX.sym("cells", self.block), ca.SX.sym("row", BASE)
+        columns, largest, risen = ca.SX.sym("column", BASE * self.block), most, []
+        for k in range(self.block):
+            largest = ca.fmax(largest, cells[k])
+            risen.append(self._risen(cells[k], columns[BASE * k : BASE * (k + 1)], row))
+        inputs = {"most": most, "cells": cells, "row": row, "column": columns}
+        return lower_named("rise", inputs, {"most_next": largest, "risen": ca.vertcat(*risen)})
+
+    def fade(self) -> Program:
+        """Program that computes a cell's value after a period in which no firing observes the cell."""
+        value, risen = ca.SX.sym("value"), ca.SX.sym("risen")
+        column, row = ca.SX.sym("column", BASE), ca.SX.sym("row", BASE)
+        inputs = {"risen": risen, "cells": value, "column": column, "row": row}
+        return lower_named("fade", inputs, {"faded": self._faded(value, column, row, risen)})
 
     def seek(self) -> Program:
         """Program that tests whether a cell may have caused an echo: it is on the arc and not known to be free."""
@@ -273,22 +285,25 @@ class MapPrograms:
         column, across, row, down = self._cell()
         limits = ca.SX.sym("limits", len(LIMITS))
         limit, line = named_limits(limits), cell_line(across, down)
-        near = ca.logic_and(self._faded(value, column, row) >= -self.known, line[2] <= limit["cutoff"])
+        faded = self._faded(value, column, row, self._risen(value, column, row))
+        near = ca.logic_and(faded >= -self.known, line[2] <= limit["cutoff"])
         after = ca.logic_or(hit, ca.logic_and(on_arc(line, limit), near))
         inputs = {
-            **{"hit": hit, "cells": value, "column": column, "column_beam": across},
+            **{"explained": hit, "cells": value, "column": column, "column_beam": across},
             **{"row": row, "row_beam": down, "limits": limits},
         }
         return lower_named("seek", inputs, {"hit_next": after})
 
     def clear(self) -> Program:
-        """Program that computes the value of a cell without a mark after a firing that marks nothing near it."""
-        value = ca.SX.sym("value")
-        _, across, _, down = self._cell()
-        limits = ca.SX.sym("limits", len(LIMITS))
-        free = in_front(cell_line(across, down), named_limits(limits), value)
-        inputs = {"cells": value, "column_beam": across, "row_beam": down, "limits": limits}
-        return lower_named("clear", inputs, {"after": ca.if_else(free, -1, value)})
+        """Program that computes the values of a row of cells without marks after a firing that marks nothing near."""
+        cells, limits = ca.SX.sym("cells", self.block), ca.SX.sym("limits", len(LIMITS))
+        down, columns = ca.SX.sym("row_beam", BEAM), ca.SX.sym("column_beam", BEAM * self.block)
+        limit, after = named_limits(limits), []
+        for k in range(self.block):
+            line = cell_line(columns[BEAM * k : BEAM * (k + 1)], down)
+            after.append(ca.if_else(in_front(line, limit), -1, cells[k]))
+        inputs = {"cells": cells, "row_beam": down, "column_beam": columns, "limits": limits}
+        return lower_named("clear", inputs, {"after": ca.vertcat(*after)})
 
     def observe(self) -> Program:
         """Program that computes a cell's value after a firing."""
@@ -311,25 +326,13 @@ class MapPrograms:
         inputs = {"cells": value, "column": column, "row": row, "hull": hull}
         return lower_named("cover", inputs, {"after": ca.if_else(column[1] + row[1] < hull[0], -1, value)})
 
-    def tally(self) -> Program:
-        """Program that computes the largest value of a block's cells, and the number of cells not known to be free."""
-        largest, count, value = ca.SX.sym("largest"), ca.SX.sym("count"), ca.SX.sym("value")
-        outputs = {"largest_next": ca.fmax(largest, value), "count_next": count + (value >= -self.known)}
-        return lower_named("tally", {"largest": largest, "count": count, "cells": value}, outputs)
-
     # --- the nearest cell of a block ----------------------------------------------------------------------------------
 
-    def without(self) -> Program:
-        """Program that tests whether a block has no marked cell, and whether its unknown cells are ignored."""
-        largest, count = ca.SX.sym("largest", self.lanes), ca.SX.sym("count", self.lanes)
-        held = ca.sum1(count) < self.held
-        outputs = {"no_mark": reduce(ca.fmax, ca.vertsplit(largest)) <= 0, "no_blank": held}
-        return lower_named("without", {"largest": largest, "count": count}, outputs)
-
-    def any_hit(self) -> Program:
-        """Program that tests whether any of the cells that the processor computes at once explains the firing."""
-        hits = ca.SX.sym("hits", self.lanes)
-        return lower_named("any_hit", {"hits": hits}, {"hit": reduce(ca.logic_or, ca.vertsplit(hits))})
+    def few_unknown(self) -> Program:
+        """Program that tests whether a block has so few cells not known to be free that they are ignored."""
+        cells = ca.SX.sym("cells", self.block**2)
+        unknown = ca.sum1(cells >= -self.known)
+        return lower_named("few_unknown", {"cells": cells}, {"few": unknown < self.held})
 
     def all_explained(self) -> Program:
         """Program that tests whether every firing is explained by some cell, so that the search can end."""
@@ -350,13 +353,13 @@ class MapPrograms:
         dx, least, which = near[0], near[2], 3 if unknown else 1
         for k in range(self.block):
             value = cells[k]
-            square = columns[self._entry(k, BASE, which)] + row[which]
+            square = columns[BASE * k + which] + row[which]
             holds = value > 0
             if unknown:
                 blank = ca.logic_and(value >= -self.known, value <= 0)
                 holds = ca.logic_and(blank, square > hull[1])
             nearer = ca.logic_and(holds, square < least)
-            dx = ca.if_else(nearer, columns[self._entry(k, BASE, 0)], dx)
+            dx = ca.if_else(nearer, columns[BASE * k], dx)
             least = ca.if_else(nearer, square, least)
         dy = ca.if_else(least < near[2], row[0], near[1])
         inputs = {"near": near, "cells": cells, "row": row, "columns": columns, "hull": hull}
@@ -393,18 +396,12 @@ class MapPrograms:
 
     # --- parts --------------------------------------------------------------------------------------------------------
 
-    def _entry(self, column: int, size: int, entry: int) -> int:
-        # `entry` is an entry of the column's base or beam
-        group, lane = divmod(column, self.lanes)
-        return (group * size + entry) * self.lanes + lane
-
     def _risen(self, value: ca.SX, column: ca.SX, row: ca.SX) -> ca.SX:
         return ca.fmin(value * (row[2] * column[2]) + self.fades[1], 0)
 
-    def _faded(self, value: ca.SX, column: ca.SX, row: ca.SX) -> ca.SX:
+    def _faded(self, value: ca.SX, column: ca.SX, row: ca.SX, risen: ca.SX) -> ca.SX:
         old = value * (row[2] * column[2])
-        after = self._risen(value, column, row)
-        return ca.if_else(old > 0, ca.if_else(level(old) <= self.fades[0], 0, old - self.fades[0]), after)
+        return ca.if_else(old > 0, ca.if_else(level(old) <= self.fades[0], 0, old - self.fades[0]), risen)
 
     @staticmethod
     def _cell() -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
