@@ -32,7 +32,7 @@ from surctl.marine.sensing.mapping.programs import BASE, BEAM, NONE, MapParamete
 Vector: TypeAlias = NDArray[np.float64]
 
 _NOWHERE = 1e6  # cells; lowest corner of the window before the first update
-_WHERE = ("place", "walls", "slots", "corner", "corner_next")  # inputs that determine a column or row
+_WHERE = ("place", "walls", "slots", "corner", "corner_next", "multiple")  # inputs that determine a column or row
 _BY_ROW = ("cells", "risen", "row", "row_beam")  # arrays of a block of which a loop over its rows uses one piece each
 
 
@@ -109,7 +109,7 @@ class _Steps:
         constants = _constants("constants", (0.0,), (1.0,), NONE, none, none)
         steps: list[Step] = [
             Call(constants, (), ("zero", "one", "none", "marked_none", "unknown_none")),
-            Call(self.programs.corner(), ("place", "walls"), ("corner_next",)),
+            Call(self.programs.corner(), ("place", "walls"), ("corner_next", "multiple")),
             Call(self.programs.prepare(), ("place", "slots"), (*self.limits, "hull", "complete", *self.explained)),
         ]
         for is_row, lines, bounds in (("zero", self.columns, "column_bounds"), ("one", self.rows, "row_bounds")):

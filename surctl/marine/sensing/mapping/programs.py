@@ -121,7 +121,7 @@ class MapPrograms:
         return 1 + _BOUNDS * self.slots
 
     def corner(self) -> Program:
-        """Program that computes the window's lowest cell.
+        """Program that computes the window's lowest cell, and the highest multiples of N not above its indices.
 
         The robot is at the centre of the window, unless the window would then extend beyond a wall of the site.
         """
@@ -130,7 +130,8 @@ class MapPrograms:
         end = -ca.floor(_SLACK - walls[[1, 3]] / place[3])
         middle = ca.floor(place[:2] / place[3]) - self.side // 2
         corner = ca.fmax(ca.fmin(middle, end - self.side), lowest)
-        return lower_named("corner", {"place": place, "walls": walls}, {"corner": corner})
+        multiple = self.side * ca.floor(corner / self.side)
+        return lower_named("corner", {"place": place, "walls": walls}, {"corner": corner, "multiple": multiple})
 
     def prepare(self) -> Program:
         """Program that computes the limits of firings and hull, and tests whether a firing marks no cell."""
@@ -151,22 +152,21 @@ class MapPrograms:
         number, is_row = ca.SX.sym("at"), ca.SX.sym("is_row")
         place, walls = ca.SX.sym("place", 4), ca.SX.sym("walls", 4)
         slots = ca.SX.sym("slots", self.slots * READING_SIZE)
-        old, new = ca.SX.sym("old", 2), ca.SX.sym("new", 2)
+        old, new, multiple = (ca.SX.sym(name, 2) for name in ("old", "new", "multiple"))
         n, second = self.side, is_row > 0.5
 
         def of(pair: ca.SX) -> ca.SX:
             return ca.if_else(second, pair[1], pair[0])
 
-        def world(corner: ca.SX) -> ca.SX:
-            return number + n * ca.floor((corner + (n - 1) - number) / n)
-
-        cell = world(of(new))
+        cell = of(multiple) + number
+        cell += ca.if_else(cell < of(new), n, 0)
+        stays = ca.logic_and(cell >= of(old), cell <= of(old) + (n - 1))
         centre = (cell + 0.5) * place[3]
         offset = centre - of(place)
         beside = _AT_A_WALL * place[3]
         counts = ca.logic_and(centre > of(walls[[0, 2]]) + beside, centre < of(walls[[1, 3]]) - beside)
         square = offset * offset
-        outputs = {"base": ca.vertcat(offset, square, world(of(old)) == cell, ca.if_else(counts, square, _FAR))}
+        outputs = {"base": ca.vertcat(offset, square, stays, ca.if_else(counts, square, _FAR))}
         for s, slot in enumerate(split(slots, self.slots)):
             away, ex, ey = centre - of(slot["apex"]), slot["axis"][0], slot["axis"][1]
             # across = dx·ey − dy·ex: a row's share has the other sign
@@ -174,7 +174,7 @@ class MapPrograms:
             outputs[f"beam_{s}"] = ca.vertcat(away * of(slot["axis"]), across, away * away)
         inputs = {
             **{"at": number, "is_row": is_row, "place": place, "walls": walls},
-            **{"slots": slots, "old": old, "new": new},
+            **{"slots": slots, "old": old, "new": new, "multiple": multiple},
         }
         return lower_named("line", inputs, outputs)
 
