@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from math import cos, radians, sin
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import casadi as ca
 
@@ -52,6 +52,10 @@ class Sector(NamedTuple):
     def of(row: ca.SX) -> Sector:
         """Return the sector whose numbers form one row of the array `StepState.sectors`."""
         return Sector(row[:2], row[2], row[3:5])
+
+
+Bounds: TypeAlias = Sequence[Sector] | Sequence[tuple[ca.SX, ca.SX]]
+"""Speed bounds: unit vectors (2, 1) in {E}, and the largest speed along each [m/s]."""
 
 
 @dataclass(frozen=True)
@@ -365,23 +369,23 @@ class _Search:
         return _Best(*fold("slower_course", course, best, ca.SX(fan)))
 
 
-def slowed(velocity: ca.SX, bounds: Sequence[tuple[ca.SX, ca.SX]]) -> ca.SX:
+def slowed(velocity: ca.SX, bounds: Bounds, *, added: ca.SX | None = None) -> ca.SX:
     """Return a velocity (2, 1) [m/s] on the given velocity's course, slowed down to satisfy the bounds.
 
-    Each bound consists of a unit vector and the largest speed [m/s], at least 0, along this vector.
+    A negative bound counts as 0. `added` is a velocity (2, 1) [m/s] that is added to the result afterwards; it uses up
+    a part of each bound.
     """
 
     def slowest(share: ca.SX, row: ca.SX) -> ca.SX:
         along = ca.dot(velocity, row[:2])
+        left = ca.fmax(row[2] if added is None else row[2] - ca.dot(row[:2], added), 0)
         # a bound of 0 stops only a motion towards it
-        return ca.if_else(along > 1e-6, ca.fmin(share, row[2] / ca.fmax(along, 1e-6)), share)
+        return ca.if_else(along > 1e-6, ca.fmin(share, left / ca.fmax(along, 1e-6)), share)
 
     return velocity * fold("slowed", slowest, ca.SX(1), tabulated(bounds, 3))
 
 
-def round_unknown(
-    velocity: ca.SX, bounds: Sequence[tuple[ca.SX, ca.SX]], sectors: Sequence[Sector], *, cones: Sequence[Cone] = ()
-) -> ca.SX:
+def round_unknown(velocity: ca.SX, bounds: Bounds, sectors: Sequence[Sector], *, cones: Sequence[Cone] = ()) -> ca.SX:
     """Return the given velocity, or a velocity around unknown water with which the robot advances faster.
 
     The robot need not wait for a sonar scan of unknown water if it can go around it. The candidates have the given
