@@ -126,8 +126,12 @@ def corrected(array: SonarArray, samples: ca.SX) -> ca.SX:
         return samples
     top = array.maximum - 0.5 * array.resolution
     least = array.lowest - array.resolution
-    echo = ca.logic_and(samples < top, samples > least)
-    return ca.if_else(echo, (samples - array.bias) / array.scale, samples)
+
+    def one(row: ca.SX) -> tuple[ca.SX]:
+        echo = ca.logic_and(row < top, row > least)
+        return (ca.if_else(echo, (row - array.bias) / array.scale, row),)
+
+    return each("corrected", one, samples)[0]
 
 
 Height = TypeVar("Height", float, ca.SX)

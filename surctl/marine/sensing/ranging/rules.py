@@ -154,11 +154,8 @@ def _moved(tracker: TrackerParameters, old: Mapping[str, Value], inputs: StepInp
     return state
 
 
-def others(
-    tracker: TrackerParameters, old: Mapping[str, Value], samples: list[Value], fresh: Value
-) -> list[tuple[Value, Value, Value]]:
+def others(tracker: TrackerParameters, old: Mapping[str, Value], newest: Value) -> list[tuple[Value, Value, Value]]:
     """Return `StepInputs.others` for all sensors; the entries for sensor i describe sensors i + 1, i + 2, …"""
-    newest = ca.if_else(fresh > 0.5, robust(tracker, samples), old["reading"])
 
     def turned(value: Value, k: int) -> Value:
         return ca.vertcat(value[k:], value[:k])
