@@ -190,28 +190,30 @@ class _Steps:
         steps.append(Call(self.programs.idle(), (*bounds, *self.limits, "unmarked"), flags))
         clear = self._over_block(self.programs.clear())
         observe = self._over_block(self._over_row(self.programs.observe()))
-        cells, inputs = "cells", ("untouched", "unmarked", "cells", *bounds)
+        cells, inputs = "cells", ["untouched", "unmarked", "cells", *bounds]
         for s, explained in enumerate(self.explained):
             beams = (self.rows[s + 1], self.columns[s + 1])
             fixed, cleared, after = (*beams, self.limits[s]), f"cleared_{s}", f"cells_{s}"
             steps.append(Loop(clear, 1, (self.clean[s], cells), (f"emptied_{s}", cleared), fixed=fixed, until=0))
             fixed, cells = (*fixed, explained), after
             steps.append(Loop(observe, 1, (self.idle[s], cleared), (f"observed_{s}", cells), fixed=fixed, until=0))
-            inputs = (*inputs, *beams)
-        inputs = (*inputs, *self.limits, *self.explained)
+            inputs += beams
+        inputs += (*self.limits, *self.explained)
         return Routine("observe_block", self._sized(*inputs), tuple(steps), ("untouched", "unmarked_next", cells))
 
     def _enter(self, which: str) -> Routine:
         """Return the routine that stores a block's nearest cell if this cell is the nearest so far in its direction."""
-        nearest = self.programs.nearest(unknown=which == "unknown")
+        nearest, fixed = self.programs.nearest(unknown=which == "unknown"), ("near", "sector")
+        program, sectors = self.programs.enter(), self.local_map.sectors
+        enter = Loop(program, sectors, (), ("best_next",), sliced=("best",), fixed=fixed, index=True)
+        sizes = (*self._sized("flag", "best"), ("near", len(NONE)), ("sector", 1))
+        every = Routine("enter_all", sizes, (enter,), ("flag", "best_next"))
         steps = (
             Loop(nearest, self.block, ("none",), ("near",), sliced=("cells", "row"), fixed=("column", "hull")),
             Call(self.programs.sector(), ("near",), ("sector",)),
             Gather("best", "sector", len(NONE), "so_far"),
             Call(self.programs.farther(), ("near", "so_far"), ("farther",)),
-            Loop(
-                self.programs.enter(), 1, ("farther", "best"), ("done", "best_next"), fixed=("near", "sector"), until=0
-            ),
+            Loop(every, 1, ("farther", "best"), ("done", "best_next"), fixed=fixed, until=0),
         )
         inputs = self._sized("flag", "best", "cells", "row", "column", "hull", "none")
         return Routine(f"enter_{which}", inputs, steps, ("done", "best_next"))

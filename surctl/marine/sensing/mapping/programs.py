@@ -387,12 +387,12 @@ class MapPrograms:
         return lower_named("farther", {"near": near, "best": best}, {"farther": near[2] >= best[2]})
 
     def enter(self) -> Program:
-        """Program that stores a cell as the nearest cell found so far in its direction."""
-        flag, best = ca.SX.sym("flag"), ca.SX.sym("best", 3 * self.sectors)
-        near, sector = ca.SX.sym("near", 3), ca.SX.sym("sector")
-        rows = [ca.if_else(sector == k, near, best[3 * k : 3 * k + 3]) for k in range(self.sectors)]
-        inputs = {"flag": flag, "best": best, "near": near, "sector": sector}
-        return lower_named("enter", inputs, {"done": ca.SX(1), "best_next": ca.vertcat(*rows)})
+        """Program that computes the nearest cell found so far in the direction `at`, after the nearest of a block."""
+        at, best, near, sector = (
+            ca.SX.sym(name, size) for name, size in (("at", 1), ("best", 3), ("near", 3), ("sector", 1))
+        )
+        inputs = {"at": at, "best": best, "near": near, "sector": sector}
+        return lower_named("enter", inputs, {"best_next": ca.if_else(sector == at, near, best)})
 
     # --- parts --------------------------------------------------------------------------------------------------------
 
