@@ -78,7 +78,9 @@ def flat_lines(layout: Layout, box: Vector, array: str, real: Real) -> list[str]
         these = list(group)
         first, end = these[0][1].start, these[-1][1].stop
         if len(these) > 1 and end - first > _FEW:
-            lines.append(f"for (int k = {first}; k < {end}; ++k) {{ {_test(f'{array}[k]', box[first], real)} }}")
+            unlimited = -box[first][0] == box[first][1] >= float(np.finfo(real).max)
+            each = f"for (int k = {first}; k < {end}; ++k) {{ {_test(f'{array}[k]', box[first], real)} }}"
+            lines.append(f"if (!numbers({array} + {first}, {end - first}U)) {{ {_REFUSE} }}" if unlimited else each)
             continue
         for port, part in these:
             lines += _port_lines(port, part.start, box[part], lambda _, at: f"{array}[{at}]", real, lambda _: _REFUSE)

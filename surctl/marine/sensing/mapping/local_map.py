@@ -32,7 +32,7 @@ from surctl.marine.sensing.mapping.programs import BASE, BEAM, NONE, MapParamete
 Vector: TypeAlias = NDArray[np.float64]
 
 _NOWHERE = 1e6  # cells; lowest corner of the window before the first update
-_WHERE = ("place", "walls", "slots", "corner", "corner_next", "multiple")  # inputs that determine a column or row
+_WHERE = ("place", "walls", "slots", "corner", "corner_next", "multiple")  # inputs that determine the columns and rows
 _BY_ROW = ("cells", "risen", "row", "row_beam")  # arrays of a block of which a loop over its rows uses one piece each
 
 
@@ -106,17 +106,19 @@ class _Steps:
 
     def routine(self) -> Routine:
         local_map, n, none = self.local_map, self.local_map.side, NONE * self.local_map.sectors
-        constants = _constants("constants", (0.0,), (1.0,), NONE, none, none)
+        constants = _constants("constants", (0.0,), (1.0,), (-1.0,), NONE, none, none)
         steps: list[Step] = [
-            Call(constants, (), ("zero", "one", "none", "marked_none", "unknown_none")),
+            Call(constants, (), ("zero", "one", "free", "none", "marked_none", "unknown_none")),
             Call(self.programs.corner(), ("place", "walls"), ("corner_next", "multiple")),
             Call(self.programs.prepare(), ("place", "slots"), (*self.limits, "hull", "complete", *self.explained)),
         ]
         for is_row, lines, bounds in (("zero", self.columns, "column_bounds"), ("one", self.rows, "row_bounds")):
-            steps.append(Loop(self.programs.line(), n, (), lines, fixed=(is_row, *_WHERE), index=True))
+            shared = f"shared_by_{lines[0]}s"
+            steps.append(Call(self.programs.axis(), (is_row, *_WHERE), (shared,)))
+            steps.append(Loop(self.programs.line(), n, (), lines, fixed=(shared,), index=True))
             steps.append(Loop(self.programs.bounds(), local_map.blocks, (), (bounds,), sliced=lines))
         found, nearest = ("complete", *self.explained), ("marked_none", "unknown_none")
-        fixed = ("zero", "none", "hull", *self.explained_next, *self.limits)
+        fixed = ("zero", "free", "none", "hull", *self.explained_next, *self.limits)
         steps.append(self._each_row(self._seek_block(), found, ("complete_next", *self.explained_next), self.limits, 0))
         steps.append(self._each_row(self._change_block(), nearest, ("marked", "unknown", "cells_next"), fixed))
         inputs = (("cells", n * n), *self._sized("corner", "place", "walls", "slots"))
@@ -160,28 +162,31 @@ class _Steps:
         beams = tuple(name for k in range(self.local_map.slots) for name in (self.rows[k + 1], self.columns[k + 1]))
         lines, seen = ("row", "column"), (*bounds, *beams, *self.limits, *self.explained)
         fade, cover = (self._over_block(self._over_row(p)) for p in (self.programs.fade(), self.programs.cover()))
+        forget = self._over_block(self.programs.forget())
         steps: list[Step] = [
-            Loop(
-                self.programs.rise(), self.block, ("zero",), ("most", "risen"), sliced=("cells", "row"),
-                fixed=("column",),
-            ),
+            Call(self.programs.whole(), bounds, ("whole",)),
+            Loop(forget, 1, ("whole", "cells"), ("forgotten", "kept"), fixed=lines, until=0),
+            Loop(self.programs.rise(), self.block, ("free",), ("most", "risen"), sliced=("kept",)),
             Call(
                 self.programs.untouched(), (*bounds, *self.limits, "hull", "most"),
-                ("untouched", "idle_hull", "unmarked"),
+                ("untouched", "idle_hull", "unmarked", "known"),
             ),
-            Loop(fade, 1, ("unmarked", "risen"), ("faded", "cells_0"), fixed=("cells", *lines), until=0),
+            Loop(fade, 1, ("unmarked", "risen"), ("faded", "cells_0"), fixed=("kept",), until=0),
             Loop(
                 self._observe_block(), 1, ("untouched", "unmarked", "cells_0"), ("observed", "no_marked", "cells_1"),
                 fixed=seen, until=0,
             ),
             Loop(cover, 1, ("idle_hull", "cells_1"), ("covered", last[-1]), fixed=(*lines, "hull"), until=0),
-            Call(self.programs.few_unknown(), last[-1:], ("no_unknown",)),
         ]  # fmt: skip
-        for which in ("marked", "unknown"):
-            results, fixed = (f"entered_{which}", f"{which}_next"), (last[-1], *lines, "hull", "none")
-            steps.append(Loop(self._enter(which), 1, (f"no_{which}", which), results, fixed=fixed, until=0))
-        inputs = ("marked", "unknown", "cells", *self.columns, "column_bounds", "zero", "none", "hull", *self.explained)
-        return Routine("change_block", self._sized(*inputs, *self.limits, *self.rows, "row_bounds"), tuple(steps), last)
+        fixed = (last[-1], *lines, "hull", "none", "zero")
+        for which, none, block in (
+            ("marked", "no_marked", self._enter(unknown=False)), ("unknown", "known", self._enter_unknown())
+        ):  # fmt: skip
+            results = (f"entered_{which}", f"{which}_next")
+            steps.append(Loop(block, 1, (none, which), results, fixed=fixed, until=0))
+        inputs = ("marked", "unknown", "cells", *self.columns, "column_bounds", "zero", "free", "none", "hull")
+        inputs += (*self.explained, *self.limits, *self.rows, "row_bounds")
+        return Routine("change_block", self._sized(*inputs), tuple(steps), last)
 
     def _observe_block(self) -> Routine:
         # what the firings change in a block that at least one of them touches
@@ -195,15 +200,26 @@ class _Steps:
             beams = (self.rows[s + 1], self.columns[s + 1])
             fixed, cleared, after = (*beams, self.limits[s]), f"cleared_{s}", f"cells_{s}"
             steps.append(Loop(clear, 1, (self.clean[s], cells), (f"emptied_{s}", cleared), fixed=fixed, until=0))
-            fixed, cells = (*fixed, explained), after
-            steps.append(Loop(observe, 1, (self.idle[s], cleared), (f"observed_{s}", cells), fixed=fixed, until=0))
+            cells, results = after, (f"observed_{s}", after)
+            steps.append(Loop(observe, 1, (self.idle[s], cleared), results, fixed=(*fixed, explained), until=0))
             inputs += beams
         inputs += (*self.limits, *self.explained)
         return Routine("observe_block", self._sized(*inputs), tuple(steps), ("untouched", "unmarked_next", cells))
 
-    def _enter(self, which: str) -> Routine:
+    def _enter_unknown(self) -> Routine:
+        # stores a block's nearest unknown cell, unless so few are unknown that they are ignored
+        fixed = ("cells", "row", "column", "hull", "none", "zero")
+        results, last = ("enough", "counted"), ("entered", "best_next")
+        steps = (
+            Loop(self.programs.count(), self.block, ("zero", "zero"), results, sliced=("cells",), until=0),
+            Call(self.programs.few(), ("enough",), ("few",)),
+            Loop(self._enter(unknown=True), 1, ("few", "best"), last, fixed=fixed, until=0),
+        )
+        return Routine("unknown_block", self._sized("flag", "best", *fixed), steps, last)
+
+    def _enter(self, *, unknown: bool) -> Routine:
         """Return the routine that stores a block's nearest cell if this cell is the nearest so far in its direction."""
-        nearest, fixed = self.programs.nearest(unknown=which == "unknown"), ("near", "sector")
+        nearest, fixed = self.programs.nearest(unknown=unknown), ("near", "sector")
         program, sectors = self.programs.enter(), self.local_map.sectors
         enter = Loop(program, sectors, (), ("best_next",), sliced=("best",), fixed=fixed, index=True)
         sizes = (*self._sized("flag", "best"), ("near", len(NONE)), ("sector", 1))
@@ -215,8 +231,8 @@ class _Steps:
             Call(self.programs.farther(), ("near", "so_far"), ("farther",)),
             Loop(every, 1, ("farther", "best"), ("done", "best_next"), fixed=fixed, until=0),
         )
-        inputs = self._sized("flag", "best", "cells", "row", "column", "hull", "none")
-        return Routine(f"enter_{which}", inputs, steps, ("done", "best_next"))
+        inputs = self._sized("flag", "best", "cells", "row", "column", "hull", "none", "zero")
+        return Routine("enter_unknown" if unknown else "enter_marked", inputs, steps, ("done", "best_next"))
 
     def _over_row(self, program: Program, carried: tuple[str, ...] = ()) -> Routine:
         # the program is written for one cell

@@ -118,7 +118,7 @@ class MapPrograms:
     @cached_property
     def bounds_size(self) -> int:
         """Number of extreme values that `bounds` returns for a block's columns or rows."""
-        return 1 + _BOUNDS * self.slots
+        return 2 + _BOUNDS * self.slots
 
     def corner(self) -> Program:
         """Program that computes the window's lowest cell, and the highest multiples of N not above its indices.
@@ -147,41 +147,51 @@ class MapPrograms:
         outputs = {**limits, "hull": ca.vertcat(hull * hull, ring * ring), "complete": complete, **explained}
         return lower_named("prepare", {"place": place, "slots": slots}, outputs)
 
-    def line(self) -> Program:
-        """Program that computes the base and the beams of column `at`, or of row `at` if `is_row` is 1."""
-        number, is_row = ca.SX.sym("at"), ca.SX.sym("is_row")
-        place, walls = ca.SX.sym("place", 4), ca.SX.sym("walls", 4)
+    def axis(self) -> Program:
+        """Program that computes the numbers of `line` that all columns share, or all rows if `is_row` is 1."""
+        is_row, place, walls = ca.SX.sym("is_row"), ca.SX.sym("place", 4), ca.SX.sym("walls", 4)
         slots = ca.SX.sym("slots", self.slots * READING_SIZE)
         old, new, multiple = (ca.SX.sym(name, 2) for name in ("old", "new", "multiple"))
-        n, second = self.side, is_row > 0.5
 
         def of(pair: ca.SX) -> ca.SX:
-            return ca.if_else(second, pair[1], pair[0])
+            return ca.if_else(is_row > 0.5, pair[1], pair[0])
 
-        cell = of(multiple) + number
-        cell += ca.if_else(cell < of(new), n, 0)
-        stays = ca.logic_and(cell >= of(old), cell <= of(old) + (n - 1))
-        centre = (cell + 0.5) * place[3]
-        offset = centre - of(place)
         beside = _AT_A_WALL * place[3]
-        counts = ca.logic_and(centre > of(walls[[0, 2]]) + beside, centre < of(walls[[1, 3]]) - beside)
+        ends = of(walls[[0, 2]]) + beside, of(walls[[1, 3]]) - beside
+        shared = [of(place), place[3], *ends, of(old), of(new), of(multiple)]
+        for slot in split(slots, self.slots):
+            ahead = slot["axis"]
+            # across = dx·ey − dy·ex
+            shared += [of(slot["apex"]), of(ahead), of(ca.vertcat(ahead[1], -ahead[0]))]
+        inputs = {"is_row": is_row, "place": place, "walls": walls, "slots": slots}
+        inputs |= {"old": old, "new": new, "multiple": multiple}
+        return lower_named("axis", inputs, {"shared": ca.vertcat(*shared)})
+
+    def line(self) -> Program:
+        """Program that computes the base and the beams of the column or row with the number `at`."""
+        number, shared, n = ca.SX.sym("at"), ca.SX.sym("shared", 7 + 3 * self.slots), self.side
+        place, edge, lowest, highest, old, new, multiple, *beams = ca.vertsplit(shared)
+        cell = multiple + number
+        cell += ca.if_else(cell < new, n, 0)
+        stays = ca.logic_and(cell >= old, cell <= old + (n - 1))
+        centre = (cell + 0.5) * edge
+        offset = centre - place
+        counts = ca.logic_and(centre > lowest, centre < highest)
         square = offset * offset
         outputs = {"base": ca.vertcat(offset, square, stays, ca.if_else(counts, square, _FAR))}
-        for s, slot in enumerate(split(slots, self.slots)):
-            away, ex, ey = centre - of(slot["apex"]), slot["axis"][0], slot["axis"][1]
-            # across = dx·ey − dy·ex: a row's share has the other sign
-            across = ca.if_else(second, -away * ex, away * ey)
-            outputs[f"beam_{s}"] = ca.vertcat(away * of(slot["axis"]), across, away * away)
-        inputs = {
-            **{"at": number, "is_row": is_row, "place": place, "walls": walls},
-            **{"slots": slots, "old": old, "new": new, "multiple": multiple},
-        }
-        return lower_named("line", inputs, outputs)
+        for s in range(self.slots):
+            apex, ahead, aside = beams[3 * s : 3 * s + 3]
+            away = centre - apex
+            outputs[f"beam_{s}"] = ca.vertcat(away * ahead, away * aside, away * away)
+        return lower_named("line", {"at": number, "shared": shared}, outputs)
 
     # --- which blocks a firing, or the hull, touches ------------------------------------------------------------------
 
     def bounds(self) -> Program:
-        """Program that computes the extreme values of base and beams over the columns or rows of a block."""
+        """Program that computes the extreme values of base and beams over the columns or rows of a block.
+
+        The last value is 1 if all of them were in the previous window.
+        """
         base = ca.SX.sym("base", BASE * self.block)
         beams = [ca.SX.sym(f"beam_{s}", BEAM * self.block) for s in range(self.slots)]
 
@@ -193,18 +203,35 @@ class MapPrograms:
             along, across, square = (entries(beam, BEAM, e) for e in range(BEAM))
             bounds.append(reduce(ca.fmax, along))
             bounds += [reduce(extreme, values) for values in (across, square) for extreme in (ca.fmin, ca.fmax)]
+        bounds.append(reduce(ca.fmin, entries(base, BASE, 2)))
         inputs = {"base": base, **{f"beam_{s}": beam for s, beam in enumerate(beams)}}
         return lower_named("bounds", inputs, {"bounds": ca.vertcat(*bounds)})
 
+    def whole(self) -> Program:
+        """Program that tests whether all cells of a block were in the previous window."""
+        row, column = (ca.SX.sym(name, self.bounds_size) for name in ("row_bounds", "column_bounds"))
+        return lower_named(
+            "whole", {"row_bounds": row, "column_bounds": column}, {"whole": ca.fmin(row[-1], column[-1])}
+        )
+
     def untouched(self) -> Program:
-        """Program that tests whether no firing touches a block, whether the hull covers none of it, and for marks."""
+        """Program that tests what a block does not need.
+
+        The outputs are 1 if no firing touches the block, if the hull covers none of it, if no mark in it lasts, and if
+        none of its cells is unknown.
+        """
         row, column = (ca.SX.sym(name, self.bounds_size) for name in ("row_bounds", "column_bounds"))
         limits, hull, most = self._limits(), ca.SX.sym("hull", 2), ca.SX.sym("most")
         off = [self._untouched(*self._bounded(row, column, limit, s), limit) for s, limit in enumerate(limits)]
-        outputs = {"untouched": reduce(ca.logic_and, off), "idle_hull": row[0] + column[0] >= hull[0]}
+        outputs = {
+            "untouched": reduce(ca.logic_and, off),
+            "idle_hull": row[0] + column[0] >= hull[0],
+            "unmarked": most <= self.fades[1],
+            "known": most < -self.known,
+        }
         bounds = {"row_bounds": row, "column_bounds": column}
         inputs = {**bounds, **self._limit_symbols(limits), "hull": hull, "most": most}
-        return lower_named("untouched", inputs, {**outputs, "unmarked": most <= 0})
+        return lower_named("untouched", inputs, outputs)
 
     def idle(self) -> Program:
         """Program that tests for each firing whether a block does not need `observe`, and whether it needs no `clear`.
@@ -259,25 +286,28 @@ class MapPrograms:
 
     # --- what happens to a cell ---------------------------------------------------------------------------------------
 
-    def rise(self) -> Program:
-        """Program that computes the values of a row of cells, if none is marked, after a period without a firing.
+    def forget(self) -> Program:
+        """Program that computes the values of a row of cells after the window has moved: new cells are unknown."""
+        cells, row = ca.SX.sym("cells", self.block), ca.SX.sym("row", BASE)
+        columns = ca.SX.sym("column", BASE * self.block)
+        kept = [_kept(cells[k], columns[BASE * k : BASE * (k + 1)], row) for k in range(self.block)]
+        return lower_named("forget", {"cells": cells, "row": row, "column": columns}, {"kept": ca.vertcat(*kept)})
 
-        It also extends by this row the search for the block's largest value; above 0 the block has a mark.
+    def rise(self) -> Program:
+        """Program that computes the values of a row of cells, if no mark lasts, after a period without a firing.
+
+        It also extends by this row the search for the block's largest value before the limit 0; a mark that lasts is
+        larger than the amount by which a cleared cell approaches 0.
         """
-        most, cells, row = ca.SX.sym("most"), ca.SX.sym("cells", self.block), ca.SX.sym("row", BASE)
-        columns, largest, risen = ca.SX.sym("column", BASE * self.block), most, []
-        for k in range(self.block):
-            largest = ca.fmax(largest, cells[k])
-            risen.append(self._risen(cells[k], columns[BASE * k : BASE * (k + 1)], row))
-        inputs = {"most": most, "cells": cells, "row": row, "column": columns}
-        return lower_named("rise", inputs, {"most_next": largest, "risen": ca.vertcat(*risen)})
+        most, cells = ca.SX.sym("most"), ca.SX.sym("cells", self.block)
+        grown = cells + self.fades[1]
+        outputs = {"most_next": reduce(ca.fmax, ca.vertsplit(grown), most), "risen": ca.fmin(grown, 0)}
+        return lower_named("rise", {"most": most, "cells": cells}, outputs)
 
     def fade(self) -> Program:
         """Program that computes a cell's value after a period in which no firing observes the cell."""
         value, risen = ca.SX.sym("value"), ca.SX.sym("risen")
-        column, row = ca.SX.sym("column", BASE), ca.SX.sym("row", BASE)
-        inputs = {"risen": risen, "cells": value, "column": column, "row": row}
-        return lower_named("fade", inputs, {"faded": self._faded(value, column, row, risen)})
+        return lower_named("fade", {"risen": risen, "cells": value}, {"faded": self._faded(value, risen)})
 
     def seek(self) -> Program:
         """Program that tests whether a cell may have caused an echo: it is on the arc and not known to be free."""
@@ -285,7 +315,8 @@ class MapPrograms:
         column, across, row, down = self._cell()
         limits = ca.SX.sym("limits", len(LIMITS))
         limit, line = named_limits(limits), cell_line(across, down)
-        faded = self._faded(value, column, row, self._risen(value, column, row))
+        old = _kept(value, column, row)
+        faded = self._faded(old, ca.fmin(old + self.fades[1], 0))
         near = ca.logic_and(faded >= -self.known, line[2] <= limit["cutoff"])
         after = ca.logic_or(hit, ca.logic_and(on_arc(line, limit), near))
         inputs = {
@@ -328,11 +359,17 @@ class MapPrograms:
 
     # --- the nearest cell of a block ----------------------------------------------------------------------------------
 
-    def few_unknown(self) -> Program:
+    def count(self) -> Program:
+        """Program that extends by a row the count of a block's cells not known to be free, and tests for enough."""
+        count, cells = ca.SX.sym("count"), ca.SX.sym("cells", self.block)
+        after = count + ca.sum1(cells >= -self.known)
+        inputs = {"enough": ca.SX.sym("enough"), "count": count, "cells": cells}
+        return lower_named("count", inputs, {"enough_next": after >= self.held, "count_next": after})
+
+    def few(self) -> Program:
         """Program that tests whether a block has so few cells not known to be free that they are ignored."""
-        cells = ca.SX.sym("cells", self.block**2)
-        unknown = ca.sum1(cells >= -self.known)
-        return lower_named("few_unknown", {"cells": cells}, {"few": unknown < self.held})
+        enough = ca.SX.sym("enough")
+        return lower_named("few", {"enough": enough}, {"few": ca.logic_not(enough)})
 
     def all_explained(self) -> Program:
         """Program that tests whether every firing is explained by some cell, so that the search can end."""
@@ -354,11 +391,12 @@ class MapPrograms:
         for k in range(self.block):
             value = cells[k]
             square = columns[BASE * k + which] + row[which]
-            holds = value > 0
+            nearer = square < least  # most cells fail this test, which comes first
             if unknown:
                 blank = ca.logic_and(value >= -self.known, value <= 0)
-                holds = ca.logic_and(blank, square > hull[1])
-            nearer = ca.logic_and(holds, square < least)
+                nearer = ca.logic_and(ca.logic_and(nearer, square > hull[1]), blank)
+            else:
+                nearer = ca.logic_and(nearer, value > 0)
             dx = ca.if_else(nearer, columns[BASE * k], dx)
             least = ca.if_else(nearer, square, least)
         dy = ca.if_else(least < near[2], row[0], near[1])
@@ -396,11 +434,7 @@ class MapPrograms:
 
     # --- parts --------------------------------------------------------------------------------------------------------
 
-    def _risen(self, value: ca.SX, column: ca.SX, row: ca.SX) -> ca.SX:
-        return ca.fmin(value * (row[2] * column[2]) + self.fades[1], 0)
-
-    def _faded(self, value: ca.SX, column: ca.SX, row: ca.SX, risen: ca.SX) -> ca.SX:
-        old = value * (row[2] * column[2])
+    def _faded(self, old: ca.SX, risen: ca.SX) -> ca.SX:
         return ca.if_else(old > 0, ca.if_else(level(old) <= self.fades[0], 0, old - self.fades[0]), risen)
 
     @staticmethod
@@ -415,3 +449,7 @@ class MapPrograms:
     @staticmethod
     def _limit_symbols(limits: list[dict[str, ca.SX]]) -> dict[str, ca.SX]:
         return {f"limits_{s}": ca.vertcat(*one.values()) for s, one in enumerate(limits)}
+
+
+def _kept(value: ca.SX, column: ca.SX, row: ca.SX) -> ca.SX:
+    return value * (row[2] * column[2])
