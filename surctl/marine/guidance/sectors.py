@@ -166,6 +166,7 @@ def _turned(n: ca.SX, cosine: ca.SX | float, sine: ca.SX | float) -> ca.SX:
 
 
 _HEAD_ON = 1e-4  # cost of side −1 between two equal edges, so a head-on obstacle stays on the right (E10)
+_SIDES = ((1, 0), (-1, _HEAD_ON))  # the sides left and right of the desired course, and the cost of each
 _TURN_BACK = 8.0  # cost of leaving the latched side: more than that of a free course (0 … 2), less than of a violation
 SAME_CONTACT = 0.3  # [m] that the blocking point may move between two steps in the same encounter
 _WORTH_IT = 0.1  # share of the speed that a detour around unknown space must gain
@@ -334,7 +335,7 @@ class _Search:
             held = fold("sector_edges", sector, held, self.around.sectors)
             return fold("cone_edges", cone, held, self.around.cones)
 
-        return _Best(*fold("both_sides", on_one_side, best, ca.SX([[1, 0], [-1, _HEAD_ON]])))
+        return _Best(*fold("both_sides", on_one_side, best, ca.SX(_SIDES)))
 
     def _edge(self, best: _Best, normal: ca.SX, bound: ca.SX, sign: ca.SX, dearer: ca.SX) -> _Best:
         course, ahead = _edge(normal, bound, self.speed, sign), self.ahead
@@ -350,23 +351,24 @@ class _Search:
 
     def slower(self, best: _Best) -> _Best:
         """Try courses on either side of the desired course, each course at the speed that the sectors allow."""
-        fan = [
-            (cos(angle), sign * sin(angle), sign, 1 - cos(angle) + (0 if sign > 0 else _HEAD_ON))
-            for sign in (1, -1)
-            for angle in _FAN
-        ]
 
-        def course(*values: ca.SX) -> _Best:
-            *held, row = values
-            aside, sign, off = _turned(self.ahead, row[0], row[1]), row[2], row[3]
-            free = self.around.free_speed(aside, self.speed)
-            # no violation is possible: here no bound is negative and there is no cone
-            cost = off + _SLOWER * (1 - free / self.speed)
-            cost += ca.if_else(self.latched * sign < -0.5, _TURN_BACK, 0)
-            cost = ca.if_else(free > _SLOWEST * self.speed, cost, _NEVER)
-            return _Best(*held).or_else(aside, ca.SX(0), sign, cost, free)
+        def on_one_side(*values: ca.SX) -> list[ca.SX]:
+            *held, side = values
+            sign, dearer = side[0], side[1]
 
-        return _Best(*fold("slower_course", course, best, ca.SX(fan)))
+            def course(*values: ca.SX) -> _Best:
+                *held, row = values
+                aside = _turned(self.ahead, row[0], sign * row[1])
+                free = self.around.free_speed(aside, self.speed)
+                # no violation is possible: here no bound is negative and there is no cone
+                cost = row[2] + dearer + _SLOWER * (1 - free / self.speed)
+                cost += ca.if_else(self.latched * sign < -0.5, _TURN_BACK, 0)
+                cost = ca.if_else(free > _SLOWEST * self.speed, cost, _NEVER)
+                return _Best(*held).or_else(aside, ca.SX(0), sign, cost, free)
+
+            return fold("slower_course", course, held, ca.SX([[cos(a), sin(a), 1 - cos(a)] for a in _FAN]))
+
+        return _Best(*fold("slower_side", on_one_side, best, ca.SX(_SIDES)))
 
 
 def slowed(velocity: ca.SX, bounds: Bounds, *, added: ca.SX | None = None) -> ca.SX:

@@ -213,12 +213,10 @@ def _inside(line: tuple[ca.SX, ca.SX, ca.SX], limit: dict[str, ca.SX]) -> ca.SX:
 
 
 def in_front(line: tuple[ca.SX, ca.SX, ca.SX], limit: dict[str, ca.SX], value: ca.SX | None = None) -> ca.SX:
-    """Return whether the whole cell is free: it lies deep enough inside the cone, and is nearer than the echo.
+    """Return whether the whole cell lies deep enough inside the cone, and is nearer than the echo.
 
     Without a value the cell must not be marked.
     """
     share = _OF_THE_UNKNOWN if value is None else ca.if_else(value > 0, _OF_A_MARK, _OF_THE_UNKNOWN)
-    deep, short = ca.fmin(limit["whole"], share * (line[0] * limit["sine"])), line[2] < limit["clear"]
-    if value is not None:
-        short = ca.logic_and(short, ca.logic_or(limit["clears"], level(value) <= BLIND))
-    return ca.logic_and(_inside(line, limit) > deep, short)
+    deep = ca.fmin(limit["whole"], share * (line[0] * limit["sine"]))
+    return ca.logic_and(_inside(line, limit) > deep, line[2] < limit["clear"])

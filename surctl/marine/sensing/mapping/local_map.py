@@ -194,7 +194,7 @@ class _Steps:
         flags = (*self.idle, *self.clean, "unmarked_next")
         steps.append(Call(self.programs.idle(), (*bounds, *self.limits, "unmarked"), flags))
         clear = self._over_block(self.programs.clear())
-        observe = self._over_block(self._over_row(self.programs.observe()))
+        observe = self._over_block(self._over_row(self._observe_cell()))
         cells, inputs = "cells", ["untouched", "unmarked", "cells", *bounds]
         for s, explained in enumerate(self.explained):
             beams = (self.rows[s + 1], self.columns[s + 1])
@@ -205,6 +205,17 @@ class _Steps:
             inputs += beams
         inputs += (*self.limits, *self.explained)
         return Routine("observe_block", self._sized(*inputs), tuple(steps), ("untouched", "unmarked_next", cells))
+
+    def _observe_cell(self) -> Routine:
+        # most cells need no more than a glance
+        glance, carried, seen = self.programs.glance(), ("settled", "glanced"), ("front", "marked")
+        names = tuple(name for name, _ in glance.inputs)
+        fixed = (*(name for name in names if name != "explained"), *seen)
+        steps = (
+            Call(glance, names, (*carried, *seen)),
+            Loop(self.programs.observe(), 1, carried, ("observed", "after"), fixed=fixed, until=0),
+        )
+        return Routine("observe", glance.inputs, steps, ("after",))
 
     def _enter_unknown(self) -> Routine:
         # stores a block's nearest unknown cell, unless so few are unknown that they are ignored
@@ -234,7 +245,7 @@ class _Steps:
         inputs = self._sized("flag", "best", "cells", "row", "column", "hull", "none", "zero")
         return Routine("enter_unknown" if unknown else "enter_marked", inputs, steps, ("done", "best_next"))
 
-    def _over_row(self, program: Program, carried: tuple[str, ...] = ()) -> Routine:
+    def _over_row(self, program: Block, carried: tuple[str, ...] = ()) -> Routine:
         # the program is written for one cell
         names = tuple(name for name, _ in program.inputs)
         own = tuple(name for name in names if name in ("cells", "risen", "column", "column_beam"))

@@ -19,6 +19,7 @@ import casadi as ca
 from surctl.errors import InputError, check_number
 from surctl.ir import Program, lower_named
 from surctl.marine.sensing.mapping.firing import (
+    BLIND,
     LIMITS,
     READING_SIZE,
     RING,
@@ -336,19 +337,36 @@ class MapPrograms:
         inputs = {"cells": cells, "row_beam": down, "column_beam": columns, "limits": limits}
         return lower_named("clear", inputs, {"after": ca.vertcat(*after)})
 
-    def observe(self) -> Program:
-        """Program that computes a cell's value after a firing."""
+    def glance(self) -> Program:
+        """Program that computes a cell's value after a firing that neither marks it nor is in front of its mark.
+
+        The first output tests for this. The last ones say whether the firing is in front of the cell, and marks it.
+        """
         value, explained = ca.SX.sym("value"), ca.SX.sym("explained")
+        _, across, _, down = self._cell()
+        limits = ca.SX.sym("limits", len(LIMITS))
+        limit, line, mark = named_limits(limits), cell_line(across, down), value > 0
+        front = in_front(line, limit, value)
+        marked = ca.logic_and(on_arc(line, limit), ca.logic_or(value >= -self.known, ca.logic_not(explained)))
+        settled = ca.logic_not(ca.logic_or(marked, ca.logic_and(front, mark)))
+        after = ca.if_else(ca.logic_and(front, ca.logic_not(mark)), -1, value)
+        inputs = {"cells": value, "column_beam": across, "row_beam": down, "limits": limits, "explained": explained}
+        return lower_named("glance", inputs, {"settled": settled, "after": after, "front": front, "marked": marked})
+
+    def observe(self) -> Program:
+        """Program that computes a cell's value after a firing, where `glance` has not settled it."""
+        value, front, marked = (ca.SX.sym(name) for name in ("value", "front", "marked"))
         _, across, _, down = self._cell()
         limits = ca.SX.sym("limits", len(LIMITS))
         limit, line = named_limits(limits), cell_line(across, down)
         away, near, moved = direction(across, down, limit), nearby(line, limit), line[2] > limit["moved"]
         lasts, remark, blind = by_direction(value, away, near=near, moved=moved)
-        free = ca.logic_and(in_front(line, limit, value), ca.logic_not(lasts))
-        marked = ca.logic_and(on_arc(line, limit), ca.logic_or(value >= -self.known, ca.logic_not(explained)))
+        cleared = ca.logic_or(limit["clears"], level(value) <= BLIND)
+        free = ca.logic_and(ca.logic_and(front, cleared), ca.logic_not(lasts))
         after = ca.if_else(free, -1, ca.if_else(marked, ca.if_else(limit["ranged"], remark, blind), value))
-        inputs = {"cells": value, "column_beam": across, "row_beam": down, "limits": limits, "explained": explained}
-        return lower_named("observe", inputs, {"after": after})
+        inputs = {"settled": ca.SX.sym("settled"), "glanced": ca.SX.sym("glanced"), "cells": value}
+        inputs |= {"column_beam": across, "row_beam": down, "limits": limits, "front": front, "marked": marked}
+        return lower_named("observe", inputs, {"observed": ca.SX(1), "after": after})
 
     def cover(self) -> Program:
         """Program that computes a cell's value near the hull: a cell that the hull covers becomes free."""

@@ -230,7 +230,8 @@ def _lateness(step: Step, sound: Value, reading: Value) -> _Late:
     lost = missing * tracker.due
     gap = _both(scene.fired, missing > 0.5, lost <= tracker.longest_delay + 0.5 * tracker.dt, state["known"] > 0.5)
     late_by = ca.if_else(gap, _most(old["late_by"], lost), old["late_by"])
-    ago, history = late_by / tracker.dt + 0.5, zip(state["shifts"], state["walls"][1:], strict=True)
+    ago: Value = late_by / tracker.dt + 0.5
+    history = zip(state["shifts"], state["walls"][1:], strict=True)
     then = picked("earlier", tabulated(history), ago - 1.0)
     then = ca.if_else(_both(ago >= 1.0, ago < 1.0 + len(state["shifts"])), then, ca.vertcat(0.0, scene.expected))
     away, wall_then = then[0], then[1]
