@@ -148,8 +148,8 @@ def face_after(
         one = Firing.of(row)
         measured = ca.logic_and(ca.logic_and(one.arrived, one.echo), ca.logic_not(one.blind))
         take = ca.logic_and(measured, one.reading < nearest)
-        taken = ca.vertcat(one.apex, one.reading, one.axis, one.within)
-        return [ca.if_else(take, one.reading, nearest), ca.if_else(take, taken, best)]
+        candidate = ca.vertcat(one.apex, one.reading, one.axis, one.within)
+        return [ca.if_else(take, one.reading, nearest), ca.if_else(take, candidate, best)]
 
     _, best = fold("nearest_echo", nearer, [ca.SX(_NEAR), ca.SX([0, 0, 0, 1, 0, 1])], firings)
     now, axis, within = best[:3], best[3:5], best[5]

@@ -112,14 +112,15 @@ class _Steps:
             Call(self.programs.corner(), ("place", "walls"), ("corner_next", "multiple")),
             Call(self.programs.prepare(), ("place", "slots"), (*self.limits, "hull", "complete", *self.explained)),
         ]
-        for is_row, lines, bounds in (("zero", self.columns, "column_bounds"), ("one", self.rows, "row_bounds")):
-            shared = f"shared_by_{lines[0]}s"
+        for is_row, shared in (("zero", "of_columns"), ("one", "of_rows")):
             steps.append(Call(self.programs.axis(), (is_row, *_WHERE), (shared,)))
-            steps.append(Loop(self.programs.line(), n, (), lines, fixed=(shared,), index=True))
-            steps.append(Loop(self.programs.bounds(), local_map.blocks, (), (bounds,), sliced=lines))
-        found, nearest = ("complete", *self.explained), ("marked_none", "unknown_none")
+        steps.append(Loop(self.programs.line(), n, (), self.columns, fixed=("zero", "of_columns"), index=True))
+        steps.append(Loop(self.programs.bounds(), local_map.blocks, (), ("column_bounds",), sliced=self.columns))
+        searched, nearest = ("complete", *self.explained), ("marked_none", "unknown_none")
         fixed = ("zero", "free", "none", "hull", *self.explained_next, *self.limits)
-        steps.append(self._each_row(self._seek_block(), found, ("complete_next", *self.explained_next), self.limits, 0))
+        steps.append(
+            self._each_row(self._seek_block(), searched, ("complete_next", *self.explained_next), self.limits, 0)
+        )
         steps.append(self._each_row(self._change_block(), nearest, ("marked", "unknown", "cells_next"), fixed))
         inputs = (("cells", n * n), *self._sized("corner", "place", "walls", "slots"))
         return Routine("local_map", inputs, tuple(steps), ("cells_next", "corner_next", "marked", "unknown"))
@@ -128,16 +129,20 @@ class _Steps:
         self, block: Routine, state: tuple[str, ...], results: tuple[str, ...], fixed: tuple[str, ...],
         until: int | None = None,
     ) -> Loop:  # fmt: skip
-        """Return a loop over the rows of blocks, each with a loop over its blocks."""
+        """Return a loop over the rows of blocks, each with loops over its rows of cells and over its blocks."""
         blocks, columns, rows = self.local_map.blocks, (*self.columns, "column_bounds"), (*self.rows, "row_bounds")
         own = tuple(name for name, _ in block.inputs)
         carried, shared = own[: len(state)], own[len(state) + 1 + len(columns) : len(own) - len(rows)]
         last = tuple(name for name, _ in block.outputs)
-        inner = Loop(block, blocks, carried, last, sliced=("cells", *columns), fixed=(*shared, *rows), until=until)
+        steps = (
+            Loop(self.programs.line(), self.block, (), self.rows, fixed=("group", "of_rows"), index=True),
+            Call(self.programs.bounds(), self.rows, rows[-1:]),
+            Loop(block, blocks, carried, last, sliced=("cells", *columns), fixed=(*shared, *rows), until=until),
+        )
         wide = tuple((name, blocks) for name in columns)
-        inputs = self._sized(*carried, ("cells", blocks), *rows, *shared, *wide)
-        row = Routine(block.name.replace("block", "row"), inputs, (inner,), last)
-        return Loop(row, blocks, state, results, sliced=("cells", *rows), fixed=(*fixed, *columns), until=until)
+        inputs = self._sized("group", *carried, ("cells", blocks), *shared, *wide, "of_rows")
+        row, fixed = Routine(block.name.replace("block", "row"), inputs, steps, last), (*fixed, *columns, "of_rows")
+        return Loop(row, blocks, state, results, sliced=("cells",), fixed=fixed, index=True, until=until)
 
     # --- whether a cell explains the echo of a firing -----------------------------------------------------------------
 
@@ -160,21 +165,21 @@ class _Steps:
         # also updates the nearest cells found so far
         last, bounds = ("marked_next", "unknown_next", "cells_next"), ("row_bounds", "column_bounds")
         beams = tuple(name for k in range(self.local_map.slots) for name in (self.rows[k + 1], self.columns[k + 1]))
-        lines, seen = ("row", "column"), (*bounds, *beams, *self.limits, *self.explained)
+        lines, observing = ("row", "column"), (*bounds, *beams, *self.limits, *self.explained)
         fade, cover = (self._over_block(self._over_row(p)) for p in (self.programs.fade(), self.programs.cover()))
         forget = self._over_block(self.programs.forget())
         steps: list[Step] = [
             Call(self.programs.whole(), bounds, ("whole",)),
-            Loop(forget, 1, ("whole", "cells"), ("forgotten", "kept"), fixed=lines, until=0),
-            Loop(self.programs.rise(), self.block, ("free",), ("most", "risen"), sliced=("kept",)),
+            Loop(forget, 1, ("whole", "cells"), ("forgotten", "remembered"), fixed=lines, until=0),
+            Loop(self.programs.rise(), self.block, ("free",), ("most", "risen"), sliced=("remembered",)),
             Call(
                 self.programs.untouched(), (*bounds, *self.limits, "hull", "most"),
                 ("untouched", "idle_hull", "unmarked", "known"),
             ),
-            Loop(fade, 1, ("unmarked", "risen"), ("faded", "cells_0"), fixed=("kept",), until=0),
+            Loop(fade, 1, ("unmarked", "risen"), ("faded", "cells_0"), fixed=("remembered",), until=0),
             Loop(
                 self._observe_block(), 1, ("untouched", "unmarked", "cells_0"), ("observed", "no_marked", "cells_1"),
-                fixed=seen, until=0,
+                fixed=observing, until=0,
             ),
             Loop(cover, 1, ("idle_hull", "cells_1"), ("covered", last[-1]), fixed=(*lines, "hull"), until=0),
         ]  # fmt: skip
@@ -208,11 +213,11 @@ class _Steps:
 
     def _observe_cell(self) -> Routine:
         # most cells need no more than a glance
-        glance, carried, seen = self.programs.glance(), ("settled", "glanced"), ("front", "marked")
+        glance, carried, flags = self.programs.glance(), ("finished", "glanced"), ("front", "marked")
         names = tuple(name for name, _ in glance.inputs)
-        fixed = (*(name for name in names if name != "explained"), *seen)
+        fixed = (*(name for name in names if name != "explained"), *flags)
         steps = (
-            Call(glance, names, (*carried, *seen)),
+            Call(glance, names, (*carried, *flags)),
             Loop(self.programs.observe(), 1, carried, ("observed", "after"), fixed=fixed, until=0),
         )
         return Routine("observe", glance.inputs, steps, ("after",))
@@ -271,7 +276,7 @@ class _Steps:
         b, sectors = self.block, len(NONE) * self.local_map.sectors
         sizes = {"column": b * BASE, "row": b * BASE, "none": len(NONE), "hull": 2, "place": 4, "walls": 4, "corner": 2}
         sizes |= dict.fromkeys(("cells", "risen"), b * b) | dict.fromkeys(("marked", "unknown", "best"), sectors)
-        sizes |= {"slots": self.local_map.slots * READING_SIZE}
+        sizes |= {"slots": self.local_map.slots * READING_SIZE, "of_rows": self.programs.shared_size}
         sizes |= dict.fromkeys(("column_beam", "row_beam", *self.columns[1:], *self.rows[1:]), b * BEAM)
         sizes |= dict.fromkeys(("column_bounds", "row_bounds"), self.programs.bounds_size)
         sizes |= dict.fromkeys(("limits", *self.limits), len(LIMITS))

@@ -121,6 +121,11 @@ class MapPrograms:
         """Number of extreme values that `bounds` returns for a block's columns or rows."""
         return 2 + _BOUNDS * self.slots
 
+    @property
+    def shared_size(self) -> int:
+        """Number of values that `axis` returns for all columns or all rows."""
+        return 7 + 3 * self.slots
+
     def corner(self) -> Program:
         """Program that computes the window's lowest cell, and the highest multiples of N not above its indices.
 
@@ -169,10 +174,10 @@ class MapPrograms:
         return lower_named("axis", inputs, {"shared": ca.vertcat(*shared)})
 
     def line(self) -> Program:
-        """Program that computes the base and the beams of the column or row with the number `at`."""
-        number, shared, n = ca.SX.sym("at"), ca.SX.sym("shared", 7 + 3 * self.slots), self.side
+        """Program that computes the base and the beams of a column or row, number `at` in the block `group`."""
+        at, group, shared, n = ca.SX.sym("at"), ca.SX.sym("group"), ca.SX.sym("shared", self.shared_size), self.side
         place, edge, lowest, highest, old, new, multiple, *beams = ca.vertsplit(shared)
-        cell = multiple + number
+        cell = multiple + (self.block * group + at)
         cell += ca.if_else(cell < new, n, 0)
         stays = ca.logic_and(cell >= old, cell <= old + (n - 1))
         centre = (cell + 0.5) * edge
@@ -184,7 +189,7 @@ class MapPrograms:
             apex, ahead, aside = beams[3 * s : 3 * s + 3]
             away = centre - apex
             outputs[f"beam_{s}"] = ca.vertcat(away * ahead, away * aside, away * away)
-        return lower_named("line", {"at": number, "shared": shared}, outputs)
+        return lower_named("line", {"at": at, "group": group, "shared": shared}, outputs)
 
     # --- which blocks a firing, or the hull, touches ------------------------------------------------------------------
 
@@ -291,8 +296,10 @@ class MapPrograms:
         """Program that computes the values of a row of cells after the window has moved: new cells are unknown."""
         cells, row = ca.SX.sym("cells", self.block), ca.SX.sym("row", BASE)
         columns = ca.SX.sym("column", BASE * self.block)
-        kept = [_kept(cells[k], columns[BASE * k : BASE * (k + 1)], row) for k in range(self.block)]
-        return lower_named("forget", {"cells": cells, "row": row, "column": columns}, {"kept": ca.vertcat(*kept)})
+        remembered = [_remembered(cells[k], columns[BASE * k : BASE * (k + 1)], row) for k in range(self.block)]
+        return lower_named(
+            "forget", {"cells": cells, "row": row, "column": columns}, {"remembered": ca.vertcat(*remembered)}
+        )
 
     def rise(self) -> Program:
         """Program that computes the values of a row of cells, if no mark lasts, after a period without a firing.
@@ -316,7 +323,7 @@ class MapPrograms:
         column, across, row, down = self._cell()
         limits = ca.SX.sym("limits", len(LIMITS))
         limit, line = named_limits(limits), cell_line(across, down)
-        old = _kept(value, column, row)
+        old = _remembered(value, column, row)
         faded = self._faded(old, ca.fmin(old + self.fades[1], 0))
         near = ca.logic_and(faded >= -self.known, line[2] <= limit["cutoff"])
         after = ca.logic_or(hit, ca.logic_and(on_arc(line, limit), near))
@@ -348,13 +355,13 @@ class MapPrograms:
         limit, line, mark = named_limits(limits), cell_line(across, down), value > 0
         front = in_front(line, limit, value)
         marked = ca.logic_and(on_arc(line, limit), ca.logic_or(value >= -self.known, ca.logic_not(explained)))
-        settled = ca.logic_not(ca.logic_or(marked, ca.logic_and(front, mark)))
+        finished = ca.logic_not(ca.logic_or(marked, ca.logic_and(front, mark)))
         after = ca.if_else(ca.logic_and(front, ca.logic_not(mark)), -1, value)
         inputs = {"cells": value, "column_beam": across, "row_beam": down, "limits": limits, "explained": explained}
-        return lower_named("glance", inputs, {"settled": settled, "after": after, "front": front, "marked": marked})
+        return lower_named("glance", inputs, {"finished": finished, "after": after, "front": front, "marked": marked})
 
     def observe(self) -> Program:
-        """Program that computes a cell's value after a firing, where `glance` has not settled it."""
+        """Program that computes a cell's value after a firing, where `glance` has not finished it."""
         value, front, marked = (ca.SX.sym(name) for name in ("value", "front", "marked"))
         _, across, _, down = self._cell()
         limits = ca.SX.sym("limits", len(LIMITS))
@@ -364,7 +371,7 @@ class MapPrograms:
         cleared = ca.logic_or(limit["clears"], level(value) <= BLIND)
         free = ca.logic_and(ca.logic_and(front, cleared), ca.logic_not(lasts))
         after = ca.if_else(free, -1, ca.if_else(marked, ca.if_else(limit["ranged"], remark, blind), value))
-        inputs = {"settled": ca.SX.sym("settled"), "glanced": ca.SX.sym("glanced"), "cells": value}
+        inputs = {"finished": ca.SX.sym("finished"), "glanced": ca.SX.sym("glanced"), "cells": value}
         inputs |= {"column_beam": across, "row_beam": down, "limits": limits, "front": front, "marked": marked}
         return lower_named("observe", inputs, {"observed": ca.SX(1), "after": after})
 
@@ -469,5 +476,5 @@ class MapPrograms:
         return {f"limits_{s}": ca.vertcat(*one.values()) for s, one in enumerate(limits)}
 
 
-def _kept(value: ca.SX, column: ca.SX, row: ca.SX) -> ca.SX:
+def _remembered(value: ca.SX, column: ca.SX, row: ca.SX) -> ca.SX:
     return value * (row[2] * column[2])
