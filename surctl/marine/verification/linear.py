@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.marine.control.gains import setting
-from surctl.marine.vehicle import Vehicle
+from surctl.marine.vehicle import Vehicle, steady_speed
 from surctl.marine.verification.corners import NOMINAL, Corners
 from surctl.marine.verification.cruise_loop import (
     LINEAR_GAINS,
@@ -168,9 +168,7 @@ def cap_above(vehicle: Vehicle, bearable: float, *, cap: float) -> str | None:
 
 def _fastest(vehicle: Vehicle) -> float:
     # slightly below the speed [m/s] at which the drag equals the thrust limit
-    linear, quadratic, limit = vehicle["Xu"], vehicle["Xuu"], vehicle["Fu_max"]
-    root = linear + np.sqrt(linear**2 + 4 * quadratic * limit)
-    return float(2 * limit / root * (1 - _EDGE)) if root > 0 else np.inf
+    return steady_speed(vehicle["Fu_max"], vehicle["Xu"], vehicle["Xuu"]) * (1 - _EDGE)
 
 
 _FACTORS = np.array([1.1, 1.25, 1.5, 2.0, 3.0, 5.0, 10.0])  # factors by which a gain is changed
