@@ -41,57 +41,39 @@ def _largest_forces(actuators: Actuators, *, stated: Container[str], source: str
     limits = dict(zip(_NAMES, np.minimum(-ends[:, 0], ends[:, 1]).tolist(), strict=True))
     astern, ahead = (-ends[0, 0]).item(), ends[0, 1].item()
     if "Fu_max" not in stated:
-        _check_surge(actuators, astern, ahead, source)
+        if astern <= 0 or ahead <= 0:
+            missing = f"no force {'astern' if astern <= 0 else 'ahead'}"
+            raise _lacks(
+                actuators, 0, f"leaves the craft {missing} without another one, and the laws brake with it", source
+            )
         if limits["Fv_max"] == 0 and astern < ahead:
             limits |= {"Fu_max": ahead, "Fu_reverse": astern}
     if "Fr_max" not in stated and limits["Fr_max"] <= 0:
-        raise _no_yaw(actuators, source)
+        raise _lacks(actuators, 5, "gives no yaw moment without surge or sway force", source)
     return {name: value for name, value in limits.items() if name not in stated}
 
 
-def _check_surge(actuators: Actuators, astern: float, ahead: float, source: str) -> None:
-    if astern > 0 and ahead > 0:
-        return
-    pushing = [k for k, one in enumerate(actuators.thrusters) if one.fin is None and abs(one.direction[0]) > _ARM]
-    if not pushing:
-        problem = "no thruster pushes ahead"
-        remedy = "add a [[thruster]] with push = [1, 0, 0]"
-        raise InputError(problem, file=source, key="thruster", value=", ".join(actuators.names), remedy=remedy)
-    weak = next((k for k in pushing if actuators.thrusters[k].reverse == 0), pushing[0])
-    where = "astern" if astern <= 0 else "ahead"
-    raise _lacks(
-        actuators, weak, f"leaves the craft no force {where} without another one, and the laws brake with it", source
-    )
+def _lacks(actuators: Actuators, row: int, problem: str, source: str) -> InputError:
+    """Return the error that an axis, a row of `Thruster.columns`, has no force of its own in both directions.
 
-
-def _no_yaw(actuators: Actuators, source: str) -> InputError:
-    arms: NDArray[np.float64] = np.array([float(np.abs(one.columns[5]).max()) for one in actuators.thrusters])
-    turning = np.flatnonzero(arms > _ARM)
-    if turning.size:
-        weak = next((int(k) for k in turning if actuators.thrusters[k].reverse == 0), int(turning[0]))
-        return _lacks(actuators, weak, "gives no yaw moment without surge or sway force", source)
-    fins = [k for k, one in enumerate(actuators.thrusters) if one.fin is not None]
+    It names the thruster to change: one that pushes on this axis, if possible without force in reverse.
+    """
+    thrusters, fins = actuators.thrusters, actuators.fins
+    pushing = [
+        k for k, one in enumerate(thrusters) if (row == 5 or k not in fins) and np.abs(one.columns[row]).max() > _ARM
+    ]
+    if pushing:
+        k = next((k for k in pushing if thrusters[k].reverse == 0), pushing[0])
+        key, value = f"thruster.{k}.reverse", f"{thrusters[k].reverse:g} N"
+        remedy = f"give {thrusters[k].name} a force in reverse, or add a thruster or rudder that gives it"
+        return InputError(f"{thrusters[k].name} {problem}", file=source, key=key, value=value, remedy=remedy)
+    if row == 0:
+        value, remedy = ", ".join(actuators.names), "add a [[thruster]] with push = [1, 0, 0]"
+        return InputError("no thruster pushes ahead", file=source, key="thruster", value=value, remedy=remedy)
     k = fins[0] if fins else 0
-    name = actuators.names[k]
+    name, at = actuators.names[k], list(thrusters[k].at)
     remedy = f"place {name} at x != 0" if fins else f"place {name} beside the middle, or add a rudder at x != 0"
-    return InputError(
-        f"{name} gives no yaw moment",
-        file=source,
-        key=f"thruster.{k}.at_m",
-        value=list(actuators.thrusters[k].at),
-        remedy=remedy,
-    )
-
-
-def _lacks(actuators: Actuators, k: int, problem: str, source: str) -> InputError:
-    one = actuators.thrusters[k]
-    return InputError(
-        f"{one.name} {problem}",
-        file=source,
-        key=f"thruster.{k}.reverse",
-        value=f"{one.reverse:g} N",
-        remedy=f"give {one.name} a force in reverse, or add a thruster or rudder that gives it",
-    )
+    return InputError(f"{name} gives no yaw moment", file=source, key=f"thruster.{k}.at_m", value=at, remedy=remedy)
 
 
 LIBRARY = Path(__file__).parent / "library"
