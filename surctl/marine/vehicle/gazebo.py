@@ -76,16 +76,16 @@ def gazebo_vehicle(
     chosen = _chosen(bodies, link, path)
     body = bodies[chosen]
     limits = {"Fu_max": thrust, "Fv_max": sway_thrust, "Fw_max": heave_thrust, "Fr_max": yaw_thrust}
-    given = {key: thrust if value is None else value for key, value in limits.items()}
-    given |= {"radius": radius, "thrust_lag": thrust_lag}
-    values = given | _numbers(body, chosen, path)
+    stated = {key: thrust if value is None else value for key, value in limits.items()}
+    stated |= {"radius": radius, "thrust_lag": thrust_lag}
+    values = stated | _numbers(body, chosen, path)
     parameters = {}
     for key, spec in [*PARAMETERS.items(), *((key, spec) for key, spec in TERMS.items() if values.get(key))]:
         value = values[key]
         if not spec.allows(value):
             remedy = spec.remedy + "; a hydrodynamic derivative against the motion is negative" * (spec.table == "drag")
             raise InputError(f"must be {spec.bound}", file=shown(path), key=key, value=value, remedy=remedy)
-        said = "given" if key in given else f"link {chosen} of {path.name}"
+        said = "given" if key in stated else f"link {chosen} of {path.name}"
         parameters[key] = Parameter(float(value), spec.unit, None, said)
     free = undamped({key: parameter.value for key, parameter in parameters.items()})
     note = f"; no drag found in {', '.join(free)}" if free else ""
