@@ -10,7 +10,7 @@ import numpy as np
 
 from surctl.assessment import SATURATED, Assumption, Figure, Line, Part, loop_figures, loop_line
 from surctl.errors import InputError, NotApplicable
-from surctl.marine.control import BARRIER, Barrier, Gains, Law, Movers, default_law, law_source
+from surctl.marine.control import BARRIER, Barrier, Gains, Law, Movers, build_law, default_law, law_source
 from surctl.marine.guidance import Guidance, Path
 from surctl.marine.simulation import Case, Disturbance, Run, SafetyClaim, Scenario, Sensing, simulate, vehicle_law
 from surctl.marine.simulation.echo_fit import detection_range
@@ -25,7 +25,7 @@ from surctl.marine.verification import law_corners, steady_motion
 from surctl.marine.verification.corners import DRAG_SPREAD, MASS_SPREAD, corners
 from surctl.marine.verification.cruise_loop import TRACKING_LAW, has_cruise_loop
 from surctl.marine.verification.law_loop import LawLoop
-from surctl.marine.verification.linear import Mode, cap_above, cruise_corners, slowest_mode
+from surctl.marine.verification.linear import Mode, cap_above, slowest_mode
 from surctl.marine.verification.region import RegionStatement, applicable_region, prove_statement
 from surctl.marine.verification.speeds import OverSpeeds, slow_margins
 from surctl.own_code import label
@@ -43,7 +43,7 @@ __all__ = [
 
 def assumptions(
     vehicle: Vehicle,
-    gains: Mapping[str, float] | None,
+    gains: Gains | None,
     *,
     cruise: float,
     dt: float,
@@ -64,7 +64,7 @@ def assumptions(
         >>> from surctl.marine.assessment import assumptions
         >>> from surctl.marine.control import load_gains
         >>> from surctl.marine.vehicle import load_vehicle
-        >>> rov, gains = load_vehicle("bluerov2-wu"), load_gains("default").values
+        >>> rov, gains = load_vehicle("bluerov2-wu"), load_gains("default")
         >>> [ranges] = assumptions(rov, gains, cruise=0.15, dt=0.05)
         >>> ranges.value, ranges.margins[0] > ranges.margins[2]
         ('of mass ±5% and of drag ±20%', True)
@@ -75,7 +75,7 @@ def assumptions(
             return float("nan")
         try:
             tried = corners(one, uncertainty, spread=spread)
-            return cruise_corners(tried, gains, cruise=cruise, dt=dt, law=law, proved=False).disk
+            return law_corners(build_law(law, dt=dt), tried, gains, cruise=cruise, proved=False).disk
         except InputError:  # the vehicle cannot hold the speed
             return float("nan")
 
@@ -298,6 +298,7 @@ class Mission:
         period: dict[str, Any] = {} if self.dt is None else {"dt": self.dt}
         built = vehicle_law(vehicle, law, guidance=self.guidance, **period)
         ranges: dict[str, Any] = {"uncertainty": self.uncertainty}
+        tried = corners(vehicle, self.uncertainty)
         if source.steering is None and has_cruise_loop(law, self.guidance):
             try:
                 check_cruise(vehicle, cruise)
@@ -307,16 +308,16 @@ class Mission:
             values = self.gains.values
             analysis = LoopAnalysis(
                 cruise,
-                cruise_corners(corners(vehicle, self.uncertainty), values, **speeds),
+                law_corners(built, tried, self.gains, cruise=cruise),
                 slowest_mode(vehicle, values, **speeds),
-                assumptions=assumptions(vehicle, values, **ranges, **speeds),
+                assumptions=assumptions(vehicle, self.gains, **ranges, **speeds),
                 slow=slow_margins(vehicle, values, **ranges, **speeds),
             )
             return self._with_motion(analysis, self.gains, built)
         own = self.gains.with_own(source.gains)
         if source.steering is not None:
             try:
-                loops = law_corners(built, vehicle, own, cruise=cruise, **ranges)
+                loops = law_corners(built, tried, own, cruise=cruise)
             except InputError as error:
                 return LoopAnalysis(cruise, unjudged=_reason(error, cruise))
             assumed = assumptions(vehicle, None, cruise=cruise, dt=built.dt, **ranges)
@@ -361,7 +362,7 @@ class Mission:
                 return LoopAnalysis(cruise, unjudged=why, failed=True)
             try:
                 at = steady_motion(run)
-                loops = law_corners(law, vehicle, gains, cruise=cruise, uncertainty=self.uncertainty, at=at)
+                loops = law_corners(law, corners(vehicle, self.uncertainty), gains, cruise=cruise, at=at)
             except InputError as error:
                 reason = reason or _reason(error, cruise)
                 continue

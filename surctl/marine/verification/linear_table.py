@@ -108,7 +108,7 @@ def linear_table(
 ) -> dict[str, NDArray[np.float64]]:
     """Compute the linear metrics of n operating points; return one array (n,) for every requested metric.
 
-    The columns `disk_margin`, as in `verification.linear.cruise_corners`, and `delay_margin_s` are those of the worst
+    The columns `disk_margin`, as in `law_corners`, and `delay_margin_s` are those of the worst
     corner of the ranges; parameters in `values` are exact. All other metrics are those of the plant.
 
     At an unstable point the margins have the values that `LoopMargins` states for an unstable loop; settling time and
