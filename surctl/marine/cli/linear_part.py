@@ -183,8 +183,7 @@ def over_speeds(parts: Sequence[LinearPart]) -> LinearPart:
     """Combine analyses at several cruise speeds (slowest first): a comparison, then the whole analysis of the last."""
     import numpy as np
 
-    from surctl.marine.verification.speeds import worst_text
-    from surctl.verification.loops import worst_place
+    from surctl.marine.verification.speeds import OverSpeeds
 
     *_, last = parts
     if len(parts) == 1:
@@ -194,14 +193,13 @@ def over_speeds(parts: Sequence[LinearPart]) -> LinearPart:
         delay, disk = part.figure("delay_margin_s"), part.figure("disk_margin")
         word = f"stable, least delay margin {delay:.2f} s, disk margin {disk:.2f}"
         lines.append(f"  {part.cruise:g} m/s: " + (f"{word}, largest S {part.peak:.2f}" if part.stable else "UNSTABLE"))
-    ill = {  # larger is worse
-        "delay_margin_s": np.array([-part.figure("delay_margin_s") for part in parts]),
-        "disk_margin": np.array([-part.figure("disk_margin") for part in parts]),
+    over = OverSpeeds(tuple(part.cruise for part in parts), {
+        **{name: np.array([part.figure(name) for part in parts]) for name in ("delay_margin_s", "disk_margin")},
         "sensitivity_peak": np.array([part.peak for part in parts]),
-    }
-    worst = {name: parts[int(worst_place(each))].cruise for name, each in ill.items()}
-    slow, weak, steep = (worst_text(each, [part.cruise for part in parts]) for each in ill.values())
+    })  # fmt: skip
+    slow, weak, steep = map(over.where, over.figures)
     lines.append(f"  worst speed: delay margin at {slow}, disk margin at {weak}, S at {steep}")
+    worst = {name: over.worst(name)[1] for name in over.figures}
     speeds = [{"cruise_m_per_s": part.cruise, "stable": part.stable, **part.data} for part in parts]
     data = {**last.data, "speeds": speeds, "worst_cruise_m_per_s": worst}
     return last._replace(lines=lines + last.lines, data=data, stable=all(part.stable for part in parts))

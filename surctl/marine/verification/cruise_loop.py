@@ -94,7 +94,7 @@ def cruise_loop(
         >>> loop.stable, loop.transition.shape, round(float(loop.rates.real.max()), 2)
         (True, (16, 16), -0.22)
     """
-    check_positive({"cruise": cruise, "dt": dt})
+    _check_positive({"cruise": cruise, "dt": dt})
     for craft in (vehicle, model or vehicle):
         if not craft["Fv_max"] > 0:
             problem = f"the law moves in any direction, but {craft.name} has no sway force"
@@ -162,11 +162,10 @@ def _law_gains(law: str, point: CruisePoint) -> Gains:
     for name in LINEAR_GAINS:
         if name not in point.gains:
             raise InputError("gain is missing", key=name, remedy=nearest(name, point.gains))
-    check_positive({**{name: point.gains[name] for name in LINEAR_GAINS}, "cruise": point.cruise})
-    k_i, base = point.gains.get("k_i", 0.0), _some_gains(law)
-    if not (np.isfinite(k_i) and k_i >= 0):
-        raise InputError("must be at least 0", key="k_i", value=k_i, remedy="correct it")
-    return base.with_values({name: point.gains[name] for name in (*LINEAR_GAINS, "k_i") if name in point.gains})
+    _check_positive({"cruise": point.cruise})
+    return _some_gains(law).with_values(
+        {name: point.gains[name] for name in (*LINEAR_GAINS, "k_i") if name in point.gains}
+    )
 
 
 @cache
@@ -329,8 +328,7 @@ def in_loop(A: Array, B: Array, C: Array) -> list[int]:
     return [int(k) for k in np.flatnonzero(reached & reaches)]
 
 
-def check_positive(values: Mapping[str, float]) -> None:
-    """Raise InputError for the first value that is not finite or not greater than 0."""
+def _check_positive(values: Mapping[str, float]) -> None:
     for name, value in values.items():
         if not (np.isfinite(value) and value > 0):
             raise InputError("must be greater than 0", key=name, value=float(value), remedy="correct it")
