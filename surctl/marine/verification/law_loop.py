@@ -249,7 +249,7 @@ def law_loop(
         >>> loop.stable, [m.name for m in loop.margins]
         (True, ['surge', 'sway', 'heave', 'yaw', 'x', 'y', 'z', 'psi', 'u', 'v', 'w', 'r'])
     """
-    _check_senses(law)
+    _check_positions(law)
     if at is None and _tracks(law):
         linear = cruise_loop(vehicle, gains.values, cruise=cruise, dt=law.dt, model=model, law=law.ref)
         return LawLoop(linear, label(law.ref), cruise)
@@ -257,7 +257,7 @@ def law_loop(
     return _loop(law, vehicle, at, _differentiated(law, at))
 
 
-def _check_senses(law: Law) -> None:
+def _check_positions(law: Law) -> None:
     if "samples" in law.inputs:
         raise InputError("uses sonars", key="law", value=law.name, remedy="build it with sonar=False")
 
@@ -399,7 +399,7 @@ def law_corners(
         points = [CruisePoint(plant, model or craft, gains.values, cruise) for plant in plants]
         loops = each_loop(points, dt=law.dt, law=law.ref)
     else:
-        _check_senses(law)
+        _check_positions(law)
         motion = cruise_motion(law, craft, gains, cruise=cruise, model=model) if at is None else at
         slopes = _differentiated(law, motion)  # the law's model is the same at each
 
