@@ -214,7 +214,15 @@ def check_known(
 
 
 def check_once(names: Iterable[str], problem: str, *, key: str, remedy: str) -> None:
-    """Raise InputError with the problem for the first name that occurs more than once."""
+    """Raise InputError with the problem for the first name that occurs more than once.
+
+    Example:
+        >>> from surctl.errors import check_once
+        >>> check_once(["yaw", "surge", "yaw"], "occurs twice", key="axis", remedy="drop one")
+        Traceback (most recent call last):
+            ...
+        surctl.errors.InputError: axis = 'yaw': occurs twice; drop one
+    """
     counts = Counter(names)
     for name, count in counts.items():
         if count > 1:

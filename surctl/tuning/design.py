@@ -149,8 +149,14 @@ def _check_seeds(name: str, values: tuple[float, ...]) -> None:
         raise InputError("must be whole numbers, at least 0", key="axis seed", value=values, remedy="write 0,1,2,...")
 
 
-def default_range(value: float) -> tuple[float, float]:
-    """Return the default search range of a gain: from a quarter of a value to four times this value, in order."""
+def default_range(gain: str, value: float) -> tuple[float, float]:
+    """Return the default search range of a gain: from a quarter of its value to four times the value, in order.
+
+    Raises:
+        InputError: the value is 0.
+    """
+    if value == 0:
+        raise InputError("is 0 and so has no default range", key=f"--gain {gain}", remedy=f"write {gain}=LOW..HIGH")
     return min(value / _SPREAD, value * _SPREAD), max(value / _SPREAD, value * _SPREAD)
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -108,7 +107,7 @@ def simulate(
     _check_fallback(robot.fallback, mode=robot.priority_mode, explained=explained, campaign=campaign.any)
     from surctl.files import prepare_folder
     from surctl.marine.control import law_source, load_gains
-    from surctl.marine.simulation import law_numbers, load_scenario
+    from surctl.marine.simulation import load_scenario
     from surctl.marine.vehicle import load_vehicle
 
     _check_save(save, frame, out=out, campaign=campaign.any)
@@ -137,11 +136,10 @@ def simulate(
     laws, gone = [case.build(robot.fallback) for case in cases], list[str]()
 
     def simulated(case: Case, built: Law, common: dict[str, Any]) -> Iterator[Ran]:
-        p, about = law_numbers(case.scenario, case.gains, case.vehicle), (case.scenario, case.vehicle)
-        with link.opened(built, p, *about) as line:
+        with link.opened(case, built) as linked:
             for run, report in physics.runs(
                 engine, case, built, range(seed, seed + runs), fallback=robot.fallback, faults=tuple(broken),
-                linked=partial(link.linked, built, p, line, *about), compiled=link.compiled,
+                linked=linked, compiled=link.compiled,
             ):  # fmt: skip
                 data = run.to_dict() | common
                 yield show.ran(run, data, middle=physics.output(run, engine, data), link=report)

@@ -228,6 +228,13 @@ class Scenario:
         first_leg = self.path.waypoints[1] - self.start
         return np.array([*self.start, self.depth, np.arctan2(first_leg[1], first_leg[0])])
 
+    @property
+    def turns(self) -> NDArray[np.float64]:
+        """By how much the direction changes at each inner waypoint of the path (n - 2,) [rad], at least 0."""
+        ahead = np.diff(self.path.waypoints, axis=0)
+        turns = np.diff(np.arctan2(ahead[:, 1], ahead[:, 0]))
+        return np.abs((turns + np.pi) % (2 * np.pi) - np.pi)
+
     def follower(self) -> Follower:
         """Return a path follower at the start of the path."""
         return Follower(self.path, visit=self.visit)

@@ -108,10 +108,7 @@ def default_tuned(base: Gains) -> tuple[str, ...]:
 def _default(name: str, base: Gains) -> tuple[float, float]:
     if name in base.own and name in base.ranges:
         return base.ranges[name]
-    value = base[name]
-    if value <= 0:
-        raise InputError("is 0 and so has no default range", key=f"--gain {name}", remedy=f"write {name}=LOW..HIGH")
-    low, high = default_range(value)
+    low, high = default_range(name, base[name])
     return low, min(high, base.specs[name].below)
 
 

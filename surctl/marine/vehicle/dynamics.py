@@ -20,6 +20,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache
+from math import inf, sqrt
 
 import casadi as ca
 import numpy as np
@@ -366,7 +367,7 @@ def trim_function(form: PlantForm = PAPER) -> ca.Function:
 def steady_speed(force: float, linear: float, quadratic: float) -> float:
     """Return the speed u [m/s] at which the drag X u + X₂ u² equals the force F ≥ 0 [N].
 
-    The speed is u = (−X + √(X² + 4 X₂ F)) / (2 X₂), with F = `force`, X = `linear` and X₂ = `quadratic`.
+    The speed is u = 2 F / (X + √(X² + 4 X₂ F)), with F = `force`, X = `linear` and X₂ = `quadratic`.
 
     Example:
         >>> from surctl.marine.vehicle import load_vehicle, steady_speed
@@ -374,9 +375,8 @@ def steady_speed(force: float, linear: float, quadratic: float) -> float:
         >>> round(steady_speed(boat["Fu_max"], boat["Xu"], boat["Xuu"]), 3)  # m/s at full thrust
         0.379
     """
-    if quadratic == 0:
-        return force / linear if linear > 0 else float("inf")
-    return float((-linear + np.sqrt(linear**2 + 4 * quadratic * force)) / (2 * quadratic))
+    root = linear + sqrt(linear**2 + 4 * quadratic * force)
+    return 2 * force / root if root > 0 else 0.0 if quadratic else inf
 
 
 _NEEDED = ("mass", "linear_drag", "quadratic_drag", "thrust_limit")

@@ -126,7 +126,7 @@ def cap_above(vehicle: Vehicle, bearable: float, *, cap: float) -> str | None:
 
 def _fastest(vehicle: Vehicle) -> float:
     # slightly below the speed [m/s] at which the drag equals the thrust limit
-    return (1 - _EDGE) * steady_speed(vehicle["Fu_max"], vehicle["Xu"], vehicle["Xuu"])
+    return steady_speed(vehicle["Fu_max"], vehicle["Xu"], vehicle["Xuu"]) * (1 - _EDGE)
 
 
 _FACTORS = np.array([1.1, 1.25, 1.5, 2.0, 3.0, 5.0, 10.0])  # factors by which a gain is changed
