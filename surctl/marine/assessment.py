@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, Literal
 
 import numpy as np
 
 from surctl.assessment import SATURATED, Assumption, Figure, Line, Part, loop_figures, loop_line
 from surctl.errors import InputError, NotApplicable
-from surctl.marine.control import BARRIER, Barrier, Gains, Law, Movers, build_law, default_law, law_source
+from surctl.marine.control import BARRIER, Barrier, Gains, Law, Movers, default_law, law_source
 from surctl.marine.guidance import Guidance, Path
 from surctl.marine.simulation import Case, Disturbance, Run, SafetyClaim, Scenario, Sensing, simulate, vehicle_law
 from surctl.marine.simulation.echo_fit import detection_range
@@ -22,8 +23,8 @@ from surctl.marine.vehicle import Vehicle
 from surctl.marine.vehicle.linearise import check_cruise
 from surctl.marine.vehicle.specs import DEFAULTED
 from surctl.marine.verification import law_corners, steady_motion
-from surctl.marine.verification.corners import DRAG_SPREAD, MASS_SPREAD, corners
-from surctl.marine.verification.cruise_loop import TRACKING_LAW, has_cruise_loop
+from surctl.marine.verification.corners import DRAG_SPREAD, MASS_SPREAD, Corners, corners
+from surctl.marine.verification.cruise_loop import has_cruise_loop
 from surctl.marine.verification.law_loop import LawLoop
 from surctl.marine.verification.linear import Mode, cap_above, slowest_mode
 from surctl.marine.verification.region import RegionStatement, applicable_region, prove_statement
@@ -42,40 +43,31 @@ __all__ = [
 
 
 def assumptions(
-    vehicle: Vehicle,
-    gains: Gains | None,
-    *,
-    cruise: float,
-    dt: float,
-    law: str = TRACKING_LAW,
-    uncertainty: float | None = None,
+    vehicle: Vehicle, disk: Callable[[Corners], float] | None = None, *, uncertainty: float | None = None
 ) -> tuple[Assumption, ...]:
     """Return the defaults on which the linear loop of a vehicle depends.
 
     Args:
         vehicle: the vehicle.
-        gains: gains of a law for which `has_cruise_loop` holds; None: no margins.
-        cruise: cruise speed [m/s].
-        dt: control period [s].
-        law: that law.
+        disk: function that returns the disk margin of a loop at the worst corner; None: no margins.
         uncertainty: relative error of mass and drag that takes the place of the ranges, or None.
 
     Example:
         >>> from surctl.marine.assessment import assumptions
-        >>> from surctl.marine.control import load_gains
+        >>> from surctl.marine.control import build_law, load_gains
         >>> from surctl.marine.vehicle import load_vehicle
-        >>> rov, gains = load_vehicle("bluerov2-wu"), load_gains("default")
-        >>> [ranges] = assumptions(rov, gains, cruise=0.15, dt=0.05)
+        >>> from surctl.marine.verification import law_corners
+        >>> law, gains = build_law(), load_gains("default")
+        >>> [ranges] = assumptions(
+        ...     load_vehicle("bluerov2-wu"), lambda tried: law_corners(law, tried, gains, cruise=0.15).disk
+        ... )
         >>> ranges.value, ranges.margins[0] > ranges.margins[2]
         ('of mass ±5% and of drag ±20%', True)
     """
 
     def margin(one: Vehicle, spread: float = 1.0) -> float:
-        if gains is None:
-            return float("nan")
         try:
-            tried = corners(one, uncertainty, spread=spread)
-            return law_corners(build_law(law, dt=dt), tried, gains, cruise=cruise, proved=False).disk
+            return float("nan") if disk is None else disk(corners(one, uncertainty, spread=spread))
         except InputError:  # the vehicle cannot hold the speed
             return float("nan")
 
@@ -298,30 +290,29 @@ class Mission:
         period: dict[str, Any] = {} if self.dt is None else {"dt": self.dt}
         built = vehicle_law(vehicle, law, guidance=self.guidance, **period)
         ranges: dict[str, Any] = {"uncertainty": self.uncertainty}
-        tried = corners(vehicle, self.uncertainty)
         if source.steering is None and has_cruise_loop(law, self.guidance):
             try:
                 check_cruise(vehicle, cruise)
             except InputError as error:
                 return LoopAnalysis(cruise, unjudged=f"a cruise at {cruise:g} m/s {error.problem}")
             speeds: dict[str, Any] = {"cruise": cruise, "dt": built.dt, "law": law}
-            values = self.gains.values
+            values, margins = self.gains.values, partial(law_corners, built, gains=self.gains, cruise=cruise)
             analysis = LoopAnalysis(
                 cruise,
-                law_corners(built, tried, self.gains, cruise=cruise),
+                margins(corners(vehicle, self.uncertainty)),
                 slowest_mode(vehicle, values, **speeds),
-                assumptions=assumptions(vehicle, self.gains, **ranges, **speeds),
+                assumptions=assumptions(vehicle, lambda tried: margins(tried, proved=False).disk, **ranges),
                 slow=slow_margins(vehicle, values, **ranges, **speeds),
             )
             return self._with_motion(analysis, self.gains, built)
         own = self.gains.with_own(source.gains)
         if source.steering is not None:
             try:
-                loops = law_corners(built, tried, own, cruise=cruise)
+                loops = law_corners(built, corners(vehicle, self.uncertainty), own, cruise=cruise)
             except InputError as error:
                 return LoopAnalysis(cruise, unjudged=_reason(error, cruise))
-            assumed = assumptions(vehicle, None, cruise=cruise, dt=built.dt, **ranges)
-            return self._with_motion(LoopAnalysis(cruise, loops, assumptions=assumed), own, built)
+            analysis = LoopAnalysis(cruise, loops, assumptions=assumptions(vehicle, **ranges))
+            return self._with_motion(analysis, own, built)
         return self._about_runs(own, built)
 
     def _with_motion(self, analysis: LoopAnalysis, gains: Gains, law: Law) -> LoopAnalysis:
@@ -366,8 +357,7 @@ class Mission:
             except InputError as error:
                 reason = reason or _reason(error, cruise)
                 continue
-            assumed = assumptions(vehicle, None, cruise=at.speed, dt=law.dt, uncertainty=self.uncertainty)
-            return LoopAnalysis(at.speed, loops, assumptions=assumed)
+            return LoopAnalysis(at.speed, loops, assumptions=assumptions(vehicle, uncertainty=self.uncertainty))
         return LoopAnalysis(cruise, unjudged=reason or f"law {label(law.ref)} has no steady motion")
 
     def _region(self) -> Part:

@@ -48,7 +48,7 @@ def test_each_default_is_listed_with_its_influence(seed: int) -> None:
         assert [line.counts for line in result.lines if line.text == one.text] == [False]
     assert [one["name"] for one in result.to_dict()["assumptions"]] == [one.name for one in result.assumptions]
     # an uncertainty that is stated takes the place of the ranges
-    assert [one.name for one in assumptions(vehicle, None, cruise=0.15, dt=0.05, uncertainty=0.1)] == ["thrust_lag"]
+    assert [one.name for one in assumptions(vehicle, uncertainty=0.1)] == ["thrust_lag"]
 
 
 def test_lint_of_several_files_lists_the_defaults_of_each(tmp_path: Path) -> None:
