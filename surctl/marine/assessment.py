@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, Literal
 
 import numpy as np
@@ -22,10 +23,10 @@ from surctl.marine.vehicle import Vehicle
 from surctl.marine.vehicle.linearise import check_cruise
 from surctl.marine.vehicle.specs import DEFAULTED
 from surctl.marine.verification import law_corners, steady_motion
-from surctl.marine.verification.corners import DRAG_SPREAD, MASS_SPREAD, corners
-from surctl.marine.verification.cruise_loop import TRACKING_LAW, has_cruise_loop
+from surctl.marine.verification.corners import DRAG_SPREAD, MASS_SPREAD, Corners, corners
+from surctl.marine.verification.cruise_loop import has_cruise_loop
 from surctl.marine.verification.law_loop import LawLoop
-from surctl.marine.verification.linear import Mode, cap_above, cruise_corners, slowest_mode
+from surctl.marine.verification.linear import Mode, cap_above, slowest_mode
 from surctl.marine.verification.region import RegionStatement, applicable_region, prove_statement
 from surctl.marine.verification.speeds import OverSpeeds, slow_margins
 from surctl.own_code import label
@@ -42,40 +43,31 @@ __all__ = [
 
 
 def assumptions(
-    vehicle: Vehicle,
-    gains: Mapping[str, float] | None,
-    *,
-    cruise: float,
-    dt: float,
-    law: str = TRACKING_LAW,
-    uncertainty: float | None = None,
+    vehicle: Vehicle, disk: Callable[[Corners], float] | None = None, *, uncertainty: float | None = None
 ) -> tuple[Assumption, ...]:
     """Return the defaults on which the linear loop of a vehicle depends.
 
     Args:
         vehicle: the vehicle.
-        gains: gains of a law for which `has_cruise_loop` holds; None: no margins.
-        cruise: cruise speed [m/s].
-        dt: control period [s].
-        law: that law.
+        disk: function that returns the disk margin of a loop at the worst corner; None: no margins.
         uncertainty: relative error of mass and drag that takes the place of the ranges, or None.
 
     Example:
         >>> from surctl.marine.assessment import assumptions
-        >>> from surctl.marine.control import load_gains
+        >>> from surctl.marine.control import build_law, load_gains
         >>> from surctl.marine.vehicle import load_vehicle
-        >>> rov, gains = load_vehicle("bluerov2-wu"), load_gains("default").values
-        >>> [ranges] = assumptions(rov, gains, cruise=0.15, dt=0.05)
+        >>> from surctl.marine.verification import law_corners
+        >>> law, gains = build_law(), load_gains("default")
+        >>> [ranges] = assumptions(
+        ...     load_vehicle("bluerov2-wu"), lambda tried: law_corners(law, tried, gains, cruise=0.15).disk
+        ... )
         >>> ranges.value, ranges.margins[0] > ranges.margins[2]
         ('of mass ±5% and of drag ±20%', True)
     """
 
     def margin(one: Vehicle, spread: float = 1.0) -> float:
-        if gains is None:
-            return float("nan")
         try:
-            tried = corners(one, uncertainty, spread=spread)
-            return cruise_corners(tried, gains, cruise=cruise, dt=dt, law=law, proved=False).disk
+            return float("nan") if disk is None else disk(corners(one, uncertainty, spread=spread))
         except InputError:  # the vehicle cannot hold the speed
             return float("nan")
 
@@ -304,23 +296,23 @@ class Mission:
             except InputError as error:
                 return LoopAnalysis(cruise, unjudged=f"a cruise at {cruise:g} m/s {error.problem}")
             speeds: dict[str, Any] = {"cruise": cruise, "dt": built.dt, "law": law}
-            values = self.gains.values
+            values, margins = self.gains.values, partial(law_corners, built, gains=self.gains, cruise=cruise)
             analysis = LoopAnalysis(
                 cruise,
-                cruise_corners(corners(vehicle, self.uncertainty), values, **speeds),
+                margins(corners(vehicle, self.uncertainty)),
                 slowest_mode(vehicle, values, **speeds),
-                assumptions=assumptions(vehicle, values, **ranges, **speeds),
+                assumptions=assumptions(vehicle, lambda tried: margins(tried, proved=False).disk, **ranges),
                 slow=slow_margins(vehicle, values, **ranges, **speeds),
             )
             return self._with_motion(analysis, self.gains, built)
         own = self.gains.with_own(source.gains)
         if source.steering is not None:
             try:
-                loops = law_corners(built, vehicle, own, cruise=cruise, **ranges)
+                loops = law_corners(built, corners(vehicle, self.uncertainty), own, cruise=cruise)
             except InputError as error:
                 return LoopAnalysis(cruise, unjudged=_reason(error, cruise))
-            assumed = assumptions(vehicle, None, cruise=cruise, dt=built.dt, **ranges)
-            return self._with_motion(LoopAnalysis(cruise, loops, assumptions=assumed), own, built)
+            analysis = LoopAnalysis(cruise, loops, assumptions=assumptions(vehicle, **ranges))
+            return self._with_motion(analysis, own, built)
         return self._about_runs(own, built)
 
     def _with_motion(self, analysis: LoopAnalysis, gains: Gains, law: Law) -> LoopAnalysis:
@@ -361,12 +353,11 @@ class Mission:
                 return LoopAnalysis(cruise, unjudged=why, failed=True)
             try:
                 at = steady_motion(run)
-                loops = law_corners(law, vehicle, gains, cruise=cruise, uncertainty=self.uncertainty, at=at)
+                loops = law_corners(law, corners(vehicle, self.uncertainty), gains, cruise=cruise, at=at)
             except InputError as error:
                 reason = reason or _reason(error, cruise)
                 continue
-            assumed = assumptions(vehicle, None, cruise=at.speed, dt=law.dt, uncertainty=self.uncertainty)
-            return LoopAnalysis(at.speed, loops, assumptions=assumed)
+            return LoopAnalysis(at.speed, loops, assumptions=assumptions(vehicle, uncertainty=self.uncertainty))
         return LoopAnalysis(cruise, unjudged=reason or f"law {label(law.ref)} has no steady motion")
 
     def _region(self) -> Part:

@@ -89,6 +89,11 @@ class LoopNames:
     units: tuple[tuple[str, str], ...] = ()
     places: tuple[tuple[str, tuple[str, ...]], ...] = ()
 
+    def of_kind(self, kind: str) -> tuple[str, ...]:
+        """Return the labels of the signals of one of the `KINDS`."""
+        kinds = {"reference": self.references, "disturbance": self.disturbances, "measured": self.outputs}
+        return kinds.get(kind, self.commands)
+
 
 @dataclass(frozen=True, eq=False)
 class LinearLoop(Plotted):
@@ -333,17 +338,11 @@ class LinearLoop(Plotted):
             InputError: there is no such signal.
         """
         kind, k = self._place(label, kinds)
-        names = self.names
-        of_kind = {"reference": names.references, "disturbance": names.disturbances, "command": names.commands}
-        return dict(names.units).get(f"{kind}.{of_kind.get(kind, names.outputs)[k]}", "")
+        return dict(self.names.units).get(f"{kind}.{self.names.of_kind(kind)[k]}", "")
 
     def _place(self, label: str, kinds: Sequence[str]) -> tuple[str, int]:
         # kind and index of a signal
-        names = self.names
-        known = {
-            "reference": names.references, "disturbance": names.disturbances, "command": names.commands,
-            "measured": names.outputs,
-        }  # fmt: skip
+        known = {kind: self.names.of_kind(kind) for kind in KINDS}
         prefix, dot, rest = label.partition(".")
         if dot and prefix in kinds and rest in known[prefix]:
             return prefix, known[prefix].index(rest)

@@ -4,7 +4,7 @@ import pytest
 
 from surctl.cli.output import same_command
 from surctl.marine.cli.robot_options import at_hand
-from surctl.marine.cli.tune import mission_plan
+from surctl.marine.cli.tune import TunedMissions, mission_plan
 from surctl.marine.simulation import load_scenario
 from tests.cli.process import LIBRARY, surctl, surctl_here
 from tests.tools import need_compiler
@@ -105,7 +105,8 @@ def test_a_mission_at_a_speed_of_the_study_is_a_file_for_the_commands_after_it(t
     text = (STUDY % "0.01").replace('"pool-behind"', '"pool-behind", cruise_m_per_s = 0.1')
     (tmp_path / "small.toml").write_text(text)
     out = tmp_path / "out"
-    plan = mission_plan(str(tmp_path / "small.toml"), trust=False, law=None, gains=None, vehicles=(), out=out)
+    own = TunedMissions(None, 1, (), None, None, None, None, trust=False)
+    plan = mission_plan(str(tmp_path / "small.toml"), own, out)
     [leg] = plan.legs
     words = at_hand(leg.scenario, leg.vehicle, "default")
     assert words[1] == str(out / "missions" / "pool-behind-0.1.toml")

@@ -48,8 +48,6 @@ def test_the_number_of_poles_may_change() -> None:
     ("knob", "values", "told"),
     [
         ("margin", [1.0, 2.0], "moves no pole"),
-        ("k_v", [2.0], "in order"),
-        ("k_v", [1.0, 3.0, 2.0], "in order"),
         ("scenario.cruise", [0.1, 0.9], "thrust"),
     ],
 )

@@ -94,7 +94,7 @@ def tune(words: Sequence[str], options: TuneOptions, missions: TunedMissions, **
     from surctl.ir.cache import find_compiler
 
     find_compiler()  # thousands of runs: without compiled code, hours
-    return _tuned(_plan(file, missions, options.out), options, missions)
+    return _tuned(mission_plan(file, missions, options.out), options, missions)
 
 
 def _printed(lines: list[str]) -> list[str]:
@@ -165,7 +165,7 @@ class _Missions(Task):
         return look(missed, gains, options)  # as in the tuning
 
 
-def _plan(file: str | None, missions: TunedMissions, out: Path) -> Plan:
+def mission_plan(file: str | None, missions: TunedMissions, out: Path) -> Plan:
     """Return the study whose missions are tuned, with the options of the command line in place of its own values."""
     from surctl.files import prepare_folder
     from surctl.marine.study import load_plan

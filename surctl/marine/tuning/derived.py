@@ -18,14 +18,13 @@ from numpy.typing import NDArray
 
 from surctl.errors import InputError
 from surctl.ir.cache import stored_numbers
-from surctl.marine.control import GAINS, Gains, GainSpec, default_law, law_source, load_gains
+from surctl.marine.control import GAINS, Gains, GainSpec, build_law, default_law, law_source, load_gains
 from surctl.marine.simulation import vehicle_law
 from surctl.marine.vehicle import LIBRARY, Vehicle, load_vehicle, steady_speed
 from surctl.marine.vehicle.linearise import check_cruise
 from surctl.marine.verification import law_corners
 from surctl.marine.verification.corners import corners
 from surctl.marine.verification.cruise_loop import POSE, THRUSTS, CruisePoint, cruise_groups
-from surctl.marine.verification.linear import cruise_corners
 from surctl.system import LinearLoop
 from surctl.verification.linear import LEAST_DISK_MARGIN, screened_peaks
 from surctl.verification.loops import LEAST_DELAY_MARGIN
@@ -202,8 +201,8 @@ def _climbed(value: Callable[[Array, float], Array], start: Array, best: Array, 
 
 
 def _corner_share(vehicle: Vehicle, inner: Array, cruise: float, dt: float) -> tuple[float, Vehicle]:
-    tried, gains = corners(vehicle), rule(vehicle, inner, cruise=cruise, dt=dt)
-    least = cruise_corners(tried, gains, cruise=cruise, dt=dt, proved=False)
+    tried, gains = corners(vehicle), _named(vehicle, inner, cruise, dt)
+    least = law_corners(build_law(dt=dt), tried, gains, cruise=cruise, proved=False)
     return min(least.shares), tried.vehicle(least.weakest)
 
 
@@ -462,8 +461,7 @@ def _derivation(vehicle: Vehicle, cruise: float, dt: float) -> Derivation:
         return _steered(vehicle, cruise, dt)
     inner, _ = searched_inner(vehicle, cruise, dt)
     searched = bool(np.any(inner != inner_start(vehicle, cruise=cruise, dt=dt)))
-    values = rule(vehicle, inner, cruise=cruise, dt=dt)
-    least = cruise_corners(corners(vehicle), values, cruise=cruise, dt=dt)
+    least = law_corners(build_law(dt=dt), vehicle, _named(vehicle, inner, cruise, dt), cruise=cruise)
     margins = float(np.nan_to_num(least.disk)), least.delay.delay_s
     bearable = cruise if least.enough else _bearable(vehicle, cruise, dt, inner)
     gains = _named(vehicle, inner, cruise, dt, margins)
@@ -474,7 +472,9 @@ def _enough(disk: float, delay: float) -> bool:
     return disk >= LEAST_DISK_MARGIN and delay >= LEAST_DELAY_MARGIN
 
 
-def _named(vehicle: Vehicle, inner: Array, cruise: float, dt: float, margins: tuple[float, float]) -> Gains:
+def _named(
+    vehicle: Vehicle, inner: Array, cruise: float, dt: float, margins: tuple[float, float] = (np.nan, np.nan)
+) -> Gains:
     values, (disk, delay) = rule(vehicle, inner, cruise=cruise, dt=dt), margins
     reached = f"disk margin {disk:.2f}" if disk > 0 else "UNSTABLE"
     reached += "" if disk >= LEAST_DISK_MARGIN else f", below {LEAST_DISK_MARGIN:g}"
@@ -489,7 +489,7 @@ def _steered(vehicle: Vehicle, cruise: float, dt: float) -> Derivation:
 
     def margins(speed: float) -> tuple[float, float]:
         law = default_law(vehicle)
-        gains = _named(vehicle, inner_start(vehicle.at_speed(speed), cruise=speed, dt=dt), speed, dt, (1.0, 1.0))
+        gains = _named(vehicle, inner_start(vehicle.at_speed(speed), cruise=speed, dt=dt), speed, dt)
         own = gains.with_own(law_source(law).gains)
         loops = law_corners(vehicle_law(vehicle, law, dt=dt), vehicle, own, cruise=speed)
         return float(np.nan_to_num(loops.disk)), loops.delay.delay_s

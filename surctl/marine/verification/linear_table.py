@@ -108,7 +108,7 @@ def linear_table(
 ) -> dict[str, NDArray[np.float64]]:
     """Compute the linear metrics of n operating points; return one array (n,) for every requested metric.
 
-    The columns `disk_margin`, as in `verification.linear.cruise_corners`, and `delay_margin_s` are those of the worst
+    The columns `disk_margin`, as in `law_corners`, and `delay_margin_s` are those of the worst
     corner of the ranges; parameters in `values` are exact. All other metrics are those of the plant.
 
     At an unstable point the margins have the values that `LoopMargins` states for an unstable loop; settling time and
@@ -286,7 +286,7 @@ def sweep_locus(
         vehicle: the plant.
         gains: all gains, as in `cruise_loop`.
         parameter: name of the parameter that varies, from `LINEAR_PARAMETERS`.
-        values: (n,) values of the parameter, n ≥ 2, in ascending or descending order.
+        values: (n,) values of the parameter.
         cruise: cruise speed U [m/s]; ignored if the cruise speed is the parameter that varies.
         dt: control period [s].
         model: the controller's model of the vehicle; default the vehicle itself.
@@ -294,8 +294,7 @@ def sweep_locus(
         law: a law for which `has_cruise_loop` holds.
 
     Raises:
-        InputError: the parameter moves no pole, the values are not in order or out of bounds, or the vehicle cannot
-            hold the cruise speed.
+        InputError: the parameter moves no pole, a value is out of bounds, or the vehicle cannot hold the cruise speed.
 
     Example:
         >>> from surctl.marine.control import load_gains
@@ -308,16 +307,10 @@ def sweep_locus(
     """
     if parameter not in LINEAR_PARAMETERS:
         raise InputError("moves no pole", key="locus", value=parameter, remedy=nearest(parameter, LINEAR_PARAMETERS))
-    swept = np.atleast_1d(np.asarray(values, dtype=float))
-    if swept.ndim != 1 or len(swept) < 2 or not (np.all(np.diff(swept) > 0) or np.all(np.diff(swept) < 0)):
-        raise InputError(
-            "needs at least two values in order", key=parameter, remedy="give a range, ascending or descending"
-        )
-
-    points, _ = _read_points(vehicle, {**about, parameter: swept}, base=gains, cruise=cruise, model=model)
+    points, _ = _read_points(vehicle, {**about, parameter: values}, base=gains, cruise=cruise, model=model)
     loops = each_loop(points, dt=dt, law=law)
     able = [loop for loop in loops if loop is not None]
     if len(able) < len(loops):
-        at = float(swept[loops.index(None)])
+        at = float(np.ravel(values)[loops.index(None)])
         raise InputError("needs more thrust than the vehicle has", key=parameter, value=at, remedy="cruise slower")
     return able
