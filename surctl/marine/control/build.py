@@ -201,7 +201,13 @@ LAW_SOURCES = tuple(
 
 
 def law_options(subject: Any) -> dict[str, Any]:
-    """Return the options of `build_law` that a law, and whatever describes one, has as attributes of the same names."""
+    """Return the options of `build_law` that a law, and whatever describes one, has as attributes of the same names.
+
+    Example:
+        >>> from surctl.marine.control import build_law, law_options
+        >>> law_options(build_law(barrier="inertia"))["barrier"]
+        'inertia'
+    """
     return {name: getattr(subject, name) for name in ("avoidance", "mode", "guidance", "barrier", "movers")}
 
 
