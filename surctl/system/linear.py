@@ -280,7 +280,7 @@ def _transient(functions: _Rest, point: Array) -> tuple[Array, bool]:
 def linearise(
     system: System, values: Mapping[str, ArrayLike] | None = None, *, at: Operating | None = None
 ) -> Linearisation:
-    """Return the linear loop about an operating point, from exact derivatives (of procedures: central differences).
+    """Return the linear loop about an operating point, from exact derivatives of plant and controller.
 
     Args:
         at: the operating point; by default the result of `find_equilibrium(system, values)`.
