@@ -97,7 +97,7 @@ def directives(package: str, names: list[str]) -> str:
 
 
 def _hidden(package: str, name: str) -> str:
-    # path of the definition if the package has a module with the name of the function, otherwise empty
+    # path of the definition if a module of the package has the name, otherwise empty
     place = ROOT.joinpath("surctl", *package.split("."))
     if not ((place / f"{name}.py").exists() or (place / name).is_dir()):
         return ""
