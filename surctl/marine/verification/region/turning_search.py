@@ -15,9 +15,17 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
+from surctl.certcheck.turning_form import Form
+from surctl.certcheck.turning_matrix import Inclusion, indefinite
 from surctl.marine.verification.region.turning import TurningClaim
-from surctl.marine.verification.region.turning_loop import Cruise, Vertices, steady_turning, vertices
-from surctl.marine.verification.region.turning_shells import TurningCandidate, fitted, slowness, transformed, violated
+from surctl.marine.verification.region.turning_loop import Cruise, selected, steady_turning, vertices
+from surctl.marine.verification.region.turning_shells import (
+    TurningCandidate,
+    excess_of,
+    fitted,
+    slowness,
+    transformed,
+)
 from surctl.verification.conic import Inequality, minimise
 
 Array = NDArray[np.float64]
@@ -80,7 +88,7 @@ class _Part:
     """The vertices of one form that decides in the shell `number`, from the level `low`, and its growth η [1/s]."""
 
     number: int
-    shell: Vertices
+    shell: Inclusion
     growth: float
     low: float
 
@@ -108,7 +116,7 @@ def _improve(
     parts = [
         _Part(k, phase, growth, low)
         for k, (one, growth, low) in enumerate(zip(known, start.growths, levels[:-1], strict=True))
-        for phase in one.phases()
+        for phase in one
     ]
     fixed = _starts(claim, cruise, units, basis)
     cost = np.append(_WEIGHT * np.einsum("kii->k", basis), 1.0)
@@ -136,16 +144,15 @@ def _improve(
         P = np.einsum("k,kij->ij", x[:-1], basis) / (units[:, None] * units)
         if np.linalg.eigvalsh(P * units[:, None] * units)[0] <= 0:
             return None
-        fine = stuck = True
+        fine, stuck, form = True, True, Form(P)
         for part, some in zip(parts, chosen, strict=True):
-            matrices = part.shell.matrices(P, claim.rate, part.growth, part.low)
-            bad = violated(matrices, -margin / 2)
+            losses = part.shell.losses(form, claim.rate, part.growth, part.growth * part.low)
+            bad = np.flatnonzero(indefinite(losses, -margin / 2))
             if len(bad):
                 fine = False
                 bad = bad if len(bad) <= 600 else rng.choice(bad, size=600, replace=False)
-                values = np.linalg.eigvalsh(np.moveaxis(matrices[..., bad], -1, 0))[:, -1]
-                more = set(bad[np.argsort(-values)[:_CUTS]].tolist())
-                stuck = stuck and more <= some  # `matrices` weighs the disturbances by V
+                more = set(bad[np.argsort(-excess_of(losses, bad))[:_CUTS]].tolist())
+                stuck = stuck and more <= some  # `losses` weighs the disturbances by V
                 some |= more
         if fine or stuck:
             return np.asarray(P), _remember(P, parts, chosen, active)
@@ -201,10 +208,10 @@ def _deviations(claim: TurningClaim, cruise: Cruise) -> list[Array]:
 
 
 def _decay(
-    shell: Vertices, some: set[int], rate: float, growth: float, low: float, units: Array, basis: Array
+    shell: Inclusion, some: set[int], rate: float, growth: float, low: float, units: Array, basis: Array
 ) -> Inequality:
     """Return −(Aᵀ P + P A + (a + η) P + P W P/(η low)) ⪰ 0 with a margin, by its Schur complement."""
-    A, factor, weights = shell.select(sorted(some))
+    A, factor, weights = selected(shell, sorted(some))
     count, n, inner = len(basis), len(units), factor.shape[2]
     half = np.einsum("kij,njl->nkil", basis, A * units / units[:, None])
     whole = np.zeros((len(A), count + 1, n + inner, n + inner))
@@ -260,8 +267,7 @@ def turning_search(claim: TurningClaim, *, attempts: int, seed: int = 0) -> Iter
     if claim.lag and claim.period:
         yield from _held(claim, fine, turning_search(replace(claim, period=0.0), attempts=attempts, seed=seed))
         return
-    some = slice(None, None, _FINE)
-    cruise = replace(fine, headings=fine.headings[some], lack=fine.lack[some], pushed=fine.pushed[some])
+    cruise = fine.coarse(_FINE)
     away = max(map(abs, cruise.moved)) / claim.gains["k1"]
     rng = np.random.default_rng(seed)
     active = _Active({})
