@@ -307,7 +307,8 @@ def _formulas(op: str, exponent: Fraction) -> tuple[ExpressionTable, list[int]]:
 
 def _derivatives(op: str, exponent: Fraction, x: Interval, order: int) -> tuple[Interval, Interval]:
     """Return the ranges of f' and, with order 2, of f''; the whole real line for one that is unbounded."""
-    (table, roots), ranges = _formulas(op, exponent), [None, None]
+    table, roots = _formulas(op, exponent)
+    ranges: Slopes = [None, None]
     for k in range(order):
         try:
             ranges[k] = enclose(table, [roots[k]], [x])[0].value
