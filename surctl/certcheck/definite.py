@@ -61,9 +61,9 @@ def _by_factor(a: list[list[int]]) -> bool:
 def by_spectrum(a: list[list[int]], *, strictly: bool = False) -> bool:
     """Return whether a symmetric matrix (n, n) is positive semidefinite, or positive definite with `strictly`.
 
-    No eigenvalue is negative if the signs of the characteristic polynomial alternate, and none is 0 if its value at 0
-    is not 0.
+    The coefficients of det(x I + A) = Π (x + λ_k) are sums of products of the eigenvalues: none is negative if and only
+    if no eigenvalue is.
     """
     go_on()
-    signs = [sign if k % 2 else -sign for k, c in enumerate(fmpz_mat(a).charpoly()) for sign in [(c > 0) - (c < 0)]]
-    return all(signs[-1] * sign >= 0 for sign in signs) and (signs[0] != 0 or not strictly)
+    sums = fmpz_mat([[-x for x in row] for row in a]).charpoly().coeffs()
+    return min(sums) >= 0 and (sums[0] > 0 or not strictly)

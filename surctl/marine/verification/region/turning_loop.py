@@ -6,7 +6,7 @@ The inclusion is that of the checker (`certcheck.turning_matrix`), with one poin
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from fractions import Fraction
 
 import numpy as np
@@ -90,10 +90,9 @@ class Cruise:
 
     def coarse(self, step: int) -> Cruise:
         """Return the cruise with each `step`-th heading of the grid."""
-        own, fine = self.setting, self.setting.cells
-        cells = _grid(own, (len(fine.lack) - 1) // step)
-        return replace(self, setting=replace(own, cells=replace(
-            cells, lack=fine.lack[::step], pushed=fine.pushed[::step])))  # fmt: skip
+        own = self.setting
+        cells = Cells(*(getattr(own.cells, key.name)[::step] for key in fields(Cells)))
+        return replace(self, setting=replace(own, cells=cells))
 
 
 def _grid(setting: Setting, cells: int) -> Cells:
