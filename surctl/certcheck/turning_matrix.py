@@ -213,6 +213,13 @@ class Inclusion:
         sizes += [self.pushed * light.max() * spread, np.full(len(self.lack), self.stray * spread)]
         return np.array(sizes), spread
 
+    def shares(self, left: Array) -> tuple[Array, float]:
+        """Return the weight Σ_j s_j/s_k of each part of w (7, h), and the norm of what an acceleration changes."""
+        sizes, spread = self._sizes(left)
+        there = sizes > 0
+        there[[1, 2, 5, 6]] = np.vstack([self.lack.T, self.pushed, np.full(len(self.pushed), self.stray)]) > 0
+        return np.divide(sizes.sum(axis=0), sizes, out=np.zeros_like(sizes), where=there), spread
+
     # ---- the matrices
 
     def losses(self, form: Form, rate: float, growth: float, floor: float) -> Entries:
@@ -224,10 +231,8 @@ class Inclusion:
             floor: η low.
         """
         left, right, weight = form.left, form.change.T, form.p[-1, -1] / (self.phase.split or np.inf)
-        sizes, spread = self._sizes(left)
-        there = sizes > 0
-        there[[1, 2, 5, 6]] = np.vstack([self.lack.T, self.pushed, np.full(len(self.pushed), self.stray)]) > 0
-        shares = np.divide(sizes.sum(axis=0) / floor, sizes, out=np.zeros_like(sizes), where=there)
+        shares, spread = self.shares(left)
+        shares = shares / floor
         decay = (rate + growth) * UP
         *terms, one, two = (_placed(axes, _symmetric(term)) for axes, term in self.pieces(left, right))
         more = [_placed(*term) for term in (*self._added(right, weight), *self._disturbed(left, shares))]

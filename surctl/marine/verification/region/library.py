@@ -207,7 +207,7 @@ REGION_CLAIMS: Mapping[str, RegionStatement] = _entries(
         "as region-turning-20-scale, at 0.1 m/s on curved paths with a radius of at least 3 m",
         {
             "loop": "turning", "mass_share": 0.2, "mass_asymmetry": 0.0, "curvature_per_m": 0.3334,
-            "cruise_m_per_s": 0.1, "cap_m_per_s": 0.22, "rate_per_s": 0.02, "attempts": 48,
+            "cruise_m_per_s": 0.1, "cap_m_per_s": 0.22, "rate_per_s": 0.02, "attempts": 40,
         },
     ),
     (
@@ -215,7 +215,7 @@ REGION_CLAIMS: Mapping[str, RegionStatement] = _entries(
         "as region-turning-20-curved, at 0.15 m/s",
         {
             "loop": "turning", "mass_share": 0.2, "mass_asymmetry": 0.0, "curvature_per_m": 0.3334,
-            "cruise_m_per_s": 0.15, "cap_m_per_s": 0.22, "rate_per_s": 0.02, "attempts": 24,
+            "cruise_m_per_s": 0.15, "cap_m_per_s": 0.22, "rate_per_s": 0.02, "attempts": 44,
         },
     ),
     (

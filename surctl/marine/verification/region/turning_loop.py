@@ -15,14 +15,13 @@ from numpy.typing import NDArray
 from surctl.certcheck import Rejected
 from surctl.certcheck.region_claim import axis_pairs
 from surctl.certcheck.turning_cells import Cells, Setting, cells_of, steady
-from surctl.certcheck.turning_form import Extent, Phase
+from surctl.certcheck.turning_form import Extent, Form, Phase
 from surctl.certcheck.turning_matrix import Inclusion
 from surctl.certcheck.turning_terms import other_forces
 from surctl.marine.verification.region.turning import TurningClaim
 
 Array = NDArray[np.float64]
 
-_OTHERS, _OWN = np.sqrt(1.5), np.sqrt(4.5)  # weights of the disturbances of U̇, and of those of Ė alone
 _WIDER, _RESERVE = 1.002, 0.01  # of a level, and share of the thrust, in reserve
 _SPLIT = 0.6  # of the decay of E that serves as multiplier λ
 
@@ -156,11 +155,11 @@ def vertices(claim: TurningClaim, cruise: Cruise, covariance: Array, high: float
     return [one for phase in phases for _, one in bounds.modes(phase)]
 
 
-def selected(at: Inclusion, chosen: Sequence[int] | NDArray[np.intp]) -> tuple[Array, Array, Array]:
+def selected(at: Inclusion, chosen: Sequence[int] | NDArray[np.intp], P: Array) -> tuple[Array, Array, Array]:
     """Return A (k, n, n), a factor (k, n, c) of W, and weights (k, 4) of the vertices with the numbers (k,).
 
     The weights are those of q times the squared states with held commands, and 0 without. The weights of the
-    disturbances depend on V, and are those of a typical V here.
+    disturbances are those of V = ξᵀPξ.
     """
     lag, split, fall, begins = at.phase
     own = 6 if lag else 4
@@ -172,22 +171,19 @@ def selected(at: Inclusion, chosen: Sequence[int] | NDArray[np.intp]) -> tuple[A
         return np.asarray(term[tuple(places)])
 
     A = np.zeros((len(h), *eye.shape)) + sum(of(axes, term) for axes, term in at.pieces(eye, eye))
-    bodies, effect = np.moveaxis(at.axes[:, h, z], 0, 1), at.effects(eye)[h, t, z, 2:4]
-    light = (at.masses[:, :2] + np.abs(at.masses[:, 2:]))[m]
-    size, lack = np.linalg.norm(effect, axis=1), at.lack[h] * light
-    excess = at.stray + at.pushed[h] * light.max(axis=1)
-    shape = np.einsum("ki,kiab->kab", lack, bodies) + excess[:, None, None] * np.eye(2)
-    shape += np.einsum("ka,kb->kab", effect, effect) / np.where(size > 0, size, 1.0)[:, None, None]
-    values, vectors = np.linalg.eigh((size + lack.sum(axis=1) + excess)[:, None, None] * shape)
-    root = vectors * np.sqrt(np.maximum(values, 0))[:, None]
-    moving = np.einsum("ik,kiab->kab", at.moves[:, h], bodies)
-    late, held = np.einsum("ki,kiab->kab", at.late[h], bodies), fall != 0 and begins
-    factor, weights = np.zeros((len(h), len(eye), 4)), np.zeros((len(h), 4))
-    factor[:, 2:4, :2] = (_OTHERS if lag or held else 1.0) * root
+    bodies, (shares, _) = np.moveaxis(at.axes[:, h, z], 0, 1), at.shares(Form(P).left)
+    light, share = (at.masses[:, :2] + np.abs(at.masses[:, 2:]))[m], shares[:, h].T[..., None]
+    each = light**2 * (at.lack[h] ** 2 * share[:, 1:3, 0] + at.pushed[h, None] ** 2 * share[:, 5])
+    root = np.einsum("ki,kiab->kab", np.sqrt(each + at.stray**2 * share[:, 6]), bodies)
+    late = np.einsum("ki,kiab->kab", np.sqrt(share[:, 3:5, 0]) * at.late[h], bodies)
+    moving, held = np.einsum("ik,kiab->kab", at.moves[:, h], bodies), fall != 0 and begins
+    factor, weights = np.zeros((len(h), len(eye), 5)), np.zeros((len(h), 4))
+    factor[:, :, 0] = np.sqrt(share[:, 0]) * at.effects(eye)[h, t, z]
+    factor[:, 2:4, 1:3] = root
     if lag:
-        factor[:, 4:6, 2:] = _OWN * late
+        factor[:, 4:6, 3:] = late
     if held:
-        factor[:, own:, :2], factor[:, own:, 2:] = at.gain * moving @ factor[:, 2:4, :2], _OWN * late
+        factor[:, own:, 1:3], factor[:, own:, 3:] = at.gain * moving @ root, late
         weights[:, :2] = at.swing[h, None] ** 2 / split * np.square(at.plans[p]).sum(axis=1)
         weights[:, 2:] = at.spread[h, None] ** 2 / split
     return A, factor, weights

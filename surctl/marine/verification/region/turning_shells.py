@@ -94,7 +94,7 @@ def worst_rate(losses: Entries, first: Numbers) -> tuple[float, Numbers]:
 
 def transformed(P: Array, at: Inclusion, chosen: Numbers | list[int]) -> tuple[Array, Array]:
     """Return T (Aᵀ P + P A) Tᵀ and T P W P Tᵀ (k, n, n) of the vertices with the numbers (k,), where T P Tᵀ = I."""
-    A, factor, weights = selected(at, chosen)
+    A, factor, weights = selected(at, chosen, P)
     change = np.linalg.inv(np.linalg.cholesky(P))
     half, side = (change @ P) @ A @ change.T, (change @ P) @ factor
     half = half + half.swapaxes(-1, -2)
