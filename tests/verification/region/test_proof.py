@@ -237,7 +237,7 @@ def test_all_vertices_of_a_turning_cruise_are_judged_at_once() -> None:
     every = at.losses(Form(P), claim.rate, 0.05, 0.05 * 0.3)
     assert len(every) == 10 and every[0, 0].shape == at.shape
     some = np.random.default_rng(0).integers(every[0, 0].size, size=40)
-    A = selected(at, some)[0]
+    A, factor, _ = selected(at, some, P)
     h, m, _, z = np.unravel_index(some, at.shape)[:4]
     change, entry = np.linalg.inv(np.linalg.cholesky(P)), P[:, 2:]
     own = A.swapaxes(1, 2) @ P + P @ A + (claim.rate + 0.05) * P
@@ -246,6 +246,8 @@ def test_all_vertices_of_a_turning_cruise_are_judged_at_once() -> None:
         matrices[:, i, j] = matrices[:, j, i] = -row.reshape(-1)[some]
     assert excess_of(every, some) == pytest.approx(np.linalg.eigvalsh(matrices)[:, -1])
     force = matrices - change @ own @ change.T  # T P B w wᵀ Bᵀ P Tᵀ/(η low) or more
+    weighted = change @ P @ factor
+    assert weighted @ weighted.swapaxes(1, 2) / (0.05 * 0.3) == pytest.approx(force, abs=1e-8)  # rounding
     lack = at.lack[h] * at.masses[m, :2]
     for sign in (1, -1):
         axes = np.stack([np.cos(at_psi := np.linspace(0, np.pi / 2, 5)[h]), np.sin(at_psi)], 1)
