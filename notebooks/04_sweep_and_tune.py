@@ -179,13 +179,14 @@ def _(mo):
 @app.cell
 def _(cruise, np):
     from surctl.marine.control import load_gains
-    from surctl.marine.report import plot_locus
     from surctl.marine.vehicle import load_vehicle
     from surctl.marine.verification import sweep_locus
+    from surctl.report import plot_locus
 
     robot, gains = load_vehicle("sur400"), load_gains("default")
-    _locus = sweep_locus(robot, gains.values, "k_v", np.linspace(0.5, 6.0, 25), cruise=cruise.value, dt=0.05)
-    plot_locus(_locus, unit="1/s", picked=gains["k_v"])
+    _values = np.linspace(0.5, 6.0, 25)
+    _loops = sweep_locus(robot, gains.values, "k_v", _values, cruise=cruise.value, dt=0.05)
+    plot_locus(_loops, _values, "k_v", unit="1/s", picked=gains["k_v"])
     return gains, robot
 
 

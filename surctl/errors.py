@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import difflib
 import errno
+from collections import Counter
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
@@ -25,7 +26,8 @@ from typing import Any, Literal, cast
 
 __all__ = [
     "LOSSES", "LOST", "EmptyDomain", "Finding", "InputError", "NotApplicable", "SolverError", "SurctlError",
-    "ToolMissing", "UnsupportedOperation", "cannot_write", "check_count", "check_known", "check_number", "nearest",
+    "ToolMissing", "UnsupportedOperation", "cannot_write", "check_count", "check_known", "check_number", "check_once",
+    "nearest",
 ]  # fmt: skip
 
 
@@ -209,6 +211,22 @@ def check_known(
     known = list(known)
     if name not in known:
         raise InputError(problem, file=file, key=key, value=name, remedy=nearest(name, known))
+
+
+def check_once(names: Iterable[str], problem: str, *, key: str, remedy: str) -> None:
+    """Raise InputError with the problem for the first name that occurs more than once.
+
+    Example:
+        >>> from surctl.errors import check_once
+        >>> check_once(["yaw", "surge", "yaw"], "occurs twice", key="axis", remedy="drop one")
+        Traceback (most recent call last):
+            ...
+        surctl.errors.InputError: axis = 'yaw': occurs twice; drop one
+    """
+    counts = Counter(names)
+    for name, count in counts.items():
+        if count > 1:
+            raise InputError(problem, key=key, value=name, remedy=remedy)
 
 
 def check_number(key: str, value: float, *, unit: str, zero: bool = False) -> None:

@@ -501,10 +501,10 @@ def changes(folder: Path) -> Callable[[], list[str]]:
     return changed
 
 
-def write_file(target: Path, content: str | bytes) -> Path:
+def write_file(target: Path, content: str | bytes, **options: str) -> Path:
     """Write a file and return its path; if writing fails, the old file does not change.
 
-    The function writes a temporary file and renames it at the end.
+    The function writes a temporary file and renames it at the end. `options` are arguments of `cannot_write`.
 
     Raises:
         InputError: the disk is full, or the folder cannot be written.
@@ -526,5 +526,5 @@ def write_file(target: Path, content: str | bytes) -> Path:
     except OSError as error:
         with suppress(OSError):  # no second error if the temporary file does not exist or cannot be removed
             staging.unlink()
-        raise cannot_write(target, error) from None
+        raise cannot_write(target, error, **options) from None
     return target

@@ -1,4 +1,4 @@
-"""Seeded random numbers of a run, identical in Python, CasADi and C, and independent of those of all other runs.
+"""Seeded random numbers of a run, identical in CasADi and C, and independent of those of all other runs.
 
 The generator is MRG32k3a (L'Ecuyer 1999, "Good parameters and implementations for combined multiple recursive random
 number generators"); its arithmetic is exact in double precision. Each seed selects a stream; two streams start at
@@ -9,7 +9,7 @@ into two standard normal numbers.
 from __future__ import annotations
 
 from functools import cache
-from math import cos, log, pi, sin, sqrt
+from math import log, pi, sqrt
 
 import casadi as ca
 import numpy as np
@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from surctl.errors import InputError
 
-__all__ = ["NOISE_STATE", "NoiseStream", "draw_normals", "draw_uniforms", "noise_states", "remainder"]
+__all__ = ["NOISE_STATE", "draw_normals", "draw_uniforms", "noise_states", "remainder"]
 
 NOISE_STATE = 6
 """Number of values in a generator's state: six whole numbers below 2^32, three for each component, oldest first."""
@@ -82,39 +82,8 @@ def _times(matrix: NDArray[np.uint64], state: NDArray[np.uint64], modulus: np.ui
     return np.column_stack([row % modulus for row in rows])
 
 
-class NoiseStream:
-    """The random numbers of one run, drawn one after another.
-
-    Args:
-        seed: seed of the run, 0 to 2^63 − 1.
-    """
-
-    def __init__(self, seed: int) -> None:
-        first = [int(v) for v in noise_states([seed])[0]]
-        self._one, self._two = first[:3], first[3:]
-
-    def uniform(self) -> float:
-        """Return the next uniform random number in (0, 1)."""
-        one = (1403580 * self._one[1] - 810728 * self._one[0]) % _M1
-        two = (527612 * self._two[2] - 1370589 * self._two[0]) % _M2
-        self._one, self._two = [*self._one[1:], one], [*self._two[1:], two]
-        return (one - two if one > two else one - two + _M1) * _NORM
-
-    def uniforms(self, count: int) -> NDArray[np.float64]:
-        """Return the next `count` uniform random numbers in (0, 1)."""
-        return np.array([self.uniform() for _ in range(count)])
-
-    def normals(self, count: int) -> NDArray[np.float64]:
-        """Return the next `count` standard normal numbers; if `count` is odd, one number of the last pair is unused."""
-        out: list[float] = []
-        while len(out) < count:
-            radius, turn = sqrt(-2.0 * log(self.uniform())), 2.0 * pi * self.uniform()
-            out += [radius * cos(turn), radius * sin(turn)]
-        return np.array(out[:count])
-
-
 def draw_normals(state: ca.SX, count: int) -> tuple[ca.SX, ca.SX]:
-    """Return standard normal numbers (count, 1) and the next state (6, 1), as `NoiseStream.normals`, in CasADi symbols.
+    """Return independent standard normal numbers (count, 1) and the next state (6, 1) in CasADi symbols.
 
     Args:
         state: (6, 1) state of the generator.
@@ -125,10 +94,10 @@ def draw_normals(state: ca.SX, count: int) -> tuple[ca.SX, ca.SX]:
 
     Example:
         >>> import casadi as ca
-        >>> from surctl.noise import NoiseStream, draw_normals, noise_states
+        >>> from surctl.noise import draw_normals, noise_states
         >>> numbers, _ = draw_normals(ca.SX(noise_states([7])[0]), 2)
-        >>> ca.evalf(numbers).full().ravel().round(4).tolist(), NoiseStream(7).normals(2).round(4).tolist()
-        ([-0.3605, -0.5043], [-0.3605, -0.5043])
+        >>> ca.evalf(numbers).full().ravel().round(4).tolist()
+        [-0.3605, -0.5043]
     """
     if count % 2:
         raise InputError("must be even", key="count", value=count)
@@ -141,14 +110,14 @@ def draw_normals(state: ca.SX, count: int) -> tuple[ca.SX, ca.SX]:
 
 
 def draw_uniforms(state: ca.SX, count: int) -> tuple[ca.SX, ca.SX]:
-    """Return uniform numbers (count, 1) and the next state (6, 1), as `NoiseStream.uniforms`, in CasADi symbols.
+    """Return independent uniform numbers in (0, 1), (count, 1), and the next state (6, 1) in CasADi symbols.
 
     Example:
         >>> import casadi as ca
-        >>> from surctl.noise import NoiseStream, draw_uniforms, noise_states
+        >>> from surctl.noise import draw_uniforms, noise_states
         >>> numbers, _ = draw_uniforms(ca.SX(noise_states([7])[0]), 2)
-        >>> ca.evalf(numbers).full().ravel().round(4).tolist(), NoiseStream(7).uniforms(2).round(4).tolist()
-        ([0.8252, 0.6512], [0.8252, 0.6512])
+        >>> ca.evalf(numbers).full().ravel().round(4).tolist()
+        [0.8252, 0.6512]
     """
     one, two = [state[k] for k in range(3)], [state[k] for k in range(3, 6)]
     out = []

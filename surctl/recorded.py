@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -59,8 +59,10 @@ def _vector(value: object) -> NDArray[np.float64] | None:
 def _mat(path: Path, name: str) -> _Contents:
     from scipy.io import loadmat
 
-    if _is_hdf5(path):
-        return _mat73(path, name)
+    with path.open("rb") as file:  # a MAT-file of version 7.3 has a header of 512 bytes before the HDF5 signature
+        hdf5 = b"MATLAB 7.3" in file.read(124) or b"\x89HDF\r\n" in file.read(520)
+    if hdf5:
+        return _hdf5(path, name, kind="MAT-file", remedy="save it with -v7")
     try:
         held = loadmat(path, squeeze_me=True, chars_as_strings=True)
     except (
@@ -71,54 +73,30 @@ def _mat(path: Path, name: str) -> _Contents:
     return {key: value for key, value in held.items() if not key.startswith("__")}, str(frame or "")
 
 
-def _is_hdf5(path: Path) -> bool:
-    # a MAT-file of version 7.3 has a header of 512 bytes before the HDF5 signature
-    with path.open("rb") as file:
-        return b"MATLAB 7.3" in file.read(124) or b"\x89HDF\r\n" in file.read(520)
-
-
-def _mat73(path: Path, name: str) -> _Contents:
-    try:
-        import h5py
-    except ImportError:
-        raise InputError(
-            "is a MAT-file of version 7.3, which needs the package h5py",
-            file=name,
-            remedy="save it with -v7, or install it: pip install 'surctl[matlab]'",
-        ) from None
-    try:
-        with h5py.File(path) as file:
-            held = {key: value[()] for key, value in file.items() if isinstance(value, h5py.Dataset)}
-            texts = {key for key in held if file[key].attrs.get("MATLAB_class", b"") == b"char"}
-    except (OSError, RuntimeError, ValueError, KeyError) as error:
-        raise InputError(f"cannot be read as a MAT-file ({error})", file=name, remedy="save it with -v7") from None
-    frame = "".join(chr(int(c)) for c in np.ravel(held["frame"])) if "frame" in texts else ""
-    return {key: value for key, value in held.items() if key not in texts}, frame
-
-
-def _netcdf(path: Path, name: str) -> _Contents:
+def _hdf5(path: Path, name: str, *, kind: str = "netCDF file", remedy: str = "save it again") -> _Contents:
+    """Return the contents of a netCDF file, or of a MAT-file of version 7.3: both are HDF5 files."""
     import netCDF4
 
     try:
         with netCDF4.Dataset(path) as file:
-            values = {key: np.ma.filled(variable[:], np.nan) for key, variable in _numeric(file).items()}
-            return values, str(getattr(file, "frame", ""))
+            file.set_auto_mask(kind == "netCDF file")  # MATLAB has no number that means a missing one
+            numeric = {key: v for key, v in file.variables.items() if getattr(v.dtype, "kind", "") in "fiu"}
+            values = {key: np.ma.filled(v[:].astype(float), np.nan) for key, v in numeric.items()}
+            texts = {key: values.pop(key) for key, v in numeric.items() if getattr(v, "MATLAB_class", "") == "char"}
+            written = "".join(chr(int(c)) for c in np.ravel(texts.get("frame", [])))
+            return values, written or str(getattr(file, "frame", ""))
     except (OSError, RuntimeError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
-        raise InputError(f"cannot be read as a netCDF file ({reason})", file=name, remedy="save it again") from None
+        raise InputError(f"cannot be read as a {kind} ({reason})", file=name, remedy=remedy) from None
 
 
-def _numeric(file: Any) -> Mapping[str, Any]:
-    return {key: v for key, v in file.variables.items() if getattr(v.dtype, "kind", "") in "fiu"}
-
-
-_ARRAY_FILES: Mapping[str, Callable[[Path, str], _Contents]] = {".mat": _mat, ".nc": _netcdf}
+_ARRAY_FILES: Mapping[str, Callable[[Path, str], _Contents]] = {".mat": _mat, ".nc": _hdf5}
 
 
 _GROUPED = re.compile(r"[+-]?[1-9]\d{0,2}(,\d{3})+(\.\d*)?")
 _SEPARATOR = re.compile(r"\"?sep=[,;\t]\"?,*[ \t]*(\n|$)", re.IGNORECASE)
 _MISSING = {"", "na", "n/a", "null", "none"}  # cells that mean "no number", in addition to nan
-_NO_TABLE, _TABLE = "is not a table: its first line has one cell", "give a CSV file with a header and rows"
+_TABLE = "give a CSV file with a header and rows"
 
 NO_HEADER = "has no header"
 """The problem of a table whose first line holds numbers."""
@@ -274,39 +252,41 @@ def read_recorded(path: Path) -> Recorded:
         count = len(next(iter(cells.values())))
         return Recorded(path=path, columns=cells, lines=np.arange(1, count + 1), about=(frame,) if frame else ())
     about, text = _comments(_text(path))
-    skipped = len(about)
-    _check_separator(f"{shown(path)}:{skipped + 1}", text)
+    _check_separator(f"{shown(path)}:{len(about) + 1}", text)
+    rows = _csv_rows(path, text, skipped=len(about))
+    header = next(((_checked_header(f"{shown(path)}:{line}", row)) for line, row in rows), [])
+    return _table(path, header, rows, named="the header has {}", remedy="correct that row", about=about)
+
+
+def _csv_rows(path: Path, text: str, *, skipped: int) -> Iterator[tuple[int, list[str]]]:
+    """Yield line number and cells of the rows that are not blank; `skipped` is the number of lines before the text."""
     reader = csv.reader(io.StringIO(text, newline=""), strict=True)
-    rows: list[list[str]] = []
-    lines: list[int] = []
-    header: list[str] = []
     try:
         for row in reader:
-            if not any(cell.strip() for cell in row):
-                continue
-            if not header:
-                header = _checked_header(f"{shown(path)}:{skipped + reader.line_num}", row)
-                continue
-            if len(row) != len(header) and len(header) == 1:
-                raise InputError(_NO_TABLE, file=shown(path), remedy=_TABLE)
-            if len(row) != len(header):
-                raise InputError(
-                    f"has {len(row)} cells, but the header has {len(header)}",
-                    file=f"{shown(path)}:{skipped + reader.line_num}",
-                    remedy="correct that row",
-                )
-            rows.append(row)
-            lines.append(skipped + reader.line_num)
+            if any(cell.strip() for cell in row):
+                yield skipped + reader.line_num, row
     except csv.Error as error:
-        raise InputError(
-            f"is not CSV: {error}", file=f"{shown(path)}:{skipped + reader.line_num}", remedy="correct its quotes"
-        ) from None
-    if not rows and len(header) == 1:
-        raise InputError(_NO_TABLE, file=shown(path), remedy=_TABLE)
-    if not rows:
-        raise InputError("has a header but no rows", file=shown(path), remedy="add rows")
-    columns = dict(zip(header, (list(cells) for cells in zip(*rows, strict=True)), strict=True))
-    return Recorded(path=path, columns=columns, lines=np.array(lines), about=about)
+        place = f"{shown(path)}:{skipped + reader.line_num}"
+        raise InputError(f"is not CSV: {error}", file=place, remedy="correct its quotes") from None
+
+
+def _table(
+    path: Path, names: Sequence[str], rows: Iterable[tuple[int, list[str]]], *, named: str, remedy: str,
+    about: tuple[str, ...] = (),
+) -> Recorded:  # fmt: skip
+    """Return the rows, each with its line number, as columns with names; `named` says where the names are."""
+    numbered: dict[int, list[str]] = {}
+    for line, row in rows:
+        if len(row) != len(names) and len(names) > 1:
+            problem = f"has {len(row)} cells, but {named.format(len(names))}"
+            raise InputError(problem, file=f"{shown(path)}:{line}", remedy=remedy)
+        numbered[line] = row
+    if len(names) == 1 and {len(row) for row in numbered.values()} != {1}:
+        raise InputError("is not a table: its first line has one cell", file=shown(path), remedy=_TABLE)
+    if not numbered:
+        raise InputError("has no rows", file=shown(path), remedy="add rows below the names of the columns")
+    columns = dict(zip(names, map(list, zip(*numbered.values(), strict=True)), strict=True))
+    return Recorded(path=path, columns=columns, lines=np.array(list(numbered)), about=about)
 
 
 def read_unnamed(path: Path, columns: Sequence[str], *, skip: int = 0) -> Recorded:
@@ -330,25 +310,16 @@ def read_unnamed(path: Path, columns: Sequence[str], *, skip: int = 0) -> Record
         >>> read_unnamed(Path("run.dat"), ["t", "x"], skip=1).columns
         {'t': ['0.00', '0.05'], 'x': ['1.5', '1.6']}
     """
-    rows: list[list[str]] = []
-    lines: list[int] = []
-    for number, line in enumerate(_text(path, strict=False).split("\n"), start=1):
-        plain = line.strip()
-        if number <= skip or not plain or plain[0] in "#%" or (number == 1 and _SEPARATOR.match(plain)):
-            continue
-        cells = [cell.strip() for cell in re.split(r"\s*[;,]\s*|\s+", plain)]
-        if len(cells) != len(columns):
-            raise InputError(
-                f"has {len(cells)} cells, but 'columns' has {len(columns)} names",
-                file=f"{shown(path)}:{number}",
-                remedy="name every column of the file, and skip the lines above the numbers with skip_lines",
-            )
-        rows.append(cells)
-        lines.append(number)
-    if not rows:
-        raise InputError("has no rows", file=shown(path), remedy="check the file and skip_lines")
-    named = dict(zip(columns, (list(cells) for cells in zip(*rows, strict=True)), strict=True))
-    return Recorded(path=path, columns=named, lines=np.array(lines))
+    rows = (
+        (number, [cell.strip() for cell in re.split(r"\s*[;,]\s*|\s+", plain)])
+        for number, line in enumerate(_text(path, strict=False).split("\n"), start=1)
+        if number > skip
+        and (plain := line.strip())
+        and plain[0] not in "#%"
+        and not (number == 1 and _SEPARATOR.match(plain))
+    )
+    remedy = "name every column of the file, and skip the lines above the numbers with skip_lines"
+    return _table(path, columns, rows, named="'columns' has {} names", remedy=remedy)
 
 
 LARGEST_XML = 20_000_000

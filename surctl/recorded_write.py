@@ -308,15 +308,6 @@ class McapFile(Closeable):
         try:
             data = json.dumps(message, allow_nan=False, separators=(",", ":"))
         except ValueError:
-            data = json.dumps(_finite(message), allow_nan=False, separators=(",", ":"))
+            message = json.loads(json.dumps(message), parse_constant=lambda _: None)
+            data = json.dumps(message, separators=(",", ":"))
         self._writer.add_message(self._channels[topic], when, data.encode(), when)
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {key: _finite(part) for key, part in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(part) for part in value]
-    if isinstance(value, float) and not -float("inf") < value < float("inf"):
-        return None
-    return value

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError, cannot_write
+from surctl.files import write_file
 
 __all__ = ["RESUME", "ChunkStore"]
 
@@ -79,20 +80,9 @@ class ChunkStore:
             InputError: the disk is full, or the folder cannot be written; chunks that were written before remain.
         """
         payload = np.ascontiguousarray(table.T, dtype="<f8").tobytes()
-        path = self._path(index)
-        part = path.with_suffix(f".{os.getpid()}.tmp")
-        try:
-            with part.open("wb") as file:
-                file.write(self._line(index, (table.shape[0], table.shape[1]), payload) + b"\n")
-                file.write(payload)
-                file.flush()
-                os.fsync(file.fileno())
-            part.replace(path)
-            _sync(self.folder)
-        except OSError as error:
-            with suppress(OSError):
-                part.unlink(missing_ok=True)
-            raise cannot_write(self.folder, error, **RESUME) from None
+        line = self._line(index, (table.shape[0], table.shape[1]), payload)
+        write_file(self._path(index), line + b"\n" + payload, **RESUME)
+        _sync(self.folder)
 
     def column(self, index: int, shape: tuple[int, int], column: int) -> NDArray[np.float64]:
         """Return one column (rows,) of a chunk; the chunk must exist, see `has`."""

@@ -50,12 +50,14 @@ def is_number(value: object) -> bool:
         return False
 
 
-def as_numbers(value: object, *, key: str) -> NDArray[np.float64]:
+def as_numbers(value: object, *, key: str, size: int | None = None) -> NDArray[np.float64]:
     """Return a number, or a list or array of numbers, as an array of the same shape; they need not be finite.
 
+    With `size`, they must be this many finite numbers, and the result is a vector (size,).
+
     Raises:
-        InputError: an entry is no real number (a text, None, a CasADi expression), no double holds an integer, or rows
-            have different lengths; the message names `key`.
+        InputError: an entry is no real number (a text, None, a CasADi expression), no double holds an integer, rows
+            have different lengths, or the numbers are not `size` finite ones; the message names `key`.
 
     Example:
         >>> from surctl.units import as_numbers
@@ -68,6 +70,11 @@ def as_numbers(value: object, *, key: str) -> NDArray[np.float64]:
     """
     import numpy as np
 
+    if size is not None:
+        vector = as_numbers(value, key=key).reshape(-1)
+        if vector.size == size and np.isfinite(vector).all():
+            return vector
+        raise InputError(f"is not {size} finite numbers", key=key, value=value, remedy=f"give {size} numbers")
     if type(value) is np.ndarray and value.dtype == np.float64:  # in each control step
         return value
     with suppress(TypeError, ValueError, OverflowError, RuntimeError):

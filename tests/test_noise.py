@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from surctl.errors import InputError
-from surctl.noise import NoiseStream, draw_normals, noise_states
+from surctl.noise import draw_normals, noise_states
+from tests.oracles.noise_stream import NoiseStream
 
 
 def test_the_first_numbers_are_the_published_ones() -> None:

@@ -90,7 +90,7 @@ def test_cells_without_a_number_are_nan(tmp_path: Path) -> None:
 REFUSED = {
     "empty": (b"", "is empty"),
     "only a mark": (b"\xef\xbb\xbf\n\n", "is empty"),
-    "no rows": (b"a,b\n\n", "header but no rows"),
+    "no rows": (b"a,b\n\n", "has no rows; add rows below the names"),
     "no header": (b"1,2\n3,4\n", "a.csv:1: has no header"),
     "a column twice": (b"a,b,a\n1,2,3\n", "'a' appears twice"),
     "a cell too many": (b"a,b\n1,2\n1,2,3\n", "a.csv:3: has 3 cells, but the header has 2"),

@@ -200,6 +200,7 @@ ASKED = {
     "change the sampling time": "questions", "anti-windup": "questions", "Monte Carlo": "glossary",
     "time delay": "questions", "state estimator": "questions", "without compiler": "questions", "license": "questions",
     "cite": "project", "export to Simulink": "export", "what is a disk margin": "glossary",
+    "vehicle oscillates": "field", "DVL": "questions", "low battery": "questions", "roll and pitch": "add-a-vehicle",
 }  # fmt: skip
 
 

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from surctl.errors import InputError
 from surctl.files import Strict, load_model
-from surctl.marine.reproduction.errata import e18
+from surctl.marine.reproduction import reproduce
 from surctl.marine.verification import claims, settling_intrusion
 from surctl.verification import Claim, Verdict, decide, evaluate, falsify, replay, setting_from
 from surctl.verification.setting import Setting
@@ -156,7 +156,7 @@ def avoidance_figures(verdicts: dict[str, Verdict], config: Config) -> dict[str,
 
 def lines_of_12() -> float:
     """Return the first minus the second line of (12) (E18) [m²/s], both as printed."""
-    found = e18().numbers
+    found = reproduce(["E18"]).rows[0].result.numbers
     return found["line_1"] - found["line_2"]
 
 

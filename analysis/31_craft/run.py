@@ -24,8 +24,6 @@ from surctl.marine.simulation.scaling import disturbed, mission_size, scaled_sce
 from surctl.marine.tuning import default_cruise, derive_gains
 from surctl.marine.vehicle import Vehicle, load_vehicle
 from surctl.marine.verification import law_corners
-from surctl.marine.verification.corners import corners
-from surctl.marine.verification.linear import cruise_corners
 from surctl.verification.linear import LEAST_DISK_MARGIN
 
 
@@ -58,7 +56,6 @@ QUICK = ("bluerov2-vonbenzon",)
 
 MOST_CRAB = 15.0  # [deg] mean crab angle of a mission, and largest crab angle of the straight one
 SEEDS, SHARE = 20, 0.02
-DT = 0.05  # [s] control period
 HEAD = (
     "vehicle", "cruise [m/s]", "disk margin", "simulated at [m/s], disk margin", "straight: end, time [s]",
     "crab mean / max [deg]", "wasted", "two legs: end, time [s]", "crab mean / max [deg]", "tank: reached, collided",
@@ -76,9 +73,7 @@ class Row:
 
 def shown_margin(vehicle: Vehicle, gains: Gains, cruise: float) -> float:
     """Return the disk margin at the worst corner of the vehicle's ranges; 0 if the loop is unstable there."""
-    if vehicle["Fv_max"] == 0:
-        return law_corners(build_law(default_law(vehicle)), vehicle, gains, cruise=cruise).disk
-    return cruise_corners(corners(vehicle), gains.values, cruise=cruise, dt=DT).disk
+    return law_corners(build_law(default_law(vehicle)), vehicle, gains, cruise=cruise).disk
 
 
 def examined(craft: Craft, vehicle: Vehicle, *, seeds: int) -> Row:

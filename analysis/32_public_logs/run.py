@@ -24,7 +24,7 @@ import numpy as np
 from excerpts import EXCERPTS, FOLDER, SOURCES
 from standins import write_standins
 
-from surctl.marine.vehicle import HELD_OUT, MotionLog, load_vehicle, parameter_spec, predict
+from surctl.marine.vehicle import HELD_OUT, SPECS, MotionLog, load_vehicle, predict
 from surctl.marine.vehicle.identification.identify import velocity_notes
 from surctl.marine.vehicle.logs.read import read_mapped_log
 from surctl.marine.vehicle.motion_log import in_sequence
@@ -124,9 +124,9 @@ def unfitted_line(robot: Robot, data: Path) -> str:
 
 def parameter_lines(result: Mapping[str, Any]) -> list[str]:
     """Return the identified parameters with their intervals, those held, those fixed at 0, and the notes."""
-    units = {k: spec.unit for k in result["estimates"] if (spec := parameter_spec(k)) is not None}
+    units = {k: SPECS[k].unit for k in result["estimates"]}
     known = [
-        f"{k} {e['value']:.3g} ± {e['half_interval']:.2g} {units.get(k, '')}".rstrip()
+        f"{k} {e['value']:.3g} ± {e['half_interval']:.2g} {units[k]}".rstrip()
         for k, e in result["estimates"].items()
         if e["identified"] and k not in result["held"] and k not in result["fixed_at_0"]
     ]

@@ -26,7 +26,7 @@ def test_the_study_of_a_rudder_craft_tells_margins_missions_and_limits(
     plan = replace(plan, axes=(Axis("sideslip", (0.2,)),), legs=plan.legs[:1], sweep_seeds=(0,))
     study = Study(plan=plan, workers=1)
     conduct_parts(study, tmp_path)
-    assert study.passed and [run.sensing for run in study.runs] == ["truth"]
+    assert study.passed and [run.sensing for run in study.data.runs] == ["truth"]
     texts = [note.text for note in study.notes]
     for words in (
         "disk margin",

@@ -8,12 +8,12 @@ from pathlib import Path
 import pytest
 
 from surctl.certcheck import check_document
-from surctl.marine.control import load_gains
+from surctl.marine.control import build_law, load_gains
 from surctl.marine.vehicle import load_vehicle
-from surctl.marine.verification import claims, cruise_loop
+from surctl.marine.verification import claims, cruise_loop, law_corners
 from surctl.marine.verification.braking import BRAKING_CLAIMS
 from surctl.marine.verification.corners import corners
-from surctl.marine.verification.linear import bearable_speed, cruise_corners
+from surctl.marine.verification.linear import bearable_speed
 from surctl.marine.verification.region import prove_turning, turning_claim
 from surctl.verification import prove
 from surctl.verification.sampled_margins import SampledLoop
@@ -88,8 +88,8 @@ def test_corners_with_and_without_lag_are_the_least_of_each() -> None:
     whole = corners(vehicle, 0.2)
     other = whole.vehicles[-1].with_values({"thrust_lag": 0.0})
     tried = replace(whole, vehicles=(vehicle, other), labels=(whole.labels[0], whole.labels[-1]))
-    loops = [SampledLoop(cruise_loop(v, gains, cruise=0.15, dt=0.05, model=vehicle)) for v in tried.vehicles]
-    worst = cruise_corners(tried, gains, cruise=0.15, dt=0.05)
+    loops = [SampledLoop(cruise_loop(v, gains.values, cruise=0.15, dt=0.05, model=vehicle)) for v in tried.vehicles]
+    worst = law_corners(build_law(), tried, gains, cruise=0.15)
     for k, disk in enumerate(worst.disks):
         assert disk.guaranteed == pytest.approx(min(s.disks[k].guaranteed for s in loops), rel=2e-3)
     assert worst.slowest_per_s == pytest.approx(max(s.slowest_per_s for s in loops), rel=1e-9)

@@ -25,7 +25,7 @@ from typing import Any, NamedTuple
 
 from surctl.marine.control import default_law, law_source
 from surctl.marine.simulation.scaling import mission_size, two_leg_mission
-from surctl.marine.simulation.scenario_table import scenario_table
+from surctl.marine.simulation.scenario import scenario_table
 from surctl.marine.simulation.toml_text import toml_text
 from surctl.marine.tuning import default_cruise, derive_gains, gains_for
 from surctl.marine.vehicle import Vehicle, load_vehicle

@@ -24,7 +24,7 @@ from surctl.cli.subject import (
     load_system,
     seconds_option,
 )
-from surctl.errors import InputError, nearest
+from surctl.errors import InputError, check_known
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -78,8 +78,7 @@ class ExportOptions:
         from surctl.ir.cache import find_compiler
 
         for key, value, known in (("--target", self.target, (*targets, *PROCESSORS)), ("--real", self.real, REALS)):
-            if value not in known:
-                raise InputError(f"is not available{of}", key=key, value=value, remedy=nearest(value, known))
+            check_known(value, known, f"is not available{of}", key=key)
         if not self.check and (self.targets or self.steps):
             raise InputError("needs --check", key="--targets" if self.targets else "--steps", remedy="add --check")
         tools = chosen_targets([name.strip() for name in self.targets.split(",")] if self.targets else ())

@@ -240,21 +240,21 @@ def together(*options: Callable[[C], C]) -> Callable[[C], C]:
     return decorate
 
 
-def collected(**kinds: type[Any]) -> Callable[[Callable[..., None]], Callable[..., None]]:
+def collected(**kinds: type[Any]) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     """Return a decorator of a command that receives its options as objects of dataclasses, by the names in `kinds`.
 
     A field of a dataclass takes the parameter of the same name; without one, it has its default.
     """
     used = {one.name for kind in kinds.values() for one in fields(kind)}
 
-    def decorate(command: Callable[..., None]) -> Callable[..., None]:
+    def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
         @wraps(command)
-        def call(**values: Any) -> None:
+        def call(**values: Any) -> Any:
             groups = {
                 name: kind(**{one.name: values[one.name] for one in fields(kind) if one.name in values})
                 for name, kind in kinds.items()
             }
-            command(**{name: value for name, value in values.items() if name not in used}, **groups)
+            return command(**{name: value for name, value in values.items() if name not in used}, **groups)
 
         return call
 

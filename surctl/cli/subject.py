@@ -325,7 +325,7 @@ def mode_text(loop: SampledLoop) -> str:
     return f"|z| = {mode['size']:.6g}, {'does not decay' if math.isinf(constant) else change}{beat}"
 
 
-_WITHIN, _CLAIM = "within.", "lyapunov."
+_WITHIN, _CLAIM, _ABOUT = "within.", "lyapunov.", ("function", "level", "rate")
 
 
 @dataclass(frozen=True)
@@ -391,21 +391,23 @@ def region_words(
     within: dict[str, tuple[float, float]] = {}
     ranges: dict[str, tuple[float, float]] = {}
     claim: dict[str, str] = {}
+    known = set[str]()
     for word in words:
         name, _, text = (part.strip() for part in word.partition("="))
         if name.startswith(_CLAIM):
             key = name.removeprefix(_CLAIM)
-            if key not in ("function", "level", "rate"):
-                raise InputError("is not known", key=name, remedy=nearest(key, ("function", "level", "rate")))
-            _once(claim, key, name)
+            if key not in _ABOUT:
+                raise InputError("is not known", key=name, remedy=nearest(key, _ABOUT))
             claim[key] = text
         elif name.startswith(_WITHIN) or ".." in text:
             table = within if name.startswith(_WITHIN) else ranges
-            key = name.removeprefix(_WITHIN)
-            _once(table, key, name)
-            table[key] = _range(text, name)
+            table[name.removeprefix(_WITHIN)] = _range(text, name)
         else:
             others.append(word)
+            continue
+        if name in known:
+            raise InputError("is given twice", key=name, remedy="give it once")
+        known.add(name)
     within = {**system.within, **within}
     if not within:
         if claim:
@@ -414,11 +416,6 @@ def region_words(
             raise InputError("asks for a region of attraction, whose box is missing", key=key, remedy=remedy)
         return others, None, ranges
     return others, RegionWords(within, ranges, claim), ranges
-
-
-def _once(table: Mapping[str, object], key: str, name: str) -> None:
-    if key in table:
-        raise InputError("is given twice", key=name, remedy="give it once")
 
 
 def _range(text: str, name: str) -> tuple[float, float]:
@@ -447,9 +444,7 @@ def gain_ranges_of(own: OwnSystem, ranges: Mapping[str, tuple[float, float] | No
     nominal, result = nominal_gains(own), {}
     for name, ends in (ranges or dict.fromkeys(nominal)).items():
         check_known(name, nominal, "is not a gain of the system", key="--gain")
-        if ends is None and nominal[name] == 0:
-            raise InputError("is 0 and so has no default range", key=f"--gain {name}", remedy=f"write {name}=LOW..HIGH")
-        result[name] = default_range(nominal[name]) if ends is None else ends
+        result[name] = default_range(name, nominal[name]) if ends is None else ends
     return result
 
 

@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from surctl.cli.application import to_application
-from surctl.cli.output import FOLDER, Count, as_json, finish, progress, same_command, saving, stoppable
+from surctl.cli.output import FOLDER, Count, as_json, collected, finish, progress, same_command, saving, stoppable
 from surctl.cli.subject import OwnSystem, command_line, is_system, load_system, seconds_option
-from surctl.errors import InputError, nearest
+from surctl.errors import InputError, check_known
 
 if TYPE_CHECKING:
     import numpy as np
@@ -29,6 +29,27 @@ if TYPE_CHECKING:
 
 _SHOWN = 40  # largest number of points in the text output; the file holds all points
 _MOST_JSON = 100_000  # largest number of points printed as JSON
+
+
+@dataclass(frozen=True)
+class SweepOptions:
+    """The options about the points of a sweep of any subject, and about what computes it."""
+
+    design: str
+    points: int | None
+    sensitivity: str | None
+    seeds: int
+    workers: int | None
+    dask: str | None
+    out: Path
+
+    def executor(self) -> Executor:
+        """Return what computes the chunks."""
+        from surctl.tuning import DaskExecutor, LocalExecutor
+
+        if self.workers is not None and self.dask is not None:
+            raise click.UsageError("--workers and --dask exclude each other")
+        return LocalExecutor(self.workers or 2) if self.dask is None else DaskExecutor(self.dask)
 
 
 @click.command
@@ -60,39 +81,24 @@ _MOST_JSON = 100_000  # largest number of points printed as JSON
     help="Folder for sweep.nc (default surctl-out). The same command continues an interrupted sweep.",
 )
 @as_json
-def sweep(
-    words: tuple[str, ...],
-    seconds: float | None,
-    design: str,
-    points: int | None,
-    sensitivity: str | None,
-    seeds: int,
-    workers: int | None,
-    dask: str | None,
-    out: Path,
-    as_json: bool,
-    **_: Any,
-) -> None:
+@collected(options=SweepOptions)
+def sweep(words: tuple[str, ...], options: SweepOptions, seconds: float | None, as_json: bool, **_: Any) -> None:
     """Compute costs over values of parameters, and select the best point."""
-    if sensitivity is not None and design != "grid":
-        raise InputError("chooses its own points", key="--sensitivity", value=sensitivity, remedy="drop --design")
-    executor = None if dask is None and is_system(words) else _executor(workers, dask)
-    if is_system(words):
-        job = _own(
-            words, seconds=seconds, design=design, points=points, sensitivity=sensitivity, seeds=seeds,
-            threads=workers or (2 if dask is None else 1),
-        )  # fmt: skip
-    else:
-        job = to_application(words)
-    _run(job, executor, sensitivity=sensitivity, out=out, as_json=as_json)
+    if options.sensitivity is not None and options.design != "grid":
+        problem = "chooses its own points"
+        raise InputError(problem, key="--sensitivity", value=options.sensitivity, remedy="drop --design")
+    executor = None if options.dask is None and is_system(words) else options.executor()
+    job = _own(words, options, seconds) if is_system(words) else to_application(words)
+    _run(job, executor, options, as_json=as_json)
 
 
-def _run(job: SweepJob, executor: Executor | None, *, sensitivity: str | None, out: Path, as_json: bool) -> None:
+def _run(job: SweepJob, executor: Executor | None, options: SweepOptions, *, as_json: bool) -> None:
     """Run the sweep, write its tables and pictures, and end the command."""
     from surctl.files import prepare_folder
     from surctl.tuning import sobol_indices
     from surctl.tuning import sweep as run_sweep
 
+    out, sensitivity = options.out, options.sensitivity
     if as_json and job.count > _MOST_JSON:
         problem, remedy = f"would print {job.count} {job.counted}", f"drop this option and read {job.file}"
         raise InputError(problem, key="--json", remedy=remedy)
@@ -171,41 +177,23 @@ def _pictures(
     return pictures
 
 
-def _executor(workers: int | None, dask: str | None) -> Executor:
-    from surctl.tuning import DaskExecutor, LocalExecutor
-
-    if workers is not None and dask is not None:
-        raise click.UsageError("--workers and --dask exclude each other")
-    return LocalExecutor(workers or 2) if dask is None else DaskExecutor(dask)
-
-
 _MOST_REPEATED = 20_000  # largest number of control periods of a run that is repeated in Python
 _NAMED = 5  # largest number of points that a line names
 
 
-def _own(
-    words: Sequence[str],
-    *,
-    seconds: float | None,
-    design: str,
-    points: int | None,
-    sensitivity: str | None,
-    seeds: int,
-    threads: int,
-) -> SweepJob:
+def _own(words: Sequence[str], options: SweepOptions, seconds: float | None) -> SweepJob:
     """Return the sweep of a system that the words and options ask for."""
     from surctl.tuning import SystemSweep, parse_axis
     from surctl.tuning.system_sweep import choices_and_draws
 
     own = load_system(words)
     duration, costs = own.seconds(seconds), list(own.costs)
-    if sensitivity is not None and sensitivity not in costs:
-        remedy = nearest(sensitivity, costs)
-        raise InputError("is not a cost of the system", key="--sensitivity", value=sensitivity, remedy=remedy)
+    design = options.design if options.sensitivity is None else "saltelli"
+    if options.sensitivity is not None:
+        check_known(options.sensitivity, costs, "is not a cost of the system", key="--sensitivity")
     axes = [parse_axis(text) for text in own.settings]
-    chosen, draws = choices_and_draws(
-        own.system, axes, design=design if sensitivity is None else "saltelli", points=points, seeds=seeds
-    )
+    chosen, draws = choices_and_draws(own.system, axes, design=design, points=options.points, seeds=options.seeds)
+    threads = options.workers or (2 if options.dask is None else 1)
     subject = SystemSweep(own.system, duration, draws, threads=threads, about=own.origin, source=own.word)
     count, summary = len(chosen.points) * max(map(len, draws.values()), default=1), partial(_run_summary, own, duration)
     return SweepJob(subject, chosen, count, "runs", "sweep.csv", costs, costs, {}, summary)

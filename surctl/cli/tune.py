@@ -18,6 +18,7 @@ from surctl.cli.output import (
     FOLDER,
     Count,
     as_json,
+    collected,
     finish,
     finite,
     note_replaced,
@@ -48,6 +49,31 @@ if TYPE_CHECKING:
     from surctl.tuning import RunGoal, SystemRequest, Tuning
     from surctl.tuning.outcome import Finals, Miss
     from surctl.tuning.pool import SearchRequest
+
+
+@dataclass(frozen=True)
+class TuneOptions:
+    """The options about a search of any subject, and about its page."""
+
+    gain: tuple[str, ...]
+    goals_file: str | None
+    trials: int
+    seed: int
+    rounds: int
+    runs: int | None
+    workers: int
+    out: Path
+    page: bool
+    port: int | None
+    no_browser: bool
+
+    @property
+    def ranges(self) -> dict[str, tuple[float, float] | None]:
+        """The named gains with their ranges; None: the default range."""
+        ranges = dict(map(_parse_gain, self.gain))
+        if len(ranges) < len(self.gain):
+            raise click.BadParameter("names a gain twice", param_hint="--gain")
+        return ranges
 
 
 @click.command
@@ -87,44 +113,24 @@ if TYPE_CHECKING:
 @click.option("--no-browser", is_flag=True, help="Print the address of --page, and open no browser.")
 @seconds_option
 @as_json
-def tune(
-    words: tuple[str, ...],
-    gain: tuple[str, ...],
-    goals_file: str | None,
-    trials: int,
-    seed: int,
-    rounds: int,
-    runs: int | None,
-    workers: int,
-    out: Path,
-    page: bool,
-    port: int | None,
-    no_browser: bool,
-    seconds: float | None,
-    as_json: bool,
-    **_: Any,
-) -> None:
+@collected(options=TuneOptions)
+def tune(words: tuple[str, ...], options: TuneOptions, seconds: float | None, as_json: bool, **_: Any) -> None:
     """Search for gains that meet goals, and test them."""
-    ranges = dict(parse_gain(text) for text in gain)
-    if len(ranges) < len(gain):
-        raise click.BadParameter("names a gain twice", param_hint="--gain")
-    if (port or no_browser) and not page:
+    ranges = options.ranges
+    if (options.port or options.no_browser) and not options.page:
         raise click.UsageError("--port and --no-browser need --page")
     task: Any
     if not is_system(words):
         task = to_application(words)
-    elif page:
-        task = system_bench(words, ranges, goals_file, seconds=seconds)
     else:
-        task = system_tuned(words, ranges, goals_file, seconds=seconds, trials=trials, seed=seed, threads=workers)
-    if page:
-        _serve(task, port=port, browser=not no_browser)
+        task = (_bench if options.page else _tuned)(words, ranges, options, seconds)
+    if options.page:
+        _serve(task, port=options.port, browser=not options.no_browser)
         return
-    runs = task.tested if runs is None else runs
-    _search(task, trials=trials, rounds=rounds, runs=runs, out=out, as_json=as_json)
+    _search(task, options, as_json=as_json)
 
 
-def _search(task: Task, *, trials: int, rounds: int, runs: int, out: Path, as_json: bool) -> None:
+def _search(task: Task, options: TuneOptions, *, as_json: bool) -> None:
     """Search gains, test them, write them, and print each goal and figure before and after."""
     from surctl.files import prepare_folder, write_file
     from surctl.tuning import summary
@@ -132,6 +138,8 @@ def _search(task: Task, *, trials: int, rounds: int, runs: int, out: Path, as_js
     from surctl.tuning.goals import not_representative
     from surctl.tuning.outcome import advice, check_finals, misses, tuning_dict
 
+    trials, rounds, out = options.trials, options.rounds, options.out
+    runs = task.tested if options.runs is None else options.runs
     prepare_folder(out)
     best, _ = task.request.so_far({}, "")
     message = f"the finished trials are in {out}, the best gains in {out / best}; to continue: {same_command()}"
@@ -182,8 +190,7 @@ def _search(task: Task, *, trials: int, rounds: int, runs: int, out: Path, as_js
     )  # fmt: skip
 
 
-def parse_gain(text: str) -> tuple[str, tuple[float, float] | None]:
-    """Return name and range of a value of `--gain`."""
+def _parse_gain(text: str) -> tuple[str, tuple[float, float] | None]:
     name, equals, ends = text.partition("=")
     if not equals:
         return name, None
@@ -273,15 +280,8 @@ class _System(Task):
         return More(data, then, notes=self.request.scores(tuning.result.gains))
 
 
-def system_tuned(
-    words: Sequence[str],
-    ranges: Mapping[str, tuple[float, float] | None],
-    goals_file: str | None,
-    *,
-    seconds: float | None,
-    trials: int,
-    seed: int,
-    threads: int,
+def _tuned(
+    words: Sequence[str], ranges: Mapping[str, tuple[float, float] | None], options: TuneOptions, seconds: float | None
 ) -> Task:
     """Return the tuning of a system; words NAME=V1,V2,… are the numbers of its cases, one value is for all cases.
 
@@ -294,7 +294,7 @@ def system_tuned(
     from surctl.tuning.goals import load_system_goals
     from surctl.tuning.systems import margin_goals, system_request
 
-    own = load_system(words)
+    own, goals_file = load_system(words), options.goals_file
     about, points, of_runs = ((), {}, ()) if goals_file is None else load_system_goals(goals_file, own.system)
     duration = own.seconds(seconds) if own.system.costs or seconds is not None else 0.0
     listed, space = listed_values(own.settings), gain_ranges_of(own, ranges)
@@ -305,7 +305,8 @@ def system_tuned(
     try:
         request = system_request(
             own.system, duration, space,
-            cases=cases, trials=trials, seed=seed, threads=threads, goals=about, points=points, run_goals=of_runs,
+            cases=cases, trials=options.trials, seed=options.seed, threads=options.workers, goals=about, points=points,
+            run_goals=of_runs,
         )  # fmt: skip
     except InputError as error:
         raise (error.inside(goals_file) if (error.key or "").startswith(("goals.", "point ")) else error) from None
@@ -318,12 +319,8 @@ def system_tuned(
 _PERIODS = 600  # of a run, without --seconds
 
 
-def system_bench(
-    words: Sequence[str],
-    ranges: Mapping[str, tuple[float, float] | None],
-    goals: str | None,
-    *,
-    seconds: float | None,
+def _bench(
+    words: Sequence[str], ranges: Mapping[str, tuple[float, float] | None], options: TuneOptions, seconds: float | None
 ) -> DesignBench:
     """Return what the page of a system of the user's own shows; NAME=V1,V2 gives the operating points."""
     from surctl.report.design_bench import SystemBench
@@ -331,7 +328,7 @@ def system_bench(
 
     own = load_system(words)
     others, region, uncertain = region_words(own.settings, own.system)
-    about_loop, stated = ((), {}) if goals is None else load_loop_goals(goals)
+    about_loop, stated = ((), {}) if options.goals_file is None else load_loop_goals(options.goals_file)
     values = listed_values(others)
     swept = {name: numbers for name, numbers in values.items() if len(numbers) > 1}
     fixed = {name: numbers[0] for name, numbers in values.items() if len(numbers) == 1}

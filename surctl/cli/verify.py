@@ -37,7 +37,7 @@ from surctl.cli.subject import (
     refuse_others,
     region_words,
 )
-from surctl.errors import InputError, NotApplicable
+from surctl.errors import InputError, NotApplicable, check_once
 
 if TYPE_CHECKING:
     from surctl.lyapunov import Problem, Solution
@@ -167,10 +167,8 @@ def verify_motion(words: Sequence[str], *, seed: int, time_limit: float, out: Pa
     from surctl.lyapunov import load_problem, solve
 
     problems = {word: load_problem(Path(word)) for word in words}
-    names = [problem.dynamics.name for problem in problems.values()]
-    twice = next((name for name in names if names.count(name) > 1), None)
-    if twice is not None:
-        raise InputError("is given twice", key="claim", value=twice, remedy="rename or drop one of them")
+    names = (problem.dynamics.name for problem in problems.values())
+    check_once(names, "is given twice", key="claim", remedy="rename or drop one of them")
     if out is not None:
         prepare_out(out)
 

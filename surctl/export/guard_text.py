@@ -24,6 +24,8 @@ ANY_NUMBER = "any finite number"
 
 _FEW = 4  # up to this many numbers, each number gets its own line
 _REFUSE = "return 0;"
+MANY = 100
+"""Numbers of state from which on a test of them, one by one, takes much of a step's time."""
 
 
 def range_text(box: Vector) -> str:
@@ -78,7 +80,9 @@ def flat_lines(layout: Layout, box: Vector, array: str, real: Real) -> list[str]
         these = list(group)
         first, end = these[0][1].start, these[-1][1].stop
         if len(these) > 1 and end - first > _FEW:
-            lines.append(f"for (int k = {first}; k < {end}; ++k) {{ {_test(f'{array}[k]', box[first], real)} }}")
+            unlimited = end - first >= MANY and -box[first][0] == box[first][1] >= float(np.finfo(real).max)
+            each = f"for (int k = {first}; k < {end}; ++k) {{ {_test(f'{array}[k]', box[first], real)} }}"
+            lines.append(f"if (!numbers({array} + {first}, {end - first}U)) {{ {_REFUSE} }}" if unlimited else each)
             continue
         for port, part in these:
             lines += _port_lines(port, part.start, box[part], lambda _, at: f"{array}[{at}]", real, lambda _: _REFUSE)

@@ -32,6 +32,7 @@ from surctl.export.envelope import TOLERANCE, Envelope, SelfTest
 from surctl.export.guard_text import (
     ANY_NUMBER,
     EXAMPLES,
+    MANY,
     box_lines,
     example_values,
     flat_lines,
@@ -383,6 +384,7 @@ def _values(
         "telemetry": telemetry_ports(law),
         "n_tau": n_tau,
         "n_telemetry": law.outputs.size - n_tau,
+        "many": MANY,
         "glance": glance(law),
         "n_glance": sum(port.size for ports in glance(law) for port in ports),
         "index": {

@@ -306,9 +306,15 @@ def cached_bytes(key: str, suffix: str, build: Callable[[], bytes], *, folder: P
         built = build()
         why = _write(path, built)
     if why:
-        text = f"the cache folder {place} is not used: {why}; each process builds its own results (set SURCTL_CACHE)"
-        warnings.warn(text, CacheUnused, stacklevel=2)
+        _warn_unused(place, why)
     return built
+
+
+@cache
+def _warn_unused(place: Path, why: str) -> None:
+    """Warn once in a process that a folder is not used, whatever filter of warnings is set."""
+    text = f"the cache folder {place} is not used: {why}; each process builds its own results (set SURCTL_CACHE)"
+    warnings.warn(text, CacheUnused, stacklevel=3)
 
 
 def shared_library(

@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Sequence
+from functools import partial
 
 import numpy as np
 
 from surctl.errors import InputError
 from surctl.ir.program import LEAVES, OPERATIONS, Instruction, Program, drop_dead
-from surctl.ir.routine import Block, Call, Loop, Routine, Step, changed_programs, nested
+from surctl.ir.routine import Block, Call, Routine, changed_programs
 
 
 class Numbering:
@@ -118,25 +119,7 @@ _LONGEST = 1200
 
 def shortened(block: Block) -> Block:
     """Return the program or routine with its long programs split, except programs that run in SIMD lanes."""
-    built: dict[int, Block] = {}
-    for key, inner in nested(block).items():
-        if isinstance(inner, Program):
-            built[key] = split(inner, _LONGEST)
-            continue
-        if not isinstance(inner, Routine):
-            built[key] = inner
-            continue
-        steps: list[Step] = []
-        for step in inner.steps:
-            if isinstance(step, Call):
-                steps.append(Call(built[id(step.block)], step.args, step.results))
-            elif isinstance(step, Loop) and step.lanes == 1:
-                whole = {name: getattr(step, name) for name in Loop.__slots__}
-                steps.append(Loop(**{**whole, "block": built[id(step.block)]}))
-            else:
-                steps.append(step)
-        built[key] = Routine(inner.name, inner.inputs, tuple(steps), inner.results)
-    return built[id(block)]
+    return changed_programs(block, partial(split, size=_LONGEST), lanes=False)
 
 
 def split(program: Program, size: int) -> Block:
@@ -290,8 +273,6 @@ def _sum(text: _Folding, args: tuple[int, ...]) -> int | None:
 def _difference(text: _Folding, args: tuple[int, ...]) -> int | None:
     if text.value(args[1]) == 0.0:
         return args[0]
-    if text.value(args[0]) == 0.0:
-        return text.folded("neg", args[1:])
     if text.op(args[1]) == "neg":
         return text.folded("add", (args[0], text.args(args[1])[0]))
     return _one_condition(text, "sub", args)
@@ -312,32 +293,9 @@ def _product(text: _Folding, args: tuple[int, ...]) -> int | None:
             return text.constant(0.0)
         if factor == 1.0:
             return other
-        if factor == -1.0:
-            return text.folded("neg", (other,))
         if factor is not None and text.is_truth(other):
             return text.folded("if_else_zero", (other, one))
-    if all(text.op(a) == "neg" for a in args):
-        return text.folded("mul", tuple(text.args(a)[0] for a in args))
     return None
-
-
-def _quotient(text: _Folding, args: tuple[int, ...]) -> int | None:
-    return args[0] if text.value(args[1]) == 1.0 else None
-
-
-def _negated(text: _Folding, args: tuple[int, ...]) -> int | None:
-    inner = args[0]
-    return text.args(inner)[0] if text.op(inner) == "neg" else None
-
-
-def _squared(text: _Folding, args: tuple[int, ...]) -> int | None:
-    return text.folded("sq", text.args(args[0])) if text.op(args[0]) in ("neg", "fabs") else None
-
-
-def _size(text: _Folding, args: tuple[int, ...]) -> int | None:
-    if text.op(args[0]) == "neg":
-        return text.folded("fabs", text.args(args[0]))
-    return args[0] if text.op(args[0]) in _POSITIVE else None
 
 
 def _larger(text: _Folding, args: tuple[int, ...]) -> int | None:
@@ -345,10 +303,6 @@ def _larger(text: _Folding, args: tuple[int, ...]) -> int | None:
         return text.folded("or", args)
     value = text.value(args[1])
     return args[0] if value is not None and value <= 0.0 and text.op(args[0]) in _POSITIVE else None
-
-
-def _smaller(text: _Folding, args: tuple[int, ...]) -> int | None:
-    return text.folded("and", args) if all(text.is_truth(a) for a in args) else None
 
 
 def _both(text: _Folding, args: tuple[int, ...]) -> int | None:
@@ -374,20 +328,11 @@ def _select(text: _Folding, args: tuple[int, ...]) -> int | None:
         return then if value else otherwise
     if then == otherwise:
         return then
-    if text.op(condition) == "not":
-        return text.folded("select", (text.args(condition)[0], otherwise, then))
-    if text.op(then) in ("select", "if_else_zero") and text.args(then)[0] == condition:
-        return text.folded("select", (condition, text.args(then)[1], otherwise))
     return text.folded("if_else_zero", (condition, then)) if text.value(otherwise) == 0.0 else None
 
 
 def _only_if(text: _Folding, args: tuple[int, ...]) -> int | None:
     condition, then = args
-    value = text.value(condition)
-    if value is not None:
-        return then if value else text.constant(0.0)
-    if text.value(then) == 0.0:
-        return then
     if text.op(then) in ("select", "if_else_zero") and text.args(then)[0] == condition:
         return text.folded("if_else_zero", (condition, text.args(then)[1]))
     return condition if text.value(then) == 1.0 and text.is_truth(condition) else None
@@ -397,12 +342,7 @@ _RULES: dict[str, Callable[[_Folding, tuple[int, ...]], int | None]] = {
     "add": _sum,
     "sub": _difference,
     "mul": _product,
-    "div": _quotient,
-    "neg": _negated,
-    "sq": _squared,
-    "fabs": _size,
     "fmax": _larger,
-    "fmin": _smaller,
     "and": _both,
     "or": _either,
     "select": _select,

@@ -171,14 +171,19 @@ def nested(block: Block) -> dict[int, Block]:
     return blocks
 
 
-def changed_programs(block: Block, change: Callable[[Program], Program]) -> Block:
-    """Return the program or routine after `change` has been applied once to each program in it."""
+def changed_programs(block: Block, change: Callable[[Program], Block], *, lanes: bool = True) -> Block:
+    """Return the block after `change` has been applied once to each program in it; `lanes`: also to those in lanes."""
     built: dict[int, Block] = {}
     for key, inner in nested(block).items():
         if not isinstance(inner, Routine):
             built[key] = change(inner) if isinstance(inner, Program) else inner
             continue
-        steps = [s if isinstance(s, Gather) else replace(s, block=built[id(s.block)]) for s in inner.steps]
+        steps = [
+            step
+            if isinstance(step, Gather) or (isinstance(step, Loop) and step.lanes > 1 and not lanes)
+            else replace(step, block=built[id(step.block)])
+            for step in inner.steps
+        ]
         built[key] = replace(inner, steps=tuple(steps))
     return built[id(block)]
 

@@ -24,9 +24,9 @@ from surctl.marine.vehicle.linearise import check_cruise
 from surctl.marine.vehicle.specs import DEFAULTED
 from surctl.marine.verification import law_corners, steady_motion
 from surctl.marine.verification.corners import DRAG_SPREAD, MASS_SPREAD, Corners, corners
-from surctl.marine.verification.cruise_loop import TRACKING_LAW, has_cruise_loop
+from surctl.marine.verification.cruise_loop import has_cruise_loop
 from surctl.marine.verification.law_loop import LawLoop
-from surctl.marine.verification.linear import Mode, cap_above, cruise_corners, slowest_mode
+from surctl.marine.verification.linear import Mode, cap_above, slowest_mode
 from surctl.marine.verification.region import RegionStatement, applicable_region, prove_statement
 from surctl.marine.verification.speeds import OverSpeeds, slow_margins
 from surctl.own_code import label
@@ -43,34 +43,34 @@ __all__ = [
 
 
 def assumptions(
-    vehicle: Vehicle,
-    gains: Mapping[str, float] | None,
-    *,
-    cruise: float,
-    dt: float,
-    law: str = TRACKING_LAW,
-    uncertainty: float | None = None,
+    vehicle: Vehicle, disk: Callable[[Corners], float] | None = None, *, uncertainty: float | None = None
 ) -> tuple[Assumption, ...]:
     """Return the defaults on which the linear loop of a vehicle depends.
 
     Args:
         vehicle: the vehicle.
-        gains: gains of a law for which `has_cruise_loop` holds; None: no margins.
-        cruise: cruise speed [m/s].
-        dt: control period [s].
-        law: that law.
+        disk: function that returns the disk margin of a loop at the worst corner; None: no margins.
         uncertainty: relative error of mass and drag that takes the place of the ranges, or None.
 
     Example:
         >>> from surctl.marine.assessment import assumptions
-        >>> from surctl.marine.control import load_gains
+        >>> from surctl.marine.control import build_law, load_gains
         >>> from surctl.marine.vehicle import load_vehicle
-        >>> rov, gains = load_vehicle("bluerov2-wu"), load_gains("default").values
-        >>> [ranges] = assumptions(rov, gains, cruise=0.15, dt=0.05)
+        >>> from surctl.marine.verification import law_corners
+        >>> law, gains = build_law(), load_gains("default")
+        >>> [ranges] = assumptions(
+        ...     load_vehicle("bluerov2-wu"), lambda tried: law_corners(law, tried, gains, cruise=0.15).disk
+        ... )
         >>> ranges.value, ranges.margins[0] > ranges.margins[2]
         ('of mass ±5% and of drag ±20%', True)
     """
-    margin = partial(_margin, gains=gains, cruise=cruise, dt=dt, law=law, uncertainty=uncertainty)
+
+    def margin(one: Vehicle, spread: float = 1.0) -> float:
+        try:
+            return float("nan") if disk is None else disk(corners(one, uncertainty, spread=spread))
+        except InputError:  # the vehicle cannot hold the speed
+            return float("nan")
+
     assumed = []
     for name, parameter in vehicle.parameters.items():
         if parameter.provenance == DEFAULTED and parameter.value:
@@ -79,90 +79,15 @@ def assumptions(
             unit = "" if parameter.unit == "1" else f" {parameter.unit}"
             assumed.append(Assumption(name, f"= {parameter.value:g}{unit}", (half, same, double)))
     if corners(vehicle, uncertainty).assumed:
-        half, same, double = (margin(vehicle, spread=share) for share in (0.5, 1.0, 2.0))
+        half, same, double = (margin(vehicle, share) for share in (0.5, 1.0, 2.0))
         assumed.append(
             Assumption("ranges", f"of mass ±{MASS_SPREAD:.0%} and of drag ±{DRAG_SPREAD:.0%}", (half, same, double))
         )
     return tuple(assumed)
 
 
-def _margin(
-    vehicle: Vehicle,
-    *,
-    gains: Mapping[str, float] | None,
-    cruise: float,
-    dt: float,
-    law: str,
-    uncertainty: float | None,
-    spread: float = 1.0,
-) -> float:
-    if gains is None:
-        return float("nan")
-    try:
-        tried = corners(vehicle, uncertainty, spread=spread)
-        return cruise_corners(tried, gains, cruise=cruise, dt=dt, law=law, proved=False).disk
-    except InputError:  # the vehicle cannot hold the speed
-        return float("nan")
-
-
-# How a run of an unstable linear loop goes on: a bounded motion, such as a crab, or a departure from the path
-
-
-# end of the first leg in hull lengths: a start on a straight path would hide that a loop is unstable
-_BEND = (2.0, 0.5)
-
-
-def _motion_text(plant: Vehicle, model: Vehicle, gains: Gains, *, law: Law, cruise: float) -> str:
-    """Return how one run of a vehicle goes on after a bend of the path, in words; empty if there is no such run.
-
-    Args:
-        plant: the vehicle that moves.
-        model: the vehicle of the law's model.
-        gains: gains of the law.
-        law: a law for exact obstacle positions.
-        cruise: cruise speed [m/s].
-    """
-    size = mission_size(model, gains, cruise=cruise)
-    mission = straight_mission(model, cruise=cruise, size=size)
-    first, last = mission.path.waypoints
-    bend = first + 2 * size * np.array(_BEND)
-    mission = replace(mission, path=Path(np.array([first, bend, last + np.array([0.0, bend[1] - first[1]])])))
-    try:
-        run = simulate(mission, plant, gains=gains, law=law, model=model)
-    except InputError:
-        return ""
-    angle = np.degrees(np.arctan2(_BEND[1], _BEND[0]))
-    head = f"its run after a bend of {angle:.0f} deg, in still water,"
-    late = run.record.eta[len(run.record.eta) // 2 :]
-    away, m = float(np.abs(late[:, 1] - bend[1]).max()), run.metrics
-    if not m.reached:
-        return f"{head} does not arrive ({m.stopped_because} at {m.time_s:.0f} s), up to {away:.3g} m from the path"
-    crab = f"crabs by {m.crab_angle_deg:.0f} deg (at most {m.max_crab_angle_deg:.0f})"
-    return f"{head} stays bounded: it arrives, {crab}, and its second half is within {away:.2g} m of the path"
-
-
-# The nonlinear parts of a mission's assessment: region of attraction, no contact, and simulated runs
-
-
 DEFAULT_REGIONS = ("region-cruise-20", "region-turning-20", "region-steered-20")
 """The region claims of an assessment, strongest assumption first; the first that applies is the one of a vehicle."""
-
-
-def _region_part(vehicle: Vehicle, gains: Gains, *, law: str, guidance: Guidance, cruise: float, cap: float) -> Part:
-    """Return whether a region of attraction about the path is proved, and its size."""
-    claim = applicable_region(DEFAULT_REGIONS, vehicle, gains, law=law, guidance=guidance, cruise=cruise, cap=cap)
-    if not isinstance(claim, RegionStatement):
-        text = f"region of attraction: not applicable to {claim.to}, because {claim.because}"
-        return Part((), (Line(None, text, "region"),), claim)
-    proof = prove_statement(claim, vehicle, gains, cruise=cruise, cap=cap)
-    proved = proof.verdict == "proved"
-    sizes = (proof.offset, max(proof.ultimate_bound)) if proved else (0.0, float("nan"))
-    figures = (
-        Figure("region_m", sizes[0], "m", "distance beside the path from which the return is proved", "high"),
-        Figure("region_within_m", sizes[1], "m", "distance within which the motion ends, proved", "low"),
-    )
-    named = tuple(Figure(f.name, f.value, f.unit, f.meaning, f.better, where=claim.name) for f in figures)
-    return Part(named, (Line(True if proof.useful else None, f"{claim.name}: {proof.sentence}", "region"),), proof)
 
 
 def judged_contact(
@@ -184,72 +109,12 @@ def judged_contact(
         return Inapplicable.of("no contact", reason)
 
 
-def _contact_part(
-    missions: Sequence[tuple[Scenario, Vehicle]],
-    gains: Gains,
-    *,
-    law: str,
-    sonar: bool = True,
-    barrier: Barrier = "simple",
-    movers: Movers = "predict",
-    spread: float | None = None,
-) -> Part:
-    """Return the no-contact claim of each mission, a scenario and its vehicle, that has obstacles."""
-    met = [(scenario, vehicle) for scenario, vehicle in missions if scenario.obstacles]
-    if BARRIER not in law_source(law).parts:
-        text = f"no contact: not judged, because the claim concerns law guarded and this is {label(law)}"
-        return Part((), (Line(None, text, "runs", counts=bool(met)),))
-    sensed = "by sonar" if sonar else "with true positions"
-    claims = [judged_contact(*each, gains, sonar=sonar, barrier=barrier, movers=movers, spread=spread) for each in met]
-    lines = []
-    for (scenario, _), claim in zip(met, claims, strict=True):
-        if isinstance(claim, Inapplicable):
-            lines.append(Line(None, f"no contact in {scenario.name} {sensed}: {claim.sentence}", "runs"))
-            continue
-        how = f"holds for obstacles {claim.obstacles}: margin {claim['margin']:g} m, "
-        how += f"needed {claim['margin needed']:.3g} m"
-        end = how if claim.holds else f"does not hold: {claim.shortfall}"
-        lines.append(Line(claim.holds, f"no contact in {scenario.name} {claim.sensed} {end}", "runs"))
-    spare = [(c["margin"] - c["margin needed"], c.scenario) for c in claims if isinstance(c, SafetyClaim)]
-    if not spare:
-        return Part((), tuple(lines), tuple(claims))
-    least, where = min(spare)
-    where = f"{where} {sensed}"
-    figure = Figure("contact_margin_m", least, "m", "gain margin beyond the one that braking needs", "high", 0.0, where)
-    return Part((figure,), tuple(lines), tuple(claims))
-
-
-def _runs_part(runs: Sequence[Run], *, extra: Sequence[bool] = ()) -> Part:
-    """Return what runs show: arrival, clearance, path error, thrust at its limit; `extra` ones do not count."""
-    lines = []
-    apart = extra or [False] * len(runs)
-    for place, (run, beside) in enumerate(zip(runs, apart, strict=True), start=1):
-        m = run.metrics
-        text = f"{run.scenario.name} by {run.vehicle.name}, {run.sensing}: {m.stopped_because} at {m.time_s:.1f} s"
-        text += f", least clearance {m.min_clearance_m:.3f} m"
-        text += f": {why}" if (why := stop_reason(run)) else ""
-        lines.append(Line(m.reached and m.min_clearance_m > 0, text, f"runs-{place}", counts=not beside))
-        if m.axis_saturated_share > SATURATED:
-            full = f"a thrust is at its limit {m.axis_saturated_share:.0%} of the time"
-            text = f"{run.scenario.name}, {run.sensing}: {full}, so the linear margins do not describe this run"
-            lines.append(Line(None, text, f"runs-{place}", counts=not beside))
-    counted = [run for run, beside in zip(runs, apart, strict=True) if not beside]
-    if not counted:
-        return Part((), tuple(lines), tuple(runs))
-    rows: tuple[tuple[str, str, str, Literal["high", "low"]], ...] = (
-        ("time_ratio", "1", "arrival time over the ideal time (path length / cruise speed)", "low"),
-        ("path_error_m", "m", "rms distance to the path", "low"),
-        ("min_clearance_m", "m", "least distance to an obstacle or wall", "high"),
-        ("limited_share", "1", "share of time at its limit of the thrust that is there most", "low"),
-    )
-    figures = []
-    for name, unit, meaning, better in rows:
-        values = np.array([_of(run, name) for run in counted])
-        ill = np.where(np.isnan(values), -np.inf, values if better == "low" else -values)
-        at = int(np.argmax(ill))
-        where = counted[at].scenario.name
-        figures.append(Figure(name, float(values[at]), unit, f"{meaning}, worst run", better, where=where))
-    return Part(tuple(figures), tuple(lines), tuple(runs))
+_OF_RUNS: tuple[tuple[str, str, str, Literal["high", "low"]], ...] = (
+    ("time_ratio", "1", "arrival time over the ideal time (path length / cruise speed)", "low"),
+    ("path_error_m", "m", "rms distance to the path", "low"),
+    ("min_clearance_m", "m", "least distance to an obstacle or wall", "high"),
+    ("limited_share", "1", "share of time at its limit of the thrust that is there most", "low"),
+)
 
 
 def _of(run: Run, name: str) -> float:
@@ -340,112 +205,13 @@ def unstable_text(mode: Mode) -> str:
     return f"pole {mode.real:.3g} 1/s, dominant states {states}; stable {mode.remedy}"
 
 
-def _analyse_loop(
-    vehicle: Vehicle,
-    gains: Gains,
-    *,
-    law: str,
-    cruise: float,
-    dt: float | None = None,
-    guidance: Guidance = "los",
-    uncertainty: float | None = None,
-    missions: Sequence[Scenario] = (),
-) -> LoopAnalysis:
-    """Return the linear analysis of a law.
-
-    A law that tracks is linearised about a straight cruise by its derivatives, a law that steers there by differences,
-    any other law by differences about the steadiest motion of a run.
-
-    Args:
-        vehicle: nominal plant and model of the controller.
-        gains: the gains.
-        law: reference of the law.
-        cruise: cruise speed [m/s].
-        dt: control period [s]; None: that of the law.
-        guidance: guidance of the law.
-        uncertainty: relative error of mass and drag; None: the ranges of the vehicle file, or the default (`corners`).
-        missions: scenarios of the run, the first with a steady motion, without waves and drift; none: a straight path
-            in open water.
-
-    Raises:
-        InputError: the law is a user's own and fails.
-    """
-    source = law_source(law)
-    period: dict[str, Any] = {} if dt is None else {"dt": dt}
-    built = vehicle_law(vehicle, law, guidance=guidance, **period)
-    if source.steering is None and has_cruise_loop(law, guidance):
-        try:
-            check_cruise(vehicle, cruise)
-        except InputError as error:
-            return LoopAnalysis(cruise, unjudged=f"a cruise at {cruise:g} m/s {error.problem}")
-        speeds: dict[str, Any] = {"cruise": cruise, "dt": built.dt, "law": law}
-        values, tried = gains.values, corners(vehicle, uncertainty)
-        analysis = LoopAnalysis(
-            cruise,
-            cruise_corners(tried, values, **speeds),
-            slowest_mode(vehicle, values, **speeds),
-            assumptions=assumptions(vehicle, values, uncertainty=uncertainty, **speeds),
-            slow=slow_margins(vehicle, values, uncertainty=uncertainty, **speeds),
-        )
-        return _with_motion(analysis, tried, vehicle, gains, built)
-    own = gains.with_own(source.gains)
-    if source.steering is not None:
-        try:
-            loops = law_corners(built, vehicle, own, cruise=cruise, uncertainty=uncertainty)
-        except InputError as error:
-            return LoopAnalysis(cruise, unjudged=_reason(error, cruise))
-        assumed = assumptions(vehicle, None, cruise=cruise, dt=built.dt, uncertainty=uncertainty)
-        analysis = LoopAnalysis(cruise, loops, assumptions=assumed)
-        return _with_motion(analysis, corners(vehicle, uncertainty), vehicle, own, built)
-    return _about_runs(built, vehicle, own, cruise=cruise, uncertainty=uncertainty, missions=missions)
-
-
-def _with_motion(analysis: LoopAnalysis, tried: Corners, model: Vehicle, gains: Gains, law: Law) -> LoopAnalysis:
-    loops = analysis.loops
-    if loops is None or loops.stable:
-        return analysis
-    plant = tried.vehicle(loops.corner) if loops.nominal.stable else model
-    return replace(analysis, motion=_motion_text(plant, model, gains, law=law, cruise=analysis.cruise))
-
-
-def _about_runs(
-    law: Law,
-    vehicle: Vehicle,
-    gains: Gains,
-    *,
-    cruise: float,
-    uncertainty: float | None,
-    missions: Sequence[Scenario],
-) -> LoopAnalysis:
-    reason = ""
-    for mission in missions or (None,):
-        run = _run(law, vehicle, gains, cruise=cruise, mission=mission)
-        if run.metrics.stopped_because == "fault":
-            why = f"the run of {run.scenario.name} ended with a fault: {stop_reason(run)}"
-            return LoopAnalysis(cruise, unjudged=why, failed=True)
-        try:
-            at = steady_motion(run)
-            loops = law_corners(law, vehicle, gains, cruise=cruise, uncertainty=uncertainty, at=at)
-        except InputError as error:
-            reason = reason or _reason(error, cruise)
-            continue
-        assumed = assumptions(vehicle, None, cruise=at.speed, dt=law.dt, uncertainty=uncertainty)
-        return LoopAnalysis(at.speed, loops, assumptions=assumed)
-    return LoopAnalysis(cruise, unjudged=reason or f"law {label(law.ref)} has no steady motion")
-
-
 def _reason(error: InputError, cruise: float) -> str:
     which = f"a cruise at {cruise:g} m/s" if error.key in (None, "cruise") else error.key
     return f"{which} {error.problem}"
 
 
-def _run(law: Law, vehicle: Vehicle, gains: Gains, *, cruise: float, mission: Scenario | None) -> Run:
-    if mission is None:
-        scenario = straight_mission(vehicle, cruise=cruise, size=mission_size(vehicle, gains, cruise=cruise))
-    else:
-        calm = Disturbance(current_m_per_s=mission.disturbance.current_m_per_s)
-        scenario = replace(mission, cruise=cruise, cap=max(mission.cap, cruise), disturbance=calm)
-    return simulate(scenario, vehicle, gains=gains, law=law)
+# end of the first leg in hull lengths: a start on a straight path would hide that a loop is unstable
+_BEND = (2.0, 0.5)
 
 
 @dataclass(frozen=True, eq=False)
@@ -498,52 +264,176 @@ class Mission:
         """Reference of the law."""
         return self.law or default_law(self.vehicle)
 
+    @property
+    def missions(self) -> tuple[tuple[Scenario, Vehicle], ...]:
+        """Each scenario with its vehicle."""
+        return tuple(zip(self.scenarios, self.hulls or [self.vehicle] * len(self.scenarios), strict=True))
+
     def parts(self) -> Mapping[str, Callable[[], Part]]:
         """Return the parts of the assessment; those about missions only if there is one."""
-        about: dict[str, Any] = {"vehicle": self.vehicle, "gains": self.gains, "law": self.law_ref}
-        parts: dict[str, Callable[[], Part]] = {
-            "loop": self._loop,
-            "region": partial(_region_part, **about, guidance=self.guidance, cruise=self.cruise, cap=self.cap),
-        }
-        if self.scenarios:
-            parts["no contact"] = partial(
-                _contact_part,
-                tuple(zip(self.scenarios, self.hulls or [self.vehicle] * len(self.scenarios), strict=True)),
-                self.gains,
-                law=self.law_ref,
-                sonar=self.sensed == "sonar",
-                barrier=self.barrier,
-                movers=self.movers,
-                spread=self.uncertainty,
-            )
-            parts["runs"] = lambda: _runs_part(self._runs(), extra=self.extra)
-        return parts
+        parts = {"loop": self._loop, "region": self._region}
+        return parts | ({"no contact": self._contact, "runs": self._runs} if self.scenarios else {})
 
     def _loop(self) -> Part:
-        part = _analyse_loop(
-            self.vehicle,
-            self.gains,
-            law=self.law_ref,
-            cruise=self.cruise,
-            dt=self.dt,
-            guidance=self.guidance,
-            uncertainty=self.uncertainty,
-            missions=self.scenarios,
-        ).part()
+        part = self._analysis().part()
         mode = part.source.mode
         text = None if mode is None else cap_above(self.vehicle, mode.bearable, cap=self.cap)
         return part if text is None else part._replace(lines=(*part.lines, Line(None, text, "cap", counts=False)))
+
+    def _analysis(self) -> LoopAnalysis:
+        """Return the linear analysis of the law.
+
+        A law that tracks is linearised about a straight cruise by its derivatives, a law that steers there by
+        differences, any other law by differences about the steadiest motion of a run.
+        """
+        vehicle, cruise, law, source = self.vehicle, self.cruise, self.law_ref, law_source(self.law_ref)
+        period: dict[str, Any] = {} if self.dt is None else {"dt": self.dt}
+        built = vehicle_law(vehicle, law, guidance=self.guidance, **period)
+        ranges: dict[str, Any] = {"uncertainty": self.uncertainty}
+        if source.steering is None and has_cruise_loop(law, self.guidance):
+            try:
+                check_cruise(vehicle, cruise)
+            except InputError as error:
+                return LoopAnalysis(cruise, unjudged=f"a cruise at {cruise:g} m/s {error.problem}")
+            speeds: dict[str, Any] = {"cruise": cruise, "dt": built.dt, "law": law}
+            values, margins = self.gains.values, partial(law_corners, built, gains=self.gains, cruise=cruise)
+            analysis = LoopAnalysis(
+                cruise,
+                margins(corners(vehicle, self.uncertainty)),
+                slowest_mode(vehicle, values, **speeds),
+                assumptions=assumptions(vehicle, lambda tried: margins(tried, proved=False).disk, **ranges),
+                slow=slow_margins(vehicle, values, **ranges, **speeds),
+            )
+            return self._with_motion(analysis, self.gains, built)
+        own = self.gains.with_own(source.gains)
+        if source.steering is not None:
+            try:
+                loops = law_corners(built, corners(vehicle, self.uncertainty), own, cruise=cruise)
+            except InputError as error:
+                return LoopAnalysis(cruise, unjudged=_reason(error, cruise))
+            analysis = LoopAnalysis(cruise, loops, assumptions=assumptions(vehicle, **ranges))
+            return self._with_motion(analysis, own, built)
+        return self._about_runs(own, built)
+
+    def _with_motion(self, analysis: LoopAnalysis, gains: Gains, law: Law) -> LoopAnalysis:
+        # how a run of an unstable loop goes on: a bounded motion, such as a crab, or a departure from the path
+        loops = analysis.loops
+        if loops is None or loops.stable:
+            return analysis
+        model, tried = self.vehicle, corners(self.vehicle, self.uncertainty)
+        plant = tried.vehicle(loops.corner) if loops.nominal.stable else model
+        size = mission_size(model, gains, cruise=self.cruise)
+        mission = straight_mission(model, cruise=self.cruise, size=size)
+        first, last = mission.path.waypoints
+        bend = first + 2 * size * np.array(_BEND)
+        mission = replace(mission, path=Path(np.array([first, bend, last + np.array([0.0, bend[1] - first[1]])])))
+        try:
+            run = simulate(mission, plant, gains=gains, law=law, model=model)
+        except InputError:
+            return analysis
+        head = f"its run after a bend of {np.degrees(np.arctan2(_BEND[1], _BEND[0])):.0f} deg, in still water,"
+        late = run.record.eta[len(run.record.eta) // 2 :]
+        away, m = float(np.abs(late[:, 1] - bend[1]).max()), run.metrics
+        crab = f"crabs by {m.crab_angle_deg:.0f} deg (at most {m.max_crab_angle_deg:.0f})"
+        text = f"stays bounded: it arrives, {crab}, and its second half is within {away:.2g} m of the path"
+        if not m.reached:
+            text = f"does not arrive ({m.stopped_because} at {m.time_s:.0f} s), up to {away:.3g} m from the path"
+        return replace(analysis, motion=f"{head} {text}")
+
+    def _about_runs(self, gains: Gains, law: Law) -> LoopAnalysis:
+        # about the first mission with a steady motion, without waves and drift; a straight path if there is no mission
+        vehicle, cruise, reason = self.vehicle, self.cruise, ""
+        size = mission_size(vehicle, gains, cruise=cruise) if not self.scenarios else 0.0
+        for scenario in self.scenarios or (straight_mission(vehicle, cruise=cruise, size=size),):
+            calm = Disturbance(current_m_per_s=scenario.disturbance.current_m_per_s)
+            mission = replace(scenario, cruise=cruise, cap=max(scenario.cap, cruise), disturbance=calm)
+            run = simulate(mission, vehicle, gains=gains, law=law)
+            if run.metrics.stopped_because == "fault":
+                why = f"the run of {run.scenario.name} ended with a fault: {stop_reason(run)}"
+                return LoopAnalysis(cruise, unjudged=why, failed=True)
+            try:
+                at = steady_motion(run)
+                loops = law_corners(law, corners(vehicle, self.uncertainty), gains, cruise=cruise, at=at)
+            except InputError as error:
+                reason = reason or _reason(error, cruise)
+                continue
+            return LoopAnalysis(at.speed, loops, assumptions=assumptions(vehicle, uncertainty=self.uncertainty))
+        return LoopAnalysis(cruise, unjudged=reason or f"law {label(law.ref)} has no steady motion")
+
+    def _region(self) -> Part:
+        # whether a region of attraction about the path is proved, and its size
+        vehicle, gains = self.vehicle, self.gains
+        speeds: dict[str, Any] = {"cruise": self.cruise, "cap": self.cap}
+        kind: dict[str, Any] = {"law": self.law_ref, "guidance": self.guidance}
+        claim = applicable_region(DEFAULT_REGIONS, vehicle, gains, **kind, **speeds)
+        if not isinstance(claim, RegionStatement):
+            text = f"region of attraction: not applicable to {claim.to}, because {claim.because}"
+            return Part((), (Line(None, text, "region"),), claim)
+        proof = prove_statement(claim, vehicle, gains, **speeds)
+        sizes = (proof.offset, max(proof.ultimate_bound)) if proof.verdict == "proved" else (0.0, float("nan"))
+        away = "distance beside the path from which the return is proved"
+        end = "distance within which the motion ends, proved"
+        figures = (
+            Figure("region_m", sizes[0], "m", away, "high", where=claim.name),
+            Figure("region_within_m", sizes[1], "m", end, "low", where=claim.name),
+        )
+        line = Line(True if proof.useful else None, f"{claim.name}: {proof.sentence}", "region")
+        return Part(figures, (line,), proof)
+
+    def _contact(self) -> Part:
+        # the no-contact claim of each mission that has obstacles
+        met = [(scenario, vehicle) for scenario, vehicle in self.missions if scenario.obstacles]
+        if BARRIER not in law_source(self.law_ref).parts:
+            text = f"no contact: not judged, because the claim concerns law guarded and this is {label(self.law_ref)}"
+            return Part((), (Line(None, text, "runs", counts=bool(met)),))
+        sensed = "by sonar" if self.sensed == "sonar" else "with true positions"
+        kind: dict[str, Any] = {"sonar": self.sensed == "sonar", "barrier": self.barrier, "movers": self.movers}
+        claims = [judged_contact(*each, self.gains, **kind, spread=self.uncertainty) for each in met]
+        lines = []
+        for (scenario, _), claim in zip(met, claims, strict=True):
+            if isinstance(claim, Inapplicable):
+                lines.append(Line(None, f"no contact in {scenario.name} {sensed}: {claim.sentence}", "runs"))
+                continue
+            how = f"holds for obstacles {claim.obstacles}: margin {claim['margin']:g} m, "
+            how += f"needed {claim['margin needed']:.3g} m"
+            end = how if claim.holds else f"does not hold: {claim.shortfall}"
+            lines.append(Line(claim.holds, f"no contact in {scenario.name} {claim.sensed} {end}", "runs"))
+        spare = [(c["margin"] - c["margin needed"], c.scenario) for c in claims if isinstance(c, SafetyClaim)]
+        figures = []
+        if spare:
+            least, where = min(spare)
+            text, where = "gain margin beyond the one that braking needs", f"{where} {sensed}"
+            figures.append(Figure("contact_margin_m", least, "m", text, "high", 0.0, where))
+        return Part(tuple(figures), tuple(lines), tuple(claims))
+
+    def _runs(self) -> Part:
+        # what runs show: arrival, clearance, path error, thrust at its limit
+        runs = tuple(self._run(*each) for each in self.missions) if self.runs is None else self.runs
+        apart, lines = self.extra or [False] * len(runs), []
+        for place, (run, beside) in enumerate(zip(runs, apart, strict=True), start=1):
+            m = run.metrics
+            text = f"{run.scenario.name} by {run.vehicle.name}, {run.sensing}: {m.stopped_because} at {m.time_s:.1f} s"
+            text += f", least clearance {m.min_clearance_m:.3f} m"
+            text += f": {why}" if (why := stop_reason(run)) else ""
+            lines.append(Line(m.reached and m.min_clearance_m > 0, text, f"runs-{place}", counts=not beside))
+            if m.axis_saturated_share > SATURATED:
+                full = f"a thrust is at its limit {m.axis_saturated_share:.0%} of the time"
+                text = f"{run.scenario.name}, {run.sensing}: {full}, so the linear margins do not describe this run"
+                lines.append(Line(None, text, f"runs-{place}", counts=not beside))
+        counted = [run for run, beside in zip(runs, apart, strict=True) if not beside]
+        figures = []
+        for name, unit, meaning, better in _OF_RUNS if counted else ():
+            values = np.array([_of(run, name) for run in counted])
+            ill = np.where(np.isnan(values), -np.inf, values if better == "low" else -values)
+            at = int(np.argmax(ill))
+            where = counted[at].scenario.name
+            figures.append(Figure(name, float(values[at]), unit, f"{meaning}, worst run", better, where=where))
+        return Part(tuple(figures), tuple(lines), runs)
 
     @property
     def sensed(self) -> Sensing:
         """What the law measures in the missions."""
         return self.sensing or ("sonar" if "sonar" in law_source(self.law_ref).sensing else "truth")
-
-    def _runs(self) -> tuple[Run, ...]:
-        if self.runs is not None:
-            return self.runs
-        hulls = self.hulls or [self.vehicle] * len(self.scenarios)
-        return tuple(self._run(*each) for each in zip(self.scenarios, hulls, strict=True))
 
     def _run(self, scenario: Scenario, vehicle: Vehicle) -> Run:
         options: dict[str, Any] = {"guidance": self.guidance, "barrier": self.barrier, "movers": self.movers}

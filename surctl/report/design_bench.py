@@ -21,8 +21,9 @@ from surctl.files import quoted, read_toml, write_file
 from surctl.ir import Layout
 from surctl.lyapunov import solve
 from surctl.report.motion_plots import plot_motion
-from surctl.report.panel import Curve, Panel, Shade
-from surctl.system import LinearLoop, Record, System, entry_labels, entry_units, linearise, run_system
+from surctl.report.panel import Panel
+from surctl.report.system_plots import run_panels
+from surctl.system import LinearLoop, System, entry_labels, entry_units, linearise, run_system
 from surctl.tuning.loop_goals import LoopGoal
 
 Array = NDArray[np.float64]
@@ -175,11 +176,9 @@ class SystemBench:
                 text = _quantity(value, cost.unit) + ("" if cost.at_most is None else f", at most {cost.at_most:g}")
                 mark = next((_MARKS[line.passed] for line in judged), "")
                 rows.append((f"{cost.meaning or name}, {point}", text, f"cost {name} {point}", mark))
-            for label, values_, unit in _entries(record, "command"):
-                rows.append(
-                    (f"{label}, {point}", activity(values_, record.system.dt, unit), f"act {label} {point}", "")
-                )
-        return RunView(rows, _signal_panels(runs))
+            for _, label, unit, moved in record.entries("command"):
+                rows.append((f"{label}, {point}", activity(moved, record.system.dt, unit), f"act {label} {point}", ""))
+        return RunView(rows, run_panels(runs, most=_MOST_TIMES))
 
     def assess(self, values: Values) -> Assessment:
         """Return the assessment at the first operating point."""
@@ -290,31 +289,3 @@ def activity(values: Array, dt: float, unit: str) -> str:
 
 def _quantity(value: float, unit: str) -> str:
     return f"{value:.4g}" + ("" if unit == "1" else f" {unit}")
-
-
-def _entries(record: Record, *kinds: str) -> list[tuple[str, Array, str]]:
-    entries = []
-    for name, port in record.ports(*kinds).items():
-        alone = Layout((port,))
-        labels = (label.replace(port.name, name, 1) for label in entry_labels(alone))
-        entries += list(zip(labels, record.signals[name].T, entry_units(alone), strict=True))
-    return entries
-
-
-def _signal_panels(runs: Mapping[str, Record]) -> list[Panel]:
-    """Return a panel for each state and command with the run of every operating point."""
-    panels: dict[str, tuple[str, list[Curve]]] = {}
-    shades: dict[str, list[Shade]] = {}
-    for k, (point, record) in enumerate(runs.items()):
-        for kind in ("state", "command", "reference"):
-            for label, values, unit in _entries(record, kind):
-                step = max(1, len(values) // _MOST_TIMES)
-                curve = Curve(record.time[::step], values[::step], point, k, "steps" if kind == "command" else "line")
-                panels.setdefault(label, (unit, []))[1].append(curve)
-                if limits := record.system.limits.get(label):
-                    (low, high), ends = limits, record.time[[0, -1]]
-                    shades[label] = [Shade(ends, np.full(2, low), "below"), Shade(ends, np.full(2, high), "above")]
-    return [
-        Panel(f"Run: {label}", "time [s]", f"{label} [{unit}]", curves, shades.get(label, ()))
-        for label, (unit, curves) in panels.items()
-    ]

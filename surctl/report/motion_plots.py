@@ -11,7 +11,7 @@ from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from surctl.lyapunov import Dynamics
-from surctl.report.theme import AVOIDING, GOOD, INK, MUTED, ROBOT, dress, new_figure
+from surctl.report.theme import AVOIDING, GOOD, INK, MUTED, ROBOT, dress, grid_of
 from surctl.system.plant import runge_kutta
 from surctl.verification.formula import Node
 
@@ -51,24 +51,20 @@ def plot_motion(dynamics: Dynamics, function: Node, *, level: float, falsified: 
         ['x [m]']
     """
     planes = list(combinations(range(len(dynamics.states)), 2))[:_MOST_PLANES] or [(0, 0)]
-    columns = min(len(planes), 3)
-    rows = -(-len(planes) // columns)
-    figure = new_figure(0.6 + 4.2 * columns, 0.9 + 3.9 * rows)
-    axes = figure.subplots(rows, columns, squeeze=False).reshape(-1)
-    for ax, plane in zip(axes, planes, strict=False):
+    axes = grid_of(len(planes), most=3, size=(4.4, 3.9), extra=0.9)
+    for ax, plane in zip(axes, planes, strict=True):
         if plane == (0, 0):
             _line(ax, dynamics, function, level, falsified)
         else:
             _plane(ax, dynamics, function, plane, level, falsified)
-    for ax in axes[len(planes) :]:
-        ax.set_visible(False)
+    figure, columns = axes[0].figure.figure, min(len(planes) + 1, 3)
     handles = [
         Line2D([], [], color=GOOD, lw=1.8, label=f"V = {level:.4g}, certified"),
         Line2D([], [], color=MUTED, lw=0.8, label="solutions from the boundary"),
     ]
     if falsified is not None:
         handles.insert(1, Line2D([], [], color=AVOIDING, lw=1.4, ls="--", label=f"V = {falsified:.4g}, falsified"))
-    figure.legend(handles=handles, loc="outside lower center", ncols=min(columns + 1, 3), fontsize=8.5, frameon=False)
+    figure.legend(handles=handles, loc="outside lower center", ncols=columns, fontsize=8.5, frameon=False)
     return figure
 
 

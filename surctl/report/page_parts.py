@@ -11,13 +11,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from surctl.errors import InputError, SurctlError, nearest
+from surctl.errors import InputError, SurctlError, check_known
 from surctl.report.design_bench import DesignBench, Slider, View
-from surctl.report.panel import Curve, Panel, Shade, draw_panels, panel_svg
-from surctl.report.theme import png
+from surctl.report.panel import Curve, Panel, Shade, draw_panel, draw_panels, panel_svg
+from surctl.report.theme import BAD, dress, legend_above, new_axes, png
 from surctl.system import LinearLoop
 from surctl.tuning.loop_goals import LoopView
 from surctl.tuning.loop_responses import frequencies, rates, response, step_series
@@ -91,13 +92,50 @@ def _loop_panels(
     return panels
 
 
-def _locus_panel(title: str, values: Array, loops: Sequence[LinearLoop], here: LinearLoop) -> Panel:
-    """Return the poles over the values of one gain, with the poles at its present value."""
-    every = [rates(loop) for loop in loops]
-    joined = np.concatenate(every) if every else np.zeros(0, dtype=complex)
-    now = rates(here)
-    curves = [Curve(joined.real, joined.imag, f"{values[0]:.3g} to {values[-1]:.3g}", 0, "dots")]
-    return _pole_panel(title, [*curves, Curve(now.real, now.imag, "now", 1, "poles")])
+def _locus_panel(title: str, loops: Sequence[LinearLoop], marked: Loops, label: str = "") -> Panel:
+    """Return the poles of the loops over the values of a number, and of some of them by their text in the legend."""
+    every = np.concatenate([rates(loop) for loop in loops] or [np.zeros(0, dtype=complex)])
+    curves = [Curve(every.real, every.imag, label, 0, "dots")]
+    for k, (text, loop) in enumerate(marked.items(), start=1):
+        curves.append(Curve(rates(loop).real, rates(loop).imag, text, k, "poles"))
+    return _pole_panel(title, curves)
+
+
+def plot_locus(
+    loops: Sequence[LinearLoop],
+    values: ArrayLike,
+    name: str,
+    *,
+    unit: str = "",
+    picked: float | None = None,
+    ax: Axes | None = None,
+) -> Axes:
+    """Plot the root locus of loops over the values of a number: the poles of each, those at the picked value marked.
+
+    Example:
+        >>> from surctl.report import plot_locus
+        >>> from surctl.system import linearise
+        >>> from surctl.testing import cart_system
+        >>> gains = [1.0, 2.0, 4.0]
+        >>> ax = plot_locus([linearise(cart_system(k)) for k in gains], gains, "k", unit="1/s", picked=2.0)
+        >>> [line.get_label() for line in ax.lines], ax.figure.axes[-1].get_ylabel()
+        (['start: 1', 'picked: 2', 'stability boundary'], 'k [1/s]')
+    """
+    numbers = np.asarray(values, dtype=float)
+    marked = {f"start: {numbers[0]:.3g}": loops[0]}
+    if picked is not None:
+        at = int(np.argmin(np.abs(numbers - picked)))
+        marked[f"picked: {numbers[at]:.3g}"] = loops[at]
+    ax = draw_panel(_locus_panel("", loops, marked), ax or new_axes(6.4, 4.9))
+    colours = np.repeat(numbers, [len(rates(loop)) for loop in loops])
+    dots = ax.lines[0]
+    points = ax.scatter(*dots.get_data(), s=5, c=colours, cmap="viridis", zorder=1.9)
+    dots.remove()
+    bar = ax.figure.colorbar(points, ax=ax)
+    dress(bar.ax, y=f"{name} [{unit}]" if unit else name)
+    ax.axvline(0.0, color=BAD, linewidth=1.2, label="stability boundary")
+    legend_above(ax, columns=3)
+    return ax
 
 
 def _goal_panels(scores: LoopScores, *, compared: LoopScores | None = None) -> list[Panel]:
@@ -379,10 +417,7 @@ def _both(bench: DesignBench, request: Request, points: Sequence[str] = ()) -> l
     """Return the loops of the present gains, and of the compared ones if there are any."""
     chosen = points or request["points"] or bench.points[:1]
     for point in chosen:
-        if point not in bench.points:
-            raise InputError(
-                "is not an operating point", key="points", value=point, remedy=nearest(str(point), bench.points)
-            )
+        check_known(point, bench.points, "is not an operating point", key="points")
     sets = [request["values"], request.get("compared")]
     return [None if k and one is None else _loops(bench, _values(bench, one), chosen) for k, one in enumerate(sets)]
 
@@ -439,7 +474,8 @@ def _details(bench: DesignBench, request: Request) -> dict[str, Any]:
     grid = _positions(slider, _LOCUS)
     point = next(iter(loops))
     swept = [bench.loop({**values, name: float(value)}, point) for value in grid]
-    locus = _locus_panel(f"Poles over {name}, {point}", grid, swept, loops[point])
+    there = f"{grid[0]:.3g} to {grid[-1]:.3g}"
+    locus = _locus_panel(f"Poles over {name}, {point}", swept, {"now": loops[point]}, there)
     return {"margins": _table(head, rows), "locus": panel_svg(locus)}
 
 

@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from surctl.report.theme import BAD, CYCLE, INK, curve, dress, finite, legend_above, new_figure
+from surctl.report.theme import BAD, CYCLE, INK, curve, dress, finite, grid_of, legend_above, new_figure
 
 Array = NDArray[np.float64]
 
@@ -96,6 +96,8 @@ def draw_panel(panel: Panel, ax: Axes) -> Axes:
             curve(ax, one.x, one.y, label=one.label, k=one.k, faint=one.faint)
             if one.kind == "steps":
                 ax.lines[-1].set_drawstyle("steps-post")
+            if len(one.x) == 1:
+                ax.lines[-1].set_marker("o")
     low, high = _limits(panel)[1]
     for shade in panel.shades:
         end = high if shade.side == "above" else low
@@ -116,14 +118,14 @@ def draw_panel(panel: Panel, ax: Axes) -> Axes:
     return ax
 
 
-def draw_panels(panels: Sequence[Panel], *, columns: int = 2) -> Figure:
+def draw_panels(panels: Sequence[Panel]) -> Figure:
     """Return a figure with several panels in a grid."""
-    columns = min(columns, len(panels)) or 1
-    rows = -(-len(panels) // columns)
-    figure = new_figure(5.2 * columns, 3.6 * max(rows, 1))
-    for k, panel in enumerate(panels):
-        draw_panel(panel, figure.add_subplot(rows, columns, k + 1))
-    return figure
+    if not panels:
+        return new_figure(5.2, 3.6)
+    axes = grid_of(len(panels), most=2, size=(5.2, 3.6))
+    for panel, ax in zip(panels, axes, strict=True):
+        draw_panel(panel, ax)
+    return axes[0].figure.figure
 
 
 def panel_svg(panel: Panel) -> str:

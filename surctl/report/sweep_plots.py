@@ -14,7 +14,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
-from surctl.errors import InputError, nearest
+from surctl.errors import InputError, check_known
 from surctl.report.theme import (
     AVOIDING,
     INK,
@@ -75,8 +75,7 @@ def plot_heat_map(
     varied = sorted(names, key=lambda name: table.shape[names.index(name)] == 1)
     across, up = over or (varied[0], varied[1])
     for name in (across, up):
-        if name not in names:
-            raise InputError("no such axis", key="heat map", value=name, remedy=nearest(name, names))
+        check_known(name, names, "no such axis", key="heat map")
     if across == up:
         raise InputError(
             "is given for both axes of the plot", key="heat map", value=across, remedy="name two different axes"

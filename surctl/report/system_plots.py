@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from types import MappingProxyType
+from typing import Literal
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike, NDArray
 
-from surctl.errors import InputError, nearest
-from surctl.ir import Layout
+from surctl.errors import InputError, check_known
+from surctl.report.panel import Curve, Panel, Shade, draw_panel
 from surctl.report.theme import (
     AVOIDING,
     BAD,
@@ -19,8 +22,8 @@ from surctl.report.theme import (
     INK,
     MUTED,
     ROBOT,
-    curve,
     dress,
+    grid_of,
     head,
     legend_above,
     legend_below,
@@ -28,8 +31,10 @@ from surctl.report.theme import (
     new_figure,
     printable,
 )
-from surctl.system import Record, Runs, entry_labels, entry_units
+from surctl.system import Record, Runs
 from surctl.tuning import SobolIndices
+
+Array = NDArray[np.float64]
 
 _NONE: Mapping[str, tuple[float, float]] = MappingProxyType({})
 
@@ -49,52 +54,38 @@ def plot_record(record: Record, *, limits: Mapping[str, tuple[float, float]] = _
         >>> [ax.get_ylabel() for ax in plot_record(run_system(cart_system(), 2.0)).axes]
         ['speed [m/s]', 'force [m/s^2]']
     """
-    groups, limits = _groups(record), limits or record.system.limits
-    figure = new_figure(8.5, 1.0 + 1.8 * len(groups))
-    system = record.system
-    head(figure, f"{system.title}, ended after {record.duration:g} s ({record.stopped})")
-    axes = figure.subplots(len(groups), 1, sharex=True, squeeze=False)[:, 0]
-    for ax, (name, unit, lines) in zip(axes, groups, strict=True):
-        for k, (label, values, held) in enumerate(lines):
-            curve(ax, record.time, values, label=label, k=k)
-            if held:
-                ax.lines[-1].set_drawstyle("steps-post")
-            if len(values) == 1:
-                ax.lines[-1].set_marker("o")
-        if name in limits:
-            _draw_limits(ax, limits[name])
-        dress(ax, y=f"{name} [{unit}]", x="time [s]" if ax is axes[-1] else "")
-        if len(lines) > 1:
-            legend_above(ax)
+    panels = run_panels({"": record}, limits=limits)
+    figure = new_figure(8.5, 1.0 + 1.8 * len(panels))
+    head(figure, f"{record.system.title}, ended after {record.duration:g} s ({record.stopped})")
+    axes = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
+    for ax, panel in zip(axes, panels, strict=True):
+        draw_panel(replace(panel, title="", x=panel.x if ax is axes[-1] else ""), ax)
     return figure
 
 
-def _draw_limits(ax: Axes, limits: tuple[float, float]) -> None:
-    low, high = ax.get_ylim()
-    space = 0.08 * (limits[1] - limits[0])
-    low, high = min(low, limits[0] - space), max(high, limits[1] + space)
-    for end, limit in ((low, limits[0]), (high, limits[1])):
-        ax.axhspan(min(end, limit), max(end, limit), color=BAD, alpha=0.1, linewidth=0)
-        ax.axhline(limit, color=BAD, linewidth=1.2)
-    ax.set_ylim(low, high)
+def run_panels(
+    runs: Mapping[str, Record], *, limits: Mapping[str, tuple[float, float]] = _NONE, most: int = sys.maxsize
+) -> list[Panel]:
+    """Return a panel for each state, command and reference of runs by name; its entries have one unit.
 
+    `limits` are as in `plot_record`, and `most` is about the largest number of times of a curve.
+    """
+    groups: dict[tuple[str, str], list[Curve]] = {}
+    for run, record in runs.items():
+        ports, commands, step = record.ports(), record.ports("command"), max(1, len(record.time) // most)
+        for name, label, unit, values in record.entries("state", "command", "reference"):
+            curves = groups.setdefault((name, unit), [])
+            words = [label] * (ports[name].size > 1) + [run] * (len(runs) > 1)
+            kind: Literal["steps", "line"] = "steps" if name in commands else "line"
+            curves.append(Curve(record.time[::step], values[::step], ", ".join(words), len(curves), kind))
+    panels, known = [], limits or next(iter(runs.values())).system.limits
+    for (name, unit), curves in groups.items():
+        ends = max((one.x[[0, -1]] for one in curves), key=lambda pair: float(pair[1]))
+        sides: tuple[Literal["below", "above"], ...] = ("below", "above")
+        shades = [Shade(ends, np.full(2, level), side) for level, side in zip(known.get(name, ()), sides, strict=False)]
+        panels.append(Panel(f"Run: {name}", "time [s]", f"{name} [{unit}]", curves, shades))
+    return panels
 
-_Line = tuple[str, NDArray[np.float64], bool]
-
-
-def _groups(record: Record) -> list[tuple[str, str, list[_Line]]]:
-    """Return (signal, unit, lines) of each plot; lines of commands are constant between control instants."""
-    commands = record.ports("command")
-    groups: dict[tuple[str, str], list[_Line]] = {}
-    for name, port in record.ports("state", "command", "reference").items():
-        alone = Layout((port,))
-        entries = zip(entry_labels(alone), entry_units(alone), record.signals[name].T, strict=True)
-        for label, unit, values in entries:
-            groups.setdefault((name, unit), []).append((label, values, name in commands))
-    return [(name, unit, lines) for (name, unit), lines in groups.items()]
-
-
-Array = NDArray[np.float64]
 
 _BANDS = ((5, 95, 0.18), (25, 75, 0.32))  # percentiles and opacity
 _BINS = 24
@@ -195,9 +186,8 @@ def plot_runs(runs: Runs, names: Sequence[str] = ()) -> Figure:
     chosen = list(names or runs.figures)
     if not chosen:
         raise InputError("have no metrics", key="runs", remedy="give System(..., costs={...})")
-    figure = new_figure(4.6 * min(len(chosen), 2), 3.2 * -(-len(chosen) // 2))
-    axes = figure.subplots(-(-len(chosen) // 2), min(len(chosen), 2), squeeze=False).ravel()
-    for ax, name in zip(axes, chosen, strict=False):
+    axes = grid_of(len(chosen), most=2, size=(4.6, 3.2))
+    for ax, name in zip(axes, chosen, strict=True):
         values = runs[name]
         known = values[np.isfinite(values)]
         dress(ax, title=f"{name}, {len(known)} of {len(values)} runs", x=name, y="runs")
@@ -206,9 +196,7 @@ def plot_runs(runs: Runs, names: Sequence[str] = ()) -> Figure:
             ax.axvline(float(known.mean()), color=INK, linewidth=1.2, label="mean")
             ax.axvline(float(np.percentile(known, 95)), color=AVOIDING, linestyle="--", linewidth=1.2, label="95 %")
             legend_above(ax, columns=2)
-    for ax in axes[len(chosen) :]:
-        ax.set_axis_off()
-    return figure
+    return axes[0].figure.figure
 
 
 def plot_dependence(values: Mapping[str, ArrayLike], runs: Runs | Mapping[str, Array], name: str) -> Figure:
@@ -244,17 +232,12 @@ def plot_dependence(values: Mapping[str, ArrayLike], runs: Runs | Mapping[str, A
         raise InputError("vary nothing", key="values", remedy="give one number for each run")
     strength = {key: _rank_correlation(array, figure_values) for key, array in numbers.items()}
     order = sorted(numbers, key=lambda key: -abs(strength[key]))
-    columns = min(3, len(order))
-    rows = -(-len(order) // columns)
-    figure = new_figure(3.7 * columns, 0.5 + 2.9 * rows)
-    head(figure, f"{name} of {len(figure_values)} runs")
-    axes = figure.subplots(rows, columns, squeeze=False).ravel()
-    for ax, key in zip(axes, order, strict=False):
+    axes = grid_of(len(order), most=3, size=(3.7, 2.9), extra=0.5)
+    head(axes[0].figure.figure, f"{name} of {len(figure_values)} runs")
+    for ax, key in zip(axes, order, strict=True):
         ax.plot(numbers[key], figure_values, ".", color=ROBOT, markersize=3, alpha=0.6)
         dress(ax, title=f"{key}: rank correlation {strength[key]:.2f}", x=key, y=name)
-    for ax in axes[len(order) :]:
-        ax.set_axis_off()
-    return figure
+    return axes[0].figure.figure
 
 
 def _rank_correlation(x: Array, y: Array) -> float:
@@ -266,15 +249,9 @@ def _rank_correlation(x: Array, y: Array) -> float:
 
 
 def _signal(record: Record, label: str) -> tuple[Array, str]:
-    known: list[str] = []
-    for name, port in record.ports().items():
-        alone = Layout((port,))
-        labels = [one.replace(port.name, name, 1) for one in entry_labels(alone)]
-        if label in labels:
-            k = labels.index(label)
-            return record.signals[name][:, k], entry_units(alone)[k]
-        known += labels
-    raise InputError("is not a signal of the run", key="signal", value=label, remedy=nearest(label, known))
+    known = {one: (values, unit) for _, one, unit, values in record.entries()}
+    check_known(label, known, "is not a signal of the run", key="signal")
+    return known[label]
 
 
 # Bars of Sobol' indices

@@ -12,7 +12,7 @@ from io import BytesIO
 from os import PathLike
 from pathlib import Path
 from textwrap import fill
-from typing import IO, Any, Literal
+from typing import IO, Any
 
 import matplotlib as mpl
 import numpy as np
@@ -115,6 +115,16 @@ def new_axes(width: float, height: float) -> Axes:
     return new_figure(width, height).add_subplot()
 
 
+def grid_of(count: int, *, most: int, size: tuple[float, float], extra: float = 0.0) -> list[Axes]:
+    """Return axes in rows of at most `most`, each of width × height `size` [in], below `extra` [in] for a title."""
+    columns = min(count, most)
+    rows = -(-count // columns)
+    axes = new_figure(size[0] * columns, extra + size[1] * rows).subplots(rows, columns, squeeze=False).ravel().tolist()
+    for ax in axes[count:]:
+        ax.set_axis_off()
+    return list(axes[:count])
+
+
 def lay_out(ax: Axes) -> None:
     """Arrange the figure of axes with equal scales once: the first layout leaves half of the figure blank."""
     figure = ax.figure.figure
@@ -140,12 +150,10 @@ def dress(ax: Axes, *, title: str = "", x: str = "", y: str = "") -> Axes:
     return ax
 
 
-def head(figure: Figure, text: str, *, x: float = 0.5, ha: Literal["left", "center"] = "center") -> None:
+def head(figure: Figure, text: str) -> None:
     """Set the title of a whole figure; the text is never interpreted as a formula."""
     said = _broken(printable(text), figure, share=0.85)
-    figure.suptitle(
-        said, x=x, ha=ha, fontsize=_TITLE, fontweight="bold", color=INK, parse_math=False, wrap=_wraps(said)
-    )
+    figure.suptitle(said, fontsize=_TITLE, fontweight="bold", color=INK, parse_math=False, wrap=_wraps(said))
 
 
 def _wraps(text: str) -> bool:

@@ -44,7 +44,7 @@ def _quaternion_rate(quaternion: ca.SX) -> ca.SX:
     return 0.5 * ca.vertcat(ca.horzcat(w, -z, y), ca.horzcat(z, w, -x), ca.horzcat(-y, x, w), ca.horzcat(-x, -y, -z))
 
 
-def quaternion_of(R: ca.SX) -> ca.SX:
+def _quaternion_of(R: ca.SX) -> ca.SX:
     """Return the unit quaternion (x, y, z, w), w ≥ 0, of a rotation matrix (Shepperd 1978)."""
     trace = R[0, 0] + R[1, 1] + R[2, 2]
     x, y, z = R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]
@@ -66,7 +66,7 @@ def quaternion_of(R: ca.SX) -> ca.SX:
 
 def rotation_vector(R: ca.SX) -> ca.SX:
     """Return angle · axis (3,) [rad] of a rotation matrix, with an angle in [0, π]."""
-    quaternion = quaternion_of(R)
+    quaternion = _quaternion_of(R)
     half = ca.norm_2(quaternion[:3])
     small = half < 1e-9
     # both branches are finite; for small angles the quotient is 2 to rounding
@@ -369,12 +369,7 @@ class Kinematics:
 
     def checked(self, value: ArrayLike, size: int, key: str) -> Array:
         """Return a vector of `size` finite numbers; raise InputError otherwise."""
-        vector = as_numbers(value, key=key).reshape(-1)
-        if vector.size != size or not np.isfinite(vector).all():
-            raise InputError(
-                f"is not {size} finite numbers", key=key, value=value, remedy=f"joints: {', '.join(self.names)}"
-            )
-        return vector
+        return as_numbers(value, key=key, size=size)
 
     def _numbers(self, link: str, q: ArrayLike) -> tuple[Array, Array, Array]:
         if link not in self._functions:
@@ -443,25 +438,16 @@ def _sparse(matrix: Array) -> ca.DM:
 
 def _moved(place: Array, step: Array) -> Array:
     """Return x, y, angle or position and quaternion after a motion `step` in the moving frame."""
+    from scipy.spatial.transform import RigidTransform, Rotation  # slow to import
+
     planar = place.size == 3
-    linear = np.array([step[0], step[1], 0.0]) if planar else step[:3]
-    turn = np.array([0.0, 0.0, step[2]]) if planar else step[3:]
-    angle = math.sqrt(float(turn @ turn))
-    if angle < 1e-6:
-        once, twice, half = 0.5, 1.0 / 6.0, 0.5
-    else:
-        once, twice = (1.0 - math.cos(angle)) / angle**2, (angle - math.sin(angle)) / angle**3
-        half = math.sin(angle / 2.0) / angle
-    across = np.cross(turn, linear)
-    shift = linear + once * across + twice * np.cross(turn, across)
+    position, rotation = (
+        ([*place[:2], 0.0], Rotation.from_rotvec([0.0, 0.0, place[2]]))
+        if planar
+        else (place[:3], Rotation.from_quat(place[3:]))
+    )
+    turn_and_shift = [0.0, 0.0, step[2], *step[:2], 0.0] if planar else [*step[3:], *step[:3]]
+    after = RigidTransform.from_components(position, rotation) * RigidTransform.from_exp_coords(turn_and_shift)
     if planar:
-        c, s = math.cos(place[2]), math.sin(place[2])
-        return np.array(
-            [place[0] + c * shift[0] - s * shift[1], place[1] + s * shift[0] + c * shift[1], place[2] + step[2]]
-        )
-    vector, w = place[3:6], place[6]
-    length = place[3:] @ place[3:]
-    turned = shift + 2.0 / length * np.cross(vector, np.cross(vector, shift) + w * shift)
-    a, b = half * turn, math.cos(angle / 2.0)
-    after = np.append(w * a + b * vector + np.cross(vector, a), w * b - vector @ a)
-    return np.concatenate([place[:3] + turned, after / math.sqrt(float(after @ after))])
+        return np.array([*after.translation[:2], place[2] + step[2]])
+    return np.concatenate([after.translation, after.rotation.as_quat()])

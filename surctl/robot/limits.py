@@ -15,11 +15,10 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.errors import InputError, check_known
+from surctl.errors import InputError, check_known, check_number
 from surctl.robot.kinematics import Coordinate, Kinematics
 from surctl.robot.urdf import Capsule, closest_points, read_xml
 from surctl.tasks import LimitRow
-from surctl.units import is_number
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -232,9 +231,8 @@ def self_collision(
         InputError: a link has a collision mesh and no shape is given, a name is unknown, no pair is left, or two links
             are nearer than the margin at every random configuration.
     """
-    for key, value in (("margin", margin), ("gain", gain)):
-        if not is_number(value) or value < 0.0 or (key == "gain" and value == 0.0):
-            raise InputError("is out of range", key=key, value=value, remedy="give a positive number")
+    check_number("margin", margin, unit="m", zero=True)
+    check_number("gain", gain, unit="1/s")
     own = dict(shapes or {})
     for link in own:
         robot.frame(link)
@@ -309,8 +307,7 @@ def _by_joint(robot: Kinematics, value: float | Mapping[str, float] | None, key:
         value = {place.joint.name: value for place in robot.coordinates if place.single}
     for joint, number in value.items():
         check_known(joint, robot.joints, "no such joint", key=key)
-        if not is_number(number) or number <= 0.0:
-            raise InputError("is not a positive number", key=f"{key}: {joint}", value=number, remedy="give SI units")
+        check_number(f"{key}: {joint}", number, unit="SI units")
     return {joint: float(number) for joint, number in value.items()}
 
 

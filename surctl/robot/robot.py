@@ -14,21 +14,19 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from surctl.errors import InputError, check_known, mistakes_in
+from surctl.errors import InputError, check_known, check_number, mistakes_in
 from surctl.ir import Port
 from surctl.robot import limits
-from surctl.robot.kinematics import Base, Kinematics, quaternion_of, rotation_of, rotation_vector
+from surctl.robot.kinematics import Base, Kinematics, rotation_of, rotation_vector
 from surctl.robot.urdf import read_urdf
 from surctl.tasks import Task
-from surctl.units import as_numbers, is_number
+from surctl.units import as_numbers
 
 # Tasks of a robot: frames, centre of mass, posture and the direction in which a frame looks
 
 
 Array: TypeAlias = NDArray[np.float64]
 
-_MATRIX = ca.SX.sym("R", 3, 3)
-_QUATERNION = ca.Function("quaternion", [_MATRIX], [quaternion_of(_MATRIX)])
 _NAME = re.compile(r"[a-z_][a-z0-9_]*", re.ASCII)
 
 
@@ -90,13 +88,15 @@ class FrameTask:
 
 def flat_pose(pose: ArrayLike) -> Array:
     """Return position and quaternion (7,): x, y, z [m], then x, y, z, w; from these, or from a matrix (4, 4)."""
+    from scipy.spatial.transform import Rotation  # slow to import
+
     matrix = as_numbers(pose, key="target")
     if matrix.shape != (4, 4):
         return matrix.reshape(-1)
     R = matrix[:3, :3]
     if not np.isfinite(matrix).all() or abs(R @ R.T - np.eye(3)).max() > 1e-6 or np.linalg.det(R) < 0.0:
         raise InputError("is not a pose", key="target", value=matrix.tolist(), remedy="give a homogeneous matrix")
-    return np.concatenate([matrix[:3, 3], np.array(_QUATERNION(R)).reshape(-1)])
+    return np.concatenate([matrix[:3, 3], Rotation.from_matrix(R).as_quat(canonical=True)])
 
 
 def _task(
@@ -125,8 +125,7 @@ def _vector(name: str, size: int, unit: str, meaning: str, default: Array) -> In
 
 
 def _number(name: str, value: float, unit: str, meaning: str) -> Input:
-    if not is_number(value) or not value > 0.0:
-        raise InputError("is not a positive number", key=name, value=value, remedy=f"give {unit}")
+    check_number(name, value, unit=unit)
     return Input(Port(name, (1,), unit, meaning, float(value)), ca.SX.sym(name), tunable=True)
 
 

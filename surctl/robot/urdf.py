@@ -13,8 +13,9 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.errors import InputError, check_known, mistakes_in, nearest
+from surctl.errors import InputError, check_known, check_number, mistakes_in, nearest
 from surctl.recorded import LARGEST_XML, file_bytes, xml_root
+from surctl.units import as_numbers
 
 # Capsules (and spheres) around the links of a robot, and the distance between two of them
 
@@ -42,12 +43,8 @@ class Capsule:
 
     def __post_init__(self) -> None:
         for field in ("start", "end"):
-            point = np.asarray(getattr(self, field), dtype=float)
-            if point.shape != (3,) or not np.isfinite(point).all():
-                raise InputError("is not a point", key=f"capsule.{field}", value=point.tolist(), remedy="give x, y, z")
-            object.__setattr__(self, field, point)
-        if not (np.isfinite(self.radius) and self.radius > 0.0):
-            raise InputError("is not a radius", key="capsule.radius", value=self.radius, remedy="give metres above 0")
+            object.__setattr__(self, field, as_numbers(getattr(self, field), key=f"capsule.{field}", size=3))
+        check_number("capsule.radius", self.radius, unit="m")
 
     @property
     def axis(self) -> Array:

@@ -18,9 +18,9 @@ from surctl.noise import noise_states
 from surctl.plotted import Plotted
 from surctl.recorded_write import RECORD_FORMATS, Column, write_csv, write_mat, write_netcdf
 from surctl.system.controller import NONFINITE, lost_entry
-from surctl.system.loop import ENDED, LOST, How, System, once_per_system
+from surctl.system.loop import ENDED, LOST, System, once_per_system
 from surctl.system.parts import entry_labels, entry_units, not_finite
-from surctl.system.runs import moved_state, periods
+from surctl.system.runs import figures_of, first_sums, moved_state, periods, summed
 from surctl.system.values import run_numbers
 
 Array = NDArray[np.float64]
@@ -88,6 +88,15 @@ class Record(Plotted):
         places = _places(self.system).items()
         return {name: layout.port(port) for name, (kind, layout, port) in places if kind in (kinds or _KINDS)}
 
+    def entries(self, *kinds: str) -> list[tuple[str, str, str, Array]]:
+        """Return signal, label, unit and values (n,) of each entry of the signals of the given kinds, see `ports`."""
+        entries = []
+        for name, port in self.ports(*kinds).items():
+            alone = Layout((port,))
+            labels = (label.replace(port.name, name, 1) for label in entry_labels(alone))
+            entries += [(name, *each) for each in zip(labels, entry_units(alone), self.signals[name].T, strict=True)]
+        return entries
+
     def table(self) -> dict[str, Array]:
         """Return time, all entries of all signals, and status as columns (n,), by a label with the unit."""
         return {f"{label} [{column.unit}]": column.values for label, column in self.columns().items()}
@@ -98,12 +107,10 @@ class Record(Plotted):
         A signal with the label `time` or `status` gets a trailing underscore.
         """
         columns = {"time": Column(self.time, "s", "time since the start")}
-        for name, port in self.ports().items():
-            alone = Layout((port,))
-            labels = (label.replace(port.name, name, 1) for label in entry_labels(alone))
-            for label, unit, values in zip(labels, entry_units(alone), self.signals[name].T, strict=True):
-                key = f"{label}_" if label in ("time", "status") else label
-                columns[key] = Column(values, unit, f"{label}: {port.meaning}" if port.meaning else label)
+        ports = self.ports()
+        for name, label, unit, values in self.entries():
+            key, meaning = f"{label}_" if label in ("time", "status") else label, ports[name].meaning
+            columns[key] = Column(values, unit, f"{label}: {meaning}" if meaning else label)
         return columns | {"status": Column(self.status.astype(float), "1", "status of the controller's steps")}
 
 
@@ -132,11 +139,12 @@ def run_system(system: System, seconds: float, values: Mapping[str, ArrayLike] |
     start, plant, constants, disturbance, gains = (
         row[0] for row in (numbers.start, numbers.plant, numbers.reference, numbers.disturbance, numbers.gains)
     )
-    sense, move, judge = _functions(system)
+    sense, move, judge, add = _functions(system)
     x, z = start, system.controller.initial_state()
     q, memory, noise = numbers.blocks[0], system.blocks.memory.pack(), np.zeros(0)
     if system.blocks.noise:
         noise = noise_states(numbers.seed)[0]
+    sums = np.array(first_sums(system))
     rows: list[tuple[Array, ...]] = []
     status: list[int] = []
     stopped, lost = ENDED, ""
@@ -145,27 +153,25 @@ def run_system(system: System, seconds: float, values: Mapping[str, ArrayLike] |
         y, u, reference, memory, noise = sense(x, t, plant, constants, disturbance, q, memory, noise, count)
         step = system.controller.step(z, u, gains)
         costs, stops = judge(x, step.tau, disturbance, constants, plant, gains, step.telemetry, t, memory)
-        rows.append((x, step.tau, y, reference, np.asarray(step.telemetry), z, u, costs))
+        rows.append((x, step.tau, y, reference, np.asarray(step.telemetry), z, u))
         status.append(step.status)
         after, memory, noise = move(x, step.tau, t, plant, disturbance, q, memory, noise, count)
         if step.status == NONFINITE or not (np.isfinite(after).all() and np.isfinite(costs).all()):
             stopped, lost = LOST, _lost(system, k, (z, u, gains), costs, after)
             break
+        (sums,) = add(sums, costs, t, np.array([float(np.any(stops != 0))]))
         if np.any(stops != 0):
             stopped = list(system.stops)[int(np.flatnonzero(stops)[0])]
             break
         x, z = after, np.asarray(step.x_next)
     has_costs = stopped != LOST and (stopped == ENDED or len(rows) > 1)
-    tables = [np.array([row[j] for row in rows]) for j in range(8)]
+    tables = [np.array([row[j] for row in rows]) for j in range(7)]
     return Record(
         system,
         np.arange(float(len(rows))) * system.dt,
         _named(system, tables),
         np.array(status),
-        {
-            name: _figure(cost.how, tables[7][:, j], system.dt, whole=stopped == ENDED) if has_costs else np.nan
-            for j, (name, cost) in enumerate(system.costs.items())
-        },
+        {name: float(value) if has_costs else np.nan for name, value in figures_of(system, sums, len(rows)).items()},
         stopped,
         (tables[5], tables[6], gains),
         lost,
@@ -212,7 +218,7 @@ def _places(system: System) -> dict[str, tuple[str, Layout, str]]:
 
 @once_per_system
 def _functions(system: System) -> tuple[Callable[..., list[Array]], ...]:
-    # outputs with inputs and references; plant state after a period; costs with stops
+    # outputs with inputs and references; plant state after a period; costs with stops; sums of costs
     plant, t = system.plant, ca.SX.sym("t")
     x, p = ca.SX.sym("x", plant.state.size), ca.SX.sym("p", plant.parameters.size)
     r, d = ca.SX.sym("r", system.references.size), ca.SX.sym("d", plant.disturbances.size)
@@ -227,23 +233,9 @@ def _functions(system: System) -> tuple[Callable[..., list[Array]], ...]:
     constants = {"plant": p, "disturbance": d, "blocks": q}
     moved = moved_state(system, x, command, constants, t, count=count, memory=memory, noise=noise)
     move = ca.Function("move", [x, command, t, p, d, q, memory, noise, count], list(moved))
-    return on_vectors(sense), on_vectors(move), on_vectors(system.signals)
-
-
-def _figure(how: How, series: Array, dt: float, *, whole: bool) -> float:
-    # after a stop, no period follows the last instant
-    past = np.flatnonzero(series > 0)
-    return float(
-        {
-            "integral": dt * series[: None if whole else -1].sum(),
-            "mean": series.mean(),
-            "rms": np.sqrt(np.mean(series**2)),
-            "max": series.max(),
-            "min": series.min(),
-            "final": series[-1],
-            "last_time": dt * past[-1] if past.size else 0.0,
-        }[how]
-    )
+    sums, costs, ended = ca.SX.sym("sums", len(system.costs)), ca.SX.sym("costs", len(system.costs)), ca.SX.sym("ended")
+    add = ca.Function("add", [sums, costs, t, ended], [summed(system, sums, costs, t, ended)])
+    return on_vectors(sense), on_vectors(move), on_vectors(system.signals), on_vectors(add)
 
 
 # Write a recorded run of a system as CSV, MATLAB's .mat or netCDF, with names, units and identity

@@ -18,7 +18,7 @@ from surctl.ir.folding import fused
 from surctl.ir.native import warn_slower
 from surctl.noise import noise_states
 from surctl.plotted import Plotted
-from surctl.system.loop import ENDED, LOST, Cost, System, once_per_system
+from surctl.system.loop import ENDED, LOST, System, once_per_system
 from surctl.system.plant import runge_kutta
 from surctl.system.values import run_numbers
 from surctl.units import is_number
@@ -132,7 +132,7 @@ def simulate_system(
     start[:, state.slice("memory")] = system.blocks.memory.pack()
     if system.blocks.noise:
         start[:, state.slice("noise")] = noise_states(numbers.seed)
-    start[:, state.slice("sums")] = [_FIRST.get(cost.how, 0.0) for cost in system.costs.values()]
+    start[:, state.slice("sums")] = first_sums(system)
     constants = np.hstack([numbers.plant, numbers.reference, numbers.disturbance, numbers.gains, numbers.blocks])
     ends, _ = final_states(
         start, constants, steps=steps, compiled=lambda: _compiled(system), machine=lambda: _machine(system),
@@ -144,10 +144,8 @@ def simulate_system(
     code = np.where(flag < 0, len(reasons) - 1, np.round(flag)).astype(int)
     sums = ends[:, state.slice("sums")]
     moved = count - (flag != 0)
-    figures = {
-        name: np.where((flag < 0) | (moved == 0), np.nan, _figure(cost, sums[:, j], count))
-        for j, (name, cost) in enumerate(system.costs.items())
-    }
+    none = (flag < 0) | (moved == 0)
+    figures = {name: np.where(none, np.nan, value) for name, value in figures_of(system, sums, count).items()}
     return Runs(figures, reasons[code], moved * system.dt, ends[:, state.slice("plant")])
 
 
@@ -217,7 +215,7 @@ def _loop_step(system: System) -> Block:
                 "controller": ca.if_else(stays, now["controller"], outputs["x_next"]),
                 "memory": memory,
                 "noise": noise,
-                "sums": _summed(system, now["sums"], costs, t, stays),
+                "sums": summed(system, now["sums"], costs, t, stays),
             }
         )
         move = recording.block("move", {"s": s, "w": w, **outputs, **carried}, {"s_next": after})
@@ -298,13 +296,19 @@ def _integrated(system: System, x: ca.SX, f: ca.SX, constants: Mapping[str, ca.S
     return moved
 
 
-def _summed(system: System, sums: ca.SX, costs: ca.SX, t: ca.SX, ended: ca.SX) -> ca.SX:
+def first_sums(system: System) -> list[float]:
+    """Return the number of each cost from which `summed` begins."""
+    return [_FIRST.get(cost.how, 0.0) for cost in system.costs.values()]
+
+
+def summed(system: System, sums: ca.SX, costs: ca.SX, t: ca.SX, ended: ca.SX) -> ca.SX:
+    """Return the number of each cost after one more control instant t [s]; `ended`: no period follows it."""
     after = []
     for k, cost in enumerate(system.costs.values()):
         old, value = sums[k], costs[k]
         after.append(
             {
-                "integral": ca.if_else(ended, old, old + system.dt * value),  # no period follows the last instant
+                "integral": ca.if_else(ended, old, old + system.dt * value),
                 "mean": old + value,
                 "rms": old + value * value,
                 "max": ca.fmax(old, value),
@@ -316,10 +320,13 @@ def _summed(system: System, sums: ca.SX, costs: ca.SX, t: ca.SX, ended: ca.SX) -
     return ca.vertcat(ca.SX(0, 1), *after)
 
 
-def _figure(cost: Cost, total: Array, count: Array) -> Array:
-    if cost.how == "mean":
-        return total / np.maximum(count, 1)
-    return np.sqrt(total / np.maximum(count, 1)) if cost.how == "rms" else total
+def figures_of(system: System, sums: Array, count: Array | float) -> dict[str, Array]:
+    """Return the value of each cost by name after `count` control instants, from the numbers (..., costs) then."""
+    figures = {}
+    for j, (name, cost) in enumerate(system.costs.items()):
+        value = sums[..., j] / (np.maximum(count, 1) if cost.how in ("mean", "rms") else 1.0)
+        figures[name] = np.sqrt(value) if cost.how == "rms" else value
+    return figures
 
 
 @once_per_system

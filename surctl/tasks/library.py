@@ -8,7 +8,7 @@ from functools import partial
 import casadi as ca
 
 from surctl.errors import InputError
-from surctl.tasks.task import Expression, Task, is_symbol, sized_column
+from surctl.tasks.task import Expression, Task, checked_column, is_symbol
 
 _NEAR = 1e-6
 """Distance [m] below which a direction is undefined; its derivative is then 0 and not NaN."""
@@ -159,7 +159,7 @@ def _distance(eta: ca.SX, point: ca.SX) -> ca.SX:
 
 
 def _vector(name: str, field: str, value: Expression, sizes: tuple[int, ...]) -> ca.SX:
-    return sized_column(value, sizes, key=f"task {name}: {field}")
+    return checked_column(f"task {name}: {field}", value, *sizes)
 
 
 def _scalar(name: str, field: str, value: Expression) -> ca.SX:

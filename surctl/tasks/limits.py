@@ -23,10 +23,9 @@ from surctl.tasks.task import (
     checked_kind,
     checked_name,
     checked_order,
-    checked_positive,
     is_symbol,
     kinematics_of,
-    width,
+    set_columns,
 )
 
 
@@ -50,9 +49,8 @@ class VelocityBox:
     def __post_init__(self) -> None:
         """Check the limit's name and kind, the shapes of the bounds, and lower ≤ upper."""
         checked_kind(checked_name(self.name), self.kind)
-        n = width(self.name, "lower", self.lower)
-        for field in ("lower", "upper"):
-            object.__setattr__(self, field, checked_column(self.name, field, getattr(self, field), n))
+        n = set_columns(self, "limit", "lower")
+        set_columns(self, "limit", "upper", sizes=(n,))
         for i, axis in enumerate(axis_names(n)):
             checked_order(f"{self.name}.{axis}", ca.SX(self.lower)[i], ca.SX(self.upper)[i])
 
@@ -86,9 +84,8 @@ class HalfPlane:
     def __post_init__(self) -> None:
         """Check the limit's name and kind, and the shapes of normal and bound."""
         checked_kind(checked_name(self.name), self.kind)
-        n = width(self.name, "normal", self.normal)
-        object.__setattr__(self, "normal", checked_column(self.name, "normal", self.normal, n))
-        object.__setattr__(self, "bound", checked_column(self.name, "bound", self.bound, 1))
+        set_columns(self, "limit", "normal")
+        set_columns(self, "limit", "bound", sizes=(1,))
         checked_order(self.name, ca.SX(-math.inf), ca.SX(self.bound))
 
     def rows(self) -> tuple[LimitRow, ...]:
@@ -145,13 +142,12 @@ class Barrier:
     def __post_init__(self) -> None:
         """Check the barrier's attributes and convert numbers to expressions."""
         checked_kind(checked_name(self.name), self.kind)
-        object.__setattr__(self, "h", checked_column(self.name, "h", self.h, 1))
-        object.__setattr__(self, "drift", checked_column(self.name, "drift", self.drift, 1, finite=True))
+        set_columns(self, "limit", "h", "drift", sizes=(1,), finite=True)
         _closing_row(self.name, self.eta, self.h, self.kinematics)
         if callable(self.alpha):
             _check_class_k(self.name, self.alpha)
         else:
-            object.__setattr__(self, "alpha", checked_positive(self.name, "alpha", self.alpha))
+            set_columns(self, "limit", "alpha", sizes=(1,), sign="positive")
 
     def rows(self) -> tuple[LimitRow, ...]:
         """Return one limit row a·v ≤ upper, named NAME, where a·v is the closing speed −ḣ [unit of h per s]."""
@@ -177,7 +173,7 @@ def _closing_row(name: str, eta: ca.SX, h: ca.SX, kinematics: Kinematics = None)
 def _check_class_k(name: str, alpha: Callable[[ca.SX], ca.SX]) -> None:
     """Raise InputError if α(0) ≠ 0, α(s) s ≤ 0 for an s ≠ 0, or α decreases, at the sample points."""
     s = ca.SX.sym("s")
-    image = checked_column(name, "alpha", alpha(s), 1)
+    image = checked_column(f"limit {name}: alpha", alpha(s), 1)
     if ca.symvar(image) and not (len(ca.symvar(image)) == 1 and ca.depends_on(image, s)):
         return
     values = np.array(ca.Function("alpha", [s], [image]).map(_SAMPLES.size)(_SAMPLES)).reshape(-1)
@@ -257,10 +253,9 @@ class AccelerationLimit:
     def __post_init__(self) -> None:
         """Check the limit's name and kind, and the shapes of the values."""
         checked_kind(checked_name(self.name), self.kind)
-        n = width(self.name, "nu", self.nu)
-        object.__setattr__(self, "nu", checked_column(self.name, "nu", self.nu, n, finite=True))
-        object.__setattr__(self, "limit", checked_positive(self.name, "limit", self.limit, n, zero=True))
-        object.__setattr__(self, "dt", checked_positive(self.name, "dt", self.dt))
+        n = set_columns(self, "limit", "nu", finite=True)
+        set_columns(self, "limit", "limit", sizes=(n,), sign="not negative")
+        set_columns(self, "limit", "dt", sizes=(1,), sign="positive")
 
     def box(self) -> VelocityBox:
         """Return the acceleration limit as a box of velocities with bounds (n,)."""
@@ -308,12 +303,11 @@ class ThrustLimit:
     def __post_init__(self) -> None:
         """Check the limit's name and kind, the shapes of the values, and lower ≤ upper."""
         checked_kind(checked_name(self.name), self.kind)
-        n = width(self.name, "nu", self.nu)
-        for field in ("nu", "load", "lower", "upper"):
-            column = checked_column(self.name, field, getattr(self, field), n, finite=field in ("nu", "load"))
-            object.__setattr__(self, field, column)
+        n = set_columns(self, "limit", "nu", finite=True)
+        set_columns(self, "limit", "load", sizes=(n,), finite=True)
+        set_columns(self, "limit", "lower", "upper", sizes=(n,))
         object.__setattr__(self, "mass", _mass_matrix(self.name, self.mass, n))
-        object.__setattr__(self, "dt", checked_positive(self.name, "dt", self.dt))
+        set_columns(self, "limit", "dt", sizes=(1,), sign="positive")
         for i, force in enumerate(axis_names(n, _FORCES)):
             checked_order(f"{self.name}.{force}", ca.SX(self.lower)[i], ca.SX(self.upper)[i])
 
@@ -341,7 +335,7 @@ def _mass_matrix(name: str, mass: Expression, n: int) -> ca.SX:
             "is not numeric", key=f"limit {name}: mass", value=mass, remedy=f"give {n} numbers, or a ({n}, {n}) matrix"
         ) from None
     if matrix.shape != (n, n) or n == 1:
-        return ca.diag(checked_positive(name, "mass", matrix, n))
+        return ca.diag(checked_column(f"limit {name}: mass", matrix, n, sign="positive"))
     if matrix.is_constant() and not _positive_definite(np.array(ca.DM(matrix))):
         raise InputError("is not symmetric positive definite", key=f"limit {name}: mass", value=matrix)
     return matrix

@@ -15,9 +15,8 @@ from surctl.tasks.task import (
     LimitRow,
     Task,
     TaskBase,
+    checked_column,
     checked_kind,
-    checked_positive,
-    sized_column,
     wrap,
 )
 
@@ -135,9 +134,8 @@ class RateLimit:
         """Check the attributes and convert a limit that is one number to a column."""
         name, k = f"{self.task.name}.rate", self.task.size
         checked_kind(name, self.kind)
-        column = sized_column(self.limit, (1, k), key=f"limit {name}: limit")
-        column = ca.repmat(column, k, 1) if column.numel() < k else column
-        object.__setattr__(self, "limit", checked_positive(name, "limit", column, k, zero=True))
+        column = checked_column(f"limit {name}: limit", self.limit, 1, k, sign="not negative")
+        object.__setattr__(self, "limit", ca.repmat(column, k // column.numel(), 1))
 
     def rows(self) -> tuple[LimitRow, ...]:
         """Return one limit row per entry of σ, named TASK.rate for one entry, otherwise TASK.rate0, TASK.rate1, …"""

@@ -82,37 +82,24 @@ class TaskBase:
 
     def __post_init__(self) -> None:
         """Check the attributes and convert every number to a column with one entry for each entry of σ."""
-        _check_name(self.name)
+        checked_name(self.name, "task")
         if not is_symbol(self.eta):
             raise self.wrong("eta", "is not an SX symbol of shape (m, 1)", 'write eta = ca.SX.sym("eta", 4)')
         object.__setattr__(self, "kinematics", self.mapping)
-        object.__setattr__(self, "sigma", _sigma_column(self.name, self.sigma))
+        set_columns(self, "task", "sigma")
         if not ca.depends_on(self.sigma, self.eta):
             raise self.wrong("sigma", "does not depend on eta", "express it by this task's own eta symbol")
-        self.set_columns("rate", "gain")
-        for number in _numbers(ca.SX(self.gain)):
-            if number <= 0:
-                raise self.wrong("gain", "must be greater than 0", "give a gain in 1/s, such as 0.5", number)
+        self.set_columns("rate")
+        self.set_columns("gain", sign="positive")
         if not isinstance(self.unit, str):
             raise self.wrong("unit", "is not a text", 'write unit = "m"', self.unit)
 
-    def set_columns(self, *fields: str, finite: bool = True) -> None:
+    def set_columns(self, *fields: str, finite: bool = True, sign: Sign = "any") -> None:
         """Convert fields to columns with one entry for each entry of σ; a single number is used for all entries."""
+        set_columns(self, "task", *fields, sizes=(1, self.size), finite=finite, sign=sign)
         for field in fields:
-            try:
-                column = as_column(getattr(self, field))
-            except ValueError:
-                problem = "is neither numbers nor a vector expression"
-                raise self.wrong(field, problem, f"give 1 or {self.size} numbers") from None
-            if column.numel() == 1:
-                column = ca.repmat(column, self.size, 1)
-            if column.numel() != self.size:
-                problem = f"has {column.numel()} entries, but sigma has {self.size}"
-                raise self.wrong(field, problem, f"give 1 or {self.size} numbers")
-            for number in _numbers(column) if finite else ():
-                if not math.isfinite(number):
-                    raise self.wrong(field, "is not finite", "give a finite number", number)
-            object.__setattr__(self, field, column)
+            column = getattr(self, field)
+            object.__setattr__(self, field, ca.repmat(column, self.size // column.numel(), 1))
 
     def wrong(self, field: str, problem: str, remedy: str, value: object = None) -> InputError:
         """Return the error about a field of this task."""
@@ -227,18 +214,6 @@ def as_expression(value: Any) -> ca.SX:
         raise ValueError("not numbers") from error
 
 
-def _sigma_column(name: str, value: Expression) -> ca.SX:
-    """Return σ as a dense column (k, 1); raise InputError with the task's name if σ is not a column with k ≥ 1."""
-    key = f"task {name}: sigma"
-    try:
-        sigma: ca.SX = ca.densify(as_expression(value))
-    except ValueError:
-        raise InputError("is not an SX expression", key=key, value=value, remedy="express it by eta") from None
-    if sigma.shape[1] != 1 or sigma.shape[0] < 1:
-        raise InputError(f"has shape {sigma.shape}, expected (k, 1)", key=key, remedy="use ca.vertcat")
-    return sigma
-
-
 def as_column(value: Expression) -> ca.SX:
     """Return the value as a dense SX column; a row is transposed.
 
@@ -252,26 +227,44 @@ def as_column(value: Expression) -> ca.SX:
     return column
 
 
-def sized_column(value: Expression, sizes: tuple[int, ...], *, key: str) -> ca.SX:
-    """Return the value as a column whose length is in `sizes`; raise InputError with `key` for another length."""
+Sign: TypeAlias = Literal["any", "not negative", "positive"]
+
+
+def checked_column(key: str, value: Expression, *sizes: int, finite: bool = False, sign: Sign = "any") -> ca.SX:
+    """Return the value as a dense SX column whose length is in `sizes`, by default at least 1; a row is transposed.
+
+    Raises:
+        InputError: the shape is wrong, or a number is NaN, infinite although `finite` or a `sign` is required, or of
+            another sign; the message names `key`.
+    """
     try:
         column = as_column(value)
     except ValueError:
-        column = None
-    if column is None or column.numel() not in sizes:
-        expected = " or ".join(map(str, sizes))
+        column = ca.SX(0, 1)
+    if column.numel() not in (sizes or (max(column.numel(), 1),)):
+        expected = " or ".join(map(str, sorted(set(sizes)))) or "n"
         raise InputError("has the wrong shape", key=key, value=value, remedy=f"give {expected} entries")
+    for number in [float(column[i]) for i in range(column.numel()) if column[i].is_constant()]:
+        if math.isnan(number) or (math.isinf(number) and (finite or sign != "any")):
+            remedy = "give finite numbers" if finite or sign != "any" else "give numbers, or inf for none"
+            raise InputError("is not a number", key=key, value=value, remedy=remedy)
+        if (number < 0.0 and sign != "any") or (number == 0.0 and sign == "positive"):
+            least = "at least 0" if sign == "not negative" else "greater than 0"
+            raise InputError(f"must be {least}", key=key, value=number)
     return column
 
 
-def _check_name(name: object) -> None:
-    if not isinstance(name, str) or not name.isidentifier() or not name.isascii():
-        remedy = "use letters, digits and _, starting with a letter"
-        raise InputError("is not a task name", key="task.name", value=name, remedy=remedy)
-
-
-def _numbers(column: ca.SX) -> list[float]:
-    return [float(column[i]) for i in range(column.numel()) if column[i].is_constant()]
+def set_columns(
+    owner: Any, what: str, *fields: str, sizes: tuple[int, ...] = (), finite: bool = False, sign: Sign = "any"
+) -> int:
+    """Convert fields of a frozen task or limit (`what`) to columns, and return their length; see `checked_column`."""
+    n = 0
+    for field in fields:
+        key = f"{what} {owner.name}: {field}"
+        column = checked_column(key, getattr(owner, field), *sizes, finite=finite, sign=sign)
+        object.__setattr__(owner, field, column)
+        n = int(column.numel())
+    return n
 
 
 # Limit rows, which are named linear constraints lower ≤ a·v ≤ upper and the common form of all velocity limits
@@ -318,12 +311,12 @@ class Limit(Protocol):
         ...
 
 
-def checked_name(name: object) -> str:
-    """Return the name unchanged; raise InputError if it does not consist of identifiers joined by dots."""
-    if not isinstance(name, str) or not _NAME.fullmatch(name):
-        raise InputError(
-            "is not a limit name", key="limit.name", value=name, remedy="use letters, digits and _, joined by dots"
-        )
+def checked_name(name: object, what: str = "limit") -> str:
+    """Return the name unchanged; InputError if it is no identifier, or for a limit identifiers joined by dots."""
+    joined = ", joined by dots" if what == "limit" else ", starting with a letter"
+    if not isinstance(name, str) or not _NAME.fullmatch(name) or (what == "task" and "." in name):
+        remedy = f"use letters, digits and _{joined}"
+        raise InputError(f"is not a {what} name", key=f"{what}.name", value=name, remedy=remedy)
     return name
 
 
@@ -332,47 +325,9 @@ def checked_kind(name: str, kind: str) -> None:
     check_known(kind, get_args(Kind), "unknown kind of limit", key=f"limit {name}")
 
 
-def checked_column(name: str, field: str, value: Expression, size: int, *, finite: bool = False) -> ca.SX:
-    """Return a field of a limit as an SX column of length `size`; raise InputError for a wrong shape or a NaN.
-
-    If `finite` is true, an infinite number raises InputError too. The message names the limit and the field.
-    """
-    key = f"limit {name}: {field}"
-    column = sized_column(value, (size,), key=key)
-    numbers = [float(column[i]) for i in range(size) if column[i].is_constant()]
-    if any(math.isnan(number) or (finite and math.isinf(number)) for number in numbers):
-        remedy = "give finite numbers" if finite else "give numbers, or inf for none"
-        raise InputError("is not a number", key=key, value=value, remedy=remedy)
-    return column
-
-
 def axis_names(n: int, names: tuple[str, ...] = AXES) -> tuple[str, ...]:
     """Return the names of n axes: the given names if there are n of them, otherwise 0, 1, …"""
     return names if n == len(names) else tuple(map(str, range(n)))
-
-
-def width(name: str, field: str, value: Expression) -> int:
-    """Return the number of entries of a field, n ≥ 1; raise InputError if it is not a vector."""
-    try:
-        n = as_column(value).numel()
-    except ValueError:
-        n = 0
-    if n < 1:
-        raise InputError("is not a vector", key=f"limit {name}: {field}", value=value, remedy="give n numbers")
-    return int(n)
-
-
-def checked_positive(name: str, field: str, value: Expression, size: int = 1, *, zero: bool = False) -> ca.SX:
-    """Return a field of a limit as an SX column of length `size`; raise InputError if a number is infinite, NaN or ≤ 0.
-
-    If `zero` is true, the number 0 is allowed too.
-    """
-    column = checked_column(name, field, value, size, finite=True)
-    for i in range(size):
-        if column[i].is_constant() and (float(column[i]) < 0.0 or (float(column[i]) == 0.0 and not zero)):
-            problem = "must be at least 0" if zero else "must be greater than 0"
-            raise InputError(problem, key=f"limit {name}: {field}", value=float(column[i]))
-    return column
 
 
 def checked_order(name: str, lower: ca.SX, upper: ca.SX) -> None:

@@ -16,6 +16,7 @@ from surctl.tasks import SetTask, Task
 from surctl.tasks.ranges import Parameter, SampledExpressions, SymbolRanges, ranges_of
 from surctl.tasks.task import axis_names, is_pose
 from surctl.testing.ranges import CheckFailed
+from surctl.units import as_numbers
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -98,7 +99,7 @@ def check_task(
     if not isinstance(built, Task | SetTask):
         raise InputError("is neither a Task nor a SetTask", key="task", value=built)
     m, vehicle = int(built.eta.shape[0]), is_pose(built.eta, built.mapping)
-    poses = [_pose(place, pose, m) for place, pose in enumerate(near)]
+    poses = [as_numbers(pose, key=f"near[{place}]", size=m) for place, pose in enumerate(near)]
     box = [extent, extent, extent, math.pi] if vehicle else [extent] * m
     ranges = ranges_of([(built.eta, [-b for b in box], box), *parameters])
     check = _Check(built, ranges, SampledExpressions(f"task {built.name}", ranges, _expressions(built)))
@@ -118,17 +119,6 @@ def check_task(
             ranks.append((_rank(J), values))
     least = min(ranks, key=lambda entry: entry[0])
     return TaskReport(built.name, built.size, samples, worst, max(r for r, _ in ranks), least[0], ranges.text(least[1]))
-
-
-def _pose(place: int, pose: Sequence[float], m: int) -> Array:
-    try:
-        values = np.asarray(pose, dtype=float)
-    except (TypeError, ValueError):
-        values = np.zeros(0)
-    if values.shape != (m,) or not np.isfinite(values).all():
-        remedy = "give x, y, z and psi" if m == 4 else f"give {m} numbers"
-        raise InputError("is not a pose", key=f"near[{place}]", value=pose, remedy=remedy)
-    return values
 
 
 def _expressions(task: Task | SetTask) -> list[ca.SX]:

@@ -6,13 +6,15 @@ import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field, TypeAdapter
 
-from surctl.errors import InputError, check_count
+from surctl.errors import InputError, check_count, check_once
 from surctl.files import write_file
 from surctl.tuning.chunked import Progress
 from surctl.tuning.gain_search import conflict, search
@@ -54,7 +56,7 @@ class Round:
     feasible: bool
     missed: tuple[str, ...]
     training: tuple[Counterexample, ...]
-    verified: MonteCarlo | None
+    verified: Annotated[MonteCarlo | None, Field(alias="monte_carlo")]
     claims: tuple[ClaimPoint, ...]
     others: tuple[Mapping[str, float], ...]
 
@@ -72,16 +74,12 @@ class Round:
 
     def to_dict(self) -> dict[str, Any]:
         """The round as plain data for JSON."""
-        return {
-            "gains": dict(self.gains),
-            "score": self.score,
-            "feasible": self.feasible,
-            "missed": list(self.missed),
-            "training": [c.to_dict() for c in self.training],
-            "monte_carlo": None if self.verified is None else self.verified.to_dict(),
-            "claims": [{"name": p.name, "values": dict(p.values), "threshold": p.threshold} for p in self.claims],
-            "others": [dict(gains) for gains in self.others],
-        }
+        return dict(_rounds().dump_python([self], mode="json", by_alias=True)[0])
+
+
+@cache
+def _rounds() -> TypeAdapter[list[Round]]:
+    return TypeAdapter(list[Round])
 
 
 class RoundsFile:
@@ -117,30 +115,9 @@ class RoundsFile:
             table = json.loads(self.path.read_text(encoding="utf-8"))
             if table["request"] != self.digest:
                 return []
-            return [_round_from(one) for one in table["rounds"]]
-        except (OSError, ValueError, KeyError, TypeError, AttributeError):
+            return _rounds().validate_python(table["rounds"])
+        except (OSError, ValueError, KeyError, TypeError, AttributeError):  # also a mistake that pydantic finds
             return []
-
-
-def _round_from(table: Mapping[str, Any]) -> Round:
-    verified, m = None, table["monte_carlo"]
-    if m is not None:
-        counterexamples = _counterexamples(m["counterexamples"])
-        verified = MonteCarlo(m["runs"], (m["seeds"][0], m["seeds"][1]), m["missed"], m["normalised"], counterexamples)
-    return Round(
-        table["gains"],
-        table["score"],
-        table["feasible"],
-        tuple(table["missed"]),
-        _counterexamples(table["training"]),
-        verified,
-        tuple(ClaimPoint(**p) for p in table["claims"]),
-        tuple(table["others"]),
-    )
-
-
-def _counterexamples(table: list[dict[str, Any]]) -> tuple[Counterexample, ...]:
-    return tuple(Counterexample(**c) for c in table)
 
 
 _WORTH = 0.01  # smallest relative improvement of the score for which tuning continues
@@ -303,10 +280,8 @@ def _chosen(done: Sequence[Round], candidates: Pool, start: NDArray[np.float64])
 
 
 def _check(request: SearchRequest, trials: int, rounds: int, runs: int) -> None:
-    names = [case.name for case in request.cases]
-    for name in names:
-        if names.count(name) > 1:  # a counterexample identifies its case by name
-            raise InputError("occurs twice", key="case", value=name, remedy="give each vehicle its own name")
+    # a counterexample identifies its case by name
+    check_once((c.name for c in request.cases), "occurs twice", key="case", remedy="give each vehicle its own name")
     request.check()
     if request.seed > MOST_SEED:
         raise InputError(

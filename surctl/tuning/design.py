@@ -11,7 +11,7 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.errors import InputError, nearest
+from surctl.errors import InputError, check_known, check_once
 
 _SPREAD = 4.0
 
@@ -149,8 +149,14 @@ def _check_seeds(name: str, values: tuple[float, ...]) -> None:
         raise InputError("must be whole numbers, at least 0", key="axis seed", value=values, remedy="write 0,1,2,...")
 
 
-def default_range(value: float) -> tuple[float, float]:
-    """Return the default search range of a gain: from a quarter of a value to four times this value, in order."""
+def default_range(gain: str, value: float) -> tuple[float, float]:
+    """Return the default search range of a gain: from a quarter of its value to four times the value, in order.
+
+    Raises:
+        InputError: the value is 0.
+    """
+    if value == 0:
+        raise InputError("is 0 and so has no default range", key=f"--gain {gain}", remedy=f"write {gain}=LOW..HIGH")
     return min(value / _SPREAD, value * _SPREAD), max(value / _SPREAD, value * _SPREAD)
 
 
@@ -304,9 +310,7 @@ def random_draws(spans: Sequence[Span], *, count: int, seed: int = 0) -> dict[st
     return {span.name: span.at(unit[:, k]) for k, span in enumerate(spans)}
 
 
-def make_design(
-    kind: DesignName | str, axes: Sequence[Axis | Span], *, count: int | None = None, seed: int = 0
-) -> Design:
+def make_design(kind: DesignName | str, axes: Sequence[Axis | Span], *, count: int | None = None) -> Design:
     """Build the design that `kind` names, from axes in the command-line notation.
 
     Raises:
@@ -315,12 +319,11 @@ def make_design(
 
     Example:
         >>> from surctl.tuning import make_design, parse_axis
-        >>> design = make_design("sobol", [parse_axis("k_v=0.5..3"), parse_axis("lookahead=0.3..1.2")], count=8, seed=1)
+        >>> design = make_design("sobol", [parse_axis("k_v=0.5..3"), parse_axis("lookahead=0.3..1.2")], count=8)
         >>> design.kind, design.names, design.points.shape
         ('sobol', ('k_v', 'lookahead'), (8, 2))
     """
-    if kind not in DESIGNS:
-        raise InputError("is not known", key="design", value=kind, remedy=nearest(kind, DESIGNS))
+    check_known(kind, DESIGNS, key="design")
     if kind == "grid":
         if count is not None:
             raise InputError(
@@ -334,7 +337,7 @@ def make_design(
     spans = _spans(axes, kind)
     if count is None:
         raise InputError("is missing", key="points", remedy=f"give the number of points of {kind}: --points N")
-    return spread("lhs" if kind == "lhs" else "sobol", spans, count=count, seed=seed)
+    return spread("lhs" if kind == "lhs" else "sobol", spans, count=count)
 
 
 def _spans(axes: Sequence[Axis | Span], kind: str) -> tuple[Span, ...]:
@@ -349,10 +352,7 @@ def _spans(axes: Sequence[Axis | Span], kind: str) -> tuple[Span, ...]:
 def _check_names(axes: Sequence[Axis | Span]) -> None:
     if not axes:
         raise InputError("nothing to sweep", key="axis", remedy="name at least one parameter")
-    names = [axis.name for axis in axes]
-    for name in names:
-        if names.count(name) > 1:
-            raise InputError("is swept twice", key="axis", value=name, remedy="name each parameter once")
+    check_once((axis.name for axis in axes), "is swept twice", key="axis", remedy="name each parameter once")
 
 
 def _check_size(count: int) -> None:

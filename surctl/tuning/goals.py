@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from surctl.errors import InputError, mistakes_in, nearest
+from surctl.errors import InputError, check_once, mistakes_in, nearest
 from surctl.files import Quantity, Strict, load_model, pick
 from surctl.system import System
 from surctl.tuning.loop_goal_file import LoopGoalTable, PointTable, check_points, loop_goal
@@ -71,12 +71,8 @@ class GoalTable(LoopGoalTable):
             return sense, bound if unit is None else bound.within(unit)
 
 
-def check_names(tables: Sequence[GoalTable]) -> None:
-    """Raise InputError if two goals have the same name."""
-    names = [table.name for table in tables]
-    twice = next((name for name in names if names.count(name) > 1), None)
-    if twice is not None:
-        raise InputError("is the name of two goals", key="goals.name", value=twice, remedy="rename one")
+TWICE: Mapping[str, str] = {"problem": "is the name of two goals", "key": "goals.name", "remedy": "rename one"}
+"""What is wrong with the tables of goals of which two have the same name, see `check_once`."""
 
 
 class GoalsFile(Strict):
@@ -247,7 +243,7 @@ def _load(
     path = pick(str(path), LIBRARY, what="goals")
     content = load_model(path, GoalsFile)
     with mistakes_in(path):
-        check_names(content.goals)
+        check_once((table.name for table in content.goals), **TWICE)
         runs = tuple(_run_goal(table, system) for table in content.goals if table.type is None)
         points = _points(content.points)
         goals = tuple(loop_goal(table.loop()) for table in content.goals if table.type is not None)

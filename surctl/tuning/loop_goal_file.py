@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import MISSING, Field, fields
 from typing import Any, Literal
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field as Key
 
-from surctl.errors import InputError, mistakes_in, nearest
+from surctl.errors import InputError, check_known, mistakes_in, nearest
 from surctl.files import Quantity, Strict
 from surctl.tuning.loop_frequency_goals import Effort, LoopShape, MaxGain, Rejection, SensitivityBound, Tracking
 from surctl.tuning.loop_goals import Bound, LoopGoal, Profile
@@ -20,13 +21,13 @@ Side = Literal["both", "above", "below"]
 class LoopGoalTable(Strict):
     """Keys of a `[[goals]]` table with `type`; `LOOP_GOAL_KEYS` says which of them a type has."""
 
-    name: str = Field(min_length=1)
+    name: str = Key(min_length=1)
     type: str
     kind: Literal["hard", "soft"] = "soft"
     points: tuple[str, ...] = ()
     at: str | tuple[str, ...] = ()
-    source: str | None = Field(default=None, alias="from")
-    end: str | None = Field(default=None, alias="to")
+    source: str | None = Key(default=None, alias="from")
+    end: str | None = Key(default=None, alias="to")
     frequency_rad_per_s: tuple[float, ...] | None = None
     gain: tuple[float, ...] | None = None
     gain_db: tuple[float, ...] | None = None
@@ -51,26 +52,45 @@ class LoopGoalTable(Strict):
 class PointTable(Strict):
     """Content of a `[[points]]` table: an operating point, that is, numbers of the system by name."""
 
-    name: str = Field(min_length=1)
+    name: str = Key(min_length=1)
     values: dict[str, float | tuple[float, ...]]
 
 
-_COMMON = {"name", "type", "kind", "points"}
-_BETWEEN = {"source", "end"}
-_PROFILE = {"frequency_rad_per_s", "gain", "gain_db"}
+_TYPES: Mapping[str, type[LoopGoal]] = {
+    kind.TYPE: kind
+    for kind in (
+        LoopShape, SensitivityBound, Rejection, MaxGain, Effort, Tracking, Overshoot, Settling, StepTracking,
+        StepRejection, Poles, Margins,
+    )
+}  # fmt: skip
+_COMMON = {"name", "kind", "points"}
+_PROFILE = ("frequency_rad_per_s", "gain", "gain_db")
+_KEYS: Mapping[str, tuple[str, ...]] = {  # of a field whose keys have other names than the field
+    "target": _PROFILE,
+    "attenuation": ("attenuation", "frequency_rad_per_s"),
+    "model": ("time_constant_s", "natural_frequency_rad_per_s", "damping"),
+    "unit": (),  # that of at_most
+    "gain": ("gain_margin",),
+    "phase_deg": ("phase_margin_deg",),
+    "delay_s": ("delay_margin_s",),
+    "disk": ("disk_margin",),
+}
+_SHOWN = {"source": "from", "end": "to"}
+_REMEDIES = {
+    "at_most": 'write at_most = { value = ..., unit = "..." }',
+    "target": "give frequency_rad_per_s with gain or gain_db",
+    "attenuation": "give a factor, or one for each frequency",
+    "response_s": "give the response time [s]",
+}
+
+
+def _keys(one: Field[Any]) -> tuple[str, ...]:
+    return _KEYS.get(one.name, (one.name, *(_PROFILE if one.type == "Bound" else ())))
+
+
 LOOP_GOAL_KEYS: Mapping[str, frozenset[str]] = {
-    "loop_shape": frozenset({"at", *_PROFILE, "band_db", "side"}),
-    "sensitivity": frozenset({"at", "at_most", *_PROFILE}),
-    "rejection": frozenset({"at", "frequency_rad_per_s", "attenuation"}),
-    "gain": frozenset({*_BETWEEN, "at_most", *_PROFILE}),
-    "effort": frozenset({*_BETWEEN, "at_most", *_PROFILE}),
-    "tracking": frozenset({*_BETWEEN, "response_s", "steady_error", "peak_error"}),
-    "overshoot": frozenset({*_BETWEEN, "at_most"}),
-    "settling": frozenset({*_BETWEEN, "at_most"}),
-    "step_tracking": frozenset({*_BETWEEN, "time_constant_s", "natural_frequency_rad_per_s", "damping", "at_most"}),
-    "step_rejection": frozenset({*_BETWEEN, "at_most"}),
-    "poles": frozenset({"decay_per_s", "damping", "fastest_rad_per_s"}),
-    "margins": frozenset({"at", "gain_margin", "phase_margin_deg", "delay_margin_s", "disk_margin"}),
+    name: frozenset(key for one in fields(kind) if one.name not in _COMMON for key in _keys(one))
+    for name, kind in _TYPES.items()
 }
 """Types of goals about the loop, with the keys of their tables."""
 
@@ -78,21 +98,20 @@ LOOP_GOAL_KEYS: Mapping[str, frozenset[str]] = {
 def loop_goal(table: LoopGoalTable) -> LoopGoal:
     """Build the goal that a table describes; an InputError names the key."""
     key = f"goals.{table.name}"
-    if table.type not in LOOP_GOAL_KEYS:
-        remedy = nearest(table.type, LOOP_GOAL_KEYS)
-        raise InputError("is not a type of goal", key=f"{key}.type", value=table.type, remedy=remedy)
-    allowed = LOOP_GOAL_KEYS[table.type]
-    shown = {"source": "from", "end": "to"}
-    for name in sorted(table.model_fields_set - _COMMON):
+    check_known(table.type, _TYPES, "is not a type of goal", key=f"{key}.type")
+    allowed, kind = LOOP_GOAL_KEYS[table.type], _TYPES[table.type]
+    for name in sorted(table.model_fields_set - _COMMON - {"type"}):
         if name not in allowed:
-            known = ", ".join(sorted(shown.get(one, one) for one in allowed))
+            known = ", ".join(sorted(_SHOWN.get(one, one) for one in allowed))
             problem = f"is not a key of a goal of type {table.type}"
-            raise InputError(problem, key=f"{key}.{shown.get(name, name)}", remedy=f"it has: {known}")
-    for name in ("at", "source", "end"):
-        if name in allowed and not getattr(table, name):
-            raise InputError("is missing", key=f"{key}.{shown.get(name, name)}", remedy="name a signal of the loop")
+            raise InputError(problem, key=f"{key}.{_SHOWN.get(name, name)}", remedy=f"it has: {known}")
     try:
-        return _BUILDERS[table.type](table, {"name": table.name, "kind": table.kind, "points": table.points})
+        values = {one.name: _value(table, kind, one) for one in fields(kind)}
+        for one in fields(kind):
+            if values[one.name] in (None, "", ()) and one.default is MISSING:
+                remedy = _REMEDIES.get(one.name, "name a signal of the loop")
+                raise InputError("is missing", key=_SHOWN.get(one.name, one.name), remedy=remedy)
+        return kind(**{name: value for name, value in values.items() if value is not None})
     except InputError as error:
         whole = error.key if error.key and error.key.startswith(key) else f"{key}.{error.key}"
         raise InputError(error.problem, key=whole, value=error.value, remedy=error.remedy) from None
@@ -109,17 +128,25 @@ def check_points(goals: tuple[LoopGoal, ...], points: Mapping[str, Any]) -> None
                 )
 
 
-def _bound(table: LoopGoalTable, unit: str | None = "1") -> Bound:
+def _value(table: LoopGoalTable, kind: type[LoopGoal], one: Field[Any]) -> Any:
+    """Return the value of a field of a goal of this kind; None: it keeps its default."""
+    if one.name in _BUILT:
+        return _BUILT[one.name](table)
+    if one.name != "at_most":
+        (name,) = _keys(one)
+        return getattr(table, name)
+    unit = None if "unit" in {other.name for other in fields(kind)} else kind.UNIT
+    return _bound(table, unit) if one.type == "Bound" else _most(table, unit)
+
+
+def _bound(table: LoopGoalTable, unit: str | None) -> Bound | None:
     # one number, or a profile by points
-    profile = table.gain if table.gain_db is None else tuple(10 ** (np.array(table.gain_db) / 20))
-    several = table.gain is not None and table.gain_db is not None
-    idle = table.at_most is not None and table.frequency_rad_per_s is not None
-    if (profile is None) == (table.at_most is None) or several or idle:
+    profile, most = _target(table), _most(table, unit)
+    idle = most is not None and table.frequency_rad_per_s is not None
+    if (profile is None) == (most is None) or (table.gain is not None and table.gain_db is not None) or idle:
         remedy = "give at_most, or frequency_rad_per_s with gain or gain_db"
         raise InputError("needs one bound", key="at_most", remedy=remedy)
-    if profile is not None:
-        return _profile(table, profile)
-    return _most(table, unit)
+    return profile or most
 
 
 def _profile(table: LoopGoalTable, values: tuple[float, ...]) -> Profile:
@@ -128,44 +155,23 @@ def _profile(table: LoopGoalTable, values: tuple[float, ...]) -> Profile:
     return Profile(table.frequency_rad_per_s, tuple(float(value) for value in values))
 
 
-def _most(table: LoopGoalTable, unit: str | None) -> float:
+def _target(table: LoopGoalTable) -> Profile | None:
+    values = table.gain if table.gain_db is None else tuple(10 ** (np.array(table.gain_db) / 20))
+    return None if values is None else _profile(table, values)
+
+
+def _most(table: LoopGoalTable, unit: str | None) -> float | None:
     if table.at_most is None:
-        raise InputError("is missing", key="at_most", remedy='write at_most = { value = ..., unit = "..." }')
+        return None
     with mistakes_in(None, "at_most.unit"):
         return (table.at_most if unit is None else table.at_most.within(unit)).value
 
 
-def _shape(table: LoopGoalTable, about: dict[str, Any]) -> LoopGoal:
-    bound = _bound(table)
-    if not isinstance(bound, Profile):
-        raise InputError("is missing", key="gain", remedy="give frequency_rad_per_s with gain or gain_db")
-    return LoopShape(**about, at=_at(table), target=bound, band_db=table.band_db, side=table.side)
+def _attenuation(table: LoopGoalTable) -> Bound | None:
+    return _profile(table, table.attenuation) if isinstance(table.attenuation, tuple) else table.attenuation
 
 
-def _rejection(table: LoopGoalTable, about: dict[str, Any]) -> LoopGoal:
-    factor = table.attenuation
-    if factor is None:
-        raise InputError("is missing", key="attenuation", remedy="give a factor, or one for each frequency")
-    bound: Bound = _profile(table, factor) if isinstance(factor, tuple) else factor
-    return Rejection(**about, at=_at(table), attenuation=bound)
-
-
-def _gain(kind: type[MaxGain]) -> Callable[[LoopGoalTable, dict[str, Any]], LoopGoal]:
-    def build(table: LoopGoalTable, about: dict[str, Any]) -> LoopGoal:
-        unit = "" if table.at_most is None else table.at_most.unit
-        return kind(**about, **_path(table), at_most=_bound(table, None), unit=unit)
-
-    return build
-
-
-def _tracking(table: LoopGoalTable, about: dict[str, Any]) -> LoopGoal:
-    if table.response_s is None:
-        raise InputError("is missing", key="response_s", remedy="give the response time [s]")
-    errors: dict[str, Any] = {"steady_error": table.steady_error, "peak_error": table.peak_error}
-    return Tracking(**about, **_path(table), response_s=table.response_s, **errors)
-
-
-def _model(table: LoopGoalTable, about: dict[str, Any]) -> LoopGoal:
+def _model(table: LoopGoalTable) -> Any:
     import control  # takes seconds to import
 
     lag, w, zeta = table.time_constant_s, table.natural_frequency_rad_per_s, table.damping
@@ -176,44 +182,14 @@ def _model(table: LoopGoalTable, about: dict[str, Any]) -> LoopGoal:
         if value is not None and not value > 0:
             raise InputError("must be greater than 0", key=key, value=value, remedy="correct it")
     if w is None or zeta is None:
-        model = control.tf([1.0], [lag, 1.0])
-    else:
-        model = control.tf([w**2], [1.0, 2 * zeta * w, w**2])
-    most = 0.1 if table.at_most is None else _most(table, "1")
-    return StepTracking(**about, **_path(table), model=model, at_most=most)
+        return control.tf([1.0], [lag, 1.0])
+    return control.tf([w**2], [1.0, 2 * zeta * w, w**2])
 
 
-def _poles(table: LoopGoalTable, about: dict[str, Any]) -> LoopGoal:
-    fastest = np.inf if table.fastest_rad_per_s is None else table.fastest_rad_per_s
-    return Poles(**about, decay_per_s=table.decay_per_s, damping=table.damping or 0.0, fastest_rad_per_s=fastest)
-
-
-def _margins(table: LoopGoalTable, about: dict[str, Any]) -> LoopGoal:
-    least: dict[str, Any] = {"gain": table.gain_margin, "phase_deg": table.phase_margin_deg}
-    return Margins(**about, at=_at(table), **least, delay_s=table.delay_margin_s, disk=table.disk_margin)
-
-
-def _at(table: LoopGoalTable) -> tuple[str, ...]:
-    return (table.at,) if isinstance(table.at, str) else table.at
-
-
-def _path(table: LoopGoalTable) -> dict[str, Any]:
-    return {"source": table.source, "end": table.end}
-
-
-_BUILDERS: Mapping[str, Callable[[LoopGoalTable, dict[str, Any]], LoopGoal]] = {
-    "loop_shape": _shape,
-    "sensitivity": lambda table, about: SensitivityBound(**about, at=_at(table), at_most=_bound(table)),
-    "rejection": _rejection,
-    "gain": _gain(MaxGain),
-    "effort": _gain(Effort),
-    "tracking": _tracking,
-    "overshoot": lambda table, about: Overshoot(**about, **_path(table), at_most=_most(table, "1")),
-    "settling": lambda table, about: Settling(**about, **_path(table), at_most=_most(table, "s")),
-    "step_tracking": _model,
-    "step_rejection": lambda table, about: StepRejection(
-        **about, **_path(table), at_most=_most(table, None), unit="" if table.at_most is None else table.at_most.unit
-    ),
-    "poles": _poles,
-    "margins": _margins,
+_BUILT: Mapping[str, Callable[[LoopGoalTable], Any]] = {
+    "at": lambda table: (table.at,) if isinstance(table.at, str) else table.at,
+    "target": _target,
+    "attenuation": _attenuation,
+    "model": _model,
+    "unit": lambda table: None if table.at_most is None else table.at_most.unit,
 }

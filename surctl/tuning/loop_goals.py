@@ -114,6 +114,8 @@ class LoopGoal(ABC):
     """
 
     TYPE: ClassVar[str] = ""
+    UNIT: ClassVar[str] = "1"
+    """Unit of the bound, unless the goal states one of its own."""
 
     name: str
     kind: Literal["hard", "soft"] = "soft"

@@ -55,6 +55,7 @@ class Settling(Between):
     """
 
     TYPE: ClassVar[str] = "settling"
+    UNIT: ClassVar[str] = "s"
 
     at_most: float
 

@@ -49,11 +49,6 @@ class Counterexample:
         case = next(c for c in cases if c.name == self.case)
         return Condition(case, self.seed, dict(self.plant), (self.goal,))
 
-    def to_dict(self) -> dict[str, Any]:
-        """Plain data for JSON."""
-        data = {"goal": self.goal, "case": self.case, "seed": self.seed, "plant": dict(self.plant)}
-        return {**data, "figure": self.figure, "normalised": self.normalised}
-
 
 @dataclass(frozen=True)
 class MonteCarlo:
@@ -79,12 +74,6 @@ class MonteCarlo:
     def refuted(self) -> tuple[str, ...]:
         """Names of the goals that the fresh runs refute."""
         return tuple(dict.fromkeys(c.goal for c in self.counterexamples))
-
-    def to_dict(self) -> dict[str, Any]:
-        """Plain data for JSON."""
-        counterexamples = [c.to_dict() for c in self.counterexamples]
-        data = {"runs": self.runs, "seeds": list(self.seeds), "missed": dict(self.missed)}
-        return {**data, "normalised": dict(self.normalised), "counterexamples": counterexamples}
 
 
 def monte_carlo(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -251,9 +251,7 @@ def tuning_dict(tuning: Tuning) -> dict[str, Any]:
         ],
         "rounds": [r.to_dict() for r in tuning.rounds],
         "counterexamples": [
-            c.to_dict()
-            for r in tuning.rounds
-            for c in (*r.training, *(r.verified.counterexamples if r.verified else ()))
+            asdict(c) for r in tuning.rounds for c in (*r.training, *(r.verified.counterexamples if r.verified else ()))
         ],
         "conflict": list(tuning.conflict),
     }

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl import __version__
-from surctl.errors import InputError, nearest
+from surctl.errors import check_known
 from surctl.tuning.chunked import Progress
 from surctl.tuning.goals import RunGoal
 from surctl.tuning.search import SearchRange
@@ -103,8 +103,7 @@ def scope(goal: RunGoal, conditions: Sequence[Condition]) -> list[int]:
     """
     names = {name for c in conditions for name in c.case.known_as}
     for name in goal.cases:
-        if name not in names:
-            raise InputError("no such case", key=f"goals.{goal.name}.cases", value=name, remedy=nearest(name, names))
+        check_known(name, names, "no such case", key=f"goals.{goal.name}.cases")
     return [
         k
         for k, c in enumerate(conditions)

@@ -114,14 +114,13 @@ class SobolIndices(Plotted):
         return [head, *shown, *([f"  warning: {self.warning}"] if self.warning else [])]
 
 
-def sobol_indices(design: Design, values: NDArray[np.float64], column: str, *, seed: int = 0) -> SobolIndices:
+def sobol_indices(design: Design, values: NDArray[np.float64], column: str) -> SobolIndices:
     """Return Sobol' indices of a column of a sweep over a Saltelli design (Saltelli et al. 2010, scipy.stats).
 
     Args:
         design: a design that `saltelli` returned.
         values: (n,) the column at its points.
         column: name of the column.
-        seed: seed of the bootstrap.
 
     Raises:
         InputError: the design is another, or the column is not finite everywhere.
@@ -149,7 +148,7 @@ def sobol_indices(design: Design, values: NDArray[np.float64], column: str, *, s
         none, interval = (0.0,) * len(names), ((0.0, 0.0),) * len(names)
         return SobolIndices(column, names, none, none, interval, interval, True, base)
     estimate = _indices(parts)
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     draws = np.array([_indices(parts[:, rng.integers(0, base, base)]) for _ in range(_RESAMPLES)])
     tail = 50 * (1 - _CONFIDENCE)
     low, high = np.percentile(draws, [tail, 100 - tail], axis=0)

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.errors import InputError, nearest
+from surctl.errors import InputError, check_known
 from surctl.recorded_write import Column, write_netcdf
 from surctl.tuning.chunked import (
     TABLE,
@@ -119,12 +119,10 @@ class SweepTable:
         known = self.columns
         if case is not None:
             known = tuple(name.removeprefix("case_") for name in self.about if name.startswith("case_"))
-        if name not in known:
-            raise InputError("no such column", key="column", value=name, remedy=nearest(name, known))
+        check_known(name, known, "no such column", key="column")
         if case is None:
             return self.values(name, ...)
-        if case not in self.cases:
-            raise InputError("no such case", key="case", value=case, remedy=nearest(case, self.cases))
+        check_known(case, self.cases, "no such case", key="case")
         return self.values("case_" + name, self.cases.index(case))
 
     def worst(self, name: str) -> Floats:

@@ -157,7 +157,7 @@ def test_roll_and_pitch_of_the_thrusters_are_reported() -> None:
 
 
 def test_a_wrong_wrench_or_name_is_refused() -> None:
-    with pytest.raises(InputError, match="is not four finite numbers"):
+    with pytest.raises(InputError, match="is not 4 finite numbers"):
         _report([1.0, 2.0, 3.0])
     with pytest.raises(InputError, match="no such thruster"):
         _report([0.0] * 4, "T9")

@@ -7,12 +7,10 @@ import pytest
 
 from surctl.assessment import assess
 from surctl.marine.assessment import Mission
-from surctl.marine.control import Gains, load_gains, write_gains
+from surctl.marine.control import Gains, build_law, load_gains, write_gains
 from surctl.marine.tuning import derive_gains
 from surctl.marine.vehicle import Vehicle, load_vehicle
-from surctl.marine.verification import linear_table
-from surctl.marine.verification.corners import corners
-from surctl.marine.verification.linear import cruise_corners
+from surctl.marine.verification import law_corners, linear_table
 from tests.cli.process import surctl_here
 
 DT = 0.05
@@ -41,7 +39,7 @@ def test_every_source_of_a_figure_has_the_same_number(seed: int) -> None:
     for name in COLUMNS:
         assert table[name][0] == pytest.approx(result.figures[name].value, rel=2e-3, abs=1e-9), name
     disk = result.figures["disk_margin"]
-    fast = cruise_corners(corners(vehicle), gains.values, cruise=cruise, dt=DT, proved=False)
+    fast = law_corners(build_law(), vehicle, gains, cruise=cruise, proved=False)
     assert fast.disk == pytest.approx(disk.value, rel=2e-3) and fast.corner == disk.where
     delay = result.figures["delay_margin_s"]
     assert (fast.delay.delay_s, fast.delay.where) == (pytest.approx(delay.value), delay.where)

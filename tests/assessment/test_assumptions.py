@@ -9,11 +9,11 @@ import pytest
 
 from surctl.assessment import assess
 from surctl.marine.assessment import Mission, assumptions
-from surctl.marine.control import load_gains
+from surctl.marine.control import build_law, load_gains
 from surctl.marine.vehicle import Vehicle, load_vehicle
 from surctl.marine.vehicle.specs import DEFAULTED
+from surctl.marine.verification import law_corners
 from surctl.marine.verification.corners import corners
-from surctl.marine.verification.linear import cruise_corners
 from tests.cli.process import surctl_here
 
 GAINS = load_gains("default")
@@ -41,14 +41,14 @@ def test_each_default_is_listed_with_its_influence(seed: int) -> None:
     lag = vehicle["thrust_lag"]
     for share, margin in zip((0.5, 1.0, 2.0), result.assumptions[0].margins, strict=True):
         tried = corners(vehicle.with_values({"thrust_lag": share * lag}))
-        assert margin == cruise_corners(tried, GAINS.values, cruise=0.15, dt=0.05, proved=False).disk
+        assert margin == law_corners(build_law(), tried, GAINS, cruise=0.15, proved=False).disk
     assert result.assumptions[0].margins[1] == pytest.approx(result.figures["disk_margin"].value, rel=5e-3)
     for one in result.assumptions:
         assert one.margins[0] >= one.margins[1] >= one.margins[2]
         assert [line.counts for line in result.lines if line.text == one.text] == [False]
     assert [one["name"] for one in result.to_dict()["assumptions"]] == [one.name for one in result.assumptions]
     # an uncertainty that is stated takes the place of the ranges
-    assert [one.name for one in assumptions(vehicle, None, cruise=0.15, dt=0.05, uncertainty=0.1)] == ["thrust_lag"]
+    assert [one.name for one in assumptions(vehicle, uncertainty=0.1)] == ["thrust_lag"]
 
 
 def test_lint_of_several_files_lists_the_defaults_of_each(tmp_path: Path) -> None:

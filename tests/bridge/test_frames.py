@@ -7,12 +7,12 @@ from math import inf, nan, pi, radians
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from surctl.errors import InputError
-from surctl.marine.bridge import Attitude, Axes, Beat, Gone, Mapping, Odometry, Position, Ranges, Reply, Site, Wire
-from surctl.marine.bridge.inputs import Inputs, body_velocity, parse_site, yaw_rate
+from surctl.marine.bridge.inputs import Inputs, Site, parse_site, yaw_rate
 from surctl.marine.bridge.live import parse_address
-from surctl.marine.bridge.wire import mode_of
+from surctl.marine.bridge.wire import Attitude, Axes, Beat, Gone, Mapping, Position, Ranges, Reply, Wire, mode_of
 from surctl.marine.control import build_law
 from surctl.marine.simulation import load_scenario
 from surctl.marine.vehicle import load_vehicle
@@ -38,15 +38,15 @@ def test_frames_go_there_and_back(bearing: float) -> None:
     site = Site(0.5, 2.5, radians(bearing))
     eta = np.array([3.0, 1.0, -0.2, 0.7])
     assert site.pose(site.to_ned(eta)) == pytest.approx(eta)
-    assert site.velocity(site.velocity_to_ned([0.1, 0.2, 0.3])) == pytest.approx([0.1, 0.2, 0.3])
+    assert site.velocity(site.velocity([0.1, 0.2, 0.3])) == pytest.approx([0.1, 0.2, 0.3])
     along = site.to_ned([1.5, 2.5, 0.0, 0.0])  # one metre along the x axis of {E}, heading along it
     assert np.arctan2(along[1], along[0]) % (2 * pi) == pytest.approx(radians(bearing))
     assert along[3] == pytest.approx(radians(bearing))
 
 
-def test_a_tilted_hull_s_velocity_is_levelled() -> None:
-    nu = body_velocity([1.0, 0.0, 0.0], [0.0, 0.0, -0.1], roll=0.0, pitch=radians(30))  # FRD: bow up
-    assert nu == pytest.approx([np.cos(radians(30)), 0.0, 0.5, 0.1 / np.cos(radians(30))])
+def test_the_yaw_rate_is_that_of_the_heading() -> None:
+    tilted = yaw_rate(0.0, radians(30), (0.0, 0.0, -0.1))
+    assert tilted == pytest.approx(0.1 / np.cos(radians(30)))
     assert yaw_rate(0.0, 0.0, (0.0, 0.0, -0.1)) == pytest.approx(0.1) and np.isnan(yaw_rate(0.0, pi / 2, (0, 0, 1)))
 
 
@@ -157,10 +157,13 @@ def test_a_moving_obstacle_keeps_its_radius_when_another_leaves() -> None:
 
 def test_odometry_and_many_distances_are_read() -> None:
     wire = Wire()
-    q = [1.0, 0.0, 0.0, 0.0]
-    pose = (1.0, 2.0, 0.5, q, 0.25, 0.0, 0.0, 0.0, 0.0, 0.5, [0.0] * 21, [0.0] * 21)
-    (odometry,) = wire.events(frame(1, "odometry", 5_000_000, 1, 12, *pose))
-    assert isinstance(odometry, Odometry) and odometry.boot == 5.0 and odometry.rates[2] == 0.5
+    half = radians(15)  # of the pitch: bow up, ahead to the east
+    q = (Rotation.from_euler("z", 90, degrees=True) * Rotation.from_euler("y", 2 * half)).as_quat(scalar_first=True)
+    pose = (1.0, 2.0, 0.5, q.tolist(), 0.25, 0.0, 0.0, 0.0, 0.0, 0.5, [0.0] * 21, [0.0] * 21)
+    position, attitude = wire.events(frame(1, "odometry", 5_000_000, 1, 12, *pose))
+    assert isinstance(position, Position) and position[:3] == (1, 5.0, (1.0, 2.0, 0.5))
+    assert position.velocity == pytest.approx((0.0, 0.25 * np.cos(2 * half), -0.125))
+    assert attitude == Attitude(5.0, *map(pytest.approx, (0.0, 2 * half, pi / 2)), rates=(0.0, 0.0, 0.5))
     assert wire.events(frame(1, "odometry", 5_000_000, 0, 12, *pose)) == [], "another frame is not taken for NED"
     distances = [100, 500, 65535] + [65535] * 69
     (ranges,) = wire.events(frame(1, "obstacle_distance", 5_000_000, 1, distances, 10, 20, 450, 0.0, 90.0, 12))

@@ -12,9 +12,10 @@ from pathlib import Path
 import pytest
 
 from surctl.errors import InputError
-from surctl.marine.bridge import Bridge, Ended, FrameLog, SimulatedSub, Wire
+from surctl.marine.bridge import Bridge, Ended, SimulatedSub, Wire
 from surctl.marine.bridge.guardian import Guardian
 from surctl.marine.bridge.live import parse_address, run_session
+from surctl.marine.bridge.log import FrameLog
 from surctl.marine.bridge.wire import Parser
 from tests.bridge.test_rehearsal import plan
 

@@ -20,10 +20,10 @@ from surctl.marine.bridge import (
     RehearsalResult,
     SessionRecord,
     SimulatedSub,
-    Site,
     Wire,
 )
 from surctl.marine.bridge.bridge import plan_session
+from surctl.marine.bridge.inputs import Site
 from surctl.marine.bridge.rehearsal import rehearse
 from surctl.marine.control import load_gains
 from surctl.marine.simulation import Run, load_scenario, simulate
@@ -166,6 +166,9 @@ def test_a_mission_that_must_be_fed_is_refused() -> None:
     made = plan()
     with pytest.raises(InputError, match="--mode manual or guided"):
         replace(made, scenario=replace(made.scenario, depths=(-0.9, -0.1)))
+    path = made.scenario.path
+    with pytest.raises(InputError, match="legs without speed_m_per_s, depth_m and corner"):
+        replace(made, scenario=replace(made.scenario, path=replace(path, rises=np.array([0.0, -0.1]))))
 
 
 def test_the_record_of_a_session_can_be_read(tmp_path: Path) -> None:

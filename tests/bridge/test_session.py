@@ -7,8 +7,17 @@ from dataclasses import replace
 import pytest
 
 from surctl.errors import InputError
-from surctl.marine.bridge import Clock, Limits, Session, sending
-from surctl.marine.bridge.session import after_arrival, after_beat, after_estimate, after_law, after_time
+from surctl.marine.bridge.session import (
+    Clock,
+    Limits,
+    Session,
+    after_arrival,
+    after_beat,
+    after_estimate,
+    after_law,
+    after_time,
+    sending,
+)  # fmt: skip
 
 MODE, OTHER = 2, 19
 LIMITS = Limits()

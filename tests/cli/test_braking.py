@@ -6,6 +6,7 @@ import pytest
 from surctl.certcheck import check_file
 from surctl.cli.verify import Decided, decide_claims
 from surctl.errors import InputError
+from surctl.marine.assessment import Mission
 from surctl.marine.cli import claims as braking
 from surctl.marine.control import load_gains
 from surctl.marine.vehicle import load_vehicle
@@ -16,8 +17,8 @@ from tests.cli.process import surctl_here
 
 def decided(names: list[str], vehicle: str, *, law: str = "guarded", out: Path | None = None) -> list[Decided]:
     """The named claims at a speed limit of 0.22 m/s, decided."""
-    about = (load_vehicle(vehicle), load_gains("default"))
-    return decide_claims(braking.braking_claims(names, *about, law=law, cap=0.22, out=out), out=out, as_json=True)
+    mission = Mission(load_vehicle(vehicle), load_gains("default"), 0.15, 0.22, law)
+    return decide_claims(braking.braking_claims(names, mission, out=out), out=out, as_json=True)
 
 
 def test_names_of_braking_claims_are_told_apart_from_the_steps_of_their_proof() -> None:

@@ -11,6 +11,7 @@ import pytest
 
 from surctl.cli.verify import Decided, decide_claims
 from surctl.errors import InputError, NotApplicable
+from surctl.marine.assessment import Mission
 from surctl.marine.cli.claims import is_mission, mission_claims
 from surctl.marine.control import load_gains
 from surctl.marine.simulation import Scenario, load_scenario
@@ -22,13 +23,13 @@ from tests.cli.process import surctl_here
 
 MEMBER = Path(__file__).parents[1] / "certcheck" / "region-turning.json"
 VEHICLE, GAINS = load_vehicle("sur540-flooded"), load_gains("default")
-ABOUT: dict[str, Any] = {"vehicle": VEHICLE, "gains": GAINS, "law": "guarded", "speeds": (0.15, 0.22)}
+ABOUT = Mission(VEHICLE, GAINS, 0.15, 0.22, "guarded")
 
 
-def decided(scenario: Scenario, **about: Any) -> Decided:
+def decided(scenario: Scenario, out: Path | None = None, **changed: Any) -> Decided:
     """The claim `mission` about a scenario, decided."""
-    claims = mission_claims(["mission"], scenario, **(ABOUT | about))
-    [done] = decide_claims(claims, out=about.get("out"), as_json=True)
+    claims = mission_claims(["mission"], scenario, replace(ABOUT, **changed), out=out)
+    [done] = decide_claims(claims, out=out, as_json=True)
     return done
 
 
@@ -50,7 +51,7 @@ def test_a_mission_needs_its_scenario(tmp_path: Path) -> None:
     assert "is about the path of a scenario" in done.err
     assert "--scenario" in done.err
     with pytest.raises(InputError, match="second claim about the mission"):
-        mission_claims(["mission", "mission:region-turning"], load_scenario("tank-static"), **ABOUT)
+        mission_claims(["mission", "mission:region-turning"], load_scenario("tank-static"), ABOUT)
 
 
 def test_a_proof_is_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -72,7 +73,7 @@ def test_a_mission_that_is_not_proved_names_a_lower_speed(monkeypatch: pytest.Mo
 
     monkeypatch.setattr(mission, "prove_mission", slow)
     for speed, word in ((0.15, "unknown: from rest, V may grow to 2"), (0.22, "not applicable to these speeds")):
-        done = decided(scenario, speeds=(speed, 0.22))
+        done = decided(scenario, cruise=speed)
         assert f"; at {speed} m/s, {word}" in done.lines[0]
         assert done.lines[0][28:].startswith("with --cruise 0.09")
         assert done.data["at_lower_speed"]["verdict"] == "proved"

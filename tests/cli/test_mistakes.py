@@ -14,7 +14,7 @@ STUDY = (LIBRARY / "marine" / "study" / "library" / "default.toml").read_text()
 
 FILES = {
     "missing key": (VEHICLE.replace("m33 =", "# m33 ="), ["m.toml", "inertia.m33", "is missing", "kg"]),
-    "wrong unit": (VEHICLE.replace('unit = "kg m^2"', 'unit = "kg m"'), ["inertia.m44.unit", "'kg m'", "kg m^2"]),
+    "wrong unit": (VEHICLE.replace('unit = "kg m^2"', 'unit = "kg m"'), ["inertia.m44", "'kg m'", "kg m^2"]),
     "wrong sign": (VEHICLE.replace("value = 50.0", "value = -50.0", 1), ["inertia.m11", "-50.0", "greater than 0"]),
     "not a number": (VEHICLE.replace("value = 50.0", "value = nan", 1), ["inertia.m11", "nan"]),
     "text for a number": (VEHICLE.replace("value = 50.0", 'value = "50 kg"', 1), ["inertia.m11.value", "50 kg"]),

@@ -29,8 +29,8 @@ def test_a_region_that_is_not_proved_fails_and_leaves_nothing(tmp_path, monkeypa
     name = "region-cruise-20"
     fast = REGION_CLAIMS[name].model_copy(update={"attempts": 1, "rate_per_s": 5.0})
     monkeypatch.setitem(REGION_CLAIMS, name, fast)
-    about = (load_vehicle("sur540-flooded"), load_gains("default"))
-    claims, _ = regions.region_claims([name], *about, law="guarded", speeds=(0.15, 0.22), out=tmp_path)
+    mission = Mission(load_vehicle("sur540-flooded"), load_gains("default"), 0.15, 0.22, "guarded")
+    claims, _ = regions.region_claims([name], mission, out=tmp_path)
     [found] = decide_claims(claims, out=tmp_path, as_json=True)
     assert found.data["verdict"] == "unknown" and "FAIL" in found.lines[0]
     assert not list(tmp_path.iterdir())
@@ -88,8 +88,8 @@ def test_a_region_for_another_kind_of_vehicle_names_the_one_that_applies(tmp_pat
         (written("steered.toml", "50 kg", "0 N"), "steered", "region-steered-20"),
         (written("turning.toml", "60 kg", "5 N"), "guarded", "region-turning-20"),
     ):
-        about = (load_vehicle(str(tmp_path / file)), load_gains("default"))
-        [found], instead = regions.region_claims(["region-cruise-20"], *about, law=law, speeds=(0.15, 0.22))
+        mission = Mission(load_vehicle(str(tmp_path / file)), load_gains("default"), 0.15, 0.22, law)
+        [found], instead = regions.region_claims(["region-cruise-20"], mission)
         assert instead == kind and found.data["verdict"] == "not applicable"
 
 

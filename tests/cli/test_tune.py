@@ -3,6 +3,9 @@ import json
 import pytest
 
 from surctl.cli.output import same_command
+from surctl.marine.cli.robot_options import at_hand
+from surctl.marine.cli.tune import TunedMissions, mission_plan
+from surctl.marine.simulation import load_scenario
 from tests.cli.process import LIBRARY, surctl, surctl_here
 from tests.tools import need_compiler
 
@@ -96,6 +99,18 @@ def test_scenarios_that_the_hull_does_not_fit_are_left_out_by_either_way(tmp_pat
         assert [line.split()[0] for line in said[:2]] == ["pool-ahead", "pool-behind"]
         assert all("inside a wall" in line for line in said)
         assert "goals.toml: goals.soon.cases = 'pool-ahead': is left out: the 0.27 m hull of own" in done.complaint
+
+
+def test_a_mission_at_a_speed_of_the_study_is_a_file_for_the_commands_after_it(tmp_path):
+    text = (STUDY % "0.01").replace('"pool-behind"', '"pool-behind", cruise_m_per_s = 0.1')
+    (tmp_path / "small.toml").write_text(text)
+    out = tmp_path / "out"
+    own = TunedMissions(None, 1, (), None, None, None, None, trust=False)
+    plan = mission_plan(str(tmp_path / "small.toml"), own, out)
+    [leg] = plan.legs
+    words = at_hand(leg.scenario, leg.vehicle, "default")
+    assert words[1] == str(out / "missions" / "pool-behind-0.1.toml")
+    assert load_scenario(words[1]).cruise == 0.1
 
 
 def test_the_command_to_repeat_replaces_the_options_that_it_changes(monkeypatch):

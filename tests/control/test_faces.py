@@ -9,8 +9,8 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from surctl.ir import Layout
-from surctl.marine.control.perception import FACE_PORTS, Firing, face_after, with_face
+from surctl.ir import Layout, tabulated
+from surctl.marine.control.perception import FACE_PORTS, Firing, face_after, with_face, within_beam
 
 HULL, BLIND, DT, DEEP = 0.27, 0.2, 0.05, 0.03
 HALF = math.radians(37.5)
@@ -23,8 +23,8 @@ LEANS = math.radians(20)  # of the face's normal, from x of {E}
 def step():
     """Face and foot after one firing of one sensor."""
     x, place, firing = STATE.symbols("x"), ca.SX.sym("place", 2), ca.SX.sym("firing", 9)
-    one = Firing(firing[:2], firing[2:4], HALF, firing[4], firing[5], firing[6], firing[7], firing[8])
-    face, foot = face_after(x[1], [one], place, dt=DT, blind=BLIND, hull=ca.SX(HULL), deep=ca.SX(DEEP))
+    one = Firing(firing[:2], firing[2:4], within_beam(HALF), firing[4], firing[5], firing[6], firing[7], firing[8])
+    face, foot = face_after(x[1], tabulated([one]), place, dt=DT, blind=BLIND, hull=ca.SX(HULL), deep=ca.SX(DEEP))
     return ca.Function("step", [x[0], place, firing], [STATE.join(face), foot])
 
 

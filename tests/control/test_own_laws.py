@@ -67,7 +67,7 @@ def law(tmp_path: Path) -> str:
 @pytest.fixture
 def mission(tmp_path: Path) -> Path:
     water = replace(load_scenario("tank-static"), obstacles=(), path=load_scenario("tank-static").path)
-    from surctl.marine.simulation.scenario_table import scenario_table
+    from surctl.marine.simulation.scenario import scenario_table
     from surctl.marine.simulation.toml_text import toml_text
 
     file = tmp_path / "water.toml"

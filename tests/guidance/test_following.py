@@ -9,6 +9,7 @@ import pytest
 from surctl.ir import Layout, on_vectors
 from surctl.marine.guidance import FOLLOWING, MAX_WAYPOINTS, SKIPS, Follower, Path, follow
 from surctl.marine.guidance.following import follow_on
+from tests.oracles.path_follower import PlainFollower
 
 FOLD = Path(np.array([[1.0, 2.5], [6.0, 2.5], [1.0, 2.5]]))
 SQUARE = Path(np.array([[2.0, 1.5], [8.0, 1.5], [8.0, 3.5], [2.0, 3.5], [2.0, 1.5]]))
@@ -89,7 +90,7 @@ def test_numbers_and_symbols_agree(visit: float | None) -> None:
         if np.any(np.linalg.norm(np.diff(nodes, axis=0), axis=1) == 0):
             continue
         path = Path(nodes)
-        follower, now = Follower(path, visit=visit), state.pack()
+        follower, now = PlainFollower(path, visit=visit), state.pack()
         places = along(*map(tuple, nodes.tolist()), step=0.1)
         for x, y in (places + np.cumsum(rng.normal(0, 0.02, places.shape), axis=0)).tolist():
             follower.move(x, y)
@@ -113,7 +114,7 @@ def test_numbers_and_symbols_agree_on_a_fed_path() -> None:
         n = int(rng.integers(9, 30))
         nodes = np.cumsum(rng.uniform(-0.4, 0.6, (n, 2)), axis=0)
         path = Path(nodes, rng.uniform(-1, 0, n), kinds=rng.choice([1.0, 0.0, -1.0], n, p=[0.05, 0.6, 0.35]))
-        follower, now, table = Follower(path, visit=visit), state.pack(), path.table()
+        follower, now, table = PlainFollower(path, visit=visit), state.pack(), path.table()
         places = along(*map(tuple, nodes.tolist()), step=0.05)
         for x, y in (places + np.cumsum(rng.normal(0, 0.02, places.shape), axis=0)).tolist():
             leg = follower.leg

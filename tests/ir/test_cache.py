@@ -145,6 +145,7 @@ def test_an_entry_of_another_user_is_built_again(
     with pytest.warns(CacheUnused, match=rf"{tmp_path} is not used: it belongs to another user.*set SURCTL_CACHE"):
         shared_library(SOURCE, folder=tmp_path)
     assert len(builds) == 2 and entry(tmp_path).read_bytes() == kept
+    shared_library(SOURCE, folder=tmp_path)  # one warning a process: a second one would be an error
 
 
 def test_any_bytes_are_stored_under_their_key_and_suffix(tmp_path: Path) -> None:

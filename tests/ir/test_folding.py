@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from surctl.errors import InputError
-from surctl.ir import Instruction, Program, lower, replay
+from surctl.ir import Program, lower, replay
 from surctl.ir.folding import with_constants
 from surctl.marine.control import build_law, load_gains
 from surctl.marine.simulation import law_numbers, load_scenario
@@ -45,7 +45,6 @@ def test_every_operation_of_numbers_and_constants(name: str) -> None:
     [
         (lambda x, p: x[0] + 0 * p[0] * x[1], 0),
         (lambda x, p: x[0] * p[1] - (-x[1]), 1),
-        (lambda x, p: ca.if_else(x[0] > 0, ca.if_else(x[0] > 0, x[1], x[2]), x[2]), 2),
         (lambda x, p: ca.fmax(ca.sqrt(x[0] * x[0] + x[1]), p[0]), 3),
         (lambda x, p: ca.fmax(x[0] > 0, x[1] > 0), 3),
         (lambda x, p: x[1] + ca.if_else(x[0] > 0, -x[2], 0), 3),
@@ -56,16 +55,6 @@ def test_what_follows_from_constants_is_not_computed(make: object, operations: i
     _, folded = alone(make, [0.0, 1.0])
     assert folded.operations == operations
     assert not any(i.op == "input" and i.args[0] == 1 for i in folded.instructions)
-
-
-def test_a_choice_by_what_is_not_so_is_the_other_one() -> None:
-    inputs = [Instruction("input", (0, k)) for k in range(3)]
-    chosen = [*inputs, Instruction("not", (0,)), Instruction("select", (3, 1, 2))]
-    program = Program("f", (("x", 3), ("p", 1)), (("y", 1),), tuple(chosen), ((4,),))
-    folded = with_constants(program, 1, [0.0])
-    assert folded.operations == 1
-    for given in ([0.0, 5.0, 6.0], [1.0, 5.0, 6.0], [-2.0, 5.0, 6.0]):
-        assert replay(folded, given, [0.0])[0] == replay(program, given, [0.0])[0] == (6.0 if given[0] else 5.0)
 
 
 def test_the_law_is_the_same_and_shorter() -> None:

@@ -38,7 +38,6 @@ from surctl.marine.simulation.thruster_faults import ThrusterFault, Thrusters
 from surctl.marine.simulation.world import FOOTPRINT, LONGEST, Body, World, beside, build_world
 from surctl.marine.vehicle import Vehicle
 from surctl.marine.world import Disc
-from surctl.noise import NoiseStream
 from surctl.system import ControllerStep
 from tests.oracles.echoes import (
     certain_range,
@@ -52,6 +51,8 @@ from tests.oracles.echoes import (
 )
 from tests.oracles.measurements import delayed, fix, imu, measure, message, observe
 from tests.oracles.mission_window import Feeder
+from tests.oracles.noise_stream import NoiseStream
+from tests.oracles.path_follower import PlainFollower
 from tests.oracles.run_metrics import measure as metrics_of
 
 __all__ = ["Loop", "WeakEchoes", "certain_echo", "column", "feeder_of", "simulate"]
@@ -211,7 +212,7 @@ class Loop:
         self.messages = np.zeros((self.station.messages.late(law.dt), self.slots * 6))
         self.least = float("inf")
         self.clear_of_walls = False
-        self.follower = world.scenario.follower()
+        self.follower = PlainFollower(world.scenario.path, visit=world.scenario.visit)
         self.rows: list[tuple[object, ...]] = []
 
     def run(self, watch: Callable[[float], object] = lambda _: None) -> str:

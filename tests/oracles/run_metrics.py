@@ -9,6 +9,7 @@ from surctl.marine.control import Law
 from surctl.marine.simulation import Metrics, Record, Scenario
 from surctl.marine.simulation.metrics import AT_LIMIT, MOVING, NEAR_TARGET, SIGN, avoidance_intervals
 from surctl.marine.simulation.run import path_depths
+from tests.oracles.path_follower import PlainFollower
 
 
 def measure(scenario: Scenario, law: Law, record: Record, *, reason: str, least: float) -> Metrics:
@@ -17,14 +18,14 @@ def measure(scenario: Scenario, law: Law, record: Record, *, reason: str, least:
     `reason` says why the run ended; `least` is the smallest clearance [m] of the run.
     """
     where, thrust = record.eta[:, :2], record.tau[:, :2]
-    follower = scenario.follower()
+    follower = PlainFollower(scenario.path, visit=scenario.visit)
     away = follower.track(where)
     excluded = avoidance_intervals(record.telemetry[:, law.telemetry_slice("avoiding")].ravel(), away)
     apart = away**2 + (record.eta[:, 2] - path_depths(scenario, where)) ** 2
     steps = np.linalg.norm(np.diff(where, axis=0), axis=1)
     leg = scenario.target - scenario.path.waypoints[-2]
     past = (where - scenario.target) @ (leg / np.linalg.norm(leg))
-    on_last = scenario.follower().legs(where) == len(scenario.path.waypoints) - 2
+    on_last = PlainFollower(scenario.path, visit=scenario.visit).legs(where) == len(scenario.path.waypoints) - 2
     near = on_last & (np.linalg.norm(where - scenario.target, axis=1) <= NEAR_TARGET)
     limit = _limits(law, record)
     jumps = np.diff(thrust, axis=0)
@@ -61,7 +62,7 @@ def _attitude(scenario: Scenario, law: Law, record: Record, excluded: NDArray[np
         return nothing, nothing, nothing
     counted = moving & ~excluded
     crab = np.rad2deg(np.abs(np.arctan2(v[counted], u[counted])))
-    off = record.eta[:, 3] - scenario.follower().directions(record.eta[:, :2])
+    off = record.eta[:, 3] - PlainFollower(scenario.path, visit=scenario.visit).directions(record.eta[:, :2])
     off = (off[moving] + np.pi) % (2 * np.pi) - np.pi
     error = float(np.rad2deg(np.sqrt(np.mean(off**2))))
     return (float(crab.mean()), float(crab.max()), error) if crab.size else (nothing, nothing, error)
@@ -99,7 +100,8 @@ def _waste(scenario: Scenario, law: Law, record: Record) -> dict[str, float]:
     linear, quadratic = (
         float(record.law_parameters[law.gains.slice(name)][0]) for name in ("linear_drag", "quadratic_drag")
     )
-    heading, direction = record.eta[:, 3], scenario.follower().directions(record.eta[:, :2])
+    follower = PlainFollower(scenario.path, visit=scenario.visit)
+    heading, direction = record.eta[:, 3], follower.directions(record.eta[:, :2])
     along = record.nu[:, 0] * np.cos(heading - direction) - record.nu[:, 1] * np.sin(heading - direction)
     current = scenario.disturbance.current_m_per_s
     speed = np.maximum(along - current[0] * np.cos(direction) - current[1] * np.sin(direction), 0.0)

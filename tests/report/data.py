@@ -15,9 +15,7 @@ from surctl.marine.control import build_law, load_gains
 from surctl.marine.report import ReportData
 from surctl.marine.simulation import Run, load_scenario, simulate
 from surctl.marine.vehicle import Vehicle, load_vehicle
-from surctl.marine.verification import claims, law_loop
-from surctl.marine.verification.corners import corners
-from surctl.marine.verification.linear import cruise_corners
+from surctl.marine.verification import claims, law_corners, law_loop
 from surctl.tuning import SweepTable
 from surctl.verification import Verdict, falsify
 
@@ -28,7 +26,6 @@ COLUMNS = {
     "score": "1",
     "feasible": "1",
 }
-ABOUT = {"cruise": 0.15, "dt": 0.05}
 SPEEDS = (0.15, 0.22)  # [m/s] cruise and cap of the runs
 GAINS = load_gains("default")
 
@@ -89,7 +86,7 @@ def report() -> ReportData:
         vehicle=vehicle(),
         gains=GAINS,
         speeds=SPEEDS,
-        linear=cruise_corners(corners(vehicle()), GAINS.values, **ABOUT),
+        linear=law_corners(build_law("guarded"), vehicle(), GAINS, cruise=0.15),
         loops={"0.15 m/s": law_loop(build_law("guarded"), vehicle(), GAINS, cruise=0.15).linear},
         verdicts=(verdict("v1-printed"), verdict("m-norm-printed"), verdict("v1-corrected")),
         runs=(run(), run(sensing="sonar")),

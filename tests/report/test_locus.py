@@ -1,33 +1,31 @@
+"""The root locus of any loops: every pole, and those that are marked."""
+
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
-from surctl.marine.report.margin_plots import plot_locus
-from surctl.marine.verification.linear_table import Locus
+from surctl.report import plot_locus
+from surctl.system import linearise
+from surctl.testing import cart_system
+from surctl.tuning.loop_responses import rates
 
-VALUES = np.array([1.0, 2.0, 3.0])
-
-
-def locus(fast: float) -> Locus:
-    """A pair that gets faster, a real pole, and three that are the delay's."""
-    pair = -0.5 * VALUES + 1j * VALUES
-    still = np.full(3, -fast + 0j)
-    return Locus("k_v", VALUES, np.column_stack([pair, pair.conj(), -0.1 * VALUES, still, still, still]))
-
-
-@pytest.mark.parametrize(("fast", "edge"), [(60.0, 1.15 * np.hypot(1.5, 3.0)), (5.0, 1.15 * 5.0)])
-def test_the_poles_of_the_delay_are_left_out_where_a_gap_parts_them(fast: float, edge: float) -> None:
-    ax = plot_locus(locus(fast), unit="1/s", picked=2.1)
-    assert ax.get_xlim()[0] == pytest.approx(-edge) and ax.get_ylim() == pytest.approx((-edge, edge))
+VALUES = [1.0, 2.0, 4.0]
 
 
 def test_every_pole_is_a_point_and_start_and_pick_are_marked() -> None:
-    ax = plot_locus(locus(60.0), picked=2.1)
-    assert [len(points.get_offsets()) for points in ax.collections] == [18]
+    loops = [linearise(cart_system(k)) for k in VALUES]
+    ax = plot_locus(loops, VALUES, "k", unit="1/s", picked=2.1)
     marks = {line.get_label(): line.get_xydata() for line in ax.lines}
-    assert [-0.5, 1.0] in marks["start: 1"].tolist() and [-1.0, 2.0] in marks["picked: 2"].tolist()
+    [points] = ax.collections
+    places = [np.column_stack([rates(loop).real, rates(loop).imag]) for loop in loops]
+    np.testing.assert_array_equal(points.get_offsets(), np.concatenate(places))
+    np.testing.assert_array_equal(points.get_array(), np.repeat(VALUES, [len(place) for place in places]))
+    np.testing.assert_array_equal(marks["start: 1"], places[0])
+    np.testing.assert_array_equal(marks["picked: 2"], places[1])
 
 
-def test_a_reach_that_is_given_is_kept() -> None:
-    assert plot_locus(locus(60.0), radius=80.0).get_ylim() == (-80.0, 80.0)
+def test_without_a_choice_only_the_start_is_marked() -> None:
+    ax = plot_locus([linearise(cart_system(k)) for k in VALUES], VALUES, "k")
+    assert [line.get_label() for line in ax.lines] == ["start: 1", "stability boundary"]
+    low, high = ax.get_xlim()
+    assert low < min(rates(linearise(cart_system(4.0))).real) and high > 0

@@ -47,7 +47,6 @@ def test_every_result_with_a_picture_has_one() -> None:
         "Runs",
         "LinearLoop",
         "LoopScores",
-        "Locus",
     }
     assert "plotted" in [m.name for m in pkgutil.iter_modules(surctl.__path__)]
 
@@ -85,7 +84,7 @@ def test_a_dependence_is_ordered_by_rank() -> None:
 def test_limits_are_drawn_and_the_figure_turns_dark() -> None:
     figure = plot_record(runs()[0], limits={"torque": (-5.0, 5.0)})
     ax = next(ax for ax in figure.axes if ax.get_ylabel() == "torque [N m]")
-    assert ax.get_ylim()[0] < -5 and ax.get_ylim()[1] > 5 and len(ax.patches) == 2
+    assert ax.get_ylim()[0] < -5 and ax.get_ylim()[1] > 5 and len(ax.collections) == 2
 
 
 @pytest.mark.parametrize(

@@ -53,7 +53,7 @@ def test_limits_that_a_file_does_not_state_are_not_guessed(tmp_path: Path) -> No
         ('lower="-1" upper="1"', {}, "joint j: has no velocity limit"),
         ('lower="-1" velocity="1"', {}, "joint j: has no upper limit"),
         ('lower="-1" upper="1" velocity="1"', {"acceleration": {"k": 1.0}}, "acceleration = 'k': no such joint"),
-        ('lower="-1" upper="1" velocity="1"', {"acceleration": 0.0}, "is not a positive number"),
+        ('lower="-1" upper="1" velocity="1"', {"acceleration": 0.0}, "acceleration: j = 0.0: must be greater than 0"),
         ('lower="-1" upper="1" velocity="0"', {}, "joint j: velocity = 0.0"),
     ):
         robot = load_urdf(written(tmp_path, ends, joint("j", "a", "b", limit=limit)))

@@ -13,8 +13,9 @@ from surctl.files import Strict, validate
 from surctl.ir import Layout
 from surctl.marine.sensing import FAULT_KINDS, Fault, FaultChances, SonarArray
 from surctl.marine.sensing.sonar.faults import SLOT, check_faults, fault_ports, fault_slots, faulty_samples
-from surctl.noise import NoiseStream, draw_uniforms, noise_states
+from surctl.noise import draw_uniforms, noise_states
 from tests.oracles.echoes import fault_state, faulty, firing_samples, strikes
+from tests.oracles.noise_stream import NoiseStream
 
 
 class File(Strict):

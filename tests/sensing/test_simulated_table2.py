@@ -17,8 +17,8 @@ from scipy import stats
 from surctl.marine.reproduction.range_test import table_ii
 from surctl.marine.sensing import SonarArray
 from surctl.marine.world import Wall
-from surctl.noise import NoiseStream
 from tests.oracles.echoes import fire
+from tests.oracles.noise_stream import NoiseStream
 
 ARRAY = SonarArray()
 TABLES = 400

@@ -10,6 +10,7 @@ import pytest
 from surctl.marine.control import build_law, load_gains
 from surctl.marine.simulation import Run, load_scenario, simulate
 from surctl.marine.vehicle import load_vehicle
+from tests.oracles.path_follower import PlainFollower
 from tests.oracles.run_metrics import measure
 
 GAINS = load_gains("default")
@@ -31,7 +32,7 @@ def test_each_metric_is_what_its_text_says(run: Run) -> None:
     assert m.energy_n15_s == pytest.approx((np.abs(record.tau[:, :3]) ** 1.5).sum() * dt)
     # impulses of the horizontal thrust and of the drag along the path, by hand
     spent = np.hypot(*record.tau[:, :2].T).sum() * dt
-    direction = run.scenario.follower().directions(record.eta[:, :2])
+    direction = PlainFollower(run.scenario.path, visit=run.scenario.visit).directions(record.eta[:, :2])
     off = record.eta[:, 3] - direction
     along = np.maximum(record.nu[:, 0] * np.cos(off) - record.nu[:, 1] * np.sin(off), 0)
     needed = (run.vehicle["Xu"] * along + run.vehicle["Xuu"] * along**2).sum() * dt

@@ -16,7 +16,7 @@ from surctl.marine.guidance import Path
 from surctl.marine.simulation import Obstacle, findings, load_scenario, simulate
 from surctl.marine.simulation.explanation import stop_reason
 from surctl.marine.simulation.motion import planned_radius
-from surctl.marine.simulation.scenario_table import scenario_table
+from surctl.marine.simulation.scenario import scenario_table
 from surctl.marine.simulation.toml_text import toml_text
 from surctl.marine.vehicle import Vehicle
 from tests.craft import CRUISE, craft, mission

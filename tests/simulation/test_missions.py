@@ -27,6 +27,7 @@ from surctl.marine.simulation.scenario import scenario_from_table
 from surctl.marine.vehicle import load_vehicle
 from tests.oracles.mission_loop import simulate as reference
 from tests.oracles.missions import difference
+from tests.oracles.path_follower import PlainFollower
 
 VEHICLE, GAINS, SITE = load_vehicle("sur400"), load_gains("default"), load_scenario("tank-static")
 
@@ -88,7 +89,7 @@ def test_legs_with_speeds_depths_and_visits() -> None:
     )
     scenario = written([[2, 5], [5, 5]], *legs)
     run = simulate(scenario, VEHICLE, gains=GAINS)
-    eta, leg = run.record.eta, scenario.follower().legs(run.record.eta[:, :2])
+    eta, leg = run.record.eta, PlainFollower(scenario.path, visit=scenario.visit).legs(run.record.eta[:, :2])
     speeds = np.hypot(*run.record.nu[:, :2].T)
     first, slow = (leg == 0) & (eta[:, 0] > 4), (leg == 2) & (eta[:, 0] < 7.8)
     assert speeds[first].mean() == pytest.approx(0.2, rel=0.03)

@@ -14,8 +14,7 @@ from surctl.marine.cli.sensor_options import sensor_data
 from surctl.marine.control import load_gains
 from surctl.marine.sensing import REFLECTORS, Reflector
 from surctl.marine.simulation import ECHOES, LIBRARY, Case, Scenario, findings, load_scenario, simulate, simulate_batch
-from surctl.marine.simulation.scenario import scenario_from_table
-from surctl.marine.simulation.scenario_table import scenario_table
+from surctl.marine.simulation.scenario import scenario_from_table, scenario_table
 from surctl.marine.simulation.world import build_world
 from surctl.marine.vehicle import load_vehicle
 from surctl.marine.world import Disc

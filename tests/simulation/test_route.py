@@ -10,7 +10,7 @@ import pytest
 from surctl.errors import InputError
 from surctl.marine.guidance import BEND, MAX_WAYPOINTS, PASS, VISIT
 from surctl.marine.simulation import Scenario, load_scenario
-from surctl.marine.simulation.scenario_table import scenario_table
+from surctl.marine.simulation.scenario import scenario_table
 from surctl.marine.simulation.toml_text import toml_text
 
 HEAD = """

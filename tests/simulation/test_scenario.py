@@ -10,7 +10,7 @@ import pytest
 
 from surctl.errors import InputError
 from surctl.marine.simulation import LIBRARY, Obstacle, Scenario, findings, load_scenario
-from surctl.marine.simulation.scenario_table import scenario_table
+from surctl.marine.simulation.scenario import scenario_table
 from surctl.marine.simulation.toml_text import toml_text
 from surctl.marine.simulation.world import build_world
 from surctl.marine.vehicle import load_vehicle

@@ -8,8 +8,7 @@ import pytest
 
 from surctl.marine.sensing import BaseStation, Delivery, Equipment, Fault, FaultChances, OwnState, SonarArray
 from surctl.marine.simulation import LIBRARY, Sensors, load_scenario
-from surctl.marine.simulation.scenario import scenario_from_table
-from surctl.marine.simulation.scenario_table import scenario_table
+from surctl.marine.simulation.scenario import scenario_from_table, scenario_table
 from surctl.marine.simulation.toml_text import toml_text
 
 LATE = Delivery(period=0.2, latency=0.15, loss=0.1, gaps=((1.0, 2.5),))

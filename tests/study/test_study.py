@@ -17,7 +17,7 @@ from surctl.marine.control import build_law, load_gains
 from surctl.marine.simulation import LIBRARY as SCENARIOS
 from surctl.marine.simulation import simulate
 from surctl.marine.study import Study, load_plan
-from surctl.marine.study.conduct import Loops, _speed_notes, assessed, claims_of, loops_of, notes_of, with_perception
+from surctl.marine.study.conduct import _speed_notes, assessed, claims_of, loops_of, notes_of, with_perception
 from surctl.marine.vehicle import LIBRARY, load_vehicle
 from surctl.marine.verification.linear import slowest_mode
 from surctl.marine.verification.speeds import OverSpeeds
@@ -328,7 +328,7 @@ def test_an_unstable_loop_is_named_with_its_remedy():
 def test_each_speed_of_a_study_needs_the_margins_that_the_largest_needs(delay, disk, short):
     figures = {"delay_margin_s": [0.3, delay], "disk_margin": [disk, 0.5], "slowest_pole_per_s": [-0.1, -0.2]}
     over = OverSpeeds((0.05, 0.1), {name: np.array(values) for name, values in figures.items()})
-    [line] = _speed_notes(Loops(LoopAnalysis(0.1), over))
+    [line] = _speed_notes(LoopAnalysis(0.1), over)
     assert line.passed is not bool(short) and line.text.endswith(f"(at least {short})") is bool(short)
 
 
@@ -338,10 +338,11 @@ def test_a_study_of_an_own_law_judges_nothing_of_another() -> None:
     assessment = assess(assessed(plan, plan.gains), parts=["loop"])
     one = assessment.sources["loop"]
     assert one.mode is None and one.nominal.place.startswith("the steady motion at")
-    loops = loops_of(plan, plan.gains, one)
+    over, loops = loops_of(plan, plan.gains, one)
+    assert list(loops) == [one.nominal.place]
     run = simulate(plan.legs[0].scenario, plan.vehicle, gains=plan.gains, law=build_law(plan.law))
     table = swept({"k_wall": (0.2, 0.4)}, {"score": np.array([1.0, 2.0]), "feasible": np.ones(2)})
-    notes = {note.about: note for note in [*assessment.lines, *notes_of(plan, table, loops, (), [run])]}
+    notes = {note.about: note for note in [*assessment.lines, *notes_of(plan, table, one, over, (), [run])]}
     assert "disk margin 0.27" in notes["margins"].text and notes["margins"].passed is False  # at a corner
     assert notes["margins"].text.startswith("margins about the steady motion at ")
     assert "claims" not in notes

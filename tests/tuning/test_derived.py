@@ -11,13 +11,12 @@ import pytest
 
 from surctl.errors import InputError
 from surctl.marine.cli.robot_options import choose_gains
-from surctl.marine.control import GAINS, Gains, load_gains, write_gains
+from surctl.marine.control import GAINS, Gains, build_law, load_gains, write_gains
 from surctl.marine.simulation import findings
 from surctl.marine.tuning import default_cruise, derive_gains, derived_gains, gains_for
 from surctl.marine.tuning.derived import REQUIRED, held_speed, inner_start, munk_rate, rule, shared_gains
 from surctl.marine.vehicle import Vehicle, load_vehicle
-from surctl.marine.verification.corners import corners
-from surctl.marine.verification.linear import cruise_corners
+from surctl.marine.verification import law_corners
 from surctl.marine.verification.speeds import check_held
 from surctl.verification.linear import LEAST_DISK_MARGIN
 from tests.craft import mission
@@ -44,11 +43,12 @@ GIRONA = made(
 
 
 def least(vehicle: Vehicle, gains: Mapping[str, float], cruise: float) -> float:
-    return cruise_corners(corners(vehicle), gains, cruise=cruise, dt=DT, proved=False).disk
+    whole = load_gains("default").with_values(gains)
+    return law_corners(build_law(), vehicle, whole, cruise=cruise, proved=False).disk
 
 
 def reached(vehicle: Vehicle, gains: Gains, cruise: float) -> float:
-    return cruise_corners(corners(vehicle), gains.values, cruise=cruise, dt=DT).disk
+    return law_corners(build_law(), vehicle, gains, cruise=cruise).disk
 
 
 @pytest.mark.parametrize(("vehicle", "cruise"), [(VON_BENZON, 0.17), (GIRONA, 0.51)])  # others: study 40
@@ -108,14 +108,14 @@ def test_the_result_does_not_depend_on_anything_but_the_arguments(
 
     first = derive_gains(WU, cruise=0.15)
     monkeypatch.setenv("SURCTL_CACHE", str(tmp_path))
-    derived._derive.cache_clear()
+    derived._known.clear()
     again = derive_gains(WU, cruise=0.15)
     assert again is not first and again == first
-    derived._derive.cache_clear()
+    derived._known.clear()
     slower = derive_gains(WU, cruise=0.1)
     monkeypatch.setattr(derived, "_derivation", lambda *_: pytest.fail("it is on disk"))
     assert derive_gains(WU, cruise=0.15) == first and slower != first
-    derived._derive.cache_clear()
+    derived._known.clear()
     assert derive_gains(WU, cruise=0.1) == slower
 
 

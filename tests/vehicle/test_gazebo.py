@@ -81,9 +81,13 @@ def test_hydrodynamics_of_uuv_simulator(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "fragment"),
     [
-        (("<xU>-4", "<xU>4"), r"base.Xu = -4.0: would be a drag below 0"),
+        (
+            ("<xU>-4", "<xU>4"),
+            r"Xu = -4.0: must be at least 0; linear drag in surge, in N s/m; a hydrodynamic derivative",
+        ),
         (("<xx>5", "<xx>-5"), "axis u = -5.0: would be an added mass below 0"),
         (("<mass>10.5</mass>", ""), "base.mass: is missing"),
+        (("<mass>10.5</mass>", "<mass>-2</mass>"), "base.mass = -2.0: is not positive"),
         (("<xU>-4", "<xU>${drag}"), "xU = '\\$\\{drag\\}': is not a number"),
         (("</sdf>", ""), "is not XML"),
         (("<sdf", "<!DOCTYPE sdf><sdf"), "declares a document type"),

@@ -16,6 +16,7 @@ from surctl.marine.vehicle.logs.joining import roll_pitch_heading
 from surctl.marine.vehicle.logs.read import read_mapped_log, read_recording, topic_lines
 from surctl.marine.vehicle.logs.recording import TopicRows, step_back
 from surctl.marine.vehicle.motion_log import heading_frame, read_motion_log, swap_body, swap_pose
+from surctl.recorded import read_recorded
 from tests.vehicle import logs_written as written
 
 DIVE = written.dive()
@@ -292,7 +293,7 @@ def test_columns_in_other_units(tmp_path: Path) -> None:
         read_motion_log(file)
 
 
-def test_matlab_7_3_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_matlab_7_3_is_read(tmp_path: Path) -> None:
     import h5py
 
     path = tmp_path / "log.mat"
@@ -301,14 +302,25 @@ def test_matlab_7_3_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
             file[name] = np.arange(60.0)[None, :]
         file["frame"] = np.array([[ord(c)] for c in FRAME_TEXT["ned"]], dtype=np.uint16)
         file["frame"].attrs["MATLAB_class"] = np.bytes_("char")
+        file["pulse"] = np.full((1, 60), 65535, dtype=np.uint16)
+        cells = file.create_dataset("cells", (2, 1), dtype=h5py.ref_dtype)
+        cells[0, 0] = file["t_s"].ref
     raw = bytearray(path.read_bytes())
     raw[:128] = b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM"
     path.write_bytes(raw)
     log = read_motion_log(path)
     assert log.motion[5, 1] == 5.0 and log.time[-1] == 59.0  # north is y
-    monkeypatch.setitem(sys.modules, "h5py", None)
-    with pytest.raises(InputError, match=r"needs the package h5py.*surctl\[matlab\]"):
-        read_motion_log(path)
+    assert read_recorded(path).numbers("pulse").tolist() == [65535.0] * 60
+
+
+def test_a_missing_whole_number_of_a_netcdf_file_is_no_number(tmp_path: Path) -> None:
+    import netCDF4
+
+    with netCDF4.Dataset(tmp_path / "log.nc", "w") as file:
+        file.createDimension("row", 3)
+        file.createVariable("t_s", "f8", ("row",))[:] = np.arange(3.0)
+        file.createVariable("count", "i4", ("row",))[:2] = [4, 5]
+    np.testing.assert_array_equal(read_recorded(tmp_path / "log.nc").numbers("count"), [4.0, 5.0, np.nan])
 
 
 def test_a_table_without_a_header_or_time_says_where_to_name_them(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ import pytest
 
 from surctl.errors import InputError
 from surctl.marine.control import load_gains, write_gains
-from surctl.marine.vehicle import LIBRARY, PARAMETERS, Vehicle, load_vehicle, parameter_spec, write_vehicle
+from surctl.marine.vehicle import LIBRARY, PARAMETERS, SPECS, Vehicle, load_vehicle, write_vehicle
 from surctl.marine.vehicle.parameters import vehicle_from_table
 
 COLUMNS = (
@@ -59,9 +59,7 @@ def test_every_parameter_has_its_unit_and_a_provenance(name: str) -> None:
     assert vehicle.name == name
     assert list(vehicle.parameters) == [*PARAMETERS, *vehicle.form.terms]
     for key, parameter in vehicle.parameters.items():
-        spec = parameter_spec(key)
-        assert spec is not None
-        assert parameter.unit == spec.unit
+        assert parameter.unit == SPECS[key].unit
         assert parameter.provenance.strip()
 
 
@@ -120,7 +118,7 @@ def _edited(old: str, new: str) -> str:
 
 MISTAKES = {
     "missing key": (_edited(RADIUS, ""), "hull.radius", "is missing"),
-    "wrong unit": (_edited(RADIUS, 'radius = { value = 27.0, unit = "s" }'), "hull.radius.unit", "give it in m"),
+    "wrong unit": (_edited(RADIUS, 'radius = { value = 27.0, unit = "s" }'), "hull.radius", "give it in m"),
     "no unit": (_edited(RADIUS, "radius = { value = 0.27 }"), "hull.radius", "unit"),
     "text for a number": (_edited(RADIUS, 'radius = "a foot"'), "hull.radius", "must be a value with its unit"),
     "bare number": (_edited(RADIUS, "radius = 0.27"), "hull.radius", "0.27"),

@@ -11,10 +11,10 @@ from surctl.marine.control.closing import velocity_control
 from surctl.marine.control.paper import DAMPING
 from surctl.marine.guidance.tracking import along_command, tracking_velocity
 from surctl.marine.vehicle import load_vehicle, planar_rotation
-from surctl.marine.verification import cruise_loop, law_loop
+from surctl.marine.verification import cruise_loop, law_corners, law_loop
 from surctl.marine.verification.corners import corners
 from surctl.marine.verification.cruise_loop import POSE, THRUSTS
-from surctl.marine.verification.linear import cruise_corners
+from surctl.marine.verification.law_loop import cruise_motion
 from surctl.verification import system_margins
 from surctl.verification.loops import BrokenLoop, LoopMargins, crossings_of
 
@@ -170,7 +170,9 @@ def test_all_laws_that_track_have_one_loop(law: str, rel: float) -> None:
 @pytest.mark.parametrize("k_i", [0.0, 0.2])
 def test_the_loop_of_derivatives_is_that_of_differences_of_the_steps_of_the_law(k_i: float) -> None:
     gains = load_gains("default").with_values({"k_i": k_i})
-    stepped = law_loop(build_law("closed_form"), VEHICLE, gains, cruise=0.15)
+    law, about = build_law("closed_form"), {"cruise": 0.15}
+    stepped = law_loop(law, VEHICLE, gains, at=cruise_motion(law, VEHICLE, gains, **about), **about)
+    assert 0 < stepped.kink < 1e-6 and law_loop(law, VEHICLE, gains, **about).kink == 0.0  # this one is of derivatives
     found = np.sort_complex(cruise_loop(VEHICLE, gains.values, cruise=0.15, dt=0.05).rates)
     expected = np.sort_complex(np.log(stepped.poles) / 0.05)
     assert found == pytest.approx(expected, rel=1e-4, abs=1e-4)
@@ -247,7 +249,7 @@ def test_the_least_delay_margin_is_that_of_all_corners_and_loops():
         for plant, label in zip(tried.vehicles, tried.labels, strict=True)
         for m in loop_margins(plant, GAINS, model=vehicle, **about)
     }
-    found = cruise_corners(tried, GAINS, **about)
+    found = law_corners(build_law(), tried, load_gains("default").with_values(GAINS), cruise=0.2)
     worst = min(each, key=lambda where: each[where])
     assert (found.delay.where, found.delay.delay_s) == (worst, pytest.approx(each[worst], rel=1e-9))
     assert (

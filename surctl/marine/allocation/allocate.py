@@ -9,10 +9,10 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from surctl.errors import InputError
 from surctl.ir.native import runnable
 from surctl.marine.allocation.program import allocation_block
 from surctl.marine.vehicle import Actuators
+from surctl.units import as_numbers
 
 Array = NDArray[np.float64]
 
@@ -86,7 +86,7 @@ def allocate(actuators: Actuators, wrench: ArrayLike, *, failed: Sequence[str] =
         >>> print(allocate(thrusters, [100.0, 60.0, 0.0, 0.0]).explain())
         `force` gave up 34.34 N because `T1` and `T4` bind.
     """
-    desired = _four(wrench)
+    desired = as_numbers(wrench, key="wrench", size=4)
     working = working_flags(actuators, failed, speed=speed)
     achieved, components, commands, *angles = _runner(actuators)(desired, working)
     roll, pitch = actuators.moments(components)
@@ -132,16 +132,6 @@ def working_flags(actuators: Actuators, failed: Sequence[str] = (), *, speed: fl
 @lru_cache(maxsize=16)
 def _runner(actuators: Actuators) -> Callable[..., list[Array]]:
     return runnable(allocation_block(actuators))
-
-
-def _four(wrench: ArrayLike) -> Array:
-    try:
-        values = np.array(wrench, dtype=np.float64).reshape(-1)
-    except (TypeError, ValueError):
-        values = np.zeros(0)
-    if values.size != 4 or not np.isfinite(values).all():
-        raise InputError("is not four finite numbers", key="wrench", value=wrench, remedy="give F_u, F_v, F_w and F_r")
-    return values
 
 
 def _lacks(

@@ -223,7 +223,7 @@ class SimulatedSub:
         eta, nu = self.state
         north, east, down, yaw = self.site.to_ned(eta).tolist()
         c, s = cos(eta[3]), sin(eta[3])
-        velocity = self.site.velocity_to_ned([c * nu[0] - s * nu[1], s * nu[0] + c * nu[1], nu[2]]).tolist()
+        velocity = self.site.velocity([c * nu[0] - s * nu[1], s * nu[0] + c * nu[1], nu[2]]).tolist()
         attitude = self._frame(
             self.system_id, "attitude", boot, 0.0, 0.0, (yaw + np.pi) % (2 * np.pi) - np.pi, 0.0, 0.0, -float(nu[3])
         )
@@ -243,7 +243,7 @@ class SimulatedSub:
                 shape, v = there[name].shape, there[name].velocity * (self.begun is not None)
                 assert isinstance(shape, Disc)
                 place = self.site.to_ned([*shape.center, self.scenario.depth, 0.0])
-                numbers = [*place[:3].tolist(), *self.site.velocity_to_ned([*v, 0.0]).tolist()]
+                numbers = [*place[:3].tolist(), *self.site.velocity([*v, 0.0]).tolist()]
             frames.append(self._frame(self._other(k), "local_position_ned", int(now * 1000), *numbers))
         return frames
 

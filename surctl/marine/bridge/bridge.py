@@ -33,7 +33,6 @@ from surctl.marine.bridge.wire import (
     Event,
     Gone,
     Mapping,
-    Odometry,
     Position,
     Ranges,
     Reply,
@@ -77,10 +76,10 @@ class Plan:
         """Raise InputError for a mission that has to be fed, or a depth that the mode cannot follow."""
         if self.scenario.path.fed:
             raise InputError(
-                "has more than 8 points, or speeds or depths for its legs: the bridge cannot pass these to the law",
+                "has more than 8 points, or a speed, depth or corner of a leg: the bridge cannot pass these to the law",
                 file=self.scenario.source,
                 key="path_m",
-                remedy="give at most 8 points",
+                remedy="give at most 8 points, and legs without speed_m_per_s, depth_m and corner",
             )
         if self.mapping.mode.name == "alt_hold" and self.scenario.depths is not None:
             problem = "needs a mode in which the law controls the depth"
@@ -147,7 +146,6 @@ class Bridge:
             Reply: self._reply,
             Position: self._position,
             Attitude: partial(self._own, self.inputs.attitude),
-            Odometry: partial(self._own, self.inputs.odometry),
             Ranges: self._ranges,
             Gone: lambda event, _: self.inputs.gone(event.system),
             Text: lambda event, now: self.texts.append((now, f"autopilot: {event.text}")),
@@ -247,7 +245,7 @@ class Bridge:
             return self._neutral()
         c, s = cos(pose[3]), sin(pose[3])
         u, v, w, r = reference.tolist()
-        north, east, down = self.plan.site.velocity_to_ned([c * u - s * v, s * u + c * v, w]).tolist()
+        north, east, down = self.plan.site.velocity([c * u - s * v, s * u + c * v, w]).tolist()
         return Axes(velocity=(north, east, down), yaw_rate=-r)
 
     def _left(self, pose: Vector) -> float:
@@ -287,7 +285,7 @@ class Bridge:
         else:
             self._own(self.inputs.position, event, now)
 
-    def _own(self, take: Callable[[Any, float], None], event: Position | Attitude | Odometry, now: float) -> None:
+    def _own(self, take: Callable[[Any, float], None], event: Position | Attitude, now: float) -> None:
         # a measurement of the vehicle's own motion
         measured = self._stamped(event.boot, now)
         if measured is not None:

@@ -11,15 +11,14 @@ from dataclasses import dataclass, field
 from math import cos, inf, isfinite, pi, radians, sin
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from surctl.errors import InputError
-from surctl.marine.bridge.wire import Attitude, Odometry, Position, Ranges
+from surctl.marine.bridge.wire import Attitude, Position, Ranges
 from surctl.marine.control import Law
 from surctl.marine.simulation import Scenario
 from surctl.marine.simulation.world import build_world
 from surctl.marine.vehicle import Vehicle
-from surctl.marine.vehicle.motion_log import heading_velocity, roll_pitch_heading
 from surctl.marine.world import Disc
 
 # The scenario's frame {E} and the autopilot's local frame NED
@@ -60,16 +59,10 @@ class Site:
         return np.array([north, east, -z, self.bearing - psi])
 
     def velocity(self, ned: Iterable[float]) -> Vector:
-        """Return the velocity (3,) in {E} of a velocity north, east, down [m/s]."""
+        """Return the velocity (3,) in {E} of a velocity north, east, down [m/s], or the other way; its own inverse."""
         north, east, down = (float(v) for v in ned)
         c, s = cos(self.turn), sin(self.turn)
         return np.array([c * east - s * north, s * east + c * north, -down])
-
-    def velocity_to_ned(self, velocity: Iterable[float]) -> Vector:
-        """Return the velocity in NED (3,) of a velocity in {E}; inverse of `velocity`."""
-        x, y, z = (float(v) for v in velocity)
-        c, s = cos(self.turn), sin(self.turn)
-        return np.array([c * y - s * x, c * x + s * y, -z])
 
     def body(self, eta: Vector, velocity: Iterable[float], yaw_rate: float) -> Vector:
         """Return ν (4,) in {B} of a velocity (3,) in {E} [m/s] and a yaw rate [rad/s], counter-clockwise from above."""
@@ -83,13 +76,6 @@ def yaw_rate(roll: float, pitch: float, rates: tuple[float, float, float]) -> fl
     if not abs(pitch) < 0.5 * pi:
         return float("nan")
     return -(sin(roll) * rates[1] + cos(roll) * rates[2]) / cos(pitch)
-
-
-def body_velocity(velocity: ArrayLike, rates: ArrayLike, *, roll: float, pitch: float) -> Vector:
-    """Return ν (4,) in the heading frame {B} of velocity and rates in the hull's FRD frame (Fossen 2021, 2.1)."""
-    v, w = np.asarray(velocity, dtype=float), np.asarray(rates, dtype=float)
-    flip = np.array([1.0, -1.0, -1.0])
-    return heading_velocity(v * flip, w * flip, roll=roll, pitch=-pitch)
 
 
 def parse_site(text: str) -> Site:
@@ -188,18 +174,6 @@ class Inputs:
         if np.isfinite(rate) and (self._turn is None or measured > self._turn[0]):
             psi = float(self.site.pose([0.0, 0.0, 0.0, event.yaw])[3])
             self._turn = measured, psi, rate
-
-    def odometry(self, event: Odometry, measured: float) -> None:
-        """Store an odometry message of the vehicle; `measured` is the time of the measurement [s]."""
-        w, *vector = event.q
-        roll, pitch, yaw = roll_pitch_heading(np.array([[*vector, w]]))[0].tolist()
-        if abs(pitch) > 0.49 * pi or (self._place is not None and measured <= self._place[0]):
-            return
-        nu = body_velocity(event.velocity, event.rates, roll=roll, pitch=pitch)
-        eta = self.site.pose([*event.place, yaw])
-        c, s = cos(eta[3]), sin(eta[3])
-        self._place = measured, eta[:3], np.array([c * nu[0] - s * nu[1], s * nu[0] + c * nu[1], nu[2]])
-        self._turn = measured, float(eta[3]), float(nu[3])
 
     def ranges(self, event: Ranges, measured: float) -> None:
         """Take distances that were measured at `measured` [s]: each sonar of the law gets the nearest in its beam."""

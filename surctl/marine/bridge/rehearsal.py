@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from math import inf
 from typing import Literal, NamedTuple, TypeAlias, get_args
 
@@ -39,14 +39,10 @@ class LinkQuality:
 
     def __post_init__(self) -> None:
         """Raise InputError for a probability outside [0, 1], or a time outside [0, 60] s."""
-        for key in ("loss", "damaged", "repeated"):
-            value = getattr(self, key)
-            if not 0.0 <= value <= 1.0:
-                raise InputError("is not a probability", key=key, value=value, remedy="use 0 to 1")
-        for key in ("delay", "jitter"):
-            value = getattr(self, key)
-            if not 0.0 <= value <= 60.0:
-                raise InputError("is not a valid time", key=key, value=value, remedy="give 0 to 60 s")
+        for each in fields(self):
+            most, unit = (60.0, " s") if each.name in ("delay", "jitter") else (1.0, "")
+            if not 0.0 <= (value := getattr(self, each.name)) <= most:
+                raise InputError("is out of range", key=each.name, value=value, remedy=f"give 0 to {most:g}{unit}")
 
 
 @dataclass

@@ -19,10 +19,9 @@ The functions are pure: they map a state and an event to the next state, and kno
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-from math import isfinite
 from typing import Literal
 
-from surctl.errors import InputError
+from surctl.errors import InputError, check_number
 
 _BACK = 1.0  # [s] a time since boot that is older than the newest by more than this is that of a restarted autopilot
 _AHEAD = 5.0  # [s] and one that is ahead of its time by more than this belongs to another autopilot
@@ -105,9 +104,7 @@ class Limits:
     def __post_init__(self) -> None:
         """Raise InputError for a time that is not positive, or an `estimate` above `lost`."""
         for each in fields(self):
-            value = getattr(self, each.name)
-            if not (isfinite(value) and value > 0):
-                raise InputError("is not a valid time", key=each.name, value=value, remedy="give seconds, above 0")
+            check_number(each.name, getattr(self, each.name), unit="s")
         if self.estimate > self.lost:
             raise InputError(
                 f"is above lost = {self.lost:g} s", key="estimate", value=self.estimate, remedy="give a shorter time"
@@ -268,7 +265,7 @@ def sending(session: Session, now: float, *, limits: Limits) -> Sending:
     """Return what the bridge sends in this control period.
 
     Example:
-        >>> from surctl.marine.bridge import Limits, Session, sending
+        >>> from surctl.marine.bridge.session import Limits, Session, sending
         >>> sending(Session(), 0.0, limits=Limits()), sending(Session("holding"), 0.0, limits=Limits())
         ('nothing', 'neutral')
     """

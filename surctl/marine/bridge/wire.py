@@ -21,9 +21,11 @@ from typing import Any, Literal, NamedTuple, TypeAlias, get_args
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
-from surctl.errors import InputError, ToolMissing, check_known
+from surctl.errors import ToolMissing, check_known, check_number
 from surctl.marine.vehicle import Thruster, Vehicle
+from surctl.marine.vehicle.motion_log import roll_pitch_heading
 
 
 class Beat(NamedTuple):
@@ -59,16 +61,6 @@ class Attitude(NamedTuple):
     rates: tuple[float, float, float]
 
 
-class Odometry(NamedTuple):
-    """Position [m] in NED, attitude as a quaternion (w, x, y, z), velocity and rates in FRD, at `boot` [s]."""
-
-    boot: float
-    place: tuple[float, float, float]
-    q: tuple[float, float, float, float]
-    velocity: tuple[float, float, float]
-    rates: tuple[float, float, float]
-
-
 class Ranges(NamedTuple):
     """Distances [m] from the hull by direction: (azimuth in {B} [rad], counter-clockwise from forward; distance).
 
@@ -94,7 +86,7 @@ class Text(NamedTuple):
     text: str
 
 
-Event: TypeAlias = Beat | Position | Gone | Attitude | Odometry | Ranges | Reply | Text
+Event: TypeAlias = Beat | Position | Gone | Attitude | Ranges | Reply | Text
 
 
 Vector = NDArray[np.float64]
@@ -165,8 +157,7 @@ class Mapping:
         full_rate: yaw rate [rad/s] at full deflection, 45° times ArduSub's parameter ACRO_YAW_P.
 
     Example:
-        >>> from surctl.marine.bridge import Mapping
-        >>> from surctl.marine.bridge.wire import mode_of
+        >>> from surctl.marine.bridge.wire import Mapping, mode_of
         >>> from surctl.marine.vehicle import load_vehicle
         >>> mapping = Mapping.of(load_vehicle("sur540-flooded"), mode_of("alt_hold"))
         >>> mapping.axes([2.5, 1.0, 0.0, 0.1], yaw_rate=0.1)  # N, N, N, N m; rad/s
@@ -185,8 +176,7 @@ class Mapping:
         Raises:
             InputError: the full yaw rate is not a positive number.
         """
-        if not (isfinite(full_rate) and full_rate > 0):
-            raise InputError("is not a yaw rate", key="full_rate", value=full_rate, remedy="give rad/s, above 0")
+        check_number("full_rate", full_rate, unit="rad/s")
         limits = vehicle.thrust_range
         if vehicle.actuators is not None:
             limits = np.array([-vehicle.actuators.most, vehicle.actuators.most])
@@ -371,7 +361,11 @@ class Wire:
         if boot is None or m.frame_id != local_ned or m.child_frame_id not in body_frd:
             return
         if self._finite(numbers) and abs(sum(v * v for v in m.q) - 1.0) < 0.1:
-            yield Odometry(boot, numbers[:3], tuple(m.q), numbers[7:10], numbers[10:])
+            w, *vector = m.q
+            velocity = Rotation.from_quat([*vector, w]).apply(numbers[7:10]).tolist()
+            roll, pitch, yaw = roll_pitch_heading(np.array([[*vector, w]]))[0].tolist()
+            yield Position(m.get_srcSystem(), boot, numbers[:3], (velocity[0], velocity[1], velocity[2]))
+            yield Attitude(boot, roll, pitch, yaw, numbers[10:])
 
     def _distance(self, m: Any) -> Iterator[Event]:
         if not self._own(m) or m.signal_quality == 1:

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 from surctl.cli.output import progress, timed
 from surctl.cli.verify import Claimed, Decided, refused, written
-from surctl.errors import InputError, NotApplicable
+from surctl.errors import InputError, NotApplicable, check_once
 
 if TYPE_CHECKING:
-    from surctl.marine.control import Gains
+    from surctl.marine.assessment import Mission
     from surctl.marine.simulation import Scenario
     from surctl.marine.vehicle import Vehicle
     from surctl.marine.verification.region import RegionStatement
@@ -90,10 +90,7 @@ def library_claims(
         rest = ()
     known = {claim.name: claim for claim in rest}
     chosen = [own[w] if w in own else known[w] for w in words if w not in reasons]
-    names = [claim.name for claim in chosen]
-    twice = sorted({name for name in names if names.count(name) > 1})
-    if twice:
-        raise InputError("is given twice", key="claim", value=twice[0], remedy="rename or drop one of them")
+    check_once((c.name for c in chosen), "is given twice", key="claim", remedy="rename or drop one of them")
     return chosen, [Inapplicable.of(name, reason) for name, reason in reasons.items()]
 
 
@@ -165,27 +162,15 @@ def require_own_speeds(words: Sequence[str], cruise: float | None, cap: float | 
 
 
 def region_claims(
-    words: Sequence[str],
-    vehicle: Vehicle,
-    gains: Gains,
-    *,
-    law: str,
-    speeds: tuple[float, float],
-    seed: int = 0,
-    out: Path | None = None,
-    forms: Mapping[str, Any] | None = None,
+    words: Sequence[str], mission: Mission, *, seed: int = 0, out: Path | None = None
 ) -> tuple[Claims, str]:
     """Return region claims to decide, and the name of one that applies to the vehicle if a stated one does not, or "".
 
     Args:
         words: names and files of the claims.
-        vehicle: the vehicle.
-        gains: the gains.
-        law: reference of the law.
-        speeds: (cruise speed, speed limit) [m/s] for claims whose text does not set these speeds.
+        mission: the vehicle with its law, and its speeds for claims whose text does not set these.
         seed: seed of the search for a certificate.
         out: folder of the certificates.
-        forms: `barrier` and `movers` of the law.
 
     Raises:
         InputError: a claim is unknown or has a mistake.
@@ -193,7 +178,9 @@ def region_claims(
     from surctl.marine.verification.region import RegionStatement, applicable_region, prove_statement
     from surctl.verification import Inapplicable
 
-    about: dict[str, Any] = {"cruise": speeds[0], "cap": speeds[1]}
+    vehicle, gains, law = mission.vehicle, mission.gains, mission.law_ref
+    about: dict[str, Any] = {"cruise": mission.cruise, "cap": mission.cap}
+    forms = {"barrier": mission.barrier, "movers": mission.movers}
     claims, names, others = list[Claimed](), set[str](), list[Decided]()
     for word in words:
         one = region_of(word)
@@ -219,9 +206,8 @@ def is_mission(word: str) -> bool:
 
 
 def mission_claims(
-    words: Sequence[str], scenario: Scenario | None, vehicle: Vehicle, gains: Gains, *, law: str,
-    speeds: tuple[float, float], seed: int = 0, out: Path | None = None,
-) -> Claims:  # fmt: skip
+    words: Sequence[str], scenario: Scenario | None, mission: Mission, *, seed: int = 0, out: Path | None = None
+) -> Claims:
     """Return the claim about the mission of a scenario, with the region claim that a word names for each leg.
 
     If the claim is not proved, its line begins with the largest lower cruise speed at which it is proved.
@@ -240,15 +226,16 @@ def mission_claims(
         raise InputError("is about the path of a scenario", key="claim", value=words[0], remedy=remedy)
     if len(words) > 1:
         raise InputError("is a second claim about the mission", key="claim", value=words[1], remedy="drop one of them")
-    [word], (cruise, cap) = words, speeds
+    [word] = words
+    speeds: dict[str, Any] = {"cruise": mission.cruise, "cap": mission.cap}
     region = word.partition(":")[2]
     statement = region_of(region) if region else region_statement(USUAL)
-    about = (scenario, vehicle, gains, statement)
+    about = (scenario, mission.vehicle, mission.gains, statement)
 
     def decided() -> Decided:
         try:
-            statement.require(law)
-            done = _proved(partial(prove_scenario, *about, cruise=cruise, cap=cap, seed=seed), out)
+            statement.require(mission.law_ref)
+            done = _proved(partial(prove_scenario, *about, **speeds, seed=seed), out)
             sentence, final = done.proof.sentence, not done.failure
         except NotApplicable as reason:
             one = Inapplicable.of(f"mission-{scenario.name}", reason)
@@ -256,10 +243,10 @@ def mission_claims(
         if final:
             return done
         with timed(f"{word} at lower speeds"):
-            lower = slower(*about, cruise=cruise, cap=cap, seed=seed)
+            lower = slower(*about, **speeds, seed=seed)
         line = f"{sentence}; no lower speed is proved"
         if lower is not None:
-            line = f"with --cruise {lower.claim.loop.cruise:g}, {lower.sentence}; at {cruise:g} m/s, {sentence}"
+            line = f"with --cruise {lower.claim.loop.cruise:g}, {lower.sentence}; at {mission.cruise:g} m/s, {sentence}"
         lines = [done.lines[0].replace(sentence, line)]
         return done._replace(data={**done.data, "at_lower_speed": lower and lower.to_dict()}, lines=lines)
 
@@ -274,10 +261,8 @@ def is_braking(name: str) -> bool:
     return name.startswith(_KINDS)
 
 
-def braking_claims(
-    names: Sequence[str], vehicle: Vehicle, gains: Gains, *, law: str, cap: float, out: Path | None = None
-) -> Claims:
-    """Return the named braking claims for a vehicle, gains, a law and a speed limit `cap` [m/s].
+def braking_claims(names: Sequence[str], mission: Mission, *, out: Path | None = None) -> Claims:
+    """Return the named braking claims for the vehicle, gains, law and speed limit of a mission.
 
     The claims do not apply to a law without the barrier of law `guarded`.
 
@@ -294,9 +279,9 @@ def braking_claims(
     claims, others = list[Claimed](), list[Decided]()
     for name in names:
         try:
-            claim = braking_claim_named(name, vehicle, gains, cap=cap)
-            if BARRIER not in law_source(law).parts:
-                raise NotApplicable("it has not the barrier of law guarded", to=f"law {label(law)}")
+            claim = braking_claim_named(name, mission.vehicle, mission.gains, cap=mission.cap)
+            if BARRIER not in law_source(mission.law_ref).parts:
+                raise NotApplicable("it has not the barrier of law guarded", to=f"law {label(mission.law_ref)}")
         except NotApplicable as reason:
             others.append(refused(Inapplicable.of(name, reason)))
         else:

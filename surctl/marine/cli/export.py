@@ -25,6 +25,7 @@ from surctl.marine.cli.robot_options import (
     choose_law,
     choose_sensing,
     choose_vehicle,
+    form_options,
     law_option,
     priority_options,
 )
@@ -43,15 +44,7 @@ if TYPE_CHECKING:
     "--scenario", default=MISSION, metavar="FILE", help="Mission and sensors: name or file (default pool-static)."
 )
 @law_option
-@click.option(
-    "--avoidance",
-    default="corrected",
-    metavar="NAME",
-    help="Equation (20) of --law paper: corrected (default), printed, or consistent (every angle counter-clockwise).",
-)
-@click.option(
-    "--guidance", default="los", metavar="NAME", help="Path guidance: los (default); for currents ilos or alos."
-)
+@form_options
 @priority_options
 @barrier_options
 @click.option("--sensing", metavar="NAME", help="Obstacles: sonar (default if the law allows it) or truth.")

@@ -13,7 +13,8 @@ from surctl.errors import InputError, SurctlError, check_known
 from surctl.marine.cli.robot_options import GAINS_HELP, choose_gains, choose_law, law_option
 
 if TYPE_CHECKING:
-    from surctl.marine.bridge import Act, Address, Bridge, LinkQuality, RehearsalResult
+    from surctl.marine.bridge import Act, Bridge, LinkQuality, RehearsalResult
+    from surctl.marine.bridge.live import Address
     from surctl.marine.simulation import Scenario
 
 _SYSTEM = click.IntRange(1, 255)
@@ -230,7 +231,7 @@ def _stem(mission: Scenario, seed: int) -> str:
 
 
 def _act(text: str) -> Act:
-    from surctl.marine.bridge import ACTIONS, Act
+    from surctl.marine.bridge.rehearsal import ACTIONS, Act
 
     at, _, action = text.partition(":")
     try:

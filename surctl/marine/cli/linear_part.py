@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from surctl.errors import InputError
@@ -11,7 +11,7 @@ from surctl.errors import InputError
 if TYPE_CHECKING:
     from surctl.assessment import Assessment
     from surctl.marine.assessment import LoopAnalysis, Mission
-    from surctl.marine.vehicle import Vehicle
+    from surctl.verification import LoopCorners
 
 
 class LinearPart(NamedTuple):
@@ -25,19 +25,13 @@ class LinearPart(NamedTuple):
     data: dict[str, Any]
     stable: bool | None
     cruise: float
-    assessment: Assessment | None = None
+    loops: LoopCorners | None = None
     peak: float = math.inf
 
     @property
     def short(self) -> bool:
-        """Whether a figure of the loop is below the least sufficient value."""
-        parts = {} if self.assessment is None else self.assessment.parts
-        return "loop" in parts and not all(figure.enough for figure in parts["loop"].figures)
-
-    def figure(self, name: str) -> float:
-        """Return a figure of the assessment; NaN if it has none of this name."""
-        known = {} if self.assessment is None else self.assessment.figures
-        return known[name].value if name in known else math.nan
+        """Whether a margin of the loop is below the least sufficient value."""
+        return self.loops is not None and not self.loops.enough
 
 
 def linear_part(assessment: Assessment, mission: Mission) -> LinearPart:
@@ -52,14 +46,14 @@ def linear_part(assessment: Assessment, mission: Mission) -> LinearPart:
             key, why = "not_applicable", f"not applicable to this vehicle, because {why}"
             word = why
         unjudged: dict[str, Any] = {"margins": [], "linear": {key: why}}
-        return LinearPart([f"margins: {word}"], unjudged, None, mission.cruise, assessment)
+        return LinearPart([f"margins: {word}"], unjudged, None, mission.cruise)
     lines, linear, peak = _loop_lines(loop, mission)
     data: dict[str, Any] = {"margins": [m.to_dict() for m in loop.margins], "linear": linear}
     source = law_source(mission.law_ref)
     if loop.mode is None and source.scans and "sonar" in source.sensing:
         further, data["by_sonar"] = _by_sonar(mission)
         lines += further
-    return LinearPart(lines, data, loop.stable, mission.cruise, assessment, peak)
+    return LinearPart(lines, data, loop.stable, mission.cruise, loop.loops, peak)
 
 
 def _loop_lines(loop: LoopAnalysis, mission: Mission) -> tuple[list[str], dict[str, Any], float]:
@@ -115,30 +109,21 @@ def _by_sonar(mission: Mission) -> tuple[list[str], list[dict[str, Any]]]:
     return [head, *(each.line() for each in margins)], [each.to_dict() for each in margins]
 
 
-def speed_lines(
-    vehicle: Vehicle,
-    gains: Mapping[str, float],
-    *,
-    law: str,
-    cruise: float,
-    cap: float,
-    dt: float,
-    uncertainty: float,
-    short: bool,
-) -> tuple[list[str], dict[str, float]]:
+def speed_lines(mission: Mission, *, short: bool) -> tuple[list[str], dict[str, float]]:
     """Return the highest speeds at which all corners are stable, and have a disk margin: lines to print, numbers.
 
-    If the cruise speed [m/s] is above the second speed or a margin is too small (`short`), a line says what to change:
+    If the cruise speed is above the second speed or a margin is too small (`short`), a line says what to change:
     the speed, or the gains.
 
-    Speeds are in m/s. A warning is printed if the speed limit `cap` [m/s] exceeds one of these speeds.
+    Speeds are in m/s. A warning is printed if the speed limit of the mission exceeds one of these speeds.
     """
     from surctl.ir.cache import stored_numbers
     from surctl.marine.verification.corners import corners
     from surctl.marine.verification.linear import bearable_speed
     from surctl.verification.linear import LEAST_DISK_MARGIN
 
-    tried = corners(vehicle, uncertainty or None)
+    gains, law, dt, cruise, cap = mission.gains.values, mission.law_ref, mission.period, mission.cruise, mission.cap
+    tried = corners(mission.vehicle, mission.uncertainty)
 
     def searched() -> dict[str, float]:
         nominal = bearable_speed(tried.alone, gains, dt=dt, law=law)
@@ -164,16 +149,17 @@ def speed_lines(
             lines.append(f"  warning: the cap, {cap:g} m/s, exceeds {limit:.3g} m/s, {what}; {lower}")
             break
     if robust < cruise or short:
-        lines.append(_change(vehicle, cruise=cruise, dt=dt, robust=robust))
+        lines.append(_change(mission, robust=robust))
     return lines, numbers
 
 
-def _change(vehicle: Vehicle, *, cruise: float, dt: float, robust: float) -> str:
+def _change(mission: Mission, *, robust: float) -> str:
     # what reaches the required margins, or larger ones
     from surctl.marine.tuning import derive_gains
     from surctl.marine.tuning.derived import REQUIRED
 
-    derived = derive_gains(vehicle, cruise=cruise, dt=dt)
+    cruise = mission.cruise
+    derived = derive_gains(mission.vehicle, cruise=cruise, dt=mission.period)
     if derived.reached:
         better = (
             f"gains derived for {cruise:g} m/s have a disk margin of {derived.disk_margin:.2f} and a delay margin of "
@@ -192,25 +178,22 @@ def over_speeds(parts: Sequence[LinearPart]) -> LinearPart:
     """Combine analyses at several cruise speeds (slowest first): a comparison, then the whole analysis of the last."""
     import numpy as np
 
-    from surctl.marine.verification.speeds import worst_text
-    from surctl.verification.loops import worst_place
+    from surctl.marine.verification.speeds import OverSpeeds
 
     *_, last = parts
     if len(parts) == 1:
         return last
     lines = [f"margins at {len(parts)} cruise speeds, worst corner (details for {last.cruise:g} m/s below):"]
-    for part in parts:
-        delay, disk = part.figure("delay_margin_s"), part.figure("disk_margin")
+    margins = [(math.nan, math.nan) if (c := part.loops) is None else (c.delay.delay_s, c.disk) for part in parts]
+    for part, (delay, disk) in zip(parts, margins, strict=True):
         word = f"stable, least delay margin {delay:.2f} s, disk margin {disk:.2f}"
         lines.append(f"  {part.cruise:g} m/s: " + (f"{word}, largest S {part.peak:.2f}" if part.stable else "UNSTABLE"))
-    ill = {  # larger is worse
-        "delay_margin_s": np.array([-part.figure("delay_margin_s") for part in parts]),
-        "disk_margin": np.array([-part.figure("disk_margin") for part in parts]),
-        "sensitivity_peak": np.array([part.peak for part in parts]),
-    }
-    worst = {name: parts[int(worst_place(each))].cruise for name, each in ill.items()}
-    slow, weak, steep = (worst_text(each, [part.cruise for part in parts]) for each in ill.values())
+    figures = np.array([(*each, part.peak) for each, part in zip(margins, parts, strict=True)]).T
+    names = ("delay_margin_s", "disk_margin", "sensitivity_peak")
+    over = OverSpeeds(tuple(part.cruise for part in parts), dict(zip(names, figures, strict=True)))
+    slow, weak, steep = map(over.where, over.figures)
     lines.append(f"  worst speed: delay margin at {slow}, disk margin at {weak}, S at {steep}")
+    worst = {name: over.worst(name)[1] for name in over.figures}
     speeds = [{"cruise_m_per_s": part.cruise, "stable": part.stable, **part.data} for part in parts]
     data = {**last.data, "speeds": speeds, "worst_cruise_m_per_s": worst}
     return last._replace(lines=lines + last.lines, data=data, stable=all(part.stable for part in parts))

@@ -61,7 +61,7 @@ def _assumption_findings(vehicle: Vehicle) -> list[Finding]:
     from surctl.marine.assessment import assumptions
 
     advice = "; surctl verify --vehicle FILE says how much the margin depends on it"
-    assumed = assumptions(vehicle, None, cruise=1.0, dt=1.0)  # without gains there are no margins
+    assumed = assumptions(vehicle)
     return [Finding("info", one.name, one.text + advice) for one in assumed]
 
 

@@ -35,9 +35,9 @@ def scenario() -> None:
 )
 @click.option(
     "--depth",
-    type=FiniteRange(max=0),
+    type=FiniteRange(max=0, max_open=True),
     metavar="Z",
-    help="Height of the path [m]: negative; 0 is the water surface (default: lowest height in the plan).",
+    help="Height of the path [m], below the water surface at 0: -0.1 for a boat (default: lowest height in the plan).",
 )
 @click.option(
     "--margin",

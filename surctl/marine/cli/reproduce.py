@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from surctl.cli.output import Count, as_json, finish, out_folder, progress, saving, stoppable
+from surctl.cli.output import Count, as_json, finish, out_folder, progress, result_command, saving, stoppable
 
 if TYPE_CHECKING:
     from surctl.marine.reproduction import Row
@@ -65,18 +65,10 @@ def reproduce(
     lines.append(total)
     result = done.to_dict()
     if out is not None:
-        words = [
-            "surctl reproduce",
-            *rows,
-            *["--quick"] * quick,
-            *["--independent"] * independent,
-            *["--webots"] * webots,
-        ]
-        words += [f"--seeds {seeds}"] if seeds else []
         with saving("page"):
             from surctl.marine.reproduction.reproduction import write_reproduction
 
-            page = write_reproduction(done, out / "reproduction.html", command=" ".join([*words, f"--out {out}"]))
+            page = write_reproduction(done, out / "reproduction.html", command=result_command())
             lines.append(f"page {page}")
             result["page"] = str(page)
     brief = [total, *(line for line in lines if line.startswith("FAIL"))]

@@ -36,15 +36,12 @@ class VehicleChoice(NamedTuple):
         return f"vehicle {name} (from {self.origin})" if self.origin != "default" else f"vehicle {name} (default)"
 
 
-def choose_vehicle(
-    option: str | None, scenario: tuple[str, str] | None = None, *, default: str = DEFAULT_VEHICLE
-) -> VehicleChoice:
+def choose_vehicle(option: str | None, scenario: tuple[str, str] | None = None) -> VehicleChoice:
     """Return the vehicle of the option `--vehicle`, else the vehicle of the scenario, else the default vehicle.
 
     Args:
         option: value of the option `--vehicle`; None if it is not given.
         scenario: name of the scenario and name or file of its vehicle; None if the command has no scenario.
-        default: vehicle if neither the option nor the scenario names one.
 
     Raises:
         InputError: the scenario names a file that does not exist.
@@ -56,7 +53,7 @@ def choose_vehicle(
             key, remedy = f"vehicle of scenario {scenario[0]}", "correct the entry, or give --vehicle"
             raise InputError("no such file", key=key, value=scenario[1], remedy=remedy)
         return VehicleChoice(scenario[1], f"scenario {scenario[0]}")
-    return VehicleChoice(default, "default")
+    return VehicleChoice(DEFAULT_VEHICLE, "default")
 
 
 def at_hand(scenario: Scenario, vehicle: Vehicle, gains: str) -> list[str]:
@@ -92,13 +89,7 @@ def choose_gains(
     word: str | None, vehicle: Vehicle, *, cruise: float, own: Mapping[str, GainSpec] | None = None
 ) -> GainsChoice:
     """Return the gains of the option `--gains`, or the default gains of the vehicle at a cruise speed [m/s]."""
-    from surctl.marine.tuning import gains_for
-
-    gains, derivation = gains_for(word, vehicle, cruise=cruise, own=own)
-    beyond = _beyond([(vehicle, cruise)])
-    if derivation is None:
-        return GainsChoice(gains, beyond, None)
-    return GainsChoice(gains, [*derivation.lines(), *beyond], derivation.to_dict())
+    return choose_shared(word, [(vehicle, cruise)], own=own)
 
 
 def _beyond(pairs: Sequence[tuple[Vehicle, float]]) -> list[str]:
@@ -120,7 +111,8 @@ def choose_shared(
         return GainsChoice(gains, [*derivation.lines(), *_beyond(pairs)], derivation.to_dict())
     others = dict.fromkeys(one.name for one, _ in pairs if word is None and not has_tuned(one))
     why = "different vehicles share one set; for gains of one vehicle: surctl gains derive"
-    return GainsChoice(gains, [f"gains default, not derived from {', '.join(others)}: {why}"] if others else [], None)
+    said = [f"gains default, not derived from {', '.join(others)}: {why}"] if others else []
+    return GainsChoice(gains, [*said, *_beyond(pairs)], None)
 
 
 def derive_words(
@@ -214,14 +206,30 @@ def law_words(reference: str) -> list[str]:
 trust_option = click.option("--trust", is_flag=True, help="Permit running the Python law of a study or saved run.")
 
 
-priority_options = together(
+form_options = together(
     click.option(
-        "--priority-mode",
-        default="nsb",
-        metavar="M",
-        help="Task priorities: nsb (default; limited afterwards), or within limits: filter, projected, lexicographic "
-        "(strict).",
+        "--avoidance",
+        default="corrected",
+        metavar="NAME",
+        help="Equation (20) of --law paper: corrected (default), printed, or consistent (every angle "
+        "counter-clockwise).",
     ),
+    click.option(
+        "--guidance", default="los", metavar="NAME", help="Path guidance: los (default); for currents ilos or alos."
+    ),
+)
+"""A decorator that adds these options to a command; the command receives them as `avoidance` and `guidance`."""
+
+
+priority_mode_option = click.option(
+    "--priority-mode",
+    default="nsb",
+    metavar="M",
+    help="Task priorities: nsb (default; limited afterwards), or within limits: filter, projected, lexicographic "
+    "(strict).",
+)
+priority_options = together(
+    priority_mode_option,
     click.option(
         "--fallback",
         default="exact",
@@ -358,15 +366,15 @@ def export_command(
         scenario: name or file of the scenario; None takes a built-in scenario that fits the hull.
         vehicle: name or file of the vehicle.
         gains: name or file of the gains, or the gains.
-        certificates: certificate files; the command carries those that concern the law `guarded`.
+        certificates: certificate files; the command carries those that concern this law.
         file: name or file of the gains in the command; None: `gains` itself.
         law: the law to export, a name or FILE.py:FUNCTION.
         guidance: path guidance; None: the default of the command.
         sensing: "sonar" or "truth".
     """
-    from surctl.marine.control import build_law, load_gains
+    from surctl.marine.control import load_gains
     from surctl.marine.export.origin import fitting_certificates
-    from surctl.marine.simulation import law_numbers, load_scenario
+    from surctl.marine.simulation import law_numbers, load_scenario, vehicle_law
     from surctl.marine.vehicle import load_vehicle
 
     robot = load_vehicle(vehicle)
@@ -377,7 +385,7 @@ def export_command(
     if certificates:
         values = load_gains(gains) if isinstance(gains, str) else gains
         numbers = law_numbers(load_scenario(chosen), values, robot)
-        travel = fitting_certificates(certificates, build_law(), robot, numbers)
+        travel = fitting_certificates(certificates, vehicle_law(robot, law), robot, numbers)
     words = ["surctl", "export", "--scenario", chosen, "--vehicle", vehicle, "--gains", file or str(gains)]
     words += [*law_words(law), *(() if guidance is None else ("--guidance", guidance)), "--sensing", sensing]
     return [shlex.join([*words, *(word for file in travel for word in ("--certificate", str(file)))])]

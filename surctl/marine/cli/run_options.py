@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,14 +15,11 @@ from surctl.cli.output import doing, progress, saving, together
 from surctl.errors import InputError
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
     from surctl.export import SerialLine
     from surctl.marine.control import Law
     from surctl.marine.engine import EngineOptions
     from surctl.marine.export import CompiledLaw, LinkedLaw, LinkFaults
-    from surctl.marine.simulation import Case, Run, Scenario, ThrusterFault
+    from surctl.marine.simulation import Case, Run, ThrusterFault
     from surctl.marine.vehicle import Vehicle
 
 
@@ -211,7 +208,7 @@ class PlantOptions:
         if run.record.tilt is not None:
             tilt = f"; largest roll {result['max_roll_deg']:.1f} deg, pitch {result['max_pitch_deg']:.1f} deg"
         lines = [f"  {run.plant}: contacts {touched}{tilt}"]
-        result["plant_options"] = options.of(run.vehicle).to_dict()
+        result["plant_options"] = options.of(run.vehicle).model_dump(mode="json")
         if self.film is not None:
             with saving("film"):
                 from surctl.marine.report import save_film
@@ -286,44 +283,6 @@ class ControllerOptions:
             raise InputError(problem, key="controller", value=self.controller, remedy=remedy)
         self._faults(seed=0)
 
-    @contextmanager
-    def opened(
-        self, law: Law, p: NDArray[np.float64], mission: Scenario, vehicle: Vehicle
-    ) -> Iterator[SerialLine | None]:
-        """Open the connection to the controller of this law and these parameters; None if no option requests one.
-
-        Raises:
-            InputError: no controller listens at the address, or the processor is unknown.
-        """
-        if self.controller in (None, "c"):
-            yield None
-            return
-        from surctl.export import connect, emulated, emulated_target
-        from surctl.marine.export import build_bundle, closed_form, operating_envelope
-
-        assert self.controller is not None
-        if mission.path.fed and not self.controller.startswith("tcp://"):
-            problem = "cannot receive a path of more than 8 points, or speeds or depths for its legs"
-            remedy = "give at most 8 points, or use tcp://HOST:PORT, whose controller has the mission in its bundle"
-            raise InputError(problem, key="--controller", value=self.controller, remedy=remedy)
-        if self.controller.startswith("tcp://"):
-            with connect(
-                self.controller, **({} if self.link_timeout is None else {"patience": self.link_timeout})
-            ) as line:
-                yield line
-            return
-        target = emulated_target(self.controller.removeprefix("qemu:"))
-        shipped = closed_form(law, real="float32")
-        within = operating_envelope(law, mission, vehicle, law.gains, tuned=p)
-        bundle = build_bundle(shipped, law.gains.unpack(p), real="float32", envelope=within)
-        progress(f"compiling for {target.name}")
-        with (
-            tempfile.TemporaryDirectory(prefix="surctl-pil-") as scratch,
-            emulated(bundle, target, Path(scratch)) as line,
-        ):
-            line.patience = line.patience if self.link_timeout is None else self.link_timeout
-            yield line
-
     @property
     def compiled(self) -> type[CompiledLaw] | None:
         """What computes each step by the law's C in this process, if it is requested."""
@@ -333,29 +292,45 @@ class ControllerOptions:
 
         return CompiledLaw
 
-    def linked(
-        self,
-        law: Law,
-        p: NDArray[np.float64],
-        line: SerialLine | None,
-        mission: Scenario,
-        vehicle: Vehicle,
-        *,
-        seed: int,
-    ) -> LinkedLaw | CompiledLaw | None:
-        """Return the function that computes each step of a run as C, over the open connection or here; else None.
+    @contextmanager
+    def opened(self, case: Case, law: Law) -> Iterator[Callable[..., LinkedLaw | CompiledLaw | None]]:
+        """Return the function that computes each step of a run with a `seed` as C, here or over a connection.
+
+        The function returns None if no option requests one.
 
         Raises:
-            InputError: the connected controller is not the controller of this run.
+            InputError: no controller listens at the address, the processor is unknown, or (in a run) the connected
+                controller is not the controller of this run.
         """
-        if self.compiled is not None:
-            return self.compiled(law)
-        if line is None:
-            return None
-        from surctl.marine.export import LinkedLaw, operating_envelope
+        compiled = self.compiled
+        if self.controller is None or compiled is not None:
+            yield lambda seed: None if compiled is None else compiled(law)
+            return
+        from surctl.export import connect, emulated, emulated_target
+        from surctl.marine.export import LinkedLaw, build_bundle, closed_form, operating_envelope
+        from surctl.marine.simulation import law_numbers
 
-        within = operating_envelope(law, mission, vehicle, law.gains, tuned=p)
-        return LinkedLaw(law, p, line, self._faults(seed=seed), within, compact=self.link_compact, fed=mission.path.fed)
+        mission, local = case.scenario, self.controller.startswith("qemu:")
+        if mission.path.fed and local:
+            problem = "cannot receive a path of more than 8 points, or speeds or depths for its legs"
+            remedy = "give at most 8 points, or use tcp://HOST:PORT, whose controller has the mission in its bundle"
+            raise InputError(problem, key="--controller", value=self.controller, remedy=remedy)
+        p = law_numbers(mission, case.gains, case.vehicle)
+        within = operating_envelope(law, mission, case.vehicle, law.gains, tuned=p)
+        patience = {} if self.link_timeout is None else {"patience": self.link_timeout}
+        with ExitStack() as stack:
+            if local:
+                target = emulated_target(self.controller.removeprefix("qemu:"))
+                shipped, numbers = closed_form(law, real="float32"), law.gains.unpack(p)
+                bundle = build_bundle(shipped, numbers, real="float32", envelope=within)
+                progress(f"compiling for {target.name}")
+                scratch = stack.enter_context(tempfile.TemporaryDirectory(prefix="surctl-pil-"))
+                line: SerialLine = stack.enter_context(emulated(bundle, target, Path(scratch)))
+                line.patience = patience.get("patience", line.patience)
+            else:
+                line = stack.enter_context(connect(self.controller, **patience))
+            about: dict[str, Any] = {"compact": self.link_compact, "fed": mission.path.fed}
+            yield lambda seed: LinkedLaw(law, p, line, self._faults(seed=seed), within, **about)
 
     def _faults(self, *, seed: int) -> LinkFaults:
         from surctl.marine.export import LinkFaults

@@ -113,19 +113,14 @@ def linear_warning(
     """
     from surctl.marine.control import law_source
     from surctl.marine.verification import law_corners
-    from surctl.marine.verification.corners import corners
     from surctl.marine.verification.cruise_loop import has_cruise_loop
-    from surctl.marine.verification.linear import cruise_corners, slowest_mode
+    from surctl.marine.verification.linear import slowest_mode
 
     steered = law_source(law.ref).steering is not None
     if not (steered or has_cruise_loop(law.ref, law.guidance)):
         return None, []
-    about: dict[str, Any] = {"cruise": cruise, "dt": law.dt, "model": model, "law": law.ref}
     try:
-        if steered:
-            least = law_corners(law, vehicle, gains, cruise=cruise)
-        else:
-            least = cruise_corners(corners(vehicle), gains.values, proved=False, **about)
+        least = law_corners(law, vehicle, gains, cruise=cruise, model=model, proved=steered)
     except InputError:
         return None, []
     stable = least.nominal.stable
@@ -133,6 +128,7 @@ def linear_warning(
     data |= {"corner": least.corner, "delay_margin_s": least.delay.delay_s, "short": least.short}
     if least.enough:
         return data, []
+    about: dict[str, Any] = {"cruise": cruise, "dt": law.dt, "model": model, "law": law.ref}
     mode = None if steered else slowest_mode(vehicle, gains.values, **about)
     data["mode"] = None if mode is None else mode.to_dict()
     if stable:

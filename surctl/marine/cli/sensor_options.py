@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 FORM = "KIND:SENSOR[:START[:DURATION]]"
 
 _PARTS = {
-    "sensor": ("sensor", "count sensors from 0"),
+    "sensor": ("sensor", "count sensors from 0, in whole numbers"),
     "start_s": ("start", "give seconds, at least 0"),
     "duration_s": ("duration", "give seconds, greater than 0"),
     "delay_s": ("delay", "give 0.1 to 0.8 s"),
@@ -125,17 +125,13 @@ def parse_fault(text: str) -> Fault:
         _refuse(f"a {kind} fault takes no number", text, f"write {kind}:SENSOR")
     if kind == "dead" and len(rest) == 3:
         _refuse("a dead sensor stays dead", text, "use dropout for a fault that ends")
-    if not (rest[0].isascii() and rest[0].isdecimal() and len(rest[0]) < 10):
-        _refuse(f"sensor {rest[0]!r} is not a whole number", text, _PARTS["sensor"][1])
-    table: dict[str, object] = {"kind": kind, "sensor": int(rest[0])}
-    for key, part in (("delay_s", [delay] if equals else []), ("start_s", rest[1:2]), ("duration_s", rest[2:3])):
-        if part:
-            table[key] = _number(part[0], text, key)
+    parts = dict(zip(("sensor", "start_s", "duration_s"), rest, strict=False)) | ({"delay_s": delay} if equals else {})
     try:
-        return validate({"faults": [table]}, SonarTable, file=None).faults[0]
+        return validate({"faults": [{"kind": kind, **parts}]}, SonarTable, file=None).faults[0]
     except InputError as error:
-        which, remedy = _PARTS[(error.key or "").rpartition(".")[2]]
-        _refuse(f"{which}: {error.problem}", text, remedy)
+        name = (error.key or "").rpartition(".")[2]
+        which, remedy = _PARTS[name]
+        _refuse(f"{which} {parts[name]!r} is not valid", text, remedy)
 
 
 def parse_chances(texts: Sequence[str]) -> FaultChances:
@@ -208,14 +204,6 @@ def _possible(array: SonarArray, texts: Sequence[str]) -> FaultChances:
     return chances
 
 
-def _number(part: str, text: str, key: str) -> float:
-    name, remedy = _PARTS[key]
-    value = _float(part)
-    if not isfinite(value):
-        _refuse(f"{name} {part!r} is not a number", text, remedy)
-    return value
-
-
 def _float(text: str) -> float:
     try:
         return float(text)
@@ -254,12 +242,7 @@ def parse_thruster_fault(text: str) -> ThrusterFault:
     from surctl.marine.simulation import ThrusterFault
 
     name, *times = text.removeprefix(_KIND).split(":")
-    numbers = []
-    for part in times:
-        try:
-            numbers.append(float(part))
-        except ValueError:
-            numbers.append(-inf)
+    numbers = [_float(part) for part in times]
     start = numbers[0] if numbers else 0.0
     duration = numbers[1] if len(numbers) > 1 else inf
     good = name and len(numbers) <= 2 and isfinite(start) and start >= 0 and duration > 0

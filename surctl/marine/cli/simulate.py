@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,6 +19,7 @@ from surctl.marine.cli.robot_options import (
     choose_gains,
     choose_law,
     choose_vehicle,
+    form_options,
     law_option,
     priority_options,
     trust_option,
@@ -51,15 +51,7 @@ if TYPE_CHECKING:
 @click.option("--vehicle", metavar="FILE", help="Vehicle: name or file (default: that of the scenario).")
 @click.option("--gains", metavar="FILE", help=GAINS_HELP)
 @law_option
-@click.option(
-    "--avoidance",
-    default="corrected",
-    metavar="NAME",
-    help="Equation (20) of --law paper: corrected (default), printed, or consistent (every angle counter-clockwise).",
-)
-@click.option(
-    "--guidance", default="los", metavar="NAME", help="Path guidance: los (default); for currents ilos or alos."
-)
+@form_options
 @priority_options
 @click.option("--sensing", default="truth", metavar="NAME", help="Obstacles: true positions (truth, default) or sonar.")
 @barrier_options
@@ -115,7 +107,7 @@ def simulate(
     _check_fallback(robot.fallback, mode=robot.priority_mode, explained=explained, campaign=campaign.any)
     from surctl.files import prepare_folder
     from surctl.marine.control import law_source, load_gains
-    from surctl.marine.simulation import law_numbers, load_scenario
+    from surctl.marine.simulation import load_scenario
     from surctl.marine.vehicle import load_vehicle
 
     _check_save(save, frame, out=out, campaign=campaign.any)
@@ -144,11 +136,10 @@ def simulate(
     laws, gone = [case.build(robot.fallback) for case in cases], list[str]()
 
     def simulated(case: Case, built: Law, common: dict[str, Any]) -> Iterator[Ran]:
-        p, about = law_numbers(case.scenario, case.gains, case.vehicle), (case.scenario, case.vehicle)
-        with link.opened(built, p, *about) as line:
+        with link.opened(case, built) as linked:
             for run, report in physics.runs(
                 engine, case, built, range(seed, seed + runs), fallback=robot.fallback, faults=tuple(broken),
-                linked=partial(link.linked, built, p, line, *about), compiled=link.compiled,
+                linked=linked, compiled=link.compiled,
             ):  # fmt: skip
                 data = run.to_dict() | common
                 yield show.ran(run, data, middle=physics.output(run, engine, data), link=report)

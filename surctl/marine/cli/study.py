@@ -81,11 +81,11 @@ def study(
     study = Study(plan=plan, workers=workers, progress=progress, command=command, film=film, saving=saving)
 
     def below() -> list[str]:
-        loops = study.loops
-        stable = loops.margins and loops.margins[0].stable
+        margins, data = study.analysis.margins, study.data
+        stable = margins and margins[0].stable
         lines = ["", "nominal; each loop alone, all others closed:"] if stable else []
-        lines += [f"  {margin.line()}" for margin in loops.margins if stable]
-        return [*lines, "", *map(claim_line, study.verdicts), *map(refusal_line, study.inapplicable)]
+        lines += [f"  {margin.line()}" for margin in margins if stable]
+        return [*lines, "", *map(claim_line, data.verdicts), *map(refusal_line, data.inapplicable)]
 
     def then() -> list[str]:
         about = at_hand(study.plan.deciding[0].scenario, plan.vehicle, str(study.gain_file))

@@ -4,23 +4,26 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from surctl.cli.sweep import SweepJob, SweepSummary, point_rows
-from surctl.errors import InputError, nearest
+from surctl.cli.output import collected
+from surctl.cli.sweep import SweepJob, SweepOptions, SweepSummary, point_rows
+from surctl.errors import check_known
 from surctl.marine.cli.robot_options import (
     SPEEDS,
+    RobotOptions,
     at_hand,
     choose_law,
     choose_shared,
     choose_vehicle,
     law_option,
     law_words,
+    priority_mode_option,
 )
 
 if TYPE_CHECKING:
@@ -30,7 +33,7 @@ if TYPE_CHECKING:
 
     from surctl.marine.control import Gains
     from surctl.marine.simulation import Case
-    from surctl.marine.verification.linear_table import Locus
+    from surctl.system import LinearLoop
     from surctl.tuning import SobolIndices, SweepTable
 
 _LOCUS = 401  # number of parameter values at which poles are computed
@@ -39,6 +42,16 @@ _PRINTED = (  # columns of the text output
     "disk_margin_at_m_per_s", "reached_worst", "score", "feasible",
 )  # fmt: skip
 _EXPLAINED = ("deviation_m", "path_error_m")  # columns whose meaning is printed below the points: their names are alike
+
+
+@dataclass(frozen=True)
+class SweptMissions:
+    """The options about the missions of a sweep, besides those of `RobotOptions`."""
+
+    scenarios: Sequence[str]
+    vehicles: Sequence[str]
+    locus: str | None
+    cruise: Sequence[float] | None
 
 
 @click.command
@@ -65,13 +78,7 @@ _EXPLAINED = ("deviation_m", "path_error_m")  # columns whose meaning is printed
     help="Gain set for the gains not swept (default: built-in for the vehicle, else derived).",
 )
 @law_option
-@click.option(
-    "--priority-mode",
-    default="nsb",
-    metavar="M",
-    help="Task priorities: nsb (default; limited afterwards), or within limits: filter, projected, lexicographic "
-    "(strict).",
-)
+@priority_mode_option
 @click.option(
     "--guidance",
     default="los",
@@ -85,23 +92,9 @@ _EXPLAINED = ("deviation_m", "path_error_m")  # columns whose meaning is printed
     metavar="U1,U2,...",
     help="Cruise speeds [m/s] of the loop margins; the worst margin counts (default: speeds of the scenarios).",
 )
+@collected(options=SweepOptions, missions=SweptMissions, robot=RobotOptions)
 def sweep(
-    words: Sequence[str],
-    *,
-    scenarios: Sequence[str],
-    vehicles: Sequence[str],
-    gains: str | None,
-    law: str | None,
-    priority_mode: str,
-    sensing: str,
-    guidance: str,
-    design: str,
-    points: int | None,
-    sensitivity: str | None,
-    locus: str | None,
-    cruise: Sequence[float] | None,
-    seeds: int,
-    **_: Any,
+    words: Sequence[str], options: SweepOptions, missions: SweptMissions, robot: RobotOptions, **_: Any
 ) -> SweepJob:
     """Simulate scenarios at each combination of parameter values, compute loop margins, and select the best point.
 
@@ -126,29 +119,25 @@ def sweep(
     from surctl.tuning import make_design, parse_axis, saltelli
 
     parsed = [parse_axis(text) for text in words]
-    if sensitivity is None:
-        chosen = make_design(design, parsed, count=points)
+    locus, vehicles = missions.locus, missions.vehicles
+    if options.sensitivity is None:
+        chosen = make_design(options.design, parsed, count=options.points)
     else:
-        check_column(sensitivity)
-        chosen = saltelli(parsed, base=64 if points is None else points)
-    if locus is not None and locus not in chosen.names:
-        raise InputError(
-            "is not an axis of this sweep", key="--locus", value=locus, remedy=nearest(locus, chosen.names)
-        )
-    missions, robots = [load_scenario(name) for name in scenarios], [load_vehicle(name) for name in vehicles]
-    law, why = choose_law(law, robots or [load_vehicle(mission.vehicle) for mission in missions])
+        check_column(options.sensitivity)
+        chosen = saltelli(parsed, base=64 if options.points is None else options.points)
+    if locus is not None:
+        check_known(locus, chosen.names, "is not an axis of this sweep", key="--locus")
+    scenarios, robots = [load_scenario(name) for name in missions.scenarios], [load_vehicle(name) for name in vehicles]
+    law, why = choose_law(robot.law, robots or [load_vehicle(scenario.vehicle) for scenario in scenarios])
     own = law_source(law).gains
-    cases = build_cases(
-        missions,
-        robots,
-        gains=load_gains(gains or "default", own=own),
-        law=law, mode=priority_mode, sensing=sensing, guidance=guidance,
-    )  # fmt: skip
-    tuned = choose_shared(gains, [(case.vehicle, case.scenario.cruise) for case in cases], own=own)
+    base, sensing = load_gains(robot.gains or "default", own=own), str(robot.sensing)
+    kind = {"law": law, "mode": robot.priority_mode, "sensing": sensing, "guidance": robot.guidance}
+    cases = build_cases(scenarios, robots, gains=base, **kind)
+    tuned = choose_shared(robot.gains, [(case.vehicle, case.scenario.cruise) for case in cases], own=own)
     cases = tuple(replace(case, gains=tuned.gains) for case in cases)
     if locus is not None:  # report a mistake before the simulations, not after them
         _locus(cases, tuned.gains, locus, chosen.points[:, chosen.names.index(locus)], {})
-    subject = MissionSweep(cases, tuple(range(seeds)), cruise=tuple(cruise or ()))
+    subject = MissionSweep(cases, tuple(range(options.seeds)), cruise=tuple(missions.cruise or ()))
     option = next(iter(vehicles), None)
     choices = [(choose_vehicle(option, (c.scenario.name, c.scenario.vehicle)), c.vehicle.name) for c in cases]
     head = [*why, *dict.fromkeys(choice.line(name) for choice, name in choices), *tuned.lines]
@@ -178,9 +167,9 @@ def _mission_summary(
     from surctl.files import write_file
     from surctl.marine.assessment import missions_of
     from surctl.marine.control import law_source, write_gains
-    from surctl.marine.report import plot_locus
     from surctl.marine.simulation import METRICS
     from surctl.marine.tuning import picked_gains
+    from surctl.report import plot_locus
 
     picked, gains, file = table.picked, picked_gains(table), out / "gains.toml"
     moved = _set_aside(file) if picked is None else []
@@ -214,8 +203,8 @@ def _mission_summary(
 
     def locus_plot() -> Axes:
         [axis] = (axis for axis in table.axes if axis.name == locus)
-        poles = _locus(cases, gains, axis.name, axis.values, best)
-        return plot_locus(poles, unit=axis.unit, picked=best.get(axis.name))
+        values, loops = _locus(cases, gains, axis.name, axis.values, best)
+        return plot_locus(loops, values, axis.name, unit=axis.unit, picked=best.get(axis.name))
 
     return SweepSummary(
         [*lines, "", where, *moved], brief, data,
@@ -227,8 +216,8 @@ def _mission_summary(
 
 def _locus(
     cases: Sequence[Case], gains: Gains, parameter: str, swept: NDArray[np.float64], at: Mapping[str, float]
-) -> Locus:
-    # poles of the first vehicle at its largest cruise speed, about the point `at`
+) -> tuple[NDArray[np.float64], list[LinearLoop]]:
+    # values, and loops of the first vehicle at its largest cruise speed, about the point `at`
     import numpy as np
 
     from surctl.marine.verification import sweep_locus
@@ -236,7 +225,7 @@ def _locus(
 
     first = cases[0]
     values = np.union1d(np.linspace(swept.min(), swept.max(), _LOCUS), [at[parameter]] if parameter in at else [])
-    return sweep_locus(
+    return values, sweep_locus(
         first.vehicle,
         gains.values,
         parameter,

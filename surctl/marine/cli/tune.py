@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from surctl.cli.output import Count, progress
-from surctl.cli.tune import More, Task, parse_gain
+from surctl.cli.output import Count, collected, progress
+from surctl.cli.tune import More, Task, TuneOptions
 from surctl.errors import InputError, NotApplicable
 from surctl.marine.cli.robot_options import SPEEDS, at_hand, export_command, law_words, trust_option
 
@@ -25,6 +25,23 @@ if TYPE_CHECKING:
     from surctl.marine.vehicle import Vehicle
     from surctl.tuning import Tuning
     from surctl.tuning.outcome import Finals, Miss
+
+
+@dataclass(frozen=True)
+class TunedMissions:
+    """The options about the missions of a study; None: the study's own.
+
+    `seeds` simulate each gain set, and `cruise` are the speeds [m/s] of goals about the loop without speeds.
+    """
+
+    cruise: tuple[float, ...] | None
+    seeds: int
+    vehicles: tuple[str, ...]
+    guidance: str | None
+    law: str | None
+    scenario: str | None
+    gains_file: str | None
+    trust: bool
 
 
 @click.command
@@ -49,24 +66,8 @@ if TYPE_CHECKING:
 @click.option("--scenario", metavar="FILE", help="Scenario of --page (default: the first of the study).")
 @click.option("--gains", "gains_file", metavar="FILE", help="Initial gain set: name or file (default: that of STUDY).")
 @trust_option
-def tune(
-    words: Sequence[str],
-    gain: Sequence[str],
-    goals_file: str | None,
-    cruise: tuple[float, ...] | None,
-    seed: int,
-    seeds: int,
-    vehicles: tuple[str, ...],
-    guidance: str | None,
-    workers: int,
-    out: Path,
-    page: bool,
-    law: str | None,
-    scenario: str | None,
-    gains_file: str | None,
-    trust: bool,
-    **_: Any,
-) -> Task | Bench:
+@collected(options=TuneOptions, missions=TunedMissions)
+def tune(words: Sequence[str], options: TuneOptions, missions: TunedMissions, **_: Any) -> Task | Bench:
     """Search for gains that meet goals, test the gains in random runs, and search again with the runs that fail.
 
     The gains must meet the hard goals in every scenario, for every seed and at every corner of the parameter ranges of
@@ -82,21 +83,18 @@ def tune(
     if len(words) > 1:
         raise click.UsageError(f"Got unexpected extra argument ({words[1]})")
     file = words[0] if words else None
-    if page:
-        return mission_bench(
-            file, goals_file, vehicles, scenario=scenario, gains=gains_file, law=law, cruise=cruise, trust=trust
+    if options.page:
+        return _bench(file, options.goals_file, missions)
+    if missions.scenario:
+        own = f'write [[runs]] with scenario = "{missions.scenario}" in a study file and give the file'
+        text = (
+            f"--scenario selects the scenario of --page; to tune over chosen scenarios, {own}: surctl tune STUDY.toml"
         )
-    if scenario:
-        own = f'write [[runs]] with scenario = "{scenario}" in a study file and give the file: surctl tune STUDY.toml'
-        raise click.UsageError(f"--scenario selects the scenario of --page; to tune over chosen scenarios, {own}")
+        raise click.UsageError(text)
     from surctl.ir.cache import find_compiler
 
     find_compiler()  # thousands of runs: without compiled code, hours
-    plan = mission_plan(file, trust=trust, law=law, gains=gains_file, vehicles=vehicles, out=out)
-    ranges = dict(map(parse_gain, gain))
-    return missions_tuned(
-        plan, ranges, goals_file, cruise=cruise or (), guidance=guidance, seeds=seeds, seed=seed, threads=workers
-    )
+    return _tuned(mission_plan(file, missions, options.out), options, missions)
 
 
 def _printed(lines: list[str]) -> list[str]:
@@ -167,35 +165,23 @@ class _Missions(Task):
         return look(missed, gains, options)  # as in the tuning
 
 
-def mission_plan(
-    file: str | None, *, trust: bool, law: str | None, gains: str | None, vehicles: Sequence[str], out: Path
-) -> Plan:
+def mission_plan(file: str | None, missions: TunedMissions, out: Path) -> Plan:
     """Return the study whose missions are tuned, with the options of the command line in place of its own values."""
     from surctl.files import prepare_folder
     from surctl.marine.study import load_plan
     from surctl.marine.vehicle import load_vehicle
 
-    plan = load_plan(file, trust=trust)
-    plan = plan if law is None else plan.with_law(law)
-    plan = plan if gains is None else plan.with_gains(gains)
-    plan = plan.by([load_vehicle(vehicle) for vehicle in vehicles]) if vehicles else plan
-    if not plan.unheard:
+    plan = load_plan(file, trust=missions.trust)
+    plan = plan if missions.law is None else plan.with_law(missions.law)
+    plan = plan if missions.gains_file is None else plan.with_gains(missions.gains_file)
+    plan = plan.by([load_vehicle(vehicle) for vehicle in missions.vehicles]) if missions.vehicles else plan
+    if all(leg.scenario.source for leg in plan.legs):
         return plan
-    prepare_folder(out)
+    prepare_folder(out)  # the commands that are printed at the end name the file of a mission
     return plan.written(out / "missions")
 
 
-def missions_tuned(
-    plan: Plan,
-    ranges: Mapping[str, tuple[float, float] | None],
-    goals_file: str | None,
-    *,
-    cruise: Sequence[float],
-    guidance: str | None,
-    seeds: int,
-    seed: int,
-    threads: int,
-) -> Task:
+def _tuned(plan: Plan, options: TuneOptions, missions: TunedMissions) -> Task:
     """Return the tuning of the missions of a study.
 
     Raises:
@@ -207,6 +193,7 @@ def missions_tuned(
     from surctl.marine.tuning.request import default_tuned
     from surctl.own_code import label
 
+    goals_file, cruise = options.goals_file, missions.cruise or ()
     file = goals_file or plan.source
     stated = plan.goals if goals_file is None else load_goals(goals_file)
     if cruise and not any(goal.linear for goal in stated):
@@ -216,7 +203,7 @@ def missions_tuned(
     omitted = [f"{leg.scenario.name} by {leg.vehicle.name} is left out: {leg.left_out}" for leg in plan.left_out]
     _printed(omitted)
     check_goal_cases(stated, plan, file)
-    kind = {"law": plan.law, "guidance": plan.guidance if guidance is None else guidance}
+    kind = {"law": plan.law, "guidance": plan.guidance if missions.guidance is None else missions.guidance}
     cases = [build_cases([leg.scenario], [leg.vehicle], gains=plan.gains, **kind)[0] for leg in plan.deciding]
     every = with_floor(stated)
     for goal in every[len(stated) :]:
@@ -239,15 +226,15 @@ def missions_tuned(
     if not goals:
         problem = "has only goals on figures that the search does not compute"
         raise InputError(problem, file=file, key="goals", remedy="add a goal on a metric of the runs, time_s say")
-    runs = conditions(cases, seeds=range(seeds))
+    runs = conditions(cases, seeds=range(missions.seeds))
     try:
         check_goals(goals, runs)
     except InputError as error:
         if error.value in cruise:
             raise InputError(error.problem, key="--cruise", value=error.value, remedy=error.remedy) from None
         raise error.inside(file) from None
-    space = gain_ranges(plan.gains, ranges or default_tuned(plan.gains))
-    request = Request(goals, runs, plan.gains, space, seed=seed, threads=threads)
+    space = gain_ranges(plan.gains, options.ranges or default_tuned(plan.gains))
+    request = Request(goals, runs, plan.gains, space, seed=options.seed, threads=options.workers)
     remedy = 'ask it of runs, such as metric = "time_s" or "deviation_m"'
     limit = {"command": "a thrust", "run": "{}", "remedy": remedy}
     return _Missions(request, finals, default, limit, 2000, plan, unjudged, derived, omitted)
@@ -346,18 +333,8 @@ def region_words(law: str, scenario: Scenario, vehicle: Vehicle, gains: Gains) -
     return [] if isinstance(claim, NotApplicable) else [claim.name]
 
 
-def mission_bench(
-    study: str | None,
-    goals: str | None,
-    vehicles: Sequence[str],
-    *,
-    scenario: str | None,
-    gains: str | None,
-    law: str | None,
-    cruise: Sequence[float] | None,
-    trust: bool,
-) -> Bench:
-    """Return what the page of a law of the robot shows; arguments that are None take the study's values."""
+def _bench(study: str | None, goals: str | None, options: TunedMissions) -> Bench:
+    """Return what the page of a law of the robot shows; options that are None take the study's values."""
     from surctl.marine.control import law_ref, load_gains
     from surctl.marine.report.bench import Bench
     from surctl.marine.simulation import findings, load_scenario
@@ -367,7 +344,8 @@ def mission_bench(
     from surctl.marine.vehicle import load_vehicle
     from surctl.marine.verification.speeds import check_held
 
-    plan = load_plan(study, trust=trust)
+    vehicles, scenario = options.vehicles, options.scenario
+    plan = load_plan(study, trust=options.trust)
     if vehicles:
         plan = plan.by([load_vehicle(vehicles[0])])
     first = plan.deciding[0]
@@ -377,13 +355,14 @@ def mission_bench(
     for finding in findings(mission, vehicle):
         if finding.level == "error":
             progress(f"{mission.name} by {vehicle.name}: {finding.text}")
-    start = plan.gains if gains is None else load_gains(gains)
-    chosen = goals_at(plan.goals if goals is None else load_goals(goals), cruise or plan.cruise)
-    check_held(cruise or (), vehicle, cap=mission.cap, key="--cruise")
-    reference = plan.law if law is None else law_ref(law, key="--law")
+    start, cruise = options.gains_file, options.cruise or plan.cruise
+    gains = plan.gains if start is None else load_gains(start)
+    chosen = goals_at(plan.goals if goals is None else load_goals(goals), cruise)
+    check_held(options.cruise or (), vehicle, cap=mission.cap, key="--cruise")
+    reference = plan.law if options.law is None else law_ref(options.law, key="--law")
     others = tuple(load_vehicle(name) for name in vehicles[1:])
     named = (vehicles[0] if vehicles else "", scenario or "")
-    bench = Bench(vehicle, mission, start, chosen, tuple(cruise or plan.cruise), reference, others, named)
+    bench = Bench(vehicle, mission, gains, chosen, tuple(cruise), reference, others, named)
     progress("compiling the closed loop; the next start uses the compiled file")
     values = {one.name: one.value for one in bench.sliders}
     bench.simulate(values)

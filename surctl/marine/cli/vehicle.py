@@ -379,7 +379,7 @@ def from_log(
 
 
 def _read_log(log: Path, map_file: Path | None, frame: str | None) -> MotionLog:
-    from surctl.marine.vehicle.logs.read import READERS, read_mapped_log
+    from surctl.marine.vehicle.logs.read import FORMATS, read_mapped_log
     from surctl.marine.vehicle.motion_log import read_motion_log
 
     if map_file is not None:
@@ -389,7 +389,7 @@ def _read_log(log: Path, map_file: Path | None, frame: str | None) -> MotionLog:
                 remedy="write log.frame in the map, and omit --frame",
             )  # fmt: skip
         return read_mapped_log(log, map_file)
-    if log.is_dir() or log.suffix.lower() in READERS:
+    if log.is_dir() or log.suffix.lower() in FORMATS:
         raise InputError(
             "needs a map", file=log, remedy="see surctl vehicle from-log LOG --topics, then give --map FILE"
         )

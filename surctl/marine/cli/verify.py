@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from surctl.cli.output import FiniteRange, finish, prepare_out, progress, refusal_line, saving
+from surctl.cli.output import FiniteRange, collected, finish, prepare_out, progress, refusal_line, saving
 from surctl.cli.verify import Claimed, decide_claims, failed_lines, next_check, refused
 from surctl.errors import InputError
 from surctl.marine.cli.claims import (
@@ -32,6 +32,7 @@ from surctl.marine.cli.robot_options import (
     GAINS_HELP,
     MISSION,
     SPEEDS,
+    RobotOptions,
     barrier_options,
     check_barrier,
     choose_gains,
@@ -82,18 +83,14 @@ _SPEED = FiniteRange(min=0, max=100, min_open=True)
 @click.option("--sensing", metavar="NAME", help="Obstacles: sonar (default if the law allows it) or truth.")
 @barrier_options
 @click.option("--show", is_flag=True, help="Print claims as claim files, and check no claim.")
+@collected(robot=RobotOptions)
 def verify(
     words: tuple[str, ...],
-    vehicle: str | None,
-    gains: str | None,
+    robot: RobotOptions,
     uncertainty: float,
     cruise: tuple[float, ...] | None,
     cap: float | None,
     scenario: str | None,
-    law: str | None,
-    sensing: str | None,
-    barrier: str,
-    movers: str,
     seed: int,
     time_limit: float | None,
     show: bool,
@@ -130,37 +127,40 @@ def verify(
     from surctl.verification import Inapplicable
 
     # claims of one's own alone concern no vehicle, so nothing is said of one
-    named_things = (vehicle, gains, cruise, cap, scenario, law, sensing)
+    law, gains = robot.law, robot.gains
+    named_things = (robot.vehicle, gains, cruise, cap, scenario, law, robot.sensing)
     alone = bool(words) and all(map(_is_claim_file, words)) and all(word is None for word in named_things)
     mission = None if scenario is None else load_scenario(scenario)
-    choice = choose_vehicle(vehicle, None if mission is None else (mission.name, mission.vehicle))
-    vehicle, robot = choice.word, load_vehicle(choice.word)
+    choice = choose_vehicle(robot.vehicle, None if mission is None else (mission.name, mission.vehicle))
+    word, vehicle = choice.word, load_vehicle(choice.word)
     fastest = None if cruise is None else max(cruise)
     speeds = _speeds(fastest, cap, scenario)
-    chosen_law, about_law = choose_law(law, [robot])
-    source, sensed = law_source(chosen_law), choose_sensing(sensing, chosen_law)
-    tuned = choose_gains(gains, robot, cruise=speeds[0], own=source.gains)
+    chosen_law, about_law = choose_law(law, [vehicle])
+    source, sensed = law_source(chosen_law), choose_sensing(robot.sensing, chosen_law)
+    tuned = choose_gains(gains, vehicle, cruise=speeds[0], own=source.gains)
     values = tuned.gains.values
     # a gain of a law of one's own may have the name of a number in a claim
     at_hand = {n: v for n, v in values.items() if n not in source.gains} | {"speed": speeds[0], "speed_max": speeds[1]}
     about = None if law is None or PATH_FOLLOWING in source.parts else label(chosen_law)
     kinds: dict[Any, list[str]] = {is_region: [], is_mission: [], is_braking: [], None: []}
-    for word in words:
-        kinds[next((kind for kind in kinds if kind is not None and kind(word)), None)].append(word)
+    for one in words:
+        kinds[next((kind for kind in kinds if kind is not None and kind(one)), None)].append(one)
     regions, missions, braking, named = kinds.values()
-    chosen, left_out = library_claims(named, at_hand, robot, law=about) if named or not words else ([], [])
+    chosen, left_out = library_claims(named, at_hand, vehicle, law=about) if named or not words else ([], [])
     if show:
         _show(chosen, regions, [*missions, *braking], left_out, as_json=as_json)
-    check_held(cruise or (), robot, cap=speeds[1], key="--cruise")
+    check_held(cruise or (), vehicle, cap=speeds[1], key="--cruise")
     if out is not None:
         prepare_out(out)
     require_own_speeds(regions, fastest, cap)
-    check_barrier(barrier, movers)
-    forms = {"barrier": barrier, "movers": movers}
-    subject, kind = (robot, tuned.gains), dict[str, Any](law=chosen_law, out=out)
-    of_regions, instead = region_claims(regions, *subject, speeds=speeds, seed=seed, forms=forms, **kind)
-    of_missions = mission_claims(missions, mission, *subject, speeds=speeds, seed=seed, **kind)
-    of_braking = braking_claims(braking, *subject, cap=speeds[1], **kind)
+    check_barrier(robot.barrier, robot.movers)
+    scenarios = () if mission is None else (replace(mission, cruise=speeds[0], cap=speeds[1]),)
+    judging: dict[str, Any] = {"barrier": robot.barrier, "movers": robot.movers, "sensing": sensed}
+    judging |= {"uncertainty": uncertainty or None, "scenarios": scenarios}
+    whole = Mission(vehicle, tuned.gains, *speeds, chosen_law, **judging)
+    of_regions, instead = region_claims(regions, whole, seed=seed, out=out)
+    of_missions = mission_claims(missions, mission, whole, seed=seed, out=out)
+    of_braking = braking_claims(braking, whole, out=out)
     limit = time_limit or _SHORT
     claims = [
         *(Claimed(c.name, partial(decide_claim, c, seed=seed, time_limit=limit, out=out)) for c in chosen),
@@ -168,12 +168,7 @@ def verify(
         *of_regions, *of_missions, *of_braking,
     ]  # fmt: skip
     cascaded = PATH_FOLLOWING in source.parts
-    scenarios = () if mission is None else (replace(mission, cruise=speeds[0], cap=speeds[1]),)
-    judging: dict[str, Any] = {"uncertainty": uncertainty or None, "sensing": sensed, **forms}
-    subjects = [
-        Mission(*subject, u, speeds[1], chosen_law, "los", scenarios, **judging)
-        for u in (() if alone else cruise or speeds[:1])
-    ]
+    subjects = [] if alone else [replace(whole, cruise=u) for u in cruise or speeds[:1]]
     # the speeds but the largest concern the loop alone
     assessed = [assess(one, parts=["loop"] if one is not subjects[-1] else ["loop", "no contact"]) for one in subjects]
     parts = [linear_part(*each) for each in zip(assessed, subjects, strict=True)]
@@ -184,19 +179,16 @@ def verify(
     done = decide_claims(claims, "for the other claims: surctl verify CLAIM", out=out, as_json=as_json)
     verdicts = [one.proof for one in done[: len(chosen)]]
     lines = [line for one in done for line in one.lines]
-    result: dict[str, Any] = {"vehicle": robot.name, "vehicle_from": choice.origin}
+    result: dict[str, Any] = {"vehicle": vehicle.name, "vehicle_from": choice.origin}
     result = {"claims": [one.data for one in done]} if alone else result | {"claims": [one.data for one in done]}
     margins_at = None
     if not alone:
-        lines.append(f"at cruise speed {speeds[0]:g} m/s and cap {speeds[1]:g} m/s, {choice.line(robot.name)}:")
+        lines.append(f"at cruise speed {speeds[0]:g} m/s and cap {speeds[1]:g} m/s, {choice.line(vehicle.name)}:")
         lines += [*about_law, *tuned.lines, *(f"{line.mark} {line.text}" for line in judged), *linear.lines]
         held, held_data = list[str](), dict[str, float]()
         if linear.stable is not None and cascaded:
             margins_at = cruise or speeds[:1]
-            held, held_data = speed_lines(
-                robot, values, law=chosen_law, cruise=speeds[0], cap=speeds[1], dt=subjects[-1].period,
-                uncertainty=uncertainty, short=linear.short,
-            )  # fmt: skip
+            held, held_data = speed_lines(subjects[-1], short=linear.short)
         lines += [*held, f"not assessed: {', '.join(assessed[-1].omitted)} (surctl study assesses all)"]
         result |= {
             "derived_gains": tuned.data, "uncertainty": uncertainty, "cruise_m_per_s": speeds[0],
@@ -206,7 +198,7 @@ def verify(
     beside = list[str]()
     certificates = [file for one in done for file in one.files]
     if out is not None:
-        result["pictures"] = _draw(done, verdicts, *subject, out, cruise=margins_at, law=chosen_law)
+        result["pictures"] = _draw(done, verdicts, vehicle, tuned.gains, out, cruise=margins_at, law=chosen_law)
         lines.append(f"certificates: {len(certificates)}, pictures: {len(result['pictures'])}, in {out}")
     if safety is not None:
         judges = not isinstance(safety, Inapplicable)
@@ -224,13 +216,13 @@ def verify(
     if linear.short and cascaded:  # gains that have the margins at this speed, or else at a lower one
         from surctl.marine.tuning import derive_gains
 
-        derived = derive_gains(robot, cruise=speeds[0])
+        derived = derive_gains(vehicle, cruise=speeds[0])
         reached = speeds[0] if derived.reached else derived.bearable
-        then[:0] = [derive_words(vehicle, reached, _GAIN_FILE)] if reached > 0 else []
+        then[:0] = [derive_words(word, reached, _GAIN_FILE)] if reached > 0 else []
     elif tuned.derived and math.isfinite(short := margin_short(safety)):
-        then.insert(0, derive_words(vehicle, speeds[0], _GAIN_FILE, margin=short))
+        then.insert(0, derive_words(word, speeds[0], _GAIN_FILE, margin=short))
     if instead:
-        again = ["surctl", "verify", instead, *("--vehicle", vehicle), *(("--gains", gains) if gains else ())]
+        again = ["surctl", "verify", instead, *("--vehicle", word), *(("--gains", gains) if gains else ())]
         then.insert(0, shlex.join([*again, "--cruise", f"{speeds[0]:g}", "--cap", f"{speeds[1]:g}"]))
     first = len(done) - len(of_braking) - len(of_missions)
     about_missions = [one.lines[0] for one in done[first : first + len(of_missions)]]

@@ -1,6 +1,6 @@
 """The controller: gain files, velocity control, and control laws (each law is one object)."""
 
-from surctl.marine.control.build import MODES, build_law
+from surctl.marine.control.build import MODES, build_law, law_options
 from surctl.marine.control.decision import Decision, Situation, TaskLevel
 from surctl.marine.control.gains import GAINS, LIBRARY, Gains, GainSpec, load_gains, write_gains
 from surctl.marine.control.law import DEGRADED, SATURATED, SWITCHED, TRAPPED, WORKING, Law
@@ -45,6 +45,7 @@ __all__ = [
     "build_law",
     "check_forces",
     "default_law",
+    "law_options",
     "law_ref",
     "law_source",
     "load_gains",

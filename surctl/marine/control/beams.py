@@ -10,11 +10,10 @@ from typing import NamedTuple, TypeVar
 
 import casadi as ca
 
-from surctl.ir import each, tabulated
+from surctl.ir import each, fold, tabulated
 from surctl.marine.sensing import Equipment, SonarArray
 from surctl.marine.sensing.mapping.contacts import expected_range
 from surctl.marine.sensing.mapping.firing import READING
-from surctl.marine.sensing.ranging.tracker import Ranging
 from surctl.marine.sensing.sonar.solids import turned
 from surctl.marine.vehicle import planar_rotation
 
@@ -81,11 +80,11 @@ class Expected(NamedTuple):
         walls, sure, possible = (ca.if_else(placed, one, nothing) for one in (self.walls, self.sure, self.possible))
         return Expected(walls, self.things, sure, possible)
 
-    def unexplained(self, reading: ca.SX, sensor: int) -> ca.SX:
+    def unexplained(self, reading: ca.SX) -> ca.SX:
         """Return whether no wall and no known obstacle explains an echo at the range `reading` [m]."""
-        nearer: ca.SX = reading < ca.fmin(self.possible[sensor], self.things[sensor]) - _TOLERANCE
+        nearer: ca.SX = reading < ca.fmin(self.possible, self.things) - _TOLERANCE
         # the nearest point of the walls may answer too, if a wall is less smooth than assumed
-        off = ca.fabs(reading - self.walls[sensor])
+        off = ca.fabs(reading - self.walls)
         return ca.logic_and(nearer, off > _TOLERANCE)
 
 
@@ -127,8 +126,12 @@ def corrected(array: SonarArray, samples: ca.SX) -> ca.SX:
         return samples
     top = array.maximum - 0.5 * array.resolution
     least = array.lowest - array.resolution
-    echo = ca.logic_and(samples < top, samples > least)
-    return ca.if_else(echo, (samples - array.bias) / array.scale, samples)
+
+    def one(row: ca.SX) -> tuple[ca.SX]:
+        echo = ca.logic_and(row < top, row > least)
+        return (ca.if_else(echo, (row - array.bias) / array.scale, row),)
+
+    return each("corrected", one, samples)[0]
 
 
 Height = TypeVar("Height", float, ca.SX)
@@ -144,24 +147,28 @@ def floor_range(equipment: Equipment, z: Height) -> Height | None:
     return None if depth is None else (z + depth) / sin(equipment.array.steepest(-1)) - _TOLERANCE
 
 
-def honest(array: SonarArray, samples: ca.SX, ranging: Ranging, sensor: int, *, repeats: int) -> ca.SX:
-    """Return for each sonar whether its firing (one measurement) may change the map.
+def honest(array: SonarArray, every: ca.SX, samples: ca.SX, reading: ca.SX, reliable: ca.SX, changing: ca.SX) -> ca.SX:
+    """Return whether the firing (one measurement) of a sonar may change the map.
 
     A firing may not change the map in these cases: the sensor is stuck or late; its reading is below its shortest range
     or beyond a wall; or its samples equal those of another sensor. If only the readings of a sensor jump, its firings
     may change the map, because it takes three successive readings to clear a cell.
+
+    Args:
+        every: samples of all sensors, a row for each.
+        samples: samples of this sensor; `reading` is their range [m].
+        reliable: whether the readings are neither late nor beyond a wall.
+        changing: whether the samples are not those of too many firings before.
     """
-    state = ranging.state
-    reading, least = ranging.reading[sensor], array.lowest / array.scale
-    fine: ca.SX = ca.logic_and(reading >= least - 1.5 * array.resolution, state["sonar_late"][sensor] < 0.5)
-    fine = ca.logic_and(fine, state["sonar_distrust"][sensor] < 0.5)
-    fine = ca.logic_and(fine, state["sonar_repeated"][sensor] < max(repeats, 1))
+    least = array.lowest / array.scale
+    fine = ca.logic_and(ca.logic_and(reading >= least - 1.5 * array.resolution, reliable), changing)
     informative = ca.logic_and(reading > least + array.resolution, reading < array.maximum - SILENT)
-    for other in range(array.size):
-        if other != sensor:
-            differ = ca.sumsqr(samples[other, :] - samples[sensor, :]) > 0
-            fine = ca.logic_and(fine, ca.logic_or(differ, ca.logic_not(informative)))
-    return fine
+
+    def alike(count: ca.SX, other: ca.SX) -> ca.SX:
+        return count + ca.logic_not(ca.sumsqr(other - samples) > 0)
+
+    equal = fold("alike", alike, ca.SX(0), every)  # the sensor's own samples too
+    return ca.logic_and(fine, ca.logic_or(equal < 1.5, ca.logic_not(informative)))
 
 
 def least_of(values: ca.SX) -> ca.SX:
@@ -169,12 +176,19 @@ def least_of(values: ca.SX) -> ca.SX:
     return reduce(ca.fmin, (values[k] for k in range(values.numel())))
 
 
-def slotted(firings: list[tuple[ca.SX, ca.SX]], slots: int) -> ca.SX:
-    """Return `slots` rows `READING` as a column: one firing (fresh, row) in each, or one that changes no map cell."""
+def slotted(firings: ca.SX, slots: int) -> ca.SX:
+    """Return `slots` rows `READING` as a column: one firing in each, or one that changes no map cell.
+
+    `firings` is a table: each row says first whether the firing is new, and then contains its row `READING`.
+    """
     size = sum(k for _, k, _ in READING)
     empty = ca.vertcat(ca.SX.zeros(size - 2), -1, 0)
-    listed, count = [empty] * slots, ca.SX(0)
-    for fresh, firing in firings:
-        listed = [ca.if_else(ca.logic_and(fresh, count == s), firing, old) for s, old in enumerate(listed)]
-        count += fresh
+
+    def entered(*values: ca.SX) -> list[ca.SX]:
+        *listed, count, row = values
+        fresh, firing = row[0], row[1:]
+        after = [ca.if_else(ca.logic_and(fresh, count == s), firing, old) for s, old in enumerate(listed)]
+        return [*after, count + fresh]
+
+    *listed, _ = fold("slotted", entered, [*[empty] * slots, ca.SX(0)], firings)
     return ca.vertcat(*listed)

@@ -11,7 +11,7 @@ import pickle
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
-from typing import cast, get_args
+from typing import Any, cast, get_args
 
 import casadi as ca
 
@@ -198,6 +198,17 @@ LAW_SOURCES = tuple(
     )
 )
 """Packages whose source code determines the instruction list of a law."""
+
+
+def law_options(subject: Any) -> dict[str, Any]:
+    """Return the options of `build_law` that a law, and whatever describes one, has as attributes of the same names.
+
+    Example:
+        >>> from surctl.marine.control import build_law, law_options
+        >>> law_options(build_law(barrier="inertia"))["barrier"]
+        'inertia'
+    """
+    return {name: getattr(subject, name) for name in ("avoidance", "mode", "guidance", "barrier", "movers")}
 
 
 def build_law(

@@ -31,7 +31,7 @@ from surctl.ir import Block, Layout, Port, Recording, fold, tabulated
 from surctl.marine.control.gains import GainSpec
 from surctl.marine.control.law import DEGRADED, SATURATED, TRAPPED
 from surctl.marine.control.ports import YAW_SHARE
-from surctl.marine.control.stopping import Bounds
+from surctl.marine.guidance.sectors import Bounds
 from surctl.marine.vehicle import planar_rotation
 from surctl.priority.solver.fallback import RELAXED
 

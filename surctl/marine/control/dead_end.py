@@ -30,7 +30,7 @@ from dataclasses import replace
 
 import casadi as ca
 
-from surctl.ir import Layout, Port, Program, lower
+from surctl.ir import Layout, Port, Program, fold, lower, tabulated
 from surctl.marine.control.reference import DesiredMotion
 from surctl.marine.guidance import Contact
 from surctl.marine.vehicle import planar_rotation
@@ -213,10 +213,13 @@ def dead_end_next(
     reached = x["progress"] + desired.x_e
     further = reached > x["furthest"] + NEW
     new = ca.logic_or(further, ca.mmax(grown) > NEW)
-    near = ca.SX(0)
-    for contact in contacts:
+
+    def nears(near: ca.SX, row: ca.SX) -> ca.SX:
+        contact = Contact.of(row)
         moves = ca.sumsqr(contact.velocity) > MOVING_SPEED**2
-        near = ca.logic_or(near, ca.logic_and(moves, contact.clearance < NEAR))
+        return ca.logic_or(near, ca.logic_and(moves, contact.clearance < NEAR))
+
+    near = fold("nears", nears, ca.SX(0), tabulated((contact.row for contact in contacts), 6))
     left = ca.sumsqr(p["waypoints"][-1, :].T - eta[:2])
     ended = left < ARRIVED**2
     waits = ca.logic_or(ca.logic_or(near, stopped), ended)

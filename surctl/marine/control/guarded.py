@@ -28,10 +28,10 @@ from surctl.marine.control.closing import (
 from surctl.marine.control.decision import Decision, Scan, Situation, TaskLevel, lower_levels, weakest_acceleration
 from surctl.marine.control.ports import LAUNCHED, SECTORS
 from surctl.marine.control.reference import DesiredMotion
-from surctl.marine.control.stopping import BARRIERS, Bounds, Stop, braked
+from surctl.marine.control.stopping import BARRIERS, Stop, braked
 from surctl.marine.guidance import FAR, SAME_CONTACT, Cone, Contact, Sector, inside
 from surctl.marine.guidance.contacts import collision_cone
-from surctl.marine.guidance.sectors import choose_velocity, round_unknown, slowed
+from surctl.marine.guidance.sectors import Bounds, choose_velocity, round_unknown, slowed
 from surctl.marine.vehicle import planar_rotation
 from surctl.tasks import HalfPlane, velocity_task
 
@@ -104,10 +104,9 @@ def guarded_law(s: Situation, calm: float | None = None) -> Decision:
         keeps=x["stalled"] < _RETURNS if scan is not None and calm is None else None,
     )
     velocity, stopped, memory = choice.velocity, ca.SX(0), {}
-    bounds = [(sector.normal, sector.bound) for sector in sectors]
-    named = [(f"contact_{k}", *bound) for k, bound in enumerate(bounds)]
+    named = [(f"contact_{k}", sector.normal, sector.bound) for k, sector in enumerate(sectors)]
     if scan is None:
-        velocity = braked(velocity, over_ground, bounds)
+        velocity = braked(velocity, over_ground, sectors)
     else:
         caution = _cautious_bounds(scan, stop, p)
         chased = fold(
@@ -118,7 +117,7 @@ def guarded_law(s: Situation, calm: float | None = None) -> Decision:
         past = ca.if_else(ca.logic_or(choice.blocked, _strays(desired, past, stop)), velocity, past)
         cautious = slowed(past, caution)
         waits = ca.logic_and(ca.logic_not(choice.blocked), ca.sumsqr(cautious) < _WAITING**2 * ca.sumsqr(past))
-        cautious = ca.if_else(waits, _back_first(desired, past, caution, bounds), cautious)
+        cautious = ca.if_else(waits, _back_first(desired, past, caution, sectors), cautious)
 
         def met(chased: ca.SX, row: ca.SX) -> ca.SX:
             cone = Cone.of(row)
@@ -134,14 +133,15 @@ def guarded_law(s: Situation, calm: float | None = None) -> Decision:
             fastest = ca.if_else(chased, _NO_BOUND, p["ramp"] * weakest_acceleration(p))
             time = ca.if_else(chased, EVADE, p["ease"])
             target = ca.if_else(lost, 0, velocity)
-            velocity = eased(target, x["eased"], bounds, time=time, fastest=fastest, dt=calm)
+            velocity = eased(target, x["eased"], sectors, time=time, fastest=fastest, dt=calm)
             firm = []
             memory = {"eased": velocity, "pushed": pushed(velocity, x["eased"], x["pushed"], dt=calm)}
         brake = partial(braked, calm=ca.logic_not(chased))
         if calm is not None:
             brake = partial(brake, brake=ca.if_else(away, BRAKE, BRAKE_AT_START), hard=HARD)
-        velocity = brake(velocity, over_ground, bounds[:marks])
-        velocity = brake(velocity, over_ground, [*bounds[marks:], *firm], yields=ca.logic_not(chased))
+        velocity = brake(velocity, over_ground, sectors[:marks])
+        rest = [*((sector.normal, sector.bound) for sector in sectors[marks:]), *firm]
+        velocity = brake(velocity, over_ground, rest, yields=ca.logic_not(chased))
         # the walls' normals are at right angles, so one projection after the other is exact
         for sector in sectors[-len(perceived.walls) :]:
             velocity -= ca.fmax(ca.dot(velocity, sector.normal) - sector.bound, 0) * sector.normal
@@ -174,8 +174,7 @@ def _back_first(desired: DesiredMotion, velocity: ca.SX, caution: Bounds, bounds
     sideways = ca.vertcat(-desired.tangent[1], desired.tangent[0])
     across = ca.dot(sideways, velocity)
     back = slowed(ca.if_else(across * desired.y_e < 0, across, 0) * sideways, caution)
-    ahead = slowed(velocity - back, [(n, ca.fmax(bound - ca.dot(n, back), 0)) for n, bound in caution])
-    return slowed(back + ahead, [(n, ca.fmax(bound, 0)) for n, bound in bounds])
+    return slowed(back + slowed(velocity - back, caution, added=back), bounds)
 
 
 def _strays(desired: DesiredMotion, velocity: ca.SX, stop: Stop) -> ca.SX:

@@ -16,7 +16,7 @@ of a thin cylinder do not.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import ceil, cos, pi, sin
@@ -25,10 +25,24 @@ from typing import NamedTuple
 import casadi as ca
 
 from surctl.errors import InputError
-from surctl.ir import Block, Call, Layout, Port, Program, Recording, Routine, each, lower_named, without_libm
+from surctl.ir import (
+    Block,
+    Call,
+    Layout,
+    Port,
+    Program,
+    Recording,
+    Routine,
+    each,
+    fold,
+    lower_named,
+    tabulated,
+    without_libm,
+)
 from surctl.ir.c99 import rearranged
 from surctl.marine.control.beams import (
     SILENT,
+    Expected,
     StepState,
     beams,
     corrected,
@@ -75,9 +89,10 @@ FACE_PORTS = (
 
 
 class Firing(NamedTuple):
-    """One firing: apex and axis (2, 1) of the beam in {E}, half its opening angle [rad], and what was measured.
+    """One firing: apex and axis (2, 1) of the beam in {E}, and what was measured.
 
     Attributes:
+        within: cosine of the largest angle between the axis and the foot of a face that the beam measures.
         arrived: 1 if the firing is new and credible.
         reading: range [m].
         longest: range [m] up to which the last firings agree that nothing answered.
@@ -87,17 +102,27 @@ class Firing(NamedTuple):
 
     apex: ca.SX
     axis: ca.SX
-    half: float
+    within: ca.SX | float
     arrived: ca.SX
     reading: ca.SX
     longest: ca.SX
     echo: ca.SX
     blind: ca.SX
 
+    @classmethod
+    def of(cls, row: ca.SX) -> Firing:
+        """Return the firing whose numbers are a column, in the order of the attributes."""
+        return cls(row[:2], row[2:4], *ca.vertsplit(row[4:]))
+
+
+def within_beam(half: float) -> float:
+    """Return `Firing.within` for half the opening angle [rad] of the beam."""
+    return cos(half - _INSIDE)
+
 
 def face_after(
     x: Mapping[str, ca.SX],
-    firings: Sequence[Firing],
+    firings: ca.SX,
     position: ca.SX,
     *,
     dt: float,
@@ -110,6 +135,7 @@ def face_after(
     The second result is the foot of the perpendicular (3, 1): offset x, y from the robot [m], and squared distance.
 
     Args:
+        firings: table with a row for each `Firing`.
         position: the robot's place (2, 1) in {E} [m].
         blind: longest range that a sensor cannot measure [m].
         hull: radius of the hull [m].
@@ -117,13 +143,16 @@ def face_after(
     """
     late, early = x["face_echoes"][0, :].T, x["face_echoes"][1, :].T
     plane, age, close = x["face_plane"], x["face_age"][0] + dt, x["face_age"][1] + dt
-    nearest, now, axis, half = ca.SX(_NEAR), ca.SX.zeros(3), ca.SX([1, 0]), ca.SX(1)
-    for one in firings:
+
+    def nearer(nearest: ca.SX, best: ca.SX, row: ca.SX) -> list[ca.SX]:
+        one = Firing.of(row)
         measured = ca.logic_and(ca.logic_and(one.arrived, one.echo), ca.logic_not(one.blind))
         take = ca.logic_and(measured, one.reading < nearest)
-        nearest = ca.if_else(take, one.reading, nearest)
-        now = ca.if_else(take, ca.vertcat(one.apex, one.reading), now)
-        axis, half = ca.if_else(take, one.axis, axis), ca.if_else(take, cos(one.half - _INSIDE), half)
+        candidate = ca.vertcat(one.apex, one.reading, one.axis, one.within)
+        return [ca.if_else(take, one.reading, nearest), ca.if_else(take, candidate, best)]
+
+    _, best = fold("nearest_echo", nearer, [ca.SX(_NEAR), ca.SX([0, 0, 0, 1, 0, 1])], firings)
+    now, axis, within = best[:3], best[3:5], best[5]
     there = now[2] > 0
     # a plane through the present echo and the earlier one
     base = now[:2] - early[:2]
@@ -139,22 +168,27 @@ def face_after(
     same = ca.logic_and(same, ca.fabs(plane[2] - ca.dot(plane[:2], now[:2]) - now[2]) < _SAME)
     middle = ca.fabs(distance - ca.dot(normal, late[:2]) - late[2])
     fits = ca.logic_and(ca.logic_and(there, early[2] > 0), ca.logic_and(apart > _APART, apart < _TOGETHER))
-    fits = ca.logic_and(fits, ca.logic_and(ca.fabs(cosine) < 1, ca.dot(normal, axis) > half))
+    fits = ca.logic_and(fits, ca.logic_and(ca.fabs(cosine) < 1, ca.dot(normal, axis) > within))
     step = ca.sqrt(ca.sumsqr(now[:2] - late[:2]))
     fits = ca.logic_and(fits, ca.logic_and(step > 0.1, middle < _FLAT))
     turned = plane[:2] + _TURNS * (normal - plane[:2])
     normal = ca.if_else(same, turned / ca.fmax(ca.sqrt(ca.sumsqr(turned)), 0.5), normal)
     plane = ca.if_else(fits, ca.vertcat(normal, ca.dot(normal, now[:2]) + now[2], now[:2]), plane)
     age = ca.if_else(fits, 0, age)
-    for one in firings:
+
+    def confirmed(age: ca.SX, close: ca.SX, place: ca.SX, row: ca.SX) -> list[ca.SX]:
+        one = Firing.of(row)
         ahead = plane[2] - ca.dot(plane[:2], one.apex)
-        faces = ca.logic_and(one.arrived, ca.dot(plane[:2], one.axis) > cos(one.half - _INSIDE))
+        faces = ca.logic_and(one.arrived, ca.dot(plane[:2], one.axis) > one.within)
         agrees = ca.if_else(one.blind, ahead < blind + _SAME, ca.fabs(one.reading - ahead) < _SAME)
         agrees = ca.logic_and(ca.logic_and(faces, age < _LASTS), agrees)
         gone = ca.logic_and(faces, one.longest > ca.fmax(ahead, blind) + _GONE)
-        age = ca.if_else(agrees, 0, ca.if_else(gone, _NEVER, age))
         close = ca.if_else(ca.logic_and(agrees, one.blind), 0, close)
-        plane = ca.if_else(agrees, ca.vertcat(plane[:3], one.apex), plane)
+        age = ca.if_else(agrees, 0, ca.if_else(gone, _NEVER, age))
+        return [age, close, ca.if_else(agrees, one.apex, place)]
+
+    age, close, place = fold("face_firing", confirmed, [age, close, plane[3:]], firings)
+    plane = ca.vertcat(plane[:3], place)
     # the later of the two echoes moves on
     lost = ca.logic_or(late[2] <= 0, step > _TOGETHER)
     moves = ca.logic_and(there, ca.logic_or(lost, step >= _APART))
@@ -204,6 +238,7 @@ _PLACED_SD = 0.2  # [m] standard deviation above which the position counts as un
 _SILENT_MARGIN = 0.05  # [m] added to the radius of every mark while a sonar is silent, since obstacles drift
 # [s] longest silence of a sonar; also of a sonar that was never plausible
 _FAR = 1e5  # [m²] larger than any squared distance in the map
+_JUDGED = ("late", "distrust", "repeated", "recent")  # states of a sonar by which its firing is judged
 
 
 @dataclass(frozen=True, eq=False)
@@ -389,14 +424,17 @@ class _Builder:
         floor = floor_range(self.equipment, around.eta[2])
         # near the start an object within the blind range was never measured: its marks stay where they are
         starting = ca.sumsqr(around.eta[:2] - known["waypoints"][0, :].T) <= LAUNCHED**2
-        firings, silent, fired = [], [], []
-        for i in range(array.size):
-            reading, recent = ranging.reading[i], ranging.state["sonar_recent"][i, :]
-            arrived = ca.logic_and(
-                inputs["fresh"][i] > 0.5, honest(array, inputs["samples"], ranging, i, repeats=self._ranges.repeats)
-            )
-            silent.append(ca.if_else(arrived, 0.0, ca.fmin(x["silent"][i] + self.dt, _NEVER)))
-            strange = ranges.unexplained(reading, i)
+
+        def fired(states: ca.SX, samples: ca.SX, known_ranges: ca.SX, beam: ca.SX) -> list[ca.SX]:
+            fresh, silent, reading, late, distrust, repeated = ca.vertsplit(states[:6])
+            recent, apex, axis, half = states[6:], beam[:2], beam[2:4], beam[4:6]
+            trusted = honest(
+                array, inputs["samples"], samples, reading, ca.logic_and(late < 0.5, distrust < 0.5),
+                repeated < max(self._ranges.repeats, 1),
+            )  # fmt: skip
+            arrived = ca.logic_and(fresh > 0.5, trusted)
+            silent = ca.if_else(arrived, 0.0, ca.fmin(silent + self.dt, _NEVER))
+            strange = Expected(*ca.vertsplit(known_ranges)).unexplained(reading)
             if floor is not None:
                 strange = ca.logic_and(strange, reading < floor)
             echo = ca.logic_and(reading < array.maximum - SILENT, strange)
@@ -404,19 +442,31 @@ class _Builder:
             usable = ca.logic_and(arrived, around.placed)
             clear = ca.fmax(least_of(recent) - _READING - _DIAGONAL * edge, 0)
             cleared = ca.if_else(starting, 0, clear)
-            fired.append(Firing(apexes[i], axes[i], halves[i], usable, reading, least_of(recent), echo, blind))
             firing = {
-                "apex": apexes[i],
-                "axis": axes[i],
-                "half": ca.DM([cos(halves[i]), sin(halves[i])]),
+                "apex": apex,
+                "axis": axis,
+                "half": half,
                 "clear": ca.if_else(blind, -ca.fmax(cleared, 1e-3), clear),
                 "near": ca.fmax(reading - _READING - 0.5 * edge, 0),
                 "far": ca.if_else(echo, reading + _READING + 0.5 * edge, -1),
                 "cutoff": reading + _EXPLAINS * edge + 0.01,
             }
-            listed = ca.vertcat(*(firing[name] for name, _, _ in READING))
-            firings.append((usable, listed))
-        healthy = ca.vertcat(*silent) <= _DEAF
+            listed = ca.vertcat(usable, *(firing[name] for name, _, _ in READING))
+            return [
+                silent,
+                ca.vertcat(*Firing(apex, axis, beam[6], usable, reading, least_of(recent), echo, blind)),
+                listed,
+            ]
+
+        own = (inputs["fresh"], x["silent"], ranging.reading, *(ranging.state[f"sonar_{n}"] for n in _JUDGED))
+        silent, firings, readings = each(
+            "firing", fired, ca.horzcat(*own), inputs["samples"], ca.horzcat(*ranges),
+            tabulated(
+                (apex, axis, cos(half), sin(half), within_beam(half))
+                for apex, axis, half in zip(apexes, axes, halves, strict=True)
+            ),
+        )  # fmt: skip
+        healthy = silent <= _DEAF
         sonars = [
             ca.horzcat(ranging.range[i], ranging.bound[i], healthy[i], ranging.age[i], axes[i].T)
             for i in range(array.size)
@@ -426,7 +476,7 @@ class _Builder:
             "nu": around.nu,
             "uncertainty": around.uncertainty,
             "placed": around.placed,
-            "echoed": least_of(ca.vertcat(*silent)) < _NEVER,
+            "echoed": least_of(silent) < _NEVER,
             "sonars": ca.vertcat(*sonars),
         }
         if self._movers:
@@ -434,7 +484,7 @@ class _Builder:
         if "column" in self.outputs:
             perceived["column"] = inputs["column"]
         face, perceived["face"] = face_after(
-            x, fired, around.eta[:2], dt=self.dt, blind=shortest, hull=known["hull"], deep=edge / 2
+            x, firings, around.eta[:2], dt=self.dt, blind=shortest, hull=known["hull"], deep=edge / 2
         )
         after |= face
         free = known["hull"] + ca.if_else(x["launched"], 0, known["launch"])
@@ -443,14 +493,14 @@ class _Builder:
                 {
                     **after,
                     **ranging.state,
-                    "silent": ca.vertcat(*silent),
+                    "silent": silent,
                     "launched": ca.logic_or(x["launched"], around.placed),
                 }
             ),
             # if the robot does not know its position, the cells under its hull do not count as free
             "place": ca.vertcat(around.eta[:2], ca.if_else(around.placed, free, 0), edge),
             "walls": known["walls"],
-            "readings": slotted(firings, local_map.slots),
+            "readings": slotted(readings, local_map.slots),
             "perceived": self._perceived.join(perceived),
         }
         return {"small": small, "u": u, "p": p}, outputs

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import Literal, TypeAlias, get_args
 
@@ -10,7 +10,7 @@ import casadi as ca
 
 from surctl.ir import fold, tabulated
 from surctl.marine.guidance.braking import BrakeSymbols, closing_bound
-from surctl.marine.guidance.sectors import slowed
+from surctl.marine.guidance.sectors import Bounds, slowed
 from surctl.tasks import allowed_closing_speed
 
 Barrier = Literal["simple", "inertia"]
@@ -26,9 +26,6 @@ HARD = 0.02
 """Excess over a speed bound [m/s] at which all thrust is used for braking."""
 
 _FIRST = 10.0  # [m/s] larger than any excess: bounds that the robot violates by closing in come before retreats
-
-Bounds: TypeAlias = Sequence[tuple[ca.SX, ca.SX]]
-"""Speed bounds: pairs of a unit normal (2, 1) in {E} and the largest speed along it [m/s]."""
 
 Stop: TypeAlias = Callable[[ca.SX, ca.SX], ca.SX]
 """Function of clearance minus margin [m] and obstacle speed v_o·n [m/s] (negative if approaching): largest n·v."""
@@ -106,8 +103,7 @@ def braked(
 
     velocity = fold("within", within, velocity, tabulated(bounds, 3))
     # one bound after another: where they oppose each other, the result may still violate an earlier one
-    allowed = slowed(velocity, [(normal, ca.fmax(bound, 0)) for normal, bound in bounds])
-    return ca.if_else(yields, allowed, velocity)
+    return ca.if_else(yields, slowed(velocity, bounds), velocity)
 
 
 def _worst(velocity: ca.SX, bounds: Bounds) -> tuple[ca.SX, ca.SX]:

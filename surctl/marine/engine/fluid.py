@@ -14,19 +14,22 @@ water is inertial.
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import dataclass
 from functools import cache
 from math import pi, sqrt
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import BeforeValidator, Field, model_validator
 
-from surctl.errors import InputError, check_known, nearest
+from surctl.errors import InputError, nearest
+from surctl.files import Strict, validate
 from surctl.ir import Program, lower_named
 from surctl.marine.vehicle import GRAVITY, WATER, Actuators, PlantForm, Vehicle, plant_layout, plant_parameters
-from surctl.marine.vehicle.dynamics import constant_force, inertia_matrix, point_of
+from surctl.marine.vehicle.dynamics import constant_force, drag_of, inertia_matrix, planar_turning, point_of
+from surctl.robot.kinematics import rotation_of
 from surctl.tasks.task import planar_rotation
 
 if TYPE_CHECKING:
@@ -39,12 +42,24 @@ _PLANTS = ("own", "mujoco")
 _FORM = "write --plant mujoco or --plant mujoco:KEY=VALUE,..."
 _BOX = "write LENGTHxWIDTHxHEIGHT in m, such as 1.2x0.6x0.4"
 _UNLIKE = 20.0  # largest ratio of a side of a box to the diameter in the vehicle file, and of this to a side
-_WORDS = {"drag": ("axis", "speed", "ellipsoid"), "rays": ("cone", "fan"), "ballast": ("path", "none")}
 _SWITCHES = ("floor", "surface_echo")
 
 
-@dataclass(frozen=True)
-class EngineOptions:
+def _sides(value: object) -> object:
+    """Return length, width and height [m] of a text such as 1.2x0.6x0.4; another value as it is."""
+    if not isinstance(value, str):
+        return value
+    try:
+        length, width, height = map(float, value.split("x"))
+    except ValueError:
+        raise ValueError(f"is not a box; {_BOX}") from None
+    return length, width, height
+
+
+_Side = Annotated[float, Field(ge=1e-3, le=1e3)]
+
+
+class EngineOptions(Strict):
     """The choices of a simulation in MuJoCo that a vehicle file does not make.
 
     Attributes:
@@ -70,35 +85,23 @@ class EngineOptions:
         'surface=1.0'
     """
 
-    dof: int = 0
-    drag: str = "axis"
-    surface: float = 0.0
-    box: tuple[float, float, float] | None = None
-    ballast: str = "path"
-    rays: str = "cone"
-    count: int = 200
+    dof: Annotated[Literal[0, 4, 6], BeforeValidator(lambda v: int(v) if v in ("4", "6") else v)] = 0
+    drag: Literal["axis", "speed", "ellipsoid"] = "axis"
+    surface: float = Field(default=0.0, ge=0, le=1)
+    box: Annotated[tuple[_Side, _Side, _Side] | None, BeforeValidator(_sides)] = None
+    ballast: Literal["path", "none"] = "path"
+    rays: Literal["cone", "fan"] = "cone"
+    count: int = Field(default=200, ge=8, le=100_000)
     floor: bool = False
     surface_echo: bool = False
-    step: float = 0.0125
+    step: float = Field(default=0.0125, ge=1e-4, le=0.025)
 
-    def __post_init__(self) -> None:
-        """Raise InputError for a value that is not possible."""
-        if self.dof not in (0, 4, 6):
-            raise InputError("is not possible", key="dof", value=self.dof, remedy="use 4 or 6")
-        for key, known in _WORDS.items():
-            check_known(getattr(self, key), known, key=key)
-        for key, low, high in (("surface", 0.0, 1.0), ("count", 8, 100_000), ("step", 1e-4, 0.025)):
-            if not low <= getattr(self, key) <= high:
-                raise InputError(
-                    "is not possible", key=key, value=getattr(self, key), remedy=f"give {low:g} to {high:g}"
-                )
-
-        if self.box is not None and (len(self.box) != 3 or not all(1e-3 <= side <= 1e3 for side in self.box)):
-            raise InputError("is not a box", key="box", value=_written(self.box), remedy=_BOX)
+    @model_validator(mode="after")
+    def _afloat(self) -> EngineOptions:
         for key in ("box", "ballast") if self.surface == 0 else ():
-            if (value := getattr(self, key)) not in (None, "path"):
-                remedy = f"add surface=1.0, or drop {key}"
-                raise InputError("needs a water surface", key=key, value=_written(value), remedy=remedy)
+            if getattr(self, key) not in (None, "path"):
+                raise ValueError(f"{key} needs a water surface; add surface=1.0, or drop {key}")
+        return self
 
     def of(self, vehicle: Vehicle) -> EngineOptions:
         """Return the options for a vehicle, with its degrees of freedom.
@@ -114,7 +117,7 @@ class EngineOptions:
         if self.box is not None and not all(width / _UNLIKE <= side <= width * _UNLIKE for side in self.box):
             problem = f"is not plausible in m for {vehicle.name}, whose file has a diameter of {width:g} m"
             raise InputError(problem, key="--plant mujoco:box", value=_written(self.box), remedy=_BOX)
-        return replace(self, dof=self.dof or (6 if vehicle.form.tilts else 4))
+        return self.model_copy(update={"dof": self.dof or (6 if vehicle.form.tilts else 4)})
 
     @property
     def unheard(self) -> tuple[str, ...]:
@@ -125,12 +128,7 @@ class EngineOptions:
     def text(self) -> str:
         """Return all options that differ from their defaults as one text, which `parse_plant` reads."""
         usual = EngineOptions()
-        pairs = [(f.name, getattr(self, f.name)) for f in fields(self)]
-        return ",".join(f"{key}={_written(value)}" for key, value in pairs if value != getattr(usual, key))
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the options as plain data for JSON."""
-        return asdict(self)
+        return ",".join(f"{key}={_written(value)}" for key, value in self if value != getattr(usual, key))
 
 
 def _written(value: Any) -> str:
@@ -148,42 +146,19 @@ def parse_plant(text: str) -> EngineOptions | None:
         if colon:
             raise InputError("has no options", key="--plant", value=text, remedy="write --plant own")
         return None
-    values: dict[str, Any] = {}
-    known = [f.name for f in fields(EngineOptions)]
+    values: dict[str, str] = {}
     for part in rest.split(",") if colon else ():
-        if not part:
-            raise InputError("has an option that is empty", key="--plant", value=text, remedy=_FORM)
         key, equals, value = part.partition("=")
-        if key not in known:
-            raise InputError("is not an option of this plant", key="--plant", value=part, remedy=nearest(key, known))
         if not equals:
-            raise InputError("has no value", key="--plant", value=part, remedy=_FORM)
+            problem = "has no value" if part else "has an option that is empty"
+            raise InputError(problem, key="--plant", value=part or text, remedy=_FORM)
         if key in values:
             raise InputError("is there twice", key=f"--plant mujoco:{key}", value=value, remedy="write it once")
-        values[key] = _value(key, value)
+        values[key] = value
     try:
-        return EngineOptions(**values)
+        return validate(values, EngineOptions, file=None)
     except InputError as error:
-        raise error.inside(None, f"--plant mujoco:{error.key}") from None
-
-
-def _value(key: str, text: str) -> Any:
-    if key in _WORDS:
-        return text
-    if key == "box":
-        try:
-            return tuple(map(float, text.split("x")))
-        except ValueError:
-            raise InputError("is not a box", key=f"--plant mujoco:{key}", value=text, remedy=_BOX) from None
-    if key in _SWITCHES:
-        if text not in ("true", "false"):
-            raise InputError("is neither true nor false", key=f"--plant mujoco:{key}", value=text, remedy="use true")
-        return text == "true"
-    try:
-        return int(text) if key in ("dof", "count") else float(text)
-    except ValueError:
-        remedy = "give a whole number" if key in ("dof", "count") else "give a number"
-        raise InputError("is not a number", key=f"--plant mujoco:{key}", value=text, remedy=remedy) from None
+        raise error.inside(None, f"--plant mujoco:{error.key or ''}".rstrip(":")) from None
 
 
 _GAUSS = ((-sqrt(0.15), 5 / 18), (0.0, 8 / 18), (sqrt(0.15), 5 / 18))  # places and weights on (-1/2, 1/2)
@@ -265,11 +240,11 @@ def _program(form: PlantForm, dof: int, drag: str, coupled: bool, boxed: bool, a
     terms = {name: p["terms"][k] for k, name in enumerate(form.terms)}
     current, outer, yaw = e[:3], e[3:6], e[6]
     radius, share, ballast = e[7], e[8], e[9]
-    rotation = _from_quaternion(q[3:]) if dof == 6 else ca.diagcat(planar_rotation(q[3]), 1)
+    rotation = rotation_of(ca.vertcat(q[4:], q[3])) if dof == 6 else ca.diagcat(planar_rotation(q[3]), 1)
     through = rotation.T @ (v[:3] - current)
     nu = ca.vertcat(through, v[5], v[3], v[4]) if dof == 6 else ca.vertcat(through, v[3])
 
-    load = -_drag(nu, p, terms, form, drag)
+    load = -_drag(nu, p, form, drag)
     level = rotation[:2, 0] / ca.norm_2(rotation[:2, 0])
     forces = constant_force(p, form)
     ahead = ca.vertcat(ca.horzcat(level[0], -level[1]), ca.horzcat(level[1], level[0])) @ forces[:2]
@@ -311,23 +286,18 @@ def _wrench(force: ca.SX, moment: ca.SX, dof: int) -> ca.SX:
 def _turned(momentum: ca.SX, nu: ca.SX, dof: int) -> ca.SX:
     # k(M, ν): rate of the momenta because the frame of the hull turns and moves
     if dof == 4:
-        turning = nu[0] * momentum[1] - nu[1] * momentum[0]
-        return ca.vertcat(-nu[3] * momentum[1], nu[3] * momentum[0], 0, turning)
+        return planar_turning(momentum, nu)
     linear, angular = momentum[_LINEAR], momentum[_ANGULAR]
     velocity, spin = nu[_LINEAR], nu[_ANGULAR]
     return _wrench(ca.cross(spin, linear), ca.cross(spin, angular) + ca.cross(velocity, linear), dof)
 
 
-def _drag(nu: ca.SX, p: dict[str, ca.SX], terms: dict[str, ca.SX], form: PlantForm, model: str) -> ca.SX:
-    size = nu.numel()
-    speed = ca.fabs(nu[:4])
+def _drag(nu: ca.SX, p: dict[str, ca.SX], form: PlantForm, model: str) -> ca.SX:
+    drag, own = drag_of(nu, p, form), p["quadratic_drag"][:3] * nu[:3]
     if model == "speed":
-        speed[:3] = ca.sqrt(nu[0] ** 2 + nu[1] ** 2 + nu[2] ** 2)
+        drag[:3] += own * (ca.norm_2(nu[:3]) - ca.fabs(nu[:3]))
     elif model == "ellipsoid":
-        speed[:3] = 0
-    drag = ca.vertcat((p["linear_drag"] + p["quadratic_drag"] * speed) * nu[:4], ca.SX.zeros(size - 4))
-    for axis, by, name in form.drag():
-        drag[axis] += terms[name] * (nu[by[0]] if len(by) == 1 else ca.fabs(nu[by[0]]) * nu[by[1]])
+        drag[:3] -= own * ca.fabs(nu[:3])
     return drag
 
 
@@ -353,13 +323,3 @@ def _emerged_box(z: ca.SX, up: ca.SX, sides: ca.SX) -> tuple[ca.SX, ca.SX]:
             volume += part
             first += part * ca.vertcat(x, y, (sides[2] - height) / 2)
     return volume, first
-
-
-def _from_quaternion(quaternion: ca.SX) -> ca.SX:
-    unit = quaternion / ca.norm_2(quaternion)
-    w, x, y, z = (unit[k] for k in range(4))
-    return ca.vertcat(
-        ca.horzcat(1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
-        ca.horzcat(2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
-        ca.horzcat(2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
-    )

@@ -33,6 +33,7 @@ from surctl.ir import (
     Step,
     compile_block,
     lower,
+    on_vectors,
     reads,
     replay,
     without_libm,
@@ -42,7 +43,7 @@ from surctl.ir.procedure import Procedure
 from surctl.marine.control import Law
 from surctl.marine.control.build import in_real
 from surctl.marine.simulation.metrics import GONE, LATE
-from surctl.noise import NoiseStream
+from surctl.noise import NOISE_STATE, draw_uniforms, noise_states
 from surctl.system import ControllerStep
 from surctl.system.controller import finite_step
 
@@ -297,7 +298,9 @@ class LinkedLaw:
             problem = str(reason).removeprefix(self.line.name).strip()
             remedy = "start the controller of the bundle: make controller && ./controller PORT"
             raise InputError(problem, key="controller", value=self.line.name, remedy=remedy) from None
-        self._noise = NoiseStream(_STREAM + self.faults.seed)
+        state = ca.SX.sym("state", NOISE_STATE)
+        self._draw = on_vectors(ca.Function("draw", [state], list(draw_uniforms(state, 2))))
+        self._noise = noise_states([_STREAM + self.faults.seed])[0]
         self._late = int(np.ceil(self.faults.delay / self.law.dt - 1e-9))
         self._believed = int(np.floor(self.faults.deadline / self.law.dt + 1e-9))
         self._period = 0
@@ -346,7 +349,8 @@ class LinkedLaw:
         )
 
     def _request(self, x: Vector, u: Vector, p: Vector) -> None:
-        to, back = (number < self.faults.loss for number in self._noise.uniforms(2))
+        numbers, self._noise = self._draw(self._noise)
+        to, back = numbers < self.faults.loss
         if to:
             self._lost[0] += 1
             return

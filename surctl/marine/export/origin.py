@@ -22,7 +22,7 @@ from surctl.export.bundle import gain_rows, law_entries, law_entry, law_id
 from surctl.export.contract import Exportable
 from surctl.export.supplement import LAW, Listed, law_list
 from surctl.ir import Real
-from surctl.marine.control import AVOIDANCE, BARRIER, PATH_FOLLOWING, Law, build_law, law_source
+from surctl.marine.control import AVOIDANCE, BARRIER, PATH_FOLLOWING, Law, build_law, law_options, law_source
 from surctl.marine.guidance import AvoidanceForm
 from surctl.marine.sensing import Equipment
 from surctl.marine.vehicle import Vehicle
@@ -89,16 +89,7 @@ def origin_of(
     law = law.base or law  # claims are about the command, before the allocation to thrusters
     ground_truth = law
     if "samples" in law.inputs:
-        ground_truth = build_law(
-            law.ref,
-            avoidance=law.avoidance,
-            mode=law.mode,
-            dt=law.dt,
-            guidance=law.guidance,
-            barrier=law.barrier,
-            movers=law.movers,
-            fallback=law.fallback,
-        )
+        ground_truth = build_law(law.ref, dt=law.dt, fallback=law.fallback, **law_options(law))
     return Origin(vehicle, ground_truth, certificates, equipment)
 
 

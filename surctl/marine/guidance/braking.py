@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError, check_number
-from surctl.marine.vehicle import Vehicle
+from surctl.marine.vehicle import Vehicle, steady_speed
 
 LEAST_THRUST = 0.85
 """Share of the vehicle's stated thrust that counts as guaranteed for braking."""
@@ -260,12 +260,10 @@ def fastest_obstacle(brakes: Brakes) -> float:
 
     This speed solves D(v_o + c) = F_b − f for the largest drag.
     """
-    force, linear, quadratic = brakes.least - brakes.disturbance, brakes.linear[1], brakes.quadratic[1]
+    force = brakes.least - brakes.disturbance
     if force <= 0:
         return 0.0
-    if linear == quadratic == 0:
-        return inf
-    return max(2 * force / (linear + sqrt(linear**2 + 4 * quadratic * force)) - brakes.current, 0.0)
+    return max(steady_speed(force, brakes.linear[1], brakes.quadratic[1]) - brakes.current, 0.0)
 
 
 _LEAST_LEFT = 0.02  # lower bound of F' as a share of F_b; for an obstacle too fast for braking it causes a retreat

@@ -152,9 +152,7 @@ class Cone(NamedTuple):
     @staticmethod
     def of(row: ca.SX) -> Cone:
         """Return the collision cone whose numbers form one row of an array of cones."""
-        left, right, ahead, point = (row[k : k + 2] for k in (0, 2, 4, 15))
-        bounds, met = (row[6], row[7], row[8]), (row[9], row[10], row[11], row[12], row[13], row[14])
-        return Cone(left, right, ahead, *bounds, *met, point)
+        return Cone(*ca.vertsplit(row, [0, 2, 4, *range(6, 16), 17]))
 
 
 def collision_cone(

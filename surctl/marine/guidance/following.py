@@ -27,14 +27,15 @@ target point, and the depth, speed and visit of the segment that the target poin
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from math import atan2, hypot, inf, sqrt
+from functools import cache
+from math import hypot, sqrt
 
 import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from surctl.ir import Port
-from surctl.marine.guidance.path import AT_CORNER, BEND, MAX_WAYPOINTS, VISIT, Path
+from surctl.ir import Layout, Port, on_vectors
+from surctl.marine.guidance.path import AT_CORNER, MAX_WAYPOINTS, Path
 
 ROW = 5
 """Numbers of a waypoint in a mission's table: x, y, rise, speed, kind."""
@@ -108,34 +109,40 @@ _SHORT_CUT = 3.0  # chosen: cutting a right-angled corner on the diagonal leaves
 
 
 class Follower:
-    """The segment of a path that a robot is on, and the robot's progress on this segment.
+    """The segment of a path that a robot is on, and the robot's progress on this segment, by `follow_on`.
 
     Args:
         path: the path that the robot follows.
         visit: distance [m] to a corner within which the corner counts as visited, if every corner must be visited;
             None: the robot may cut corners. If the path has kinds of corners, `visit` holds for the corners `VISIT`.
-
-    Attributes:
-        leg: index of the present path segment, from 0.
-        along: largest arc length on the present path segment so far [m].
-        missed: largest distance [m] at which a corner was passed so far; 0 before the first corner. The distance to a
-            corner is the least distance while the robot is on one of the two segments that meet at the corner.
     """
 
     def __init__(self, path: Path, *, visit: float | None = None) -> None:
-        self._points = [(float(x), float(y)) for x, y in path.waypoints]
-        kinds = [VISIT if visit is not None else 0.0] * len(self._points) if path.kinds is None else path.kinds.tolist()
-        self._visit = [visit if kind == VISIT else None for kind in kinds]
-        self._corner = [kind != BEND for kind in kinds]
-        self._skips = SKIPS if path.fed else 1
-        self._rises = [0.0] * len(self._points) if path.rises is None else path.rises.tolist()
-        self.leg, self.along = 0, 0.0
-        self._missed, self._before, self._nearest = 0.0, 0.0, inf  # [m²] at earlier corners, the last, the next one
+        self._table, count = path.table(visits=visit is not None), 2 + (SKIPS if path.fed else 1)
+        if visit is None:
+            self._table[:, 4] = np.minimum(self._table[:, 4], 0.0)
+        self._points: list[tuple[float, float]] = path.waypoints.tolist()
+        self._rises: list[float] = self._table[:, 2].tolist()
+        self._ahead, self._moved = np.arange(count), _moved(count)
+        self._visit, self._state = visit or 0.0, Layout(FOLLOWING).pack()
+
+    @property
+    def leg(self) -> int:
+        """Index of the present path segment, from 0."""
+        return int(self._state[0])
+
+    @property
+    def along(self) -> float:
+        """Largest arc length on the present path segment so far [m]."""
+        return float(self._state[1])
 
     @property
     def missed(self) -> float:
-        """Largest distance [m] at which a corner was passed so far; 0 before the first corner."""
-        return sqrt(max(self._missed, self._before))
+        """Largest distance [m] at which a corner was passed so far; 0 before the first corner.
+
+        The distance to a corner is the least one while the robot is on one of the two segments that meet there.
+        """
+        return sqrt(max(self._state[3], self._state[4]))
 
     @property
     def last(self) -> bool:
@@ -144,43 +151,9 @@ class Follower:
 
     def move(self, x: float, y: float) -> None:
         """Update the present path segment for the robot's new position (x, y) [m] in {E}."""
-        (ax, ay), (bx, by) = self._points[self.leg : self.leg + 2]
-        length = hypot(bx - ax, by - ay)
-        ux, uy = (bx - ax) / length, (by - ay) / length
-        self.along = min(max(self.along, (x - ax) * ux + (y - ay) * uy), length)
-        if self.leg:
-            self._before = min(self._before, (x - ax) ** 2 + (y - ay) ** 2)
-        rest = (x - ax - self.along * ux) ** 2 + (y - ay - self.along * uy) ** 2
-        self._nearest = min(self._nearest, (x - bx) ** 2 + (y - by) ** 2)
-        most, least, left, skips, along = _SHORT_CUT**2 * rest, rest, length - self.along, 0, 0.0
-        for k in range(1, self._skips + 1):
-            if self.leg + k > len(self._points) - 2:
-                break
-            (px, py), (qx, qy) = self._points[self.leg + k : self.leg + k + 2]
-            size = hypot(qx - px, qy - py)
-            vx, vy = (qx - px) / size, (qy - py) / size
-            beyond = min(max((x - px) * vx + (y - py) * vy, 0.0), size)
-            visit = self._visit[self.leg + k]
-            if visit is not None:
-                if k == 1 and (x - px) ** 2 + (y - py) ** 2 <= visit**2:
-                    skips, along = 1, beyond
-                break
-            apart = (x - px - beyond * vx) ** 2 + (y - py - beyond * vy) ** 2
-            if apart < least and (left + beyond) ** 2 <= most:
-                least, skips, along = apart, k, beyond
-            left = left + size
-        if skips:
-            self._pass(skips, x, y)
-            self.leg, self.along = self.leg + skips, along
-
-    def _pass(self, skips: int, x: float, y: float) -> None:
-        missed, before = max(self._missed, self._before), self._nearest
-        for k in range(1, skips + 1):
-            px, py = self._points[self.leg + k]
-            if k > 1:
-                missed, before = max(missed, before), (x - px) ** 2 + (y - py) ** 2
-            before = before if self._corner[self.leg + k] else 0.0
-        self._missed, self._before, self._nearest = missed, before, inf
+        last = len(self._table) - 1
+        rows = self._table[np.minimum(self.leg + self._ahead, last)]
+        (self._state,) = self._moved(self._state, rows, last, (x, y), self._visit)
 
     def track(self, places: ArrayLike) -> NDArray[np.float64]:
         """Move the robot to each position (n, 2) [m] in turn; return the distances (n,) [m] to the path."""
@@ -190,10 +163,6 @@ class Follower:
         """Move the robot to each position (n, 2) [m] in turn; return the heights (n,) [m] above the mission's depth."""
         return self._over(places, lambda _x, _y: self.rise)
 
-    def legs(self, places: ArrayLike) -> NDArray[np.float64]:
-        """Move the robot to each position (n, 2) [m] in turn; return the numbers (n,) of its path segments."""
-        return self._over(places, lambda _x, _y: float(self.leg))
-
     @property
     def rise(self) -> float:
         """Height of the path above the mission's depth [m] at the robot's progress."""
@@ -201,23 +170,12 @@ class Follower:
         low, high = self._rises[self.leg : self.leg + 2]
         return low + (high - low) * (self.along / hypot(bx - ax, by - ay))
 
-    def directions(self, places: ArrayLike) -> NDArray[np.float64]:
-        """Move the robot to each position (n, 2) [m] in turn; return the directions (n,) [rad] of its path segments."""
-        return self._over(places, self._direction)
-
     def _over(self, places: ArrayLike, figure: Callable[[float, float], float]) -> NDArray[np.float64]:
         figures = []
         for x, y in np.asarray(places, dtype=float).tolist():
             self.move(x, y)
             figures.append(figure(x, y))
         return np.array(figures)
-
-    def _direction(self, _x: float, _y: float) -> float:
-        (ax, ay), (bx, by) = self._points[self.leg : self.leg + 2]
-        # past the end of a segment, which of two segments is nearer is a matter of rounding: the next one counts
-        if not self.last and self.along >= hypot(bx - ax, by - ay) * PASSED:
-            (ax, ay), (bx, by) = self._points[self.leg + 1 : self.leg + 3]
-        return atan2(by - ay, bx - ax)
 
     def distance(self, x: float, y: float) -> float:
         """Return the distance [m] from (x, y) to the nearest of the previous, the present and the next path segment."""
@@ -250,51 +208,36 @@ def follow(old: Mapping[str, ca.SX], waypoints: ca.SX, legs: ca.SX, place: ca.SX
         >>> float(after["leg"]), round(float(after["along"]), 2)
         (1.0, 0.3)
     """
-    leg = old["leg"]
-    start, corner, after = waypoints[0, :].T, waypoints[1, :].T, waypoints[2, :].T
-    for k in range(1, waypoints.shape[0] - 1):
-        here = leg >= k
-        start = ca.if_else(here, waypoints[k, :].T, start)
-        corner = ca.if_else(here, waypoints[k + 1, :].T, corner)
-        after = ca.if_else(here, waypoints[min(k + 2, waypoints.shape[0] - 1), :].T, after)
-    length, ahead = _leg(start, corner)
-    further, then = _leg(corner, after)
-    along = ca.fmin(ca.fmax(old["along"], ca.dot(place - start, ahead)), length)
-    beyond = ca.fmin(ca.fmax(ca.dot(place - corner, then), 0), further)
-    rest, following = ca.sumsqr(place - start - along * ahead), ca.sumsqr(place - corner - beyond * then)
-    apart = ca.sumsqr(place - corner)
-    left_out = length - along + beyond
-    cuts = ca.logic_and(following < rest, left_out**2 <= _SHORT_CUT**2 * rest)
-    moves = ca.logic_and(leg < legs - 1, ca.if_else(visit > 0, apart <= visit**2, cuts))
-    before, nearest = ca.fmin(old["corner_behind"], ca.sumsqr(place - start)), ca.fmin(old["corner_ahead"], apart)
-    return {
-        "leg": leg + moves,
-        "along": ca.if_else(moves, beyond, along),
-        "corner_ahead": ca.if_else(moves, _FAR_OFF, nearest),
-        "corner_behind": ca.if_else(moves, nearest, before),
-        "missed": ca.if_else(moves, ca.fmax(old["missed"], before), old["missed"]),
-    }
+    count = waypoints.shape[0]
+    rows = [waypoints[min(k, count - 1), :] for k in range(3)]
+    for leg in range(1, count - 1):
+        here = old["leg"] >= leg
+        rows = [ca.if_else(here, waypoints[min(leg + k, count - 1), :], row) for k, row in enumerate(rows)]
+    # a kind above 0 is that of a corner to visit
+    table = ca.horzcat(ca.vertcat(*rows), ca.SX(3, 2), ca.repmat(visit, 3, 1))
+    return follow_on(old, table, legs, place, visit=visit)[0]
 
 
 def follow_on(
     old: Mapping[str, ca.SX], rows: ca.SX, legs: ca.SX, place: ca.SX, *, visit: ca.SX
 ) -> tuple[dict[str, ca.SX], ca.SX]:
-    """Return the state of `Follower` on a fed path after one move, and the number of segments advanced.
+    """Return the state of `Follower` after one move, and the number of segments advanced.
 
     Args:
         old, legs, place: as for `follow`.
-        rows: (`SKIPS` + 2, 5) rows of the path's table (see `Path.table`) from the start of the present segment on; the
-            last row of the table fills the remaining rows.
+        rows: (k + 2, 5) rows of the path's table (see `Path.table`) from the start of the present segment on, if the
+            robot may advance by k segments at once; the last row of the table fills the remaining rows.
         visit: distance [m] to a corner `VISIT` within which the corner counts as visited.
     """
-    leg, points = old["leg"], [rows[k, :2].T for k in range(SKIPS + 2)]
+    most = rows.shape[0] - 2
+    leg, points = old["leg"], [rows[k, :2].T for k in range(most + 2)]
     length, ahead = _leg(points[0], points[1])
     along = ca.fmin(ca.fmax(old["along"], ca.dot(place - points[0], ahead)), length)
     rest = ca.sumsqr(place - points[0] - along * ahead)
     apart = [ca.sumsqr(place - point) for point in points]
     before, nearest = ca.fmin(old["corner_behind"], apart[0]), ca.fmin(old["corner_ahead"], apart[1])
     least, left, skips, onward, open_ = rest, length - along, ca.SX(0), along, ca.SX(1)
-    for k in range(1, SKIPS + 1):
+    for k in range(1, most + 1):
         further, then = _leg(points[k], points[k + 1])
         beyond = ca.fmin(ca.fmax(ca.dot(place - points[k], then), 0), further)
         distance = ca.sumsqr(place - points[k] - beyond * then)
@@ -308,7 +251,7 @@ def follow_on(
         left = left + further
     missed, behind = ca.fmax(old["missed"], before), nearest
     passed = [(missed, ca.if_else(rows[1, 4] < 0, 0, behind))]
-    for k in range(2, SKIPS + 1):
+    for k in range(2, most + 1):
         missed = ca.fmax(missed, passed[-1][1])
         passed.append((missed, ca.if_else(rows[k, 4] < 0, 0, apart[k])))
     missed, behind = old["missed"], before
@@ -322,6 +265,16 @@ def follow_on(
         "missed": missed,
     }
     return after, skips
+
+
+@cache
+def _moved(count: int) -> Callable[..., list[NDArray[np.float64]]]:
+    # `follow_on` with so many rows as a function of vectors: state, rows, number of legs, place, visit
+    layout, rows = Layout(FOLLOWING), ca.SX.sym("rows", count, ROW)
+    state, old = layout.symbols("state")
+    legs, place, visit = ca.SX.sym("legs"), ca.SX.sym("place", 2), ca.SX.sym("visit")
+    after, _ = follow_on(old, rows, legs, place, visit=visit)
+    return on_vectors(ca.Function("moved", [state, rows, legs, place, visit], [layout.join(after)], {"cse": True}))
 
 
 def _leg(a: ca.SX, b: ca.SX) -> tuple[ca.SX, ca.SX]:

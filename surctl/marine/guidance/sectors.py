@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from math import cos, radians, sin
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import casadi as ca
 
@@ -52,6 +52,10 @@ class Sector(NamedTuple):
     def of(row: ca.SX) -> Sector:
         """Return the sector whose numbers form one row of the array `StepState.sectors`."""
         return Sector(row[:2], row[2], row[3:5])
+
+
+Bounds: TypeAlias = Sequence[Sector] | Sequence[tuple[ca.SX, ca.SX]]
+"""Speed bounds: unit vectors (2, 1) in {E}, and the largest speed along each [m/s]."""
 
 
 @dataclass(frozen=True)
@@ -162,6 +166,7 @@ def _turned(n: ca.SX, cosine: ca.SX | float, sine: ca.SX | float) -> ca.SX:
 
 
 _HEAD_ON = 1e-4  # cost of side −1 between two equal edges, so a head-on obstacle stays on the right (E10)
+_SIDES = ((1, 0), (-1, _HEAD_ON))  # the sides left and right of the desired course, and the cost of each
 _TURN_BACK = 8.0  # cost of leaving the latched side: more than that of a free course (0 … 2), less than of a violation
 SAME_CONTACT = 0.3  # [m] that the blocking point may move between two steps in the same encounter
 _WORTH_IT = 0.1  # share of the speed that a detour around unknown space must gain
@@ -330,7 +335,7 @@ class _Search:
             held = fold("sector_edges", sector, held, self.around.sectors)
             return fold("cone_edges", cone, held, self.around.cones)
 
-        return _Best(*fold("both_sides", on_one_side, best, ca.SX([[1, 0], [-1, _HEAD_ON]])))
+        return _Best(*fold("both_sides", on_one_side, best, ca.SX(_SIDES)))
 
     def _edge(self, best: _Best, normal: ca.SX, bound: ca.SX, sign: ca.SX, dearer: ca.SX) -> _Best:
         course, ahead = _edge(normal, bound, self.speed, sign), self.ahead
@@ -346,42 +351,43 @@ class _Search:
 
     def slower(self, best: _Best) -> _Best:
         """Try courses on either side of the desired course, each course at the speed that the sectors allow."""
-        fan = [
-            (cos(angle), sign * sin(angle), sign, 1 - cos(angle) + (0 if sign > 0 else _HEAD_ON))
-            for sign in (1, -1)
-            for angle in _FAN
-        ]
 
-        def course(*values: ca.SX) -> _Best:
-            *held, row = values
-            aside, sign, off = _turned(self.ahead, row[0], row[1]), row[2], row[3]
-            free = self.around.free_speed(aside, self.speed)
-            # no violation is possible: here no bound is negative and there is no cone
-            cost = off + _SLOWER * (1 - free / self.speed)
-            cost += ca.if_else(self.latched * sign < -0.5, _TURN_BACK, 0)
-            cost = ca.if_else(free > _SLOWEST * self.speed, cost, _NEVER)
-            return _Best(*held).or_else(aside, ca.SX(0), sign, cost, free)
+        def on_one_side(*values: ca.SX) -> list[ca.SX]:
+            *held, side = values
+            sign, dearer = side[0], side[1]
 
-        return _Best(*fold("slower_course", course, best, ca.SX(fan)))
+            def course(*values: ca.SX) -> _Best:
+                *held, row = values
+                aside = _turned(self.ahead, row[0], sign * row[1])
+                free = self.around.free_speed(aside, self.speed)
+                # no violation is possible: here no bound is negative and there is no cone
+                cost = row[2] + dearer + _SLOWER * (1 - free / self.speed)
+                cost += ca.if_else(self.latched * sign < -0.5, _TURN_BACK, 0)
+                cost = ca.if_else(free > _SLOWEST * self.speed, cost, _NEVER)
+                return _Best(*held).or_else(aside, ca.SX(0), sign, cost, free)
+
+            return fold("slower_course", course, held, ca.SX([[cos(a), sin(a), 1 - cos(a)] for a in _FAN]))
+
+        return _Best(*fold("slower_side", on_one_side, best, ca.SX(_SIDES)))
 
 
-def slowed(velocity: ca.SX, bounds: Sequence[tuple[ca.SX, ca.SX]]) -> ca.SX:
+def slowed(velocity: ca.SX, bounds: Bounds, *, added: ca.SX | None = None) -> ca.SX:
     """Return a velocity (2, 1) [m/s] on the given velocity's course, slowed down to satisfy the bounds.
 
-    Each bound consists of a unit vector and the largest speed [m/s], at least 0, along this vector.
+    A negative bound counts as 0. `added` is a velocity (2, 1) [m/s] that is added to the result afterwards; it uses up
+    a part of each bound.
     """
 
     def slowest(share: ca.SX, row: ca.SX) -> ca.SX:
         along = ca.dot(velocity, row[:2])
+        left = ca.fmax(row[2] if added is None else row[2] - ca.dot(row[:2], added), 0)
         # a bound of 0 stops only a motion towards it
-        return ca.if_else(along > 1e-6, ca.fmin(share, row[2] / ca.fmax(along, 1e-6)), share)
+        return ca.if_else(along > 1e-6, ca.fmin(share, left / ca.fmax(along, 1e-6)), share)
 
     return velocity * fold("slowed", slowest, ca.SX(1), tabulated(bounds, 3))
 
 
-def round_unknown(
-    velocity: ca.SX, bounds: Sequence[tuple[ca.SX, ca.SX]], sectors: Sequence[Sector], *, cones: Sequence[Cone] = ()
-) -> ca.SX:
+def round_unknown(velocity: ca.SX, bounds: Bounds, sectors: Sequence[Sector], *, cones: Sequence[Cone] = ()) -> ca.SX:
     """Return the given velocity, or a velocity around unknown water with which the robot advances faster.
 
     The robot need not wait for a sonar scan of unknown water if it can go around it. The candidates have the given

@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 import json
 from base64 import b64encode
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from importlib.util import find_spec
 from io import BytesIO
@@ -84,7 +84,6 @@ _RATE = 10
 _SUFFIXES = (".gif", ".mp4")
 _SPEEDS = (1, 2, 5, 10, 20, 50, 100)  # playback speeds as multiples of real time
 _MOST = 150  # approximate largest number of frames: 15 s of animation
-_COLOURS = 128  # size of the palette that all frames of a GIF share
 
 
 def check_animation(path: Path | str, *, key: str = "--animate") -> Path:
@@ -139,19 +138,31 @@ def save_animation(run: Run, path: Path | str) -> Path:
         >>> path.name, path.read_bytes()[:6]
         ('run.gif', b'GIF89a')
     """
-    return _written(frames(run), path, _gif, key="--animate")
+    return _written(frames(run), path, key="--animate")
 
 
-def _written(pictures: Iterator[Frame], path: Path | str, gif: Callable[[Iterator[Frame]], bytes], *, key: str) -> Path:
-    """Write pictures to an MP4, or to the GIF that `gif` makes of them; return the path."""
+def _written(pictures: Iterator[Frame], path: Path | str, *, key: str) -> Path:
+    """Write pictures to an MP4 or a GIF; return the path."""
     path = check_animation(path, key=key)
     film = path.suffix.lower() == ".mp4"
-    return write_file(path, mp4(pictures, rate=_RATE, key=key) if film else gif(pictures))
+    return write_file(path, mp4(pictures, rate=_RATE, key=key) if film else gif(list(pictures)))
 
 
-def _looped(images: Sequence[Image.Image]) -> bytes:
-    out, (first, *rest) = BytesIO(), images
-    duration = [1000 // _RATE] * len(rest) + [2000]  # the last frame stays for 2 s
+def gif(pictures: Sequence[Frame]) -> bytes:
+    """Return an animation of pictures (height, width, 3), whose last one stays for 2 s."""
+    # one palette for all, from some of them; without dithering, which would flicker
+    chosen = pictures[:: max(1, len(pictures) // 8)]
+    sample = Image.fromarray(np.vstack([picture[::2, ::2] for picture in chosen]))
+    palette = sample.quantize(256, method=Image.Quantize.FASTOCTREE)
+    colours = np.asarray(sample).astype(np.int64) @ np.array([1 << 16, 1 << 8, 1])
+    codes = (np.asarray(palette).astype(np.int64) << 24) + colours
+    each, count = np.unique(codes, return_counts=True)
+    each, table = each[np.argsort(count, kind="stable")], np.zeros((256, 3), np.uint8)
+    # the most frequent colour of each entry: white stays white
+    table[each >> 24] = each[:, None] >> np.array([16, 8, 0]) & 255
+    palette.putpalette(table.tobytes())
+    first, *rest = (Image.fromarray(p).quantize(palette=palette, dither=Image.Dither.NONE) for p in pictures)
+    out, duration = BytesIO(), [1000 // _RATE] * len(rest) + [2000]
     first.save(out, "GIF", save_all=True, append_images=rest, duration=duration, loop=0, optimize=False)
     return out.getvalue()
 
@@ -251,37 +262,6 @@ def _handles(run: Run) -> list[Line2D | Patch]:
     return handles
 
 
-def _gif(pictures: Iterator[Frame]) -> bytes:
-    # every frame uses the palette of the first frame, which contains every colour
-    begun = next(pictures)
-    nearest, colours = _palette(begun)
-    return _looped([_indexed(nearest[_cells(p)], colours) for p in chain([begun], pictures)])
-
-
-def _cells(picture: NDArray[np.uint8]) -> NDArray[np.int_]:
-    # index of the colour among 32³ colours
-    fine = picture.astype(int) >> 3
-    cells: NDArray[np.int_] = (fine[..., 0] << 10) | (fine[..., 1] << 5) | fine[..., 2]
-    return cells
-
-
-def _palette(picture: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-    """Return the k most frequent colours (k, 3) of a picture, and which of them is nearest to each of 32³ colours."""
-    # Pillow's own mapping to a palette turns white into grey
-    parts = np.stack(np.unravel_index(np.arange(1 << 15), (32, 32, 32)), axis=1)
-    every = (parts << 3) | (parts >> 2)
-    count = np.bincount(_cells(picture).ravel(), minlength=len(every))
-    colours = every[np.argsort(-count, kind="stable")[: min(_COLOURS, np.count_nonzero(count))]]
-    squares = (every**2).sum(axis=1)[:, None] - 2 * every @ colours.T + (colours**2).sum(axis=1)
-    return squares.argmin(axis=1).astype(np.uint8), colours.astype(np.uint8)
-
-
-def _indexed(indices: NDArray[np.uint8], colours: NDArray[np.uint8]) -> Image.Image:
-    image = Image.fromarray(indices)
-    image.putpalette(colours.tobytes())  # converts it to an image of palette indices
-    return image
-
-
 _WIDTH = 640  # [pixels]
 _PAGE_WIDTH, _PAGE_FRAMES = 480, 80  # of the film in a report, which has about 0.5 MB
 
@@ -304,7 +284,7 @@ def save_film(run: Run, path: Path | str, *, options: EngineOptions | None = Non
         >>> save_film(run, "run.gif").read_bytes()[:6]
         b'GIF89a'
     """
-    return _written(film_frames(run, options=options), path, _film_gif, key="--film")
+    return _written(film_frames(run, options=options), path, key="--film")
 
 
 def film_pictures(run: Run) -> tuple[list[int], tuple[str, ...]]:
@@ -382,15 +362,6 @@ def _labelled(picture: Frame, run: Run, step: int, speed: int) -> Frame:
         pen.text((x + 1, y + 1), text, fill=(0, 25, 35))
         pen.text((x, y), text, fill=(255, 255, 255))
     return np.array(image)
-
-
-def _film_gif(frames: Iterator[Frame]) -> bytes:
-    # one palette for all frames, from some of them; without dithering, which would flicker
-    pictures = list(frames)
-    chosen = pictures[:: max(1, len(pictures) // 8)]
-    sample = Image.fromarray(np.vstack([picture[::2, ::2] for picture in chosen]))
-    palette = sample.quantize(256, method=Image.Quantize.MAXCOVERAGE)  # the median cut loses the colour of the hull
-    return _looped([Image.fromarray(p).quantize(palette=palette, dither=Image.Dither.NONE) for p in pictures])
 
 
 _APART = 0.1  # [s] smallest time between two frames

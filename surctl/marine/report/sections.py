@@ -13,7 +13,7 @@ from surctl.errors import InputError
 from surctl.marine.control import Gains
 from surctl.marine.report.goals import COLUMN_TITLES
 from surctl.marine.simulation import Run
-from surctl.marine.vehicle import Vehicle, parameter_spec
+from surctl.marine.vehicle import SPECS, Vehicle
 from surctl.report.document import (
     Block,
     Cell,
@@ -36,9 +36,9 @@ from surctl.verification import Inapplicable, LoopCorners, Verdict
 _NOTHING = Assessment("", {}, (), {})
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(kw_only=True, eq=False)
 class ReportData:
-    """The contents of one HTML report.
+    """The contents of one HTML report, which a study fills.
 
     Attributes:
         title: heading of the report.
@@ -155,10 +155,8 @@ def _parameters(vehicle: Vehicle) -> Table:
     rows = []
     for name, p in vehicle.parameters.items():
         span = "–" if p.range is None else f"{number(p.range[0])} to {number(p.range[1])}"
-        spec = parameter_spec(name)
-        meaning = spec.meaning if spec else ""
         value = Cell(number(p.value, digits=6), number=True)
-        rows.append((Cell(name, code=True), meaning, value, p.unit, span, p.provenance))
+        rows.append((Cell(name, code=True), SPECS[name].meaning, value, p.unit, span, p.provenance))
     heads = ("parameter", "meaning", "value", "unit", "range (same unit)", "provenance")
     return Table(f"Parameters of {vehicle.name}", heads, tuple(rows))
 

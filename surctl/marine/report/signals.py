@@ -62,8 +62,9 @@ def plot_run_signals(run: Run, ax: Sequence[Axes] | None = None) -> Figure:
         figure.set_layout_engine("none")  # its axes are always these: measuring their texts takes longer than drawing
         ends = {"left": 0.08, "right": 0.985, "bottom": 0.065, "top": 0.92, "wspace": 0.21, "hspace": 0.21}
         ax = figure.subplots(3, 2, sharex=True, gridspec_kw=ends).ravel().tolist()
-    for (title, unit, curves, bounds), target in zip(run_signals(run), ax, strict=True):
-        _axes(run, target, title=title, unit=unit)
+    away = run.scenario.follower().track(run.record.eta[:, :2])
+    for (title, unit, curves, bounds), target in zip(_signals(run, away), ax, strict=True):
+        _axes(run, away, target, title=title, unit=unit)
         for label, values, k, faint in curves:
             curve(target, run.record.time, values, label=label, k=k, faint=faint)
         for label, level, dashed in bounds:
@@ -86,8 +87,12 @@ def run_signals(run: Run) -> list[Signal]:
     and horizontal speed [m/s]; yaw rate r [rad/s], of the robot and commanded; commanded forces in {B} [N]; commanded
     yaw moment [N m]. A bound is (label, level, whether dashed).
     """
+    return _signals(run, run.scenario.follower().track(run.record.eta[:, :2]))
+
+
+def _signals(run: Run, away: NDArray[np.float64]) -> list[Signal]:
     record, scenario, known = run.record, run.scenario, run.telemetry("nearest")[:, 0]
-    away, depth = scenario.follower().track(record.eta[:, :2]), path_depths(scenario, record.eta[:, :2])
+    depth = path_depths(scenario, record.eta[:, :2])
     error, rate = run.telemetry("path_error")[:, 1], run.telemetry("nu_reference")[:, 3]
     nu, forces = record.nu, [*enumerate(("F_u", "F_v", "F_w"))]
     standoff = [("contact", 0.0, False), ("stand-off", run.gains["margin"], True)]
@@ -111,14 +116,13 @@ def _limits(limits: NDArray[np.float64]) -> list[tuple[str, float, bool]]:
     return [("" if k else "limit", level, True) for k, level in enumerate(np.unique(limits).tolist())]
 
 
-def _axes(run: Run, ax: Axes, *, title: str, unit: str) -> None:
+def _axes(run: Run, away: NDArray[np.float64], ax: Axes, *, title: str, unit: str) -> None:
     # shaded dark where the law avoids and light where it returns to the path
     dress(ax, x="time [s]", y=f"{title} [{unit}]")
     time = run.record.time
     if time[-1] > 0:
         ax.set_xlim(0.0, float(time[-1]))
     avoiding = run.telemetry("avoiding")[:, 0]
-    away = run.scenario.follower().track(run.record.eta[:, :2])
     returning = avoidance_intervals(avoiding, away) & (avoiding <= 0.5)
     for mask, strength in ((avoiding > 0.5, 0.20), (returning, 0.07)):
         for begin, end in spans(time, mask):

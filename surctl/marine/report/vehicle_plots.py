@@ -89,48 +89,43 @@ def plot_attainable(vehicle: Vehicle, ax: Axes | None = None, *, failed: Sequenc
         >>> ax.get_xlabel(), [text.get_text() for text in ax.get_legend().get_texts()][0]
         ('surge force F_u [N]', 'yaw moment 0 N m')
     """
-    actuators = _thrusters_of(vehicle)
-    if vehicle["Fv_max"] == 0:
-        return _plot_turning(vehicle, ax, failed)
-    working = working_flags(actuators, failed)
-    forces = attainable(actuators)
-    largest = float(np.abs(forces.intervals(working=working)[3]).min())
+    actuators, sways = _thrusters_of(vehicle), vehicle["Fv_max"] > 0
+    outlines = (_at_yaw_moments if sways else _at_speeds)(vehicle, actuators, failed)
     lost = f", without {', '.join(failed)}" if failed else ""
+    up, limits = ("sway force F_v [N]", "Fu_max, Fv_max") if sways else ("yaw moment F_r [N m]", "Fu_max, Fr_max")
     title = f"{vehicle.name}: attainable forces{lost}"
-    ax = dress(ax or new_axes(5.4, 5.8), title=title, x="surge force F_u [N]", y="sway force F_v [N]")
-    for k, share in enumerate(_SHARES):
-        yaw = share * largest
-        corners = forces.planar(yaw=yaw, working=working)
+    ax = dress(ax or new_axes(5.4, 5.8), title=title, x="surge force F_u [N]", y=up)
+    for k, (label, corners) in enumerate(outlines.items()):
         if len(corners):
-            closed = np.vstack([corners, corners[:1]])
             ax.fill(*corners.T, color=CYCLE[k], alpha=0.10)
-            ax.plot(*closed.T, color=CYCLE[k], linewidth=1.6, label=f"yaw moment {yaw:.3g} N m")
-    u, v = vehicle.thrust_limit[:2]
-    box = Rectangle((-u, -v), 2 * u, 2 * v, fill=False, edgecolor=INK, linestyle="--", label="Fu_max, Fv_max")
-    ax.add_patch(box)
-    ax.set_aspect("equal", adjustable="datalim")
+            ax.plot(*np.vstack([corners, corners[:1]]).T, color=CYCLE[k], linewidth=1.6, label=label)
+    most = vehicle.thrust_limit[:2]
+    low, high = (-most, most) if sways else command_range(vehicle)[:, [0, 3]]
+    ax.add_patch(Rectangle(tuple(low), *(high - low), fill=False, edgecolor=INK, linestyle="--", label=limits))
+    if sways:
+        ax.set_aspect("equal", adjustable="datalim")
     ax.autoscale_view()
     legend_below(ax, columns=2, handles=ax.get_legend_handles_labels()[0])
     return ax
 
 
-def _plot_turning(vehicle: Vehicle, ax: Axes | None, failed: Sequence[str]) -> Axes:
-    actuators = _thrusters_of(vehicle)
-    lost = f", without {', '.join(failed)}" if failed else ""
-    title = f"{vehicle.name}: attainable forces{lost}"
-    ax = dress(ax or new_axes(5.4, 5.8), title=title, x="surge force F_u [N]", y="yaw moment F_r [N m]")
-    forces = attainable(actuators, (0, 3))
-    for k, speed in enumerate((vehicle.speed, vehicle.speed / 2) if actuators.fins else (vehicle.speed,)):
-        corners = forces.outline(working=working_flags(actuators, failed, speed=speed))
-        ax.fill(*corners.T, color=CYCLE[k], alpha=0.10)
-        said = f"at {speed:.3g} m/s" if actuators.fins else "at any speed"
-        ax.plot(*np.vstack([corners, corners[:1]]).T, color=CYCLE[k], linewidth=1.6, label=said)
-    (back, right), (ahead, left) = command_range(vehicle)[:, [0, 3]]
-    size, label = (ahead - back, left - right), "Fu_max, Fr_max"
-    ax.add_patch(Rectangle((back, right), *size, fill=False, edgecolor=INK, linestyle="--", label=label))
-    ax.autoscale_view()
-    legend_below(ax, columns=2, handles=ax.get_legend_handles_labels()[0])
-    return ax
+def _at_yaw_moments(vehicle: Vehicle, actuators: Actuators, failed: Sequence[str]) -> dict[str, NDArray[np.float64]]:
+    """Return the corners (n, 2) of the attainable surge and sway forces [N] at several yaw moments, by label."""
+    working, forces = working_flags(actuators, failed), attainable(actuators)
+    largest = float(np.abs(forces.intervals(working=working)[3]).min())
+    moments = (share * largest for share in _SHARES)
+    return {f"yaw moment {yaw:.3g} N m": forces.planar(yaw=yaw, working=working) for yaw in moments}
+
+
+def _at_speeds(vehicle: Vehicle, actuators: Actuators, failed: Sequence[str]) -> dict[str, NDArray[np.float64]]:
+    """Return the corners (n, 2) of the attainable surge forces [N] and yaw moments [N m] at some speeds, by label."""
+    forces, speeds = attainable(actuators, (0, 3)), (vehicle.speed, vehicle.speed / 2)
+    return {
+        f"at {speed:.3g} m/s" if actuators.fins else "at any speed": forces.outline(
+            working=working_flags(actuators, failed, speed=speed)
+        )
+        for speed in speeds[: 2 if actuators.fins else 1]
+    }
 
 
 def _thrusters_of(vehicle: Vehicle) -> Actuators:

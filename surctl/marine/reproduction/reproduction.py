@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 
 from surctl import __version__
 from surctl.assessment import Line
@@ -17,7 +18,7 @@ from surctl.errors import InputError, check_known
 from surctl.files import write_file
 from surctl.marine.report import plot_run
 from surctl.marine.report.paper_plots import plot_coordinates, plot_position_errors, plot_series
-from surctl.marine.reproduction.errata import errata_items
+from surctl.marine.reproduction.errata import errata_items, percent_at
 from surctl.marine.reproduction.range_test import MEDIA, Medium, table_ii
 from surctl.marine.reproduction.row import WORDS, Item, Result, Row, Word, agrees, differs, wrong_in_print
 from surctl.marine.reproduction.scenarios import (
@@ -90,24 +91,24 @@ def instant_items(simulations: Simulations) -> list[Item]:
     items = []
     for name in scenario_names():
         paper = simulations.scenario(name).paper
-        figures = [
-            ("transients", f"near {', '.join(f'{t:g}' for t in paper.transients_s)} s", bool(paper.transients_s))
-        ]
-        figures += [("detected", f"at about {paper.detected_s} s", paper.detected_s is not None)]
-        figures += [("passed", f"by {paper.passed_s} s", paper.passed_s is not None)]
-        items += [
-            Item(
-                f"{name}-{what}",
-                "scenarios",
-                f"{_WORDS[what]} in {name}, true positions, seed 0",
-                words,
-                None,
-                partial(_COMPUTED[what], simulations, name),
-                f"surctl reproduce {name}-{what}",
-            )
-            for what, words, printed in figures
-            if printed
-        ]
+        near = ", ".join(f"{t:g}" for t in paper.transients_s)
+        for what, words, printed, compute in (
+            ("transients", "start times of avoidance", f"near {near} s" * bool(near), _transients),
+            (
+                "detected",
+                "start time of avoidance of the moving obstacle",
+                "" if paper.detected_s is None else f"at about {paper.detected_s} s",
+                _detected,
+            ),
+            (
+                "passed",
+                "time after which no moving obstacle is ahead",
+                "" if paper.passed_s is None else f"by {paper.passed_s} s",
+                _passed,
+            ),
+        ):
+            about, run = f"{words} in {name}, true positions, seed 0", partial(compute, simulations, name)
+            items += [Item(f"{name}-{what}", "scenarios", about, printed, None, run)] if printed else []
     return items
 
 
@@ -176,66 +177,39 @@ def _apart(run: Run, time: float) -> float:
     return min((float(np.hypot(*(np.asarray(c) - run.record.eta[k, :2]))) for c in centres), default=float("inf"))
 
 
-_WORDS = {
-    "transients": "start times of avoidance",
-    "detected": "start time of avoidance of the moving obstacle",
-    "passed": "time after which no moving obstacle is ahead",
-}
-_COMPUTED = {"transients": _transients, "detected": _detected, "passed": _passed}
-
-
 def table_items() -> list[Item]:
     """Return the comparisons for Table I (range and resolution) and for Table II.
 
     No model uses the other quantities of Table I: size, supply and frequency.
     """
     items = [
-        Item(
-            f"table-i-{name}",
-            "tables",
-            what,
-            f"Table I: {paper}",
-            word,
-            partial(_sensor, name),
-            _own(f"table-i-{name}"),
-        )
-        for name, what, paper, word in _SENSOR
+        Item(f"table-i-{name}", "tables", what, f"Table I: {paper}", word, partial(_sensor, name, printed))
+        for name, what, paper, printed, word in _SENSOR
     ]
     test = table_ii()
     for medium in MEDIA:
-        for k, desired in enumerate(test.desired):
-            name = f"table-ii-{medium}-{round(100 * desired):03d}"
-            printed, wrong = float(test.column(medium).printed_percent[k]), (medium, round(100 * desired)) == _E2
+        for k, (distance, printed) in enumerate(
+            zip(100 * test.desired, test.column(medium).printed_percent, strict=True)
+        ):
+            name, what = f"table-ii-{medium}-{round(distance):03d}", f"error at {distance:.0f} cm in {medium}"
+            word: Word = "wrong in print" if (medium, round(distance)) == _E2 else "agrees"
             items.append(
-                Item(
-                    name,
-                    "tables",
-                    f"error at {100 * desired:.0f} cm in {medium}",
-                    f"Table II: {printed:.1f} %",
-                    "wrong in print" if wrong else "agrees",
-                    partial(_percentage, medium, k),
-                    _own(name),
-                )
+                Item(name, "tables", what, f"Table II: {printed:.1f} %", word, partial(_percentage, medium, k))
             )
     return items
 
 
-_SENSOR: tuple[tuple[str, str, str, Word], ...] = (
-    ("minimum", "minimum range of the sensor", "0.2 m", "agrees"),
-    ("maximum", "maximum range of the sensor", "4.5 m", "agrees"),
-    ("resolution", "resolution of the sensor", "about 5 mm", "differs"),
+_SENSOR: tuple[tuple[str, str, str, float, Word], ...] = (
+    ("minimum", "minimum range of the sensor", "0.2 m", 0.2, "agrees"),
+    ("maximum", "maximum range of the sensor", "4.5 m", 4.5, "agrees"),
+    ("resolution", "resolution of the sensor", "about 5 mm", 0.005, "differs"),
 )
 _E2 = ("water", 85)  # the row whose percentage is printed wrongly
-_PRINTED = {"minimum": 0.2, "maximum": 4.5, "resolution": 0.005}  # [m]
 
 
-def _own(name: str) -> str:
-    return f"surctl reproduce {name}"
-
-
-def _sensor(name: str) -> Result:
+def _sensor(name: str, printed: float) -> Result:
     # Table I, compared with the default sonar array
-    ours, printed = float(getattr(SonarArray(), "blind" if name == "minimum" else name)), _PRINTED[name]
+    ours = float(getattr(SonarArray(), "blind" if name == "minimum" else name))
     text = f"{ours:.4g} m" if name != "resolution" else f"{1e3 * ours:.2f} mm"
     # a step finer than "about 5 mm" also agrees
     if ours <= (1 + ABOUT) * printed if name == "resolution" else abs(ours - printed) <= 1e-9:
@@ -246,18 +220,10 @@ def _sensor(name: str) -> Result:
 
 def _percentage(medium: Medium, k: int) -> Result:
     # agrees if the recomputed percentage rounds to the printed decimal
-    test = table_ii()
-    ours, column = float(test.percent(medium)[k]), test.column(medium)
-    printed = float(column.printed_percent[k])
-    text = f"{ours:.3f} %"
-    if k not in test.disagreeing(medium):
-        return agrees(text, percent=ours)
-    read, true = 100 * column.measured[k], 100 * test.desired[k]
-    return wrong_in_print(
-        text,
-        f"a reading of {read:.0f} cm at {true:.0f} cm is an error of {ours:.1f} %, not {printed:.1f} %",
-        percent=ours,
-    )
+    ours, why = percent_at(medium, k)
+    if k not in table_ii().disagreeing(medium):
+        return agrees(f"{ours:.3f} %", percent=ours)
+    return wrong_in_print(f"{ours:.3f} %", why, percent=ours)
 
 
 SEEDS, QUICK_SEEDS = 20, 3
@@ -442,32 +408,19 @@ def write_reproduction(done: Reproduction, path: Path, *, command: str) -> Path:
 
 
 def _table(group: str, rows: list[Row]) -> Section:
-    further = [
-        (head, texts)
-        for head, texts in (
-            ("independent engine", [row.result.independent for row in rows]),
-            ("echoes as in Webots", [row.result.webots for row in rows]),
-        )
-        if any(texts)
-    ]
-    heads = (
-        "row",
-        "what",
-        "paper",
-        "ours",
-        *(head for head, _ in further),
-        "verdict",
-        "as expected",
-        "command",
-        "time [s]",
-    )
+    further = {
+        "independent engine": [row.result.independent for row in rows],
+        "echoes as in Webots": [row.result.webots for row in rows],
+    }
+    further = {head: texts for head, texts in further.items() if any(texts)}
+    heads = ("row", "what", "paper", "ours", *further, "verdict", "as expected", "command", "time [s]")
     cells: tuple[tuple[Cell | str, ...], ...] = tuple(
         (
             Cell(row.item.id, code=True),
             row.item.what,
             row.item.paper,
             row.result.ours,
-            *(texts[k] for _, texts in further),
+            *(texts[k] for texts in further.values()),
             Cell(row.result.verdict, "good" if row.result.word == "agrees" else "note"),
             outcome_cell(row.as_expected, "yes", "NO"),
             Cell(row.item.command, code=True),
@@ -480,23 +433,26 @@ def _table(group: str, rows: list[Row]) -> Section:
     return Section(group.replace(" ", "-"), group.capitalize(), (Table(group.capitalize(), heads, cells, widths),))
 
 
+def _over_time(plan: Axes, runs: Sequence[Run], name: str, about: tuple[str, str]) -> Pictures:
+    """Return a plan view, with its description and caption `about`, beside the coordinates over time of these runs."""
+    command = "surctl simulate " + " ".join(run.scenario.name for run in runs)
+    coordinates = plot_coordinates(runs, title=f"{name}: coordinates over time")
+    text = "Coordinates x, y and z in m over time in s."
+    return Pictures(
+        (
+            picture(plan, alt=about[0], caption=about[1], command=command),
+            picture(coordinates, alt=f"x, y and z of {name} over time", caption=text, command=command),
+        )
+    )
+
+
 def _trajectories(runs: list[Run]) -> Section:
     # as in Figs. 6, 8, 11, 13, 15
     blocks: list[Block] = []
     for run in runs:
         name, m = run.scenario.name, run.metrics
         result = f"{m.stopped_because} after {m.time_s:.1f} s, least clearance {m.min_clearance_m:.3f} m"
-        command = f"surctl simulate {name}"
-        plan = picture(
-            plot_run(run), alt=f"Plan view of {name}: {result}", caption=f"{name}: {result}.", command=command
-        )
-        over_time = picture(
-            plot_coordinates([run], title=f"{name}: coordinates over time"),
-            alt=f"x, y and z of {name} over time",
-            caption="Coordinates x, y and z in m over time in s.",
-            command=command,
-        )
-        blocks.append(Pictures((plan, over_time)))
+        blocks.append(_over_time(plot_run(run), [run], name, (f"Plan view of {name}: {result}", f"{name}: {result}.")))
     return Section("trajectories", "Trajectories and coordinates", tuple(blocks))
 
 
@@ -505,20 +461,11 @@ def _series(runs: list[Run]) -> Section:
     blocks: list[Block] = []
     for series in _SERIES:
         chosen = [run for run in runs if run.scenario.name.startswith(series)]
-        command = "surctl simulate " + " ".join(run.scenario.name for run in chosen)
-        plan = picture(
-            plot_series(chosen, title=f"{series}: paths"),
-            alt=f"Paths of {series} at four speeds of the obstacle",
-            caption="Paths of the robot at four speeds of the obstacle.",
-            command=command,
+        about = (
+            f"Paths of {series} at four speeds of the obstacle",
+            "Paths of the robot at four speeds of the obstacle.",
         )
-        over_time = picture(
-            plot_coordinates(chosen, title=f"{series}: coordinates over time"),
-            alt=f"x, y and z of {series} over time",
-            caption="Coordinates x, y and z in m over time in s.",
-            command=command,
-        )
-        blocks.append(Pictures((plan, over_time)))
+        blocks.append(_over_time(plot_series(chosen, title=f"{series}: paths"), chosen, series, about))
     return Section("series", "Four speeds of the moving obstacle", tuple(blocks))
 
 
@@ -531,12 +478,8 @@ def _errors(runs: list[Run]) -> Section:
     ):
         chosen = [run for run in runs if run.scenario.name in names]
         bound = chosen[0].scenario.paper.position_error_m
-        pictures.append(
-            picture(
-                plot_position_errors(chosen, title=f"position error, {where}", bound=bound),
-                alt=f"Distance to the path over time, {where}",
-                caption="Distance to the path, including intervals of avoidance; E_p excludes these intervals.",
-                command="surctl simulate " + " ".join(names),
-            )
-        )
+        plot = plot_position_errors(chosen, title=f"position error, {where}", bound=bound)
+        text = "Distance to the path, including intervals of avoidance; E_p excludes these intervals."
+        alt, command = f"Distance to the path over time, {where}", "surctl simulate " + " ".join(names)
+        pictures.append(picture(plot, alt=alt, caption=text, command=command))
     return Section("errors", "Position errors over time", (Pictures(tuple(pictures)),))

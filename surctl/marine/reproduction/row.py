@@ -66,11 +66,6 @@ def wrong_in_print(ours: str, counterexample: str, **numbers: float) -> Result:
     return Result(ours, "wrong in print", counterexample, numbers)
 
 
-def unreadable(ours: str, **numbers: float) -> Result:
-    """Return a result for a statement that is wrong in our copy of the paper, which may be damaged there."""
-    return Result(ours, "unreadable in our copy", numbers=numbers)
-
-
 @dataclass(frozen=True)
 class Item:
     """A comparison before its computation.
@@ -83,7 +78,7 @@ class Item:
         expected: the verdict that the computation must give; None if the arrivals and collisions of simulated runs
             decide.
         compute: function that computes all numbers of the comparison.
-        command: a command of the program that computes the same numbers.
+        command: a command of the program that computes the same numbers; by default `reproduce` with the id.
         options: options of `reproduce` that add a result to the comparison: `independent`, `webots`.
     """
 
@@ -93,8 +88,11 @@ class Item:
     paper: str
     expected: Word | None
     compute: Callable[[], Result]
-    command: str
+    command: str = ""
     options: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "command", self.command or f"surctl reproduce {self.id}")
 
     def row(self) -> Row:
         """Compute the comparison; return it with the duration of the computation."""

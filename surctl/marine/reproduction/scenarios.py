@@ -6,7 +6,7 @@ that differs from the paper is reported, but it does not make the comparison fai
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
@@ -107,6 +107,21 @@ class Simulations:
         values: Vector = batch.column(metric)[batch.column("reached") > 0.5]
         return values
 
+    def item(
+        self,
+        name: str,
+        what: str,
+        compute: Callable[[], Result],
+        options: tuple[str, ...] = (),
+        *,
+        paper: str,
+        group: str = "scenarios",
+    ) -> Item:
+        """Return a comparison that needs the runs with all seeds; `options` are those that add a result."""
+        also = "".join(f" --{option}" for option in options if getattr(self, option))
+        command = f"surctl reproduce {name} --seeds {self.seeds}{also}"
+        return Item(name, group, what, paper, None, compute, command, options)
+
 
 ABOUT = 0.08
 """Largest relative difference at which a number still agrees with the paper's "about"."""
@@ -130,21 +145,12 @@ def scenario_items(simulations: Simulations) -> list[Item]:
     """Return two comparisons for each scenario: with true positions, and with sonar perception."""
     items = []
     for sensing, ending, words in _SENSINGS:
-        options = ("independent", "webots") if sensing == "sonar" else ("independent",)
-        also = "".join(f" --{option}" for option in options if getattr(simulations, option))
-        items += [
-            Item(
-                f"{name}{ending}",
-                "scenarios",
-                f"{simulations.scenario(name).title}, {words}",
-                simulations.scenario(name).paper.result,
-                None,
-                partial(_arrivals, simulations, name, sensing),
-                f"surctl reproduce {name}{ending} --seeds {simulations.seeds}{also}",
-                options,
+        options = ("independent", "webots")[: 2 if sensing == "sonar" else 1]
+        for scenario in map(simulations.scenario, scenario_names()):
+            what, compute = f"{scenario.title}, {words}", partial(_arrivals, simulations, scenario.name, sensing)
+            items.append(
+                simulations.item(f"{scenario.name}{ending}", what, compute, options, paper=scenario.paper.result)
             )
-            for name in scenario_names()
-        ]
     return items
 
 
@@ -153,35 +159,23 @@ def hull_items(simulations: Simulations) -> list[Item]:
 
     Any result is valid, because no path is guaranteed for this hull (E15).
     """
-    return [
-        Item(
-            f"{name}-printed-hull",
-            "scenarios",
-            f"{simulations.scenario(name).title}, true positions, vehicle {PRINTED_HULL}",
-            simulations.scenario(name).paper.result,
-            None,
-            partial(_hull, simulations, name),
-            f"surctl reproduce {name}-printed-hull --seeds {simulations.seeds}",
+    items = []
+    for scenario in map(simulations.scenario, scenario_names()):
+        what, compute = (
+            f"{scenario.title}, true positions, vehicle {PRINTED_HULL}",
+            partial(_hull, simulations, scenario.name),
         )
-        for name in scenario_names()
-        if simulations.scenario(name).vehicle != PRINTED_HULL
-    ]
+        if scenario.vehicle != PRINTED_HULL:
+            name = f"{scenario.name}-printed-hull"
+            items.append(simulations.item(name, what, compute, paper=scenario.paper.result))
+    return items
 
 
 def limit_items(simulations: Simulations) -> list[Item]:
     """Return the comparison that shows which vehicle parameter limits the travel time of the slowest scenario."""
-    scenario, name = simulations.scenario(_LIMITED), f"{_LIMITED}-sonar-limit"
-    return [
-        Item(
-            name,
-            "scenarios",
-            f"{scenario.title}, with sonar perception: the vehicle parameter that limits the time",
-            scenario.paper.result,
-            None,
-            partial(_limit, simulations),
-            f"surctl reproduce {name} --seeds {simulations.seeds}",
-        )
-    ]
+    scenario, compute = simulations.scenario(_LIMITED), partial(_limit, simulations)
+    what = f"{scenario.title}, with sonar perception: the vehicle parameter that limits the time"
+    return [simulations.item(f"{_LIMITED}-sonar-limit", what, compute, paper=scenario.paper.result)]
 
 
 def position_items(simulations: Simulations) -> list[Item]:
@@ -190,19 +184,11 @@ def position_items(simulations: Simulations) -> list[Item]:
     for series, where in _SERIES:
         names = [name for name in scenario_names() if name.startswith(series)]
         paper = simulations.scenario(names[0]).paper
+        printed = f"VI-B: {paper.position_error_kind} {paper.position_error_m} m"
         for sensing, ending, words in _SENSINGS:
-            name = f"position-error-{series}{ending}"
-            items.append(
-                Item(
-                    name,
-                    "position errors",
-                    f"E_p of all {where} in the {series}, {words}",
-                    f"VI-B: {paper.position_error_kind} {paper.position_error_m} m",
-                    None,
-                    partial(_position_error, simulations, names, sensing),
-                    f"surctl reproduce {name} --seeds {simulations.seeds}",
-                )
-            )
+            name, what = f"position-error-{series}{ending}", f"E_p of all {where} in the {series}, {words}"
+            compute = partial(_position_error, simulations, names, sensing)
+            items.append(simulations.item(name, what, compute, paper=printed, group="position errors"))
     return items
 
 

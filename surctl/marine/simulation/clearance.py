@@ -1,15 +1,14 @@
 """Findings of `lint` on clearance: start, target, gaps on the way, moving obstacles, hull at the water surface.
 
-A search on a grid finds the gap: the widest path is the path whose smallest clearance is largest (a shortest-path
-search with the minimum instead of the sum; Pollack 1960, "The maximum capacity through a network"). The width of the
+A search on a grid finds the gap: the widest path is the path whose smallest clearance is largest. It lies in the
+spanning tree of the links with the largest clearances (Hu 1961, "The maximum capacity route problem"). The width of the
 gap is then computed exactly from the two bodies on both sides of the gap. Obstacles may drift sinusoidally; the search
 adds the drift amplitude of an obstacle to its size, so that the clearance is available at every instant of the drift.
 """
 
 from __future__ import annotations
 
-import heapq
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import floor
 
@@ -54,23 +53,6 @@ class Gap:
         return self.width - self.drift
 
 
-@dataclass(frozen=True)
-class _Still:
-    name: str
-    centre: tuple[float, float]
-    half: tuple[float, float]
-    radius: float
-    drift: float
-
-    def distance(self, x: _Field, y: _Field) -> _Field:
-        # at the worst drift; negative inside the body
-        beyond = np.abs(x - self.centre[0]) - self.half[0], np.abs(y - self.centre[1]) - self.half[1]
-        outside = np.hypot(np.maximum(beyond[0], 0), np.maximum(beyond[1], 0))
-        inside = np.minimum(np.maximum(*beyond), 0)
-        distance: _Field = outside + inside - self.radius - self.drift
-        return distance
-
-
 def tightest_gap(scenario: Scenario, clearance: float, *, depth: float | None = None) -> Gap | None:
     """Return the tightest gap on the widest path from start to target; None if every gap on this path is wide enough.
 
@@ -87,47 +69,44 @@ def tightest_gap(scenario: Scenario, clearance: float, *, depth: float | None = 
     x, y = np.meshgrid(xs, ys, indexing="ij")
     z = scenario.depth if depth is None else depth
     beside = [o for o in scenario.obstacles if o.still and o.heights.crosses(z, clearance)]
-    bodies = [*_walls(length, width), *(_still(o) for o in beside)]
-    clear, second = np.partition([body.distance(x, y) for body in bodies], 1, axis=0)[:2]
+    bodies = {**_walls(length, width), **{f"{o.name!r}": o for o in beside}}
+    clear, second = np.partition([_always(body, (x, y)) for body in bodies.values()], 1, axis=0)[:2]
     start, target = (_uphill(clear, _cell(point, xs, ys), clearance) for point in (scenario.start, scenario.target))
-    if _connected(clear >= clearance + step, start, target):
-        return None
     tightest = min(_widest_path(clear, start, target), key=lambda cell: (clear[cell], second[cell]))
+    if clear[tightest] >= clearance + step:
+        return None
     place = (float(xs[tightest[0]]), float(ys[tightest[1]]))
     one, other = _pair(bodies, place, step)
-    return Gap((one.name, other.name), place, _apart(one, other), one.drift + other.drift)
+    a, b = bodies[one], bodies[other]
+    return Gap((one, other), place, a.apart(b), a.drift_m + b.drift_m)
 
 
-def _walls(length: float, width: float) -> list[_Still]:
-    # the boxes are much thicker than the site is long
+def _walls(length: float, width: float) -> dict[str, Obstacle]:
+    # boxes that are much thicker than the site is long
     far = length + width
-    return [
-        _Still("the wall x = 0", (-far, 0.0), (far, 4 * far), 0.0, 0.0),
-        _Still(f"the wall x = {length:g}", (length + far, 0.0), (far, 4 * far), 0.0, 0.0),
-        _Still("the wall y = 0", (0.0, -far), (4 * far, far), 0.0, 0.0),
-        _Still(f"the wall y = {width:g}", (0.0, width + far), (4 * far, far), 0.0, 0.0),
-    ]
+    across, along = (2 * far, 8 * far), (8 * far, 2 * far)
+    places = {
+        "the wall x = 0": ((-far, 0.0), across),
+        f"the wall x = {length:g}": ((length + far, 0.0), across),
+        "the wall y = 0": ((0.0, -far), along),
+        f"the wall y = {width:g}": ((0.0, width + far), along),
+    }
+    return {name: Obstacle(name=name, shape="box", centre_m=at, size_m=size) for name, (at, size) in places.items()}
 
 
-def _still(obstacle: Obstacle) -> _Still:
-    size = obstacle.size_m or (0.0, 0.0)
-    half = (size[0] / 2, size[1] / 2)
-    return _Still(f"{obstacle.name!r}", obstacle.centre_m, half, obstacle.rounding, obstacle.drift_m)
+def _always(body: Obstacle, point: Sequence[_Field]) -> _Field:
+    # distance [m] at the worst drift
+    distance: _Field = body.distance(point) - body.drift_m
+    return distance
 
 
-def _apart(one: _Still, other: _Still) -> float:
-    beyond = [abs(one.centre[k] - other.centre[k]) - one.half[k] - other.half[k] for k in (0, 1)]
-    outside = float(np.hypot(max(beyond[0], 0.0), max(beyond[1], 0.0)))
-    return outside + min(max(beyond), 0.0) - one.radius - other.radius
-
-
-def _pair(bodies: Sequence[_Still], place: tuple[float, float], step: float) -> tuple[_Still, _Still]:
-    """Return the body nearest to a point, and the nearest body on the opposite side of the point."""
+def _pair(bodies: Mapping[str, Obstacle], place: tuple[float, float], step: float) -> tuple[str, str]:
+    """Return the name of the body nearest to a point, and of the nearest one on the opposite side of the point."""
     slope = step / 16
     away = []
-    for body in bodies:
-        here, right, up = body.distance(*(np.array(place) + np.array([[0, 0], [slope, 0], [0, slope]])).T)
-        away.append((float(here), float(right - here), float(up - here), body))
+    for name, body in bodies.items():
+        here, right, up = _always(body, (np.array(place) + np.array([[0, 0], [slope, 0], [0, slope]])).T)
+        away.append((float(here), float(right - here), float(up - here), name))
     away.sort(key=lambda row: row[0])
     first = away[0]
     facing = [row for row in away[1:] if row[1] * first[1] + row[2] * first[2] < 0]
@@ -153,47 +132,22 @@ def _uphill(clear: _Field, cell: _Cell, clearance: float) -> _Cell:
     return cell
 
 
-def _connected(free: NDArray[np.bool_], start: _Cell, target: _Cell) -> bool:
-    """Return whether a path through free cells leads from start to target, in a tenth of the time of `_widest_path`."""
-    known = np.zeros_like(free)
-    known[start] = free[start]
-    while not known[target]:
-        grown = known.copy()
-        grown[1:] |= known[:-1]
-        grown[:-1] |= known[1:]
-        wider = grown.copy()
-        wider[:, 1:] |= grown[:, :-1]
-        wider[:, :-1] |= grown[:, 1:]
-        wider &= free
-        if np.array_equal(wider, known):
-            return False
-        known = wider
-    return True
-
-
 def _widest_path(clear: _Field, start: _Cell, target: _Cell) -> list[_Cell]:
     # from target to start; the smallest clearance on the path is as large as possible
-    # one extra row and column on every side, marked as visited, so that each cell has eight neighbours
-    around, row = np.pad(clear, 1), clear.shape[1] + 2
-    cost, visited = (-around.ravel()).tolist(), bytearray(np.pad(np.zeros(clear.shape, bool), 1, constant_values=True))
-    steps = [a * row + b for a in (-1, 0, 1) for b in (-1, 0, 1) if (a, b) != (0, 0)]
-    first, last = ((i + 1) * row + j + 1 for i, j in (start, target))
-    came, front = [0] * len(cost), [(cost[first], first)]
-    visited[first] = 1
-    while front:
-        least, cell = heapq.heappop(front)
-        if cell == last:
-            break
-        for step in steps:
-            near = cell + step
-            if not visited[near]:
-                visited[near] = 1
-                came[near] = cell
-                heapq.heappush(front, (max(least, cost[near]), near))
-    path = [last]
-    while path[-1] != first:
-        path.append(came[path[-1]])
-    return [(k // row - 1, k % row - 1) for k in path]
+    from scipy.sparse import coo_array  # these imports take long
+    from scipy.sparse.csgraph import breadth_first_order, minimum_spanning_tree
+
+    cells, flat = np.arange(clear.size).reshape(clear.shape), clear.ravel()
+    one = [cells[:-1], cells[:, :-1], cells[:-1, :-1], cells[1:, :-1]]  # each cell has eight neighbours
+    other = [cells[1:], cells[:, 1:], cells[1:, 1:], cells[:-1, 1:]]
+    pairs = np.array([np.concatenate([part.ravel() for part in parts]) for parts in (one, other)])
+    length = 1 + flat.max() - flat[pairs].min(axis=0)  # a link of length 0 would be none
+    tree = minimum_spanning_tree(coo_array((length, pairs), shape=(clear.size, clear.size)))
+    _, came = breadth_first_order(tree, cells[start], directed=False)
+    path = [int(cells[target])]
+    while path[-1] != cells[start]:
+        path.append(int(came[path[-1]]))
+    return [divmod(k, clear.shape[1]) for k in path]
 
 
 _CLEARANCE = 0.02  # [m] two standard deviations of the base station's position: the law cannot keep less than that

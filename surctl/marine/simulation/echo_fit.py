@@ -10,9 +10,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import product
-from math import asin, atan2, degrees, floor, hypot, inf, pi, radians, sqrt
+from math import asin, atan2, degrees, floor, hypot, pi, radians, sqrt
 
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
@@ -20,6 +20,7 @@ from surctl.errors import Finding
 from surctl.marine.control.beams import SURE, floor_range
 from surctl.marine.sensing import INCIDENCE_LIMIT, Reflector, SonarArray, Surfaces
 from surctl.marine.sensing.sonar.returns import level_range
+from surctl.marine.sensing.sonar.solids import Solid, SolidBox, SolidDisc, SolidWalls
 from surctl.marine.simulation.obstacle import Obstacle
 from surctl.marine.simulation.reflectors import ECHOES
 from surctl.marine.simulation.scenario import Scenario, escaped
@@ -74,19 +75,15 @@ Array = NDArray[np.float64]
 Point = tuple[float, float]
 
 _OVERLAP = 1e-5  # [m] by which a hull that fits may overlap an obstacle, for hulls that touch it
-_COARSE = (9, 9, 13, 7)  # places on the face, angles of incidence, ranges, and directions in the beam
-_BEST = 48  # places from which the search goes on
-_ROUNDS = 12  # times that it halves its steps
 
 
 def _has_echo(box: Obstacle, normal: Point, *, scenario: Scenario, array: SonarArray, limit: float) -> bool:
     """Return whether the hull fits where a sonar receives an echo of the face of a box with this outward normal.
 
     The search goes over the point of the face, the angle of incidence, the range, and the direction of the ray in the
-    beam; these determine place and heading of the hull. A grid of all four comes first, then ever smaller steps from
-    its places with the least overlap. Other still obstacles, at their places at the start, may hide the face, and none
-    may overlap the hull. `limit` is the largest angle of incidence [rad] at which the face answers, below π/2; 0: it is
-    silent.
+    beam; these determine place and heading of the hull. Other still obstacles, at their places at the start, may hide
+    the face, and none may overlap the hull. `limit` is the largest angle of incidence [rad] at which the face answers,
+    below π/2; 0: it is silent.
     """
     if limit <= 0:
         return False
@@ -135,41 +132,22 @@ class _Face:
         # the face lies a little outside the box
         self._middle = (box.centre_m[0] + nx * (0.5 * length + 1e-6), box.centre_m[1] + ny * (0.5 * width + 1e-6))
         self._along = (abs(ny) * length, abs(nx) * width)
-        farthest = self._maximum + part[0] + self._hull
-        near = [o for o in scenario.obstacles if o.still and o.heights.crosses(z, self._hull + BAND)]
-        self._near = [o for o in near if o.apart(box) <= farthest and self._ahead(o) > -part[0] - self._hull]
-        # at most how far the hull's centre moves [m] while a number goes from 0 to 1
-        moved = (max(self._along), 2 * limit * (self._maximum + part[0]), 2 * self._maximum)
-        self._travel = np.array([*moved, part[0] * (part[2] - part[1])])
+        self._near = [o for o in scenario.obstacles if o.still and o.heights.crosses(z, self._hull + BAND)]
+        self._free = _free(self._near, self._site, self._maximum)
         gaps = [max(o.heights.gap(z), 0.0) for o in self._near]
         # horizontal distance that the hull, a sphere, keeps from an obstacle above or below its centre
         self._needed = [sqrt(max(self._hull**2 - gap**2, 0.0)) for gap in gaps]
 
     def has_place(self) -> bool:
         """Return whether the search finds a place."""
-        ahead = _grid(_COARSE[0], 1, 2 * _COARSE[2], 1)
-        if np.min(self._overlap(ahead)) <= _OVERLAP:
-            return True
-        points = _grid(*_COARSE)
-        overlap = self._overlap(points)
-        steps = 0.5 / (np.array(_COARSE) - 1.0)
-        offsets = np.array(list(product((-1.0, 0.0, 1.0), repeat=4)))
-        for _ in range(_ROUNDS):
-            if np.min(overlap) <= _OVERLAP:
-                return True
-            # what is left of the search cannot move a hull out of the obstacle
-            if np.min(overlap) > 2 * float(steps @ self._travel):
-                return False
-            best = points[np.argsort(overlap, kind="stable")[:_BEST]]
-            points = np.clip((best[:, None] + offsets * steps).reshape(-1, 4), 0.0, 1.0)
-            overlap, steps = self._overlap(points), 0.5 * steps
-        return bool(np.min(overlap) <= _OVERLAP)
+        from scipy.optimize import differential_evolution  # this import takes long
 
-    def _ahead(self, obstacle: Obstacle) -> float:
-        # [m] from the plane of the face to the end of the obstacle, positive on the side of the water
-        (nx, ny), own = self._normal, obstacle.size_m or (2 * obstacle.rounding,) * 2
-        middle = sum(n * (obstacle.centre_m[k] - self._middle[k]) for k, n in enumerate((nx, ny)))
-        return middle + 0.5 * (abs(nx) * own[0] + abs(ny) * own[1])
+        best = differential_evolution(
+            lambda points: self._overlap(points.T), [(0.0, 1.0)] * 4, vectorized=True, updating="deferred", rng=0,
+            popsize=16, maxiter=300, tol=0.0, atol=_OVERLAP, init="sobol", polish=False,
+            callback=lambda intermediate_result: bool(intermediate_result.fun <= _OVERLAP),
+        )  # fmt: skip
+        return bool(best.fun <= _OVERLAP)
 
     def _overlap(self, points: Array) -> Array:
         # [m] by which the hull at each place overlaps obstacles or walls
@@ -179,58 +157,26 @@ class _Face:
         angle = (2 * turn - 1) * self._limit
         c, s = np.cos(angle), np.sin(angle)
         ux, uy = c * nx - s * ny, s * nx + c * ny
-        distance = share**2 * self._free(x, y, ux, uy)
+        distance = share**2 * np.array(self._free(np.stack([x, y]), np.stack([ux, uy])))[0]
         radial = np.arctan2(-uy, -ux) - (first + aside * (last - first))
         x, y = x + distance * ux - radius * np.cos(radial), y + distance * uy - radius * np.sin(radial)
         length, width = self._site
         worst = self._hull - np.minimum.reduce([x, length - x, y, width - y])
         for obstacle, needed in zip(self._near, self._needed, strict=True):
-            worst = np.maximum(worst, needed - _distance(obstacle, x, y))
+            worst = np.maximum(worst, needed - obstacle.distance((x, y)))
         return np.asarray(worst)
 
-    def _free(self, x: Array, y: Array, ux: Array, uy: Array) -> Array:
-        # [m] from each point of the face along its ray to the first obstacle or wall, at most the range of the sonar
-        length, width = self._site
-        free = np.full(len(x), self._maximum)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            for place, direction, end in ((x, ux, length), (y, uy, width)):
-                wall = np.where(direction > 0, (end - place) / direction, -place / direction)
-                free = np.minimum(free, np.where(direction == 0, inf, np.maximum(wall, 0.0)))
-            for obstacle in self._near:
-                free = np.minimum(free, _hit(obstacle, x, y, ux, uy))
-        return free
 
-
-def _grid(*counts: int) -> Array:
-    axes = [np.linspace(0.0, 1.0, n) if n > 1 else np.array([0.5]) for n in counts]
-    return np.stack([axis.ravel() for axis in np.meshgrid(*axes, indexing="ij")], axis=1)
-
-
-def _distance(obstacle: Obstacle, x: Array, y: Array) -> Array:
-    # `Obstacle.distance` for many points
-    own: Sequence[float] = obstacle.size_m or (0.0, 0.0)
-    dx, dy = np.abs(x - obstacle.centre_m[0]) - 0.5 * own[0], np.abs(y - obstacle.centre_m[1]) - 0.5 * own[1]
-    outside = np.hypot(np.maximum(dx, 0.0), np.maximum(dy, 0.0))
-    larger = np.maximum(dx, dy)
-    return np.asarray(np.where(larger > 0, outside, larger) - obstacle.rounding)
-
-
-def _hit(obstacle: Obstacle, x: Array, y: Array, ux: Array, uy: Array) -> Array:
-    # [m] along each ray to the obstacle; inf if the ray misses it
-    dx, dy = obstacle.centre_m[0] - x, obstacle.centre_m[1] - y
-    if obstacle.size_m is None:
-        along, across = dx * ux + dy * uy, dx * uy - dy * ux
-        square = obstacle.rounding**2 - across**2
-        hit = (square >= 0) & (along > 0)
-        return np.where(hit, np.maximum(along - np.sqrt(np.maximum(square, 0.0)), 0.0), inf)
-    near, far = np.full(len(x), -inf), np.full(len(x), inf)
-    for offset, direction, size in ((dx, ux, obstacle.size_m[0]), (dy, uy, obstacle.size_m[1])):
-        one, other = (offset - 0.5 * size) / direction, (offset + 0.5 * size) / direction
-        beside = np.abs(offset) > 0.5 * size
-        one = np.where(direction == 0, np.where(beside, inf, -inf), one)
-        other = np.where(direction == 0, np.where(beside, -inf, inf), other)
-        near, far = np.maximum(near, np.minimum(one, other)), np.minimum(far, np.maximum(one, other))
-    return np.where((near <= far) & (far >= 0), np.maximum(near, 0.0), inf)
+def _free(obstacles: Sequence[Obstacle], site: Sequence[float], maximum: float) -> ca.Function:
+    # range [m] of rays with apexes (2, n) and unit vectors (2, n) to the first obstacle or wall, at most `maximum`
+    apex, ray, free = ca.SX.sym("apex", 2), ca.SX.sym("ray", 2), ca.SX(maximum)
+    solids: list[Solid] = [SolidWalls(ca.SX([0.0, site[0], 0.0, site[1]]))]
+    for o in obstacles:
+        centre = ca.SX(o.centre_m)
+        solids.append(SolidDisc(centre, ca.SX(o.rounding)) if o.size_m is None else SolidBox(centre, ca.SX(o.size_m)))
+    for solid in solids:
+        free = ca.fmin(free, ca.if_else(solid.holds(apex), 0.0, solid.hit(apex, ray, nothing=maximum)[0]))
+    return ca.Function("free", [apex, ray], [free])
 
 
 _SIDES: dict[str, Point] = {"+x": (1.0, 0.0), "-x": (-1.0, 0.0), "+y": (0.0, 1.0), "-y": (0.0, -1.0)}

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from surctl.errors import InputError, SurctlError, nearest
 from surctl.ir import on_vectors, to_casadi
 from surctl.ir.cache import cached_bytes
-from surctl.marine.control import NONFINITE, WORKING, Gains, Law, check_forces
+from surctl.marine.control import NONFINITE, WORKING, Gains, Law, check_forces, law_options
 from surctl.marine.guidance import ROW
 from surctl.marine.simulation.batch.case import Case, vehicle_law
 from surctl.marine.simulation.batch.counting import metrics_table
@@ -164,19 +164,7 @@ def case_of(
     model: Vehicle | None = None,
 ) -> Case:
     """Return the case of a law that is built."""
-    return Case(
-        scenario,
-        vehicle,
-        gains,
-        law.ref,
-        law.mode,
-        sensing,
-        model,
-        avoidance=law.avoidance,
-        guidance=law.guidance,
-        barrier=law.barrier,
-        movers=law.movers,
-    )
+    return Case(scenario, vehicle, gains, law.ref, sensing=sensing, model=model, **law_options(law))
 
 
 def simulate_case(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from itertools import combinations, pairwise
-from math import acos, ceil, degrees, floor, inf, log10, sqrt, tan
+from math import acos, ceil, degrees, floor, inf, log10, tan
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,7 @@ from surctl.marine.guidance.braking import Watch, brakes_of, fastest_obstacle, r
 from surctl.marine.simulation.clearance import tightest_gap
 from surctl.marine.simulation.obstacle import Obstacle
 from surctl.marine.simulation.scenario import Scenario
-from surctl.marine.vehicle import Vehicle
+from surctl.marine.vehicle import Vehicle, steady_speed
 from surctl.marine.vehicle.linearise import WITHIN_LAW, ahead_limit, command_range
 
 _REVERSAL = 2.4  # [rad] largest change of direction (137°) that counts as a corner; beyond it the path turns back
@@ -163,10 +163,7 @@ def _arcs(scenario: Scenario, vehicle: Vehicle, gains: Gains) -> list[Finding]:
     kinds, speeds, lengths = scenario.path.kinds, _leg_speeds(scenario), scenario.path.lengths
     if kinds is None or not np.any(kinds[1:-1] == BEND):
         return []
-    ahead = np.diff(scenario.path.waypoints, axis=0)
-    turns = np.diff(np.arctan2(ahead[:, 1], ahead[:, 0]))
-    turns = np.abs((turns + np.pi) % (2 * np.pi) - np.pi)
-    curvature = np.where(kinds[1:-1] == BEND, turns / ((lengths[1:] + lengths[:-1]) / 2), 0.0)
+    curvature = np.where(kinds[1:-1] == BEND, scenario.turns / ((lengths[1:] + lengths[:-1]) / 2), 0.0)
     speed = np.maximum(speeds[1:], speeds[:-1])
     if vehicle["Fv_max"] > 0:
         return _forced_arcs(scenario, vehicle, curvature, speed)
@@ -225,10 +222,7 @@ def _short(scenario: Scenario, gains: Gains) -> list[Finding]:
     """Report corners that are closer together than the look-ahead distance: the law smooths such a path."""
     path = scenario.path
     kinds = path.table(visits=scenario.corners == "visit")[1:-1, 4]
-    ahead = np.diff(path.waypoints, axis=0)
-    turns = np.diff(np.arctan2(ahead[:, 1], ahead[:, 0]))
-    turns = np.abs((turns + np.pi) % (2 * np.pi) - np.pi)
-    corner = np.concatenate([[True], (kinds != BEND) & (turns > np.deg2rad(30)), [True]])
+    corner = np.concatenate([[True], (kinds != BEND) & (scenario.turns > np.deg2rad(30)), [True]])
     at = np.concatenate([[0.0], np.cumsum(path.lengths)])[corner]
     near = int(np.sum(np.diff(at) < gains["lookahead"]))
     if len(path.waypoints) <= 2 or not near:
@@ -389,7 +383,11 @@ def _speed_key(scenario: Scenario, segment: int) -> str:
 def _cap(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
     ahead, most = vehicle.thrust_range[1], command_range(vehicle)[1]
     axes = {"surge": ("Xu", 0), "sway": ("Yv", 1)}
-    held = {axis: _held(vehicle, drag, float(most[k])) for axis, (drag, k) in axes.items() if ahead[k] > 0}
+    held = {
+        axis: steady_speed(float(most[k]), vehicle[drag], vehicle[drag + drag[-1]])
+        for axis, (drag, k) in axes.items()
+        if ahead[k] > 0
+    }
     least = min(held.values())
     if scenario.cap <= least:
         return []
@@ -398,13 +396,6 @@ def _cap(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
     if scenario.cruise > least:  # no cap from the cruise speed on is held by every axis
         return [Finding("info", "cap_m_per_s", f"{text}; so is the cruise speed: motion there is slower")]
     return [Finding("warning", "cap_m_per_s", f"{text}; write at most {np.floor(least * 1e3) / 1e3:g}")]
-
-
-def _held(vehicle: Vehicle, axis: str, most: float) -> float:
-    # speed [m/s] at which the drag equals the largest thrust
-    linear, quadratic = vehicle[axis], vehicle[axis + axis[-1]]
-    root = linear + sqrt(linear**2 + 4 * quadratic * most)
-    return 2 * most / root if root > 0 else inf
 
 
 def _share(force: tuple[float, float]) -> float:

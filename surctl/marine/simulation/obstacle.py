@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from math import hypot, inf
-from typing import Annotated, Literal
+from collections.abc import Sequence
+from math import inf
+from typing import Annotated, Any, Literal
 
+import numpy as np
 from pydantic import Field, model_validator
 
 from surctl.files import Strict
@@ -70,21 +72,18 @@ class Obstacle(Strict):
         """Radius [m] of the obstacle; 0 for a box, and for a moving obstacle whose radius is that of the hull."""
         return 0.0 if self.size_m is not None else self.radius_m or 0.0
 
-    def distance(self, point: Point) -> float:
-        """Return the signed distance [m] from a point to the obstacle's surface at its start, without drift."""
-        return _between(self, point, (0.0, 0.0), 0.0)
+    def distance(self, point: Sequence[Any], size: Sequence[float] = (0.0, 0.0), radius: float = 0.0) -> Any:
+        """Return the signed distance [m] from a point to the obstacle's surface at its start, without drift.
+
+        With arrays of coordinates x and y, the result is an array. With `size` or `radius`, the distance is that from a
+        box with these edges, or from a disc, about the point.
+        """
+        # a box has radius 0 and a cylinder has edge lengths 0, so one formula holds for every pair of shapes
+        own = self.size_m or (0.0, 0.0)
+        x, y = (np.abs(point[k] - self.centre_m[k]) - (own[k] + size[k]) / 2 for k in (0, 1))
+        outside = np.hypot(np.maximum(x, 0.0), np.maximum(y, 0.0))
+        return outside + np.minimum(np.maximum(x, y), 0.0) - self.rounding - radius
 
     def apart(self, other: Obstacle) -> float:
         """Return the signed distance [m] between two obstacles at their start; it is negative if they overlap."""
-        return _between(self, other.centre_m, other.size_m or (0.0, 0.0), other.rounding)
-
-
-def _between(obstacle: Obstacle, centre: Point, size: tuple[float, float], radius: float) -> float:
-    """Return the signed distance [m] between two obstacles.
-
-    A box has radius 0 and a cylinder has edge lengths 0, so one formula covers every pair of shapes.
-    """
-    own = obstacle.size_m or (0.0, 0.0)
-    x, y = (abs(obstacle.centre_m[k] - centre[k]) - (own[k] + size[k]) / 2 for k in (0, 1))
-    beyond = hypot(max(x, 0.0), max(y, 0.0)) if max(x, y) > 0 else max(x, y)
-    return beyond - obstacle.rounding - radius
+        return float(self.distance(other.centre_m, other.size_m or (0.0, 0.0), other.rounding))

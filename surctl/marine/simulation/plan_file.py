@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from math import cos, isfinite, radians, sin, sqrt
@@ -14,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError
-from surctl.files import quoted
 from surctl.marine.simulation.route import MAX_POINTS
 from surctl.marine.simulation.scenario import scenario_from_table
+from surctl.marine.simulation.toml_text import toml_text
 from surctl.recorded import LARGEST_XML, file_bytes, shown, xml_root
 
 _AXIS, _FLATTENING = 6378137.0, 1 / 298.257223563  # WGS 84
@@ -211,40 +210,37 @@ def mission_scenario(
     shifted = mission.points - corner
     length, width = shifted.max(axis=0) + margin
     duration = float(np.sum(np.hypot(*np.diff(shifted, axis=0).T))) / cruise
-    points = ", ".join(f"[{x!r}, {y!r}]" for x, y in np.round(shifted, 3).tolist())
     about = (
         f"{len(shifted)} waypoints; x east, y north; the first at {mission.origin[0]:.7f}°, {mission.origin[1]:.7f}°"
     )
-    lines = [
-        'kind = "scenario"',
-        f"name = {quoted(name)}",
-        f"title = {quoted(name)}",
-        f"provenance = {quoted(about)}",
-        f"vehicle = {quoted(vehicle)}",
-        f"path_m = [{points}]",
-        f"depth_m = {depth!r}",
-        f"cruise_m_per_s = {cruise!r}",
-        f"cap_m_per_s = {1.25 * cruise!r}",
-        f"time_limit_s = {float(np.ceil(2 * duration + 60))!r}",
-        "",
-        "[site]",
-        f"length_m = {float(np.ceil(length))!r}",
-        f"width_m = {float(np.ceil(width))!r}",
-        f"depth_m = {float(np.ceil(-2 * depth + 1))!r}",
-    ]
     obstacles, of_zones = _obstacles(mission.zones - np.array([*corner, 0.0]), shifted, (length, width))
-    lines += obstacles
-    notes += of_zones
-    text = "\n".join(lines) + "\n"
-    scenario_from_table(tomllib.loads(text), source=name)  # a file that `lint` refuses is not written
-    return text, tuple(notes)
+    table = {
+        "kind": "scenario",
+        "name": name,
+        "title": name,
+        "provenance": about,
+        "vehicle": vehicle,
+        "path_m": np.round(shifted, 3).tolist(),
+        "depth_m": depth,
+        "cruise_m_per_s": cruise,
+        "cap_m_per_s": 1.25 * cruise,
+        "time_limit_s": float(np.ceil(2 * duration + 60)),
+        "site": {
+            "length_m": float(np.ceil(length)),
+            "width_m": float(np.ceil(width)),
+            "depth_m": float(np.ceil(-2 * depth + 1)),
+        },
+        **({"obstacles": obstacles} if obstacles else {}),
+    }
+    scenario_from_table(table, source=name)  # a file that `lint` refuses is not written
+    return toml_text(table), (*notes, *of_zones)
 
 
 def _obstacles(
     zones: NDArray[np.float64], points: NDArray[np.float64], site: tuple[float, float]
-) -> tuple[list[str], list[str]]:
-    """Return lines of a scenario with the circles (k, 3) as cylinders, and notes about those that cannot be ones."""
-    lines: list[str] = []
+) -> tuple[list[dict[str, Any]], list[str]]:
+    """Return the circles (k, 3) as cylinders of a scenario file, and notes about those that cannot be ones."""
+    cylinders: list[dict[str, Any]] = []
     notes: list[str] = []
     used: list[NDArray[np.float64]] = []
     for number, (x, y, radius) in enumerate(zones.tolist(), start=1):
@@ -258,11 +254,11 @@ def _obstacles(
             notes.append(f"not used: {where} (it overlaps an earlier one)")
         else:
             used.append(np.array([x, y, radius]))
-            body = [f'name = "exclusion-{number}"', 'shape = "cylinder"']
-            lines += ["", "[[obstacles]]", *body, f"centre_m = [{x:.3f}, {y:.3f}]", f"radius_m = {radius!r}"]
-    if lines:
+            body = {"name": f"exclusion-{number}", "shape": "cylinder", "centre_m": [round(x, 3), round(y, 3)]}
+            cylinders.append({**body, "radius_m": radius})
+    if cylinders:
         notes.append(f"{len(used)} exclusion circles are cylinders in the water, so sonars see them too")
-    return lines, notes
+    return cylinders, notes
 
 
 @dataclass

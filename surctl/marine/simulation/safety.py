@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
-from math import ceil, degrees, floor, inf, isfinite, sqrt
+from math import ceil, degrees, floor, inf, isfinite
 from typing import Any
 
 import numpy as np
@@ -34,7 +34,7 @@ from surctl.marine.simulation.echo_fit import unanswered
 from surctl.marine.simulation.scenario import Scenario
 from surctl.marine.simulation.toml_text import toml_text
 from surctl.marine.simulation.world import BAND, FOOTPRINT
-from surctl.marine.vehicle import Vehicle
+from surctl.marine.vehicle import Vehicle, steady_speed
 from surctl.marine.vehicle.dynamics import check_equation_3
 
 _STEP = 0.002  # [m/s] between two examined speeds
@@ -80,9 +80,7 @@ def turn_rate(
     if sonar:
         desired = min(gains["spin"], believed.steady_yaw(YAW_SHARE, scenario.cruise))
     else:
-        legs = np.diff(scenario.path.waypoints, axis=0)
-        turns = np.diff(np.arctan2(legs[:, 1], legs[:, 0]))
-        desired = gains["k_psi"] * float(np.max(np.abs((turns + np.pi) % (2 * np.pi) - np.pi), initial=0.0))
+        desired = gains["k_psi"] * float(np.max(scenario.turns, initial=0.0))
 
     def end(name: str, which: int) -> float:
         stated = believed.parameters[name].range
@@ -90,11 +88,7 @@ def turn_rate(
 
     loop, linear, quadratic = believed["m44"] * gains["k_r"], end("Nr", 0), end("Nrr", 0)
     demand = (believed["Nr"] + believed["Nrr"] * desired + loop) * desired
-
-    def held(moment: float, linear: float) -> float:
-        return 2 * moment / max(linear + sqrt(linear**2 + 4 * quadratic * moment), 1e-9)
-
-    return min(held(demand, linear + loop), held(end("Fr_max", 1), linear))
+    return min(steady_speed(demand, linear + loop, quadratic), steady_speed(end("Fr_max", 1), linear, quadratic))
 
 
 def mass_difference(vehicle: Vehicle, spread: float | None = None) -> float:

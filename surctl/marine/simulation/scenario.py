@@ -21,7 +21,14 @@ from surctl.marine.sensing import Surfaces
 from surctl.marine.simulation.obstacle import NotNegative, Obstacle, Positive
 from surctl.marine.simulation.reflectors import Reflectors, ReflectorTable, WallTable
 from surctl.marine.simulation.route import PERIOD, Corner, Route
-from surctl.marine.simulation.sensors import OwnStateTable, Sensors, SonarTable, StationTable, sensors_from_tables
+from surctl.marine.simulation.sensors import (
+    OwnStateTable,
+    Sensors,
+    SonarTable,
+    StationTable,
+    sensor_tables,
+    sensors_from_tables,
+)
 from surctl.marine.world import Box, Disc, Wall, site_walls
 
 Share = Annotated[float, Field(ge=0, lt=1)]
@@ -221,6 +228,13 @@ class Scenario:
         first_leg = self.path.waypoints[1] - self.start
         return np.array([*self.start, self.depth, np.arctan2(first_leg[1], first_leg[0])])
 
+    @property
+    def turns(self) -> NDArray[np.float64]:
+        """By how much the direction changes at each inner waypoint of the path (n - 2,) [rad], at least 0."""
+        ahead = np.diff(self.path.waypoints, axis=0)
+        turns = np.diff(np.arctan2(ahead[:, 1], ahead[:, 0]))
+        return np.abs((turns + np.pi) % (2 * np.pi) - np.pi)
+
     def follower(self) -> Follower:
         """Return a path follower at the start of the path."""
         return Follower(self.path, visit=self.visit)
@@ -280,6 +294,69 @@ class Scenario:
         return target
 
 
+_ABOUT = {name: name for name in ("name", "title", "provenance", "vehicle")}
+_NUMBERS = {
+    "depth_m": "depth",
+    "cruise_m_per_s": "cruise",
+    "cap_m_per_s": "cap",
+    "arrival_m": "arrival_radius",
+    "time_limit_s": "time_limit",
+    "launch_m": "launch",
+    "depths_m": "depths",
+    "corners": "corners",
+}
+_TABLES = {name: name for name in ("obstacles", "disturbance", "uncertainty", "paper")}
+"""Attribute of `Scenario` of each key of its file; `_SITE`: keys of `[site]` in the order of `Scenario.site`."""
+
+_SITE = ("length_m", "width_m", "depth_m")
+
+
+def scenario_table(scenario: Scenario) -> dict[str, Any]:
+    """Return the content of a TOML file that describes the scenario, as nested mappings.
+
+    `scenario_from_table` restores the scenario from these mappings, except for the name of its source.
+    """
+    tables = scenario.reflectors.tables()
+    numbers = {key: getattr(scenario, name) for key, name in _NUMBERS.items()}
+    return {
+        "kind": "scenario",
+        **{key: getattr(scenario, name) for key, name in _ABOUT.items()},
+        **_route_table(scenario),
+        **{key: value for key, value in numbers.items() if value is not None},
+        "site": dict(zip(_SITE, scenario.site, strict=True)) | tables.pop("site"),
+        **tables,
+        "obstacles": [o.model_dump(exclude_none=True) for o in scenario.obstacles],
+        "disturbance": scenario.disturbance.model_dump(),
+        **sensor_tables(scenario.sensors),
+        "uncertainty": scenario.uncertainty.model_dump(),
+        "paper": scenario.paper.model_dump(exclude_unset=True),
+    }
+
+
+def _route_table(scenario: Scenario) -> dict[str, Any]:
+    """Return the entries that describe the path: those of the scenario's file if they give this path, or all points."""
+    path, route = scenario.path, scenario.route
+    if route is not None:
+        try:
+            same = route.path(depth=scenario.depth, cruise=scenario.cruise, cap=scenario.cap, corners=scenario.corners)
+        except InputError:
+            same = None
+        if same is not None and _equal(same, path):
+            return route.model_dump(exclude_none=True, exclude_defaults=True, mode="json")
+    if any(column is not None for column in (path.rises, path.speeds, path.kinds)):
+        problem = "has speeds, depths or kinds of corners that the scenario's route does not give"
+        raise InputError(problem, key="path_m", remedy="describe them by legs in a scenario file")
+    return {"path_m": path.waypoints.tolist()}
+
+
+def _equal(one: Path, other: Path) -> bool:
+    for name in ("waypoints", "rises", "speeds", "kinds"):
+        a, b = getattr(one, name), getattr(other, name)
+        if (a is None) != (b is None) or (a is not None and not np.array_equal(a, b)):
+            return False
+    return True
+
+
 def load_scenario(name_or_path: str) -> Scenario:
     """Load a built-in scenario by name or a scenario file by path; InputError if no vehicle could carry it out.
 
@@ -300,30 +377,11 @@ def scenario_from_table(table: dict[str, Any], *, source: str) -> Scenario:
     with mistakes_in(source):
         sensors = sensors_from_tables(model.sonar, model.base_station, model.own_state, depth=model.site.depth_m)
         sensors = replace(sensors, source=source)
-    scenario = Scenario(
-        model.name,
-        model.title,
-        model.provenance,
-        model.vehicle,
-        path,
-        model.depth_m,
-        model.cruise_m_per_s,
-        model.cap_m_per_s,
-        model.arrival_m,
-        model.time_limit_s or _time_limit(path, model),
-        (model.site.length_m, model.site.width_m, model.site.depth_m),
-        model.obstacles,
-        model.disturbance,
-        model.paper,
-        source,
-        sensors,
-        model.launch_m,
-        model.uncertainty,
-        model.depths_m,
-        model.corners,
-        route,
-        _reflectors(model),
-    )
+    values: dict[str, Any] = {name: getattr(model, key) for key, name in (_ABOUT | _NUMBERS | _TABLES).items()}
+    values["time_limit"] = values["time_limit"] or _time_limit(path, model)
+    values["site"] = tuple(getattr(model.site, key) for key in _SITE)
+    values |= {"source": source, "sensors": sensors, "route": route, "reflectors": _reflectors(model)}
+    scenario = Scenario(path=path, **values)
     _check(scenario)
     return scenario
 

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Set
+from collections.abc import Callable, Mapping, Set
 from dataclasses import dataclass, field, replace
-from functools import partial
-from math import degrees, gcd, pi
-from typing import Annotated, Literal, TypeVar
+from math import degrees, gcd, inf, nextafter, pi
+from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import Field
 
@@ -72,10 +71,6 @@ class _DeliveryTable(Strict):
     latency_s: NotNegative | None = None
     loss: NotNegative | None = None
     gaps_s: tuple[tuple[float, float], ...] = ()
-
-    def delivery(self) -> Delivery:
-        values = {"period": self.period_s, "latency": self.latency_s, "loss": self.loss}
-        return Delivery(gaps=self.gaps_s, **{name: value for name, value in values.items() if value is not None})
 
 
 class StationTable(_DeliveryTable):
@@ -164,7 +159,7 @@ class Sensors:
         return bool(self.faults) or any(self.chances.numbers)
 
 
-NAMES = {
+_SONAR = {
     "mounts_m": "mounts",
     "order": "order",
     "minimum_m": "minimum",
@@ -180,45 +175,81 @@ NAMES = {
     "temperature_c": "temperature",
     "calibrated_for_m_per_s": "calibrated_for",
 }
-"""Field of `SonarArray` of each key of `[sonar]`; `ANGLES`: of each key in degrees."""
-
-ANGLES = {
+_ANGLES = {
     "azimuths_deg": "azimuths",
     "beam_deg": "beam_angle",
     "pitch_deg": "pitch",
     "incidence_limit_deg": "incidence_limit",
 }
-_TIMES = {"period_s": "period", "latency_s": "latency", "gaps_s": "gaps"}
-_KEYS = {name: key for key, name in (NAMES | ANGLES | _TIMES).items()}
+_DELIVERY = {"period_s": "period", "latency_s": "latency", "loss": "loss", "gaps_s": "gaps"}
+_STATION = {"position_sd_m": "position_sd", "velocity_sd_m_per_s": "velocity_sd"}
+_OWN = {"position_sd_m": "position_sd", "yaw_sd_rad": "yaw_sd", "rate_sd_rad_per_s": "rate_sd"}
+"""Field of each key of a table of a scenario file; `_ANGLES` are keys in degrees, of fields in radians."""
+
+_KEYS = {name: key for key, name in (_SONAR | _ANGLES | _DELIVERY).items()}
+_BESIDE = 4  # floating-point neighbours on each side that may convert to the same angle
+
+
+def _read(table: Strict, keys: Mapping[str, str]) -> dict[str, Any]:
+    return {name: getattr(table, key) for key, name in keys.items() if getattr(table, key) is not None}
+
+
+def _written(sensor: object, keys: Mapping[str, str]) -> dict[str, Any]:
+    return {key: getattr(sensor, name) for key, name in keys.items() if getattr(sensor, name) is not None}
+
+
+def sensor_tables(sensors: Sensors) -> dict[str, dict[str, Any]]:
+    """Return the tables of a scenario file that describe the sensors; see `sensors_from_tables`."""
+    equipment, array, station = sensors.equipment, sensors.equipment.array, sensors.equipment.station
+    sonar = _written(array, _SONAR) | {key: _in_degrees(a) for key, a in _written(array, _ANGLES).items()}
+    sonar |= {"echoes": sensors.echoes} if sensors.echoes else {}
+    sonar["floor_m"] = 0.0 if equipment.floor is None else equipment.floor
+    sonar |= {} if equipment.search_limit is None else {"search_limit_s": equipment.search_limit}
+    sonar["faults"] = [fault.model_dump(exclude_none=True) for fault in sensors.faults]
+    sonar["chances"] = sensors.chances.model_dump()
+    messages, own = _written(station.messages, _DELIVERY), equipment.own
+    measured = {"truth": True} if own is None else _written(own, _OWN) | _written(own.fixes, _DELIVERY)
+    return {"sonar": sonar, "base_station": _written(station, _STATION) | messages, "own_state": measured}
+
+
+def _in_degrees(angle: Any) -> Any:
+    """Return an angle [rad], or each of several, in degrees.
+
+    Whoever reads the file and converts the degrees to radians gets exactly this angle, or the nearest possible angle.
+    """
+    if isinstance(angle, tuple):
+        return [_in_degrees(one) for one in angle]
+    exact = degrees(angle)
+    near, low, high = [round(exact, 9), exact], exact, exact
+    for _ in range(_BESIDE):
+        low, high = nextafter(low, -inf), nextafter(high, inf)
+        near += [low, high]
+    return min(near, key=lambda candidate: abs(candidate * pi / 180.0 - angle))
 
 
 def sensors_from_tables(sonar: SonarTable, station: StationTable, own: OwnStateTable, *, depth: float) -> Sensors:
     """Return the sensors that the tables of a scenario file describe; `depth` is that of the site [m]."""
     array = _in_table("sonar", lambda: _array(sonar), stated=sonar.model_fields_set)
-    base_station = BaseStation(
-        position_sd=station.position_sd_m,
-        velocity_sd=station.velocity_sd_m_per_s,
-        messages=_in_table("base_station", station.delivery),
-    )
-    measured = OwnState(
-        position_sd=own.position_sd_m,
-        yaw_sd=own.yaw_sd_rad,
-        rate_sd=own.rate_sd_rad_per_s,
-        fixes=_in_table("own_state", own.delivery),
-    )
-    for table, delivery in (("base_station", base_station.messages), ("own_state", measured.fixes)):
-        for steps in (delivery.late, delivery.every):
-            _in_table(table, partial(steps, _PERIOD))
-    own_state = None if own.truth else measured
+    messages, fixes = _delivery("base_station", station), _delivery("own_state", own)
     equipment = Equipment(
         array=array,
-        station=base_station,
-        own=own_state,
+        station=BaseStation(**_read(station, _STATION), messages=messages),
+        own=None if own.truth else OwnState(**_read(own, _OWN), fixes=fixes),
         floor=(depth if sonar.floor_m is None else sonar.floor_m) or None,
         search_limit=sonar.search_limit_s,
     )
     echoes = sonar.echoes if sonar.echoes is not None and not _simple(sonar.echoes)[0] else ""
     return Sensors(equipment, sonar.faults, sonar.chances, echoes)
+
+
+def _delivery(table: str, stated: _DeliveryTable) -> Delivery:
+    def checked() -> Delivery:
+        delivery = Delivery(**_read(stated, _DELIVERY))
+        for steps in (delivery.late, delivery.every):  # both refuse what is no multiple of the period
+            steps(_PERIOD)
+        return delivery
+
+    return _in_table(table, checked)
 
 
 def _simple(echoes: str) -> tuple[bool, float | None]:
@@ -241,7 +272,7 @@ def _in_table(table: str, make: Callable[[], T], *, stated: Set[str] = frozenset
             value = values.pop(name)
             problem += "".join(f", and {_KEYS[one]} is {other:g}" for one, other in values.items())
         remedy = None if remedy is None else remedy.replace("or None ", "or leave the key out ")  # TOML has no None
-        if name in ANGLES.values():  # the file has degrees, the sonars have radians
+        if name in _ANGLES.values():  # the file has degrees, the sonars have radians
             problem, remedy = (
                 problem.replace("0 and pi", "0 and 180").replace("180/2", "90"),
                 (remedy or "").replace("radians", "degrees"),
@@ -251,11 +282,9 @@ def _in_table(table: str, make: Callable[[], T], *, stated: Set[str] = frozenset
 
 
 def _array(table: SonarTable) -> SonarArray:
-    values = {name: getattr(table, key) for key, name in NAMES.items() if getattr(table, key) is not None}
-    for key, name in ANGLES.items():
-        value = getattr(table, key)
-        if value is not None:
-            values[name] = tuple(a * pi / 180.0 for a in value) if isinstance(value, tuple) else value * pi / 180.0
+    values = _read(table, _SONAR)
+    for name, value in _read(table, _ANGLES).items():
+        values[name] = tuple(a * pi / 180.0 for a in value) if isinstance(value, tuple) else value * pi / 180.0
     if table.echoes is not None:
         if table.incidence_limit_deg is not None:
             raise InputError("sets the same quantity as incidence_limit_deg", key="echoes", remedy="remove one")

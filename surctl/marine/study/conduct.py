@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -29,60 +29,30 @@ from surctl.marine.verification.speeds import OverSpeeds, speeds_text
 from surctl.study import StudyParts
 from surctl.system import LinearLoop
 from surctl.tuning import LocalExecutor, SweepTable, grid, sweep
-from surctl.verification import Inapplicable, LoopMargins, Verdict, decide
+from surctl.verification import Inapplicable, Verdict, decide
 
 if TYPE_CHECKING:
     from surctl.marine.report import ReportData
     from surctl.report.document import Section
 
 
-@dataclass(frozen=True)
-class Loops:
-    """Linear analysis of the missions that count towards the result.
-
-    Attributes:
-        analysis: the analysis at their largest cruise speed, as it was assessed.
-        over: metrics of the linear loops at the cruise speeds that the plan names, or None.
-        loops: the sampled loop at each speed, by name of the speed; empty if there is no analysis.
-    """
-
-    analysis: LoopAnalysis
-    over: OverSpeeds | None = None
-    loops: Mapping[str, LinearLoop] = field(default_factory=dict)
-
-    @property
-    def margins(self) -> tuple[LoopMargins, ...]:
-        """Delay margin and disk margin of each loop alone."""
-        return self.analysis.margins
-
-    def to_dict(self) -> dict[str, Any] | None:
-        """Return the analysis of all loops together as plain data; None if there is none."""
-        one = self.analysis
-        if one.loops is None:
-            return None
-        table = one.loops.to_dict() | ({} if one.mode is None else {"mode": one.mode.to_dict()})
-        return table | ({} if self.over is None else {"speeds": self.over.to_dict()})
-
-
-def loops_of(plan: Plan, gains: Gains, analysis: LoopAnalysis) -> Loops:
-    """Return the control loops of a plan's vehicle with these gains."""
+def loops_of(plan: Plan, gains: Gains, analysis: LoopAnalysis) -> tuple[OverSpeeds | None, Mapping[str, LinearLoop]]:
+    """Return the figures over the cruise speeds of the plan, if it names any, and the sampled loop at each speed."""
     if analysis.loops is None:
-        return Loops(analysis)
+        return None, {}
     if analysis.mode is None:
-        return Loops(analysis, loops={analysis.nominal.place or "nominal": analysis.nominal.linear})
+        return None, {analysis.nominal.place or "nominal": analysis.nominal.linear}
     vehicle, law = plan.vehicle, vehicle_law(plan.vehicle, plan.law)
     speeds = sorted({*plan.cruise, analysis.cruise}, reverse=True)
-    return Loops(
-        analysis,
-        over_speeds(vehicle, gains.values, cruise=plan.cruise, dt=law.dt, law=plan.law) if plan.cruise else None,
-        {f"{u:g} m/s": law_loop(law, vehicle, gains, cruise=u).linear for u in speeds},
-    )
+    over = over_speeds(vehicle, gains.values, cruise=plan.cruise, dt=law.dt, law=plan.law) if plan.cruise else None
+    return over, {f"{u:g} m/s": law_loop(law, vehicle, gains, cruise=u).linear for u in speeds}
 
 
 def notes_of(
     plan: Plan,
     swept: SweepTable,
-    loops: Loops,
+    analysis: LoopAnalysis,
+    over: OverSpeeds | None,
     verdicts: Sequence[Verdict | Inapplicable],
     runs: Sequence[Run],
 ) -> list[Line]:
@@ -91,7 +61,7 @@ def notes_of(
     Args:
         plan: the plan of the study.
         swept: the parameter sweep of the study.
-        loops: linear analysis of the control loops; empty if the law has no linear model.
+        analysis, over: linear analysis of the control loops, and over the speeds of the plan.
         verdicts: verdicts on the claims of the study.
         runs: runs of the study.
     """
@@ -107,7 +77,7 @@ def notes_of(
         edge = f" (on the edge of the grid in {' and '.join(edges)}: extend the grid there)" if edges else ""
         notes.append(Line(True, f"sweep: {feasible} of {points} points are feasible; picked {chosen}{edge}", "sweep"))
     speed = max(leg.scenario.cruise for leg in plan.deciding)
-    notes += _speed_notes(loops)
+    notes += _speed_notes(analysis, over)
     decided = [v for v in verdicts if isinstance(v, Verdict)]
     unexpected = [v.claim.name for v in decided if not v.as_expected]
     counts = Counter(v.verdict for v in decided)
@@ -144,8 +114,8 @@ def _limits(plan: Plan, runs: Sequence[Run]) -> list[Line]:
     ]
 
 
-def _speed_notes(loops: Loops) -> list[Line]:
-    over, mode, notes = loops.over, loops.analysis.mode, list[Line]()
+def _speed_notes(analysis: LoopAnalysis, over: OverSpeeds | None) -> list[Line]:
+    mode, notes = analysis.mode, list[Line]()
     if over is not None:
         (late, late_at), (disk, disk_at) = over.worst("delay_margin_s"), over.worst("disk_margin")
         margin_text = f"least delay margin {late:.2f} s (at {late_at:g} m/s), "
@@ -204,13 +174,9 @@ class Study(StudyParts):
     Attributes:
         plan: the plan of the study.
         film: whether the report shows MuJoCo's pictures of the scene beside the plan view of the decisive run.
-        gains: the gains that the sweep picks.
-        loops: linear analysis of the control loops; empty if the law has no linear model.
-        verdicts: verdicts on the claims.
-        inapplicable: claims that do not concern the vehicle, each with the reason; such a claim counts as failed if the
-            plan names it.
-        runs: simulated runs with true positions and with sonar, in the plan's order.
-        deciding: for each run, whether the run counts towards the result of the study.
+        data: the results as the report shows them: gains that the sweep picks, runs, verdicts on the claims. A claim
+            that does not concern the vehicle counts as failed if the plan names it.
+        analysis, over: linear analysis of the control loops, and over the cruise speeds of the plan.
         replayed: the sonar runs that were repeated with the exported C; without sonars (`Plan.unheard`), the runs with
             true positions. These are the runs of the exported law in which the hull fits the site.
 
@@ -233,18 +199,15 @@ class Study(StudyParts):
         >>> conduct_parts(study, Path("out"))
         >>> sorted(path.name for path in Path("out").iterdir())
         ['export', 'gains.toml', 'report.html', 'sweep.nc']
-        >>> study.verdicts[0].verdict, study.runs[0].metrics.stopped_because, study.sil[0].passed
+        >>> study.data.verdicts[0].verdict, study.data.runs[0].metrics.stopped_because, study.sil[0].passed
         ('proved', 'reached', True)
     """
 
     plan: Plan
     film: bool = False
-    gains: Gains = field(init=False)
-    loops: Loops = field(init=False)
-    verdicts: tuple[Verdict, ...] = ()
-    inapplicable: tuple[Inapplicable, ...] = ()
-    runs: tuple[Run, ...] = ()
-    deciding: tuple[bool, ...] = ()
+    data: ReportData = field(init=False)
+    analysis: LoopAnalysis = field(init=False)
+    over: OverSpeeds | None = None
     replayed: tuple[Run, ...] = ()
 
     @property
@@ -266,33 +229,41 @@ class Study(StudyParts):
 
     def export(self, out: Path) -> tuple[Law, Bundle]:
         """Pick the gains by a sweep; return the law of the first mission that counts, and its bundle."""
+        from surctl.marine.report import ReportData
+
         self.plan = plan = self.plan.written(out / "missions")
         with self.timed("sweep"):
             job = MissionSweep(plan.sweep_cases, plan.sweep_seeds, cruise=plan.cruise)
             executor = LocalExecutor(self.workers)
             self.sweep = sweep(job, grid(plan.grid), executor=executor, out=out, progress=self.progress)
-            self.gains = picked_gains(self.sweep)
-            self.gain_file = write_file(out / "gains.toml", write_gains(self.gains))
+            gains, fastest = picked_gains(self.sweep), _fastest(plan)
+            self.gain_file = write_file(out / "gains.toml", write_gains(gains))
+            self.data = ReportData(
+                title=f"Study of {self.title}", command=self.command, version=__version__, vehicle=plan.vehicle,
+                gains=gains, speeds=(fastest.cruise, fastest.cap), gains_file=str(self.gain_file), sweep=self.sweep,
+                film=self.film, seconds=self.seconds,
+            )  # fmt: skip
         with self.timed("export"):
             law, leg = self._sonar_laws[self._first], self._legs[self._first]
-            numbers = law_numbers(leg.scenario, self.gains, leg.vehicle)
+            numbers = law_numbers(leg.scenario, gains, leg.vehicle)
             self._bundle = build_bundle(law, law.gains.unpack(numbers), origin=origin_of(law, leg.vehicle))
         return law, self._bundle
 
     def simulate(self) -> list[ReplayedRun]:
         """Simulate each mission with true positions, and with sonar; return the runs of the exported law."""
-        plan = self.plan
+        plan, data, counts = self.plan, self.data, list[bool]()
         for leg, law_of_truth, sonar_law in zip(self._legs, self._laws, self._sonar_laws, strict=True):
             for sensing, law in (("truth", law_of_truth), ("sonar", sonar_law))[: 1 if plan.unheard else 2]:
-                run = simulate(leg.scenario, leg.vehicle, gains=self.gains, law=law, sensing=sensing, seed=plan.seed)
+                run = simulate(leg.scenario, leg.vehicle, gains=data.gains, law=law, sensing=sensing, seed=plan.seed)
                 line = f"{leg.scenario.name} {sensing}: {run.metrics.stopped_because} at {run.metrics.time_s:.1f} s"
                 line += f"; does not count: {leg.misfit}" if leg.misfit else ""
                 self.progress(line)
                 self.ran.append(line)
-                self.runs += (run,)
-                self.deciding += (leg.misfit is None and sensing == _sensing(plan),)
+                data.runs += (run,)
+                counts.append(leg.misfit is None and sensing == _sensing(plan))
         digest = self._sonar_laws[self._first].block.digest()
-        counted = [run for run, counts in zip(self.runs, self.deciding, strict=True) if counts]
+        data.deciding = tuple(counts)
+        counted = [run for run, decides in zip(data.runs, counts, strict=True) if decides]
         self.replayed = tuple(run for run in counted if run.law.block.digest() == digest)
         self._left_out = [run for run in counted if run not in self.replayed]
         return [replay_of(run) for run in self.replayed]
@@ -302,42 +273,20 @@ class Study(StudyParts):
         from surctl.marine.report.evidence_sections import runs_section
 
         assert self.sweep is not None  # it picks the gains
-        plan, gains = self.plan, self.gains
+        plan, data = self.plan, self.data
         with self.timed("assessment"):
-            extra = tuple(not each for each in self.deciding)
-            assessment = assess(assessed(plan, gains, runs=self.runs, extra=extra))
-            self.loops = loops_of(plan, gains, assessment.sources["loop"])
+            extra = tuple(not each for each in data.decides)
+            assessment = assess(assessed(plan, data.gains, runs=data.runs, extra=extra))
+            self.analysis = assessment.sources["loop"]
+            self.over, data.loops = loops_of(plan, data.gains, self.analysis)
+            data.linear = self.analysis.loops
         with self.timed("claims"):
-            self.verdicts, self.inapplicable = claims_of(plan, gains, _fastest(plan))
-            self._regions = _unprovable_regions(plan, gains)
+            data.verdicts, data.inapplicable = claims_of(plan, data.gains, _fastest(plan))
+            data.regions = _unprovable_regions(plan, data.gains)
         with self.timed("pictures of the runs"), self.saving("plots of the runs"):
-            self._runs_section = runs_section(self._data())
-        lines = notes_of(plan, self.sweep, self.loops, (*self.verdicts, *self.inapplicable), self.runs)
+            self._runs_section = runs_section(data)
+        lines = notes_of(plan, self.sweep, self.analysis, self.over, (*data.verdicts, *data.inapplicable), data.runs)
         return assessment.with_lines([*lines, *left_out(self._left_out)])
-
-    def _data(self) -> ReportData:
-        from surctl.marine.report import ReportData
-
-        fastest = _fastest(self.plan)
-        return ReportData(
-            title=f"Study of {self.title}",
-            command=self.command,
-            version=__version__,
-            vehicle=self.plan.vehicle,
-            gains=self.gains,
-            speeds=(fastest.cruise, fastest.cap),
-            linear=self.loops.analysis.loops,
-            loops=self.loops.loops,
-            gains_file=str(self.gain_file),
-            verdicts=self.verdicts,
-            inapplicable=self.inapplicable,
-            regions=self._regions,
-            runs=self.runs,
-            deciding=self.deciding,
-            sweep=self.sweep,
-            film=self.film,
-            seconds=self.seconds,
-        )
 
     def page(self) -> str:
         """Return the page: decisive run, margins, claims, runs, sweep, export, parameters of the vehicle and gains."""
@@ -350,23 +299,28 @@ class Study(StudyParts):
             inputs = f"takes the pose, the velocity and the obstacles as inputs, because {plan.unheard}"
         text = f"C99, double precision, prefix {bundle.name}, law {bundle.id}. The exported law {inputs}."
         runs = "; ".join(f"{k}: {run.scenario.name} by {run.vehicle.name}" for k, run in enumerate(self.replayed, 1))
-        export = export_section(f"{text} Replayed runs: {runs}.", self.files, self.sil)
-        return render_page(replace(self._data(), export=export, assessment=self.assessment), runs=self._runs_section)
+        self.data.export = export_section(f"{text} Replayed runs: {runs}.", self.files, self.sil)
+        self.data.assessment = self.assessment
+        return render_page(self.data, runs=self._runs_section)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the study as plain data; the writer converts numbers that are not finite."""
-        data, swept, plan = self.common(), self.sweep, self.plan
+        data, swept, plan, shown, one = self.common(), self.sweep, self.plan, self.data, self.analysis
         assert swept is not None  # chosen before
         picked = None if swept.picked is None else list(swept.picked)
-        gains = {"file": str(self.gain_file), "values": dict(self.gains.values), "provenance": self.gains.provenance}
+        gains = {"file": shown.gains_file, "values": dict(shown.gains.values), "provenance": shown.gains.provenance}
+        linear = None if one.loops is None else one.loops.to_dict()
+        if linear is not None:
+            linear |= {} if one.mode is None else {"mode": one.mode.to_dict()}
+            linear |= {} if self.over is None else {"speeds": self.over.to_dict()}
         return data | {
             "vehicle": plan.vehicle.name,
             "gains": gains,
             "sweep": data["sweep"] | {"picked": picked, "cases": list(swept.cases)},
-            "margins": [m.to_dict() for m in self.loops.margins],
-            "linear": self.loops.to_dict(),
-            "verdicts": [*(v.to_dict() for v in self.verdicts), *(v.to_dict() for v in self.inapplicable)],
-            "runs": [run.to_dict() | {"decides": d} for run, d in zip(self.runs, self.deciding, strict=True)],
+            "margins": [m.to_dict() for m in one.margins],
+            "linear": linear,
+            "verdicts": [*(v.to_dict() for v in shown.verdicts), *(v.to_dict() for v in shown.inapplicable)],
+            "runs": [run.to_dict() | {"decides": d} for run, d in zip(shown.runs, shown.decides, strict=True)],
             "not_simulated": [
                 {"scenario": leg.scenario.name, "reason": leg.exclusion} for leg in plan.legs if leg.exclusion
             ],

@@ -16,7 +16,7 @@ from surctl.marine.control import SONARLESS, Gains, check_forces, default_law, l
 from surctl.marine.guidance import Guidance
 from surctl.marine.simulation import Case, PaperFigure, Scenario, findings, load_scenario
 from surctl.marine.simulation.scaling import disturbed, mission_size, scaled_scenario, straight_mission, two_leg_mission
-from surctl.marine.simulation.scenario_table import scenario_table
+from surctl.marine.simulation.scenario import scenario_table
 from surctl.marine.simulation.toml_text import toml_text
 from surctl.marine.tuning import Derivation, Goal, default_cruise, gains_for, load_goals
 from surctl.marine.tuning.derived import shared_gains

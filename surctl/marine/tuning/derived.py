@@ -18,32 +18,17 @@ from numpy.typing import NDArray
 
 from surctl.errors import InputError
 from surctl.ir.cache import stored_numbers
-from surctl.marine.control import GAINS, Gains, GainSpec, default_law, law_source, load_gains
+from surctl.marine.control import GAINS, Gains, GainSpec, build_law, default_law, law_source, load_gains
 from surctl.marine.simulation import vehicle_law
 from surctl.marine.vehicle import LIBRARY, Vehicle, load_vehicle, steady_speed
 from surctl.marine.vehicle.linearise import check_cruise
 from surctl.marine.verification import law_corners
 from surctl.marine.verification.corners import corners
 from surctl.marine.verification.cruise_loop import POSE, THRUSTS, CruisePoint, cruise_groups
-from surctl.marine.verification.linear import cruise_corners
 from surctl.system import LinearLoop
 from surctl.verification.linear import LEAST_DISK_MARGIN, screened_peaks
 from surctl.verification.loops import LEAST_DELAY_MARGIN
 from surctl.verification.sampled_margins import delays_at, open_loop
-
-
-class HashedVehicle:
-    """A vehicle that compares by name and parameters, as a key of a cache."""
-
-    def __init__(self, vehicle: Vehicle) -> None:
-        self.vehicle, self.key = vehicle, (vehicle.name, vehicle.digest())
-
-    def __hash__(self) -> int:
-        return hash(self.key)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, HashedVehicle) and self.key == other.key
-
 
 Array = NDArray[np.float64]
 
@@ -216,8 +201,8 @@ def _climbed(value: Callable[[Array, float], Array], start: Array, best: Array, 
 
 
 def _corner_share(vehicle: Vehicle, inner: Array, cruise: float, dt: float) -> tuple[float, Vehicle]:
-    tried, gains = corners(vehicle), rule(vehicle, inner, cruise=cruise, dt=dt)
-    least = cruise_corners(tried, gains, cruise=cruise, dt=dt, proved=False)
+    tried, gains = corners(vehicle), _named(vehicle, inner, cruise, dt)
+    least = law_corners(build_law(dt=dt), tried, gains, cruise=cruise, proved=False)
     return min(least.shares), tried.vehicle(least.weakest)
 
 
@@ -359,7 +344,7 @@ def default_cruise(vehicle: Vehicle) -> float:
     return float(f"{min(_CRUISE_SHARE * top_speed(vehicle), _HELD * held_speed(vehicle)):.2g}")
 
 
-def derived_gains(vehicle: Vehicle, *, cruise: float, dt: float = _DT) -> Gains:
+def derived_gains(vehicle: Vehicle, *, cruise: float) -> Gains:
     """Return the gains that follow from a vehicle at a cruise speed [m/s]; see `derive_gains`.
 
     Example:
@@ -369,7 +354,7 @@ def derived_gains(vehicle: Vehicle, *, cruise: float, dt: float = _DT) -> Gains:
         >>> gains.name, gains.provenance
         ('derived', 'derived from the vehicle bluerov2-vonbenzon at 0.17 m/s, disk margin ...')
     """
-    return derive_gains(vehicle, cruise=cruise, dt=dt).gains
+    return derive_gains(vehicle, cruise=cruise).gains
 
 
 def derive_gains(vehicle: Vehicle, *, cruise: float, dt: float = _DT) -> Derivation:
@@ -398,7 +383,7 @@ def derive_gains(vehicle: Vehicle, *, cruise: float, dt: float = _DT) -> Derivat
         if not (np.isfinite(value) and value > 0):
             raise InputError("must be greater than 0", key=key, value=value, remedy="correct it")
     check_cruise(vehicle, cruise)
-    return _derive(HashedVehicle(vehicle), float(cruise), float(dt))
+    return _derive(vehicle, float(cruise), float(dt))
 
 
 def has_tuned(vehicle: Vehicle) -> bool:
@@ -407,7 +392,7 @@ def has_tuned(vehicle: Vehicle) -> bool:
 
 
 def gains_for(
-    word: str | None, vehicle: Vehicle, *, cruise: float, own: Mapping[str, GainSpec] | None = None, dt: float = _DT
+    word: str | None, vehicle: Vehicle, *, cruise: float, own: Mapping[str, GainSpec] | None = None
 ) -> tuple[Gains, Derivation | None]:
     """Return the gains of a command: the named set, else `default` for the vehicles it was chosen for, else derived.
 
@@ -418,7 +403,6 @@ def gains_for(
         vehicle: the vehicle.
         cruise: cruise speed [m/s].
         own: gains of a law of the user's own, as in `load_gains`.
-        dt: control period [s].
 
     Example:
         >>> from surctl.marine.tuning import gains_for
@@ -431,11 +415,11 @@ def gains_for(
     if word is not None or has_tuned(vehicle):
         return load_gains(word or "default", own=own), None
     try:
-        derivation = derive_gains(vehicle, cruise=cruise, dt=dt)
+        derivation = derive_gains(vehicle, cruise=cruise)
     except InputError as error:
         if error.key != "cruise" or not cruise > 0:
             raise
-        slower = derive_gains(vehicle, cruise=min(cruise, _HELD * held_speed(vehicle)), dt=dt)
+        slower = derive_gains(vehicle, cruise=min(cruise, _HELD * held_speed(vehicle)))
         provenance = f"{slower.gains.provenance}; the thrust cannot hold {cruise:g} m/s"
         derivation = replace(slower, gains=replace(slower.gains, provenance=provenance))
     return (derivation.gains.with_own(own) if own else derivation.gains), derivation
@@ -460,20 +444,24 @@ def _tuned_digests() -> frozenset[str]:
     return frozenset(load_vehicle(str(LIBRARY / f"{name}.toml")).digest() for name in TUNED_FOR)
 
 
-@lru_cache(maxsize=64)
-def _derive(hashed: HashedVehicle, cruise: float, dt: float) -> Derivation:
-    key = (*hashed.key, cruise, dt)
-    numbers: Any = stored_numbers(["surctl"], key, lambda: asdict(_derivation(hashed, cruise, dt)))
-    return Derivation(**(numbers | {"gains": Gains(**numbers["gains"])}))
+_known: dict[tuple[str, str, float, float], Derivation] = {}  # of this process
 
 
-def _derivation(hashed: HashedVehicle, cruise: float, dt: float) -> Derivation:
-    if (vehicle := hashed.vehicle.at_speed(cruise))["Fv_max"] == 0:
+def _derive(vehicle: Vehicle, cruise: float, dt: float) -> Derivation:
+    key = (vehicle.name, vehicle.digest(), cruise, dt)
+    if key not in _known:
+        numbers: Any = stored_numbers(["surctl"], key, lambda: asdict(_derivation(vehicle, cruise, dt)))
+        _known[key] = Derivation(**(numbers | {"gains": Gains(**numbers["gains"])}))
+    return _known[key]
+
+
+def _derivation(vehicle: Vehicle, cruise: float, dt: float) -> Derivation:
+    vehicle = vehicle.at_speed(cruise)
+    if vehicle["Fv_max"] == 0:
         return _steered(vehicle, cruise, dt)
     inner, _ = searched_inner(vehicle, cruise, dt)
     searched = bool(np.any(inner != inner_start(vehicle, cruise=cruise, dt=dt)))
-    values = rule(vehicle, inner, cruise=cruise, dt=dt)
-    least = cruise_corners(corners(vehicle), values, cruise=cruise, dt=dt)
+    least = law_corners(build_law(dt=dt), vehicle, _named(vehicle, inner, cruise, dt), cruise=cruise)
     margins = float(np.nan_to_num(least.disk)), least.delay.delay_s
     bearable = cruise if least.enough else _bearable(vehicle, cruise, dt, inner)
     gains = _named(vehicle, inner, cruise, dt, margins)
@@ -484,7 +472,9 @@ def _enough(disk: float, delay: float) -> bool:
     return disk >= LEAST_DISK_MARGIN and delay >= LEAST_DELAY_MARGIN
 
 
-def _named(vehicle: Vehicle, inner: Array, cruise: float, dt: float, margins: tuple[float, float]) -> Gains:
+def _named(
+    vehicle: Vehicle, inner: Array, cruise: float, dt: float, margins: tuple[float, float] = (np.nan, np.nan)
+) -> Gains:
     values, (disk, delay) = rule(vehicle, inner, cruise=cruise, dt=dt), margins
     reached = f"disk margin {disk:.2f}" if disk > 0 else "UNSTABLE"
     reached += "" if disk >= LEAST_DISK_MARGIN else f", below {LEAST_DISK_MARGIN:g}"
@@ -499,7 +489,7 @@ def _steered(vehicle: Vehicle, cruise: float, dt: float) -> Derivation:
 
     def margins(speed: float) -> tuple[float, float]:
         law = default_law(vehicle)
-        gains = _named(vehicle, inner_start(vehicle.at_speed(speed), cruise=speed, dt=dt), speed, dt, (1.0, 1.0))
+        gains = _named(vehicle, inner_start(vehicle.at_speed(speed), cruise=speed, dt=dt), speed, dt)
         own = gains.with_own(law_source(law).gains)
         loops = law_corners(vehicle_law(vehicle, law, dt=dt), vehicle, own, cruise=speed)
         return float(np.nan_to_num(loops.disk)), loops.delay.delay_s

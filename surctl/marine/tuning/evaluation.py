@@ -26,7 +26,7 @@ from surctl.marine.verification.cruise_loop import has_cruise_loop
 from surctl.marine.verification.law_loop import OperatingPoint, operating_point, steadiest
 from surctl.marine.verification.speeds import check_held
 from surctl.own_code import is_own
-from surctl.system import LinearLoop
+from surctl.system import LinearLoop, every_combination
 from surctl.tuning.montecarlo import APART
 from surctl.tuning.pool import Condition, Evaluation, Sets, judged, scope
 
@@ -88,8 +88,7 @@ def judged_loops(
     if goal.loop is None:
         raise InputError("is not about the loop", key=f"goals.{goal.name}", remedy="give its `loop`")
     count = len(next(iter(sets.values())))
-    keys = [tuple(sorted(plant.items())) for plant in plants]
-    distinct = [dict(key) for key in dict.fromkeys(keys)]
+    distinct, which = _distinct(plants)
     table = np.full((count, len(distinct)), np.nan)
     every = [
         (case.gains.with_values({name: float(values[k]) for name, values in sets.items()}), plant)
@@ -102,8 +101,14 @@ def judged_loops(
             with suppress(InputError):
                 loop = case_loop(case, gains, cruise=cruise, plant=plant, motion=motion)
                 table.flat[place] = goal.loop.judge(loop).normalised
-    place_of = {key: j for j, key in enumerate(dict.fromkeys(keys))}
-    return table[:, [place_of[key] for key in keys]]
+    return table[:, which]
+
+
+def _distinct(plants: Sequence[Mapping[str, float]]) -> tuple[list[dict[str, float]], list[int]]:
+    # the different plants, and for each plant its place among them
+    keys = [tuple(sorted(plant.items())) for plant in plants]
+    distinct = list(dict.fromkeys(keys))
+    return [dict(key) for key in distinct], [distinct.index(key) for key in keys]
 
 
 def _motions(case: Case, runs: Sequence[tuple[Gains, Mapping[str, float]]]) -> list[OperatingPoint | None]:
@@ -277,9 +282,14 @@ def figures(
     columns = {(g.metric, speed): name for g in linear for name, speed in g.columns.items()}
     own_loops = [name for goal in loops for name in goal.columns]
     table = {name: np.full((count, len(conditions)), np.nan) for name in (*looped, *columns.values(), *own_loops)}
-    for case, own in _by_case(conditions):
-        seeds = np.tile([conditions[k].seed for k in own], count)
-        batch = simulate_batch(case, _spread(case, [conditions[k] for k in own], sets), seeds=seeds, threads=threads)
+    plants = [condition.plant for condition in conditions]
+    groups: dict[int, list[int]] = {}  # each case is simulated as one batch
+    for k, condition in enumerate(conditions):
+        groups.setdefault(id(condition.case), []).append(k)
+    for own in groups.values():
+        case = conditions[own[0]].case
+        values = _spread(case, [plants[k] for k in own], sets, seed=[conditions[k].seed for k in own])
+        batch = simulate_batch(case, values, seeds=values.pop("seed"), threads=threads)
         arrived = batch.column("reached").reshape(count, -1) > 0.5
         for name in looped:
             table[name][:, own] = np.where(arrived, batch.column(name).reshape(count, -1), np.nan)
@@ -287,12 +297,12 @@ def figures(
             about = [k for k in own if k in those]
             names = {metric for metric, at in columns if at == speed}
             if about:
-                for name, values in _linear(case, speed, [conditions[k] for k in about], sets, names, threads).items():
-                    table[columns[name, speed]][:, about] = values
+                for name, column in _linear(case, speed, [plants[k] for k in about], sets, names, threads).items():
+                    table[columns[name, speed]][:, about] = column
         for goal in loops:
             about = sorted(set(own) & set(scope(goal, conditions)))
             for name, speed in goal.columns.items() if about else ():
-                table[name][:, about] = judged_loops(goal, case, speed, [conditions[k].plant for k in about], sets)
+                table[name][:, about] = judged_loops(goal, case, speed, [plants[k] for k in about], sets)
     return table
 
 
@@ -313,44 +323,27 @@ def judged_goals(
     return tuple(goal for goal in goals if goal not in late), final, left
 
 
-def _by_case(conditions: Sequence[Condition]) -> list[tuple[Case, list[int]]]:
-    # each case is simulated as one batch
-    groups: list[tuple[Case, list[int]]] = []
-    for k, condition in enumerate(conditions):
-        for case, own in groups:
-            if case is condition.case:
-                own.append(k)
-                break
-        else:
-            groups.append((condition.case, [k]))
-    return groups
-
-
-def _spread(case: Case, conditions: Sequence[Condition], sets: Sets) -> dict[str, NDArray[np.float64]]:
-    # the gain set is the outer index
-    count = len(next(iter(sets.values())))
-    spread = {name: np.repeat(np.asarray(values, dtype=float), len(conditions)) for name, values in sets.items()}
-    off = sorted({name for c in conditions for name in c.plant})
-    nominal = case_parameters(case) if off else {}
-    for name in off:
-        spread[name] = np.tile([c.plant.get(name, nominal[name].value) for c in conditions], count)
-    return spread
+def _spread(
+    case: Case, plants: Sequence[Mapping[str, float]], sets: Sets, **others: Sequence[float]
+) -> dict[str, NDArray[np.float64]]:
+    # every gain set with every plant; others: one number of each plant, by name
+    nominal = case_parameters(case)
+    varied = sorted({name for plant in plants for name in plant})
+    own = {name: [plant.get(name, nominal[name].value) for plant in plants] for name in varied}
+    return every_combination(sets, {**others, **own})
 
 
 def _linear(
-    case: Case, speed: float | None, conditions: Sequence[Condition], sets: Sets, names: set[str], threads: int
+    case: Case, speed: float | None, plants: Sequence[Mapping[str, float]], sets: Sets, names: set[str], threads: int
 ) -> dict[str, NDArray[np.float64]]:
-    # linear metrics (n, conditions), computed once for each plant: seeds have no effect
+    # linear metrics (n, plants), computed once for each plant: seeds have no effect
     if not has_cruise_loop(case.law, case.guidance):  # the metrics of another law would mislead
-        return dict.fromkeys(names, np.full((len(next(iter(sets.values()))), len(conditions)), np.nan))
-    keys = [tuple(sorted(c.plant.items())) for c in conditions]
-    plants = dict(zip(keys, conditions, strict=True))
-    place = {key: k for k, key in enumerate(plants)}
-    which = [place[key] for key in keys]
+        return dict.fromkeys(names, np.full((len(next(iter(sets.values()))), len(plants)), np.nan))
+    distinct, which = _distinct(plants)
     count = len(next(iter(sets.values())))
     table = linear_table(
         case.vehicle,
-        _spread(case, list(plants.values()), sets),
+        _spread(case, distinct, sets),
         base=case.gains.values,
         cruise=case.scenario.cruise if speed is None else speed,
         dt=case.build().dt,
@@ -359,4 +352,4 @@ def _linear(
         workers=threads,
         law=case.law,
     )
-    return {name: table[name].reshape(count, len(plants))[:, which] for name in names}
+    return {name: table[name].reshape(count, len(distinct))[:, which] for name in names}

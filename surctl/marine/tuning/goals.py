@@ -13,13 +13,13 @@ from typing import Any
 
 import numpy as np
 
-from surctl.errors import InputError, mistakes_in, nearest
+from surctl.errors import InputError, check_known, check_once, mistakes_in
 from surctl.files import load_model, pick
 from surctl.marine.simulation import METRICS
 from surctl.marine.simulation.metrics import MetricSpec
 from surctl.marine.verification import LINEAR_METRICS
 from surctl.marine.verification.speeds import cruise_speeds
-from surctl.tuning.goals import LIBRARY, GoalsFile, GoalTable, RunGoal, check_names
+from surctl.tuning.goals import LIBRARY, TWICE, GoalsFile, GoalTable, RunGoal
 from surctl.tuning.loop_goal_file import loop_goal
 from surctl.tuning.loop_goals import LoopGoal
 
@@ -86,10 +86,7 @@ class Goal(RunGoal):
     def __post_init__(self) -> None:
         known = {**METRICS, **LINEAR_METRICS, **ASSESSED, **({} if self.loop is None else {LOOP_METRIC: _LOOP_SPEC})}
         key = f"goals.{self.name}"
-        if self.metric not in known:
-            raise InputError(
-                "no such metric", key=f"{key}.metric", value=self.metric, remedy=nearest(self.metric, known)
-            )
+        check_known(self.metric, known, "no such metric", key=f"{key}.metric")
         spec = known[self.metric]
         bound = f"{key}.{self.sense.replace(' ', '_')}"
         if self.unit != spec.unit:
@@ -184,7 +181,7 @@ def _robot_goals(content: GoalsFile, path: Path) -> tuple[Goal, ...]:
 def goals_from_tables(tables: Sequence[GoalTable], *, file: object) -> tuple[Goal, ...]:
     """Build the goals that the `[[goals]]` tables of a file describe; an InputError names the file."""
     with mistakes_in(file):
-        check_names(tables)
+        check_once((table.name for table in tables), **TWICE)
         return tuple(_goal(table) for table in tables)
 
 

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl import __version__
-from surctl.errors import EmptyDomain, InputError, nearest
-from surctl.marine.control import PATH_FOLLOWING, Gains, law_source, write_gains
+from surctl.errors import EmptyDomain, InputError, check_known
+from surctl.marine.control import PATH_FOLLOWING, Gains, law_options, law_source, write_gains
 from surctl.marine.simulation import STOPS, Case, simulate_batch
 from surctl.marine.tuning.derived import DEPENDENT, derive_gains
 from surctl.marine.tuning.evaluation import check_goals, figures, fresh
@@ -86,8 +86,7 @@ def gain_ranges(
     if not table:
         raise InputError("nothing is tuned", key="--gain", remedy="name at least one gain")
     for name in table:
-        if name not in base.specs:
-            raise InputError("no such gain", key="--gain", value=name, remedy=nearest(name, base.specs))
+        check_known(name, base.specs, "no such gain", key="--gain")
     stated = ((name, ends or _default(name, base)) for name, ends in table.items())
     specs = base.specs
     return tuple(
@@ -109,10 +108,7 @@ def default_tuned(base: Gains) -> tuple[str, ...]:
 def _default(name: str, base: Gains) -> tuple[float, float]:
     if name in base.own and name in base.ranges:
         return base.ranges[name]
-    value = base[name]
-    if value <= 0:
-        raise InputError("is 0 and so has no default range", key=f"--gain {name}", remedy=f"write {name}=LOW..HIGH")
-    low, high = default_range(value)
+    low, high = default_range(name, base[name])
     return low, min(high, base.specs[name].below)
 
 
@@ -144,7 +140,7 @@ def _refuted(gains: tuple[tuple[str, float], ...], seed: int) -> tuple[Verdict, 
 
 def _kind(case: Case) -> tuple[str, ...]:
     """Return the options of a case that determine its control law, without those of its perception."""
-    return case.law, case.avoidance, case.mode, case.guidance, case.barrier, case.movers
+    return case.law, *law_options(case).values()
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,9 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl import __version__
-from surctl.errors import InputError, nearest
-from surctl.marine.control import Barrier, Gains, GainSpec, Movers, build_law, law_ref
-from surctl.marine.guidance import AvoidanceForm, Guidance
+from surctl.errors import InputError, check_known, check_once, nearest
+from surctl.marine.control import Gains, GainSpec, build_law, law_options, law_ref
 from surctl.marine.guidance.tracking import check_guidance
 from surctl.marine.simulation import METRICS, Case, Scenario, Sensing, simulate_batch, vehicle_law
 from surctl.marine.simulation.batch.case import case_parameters, check_speeds
@@ -298,8 +297,7 @@ def build_cases(
     """
     check_guidance(guidance)
     for key, value, known in (("priority-mode", mode, get_args(Mode)), ("sensing", sensing, get_args(Sensing))):
-        if value not in known:
-            raise InputError("is not known", key=key, value=value, remedy=nearest(value, known))
+        check_known(value, known, key=key)
     kind: dict[str, Any] = {"law": law and law_ref(law), "mode": mode, "sensing": sensing, "guidance": guidance}
     return tuple(
         Case(scenario, vehicle, gains, **kind)
@@ -310,9 +308,7 @@ def build_cases(
 
 def check_column(name: str) -> None:
     """Raise InputError, with the nearest known name, if a sweep with linear metrics has no column of this name."""
-    known = (*RUN_COLUMNS, *LINEAR_COLUMNS, "score", "feasible")
-    if name not in known:
-        raise InputError("no such column", key="column", value=name, remedy=nearest(name, known))
+    check_known(name, (*RUN_COLUMNS, *LINEAR_COLUMNS, "score", "feasible"), "no such column", key="column")
 
 
 def check_request(cases: Sequence[Case], design: Design, seeds: Sequence[int], cruise: Sequence[float] = ()) -> None:
@@ -326,10 +322,7 @@ def check_request(cases: Sequence[Case], design: Design, seeds: Sequence[int], c
     """
     if not cases:
         raise InputError("has nothing to simulate", key="sweep", remedy="name at least one scenario")
-    names = [case.name for case in cases]
-    for name in names:
-        if names.count(name) > 1:
-            raise InputError("occurs twice", key="case", value=name, remedy="name each case once")
+    check_once((case.name for case in cases), "occurs twice", key="case", remedy="name each case once")
     if any(case.gains.values != cases[0].gains.values for case in cases):
         raise InputError("cases have different gains", key="gains", remedy="give all cases the same gains")
     if not seeds or min(seeds) < 0 or len(set(seeds)) < len(seeds):
@@ -408,13 +401,12 @@ def picked_gains(table: SweepTable) -> Gains:
 
 def law_digest(case: Case) -> str:
     """Return a digest of the control law's instructions, without those of the solver of the priority mode."""
-    return _law_digest(case.law, case.avoidance, case.guidance, case.barrier, case.movers)
+    return _law_digest(case.law, **{**law_options(case), "mode": "nsb"})
 
 
 @cache
-def _law_digest(law: str, avoidance: AvoidanceForm, guidance: Guidance, barrier: Barrier, movers: Movers) -> str:
-    built = build_law(law, avoidance=avoidance, guidance=guidance, barrier=barrier, movers=movers)
-    return built.stages.closed.digest()
+def _law_digest(law: str, **options: Any) -> str:
+    return build_law(law, **options).stages.closed.digest()
 
 
 def _numbers(vehicle: Vehicle) -> str:

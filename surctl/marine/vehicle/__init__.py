@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from surctl.marine.vehicle.linearise import linearise, vehicle_plant
     from surctl.marine.vehicle.motion_log import FRAME_TEXT, FRAMES, LOG_MOTION, LOG_THRUST, LOG_TILT, Frame, MotionLog
     from surctl.marine.vehicle.parameters import LIBRARY, Parameter, Vehicle, load_vehicle, write_vehicle
-    from surctl.marine.vehicle.specs import PARAMETERS, TERMS, ParameterSpec, PlantForm, parameter_spec
+    from surctl.marine.vehicle.specs import PARAMETERS, SPECS, TERMS, ParameterSpec, PlantForm
     from surctl.marine.vehicle.thrusters import DEFAULT_ORDER, Actuators, Attainable, Fin, Swivel, Thruster, attainable
 
 __all__ = [
@@ -45,6 +45,7 @@ __all__ = [
     "PLANT_DISTURBANCE",
     "PLANT_PARAMETERS",
     "PLANT_STATE",
+    "SPECS",
     "TERMS",
     "WATER",
     "Actuators",
@@ -67,7 +68,6 @@ __all__ = [
     "jacobian",
     "linearise",
     "load_vehicle",
-    "parameter_spec",
     "planar_rotation",
     "plant_layout",
     "plant_parameters",

@@ -20,6 +20,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache
+from math import inf, sqrt
 
 import casadi as ca
 import numpy as np
@@ -174,8 +175,8 @@ def _terms(p: dict[str, ca.SX], form: PlantForm) -> dict[str, ca.SX]:
     return {name: p["terms"][k] for k, name in enumerate(form.terms)}
 
 
-def _drag(nu: ca.SX, p: dict[str, ca.SX], form: PlantForm) -> ca.SX:
-    # D(ν)ν (4,), or (6,) with roll and pitch [N, N m], for the velocity ν through the water
+def drag_of(nu: ca.SX, p: dict[str, ca.SX], form: PlantForm) -> ca.SX:
+    """Return D(ν)ν (4,), or (6,) with roll and pitch [N, N m], for the velocity ν through the water."""
     terms = _terms(p, form)
     drag = ca.vertcat(_damping_force(nu[:4], p), ca.SX.zeros(nu.numel() - 4))
     for axis, by, name in form.drag():
@@ -194,12 +195,16 @@ def inertia_matrix(p: dict[str, ca.SX], form: PlantForm) -> ca.SX:
 
 def _load(nu: ca.SX, p: dict[str, ca.SX], form: PlantForm) -> ca.SX:
     # C(ν)ν + D(ν)ν (4,) [N, N m] for the velocity ν through the water, without roll and pitch
-    drag = _drag(nu, p, form)
+    drag = drag_of(nu, p, form)
     if not form.inertia():
         return _coriolis_force(nu, p) + drag
-    momentum = inertia_matrix(p, form) @ nu
+    return planar_turning(inertia_matrix(p, form) @ nu, nu) + drag
+
+
+def planar_turning(momentum: ca.SX, nu: ca.SX) -> ca.SX:
+    """Return C(ν)ν (4,) [N, N m] from the momenta M ν (4,) of a body without roll and pitch."""
     turning = nu[0] * momentum[1] - nu[1] * momentum[0]
-    return ca.vertcat(-nu[3] * momentum[1], nu[3] * momentum[0], 0, turning) + drag
+    return ca.vertcat(-nu[3] * momentum[1], nu[3] * momentum[0], 0, turning)
 
 
 def constant_force(p: dict[str, ca.SX], form: PlantForm) -> ca.SX:
@@ -225,7 +230,7 @@ def _tilted(
     terms, inertia = _terms(p, form), inertia_matrix(p, form)
 
     def acceleration(through: ca.SX, rotation: ca.SX) -> ca.SX:
-        load = _hull_load(through, inertia @ through, thrust, outer, rotation, terms) - _drag(through, p, form)
+        load = _hull_load(through, inertia @ through, thrust, outer, rotation, terms) - drag_of(through, p, form)
         return _acceleration(load, p, form)
 
     return _tilted_rate(nu, tilt, current, acceleration)
@@ -366,7 +371,7 @@ def trim_function(form: PlantForm = PAPER) -> ca.Function:
 def steady_speed(force: float, linear: float, quadratic: float) -> float:
     """Return the speed u [m/s] at which the drag X u + X₂ u² equals the force F ≥ 0 [N].
 
-    The speed is u = (−X + √(X² + 4 X₂ F)) / (2 X₂), with F = `force`, X = `linear` and X₂ = `quadratic`.
+    The speed is u = 2 F / (X + √(X² + 4 X₂ F)), with F = `force`, X = `linear` and X₂ = `quadratic`.
 
     Example:
         >>> from surctl.marine.vehicle import load_vehicle, steady_speed
@@ -374,9 +379,8 @@ def steady_speed(force: float, linear: float, quadratic: float) -> float:
         >>> round(steady_speed(boat["Fu_max"], boat["Xu"], boat["Xuu"]), 3)  # m/s at full thrust
         0.379
     """
-    if quadratic == 0:
-        return force / linear if linear > 0 else float("inf")
-    return float((-linear + np.sqrt(linear**2 + 4 * quadratic * force)) / (2 * quadratic))
+    root = linear + sqrt(linear**2 + 4 * quadratic * force)
+    return 2 * force / root if root > 0 else 0.0 if quadratic else inf
 
 
 _NEEDED = ("mass", "linear_drag", "quadratic_drag", "thrust_limit")
@@ -417,12 +421,12 @@ def plant_thrust_limit(
     for key in _NEEDED:
         if key not in parameters:
             raise InputError("is missing", key=f"limit {name}: {key}", remedy=nearest(key, parameters))
-    p = {key: checked_column(name, key, parameters[key], 4, finite=True) for key in _NEEDED}
-    velocity = checked_column(name, "nu", nu, 4, finite=True)
-    current = checked_column(name, "water", water, 3, finite=True)
+    p = {key: checked_column(f"limit {name}: {key}", parameters[key], 4, finite=True) for key in _NEEDED}
+    velocity = checked_column(f"limit {name}: nu", nu, 4, finite=True)
+    current = checked_column(f"limit {name}: water", water, 3, finite=True)
     relative = velocity - ca.vertcat(current, 0)
     turning = ca.vertcat(velocity[3] * current[1], -velocity[3] * current[0], 0, 0)
     load = _coriolis_force(relative, p) + _damping_force(relative, p) - p["mass"] * turning
-    load -= checked_column(name, "force", force, 4, finite=True)
+    load -= checked_column(f"limit {name}: force", force, 4, finite=True)
     most = p["thrust_limit"]
     return ThrustLimit(velocity, p["mass"], load=load, lower=-most, upper=most, dt=dt, name=name)

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from surctl.errors import InputError, check_known
 from surctl.marine.vehicle.parameters import Parameter, Vehicle
-from surctl.marine.vehicle.specs import PARAMETERS, TERMS, parameter_spec, undamped
+from surctl.marine.vehicle.specs import PARAMETERS, TERMS, undamped
 from surctl.recorded import LARGEST_XML, file_bytes, shown, xml_root
 
 _AXES = (0, 1, 2, 5)  # surge, sway, heave and yaw among the six degrees of freedom
@@ -75,58 +75,51 @@ def gazebo_vehicle(
     bodies = _bodies(xml_root(raw, file=path, remedy="correct that line"), path)
     chosen = _chosen(bodies, link, path)
     body = bodies[chosen]
-    values, cross = _numbers(body, chosen, path)
-    said = f"link {chosen} of {path.name}"
-    limits = (thrust, thrust if sway_thrust is None else sway_thrust, thrust if heave_thrust is None else heave_thrust)
-    values |= dict(zip(("Fu_max", "Fv_max", "Fw_max"), limits, strict=True))
-    values |= {"Fr_max": yaw_thrust, "radius": radius, "thrust_lag": thrust_lag}
-    from_user = {"Fu_max", "Fv_max", "Fw_max", "Fr_max", "radius", "thrust_lag"}
+    limits = {"Fu_max": thrust, "Fv_max": sway_thrust, "Fw_max": heave_thrust, "Fr_max": yaw_thrust}
+    stated = {key: thrust if value is None else value for key, value in limits.items()}
+    stated |= {"radius": radius, "thrust_lag": thrust_lag}
+    values = stated | _numbers(body, chosen, path)
     parameters = {}
-    for key, value in [*((k, values[k]) for k in PARAMETERS), *((k, cross[k]) for k in TERMS if k in cross)]:
-        spec = parameter_spec(key)
-        assert spec is not None  # the keys are those of the specifications
+    for key, spec in [*PARAMETERS.items(), *((key, spec) for key, spec in TERMS.items() if values.get(key))]:
+        value = values[key]
         if not spec.allows(value):
-            raise InputError(f"must be {spec.bound}", file=shown(path), key=key, value=value, remedy=spec.remedy)
-        parameters[key] = Parameter(float(value), spec.unit, None, "given" if key in from_user else said)
+            remedy = spec.remedy + "; a hydrodynamic derivative against the motion is negative" * (spec.table == "drag")
+            raise InputError(f"must be {spec.bound}", file=shown(path), key=key, value=value, remedy=remedy)
+        said = "given" if key in stated else f"link {chosen} of {path.name}"
+        parameters[key] = Parameter(float(value), spec.unit, None, said)
     free = undamped({key: parameter.value for key, parameter in parameters.items()})
     note = f"; no drag found in {', '.join(free)}" if free else ""
     note += f"; not used: {', '.join(body.unused)}" if body.unused else ""
     return Vehicle(name, f"from {path.name}; roll and pitch are omitted{note}", parameters)
 
 
-def _numbers(body: _Body, link: str, path: Path) -> tuple[dict[str, float], dict[str, float]]:
-    # the parameters of equation (3), and the optional terms
+def _numbers(body: _Body, link: str, path: Path) -> dict[str, float]:
+    # the parameters of equation (3), and the optional terms, of which those that are 0 are left out
     for what, value in (("mass", body.mass), ("izz", body.inertia_z)):
         if value is None:
             raise InputError("is missing", file=shown(path), key=f"{link}.{what}", remedy="add it to <inertial>")
+        if not value > 0:
+            remedy = "give a positive number"
+            raise InputError("is not positive", file=shown(path), key=f"{link}.{what}", value=value, remedy=remedy)
     mass, inertia = float(body.mass or 0.0), float(body.inertia_z or 0.0)
     rigid = np.diag([mass, mass, mass, 0.0, 0.0, inertia])
     total = (rigid + (body.added + body.added.T) / 2)[np.ix_(_AXES, _AXES)]
     linear, quadratic = body.linear[np.ix_(_AXES, _AXES)], body.quadratic[np.ix_(_AXES, _AXES, _AXES)]
-    values = {f"m{k + 1}{k + 1}": float(total[k, k]) for k in range(4)}
     for k, axis in enumerate(_AXES):
         if total[k, k] < rigid[axis, axis]:
             remedy = "give the hydrodynamic derivative of the acceleration, which is negative"
             key, value = f"{link}, axis {_RATES[axis]}", float(total[k, k] - rigid[axis, axis])
             raise InputError("would be an added mass below 0", file=shown(path), key=key, value=value, remedy=remedy)
-    for k, (one, two) in enumerate((("Xu", "Xuu"), ("Yv", "Yvv"), ("Zw", "Zww"), ("Nr", "Nrr"))):
-        for key, value in ((one, float(linear[k, k])), (two, float(quadratic[k, k, k]))):
-            if value < 0:
-                remedy = "give the hydrodynamic derivative, which is negative for a force against the motion"
-                raise InputError(
-                    "would be a drag below 0", file=shown(path), key=f"{link}.{key}", value=value, remedy=remedy
-                )
-            values[key] = value
-    cross: dict[str, float] = {}
+    values: dict[str, float] = {}
     for i, j in product(range(4), repeat=2):
         force, velocity = "XYZN"[i], "uvwr"[j]
-        if i != j:
-            cross[f"{force}{velocity}"] = float(linear[i, j])
-            cross[f"m{min(i, j) + 1}{max(i, j) + 1}"] = float(total[i, j])
-        cross |= {f"{force}{'uvwr'[k]}{velocity}": float(quadratic[i, j, k]) for k in range(4) if not i == j == k}
+        values[f"m{min(i, j) + 1}{max(i, j) + 1}"] = float(total[i, j])
+        values[f"{force}{velocity}"] = float(linear[i, j])
+        values |= {f"{force}{'uvwr'[k]}{velocity}": float(quadratic[i, j, k]) for k in range(4)}
     if body.volume is not None and not body.neutral:
-        cross["Z0"] = _GRAVITY * (body.density * body.volume - mass)
-    return values, {k: v for k, v in cross.items() if abs(v) > (_LEAST if k == "Z0" else 0.0)}
+        lift = _GRAVITY * (body.density * body.volume - mass)
+        values["Z0"] = lift if abs(lift) > _LEAST else 0.0
+    return values
 
 
 def _bodies(root: ElementTree.Element, path: Path) -> dict[str, _Body]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from math import pi
 
-from surctl.errors import InputError
+from surctl.errors import InputError, check_number
 from surctl.marine.vehicle.parameters import Parameter, Vehicle
 from surctl.marine.vehicle.specs import PARAMETERS
 
@@ -58,15 +58,13 @@ def sphere(
         >>> round(ball["m11"], 1), [round(end, 1) for end in ball.parameters["m11"].range]
         (16.9, [10.5, 21.2])
     """
-    positive = {
-        "diameter": diameter, "dry mass": dry_mass, "thrust": thrust, "yaw thrust": yaw_thrust,
-        "drag coefficient": drag_coefficient, "density": density,
-    }  # fmt: skip
-    for what, value in positive.items():
-        if not 0 < value < float("inf"):
-            raise InputError("must be greater than 0 and finite", key=what, value=value, remedy="correct it")
-    if not 0 <= thrust_lag < float("inf"):
-        raise InputError("must be at least 0 and finite", key="thrust lag", value=thrust_lag, remedy="correct it")
+    for what, value, unit in (
+        ("diameter", diameter, "m"), ("dry mass", dry_mass, "kg"), ("thrust", thrust, "N"),
+        ("yaw thrust", yaw_thrust, "N m"), ("drag coefficient", drag_coefficient, "a number"),
+        ("density", density, "kg/m^3"),
+    ):  # fmt: skip
+        check_number(what, value, unit=unit)
+    check_number("thrust lag", thrust_lag, unit="s", zero=True)
     if diameter > _LARGEST:
         raise InputError("is too large for a small robot", key="diameter", value=diameter, remedy="give it in metres")
     if not 0 <= flooded <= 1:

@@ -22,7 +22,7 @@ from surctl.units import in_unit
 # section 2.1). `swap_pose` and `swap_body` convert in both directions, because the conversion is its own inverse.
 #
 # {B} is the heading frame: it turns with the heading alone, so its x and y axes stay horizontal when the hull rolls or
-# pitches. A sensor on the hull, such as a Doppler velocity log, measures in the frame of the hull (`heading_velocity`).
+# pitches. A sensor on the hull, such as a Doppler velocity log, measures in the frame of the hull (`heading_frame`).
 
 
 Frame = Literal["enu", "ned"]
@@ -51,34 +51,6 @@ def swap_body(vector: ArrayLike) -> NDArray[np.float64]:
     A body vector is a velocity u, v, w [m/s], r [rad/s], or a thrust [N, N m].
     """
     return _four("vector", vector) * [1.0, -1.0, -1.0, -1.0] + 0.0  # no −0
-
-
-def heading_velocity(
-    velocity: ArrayLike, rates: ArrayLike, *, roll: ArrayLike, pitch: ArrayLike
-) -> NDArray[np.float64]:
-    """Convert the velocity of the hull, in the frame of the hull, to ν = (u, v, w, r) in the heading frame {B}.
-
-    Without this conversion, a tilt of 15° turns a quarter of the forward speed into heave.
-
-    Args:
-        velocity: linear velocity (…, 3) [m/s], as a Doppler velocity log on the hull measures it: ahead, left, up.
-        rates: angular velocity p, q, r (…, 3) [rad/s], as an IMU on the hull measures it.
-        roll, pitch: attitude (…) [rad], by the rotation R_z(ψ) R_y(pitch) R_x(roll); a positive pitch lowers the bow.
-
-    Returns:
-        ν (…, 4) [m/s, rad/s].
-    """
-    v, w = np.asarray(velocity, dtype=float), np.asarray(rates, dtype=float)
-    for key, array in (("velocity", v), ("rates", w)):
-        if array.shape[-1:] != (3,):
-            raise InputError(f"has shape {array.shape}", key=key, remedy="give (3,), or (n, 3)")
-    a, b = np.asarray(roll, dtype=float), np.asarray(pitch, dtype=float)
-    if np.any(np.abs(b) >= np.pi / 2):
-        raise InputError(
-            "must be within 90 degrees", key="pitch", value=float(np.max(np.abs(b))), remedy="give radians"
-        )
-    turn = (np.sin(a) * w[..., 1] + np.cos(a) * w[..., 2]) / np.cos(b)
-    return np.stack(np.broadcast_arrays(*np.moveaxis(heading_frame(v, roll=a, pitch=b), -1, 0), turn), axis=-1)
 
 
 def heading_frame(vector: ArrayLike, *, roll: ArrayLike, pitch: ArrayLike) -> NDArray[np.float64]:

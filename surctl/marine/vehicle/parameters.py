@@ -14,16 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, ValidationError
 
-from surctl.errors import InputError, nearest
+from surctl.errors import InputError, mistakes_in, nearest
 from surctl.files import Mistakes, Quantity, Strict, pick, quoted, read_toml, validate
 from surctl.marine.vehicle.specs import (
     DEFAULTED,
     NEEDED_TO_TILT,
     PARAMETERS,
+    SPECS,
     TERMS,
-    ParameterSpec,
     PlantForm,
-    parameter_spec,
 )
 from surctl.marine.vehicle.thruster_file import axis_ends, axis_limits, common_lag, read_actuators, thruster_text
 from surctl.marine.vehicle.thrusters import Actuators
@@ -42,57 +41,39 @@ def _largest_forces(actuators: Actuators, *, stated: Container[str], source: str
     limits = dict(zip(_NAMES, np.minimum(-ends[:, 0], ends[:, 1]).tolist(), strict=True))
     astern, ahead = (-ends[0, 0]).item(), ends[0, 1].item()
     if "Fu_max" not in stated:
-        _check_surge(actuators, astern, ahead, source)
+        if astern <= 0 or ahead <= 0:
+            missing = f"no force {'astern' if astern <= 0 else 'ahead'}"
+            raise _lacks(
+                actuators, 0, f"leaves the craft {missing} without another one, and the laws brake with it", source
+            )
         if limits["Fv_max"] == 0 and astern < ahead:
             limits |= {"Fu_max": ahead, "Fu_reverse": astern}
     if "Fr_max" not in stated and limits["Fr_max"] <= 0:
-        raise _no_yaw(actuators, source)
+        raise _lacks(actuators, 5, "gives no yaw moment without surge or sway force", source)
     return {name: value for name, value in limits.items() if name not in stated}
 
 
-def _check_surge(actuators: Actuators, astern: float, ahead: float, source: str) -> None:
-    if astern > 0 and ahead > 0:
-        return
-    pushing = [k for k, one in enumerate(actuators.thrusters) if one.fin is None and abs(one.direction[0]) > _ARM]
-    if not pushing:
-        problem = "no thruster pushes ahead"
-        remedy = "add a [[thruster]] with push = [1, 0, 0]"
-        raise InputError(problem, file=source, key="thruster", value=", ".join(actuators.names), remedy=remedy)
-    weak = next((k for k in pushing if actuators.thrusters[k].reverse == 0), pushing[0])
-    where = "astern" if astern <= 0 else "ahead"
-    raise _lacks(
-        actuators, weak, f"leaves the craft no force {where} without another one, and the laws brake with it", source
-    )
+def _lacks(actuators: Actuators, row: int, problem: str, source: str) -> InputError:
+    """Return the error that an axis, a row of `Thruster.columns`, has no force of its own in both directions.
 
-
-def _no_yaw(actuators: Actuators, source: str) -> InputError:
-    arms: NDArray[np.float64] = np.array([float(np.abs(one.columns[5]).max()) for one in actuators.thrusters])
-    turning = np.flatnonzero(arms > _ARM)
-    if turning.size:
-        weak = next((int(k) for k in turning if actuators.thrusters[k].reverse == 0), int(turning[0]))
-        return _lacks(actuators, weak, "gives no yaw moment without surge or sway force", source)
-    fins = [k for k, one in enumerate(actuators.thrusters) if one.fin is not None]
+    It names the thruster to change: one that pushes on this axis, if possible without force in reverse.
+    """
+    thrusters, fins = actuators.thrusters, actuators.fins
+    pushing = [
+        k for k, one in enumerate(thrusters) if (row == 5 or k not in fins) and np.abs(one.columns[row]).max() > _ARM
+    ]
+    if pushing:
+        k = next((k for k in pushing if thrusters[k].reverse == 0), pushing[0])
+        key, value = f"thruster.{k}.reverse", f"{thrusters[k].reverse:g} N"
+        remedy = f"give {thrusters[k].name} a force in reverse, or add a thruster or rudder that gives it"
+        return InputError(f"{thrusters[k].name} {problem}", file=source, key=key, value=value, remedy=remedy)
+    if row == 0:
+        value, remedy = ", ".join(actuators.names), "add a [[thruster]] with push = [1, 0, 0]"
+        return InputError("no thruster pushes ahead", file=source, key="thruster", value=value, remedy=remedy)
     k = fins[0] if fins else 0
-    name = actuators.names[k]
+    name, at = actuators.names[k], list(thrusters[k].at)
     remedy = f"place {name} at x != 0" if fins else f"place {name} beside the middle, or add a rudder at x != 0"
-    return InputError(
-        f"{name} gives no yaw moment",
-        file=source,
-        key=f"thruster.{k}.at_m",
-        value=list(actuators.thrusters[k].at),
-        remedy=remedy,
-    )
-
-
-def _lacks(actuators: Actuators, k: int, problem: str, source: str) -> InputError:
-    one = actuators.thrusters[k]
-    return InputError(
-        f"{one.name} {problem}",
-        file=source,
-        key=f"thruster.{k}.reverse",
-        value=f"{one.reverse:g} N",
-        remedy=f"give {one.name} a force in reverse, or add a thruster or rudder that gives it",
-    )
+    return InputError(f"{name} gives no yaw moment", file=source, key=f"thruster.{k}.at_m", value=at, remedy=remedy)
 
 
 LIBRARY = Path(__file__).parent / "library"
@@ -337,7 +318,7 @@ def vehicle_from_table(table: dict[str, Any], *, source: str) -> Vehicle:
                 raise InputError("is missing", file=source, key=f"{spec.table}.{name}", remedy=remedy)
             parameters[name] = Parameter(spec.default, spec.unit, None, DEFAULTED)
     mistakes.check()
-    ordered = {name: parameters[name] for name in (*PARAMETERS, *TERMS) if name in parameters}
+    ordered = {name: parameters[name] for name in SPECS if name in parameters}
     return _possible(Vehicle(model.name, model.note, ordered, source, actuators))
 
 
@@ -400,7 +381,7 @@ def _of_thrusters(
         return {}
     said = "follows from the thrusters: the largest value with 0 on all other axes"
     limits = _largest_forces(actuators, stated=stated, source=source)
-    derived = {name: Parameter(v, _spec(name).unit, None, said) for name, v in limits.items()}
+    derived = {name: Parameter(v, SPECS[name].unit, None, said) for name, v in limits.items()}
     known = stated.get("thrust_lag")
     lag = common_lag(tables, known=None if known is None else known.value, source=source)
     derived |= {} if lag is None else {"thrust_lag": Parameter(lag, "s", None, "lag of every thruster")}
@@ -410,7 +391,7 @@ def _of_thrusters(
 def _read_section(
     section: str, table: Mapping[str, Quantity | str], source: str, mistakes: Mistakes
 ) -> dict[str, Parameter]:
-    known = [name for name, spec in (*PARAMETERS.items(), *TERMS.items()) if spec.table == section]
+    known = [name for name, spec in SPECS.items() if spec.table == section]
     shared = table.get("provenance")
     if shared is not None and (not isinstance(shared, str) or not shared.strip()):
         raise InputError(
@@ -421,41 +402,31 @@ def _read_section(
         if name == "provenance":
             continue
         with mistakes.collected():
-            parameters[name] = _read_entry(f"{section}.{name}", name, entry, shared, known, source)
+            with mistakes_in(source, f"{section}.{name}"):
+                if name not in known:
+                    raise InputError("unknown key", remedy=nearest(name, [*known, "provenance"]))
+                parameter = _parameter(name, entry, shared)
+            parameters[name] = _checked(name, parameter, file=source)
     return parameters
 
 
-def _read_entry(
-    key: str, name: str, entry: Quantity | str, shared: str | None, known: list[str], source: str
-) -> Parameter:
-    if name not in known:
-        raise InputError("unknown key", file=source, key=key, remedy=nearest(name, [*known, "provenance"]))
-    entry = _in_own_unit(name, entry, file=source)
-    provenance = entry.provenance or shared
-    if not isinstance(provenance, str):
-        raise InputError(
-            "has no provenance",
-            file=source,
-            key=key,
-            remedy=f'add provenance = "..." to [{key.partition(".")[0]}]: who measured or derived it',
-        )
-    return _checked(name, Parameter(entry.value, entry.unit, entry.range, provenance), file=source)
-
-
-def _in_own_unit(name: str, entry: Quantity | str, *, file: str) -> Quantity:
-    spec = _spec(name)
+def _parameter(name: str, entry: Quantity | str, shared: str | None) -> Parameter:
+    spec = SPECS[name]
     try:
-        return (Quantity.model_validate(entry) if isinstance(entry, str) else entry).within(spec.unit)
+        quantity = Quantity.model_validate(entry) if isinstance(entry, str) else entry
     except ValidationError:
-        problem = "must be a value with its unit"
         remedy = f'write {{ value = ..., unit = "{spec.unit}" }}'
-        raise InputError(problem, file=file, key=f"{spec.table}.{name}", value=entry, remedy=remedy) from None
-    except InputError as error:
-        raise error.inside(file, f"{spec.table}.{name}.unit") from None
+        raise InputError("must be a value with its unit", value=entry, remedy=remedy) from None
+    known = quantity.within(spec.unit)
+    provenance = known.provenance or shared
+    if not isinstance(provenance, str):
+        remedy = f'add provenance = "..." to [{spec.table}]: who measured or derived it'
+        raise InputError("has no provenance", remedy=remedy)
+    return Parameter(known.value, known.unit, known.range, provenance)
 
 
 def _checked(name: str, parameter: Parameter, *, file: str) -> Parameter:
-    spec = _spec(name)
+    spec = SPECS[name]
     key, value = f"{spec.table}.{name}", parameter.value
     for what, number in ((key, value), *((f"{key}.range", end) for end in parameter.range or ())):
         if not spec.allows(number):
@@ -472,12 +443,6 @@ def _checked(name: str, parameter: Parameter, *, file: str) -> Parameter:
     return parameter
 
 
-def _spec(name: str) -> ParameterSpec:
-    spec = parameter_spec(name)
-    assert spec is not None  # the callers have checked the name
-    return spec
-
-
 def write_vehicle(vehicle: Vehicle) -> str:
     """Return the text of a vehicle file from which the vehicle's numbers, ranges and provenances can be read again.
 
@@ -490,7 +455,7 @@ def write_vehicle(vehicle: Vehicle) -> str:
         60.0
     """
     lines = ['kind = "vehicle"', f"name = {quoted(vehicle.name)}", f"note = {quoted(vehicle.note)}"]
-    specs = {name: spec for name, spec in (*PARAMETERS.items(), *TERMS.items()) if name in vehicle.parameters}
+    specs = {name: spec for name, spec in SPECS.items() if name in vehicle.parameters}
     for table in dict.fromkeys(spec.table for spec in specs.values()):
         lines += ["", f"[{table}]"]
         for name, spec in specs.items():

@@ -143,25 +143,13 @@ TERMS: Mapping[str, ParameterSpec] = _terms()
 """The optional terms, by name. A vehicle that gives none of them has the dynamics of equation (3)."""
 
 
-def parameter_spec(name: str) -> ParameterSpec | None:
-    """Return the definition of a parameter of equation (3) or of an optional term; None for an unknown name.
-
-    Example:
-        >>> from surctl.marine.vehicle import parameter_spec
-        >>> spec = parameter_spec("Nuv")
-        >>> spec.unit, spec.meaning
-        ('N s^2/m', 'drag on yaw by |u| v')
-    """
-    return PARAMETERS.get(name) or TERMS.get(name)
+SPECS: Mapping[str, ParameterSpec] = {**PARAMETERS, **TERMS}
+"""The parameters of equation (3) and the optional terms, by name."""
 
 
 def undamped(values: Mapping[str, float]) -> tuple[str, ...]:
     """Return the axes on which a vehicle has thrust but no drag, by the values of its parameters."""
-    damped = set()
-    for name, value in values.items():
-        spec = parameter_spec(name)
-        if value and spec is not None and spec.table == "drag":
-            damped.add(name[0] + name[-1])
+    damped = {name[0] + name[-1] for name, value in values.items() if value and SPECS[name].table == "drag"}
     pushed = zip(AXES, _FORCES, _VELOCITIES, ("Fu_max", "Fv_max", "Fw_max", "Fr_max"), strict=False)
     return tuple(axis for axis, force, by, limit in pushed if values.get(limit, 0.0) and force + by not in damped)
 

@@ -65,7 +65,6 @@ def corners(
     vehicle: Vehicle,
     uncertainty: float | None = None,
     *,
-    alike: bool = True,
     known: Collection[str] = (),
     spread: float = 1.0,
 ) -> Corners:
@@ -73,22 +72,21 @@ def corners(
 
     If `uncertainty` is given, all masses are multiplied by 1 ± uncertainty, and all drag coefficients likewise.
     Otherwise the corners are all combinations of the ends of the ranges in the vehicle file; if the file states none,
-    all masses are off by ±5 % and all drag coefficients by ±20 %. A linear loop is usually worst at a corner, but this
-    is no proof for the values between the corners.
+    all masses are off by ±5 % and all drag coefficients by ±20 %. The masses of surge and sway vary together if the
+    file gives them equal values and ranges; a difference matters, because the Munk moment turns a body broadside if its
+    sway mass exceeds its surge mass. A linear loop is usually worst at a corner, but this is no proof for the values
+    between the corners.
 
     Args:
         vehicle: the nominal vehicle.
         uncertainty: relative uncertainty, 0 ≤ uncertainty < 1, or None for the ranges of the vehicle file.
         known: parameters whose value is exact.
-        alike: whether to vary the masses of surge and sway together if the vehicle file gives them equal values and
-            equal ranges. False varies the two masses independently; a difference matters, because the Munk moment turns
-            a body broadside if its sway mass exceeds its surge mass.
         spread: factor of ±5 % and ±20 %.
 
     Raises:
         InputError: the uncertainty is out of range.
     """
-    groups = _groups(vehicle, alike=alike)
+    groups = _groups(vehicle)
     if uncertainty is None and range_ends(vehicle, groups) != [{}]:
         ends = range_ends(vehicle, groups, known=known)
         if ends == [{}]:
@@ -113,10 +111,11 @@ def corners(
     return Corners((vehicle, *scaled), f"the corners with {off}", (NOMINAL, *labels), assumed)
 
 
-def _groups(vehicle: Vehicle, *, alike: bool) -> list[tuple[str, ...]]:
+def _groups(vehicle: Vehicle) -> list[tuple[str, ...]]:
     # each optional term is a group of its own
     groups = [*_GROUPS, *((name,) for name in (*_terms(vehicle, "inertia"), *_terms(vehicle, "drag")))]
-    if alike and _alike(vehicle):
+    surge, sway = (vehicle.parameters[name] for name in _MASSES)
+    if (surge.value, surge.range) == (sway.value, sway.range):
         return [_MASSES, *(group for group in groups if not set(group) & set(_MASSES))]
     return groups
 
@@ -132,11 +131,6 @@ def _factors(share: float) -> tuple[float, ...]:
 def _label(vehicle: Vehicle, names: Iterable[str]) -> str:
     units = {name: vehicle.parameters[name].unit for name in names}
     return ", ".join(f"{name} = {vehicle[name]:.4g}" + (f" {u}" if u != "1" else "") for name, u in units.items())
-
-
-def _alike(vehicle: Vehicle) -> bool:
-    surge, sway = (vehicle.parameters[name] for name in _MASSES)
-    return surge.value == sway.value and surge.range == sway.range
 
 
 def range_ends(

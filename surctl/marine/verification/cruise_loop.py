@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cache, lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -94,7 +94,7 @@ def cruise_loop(
         >>> loop.stable, loop.transition.shape, round(float(loop.rates.real.max()), 2)
         (True, (16, 16), -0.22)
     """
-    check_positive({"cruise": cruise, "dt": dt})
+    _check_positive({"cruise": cruise, "dt": dt})
     for craft in (vehicle, model or vehicle):
         if not craft["Fv_max"] > 0:
             problem = f"the law moves in any direction, but {craft.name} has no sway force"
@@ -137,21 +137,15 @@ def cruise_groups(
     lagged = plants[:, PLANT_PARAMETERS.slice("thrust_lag")][:, 0] > 0
     kind = lagged + 2 * np.array([point.gains.get("k_i", 0.0) > 0 for point in points])
     form, speed, built = points[0].plant.form, np.array([point.cruise for point in points]), build_law(law)
-    able = held(plants, speed, form)
+    able = _held(plants, speed, form)
     for group in (np.flatnonzero(able & (kind == k)) for k in range(4)):
         for at in (group[k : k + (most or len(points))] for k in range(0, len(group), most or len(points))):
-            Az, By, Cz, D = law_slopes(built, np.array([numbers[k] for k in at]))
+            A, B, C, D = law_slopes(built, np.array([numbers[k] for k in at]))
             nu = np.zeros((len(at), 4))
             nu[:, 0] = speed[at]
-            A, B, _ = plant_jacobians(plants[at], nu, form=form)
-            can = plants[at][:, PLANT_PARAMETERS.slice("thrust_limit")].max(axis=0)[:, None] > 0
-            Cz, D = Cz * can, D * can  # no law moves an axis without thrust
-            acting = np.abs(D).max(axis=(0, 2)) > COUPLED
-            moving = moving_states(A, acting, lagged=bool(lagged[at[0]]))
             ratio, eye = dt / built.dt, np.eye(built.state.size)  # the law's state changes in proportion to the period
-            slopes = eye + ratio * (Az - eye), ratio * By, Cz, D
-            outputs, driven = [k for k in moving if k < 8], np.flatnonzero(acting).tolist()
-            yield at, assembled(A, B, slopes, built, moving=moving, outputs=outputs, driven=driven, dt=dt)
+            slopes = eye + ratio * (A - eye), ratio * B, C, D
+            yield at, assembled(plants[at], nu, slopes, built, form=form, dt=dt)[0]
 
 
 def each_loop(points: Sequence[CruisePoint], *, dt: float, law: str = TRACKING_LAW) -> list[LinearLoop | None]:
@@ -168,11 +162,10 @@ def _law_gains(law: str, point: CruisePoint) -> Gains:
     for name in LINEAR_GAINS:
         if name not in point.gains:
             raise InputError("gain is missing", key=name, remedy=nearest(name, point.gains))
-    check_positive({**{name: point.gains[name] for name in LINEAR_GAINS}, "cruise": point.cruise})
-    k_i, base = point.gains.get("k_i", 0.0), _some_gains(law)
-    if not (np.isfinite(k_i) and k_i >= 0):
-        raise InputError("must be at least 0", key="k_i", value=k_i, remedy="correct it")
-    return base.with_values({name: point.gains[name] for name in (*LINEAR_GAINS, "k_i") if name in point.gains})
+    _check_positive({"cruise": point.cruise})
+    return _some_gains(law).with_values(
+        {name: point.gains[name] for name in (*LINEAR_GAINS, "k_i") if name in point.gains}
+    )
 
 
 @cache
@@ -181,61 +174,72 @@ def _some_gains(law: str) -> Gains:
 
 
 def assembled(
-    A: Array,
-    B: Array,
-    slopes: tuple[Array, Array, Array, Array],
+    plants: Array,
+    nu: Array,
+    slopes: tuple[Array, ...],
     law: Law,
     *,
-    moving: Sequence[int],
-    outputs: Sequence[int],
-    driven: Sequence[int],
+    form: PlantForm,
     dt: float,
-) -> LinearLoop:
-    """Return the loop of a plant and a law, or several loops along a leading axis.
+    psi: float = 0.0,
+    current: Sequence[float] | Array = (0.0, 0.0),
+    delivered: Array | None = None,
+) -> tuple[LinearLoop, list[int]]:
+    """Return the loops of n plants and a law about steady motions, and which coordinates nothing depends on.
 
     The thrusts act one period late; those that wait are the last states of the law.
 
     Args:
-        A, B: derivatives (…, n, n) and (…, n, 4) of the plant's rates by its states and the thrusts.
-        slopes: A, B, C and D of z⁺ = A z + B y and thrust = C z + D y, as `law_slopes`.
+        plants, nu, psi, form, current: the plants and their motions, as for `plant_jacobians`.
+        slopes: A, B, C and D (n, …) of z⁺ = A z + B y and thrust = C z + D y, as `law_slopes`.
         law: the law.
-        moving, outputs, driven: places of the plant's states, of the measurements and of the thrusts in the loop.
         dt: control period [s].
+        delivered: derivative (4, 4) of the delivered thrust by the command of one law, whose loop is then without
+            coordinates on which nothing depends; None: the command is delivered, and all coordinates matter.
     """
-    Az, By, Cz, D = slopes
-    own = in_loop(Az, By[..., list(outputs)], Cz)
+    (A, plant_B, _), (Az, By, Cz, D) = plant_jacobians(plants, nu, psi=psi, form=form, current=current), slopes
+    J = np.eye(AXES) if delivered is None else delivered
+    B = plant_B @ J
+    Cz, D, acting = _thrust_rows(Cz, D, plants[:, PLANT_PARAMETERS.slice("thrust_limit")])
+    pushed = np.abs(J[:, acting]).max(axis=1, initial=0.0) > COUPLED
+    moving = _moving_states(A, pushed, lagged=bool(plants[0, PLANT_PARAMETERS.slice("thrust_lag")][0] > 0))
+    free = [] if delivered is None else _free(A[0], By[0], Cz[0], D[0], Az[0], [k for k in moving if k < 4])
+    moving = [k for k in moving if k not in free]
+    outputs, driven = [k for k in moving if k < 8], np.flatnonzero(acting).tolist()
+    own = in_loop(Az, By[..., outputs], Cz)
 
     def part(matrix: Array, rows: Sequence[int], columns: Sequence[int]) -> Array:
-        return matrix[..., list(rows), :][..., list(columns)]
+        return matrix[:, list(rows), :][..., list(columns)]
 
-    def none(*shape: int) -> Array:
-        return np.zeros((*A.shape[:-2], *shape))
+    def none(rows: Sequence[Any]) -> Array:
+        return np.zeros((len(plants), len(rows), 0))
 
     axes, names = [THRUSTS[k] for k in driven], (*STATE_NAMES, *TILT_NAMES)
-    measured, states, inner = [names[k] for k in outputs], [names[k] for k in moving], entry_labels(law.state)
-    selected = [float(name == state) for name in measured for state in states]
-    measures = none(len(measured), len(moving)) + np.reshape(selected, (len(measured), len(moving)))
-    plant = part(A, moving, moving), part(B, moving, driven), none(len(moving), 0), measures, none(len(measured), 0)
-    direct = (
-        part(Az, own, own),
-        part(By, own, outputs),
-        none(len(own), 0),
-        part(Cz, driven, own),
-        part(D, driven, outputs),
-    )
+    measured, inner = [names[k] for k in outputs], entry_labels(law.state)
+    measures = np.tile(np.eye(len(names))[np.ix_(outputs, moving)], (len(plants), 1, 1))
+    plant = part(A, moving, moving), part(B, moving, driven), none(moving), measures, none(outputs)
+    direct = part(Az, own, own), part(By, own, outputs), none(own), part(Cz, driven, own), part(D, driven, outputs)
     units = [(f"command.{axis}", "N m" if axis == "yaw" else "N") for axis in axes]
     units += [(f"measured.{name}", SIGNAL_UNITS[name]) for name in measured]
     pose = tuple(name for name in measured if name in POSE)
     labels = LoopNames(
-        "craft", law.name, tuple(states), (*(inner[k] for k in own), *(f"late_{axis}" for axis in axes)), tuple(axes),
-        tuple(axes), tuple(measured), units=tuple(units),
-        places=(("commands", tuple(axes)), *([("measurements", pose)] if pose else [])),
+        "craft", law.name, tuple(names[k] for k in moving),
+        (*(inner[k] for k in own), *(f"late_{axis}" for axis in axes)), tuple(axes), tuple(axes), tuple(measured),
+        units=tuple(units), places=(("commands", tuple(axes)), *([("measurements", pose)] if pose else [])),
     )  # fmt: skip
-    return LinearLoop(plant, delayed((*direct, none(len(axes), 0))), labels, dt)
+    return LinearLoop(plant, delayed((*direct, none(axes))), labels, dt), free
 
 
-def held(plants: Array, cruise: ArrayLike, form: PlantForm) -> NDArray[np.bool_]:
-    """Return whether the thrust of each plant (n, …) holds its cruise speed [m/s], a number or (n,)."""
+def _thrust_rows(C: Array, D: Array, limits: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
+    # C and D (…, 4, n) of the thrust without axes that have no limit (…, 4), and whether each axis acts (4,)
+    can = limits.reshape(-1, AXES).max(axis=0)[:, None] > 0
+    C, D = C * can, D * can
+    sizes = np.abs(np.concatenate([C, D], axis=-1))
+    return C, D, sizes.reshape(-1, AXES, sizes.shape[-1]).max(axis=(0, 2)) > COUPLED
+
+
+def _held(plants: Array, cruise: ArrayLike, form: PlantForm) -> NDArray[np.bool_]:
+    # whether the thrust of each plant (n, …) holds its cruise speed [m/s], a number or (n,)
     nu = np.zeros((len(plants), 4))
     nu[:, 0] = cruise
     trim = np.asarray(trim_function(form)(nu.T, plants.T)[0]).T
@@ -246,18 +250,28 @@ def held(plants: Array, cruise: ArrayLike, form: PlantForm) -> NDArray[np.bool_]
     return can_hold(trim, least, most)
 
 
-def moving_states(A: Array, acting: ArrayLike, *, lagged: bool) -> list[int]:
-    """Return the places of a plant's states, of A (…, n, n), that belong to the loop.
-
-    Args:
-        acting: whether the law commands the thrust of each axis, (4,).
-        lagged: whether the thrust lags behind its command.
-    """
-    acting, tilt = np.asarray(acting), range(len(STATE_NAMES), A.shape[-1])
+def _moving_states(A: Array, acting: Array, *, lagged: bool) -> list[int]:
+    # places of the states of plants A (…, n, n) that belong to the loop, for axes (4,) that act, with or without lag
+    tilt = range(len(STATE_NAMES), A.shape[-1])
     # x, y and psi follow the surge, sway and yaw motion; the depth, and heave without coupling, stand alone
     coupled = bool((A[..., [4, 5, 7, *tilt], 6] != 0).any())
     apart = [] if acting[2] else [2] if coupled else [2, 6]
     return [*(k for k in range(8) if k not in apart), *(8 + k for k in range(AXES) if lagged and acting[k]), *tilt]
+
+
+def _free(A: Array, By: Array, Cz: Array, D: Array, Az: Array, coordinates: Sequence[int]) -> list[int]:
+    # coordinates on which neither the law nor another state depends
+    slope = np.abs(np.vstack([By[in_loop(Az, By, Cz)], D])).max(axis=0)
+    felt = slope > np.maximum(COUPLED, np.where(np.arange(8) < 2, NEUTRAL * slope[:2].max(), 0.0))
+    free: list[int] = []
+    while True:
+        others = [k for k in range(len(A)) if k not in free]
+        more = [
+            k for k in coordinates if k not in free and not felt[k] and not A[[o for o in others if o != k], k].any()
+        ]
+        if not more:
+            return sorted(free)
+        free += more
 
 
 def law_numbers(model: Vehicle, gains: Gains, *, cruise: float) -> Array:
@@ -314,8 +328,7 @@ def in_loop(A: Array, B: Array, C: Array) -> list[int]:
     return [int(k) for k in np.flatnonzero(reached & reaches)]
 
 
-def check_positive(values: Mapping[str, float]) -> None:
-    """Raise InputError for the first value that is not finite or not greater than 0."""
+def _check_positive(values: Mapping[str, float]) -> None:
     for name, value in values.items():
         if not (np.isfinite(value) and value > 0):
             raise InputError("must be greater than 0", key=name, value=float(value), remedy="correct it")

@@ -1,9 +1,8 @@
 """The linear loop of any law about a cruise or a run's steady motion, also at its worst corner; refused motions.
 
-The law is differentiated by central differences of its control step, so the linear loop needs no model of the law. All
-quantities are deviations from a cruise along x at the speed U, far from the ends of the path, obstacles and walls (as
-in `cruise_loop`), or from a steady motion of a run. The plant is continuous, with thrust lag; thrust commands
-are held over a control period and computed one period before they act.
+The loop of a law that tracks a path, about a straight cruise, is that of `cruise_loop`. Any other law, and any law
+about a steady motion of a run, is differentiated by central differences of its control step, so the linear loop needs
+no model of the law. All quantities are deviations from that motion; plant and delay are those of `cruise_loop`.
 
 A state of the law belongs to the loop if the measurements change it and it changes the thrust. An axis that the law
 leaves alone (heave without heave force), and a coordinate that changes nothing (the position along a wall that is
@@ -12,7 +11,7 @@ followed), do not belong to the loop.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -24,17 +23,20 @@ from surctl.errors import InputError
 from surctl.marine.allocation import allocate
 from surctl.marine.control import Gains, Law, law_source
 from surctl.marine.simulation import Run, Scenario
-from surctl.marine.vehicle import PLANT_PARAMETERS, Vehicle, plant_parameters, trim_thrust
-from surctl.marine.vehicle.linearise import STATE_NAMES, check_cruise, plant_jacobians
-from surctl.marine.verification.corners import NOMINAL, corners
+from surctl.marine.vehicle import Vehicle, plant_parameters, trim_thrust
+from surctl.marine.vehicle.linearise import STATE_NAMES, check_cruise
+from surctl.marine.verification.corners import NOMINAL, Corners, corners
 from surctl.marine.verification.cruise_loop import (
     COUPLED,
     FAR,
     NEUTRAL,
+    CruisePoint,
     assembled,
+    cruise_loop,
+    each_loop,
+    has_cruise_loop,
     in_loop,
     law_numbers,
-    moving_states,
 )
 from surctl.own_code import label
 from surctl.system import LinearLoop
@@ -247,13 +249,29 @@ def law_loop(
         >>> loop.stable, [m.name for m in loop.margins]
         (True, ['surge', 'sway', 'heave', 'yaw', 'x', 'y', 'z', 'psi', 'u', 'v', 'w', 'r'])
     """
-    at = _motion(law, vehicle, gains, cruise=cruise, model=model or vehicle) if at is None else at
+    _check_positions(law)
+    if at is None and _tracks(law):
+        linear = cruise_loop(vehicle, gains.values, cruise=cruise, dt=law.dt, model=model, law=law.ref)
+        return LawLoop(linear, label(law.ref), cruise)
+    at = cruise_motion(law, vehicle, gains, cruise=cruise, model=model) if at is None else at
     return _loop(law, vehicle, at, _differentiated(law, at))
 
 
-def _motion(law: Law, vehicle: Vehicle, gains: Gains, *, cruise: float, model: Vehicle) -> OperatingPoint:
+def _check_positions(law: Law) -> None:
+    if "samples" in law.inputs:
+        raise InputError("uses sonars", key="law", value=law.name, remedy="build it with sonar=False")
+
+
+def _tracks(law: Law) -> bool:
+    return law_source(law.ref).steering is None and has_cruise_loop(law.ref, law.guidance)
+
+
+def cruise_motion(
+    law: Law, vehicle: Vehicle, gains: Gains, *, cruise: float, model: Vehicle | None = None
+) -> OperatingPoint:
+    """Return the straight cruise as a motion, for `law_loop` by differences; for the arguments see there."""
     check_cruise(vehicle, cruise)
-    p = law_numbers(model, gains.with_own(law_source(law.ref).gains), cruise=cruise)
+    p = law_numbers(model or vehicle, gains.with_own(law_source(law.ref).gains), cruise=cruise)
     nu, x = np.array([cruise, 0.0, 0.0, 0.0]), law.initial_state()
     x[law.state.slice("progress")] = FAR  # arc length of the path's middle
     if "surge" in law.state:  # in a cruise, a law that predicts its speed through the water has found it
@@ -266,38 +284,14 @@ Slopes = tuple[tuple[Array, Array, Array, Array], float, float]
 
 def _loop(law: Law, vehicle: Vehicle, at: OperatingPoint, slopes: Slopes) -> LawLoop:
     # without the coordinates on which nothing depends
-    (Az, By, C, D), kink, axis = slopes
-    form = vehicle.form
+    matrices, kink, axis = slopes
     along, ahead = _turned(axis).T @ at.current, _turned(at.heading).T @ at.current
-    numbers, psi = plant_parameters(vehicle)[None], at.heading - axis
-    (A,), (B,), _ = plant_jacobians(numbers, at.nu[None], psi=psi, form=form, current=along)
-    J = delivered(vehicle, at.nu - np.array([*ahead, 0.0, 0.0]))
-    B = B @ J
-    C, D = (rows * (vehicle.thrust_limit > 0)[:, None] for rows in (C, D))  # no law moves an axis without thrust
-    acting = [bool(np.abs(row).max() > COUPLED) for row in np.hstack([C, D])]
-    pushed = np.abs(J[:, acting]).max(axis=1, initial=0.0) > COUPLED
-    lagged = float(plant_parameters(vehicle)[PLANT_PARAMETERS.slice("thrust_lag")][0]) > 0
-    included = moving_states(A, pushed, lagged=lagged)
-    slope = np.abs(np.vstack([By[in_loop(Az, By, C)], D])).max(axis=0)
-    felt = slope > np.maximum(COUPLED, np.where(np.arange(8) < 2, NEUTRAL * slope[:2].max(), 0.0))
-    free = _free(A, felt, [k for k in included if k < 4])
-    moving = [k for k in included if k not in free]
-    outputs, driven = [k for k in moving if k < 8], [k for k in range(4) if acting[k]]
-    linear = assembled(A, B, (Az, By, C, D), law, moving=moving, outputs=outputs, driven=driven, dt=law.dt)
-    return LawLoop(linear, label(law.ref), at.speed, at.text, tuple(STATE_NAMES[k] for k in free), kink)
-
-
-def _free(A: Array, felt: NDArray[np.bool_], coordinates: Sequence[int]) -> list[int]:
-    # coordinates on which neither the law nor another state depends
-    free: list[int] = []
-    while True:
-        others = [k for k in range(len(A)) if k not in free]
-        more = [
-            k for k in coordinates if k not in free and not felt[k] and not A[[o for o in others if o != k], k].any()
-        ]
-        if not more:
-            return sorted(free)
-        free += more
+    loops, free = assembled(
+        plant_parameters(vehicle)[None], at.nu[None], tuple(m[None] for m in matrices), law, form=vehicle.form,
+        dt=law.dt, psi=at.heading - axis, current=along,
+        delivered=delivered(vehicle, at.nu - np.array([*ahead, 0.0, 0.0])),
+    )  # fmt: skip
+    return LawLoop(loops[0], label(law.ref), at.speed, at.text, tuple(STATE_NAMES[k] for k in free), kink)
 
 
 def delivered(vehicle: Vehicle, nu: Array) -> Array:
@@ -332,8 +326,6 @@ def _differentiated(law: Law, at: OperatingPoint) -> Slopes:
     y = (x, y, z, ψ, u, v, w, r), with x along the motion over ground and y to its left; where the law depends on one
     direction alone, such as the distance from a line, that direction is the nearer of both, exactly.
     """
-    if "samples" in law.inputs:
-        raise InputError("uses sonars", key="law", value=law.name, remedy="build it with sonar=False")
     size, count = law.state.size, law.inputs.size
     turned = np.eye(8)
     turned[:2, :2] = _turned(at.course)
@@ -369,27 +361,26 @@ def _neutral(slopes: Array) -> float:
 
 def law_corners(
     law: Law,
-    vehicle: Vehicle,
+    vehicle: Vehicle | Corners,
     gains: Gains,
     *,
     cruise: float,
-    uncertainty: float | None = None,
+    model: Vehicle | None = None,
     at: OperatingPoint | None = None,
+    proved: bool = True,
 ) -> LoopCorners:
     """Return the loop of a law about a straight cruise for the nominal plant and the worst corner of its parameters.
 
     With `at`, every loop is linearised about that steady motion. Corners whose thrust cannot hold the speed are left
     out.
 
-    The corners are those of the ranges in the vehicle file. If the file states none, all masses are off by ±5 % and all
-    drag coefficients by ±20 %; with `uncertainty`, both by this share.
-
     Args:
-        law, vehicle, gains, cruise, at: as for `law_loop`.
-        uncertainty: relative uncertainty, 0 ≤ uncertainty < 1, or None.
+        law, gains, cruise, model, at: as for `law_loop`.
+        vehicle: the vehicles, the nominal one first; of one vehicle, the corners that `corners` returns.
+        proved: whether the disk margin is proved between frequencies, in ten times the time.
 
     Raises:
-        InputError: the law uses sonars, or the nominal vehicle cannot cruise at that speed.
+        InputError: as for `law_loop`, of the nominal vehicle.
 
     Example:
         >>> from surctl.marine.control import build_law
@@ -401,16 +392,25 @@ def law_corners(
         >>> result.stable, round(result.nominal.disk, 2), result.corner
         (True, 0.66, 'mass +5%, drag -20%')
     """
-    motion = _motion(law, vehicle, gains, cruise=cruise, model=vehicle) if at is None else at
-    slopes, tried = _differentiated(law, motion), corners(vehicle, uncertainty)  # the law's model is the same at each
+    tried = vehicle if isinstance(vehicle, Corners) else corners(vehicle)
+    craft, plants = tried.vehicles[0], tried.others.values()
+    if at is None and _tracks(law):
+        nominal = law_loop(law, craft, gains, cruise=cruise, model=model)
+        points = [CruisePoint(plant, model or craft, gains.values, cruise) for plant in plants]
+        loops = each_loop(points, dt=law.dt, law=law.ref)
+    else:
+        _check_positions(law)
+        motion = cruise_motion(law, craft, gains, cruise=cruise, model=model) if at is None else at
+        slopes = _differentiated(law, motion)  # the law's model is the same at each
 
-    def loop(plant: Vehicle) -> LinearLoop | None:
-        try:
-            if at is None:
-                check_cruise(plant, cruise)
-            return _loop(law, plant, motion, slopes).linear
-        except InputError:  # the thrust cannot hold the speed
-            return None
+        def loop(plant: Vehicle) -> LinearLoop | None:
+            try:
+                if at is None:
+                    check_cruise(plant, cruise)
+                return _loop(law, plant, motion, slopes).linear
+            except InputError:  # the thrust cannot hold the speed
+                return None
 
-    built = [(name, loop(plant)) for name, plant in tried.others.items()]
-    return corners_of(_loop(law, vehicle, motion, slopes), built, name=NOMINAL, of=tried.held(built, cruise))
+        nominal, loops = _loop(law, craft, motion, slopes), list(map(loop, plants))
+    named = list(zip(tried.others, loops, strict=True))
+    return corners_of(nominal, named, name=NOMINAL, of=tried.held(named, cruise), proved=proved)

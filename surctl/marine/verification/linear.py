@@ -1,4 +1,4 @@
-"""The linear loop of a mission's vehicle about its cruise: worst corner, slowest mode, and the speeds it bears."""
+"""The linear loop of a mission's vehicle about its cruise: the slowest mode, and the speeds it bears."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.marine.control.gains import setting
-from surctl.marine.vehicle import Vehicle
+from surctl.marine.vehicle import Vehicle, steady_speed
 from surctl.marine.verification.corners import NOMINAL, Corners
 from surctl.marine.verification.cruise_loop import (
     LINEAR_GAINS,
@@ -21,53 +21,11 @@ from surctl.marine.verification.cruise_loop import (
     cruise_loop,
     each_loop,
 )
-from surctl.marine.verification.law_loop import LawLoop
-from surctl.own_code import label
 from surctl.system import LinearLoop
 from surctl.verification.linear import screened_peaks
-from surctl.verification.sampled_margins import LoopCorners, corners_of, open_loop
+from surctl.verification.sampled_margins import open_loop
 
 Array = NDArray[np.float64]
-
-
-def cruise_corners(
-    tried: Corners,
-    gains: Mapping[str, float],
-    *,
-    cruise: float,
-    dt: float,
-    model: Vehicle | None = None,
-    proved: bool = True,
-    law: str = TRACKING_LAW,
-) -> LoopCorners:
-    """Return the loop of a law about a straight cruise, nominal and at the worst corner of a vehicle's ranges.
-
-    Vehicles that cannot hold the cruise speed have no straight cruise to linearise about; they are left out.
-
-    Args:
-        tried: the vehicles, the nominal one first.
-        gains, cruise, dt, law: as for `cruise_loop`.
-        model: the controller's model of the vehicle; default the nominal vehicle.
-        proved: whether the disk margin is proved between frequencies, in ten times the time.
-
-    Raises:
-        InputError: a gain is missing or not positive, or the nominal vehicle cannot hold the cruise speed.
-
-    Example:
-        >>> from surctl.marine.control import load_gains
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> from surctl.marine.verification.corners import corners
-        >>> from surctl.marine.verification.linear import cruise_corners
-        >>> tried, gains = corners(load_vehicle("bluerov2-wu")), load_gains("default").values
-        >>> [round(cruise_corners(tried, gains, cruise=u, dt=0.05).disk, 2) for u in (0.1, 0.47)]
-        [0.75, 0.0]
-    """
-    vehicle, believed = tried.vehicles[0], model or tried.vehicles[0]
-    nominal = cruise_loop(vehicle, gains, cruise=cruise, dt=dt, model=believed, law=law)
-    points = [CruisePoint(plant, believed, gains, cruise) for plant in tried.others.values()]
-    named = list(zip(tried.others, each_loop(points, dt=dt, law=law), strict=True))
-    one = LawLoop(nominal, label(law), cruise)
-    return corners_of(one, named, name=NOMINAL, of=tried.held(named, cruise), proved=proved)
 
 
 _HIGHEST = 10.0  # [m/s] largest speed that is tried
@@ -168,9 +126,7 @@ def cap_above(vehicle: Vehicle, bearable: float, *, cap: float) -> str | None:
 
 def _fastest(vehicle: Vehicle) -> float:
     # slightly below the speed [m/s] at which the drag equals the thrust limit
-    linear, quadratic, limit = vehicle["Xu"], vehicle["Xuu"], vehicle["Fu_max"]
-    root = linear + np.sqrt(linear**2 + 4 * quadratic * limit)
-    return float(2 * limit / root * (1 - _EDGE)) if root > 0 else np.inf
+    return steady_speed(vehicle["Fu_max"], vehicle["Xu"], vehicle["Xuu"]) * (1 - _EDGE)
 
 
 _FACTORS = np.array([1.1, 1.25, 1.5, 2.0, 3.0, 5.0, 10.0])  # factors by which a gain is changed

@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Collection, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from types import MappingProxyType
 
 import numpy as np
@@ -28,7 +28,6 @@ from surctl.marine.verification.cruise_loop import (
     cruise_groups,
     each_loop,
 )
-from surctl.plotted import Plotted
 from surctl.system import LinearLoop
 from surctl.tuning.loop_goals import LoopGoal
 from surctl.tuning.loop_time_goals import Overshoot, Settling
@@ -109,7 +108,7 @@ def linear_table(
 ) -> dict[str, NDArray[np.float64]]:
     """Compute the linear metrics of n operating points; return one array (n,) for every requested metric.
 
-    The columns `disk_margin`, as in `verification.linear.cruise_corners`, and `delay_margin_s` are those of the worst
+    The columns `disk_margin`, as in `law_corners`, and `delay_margin_s` are those of the worst
     corner of the ranges; parameters in `values` are exact. All other metrics are those of the plant.
 
     At an unstable point the margins have the values that `LoopMargins` states for an unstable loop; settling time and
@@ -269,29 +268,6 @@ def _value(goal: LoopGoal, loop: LinearLoop) -> float:
 # Closed-loop poles as one parameter varies: a root locus over a gain, a vehicle parameter or the cruise speed
 
 
-@dataclass(frozen=True, eq=False)
-class Locus(Plotted):
-    """A root locus: the closed-loop poles for every value of one parameter; `plot()` draws them.
-
-    Attributes:
-        parameter: name of the parameter.
-        values: (n,) values of the parameter, ascending or descending, in its unit.
-        poles: (n, k) complex poles [rad/s]; a row holds the poles at one value, the slowest first.
-    """
-
-    PLOT = "surctl.marine.report.margin_plots:plot_locus"
-
-    parameter: str
-    values: NDArray[np.float64]
-    poles: NDArray[np.complex128]
-
-    @property
-    def stable(self) -> NDArray[np.bool_]:
-        """Whether every pole lies in the open left half-plane, (n,)."""
-        stable: NDArray[np.bool_] = np.all(self.poles.real < -1e-9, axis=1)
-        return stable
-
-
 def sweep_locus(
     vehicle: Vehicle,
     gains: Mapping[str, float],
@@ -303,14 +279,14 @@ def sweep_locus(
     model: Vehicle | None = None,
     about: Mapping[str, float] = MappingProxyType({}),
     law: str = TRACKING_LAW,
-) -> Locus:
-    """Compute the poles of the loop over the values of one parameter.
+) -> list[LinearLoop]:
+    """Return the loops (n) over the values of one parameter, for a root locus (`surctl.report.plot_locus`).
 
     Args:
         vehicle: the plant.
         gains: all gains, as in `cruise_loop`.
         parameter: name of the parameter that varies, from `LINEAR_PARAMETERS`.
-        values: (n,) values of the parameter, n ≥ 2, in ascending or descending order.
+        values: (n,) values of the parameter.
         cruise: cruise speed U [m/s]; ignored if the cruise speed is the parameter that varies.
         dt: control period [s].
         model: the controller's model of the vehicle; default the vehicle itself.
@@ -318,33 +294,23 @@ def sweep_locus(
         law: a law for which `has_cruise_loop` holds.
 
     Raises:
-        InputError: the parameter moves no pole, the values are not in order or out of bounds, the vehicle cannot hold
-            the cruise speed, or the number of poles changes (because k_i or thrust_lag is 0 for some values and
-            positive for others).
+        InputError: the parameter moves no pole, a value is out of bounds, or the vehicle cannot hold the cruise speed.
 
     Example:
         >>> from surctl.marine.control import load_gains
         >>> from surctl.marine.vehicle import load_vehicle
         >>> from surctl.marine.verification import sweep_locus
         >>> gains = load_gains("default").values
-        >>> locus = sweep_locus(load_vehicle("sur400"), gains, "k_psi", [0.2, 0.4, 0.8, 1.6, 3.2], cruise=0.15, dt=0.05)
-        >>> locus.poles.shape, locus.poles.real.max(axis=1).round(2).tolist()
-        ((5, 16), [-0.22, -0.22, -0.22, -0.22, 0.12])
+        >>> loops = sweep_locus(load_vehicle("sur400"), gains, "k_psi", [0.2, 0.4, 0.8, 1.6, 3.2], cruise=0.15, dt=0.05)
+        >>> [round(float(loop.slowest_per_s), 2) for loop in loops]
+        [-0.22, -0.22, -0.22, -0.22, 0.12]
     """
     if parameter not in LINEAR_PARAMETERS:
         raise InputError("moves no pole", key="locus", value=parameter, remedy=nearest(parameter, LINEAR_PARAMETERS))
-    swept = np.atleast_1d(np.asarray(values, dtype=float))
-    if swept.ndim != 1 or len(swept) < 2 or not (np.all(np.diff(swept) > 0) or np.all(np.diff(swept) < 0)):
-        raise InputError(
-            "needs at least two values in order", key=parameter, remedy="give a range, ascending or descending"
-        )
-
-    points, _ = _read_points(vehicle, {**about, parameter: swept}, base=gains, cruise=cruise, model=model)
+    points, _ = _read_points(vehicle, {**about, parameter: values}, base=gains, cruise=cruise, model=model)
     loops = each_loop(points, dt=dt, law=law)
     able = [loop for loop in loops if loop is not None]
     if len(able) < len(loops):
-        at = float(swept[loops.index(None)])
+        at = float(np.ravel(values)[loops.index(None)])
         raise InputError("needs more thrust than the vehicle has", key=parameter, value=at, remedy="cruise slower")
-    if len({loop.transition.shape for loop in able}) > 1:
-        raise InputError("changes the number of poles where it is 0", key=parameter, remedy="begin the range above 0")
-    return Locus(parameter, swept, LinearLoop.stacked(able).rates)
+    return able

@@ -220,17 +220,22 @@ def _longest(mission: Mission, funnel: Funnel, least: float) -> tuple[list[float
     Raises:
         BrokenChain: the chain breaks even for the least level.
     """
-    try:
-        return _chain(mission, funnel, 1.0)
-    except BrokenChain:
-        best, low, high = _chain(mission, funnel, least), least, 1.0
+
+    def holds(level: float) -> bool:
+        try:
+            return bool(_chain(mission, funnel, level))
+        except BrokenChain:
+            return False
+
+    return _chain(mission, funnel, 1.0 if holds(1.0) else _largest(holds, least, 1.0))
+
+
+def _largest(holds: Callable[[float], bool], low: float, high: float) -> float:
+    # the largest value between two at which a condition holds, by bisection
     for _ in range(_STEPS):
         middle = (low + high) / 2
-        try:
-            best, low = _chain(mission, funnel, middle), middle
-        except BrokenChain:
-            high = middle
-    return best
+        low, high = (middle, high) if holds(middle) else (low, middle)
+    return low
 
 
 def _chain(mission: Mission, funnel: Funnel, first: float) -> tuple[list[float], list[float]]:
@@ -277,13 +282,13 @@ def _widest(mission: Mission, funnel: Funnel, level: float) -> tuple[float, floa
     """
 
     def most(shape: Callable[[float], tuple[float, float]]) -> float:
-        low, high = 0.0, 1.0
-        while _start(mission, funnel, *shape(high)) <= level:
+        def holds(far: float) -> bool:
+            return _start(mission, funnel, *shape(far)) <= level
+
+        high = 1.0
+        while holds(high):
             high *= 2
-        for _ in range(_STEPS):
-            middle = (low + high) / 2
-            low, high = (middle, high) if _start(mission, funnel, *shape(middle)) <= level else (low, middle)
-        return float(np.floor(1e4 * low) / 1e4)
+        return float(np.floor(1e4 * _largest(holds, 0.0, high)) / 1e4)
 
     along = float(np.floor(5e3 * most(lambda far: (far, far))) / 1e4)
     return along, most(lambda far: (along, far))

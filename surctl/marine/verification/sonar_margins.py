@@ -51,18 +51,14 @@ class SonarLoop:
 
     Attributes:
         dt: control period [s].
-        late: periods between the measurement of a fix and its arrival.
-        plant: exact discrete plant (A, B) of a period, with thrust lag; the first states are pose and velocity.
-        filter: for each period of the cycle, the derivatives of (filter state, pose, velocity) by filter state, fix,
-            heading with yaw rate, and last thrust.
-        decide: derivatives of (law memory, thrust) by the law's memory, and by pose and velocity.
+        periods: for each period of the cycle, the derivatives of the state of plant, filter and law, and of the thrust
+            command, by that state.
+        driven: derivative of that state by the thrust (…, 4) that the plant gets.
     """
 
     dt: float
-    late: int
-    plant: tuple[Array, Array]
-    filter: tuple[tuple[Array, ...], ...]
-    decide: tuple[Array, Array]
+    periods: tuple[tuple[Array, Array], ...]
+    driven: Array
 
     def radius(self, factor: complex, delay: int, axes: tuple[int, ...]) -> float:
         """Return the largest eigenvalue of a cycle, with the commands of these axes times a factor, and later.
@@ -72,35 +68,14 @@ class SonarLoop:
             delay: additional delay of these commands [periods].
             axes: 0 surge, 1 sway, 2 heave, 3 yaw.
         """
-        (Ap, Bp), (by_x, by_u), n, m = self.plant, self.decide, self.filter[0][0].shape[1], self.decide[0].shape[1]
-        a, b, c, d = np.cumsum([len(Ap), 3 * self.late, n, 4])
-        q = d + m  # plant, old positions, filter, last thrust, law; then each axis's queue of commands
-        places = [1 + delay * (axis in axes) for axis in range(4)]
-        size = q + sum(places)
-        total = np.eye(size, dtype=complex)
-        scale = np.ones(4, dtype=complex)
-        scale[list(axes)] = factor
-        for by_z, by_fix, by_turn, by_tau in self.filter:
-            M = np.zeros((size, size), dtype=complex)
-            oldest = slice(b - 3, b) if self.late else slice(0, 3)
-            estimate = np.zeros((n + 8, size), dtype=complex)
-            estimate[:, b:c], estimate[:, c:d] = by_z, by_tau
-            estimate[:, oldest] += by_fix
-            estimate[:, [3, 7]] += by_turn
-            law = by_u @ estimate[n:]
-            law[:, d:q] += by_x
-            M[b:c], M[d:q], M[c:d] = estimate[:n], law[:m], law[m:]
-            M[:a, :a] = Ap
-            if self.late:
-                M[a : a + 3, :3] = np.eye(3)
-                M[a + 3 : b, a : b - 3] = np.eye(3 * (self.late - 1))
-            for axis, end in enumerate(np.cumsum(places)):
-                first, last = q + end - places[axis], q + end - 1
-                M[:a, last] += Bp[:, axis] * scale[axis]
-                M[first] = law[m + axis]
-                for k in range(first, last):
-                    M[k + 1, k] = 1
-            total = M @ total
+        waiting = 1 + delay * np.isin(np.arange(4), axes)  # commands of each axis, the newest first
+        ends = np.cumsum(waiting)
+        enters, shift = np.eye(ends[-1])[:, ends - waiting], np.eye(ends[-1], k=-1)
+        shift[ends - waiting] = 0.0
+        leaves = np.where(np.isin(np.arange(4), axes), factor, 1.0)[:, None] * np.eye(ends[-1])[ends - 1]
+        total = np.eye(len(self.driven) + ends[-1], dtype=complex)
+        for state, command in self.periods:
+            total = np.block([[state, self.driven @ leaves], [enters @ command, shift]]) @ total
         values = np.linalg.eigvals(total)
         return float(np.abs(values[np.abs(values - 1) > _HEADING]).max())
 
@@ -176,7 +151,22 @@ def sonar_loop(
     A, B = A[np.ix_(states, states)], B[states] @ delivered(vehicle, nu)
     Ad, Bd, _ = held_plant(A, B, np.zeros((len(A), 0)), law.dt)
     filtered = _filtered(filt, law.gains.unpack(p), nu, trim, every=max(1, round(own.fixes.period / law.dt)))
-    return SonarLoop(law.dt, filt.late, (Ad, Bd), filtered, _decided(law, p, nu))
+    (by_x, by_u), n = _decided(law, p, nu), filtered[0][0].shape[1]
+    m = by_x.shape[1]
+    a, b, c, d, q = np.cumsum([len(Ad), 3 * filt.late, n, 4, m]).tolist()  # plant, old positions, filter, thrust, law
+    periods = []
+    for by_z, by_fix, by_turn, by_tau in filtered:
+        estimate, state = np.zeros((n + 8, q)), np.zeros((q, q))
+        estimate[:, b:c], estimate[:, c:d] = by_z, by_tau
+        estimate[:, slice(b - 3, b) if filt.late else slice(0, 3)] += by_fix
+        estimate[:, [3, 7]] += by_turn
+        decision = by_u @ estimate[n:]
+        decision[:, d:] += by_x
+        state[:a, :a], state[b:c], state[c:d], state[d:] = Ad, estimate[:n], decision[m:], decision[:m]
+        if filt.late:  # the newest of the old positions is that of the plant
+            state[a : a + 3, :3], state[a + 3 : b, a : b - 3] = np.eye(3), np.eye(b - a - 3)
+        periods.append((state, decision[m:]))
+    return SonarLoop(law.dt, tuple(periods), np.vstack([Bd, np.zeros((q - a, 4))]))
 
 
 def _filtered(

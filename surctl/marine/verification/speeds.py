@@ -64,19 +64,6 @@ def check_held(speeds: Sequence[float], vehicle: Vehicle, *, cap: float, key: st
             raise InputError(problem, key=key, value=speed, remedy=remedy) from None
 
 
-def worst_text(ill: NDArray[np.float64], speeds: Sequence[float]) -> str:
-    """Return the speed [m/s] with the largest entry as text, or "every speed" if all entries count as equal.
-
-    Example:
-        >>> import numpy as np
-        >>> from surctl.marine.verification.speeds import worst_text
-        >>> worst_text(np.array([1.6, 1.7]), (0.05, 0.2)), worst_text(np.array([1.7, 1.7]), (0.05, 0.2))
-        ('0.2 m/s', 'every speed')
-    """
-    place = int(worst_place(ill))
-    return "every speed" if place == worst_place(-ill) else f"{speeds[place]:g} m/s"
-
-
 def speeds_text(speeds: Sequence[float]) -> str:
     """Return the speeds with their unit as text for a sentence: "0.05, 0.15 and 0.2 m/s".
 
@@ -108,6 +95,11 @@ class OverSpeeds:
         """
         place = int(worst_place(self._ill(name)))
         return float(self.figures[name][place]), self.cruise[place]
+
+    def where(self, name: str) -> str:
+        """Return the speed of the worst value as text, or "every speed" if all values count as equal."""
+        same = worst_place(self._ill(name)) == worst_place(-self._ill(name))
+        return "every speed" if same else f"{self.worst(name)[1]:g} m/s"
 
     @property
     def short(self) -> str:

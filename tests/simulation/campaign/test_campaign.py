@@ -15,9 +15,10 @@ def test_chunks_and_threads_change_no_byte():
     whole = run_campaign(drawn, runs=24)
     for chunk, threads in ((7, 3), (24, 2), (1000, 1)):
         other = run_campaign(drawn, runs=24, chunk=chunk, threads=threads)
-        assert other.table.to_csv() == whole.table.to_csv()
+        assert repr(other.table.columns()) == repr(whole.table.columns())
         assert [r.to_toml() for r in other.worst(4)] == [r.to_toml() for r in whole.worst(4)]
-    assert run_campaign(drawn, runs=10).table.to_csv() == "\n".join(whole.table.to_csv().split("\n")[:11]) + "\n"
+    first = {name: column[:10] for name, column in whole.table.columns().items()}
+    assert repr(run_campaign(drawn, runs=10).table.columns()) == repr(first)
 
 
 def test_a_campaign_needs_runs():
@@ -78,9 +79,9 @@ def test_a_row_tells_all_and_so_does_a_line():
     row = MIXED.row(2)
     assert (row["seed"], row["stopped_because"], row["collided"], row["reached"]) == (12, "collision", True, False)
     assert row["broken_assumptions"] == ["thrust", "range"] and "stopped" not in row
-    head, *lines = MIXED.to_csv().splitlines()
-    told = dict(zip(head.split(","), lines[2].split(","), strict=True))
-    assert float(told["min_clearance_m"]) == -0.001 and told["broken_assumptions"] == "thrust; range"
+    columns = MIXED.columns()
+    assert columns["min_clearance_m"][2] == -0.001 and columns["broken_assumptions"][2] == "thrust; range"
+    assert (columns["collided"][2], columns["stopped_because"][2]) == (1, "collision")
 
 
 def test_a_collision_names_what_was_not_assumed():

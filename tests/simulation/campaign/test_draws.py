@@ -9,8 +9,7 @@ from surctl.errors import InputError
 from surctl.marine.control import load_gains
 from surctl.marine.simulation import METRICS, Case, load_scenario, simulate_batch
 from surctl.marine.simulation.campaign.worlds import MonteCarlo, draw_plant
-from surctl.marine.simulation.scenario import Uncertainty, scenario_from_table
-from surctl.marine.simulation.scenario_table import scenario_table
+from surctl.marine.simulation.scenario import Uncertainty, scenario_from_table, scenario_table
 from surctl.marine.vehicle import load_vehicle
 
 VEHICLE, GAINS = load_vehicle("sur540-flooded"), load_gains("default")

@@ -13,7 +13,7 @@ from surctl.marine.control import load_gains
 from surctl.marine.simulation import Case, findings
 from surctl.marine.simulation.batch.pack import structure_of
 from surctl.marine.simulation.campaign.worlds import RandomWorlds, random_world, world_template
-from surctl.marine.simulation.scenario_table import scenario_table
+from surctl.marine.simulation.scenario import scenario_table
 from surctl.marine.simulation.world import build_world
 from surctl.marine.vehicle import load_vehicle
 

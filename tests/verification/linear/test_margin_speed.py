@@ -11,7 +11,6 @@ from surctl.marine.control import load_gains
 from surctl.marine.vehicle import Vehicle, load_vehicle
 from surctl.marine.verification.linear import cap_above
 
-GAINS = load_gains("default").values
 WU = load_vehicle("bluerov2-wu")
 
 
@@ -20,6 +19,10 @@ def ranged() -> Vehicle:
     known = {"m11": (15.0, 19.0), "m22": (21.5, 27.0)}
     parameters = {n: replace(p, range=known[n]) if n in known else p for n, p in WU.parameters.items()}
     return replace(WU, parameters=parameters)
+
+
+def at_speed(cruise: float, cap: float) -> Mission:
+    return Mission(ranged(), load_gains("default"), cruise, cap, "guarded")
 
 
 def test_an_unstable_corner_is_named_with_loop_and_remedy_and_a_cap_above_the_speeds_is_flagged() -> None:
@@ -31,12 +34,10 @@ def test_an_unstable_corner_is_named_with_loop_and_remedy_and_a_cap_above_the_sp
     text = "\n".join(part.lines)
     assert "loop yaw; UNSTABLE at 0.2 m/s" in text and "stable with k_psi" in text
     assert part.data["linear"]["worst"]["corner"] == "m11 = 15 kg, m22 = 27 kg"
-    lines, numbers = speed_lines(
-        ranged(), GAINS, law="guarded", cruise=0.1, cap=0.22, dt=0.05, uncertainty=0.0, short=False
-    )
+    lines, numbers = speed_lines(at_speed(0.1, 0.22), short=False)
     assert numbers["with_margin"] < numbers["stable"] < numbers["nominal_stable"] == pytest.approx(0.202, abs=1e-3)
     assert lines[1] == "  warning: the cap, 0.22 m/s, exceeds 0.202 m/s, the bearable speed; lower it"
-    fast = speed_lines(ranged(), GAINS, law="guarded", cruise=0.21, cap=0.22, dt=0.05, uncertainty=0.0, short=False)[0]
+    fast = speed_lines(at_speed(0.21, 0.22), short=False)[0]
     assert fast[1].endswith("lower it and the cruise speed")
     # the run of the vehicle, as surctl simulate shows it
     assert "stays bounded: it arrives, crabs by 15 deg" in assessment.banner and "stays bounded" in text
@@ -51,7 +52,4 @@ def test_a_run_of_an_unstable_loop_that_does_not_arrive_is_not_called_bounded() 
 
 def test_a_loop_that_no_speed_makes_stable_is_not_blamed_on_the_cap() -> None:
     assert "so no cap helps" in (cap_above(WU, 0.0, cap=0.2) or "")
-    assert (
-        len(speed_lines(ranged(), GAINS, law="guarded", cruise=0.1, cap=0.1, dt=0.05, uncertainty=0.0, short=False)[0])
-        == 1
-    )
+    assert len(speed_lines(at_speed(0.1, 0.1), short=False)[0]) == 1

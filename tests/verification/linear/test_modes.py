@@ -5,12 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from surctl.marine.control import load_gains
+from surctl.marine.control import build_law, load_gains
 from surctl.marine.vehicle import load_vehicle
-from surctl.marine.verification import cruise_loop
+from surctl.marine.verification import cruise_loop, law_corners
 from surctl.marine.verification.corners import corners
 from surctl.marine.verification.cruise_loop import THRUSTS
-from surctl.marine.verification.linear import bearable_speed, cruise_corners, slowest_mode
+from surctl.marine.verification.linear import bearable_speed, slowest_mode
 from surctl.verification.linear import DiskMargin, disk_margin
 from surctl.verification.sampled_margins import open_loop
 
@@ -68,6 +68,6 @@ def test_a_disk_margin_that_cannot_be_shown_is_not_judged_and_ends_nothing(
     loop = open_loop(cruise_loop(WU, GAINS, cruise=0.15, dt=0.05), *THRUSTS)
     found: DiskMargin = disk_margin(loop)
     assert found.stable and np.isnan(found.guaranteed) and found.reached > 0
-    loops = cruise_corners(corners(WU).alone, GAINS, cruise=0.15, dt=0.05)
+    loops = law_corners(build_law(), corners(WU).alone, load_gains("default"), cruise=0.15)
     assert loops.stable and np.isnan(loops.disk)
     assert "all commands at once: disk margin not determined" in "\n".join(loops.lines())

@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
+from scipy.linalg import expm
 
-from surctl.system.linear_loop import blockwise, distinct, eigenvalues, expm, independent
+from surctl.system.linear_loop import blockwise, distinct, eigenvalues, independent
 from surctl.verification.linear import (
     _SCREEN_POINTS,
     _SCREENED,

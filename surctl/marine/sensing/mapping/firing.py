@@ -212,10 +212,11 @@ def _inside(line: tuple[ca.SX, ca.SX, ca.SX], limit: dict[str, ca.SX]) -> ca.SX:
     return line[0] * limit["sine"] - line[1] * limit["cosine"]
 
 
-def in_front(line: tuple[ca.SX, ca.SX, ca.SX], limit: dict[str, ca.SX], value: ca.SX) -> ca.SX:
-    """Return whether the whole cell is free: it lies deep enough inside the cone, and is nearer than the echo."""
-    beam = line[0] * limit["sine"]
-    deep = ca.fmin(limit["whole"], ca.if_else(value > 0, _OF_A_MARK, _OF_THE_UNKNOWN) * beam)
-    marks = level(value)
-    short = ca.logic_and(line[2] < limit["clear"], ca.logic_or(limit["clears"], marks <= BLIND))
-    return ca.logic_and(_inside(line, limit) > deep, short)
+def in_front(line: tuple[ca.SX, ca.SX, ca.SX], limit: dict[str, ca.SX], value: ca.SX | None = None) -> ca.SX:
+    """Return whether the whole cell lies deep enough inside the cone, and is nearer than the echo.
+
+    Without a value the cell must not be marked.
+    """
+    share = _OF_THE_UNKNOWN if value is None else ca.if_else(value > 0, _OF_A_MARK, _OF_THE_UNKNOWN)
+    deep = ca.fmin(limit["whole"], share * (line[0] * limit["sine"]))
+    return ca.logic_and(_inside(line, limit) > deep, line[2] < limit["clear"])

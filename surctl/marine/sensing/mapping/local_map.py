@@ -25,15 +25,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surctl.errors import InputError
-from surctl.ir import Call, Gather, Loop, Port, Program, Routine, Step, lower
+from surctl.ir import Block, Call, Gather, Loop, Port, Program, Routine, Step, lower
 from surctl.marine.sensing.mapping.firing import LIMITS, READING_SIZE
 from surctl.marine.sensing.mapping.programs import BASE, BEAM, NONE, MapParameters, MapPrograms
 
 Vector: TypeAlias = NDArray[np.float64]
 
 _NOWHERE = 1e6  # cells; lowest corner of the window before the first update
-_WIDEST = 8  # largest number of cells processed together
-_WHERE = ("is_row", "place", "walls", "slots", "corner", "corner_next")  # inputs that determine a column or row
+_WHERE = ("place", "walls", "slots", "corner", "corner_next", "multiple")  # inputs that determine the columns and rows
+_BY_ROW = ("cells", "risen", "row", "row_beam")  # arrays of a block of which a loop over its rows uses one piece each
 
 
 class LocalMap(MapParameters):
@@ -89,15 +89,12 @@ class LocalMap(MapParameters):
 class _Steps:
     """The loops that call the programs of the local map (`MapPrograms`) for all cells and blocks.
 
-    Blocks of cells that the cone of a firing does not touch are skipped. For this purpose, a flag is computed from the
-    extreme values of the block's columns and rows; if the flag is set, a loop that has one iteration is not executed.
+    What a firing or the hull does not touch in a block is skipped. For this purpose, flags are computed from the
+    extreme values of the block's columns and rows; if a flag is set, a loop that has one iteration is not executed.
     """
 
     def __init__(self, local_map: LocalMap) -> None:
-        self.local_map, self.block, self.lanes = local_map, local_map.block, 1
-        while self.lanes < _WIDEST and self.block % (2 * self.lanes) == 0:
-            self.lanes *= 2
-        self.programs = MapPrograms(local_map, self.lanes)
+        self.local_map, self.block, self.programs = local_map, local_map.block, MapPrograms(local_map)
         self.limits, self.explained, self.explained_next, self.idle, self.clean = (
             tuple(f"{name}_{s}" for s in range(local_map.slots))
             for name in ("limits", "explained", "explained_next", "idle", "clean")
@@ -108,231 +105,178 @@ class _Steps:
         )
 
     def routine(self) -> Routine:
-        local_map, n, blocks, none = (
-            self.local_map,
-            self.local_map.side,
-            self.local_map.blocks,
-            NONE * self.local_map.sectors,
-        )
-        constants = _constants("constants", (0.0,), (1.0,), (0.0,) * self.lanes, NONE, none, none)
-        names = ("first", "is_row", "zeros", "none", "marked_none", "unknown_none")
-        shared = (*_WHERE, *self.limits, *self.columns, "column_bounds")
-        steps: tuple[Step, ...] = (
-            Call(constants, (), names),
-            Call(self.programs.corner(), ("place", "walls"), ("corner_next",)),
+        local_map, n, none = self.local_map, self.local_map.side, NONE * self.local_map.sectors
+        constants = _constants("constants", (0.0,), (1.0,), (-1.0,), NONE, none, none)
+        steps: list[Step] = [
+            Call(constants, (), ("zero", "one", "free", "none", "marked_none", "unknown_none")),
+            Call(self.programs.corner(), ("place", "walls"), ("corner_next", "multiple")),
             Call(self.programs.prepare(), ("place", "slots"), (*self.limits, "hull", "complete", *self.explained)),
-            Loop(
-                self.programs.line(),
-                n // self.lanes,
-                (),
-                self.columns,
-                fixed=("first", "first", *_WHERE[1:]),
-                index=True,
-                lanes=self.lanes,
-            ),
-            Loop(self.programs.bounds(columns=True), blocks, (), ("column_bounds",), sliced=self.columns),
-            Loop(
-                self._seek_row(),
-                blocks,
-                ("complete", *self.explained),
-                ("complete_next", *self.explained_next),
-                sliced=("cells",),
-                fixed=("zeros", *shared),
-                index=True,
-                until=0,
-            ),
-            Loop(
-                self._change_row(),
-                blocks,
-                ("marked_none", "unknown_none"),
-                ("marked", "unknown", "cells_next"),
-                sliced=("cells",),
-                fixed=("zeros", "none", "hull", *self.explained_next, *shared),
-                index=True,
-            ),
+        ]
+        for is_row, shared in (("zero", "of_columns"), ("one", "of_rows")):
+            steps.append(Call(self.programs.axis(), (is_row, *_WHERE), (shared,)))
+        steps.append(Loop(self.programs.line(), n, (), self.columns, fixed=("zero", "of_columns"), index=True))
+        steps.append(Loop(self.programs.bounds(), local_map.blocks, (), ("column_bounds",), sliced=self.columns))
+        searched, nearest = ("complete", *self.explained), ("marked_none", "unknown_none")
+        fixed = ("zero", "free", "none", "hull", *self.explained_next, *self.limits)
+        steps.append(
+            self._each_row(self._seek_block(), searched, ("complete_next", *self.explained_next), self.limits, 0)
         )
-        inputs = (
-            ("cells", n * n),
-            ("corner", 2),
-            ("place", 4),
-            ("walls", 4),
-            ("slots", local_map.slots * READING_SIZE),
-        )
-        return Routine("local_map", inputs, steps, ("cells_next", "corner_next", "marked", "unknown"))
+        steps.append(self._each_row(self._change_block(), nearest, ("marked", "unknown", "cells_next"), fixed))
+        inputs = (("cells", n * n), *self._sized("corner", "place", "walls", "slots"))
+        return Routine("local_map", inputs, tuple(steps), ("cells_next", "corner_next", "marked", "unknown"))
 
-    def _rows(self) -> tuple[Step, ...]:
-        # the cell rows of a row of blocks, and the bounds of these cell rows
-        fixed = ("group", *_WHERE)
-        return (
-            Loop(self.programs.line(), self.block, (), self.rows, fixed=fixed, index=True),
-            Call(self.programs.bounds(columns=False), self.rows, ("row_bounds",)),
+    def _each_row(
+        self, block: Routine, state: tuple[str, ...], results: tuple[str, ...], fixed: tuple[str, ...],
+        until: int | None = None,
+    ) -> Loop:  # fmt: skip
+        """Return a loop over the rows of blocks, each with loops over its rows of cells and over its blocks."""
+        blocks, columns, rows = self.local_map.blocks, (*self.columns, "column_bounds"), (*self.rows, "row_bounds")
+        own = tuple(name for name, _ in block.inputs)
+        carried, shared = own[: len(state)], own[len(state) + 1 + len(columns) : len(own) - len(rows)]
+        last = tuple(name for name, _ in block.outputs)
+        steps = (
+            Loop(self.programs.line(), self.block, (), self.rows, fixed=("group", "of_rows"), index=True),
+            Call(self.programs.bounds(), self.rows, rows[-1:]),
+            Loop(block, blocks, carried, last, sliced=("cells", *columns), fixed=(*shared, *rows), until=until),
         )
+        wide = tuple((name, blocks) for name in columns)
+        inputs = self._sized("group", *carried, ("cells", blocks), *shared, *wide, "of_rows")
+        row, fixed = Routine(block.name.replace("block", "row"), inputs, steps, last), (*fixed, *columns, "of_rows")
+        return Loop(row, blocks, state, results, sliced=("cells",), fixed=fixed, index=True, until=until)
 
     # --- whether a cell explains the echo of a firing -----------------------------------------------------------------
 
-    def _seek_row(self) -> Routine:
-        # searches for cells that explain the firings
-        blocks, state = self.local_map.blocks, ("complete", *self.explained)
-        fixed, pieces = ("zeros", *self.limits), (*self.columns, "column_bounds")
-        last = ("complete_next", *self.explained_next)
-        steps = (
-            *self._rows(),
-            Loop(
-                self._seek_block(),
-                blocks,
-                state,
-                last,
-                sliced=("cells", *pieces),
-                fixed=(*fixed, *self.rows, "row_bounds"),
-                until=0,
-            ),
-        )
-        shared = ("zeros", *_WHERE, *self.limits)
-        inputs = self._sized("group", *state, ("cells", blocks), *shared, *((name, blocks) for name in pieces))
-        return Routine("seek_row", inputs, steps, last)
-
     def _seek_block(self) -> Routine:
-        seek, blank = self._seek_cells(), tuple(f"blank_{s}" for s in range(self.local_map.slots))
+        blank = tuple(f"blank_{s}" for s in range(self.local_map.slots))
         bounds, last = ("row_bounds", "column_bounds"), ("complete_next", *self.explained_next)
+        seek = self._over_block(self._over_row(self.programs.seek(), ("explained",)), ("explained",))
         steps: list[Step] = [Call(self.programs.blank_arc(), (*bounds, *self.limits, *self.explained), blank)]
         for s, explained in enumerate(self.explained):
-            fixed = ("cells", "row", f"row_beam_{s}", "column", f"column_beam_{s}", self.limits[s], "zeros")
+            fixed = ("cells", "row", f"row_beam_{s}", "column", f"column_beam_{s}", self.limits[s])
             results = (f"sought_{s}", self.explained_next[s])
             steps.append(Loop(seek, 1, (blank[s], explained), results, fixed=fixed, until=0))
         steps.append(Call(self.programs.all_explained(), self.explained_next, last[:1]))
-        inputs = (
-            "complete",
-            *self.explained,
-            "cells",
-            *self.columns,
-            "column_bounds",
-            "zeros",
-            *self.limits,
-            *self.rows,
-        )
+        inputs = ("complete", *self.explained, "cells", *self.columns, "column_bounds", *self.limits, *self.rows)
         return Routine("seek_block", self._sized(*inputs, "row_bounds"), tuple(steps), last)
-
-    def _seek_cells(self) -> Routine:
-        row = self._over_row(self.programs.seek(), carried=("hits",))
-        lines, fixed = ("cells", "row", "row_beam"), ("column", "column_beam", "limits")
-        steps = (
-            Loop(row, self.block, ("zeros",), ("hits",), sliced=lines, fixed=fixed),
-            Call(self.programs.any_hit(), ("hits",), ("explained_next",)),
-        )
-        return Routine(
-            "seek_cells", self._sized("flag", "explained", *lines, *fixed, "zeros"), steps, ("flag", "explained_next")
-        )
 
     # --- what the firings change --------------------------------------------------------------------------------------
 
-    def _change_row(self) -> Routine:
-        # also updates the nearest cells found so far
-        blocks, best = self.local_map.blocks, ("marked", "unknown")
-        fixed, pieces = ("zeros", "none", "hull", *self.explained, *self.limits), (*self.columns, "column_bounds")
-        last = ("marked_next", "unknown_next", "cells_next")
-        steps = (
-            *self._rows(),
-            Loop(
-                self._change_block(),
-                blocks,
-                best,
-                last,
-                sliced=("cells", *pieces),
-                fixed=(*fixed, *self.rows, "row_bounds"),
-            ),
-        )
-        shared = ("zeros", "none", "hull", *self.explained, *_WHERE, *self.limits)
-        inputs = self._sized("group", *best, ("cells", blocks), *shared, *((name, blocks) for name in pieces))
-        return Routine("change_row", inputs, steps, last)
-
     def _change_block(self) -> Routine:
+        # also updates the nearest cells found so far
         last, bounds = ("marked_next", "unknown_next", "cells_next"), ("row_bounds", "column_bounds")
-        touched = [f"cells_{k}" for k in range(self.local_map.slots + 1)]
-        flags = (*self.idle, *self.clean, "idle_hull", "unmarked", "with_marks")
-        tally, cover = self.programs.tally(), self.programs.cover()
-        fixed, count = ("row", "column", "hull"), self.block * self.block // self.lanes
+        beams = tuple(name for k in range(self.local_map.slots) for name in (self.rows[k + 1], self.columns[k + 1]))
+        lines, observing = ("row", "column"), (*bounds, *beams, *self.limits, *self.explained)
+        fade, cover = (self._over_block(self._over_row(p)) for p in (self.programs.fade(), self.programs.cover()))
+        forget = self._over_block(self.programs.forget())
         steps: list[Step] = [
-            Loop(self.programs.most(), count, ("zeros",), ("most",), sliced=("cells",), lanes=self.lanes),
-            Call(self.programs.idle(), (*bounds, *self.limits, "hull", "most"), flags),
-        ]
-        rise, fade = (self._over_block(self.programs.fade(marks=marks)) for marks in (False, True))
-        steps += [
-            Loop(rise, 1, ("with_marks", "cells"), ("risen", "cells_risen"), fixed=fixed[:2], until=0),
-            Loop(fade, 1, ("unmarked", "cells_risen"), ("faded", touched[0]), fixed=fixed[:2], until=0),
-        ]
-        clear, observe = self._over_block(self.programs.clear()), self._over_block(self.programs.observe())
-        for s, explained in enumerate(self.explained):
-            beams, cleared = (f"row_beam_{s}", f"column_beam_{s}", self.limits[s]), f"cleared_{s}"
-            done = (f"emptied_{s}", cleared), (f"observed_{s}", touched[s + 1])
-            steps.append(Loop(clear, 1, (self.clean[s], touched[s]), done[0], fixed=beams, until=0))
-            steps.append(Loop(observe, 1, (self.idle[s], cleared), done[1], fixed=(*beams, explained), until=0))
-        steps += [
-            Loop(self._over_block(cover), 1, ("idle_hull", touched[-1]), ("covered", last[-1]), fixed=fixed, until=0),
-            Loop(tally, count, ("zeros", "zeros"), ("largest", "count"), sliced=last[-1:], lanes=self.lanes),
-            Call(self.programs.without(), ("largest", "count"), ("no_marked", "no_unknown")),
-        ]
-        for which in ("marked", "unknown"):
+            Call(self.programs.whole(), bounds, ("whole",)),
+            Loop(forget, 1, ("whole", "cells"), ("forgotten", "remembered"), fixed=lines, until=0),
+            Loop(self.programs.rise(), self.block, ("free",), ("most", "risen"), sliced=("remembered",)),
+            Call(
+                self.programs.untouched(), (*bounds, *self.limits, "hull", "most"),
+                ("untouched", "idle_hull", "unmarked", "known"),
+            ),
+            Loop(fade, 1, ("unmarked", "risen"), ("faded", "cells_0"), fixed=("remembered",), until=0),
+            Loop(
+                self._observe_block(), 1, ("untouched", "unmarked", "cells_0"), ("observed", "no_marked", "cells_1"),
+                fixed=observing, until=0,
+            ),
+            Loop(cover, 1, ("idle_hull", "cells_1"), ("covered", last[-1]), fixed=(*lines, "hull"), until=0),
+        ]  # fmt: skip
+        fixed = (last[-1], *lines, "hull", "none", "zero")
+        for which, none, block in (
+            ("marked", "no_marked", self._enter(unknown=False)), ("unknown", "known", self._enter_unknown())
+        ):  # fmt: skip
             results = (f"entered_{which}", f"{which}_next")
-            block = self._enter(which)
-            steps.append(Loop(block, 1, (f"no_{which}", which), results, fixed=(last[-1], *fixed, "none"), until=0))
-        inputs = (
-            "marked",
-            "unknown",
-            "cells",
-            *self.columns,
-            "column_bounds",
-            "zeros",
-            "none",
-            "hull",
-            *self.explained,
-        )
-        return Routine("change_block", self._sized(*inputs, *self.limits, *self.rows, "row_bounds"), tuple(steps), last)
+            steps.append(Loop(block, 1, (none, which), results, fixed=fixed, until=0))
+        inputs = ("marked", "unknown", "cells", *self.columns, "column_bounds", "zero", "free", "none", "hull")
+        inputs += (*self.explained, *self.limits, *self.rows, "row_bounds")
+        return Routine("change_block", self._sized(*inputs), tuple(steps), last)
 
-    def _enter(self, which: str) -> Routine:
+    def _observe_block(self) -> Routine:
+        # what the firings change in a block that at least one of them touches
+        bounds, steps = ("row_bounds", "column_bounds"), list[Step]()
+        flags = (*self.idle, *self.clean, "unmarked_next")
+        steps.append(Call(self.programs.idle(), (*bounds, *self.limits, "unmarked"), flags))
+        clear = self._over_block(self.programs.clear())
+        observe = self._over_block(self._over_row(self._observe_cell()))
+        cells, inputs = "cells", ["untouched", "unmarked", "cells", *bounds]
+        for s, explained in enumerate(self.explained):
+            beams = (self.rows[s + 1], self.columns[s + 1])
+            fixed, cleared, after = (*beams, self.limits[s]), f"cleared_{s}", f"cells_{s}"
+            steps.append(Loop(clear, 1, (self.clean[s], cells), (f"emptied_{s}", cleared), fixed=fixed, until=0))
+            cells, results = after, (f"observed_{s}", after)
+            steps.append(Loop(observe, 1, (self.idle[s], cleared), results, fixed=(*fixed, explained), until=0))
+            inputs += beams
+        inputs += (*self.limits, *self.explained)
+        return Routine("observe_block", self._sized(*inputs), tuple(steps), ("untouched", "unmarked_next", cells))
+
+    def _observe_cell(self) -> Routine:
+        # most cells need no more than a glance
+        glance, carried, flags = self.programs.glance(), ("finished", "glanced"), ("front", "marked")
+        names = tuple(name for name, _ in glance.inputs)
+        fixed = (*(name for name in names if name != "explained"), *flags)
+        steps = (
+            Call(glance, names, (*carried, *flags)),
+            Loop(self.programs.observe(), 1, carried, ("observed", "after"), fixed=fixed, until=0),
+        )
+        return Routine("observe", glance.inputs, steps, ("after",))
+
+    def _enter_unknown(self) -> Routine:
+        # stores a block's nearest unknown cell, unless so few are unknown that they are ignored
+        fixed = ("cells", "row", "column", "hull", "none", "zero")
+        results, last = ("enough", "counted"), ("entered", "best_next")
+        steps = (
+            Loop(self.programs.count(), self.block, ("zero", "zero"), results, sliced=("cells",), until=0),
+            Call(self.programs.few(), ("enough",), ("few",)),
+            Loop(self._enter(unknown=True), 1, ("few", "best"), last, fixed=fixed, until=0),
+        )
+        return Routine("unknown_block", self._sized("flag", "best", *fixed), steps, last)
+
+    def _enter(self, *, unknown: bool) -> Routine:
         """Return the routine that stores a block's nearest cell if this cell is the nearest so far in its direction."""
-        nearest = self.programs.nearest(unknown=which == "unknown")
+        nearest, fixed = self.programs.nearest(unknown=unknown), ("near", "sector")
+        program, sectors = self.programs.enter(), self.local_map.sectors
+        enter = Loop(program, sectors, (), ("best_next",), sliced=("best",), fixed=fixed, index=True)
+        sizes = (*self._sized("flag", "best"), ("near", len(NONE)), ("sector", 1))
+        every = Routine("enter_all", sizes, (enter,), ("flag", "best_next"))
         steps = (
             Loop(nearest, self.block, ("none",), ("near",), sliced=("cells", "row"), fixed=("column", "hull")),
             Call(self.programs.sector(), ("near",), ("sector",)),
             Gather("best", "sector", len(NONE), "so_far"),
             Call(self.programs.farther(), ("near", "so_far"), ("farther",)),
-            Loop(
-                self.programs.enter(), 1, ("farther", "best"), ("done", "best_next"), fixed=("near", "sector"), until=0
-            ),
+            Loop(every, 1, ("farther", "best"), ("done", "best_next"), fixed=fixed, until=0),
         )
-        inputs = self._sized("flag", "best", "cells", "row", "column", "hull", "none")
-        return Routine(f"enter_{which}", inputs, steps, ("done", "best_next"))
+        inputs = self._sized("flag", "best", "cells", "row", "column", "hull", "none", "zero")
+        return Routine("enter_unknown" if unknown else "enter_marked", inputs, steps, ("done", "best_next"))
 
-    # --- from one cell to a row of a block, and to a block ------------------------------------------------------------
-
-    def _over_row(self, program: Program, *, carried: tuple[str, ...] = ()) -> Routine:
+    def _over_row(self, program: Block, carried: tuple[str, ...] = ()) -> Routine:
         # the program is written for one cell
-        sizes = dict(program.inputs)
-        renamed = dict(zip(sizes, carried, strict=False))
-        own = tuple(name for name in sizes if name in ("cells", "column", "column_beam"))
-        rest = tuple(name for name in sizes if name not in (*renamed, *own))
-        results = tuple(f"{name}_next" for name in carried) or ("after",)
-        loop = Loop(program, self.block // self.lanes, carried, results, sliced=own, fixed=rest, lanes=self.lanes)
-        wide = {**{name: self.block * sizes[name] for name in own}, **{name: sizes[name] for name in rest}}
-        wide |= {name: self.lanes * sizes[old] for old, name in renamed.items()}
-        lines = tuple(name for name in rest if name in ("row", "row_beam"))
-        order = (*carried, *own[:1], *lines, *own[1:], *(name for name in rest if name not in lines))
-        return Routine(f"{program.name}_row", tuple((name, wide[name]) for name in order), (loop,), results)
+        names = tuple(name for name, _ in program.inputs)
+        own = tuple(name for name in names if name in ("cells", "risen", "column", "column_beam"))
+        rest = tuple(name for name in names if name not in (*carried, *own))
+        results, until = _results(carried)
+        loop = Loop(program, self.block, carried, results, sliced=own, fixed=rest, until=until)
+        sizes = {name: size * (self.block if name in own else 1) for name, size in program.inputs}
+        order = (*carried, *sorted((*own, *rest), key=lambda name: name not in _BY_ROW))
+        return Routine(f"{program.name}_row", tuple((name, sizes[name]) for name in order), (loop,), results)
 
-    def _over_block(self, program: Program) -> Routine:
-        row = self._over_row(program)
+    def _over_block(self, row: Block, carried: tuple[str, ...] = ()) -> Routine:
+        # returns the flag unchanged: it is that of the loop with one iteration that runs this routine
         names = tuple(name for name, _ in row.inputs)
-        lines = tuple(name for name in names if name in ("cells", "row", "row_beam"))
-        fixed = tuple(name for name in names if name not in lines)
-        steps = (Loop(row, self.block, (), ("after",), sliced=lines, fixed=fixed),)
-        return Routine(f"{program.name}_block", self._sized("flag", *names), steps, ("flag", "after"))
+        lines = tuple(name for name in names if name in _BY_ROW)
+        fixed = tuple(name for name in names if name not in (*carried, *lines))
+        results, until = _results(carried)
+        steps = (Loop(row, self.block, carried, results, sliced=lines, fixed=fixed, until=until),)
+        name = f"{row.name.removesuffix('_row')}_block"
+        return Routine(name, self._sized("flag", *names), steps, ("flag", *results))
 
     def _sized(self, *names: str | tuple[str, int]) -> tuple[tuple[str, int], ...]:
         # sizes are for one block unless a name is given with a number of blocks
         b, sectors = self.block, len(NONE) * self.local_map.sectors
-        sizes = {"cells": b * b, "column": b * BASE, "row": b * BASE, "zeros": self.lanes, "none": len(NONE), "hull": 2}
-        sizes |= dict.fromkeys(("marked", "unknown", "best"), sectors)
-        sizes |= {"place": 4, "walls": 4, "slots": self.local_map.slots * READING_SIZE, "corner": 2, "corner_next": 2}
+        sizes = {"column": b * BASE, "row": b * BASE, "none": len(NONE), "hull": 2, "place": 4, "walls": 4, "corner": 2}
+        sizes |= dict.fromkeys(("cells", "risen"), b * b) | dict.fromkeys(("marked", "unknown", "best"), sectors)
+        sizes |= {"slots": self.local_map.slots * READING_SIZE, "of_rows": self.programs.shared_size}
         sizes |= dict.fromkeys(("column_beam", "row_beam", *self.columns[1:], *self.rows[1:]), b * BEAM)
         sizes |= dict.fromkeys(("column_bounds", "row_bounds"), self.programs.bounds_size)
         sizes |= dict.fromkeys(("limits", *self.limits), len(LIMITS))
@@ -343,3 +287,8 @@ class _Steps:
 def _constants(name: str, *values: tuple[float, ...]) -> Program:
     vectors = [ca.DM(list(v)) for v in values]
     return lower(ca.Function(name, [], [ca.SX(m) for m in vectors], [], [f"c{k}" for k in range(len(vectors))]))
+
+
+def _results(carried: tuple[str, ...]) -> tuple[tuple[str, ...], int | None]:
+    # of a loop over rows or cells: a carried truth value ends it
+    return tuple(f"{name}_next" for name in carried) or ("after",), 0 if carried else None

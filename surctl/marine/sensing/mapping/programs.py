@@ -19,6 +19,7 @@ import casadi as ca
 from surctl.errors import InputError, check_number
 from surctl.ir import Program, lower_named
 from surctl.marine.sensing.mapping.firing import (
+    BLIND,
     LIMITS,
     READING_SIZE,
     RING,
@@ -106,15 +107,10 @@ class MapParameters:
 
 
 class MapPrograms:
-    """The programs of a local map.
+    """The programs of a local map."""
 
-    Args:
-        lanes: number of neighbouring cells in a row that the processor computes at once (SIMD); the vectors of this
-            many columns are stored together, entry by entry.
-    """
-
-    def __init__(self, local_map: MapParameters, lanes: int) -> None:
-        self.lanes, self.block, self.slots = lanes, local_map.block, local_map.slots
+    def __init__(self, local_map: MapParameters) -> None:
+        self.block, self.slots = local_map.block, local_map.slots
         self.sectors, self.side, self.held = local_map.sectors, local_map.side, local_map.held
         self.known = local_map.known
         # amounts by which the value of a marked cell and of a cleared cell approach 0 in one period
@@ -123,10 +119,15 @@ class MapPrograms:
     @cached_property
     def bounds_size(self) -> int:
         """Number of extreme values that `bounds` returns for a block's columns or rows."""
-        return 1 + _BOUNDS * self.slots
+        return 2 + _BOUNDS * self.slots
+
+    @property
+    def shared_size(self) -> int:
+        """Number of values that `axis` returns for all columns or all rows."""
+        return 7 + 3 * self.slots
 
     def corner(self) -> Program:
-        """Program that computes the window's lowest cell.
+        """Program that computes the window's lowest cell, and the highest multiples of N not above its indices.
 
         The robot is at the centre of the window, unless the window would then extend beyond a wall of the site.
         """
@@ -135,7 +136,8 @@ class MapPrograms:
         end = -ca.floor(_SLACK - walls[[1, 3]] / place[3])
         middle = ca.floor(place[:2] / place[3]) - self.side // 2
         corner = ca.fmax(ca.fmin(middle, end - self.side), lowest)
-        return lower_named("corner", {"place": place, "walls": walls}, {"corner": corner})
+        multiple = self.side * ca.floor(corner / self.side)
+        return lower_named("corner", {"place": place, "walls": walls}, {"corner": corner, "multiple": multiple})
 
     def prepare(self) -> Program:
         """Program that computes the limits of firings and hull, and tests whether a firing marks no cell."""
@@ -151,77 +153,110 @@ class MapPrograms:
         outputs = {**limits, "hull": ca.vertcat(hull * hull, ring * ring), "complete": complete, **explained}
         return lower_named("prepare", {"place": place, "slots": slots}, outputs)
 
-    def line(self) -> Program:
-        """Program that computes the base and the beams of a column or row, number `at` in the block `group`."""
-        at, group, span = ca.SX.sym("at"), ca.SX.sym("group"), ca.SX.sym("span")
-        place, walls = ca.SX.sym("place", 4), ca.SX.sym("walls", 4)
+    def axis(self) -> Program:
+        """Program that computes the numbers of `line` that all columns share, or all rows if `is_row` is 1."""
+        is_row, place, walls = ca.SX.sym("is_row"), ca.SX.sym("place", 4), ca.SX.sym("walls", 4)
         slots = ca.SX.sym("slots", self.slots * READING_SIZE)
-        old, new = ca.SX.sym("old", 2), ca.SX.sym("new", 2)
-        n, number, second = self.side, self.block * group + at, span > 0.5
+        old, new, multiple = (ca.SX.sym(name, 2) for name in ("old", "new", "multiple"))
 
         def of(pair: ca.SX) -> ca.SX:
-            return ca.if_else(second, pair[1], pair[0])
+            return ca.if_else(is_row > 0.5, pair[1], pair[0])
 
-        def world(corner: ca.SX) -> ca.SX:
-            return number + n * ca.floor((corner + (n - 1) - number) / n)
-
-        cell = world(of(new))
-        centre = (cell + 0.5) * place[3]
-        offset = centre - of(place)
         beside = _AT_A_WALL * place[3]
-        counts = ca.logic_and(centre > of(walls[[0, 2]]) + beside, centre < of(walls[[1, 3]]) - beside)
+        ends = of(walls[[0, 2]]) + beside, of(walls[[1, 3]]) - beside
+        shared = [of(place), place[3], *ends, of(old), of(new), of(multiple)]
+        for slot in split(slots, self.slots):
+            ahead = slot["axis"]
+            # across = dx·ey − dy·ex
+            shared += [of(slot["apex"]), of(ahead), of(ca.vertcat(ahead[1], -ahead[0]))]
+        inputs = {"is_row": is_row, "place": place, "walls": walls, "slots": slots}
+        inputs |= {"old": old, "new": new, "multiple": multiple}
+        return lower_named("axis", inputs, {"shared": ca.vertcat(*shared)})
+
+    def line(self) -> Program:
+        """Program that computes the base and the beams of a column or row, number `at` in the block `group`."""
+        at, group, shared, n = ca.SX.sym("at"), ca.SX.sym("group"), ca.SX.sym("shared", self.shared_size), self.side
+        place, edge, lowest, highest, old, new, multiple, *beams = ca.vertsplit(shared)
+        cell = multiple + (self.block * group + at)
+        cell += ca.if_else(cell < new, n, 0)
+        stays = ca.logic_and(cell >= old, cell <= old + (n - 1))
+        centre = (cell + 0.5) * edge
+        offset = centre - place
+        counts = ca.logic_and(centre > lowest, centre < highest)
         square = offset * offset
-        outputs = {"base": ca.vertcat(offset, square, world(of(old)) == cell, ca.if_else(counts, square, _FAR))}
-        for s, slot in enumerate(split(slots, self.slots)):
-            away, ex, ey = centre - of(slot["apex"]), slot["axis"][0], slot["axis"][1]
-            # across = dx·ey − dy·ex: a row's share has the other sign
-            across = ca.if_else(second, -away * ex, away * ey)
-            outputs[f"beam_{s}"] = ca.vertcat(away * of(slot["axis"]), across, away * away)
-        inputs = {
-            **{"at": at, "group": group, "span": span, "place": place, "walls": walls},
-            **{"slots": slots, "old": old, "new": new},
-        }
-        return lower_named("line", inputs, outputs)
+        outputs = {"base": ca.vertcat(offset, square, stays, ca.if_else(counts, square, _FAR))}
+        for s in range(self.slots):
+            apex, ahead, aside = beams[3 * s : 3 * s + 3]
+            away = centre - apex
+            outputs[f"beam_{s}"] = ca.vertcat(away * ahead, away * aside, away * away)
+        return lower_named("line", {"at": at, "group": group, "shared": shared}, outputs)
 
     # --- which blocks a firing, or the hull, touches ------------------------------------------------------------------
 
-    def bounds(self, *, columns: bool) -> Program:
-        """Program that computes the extreme values of base and beams over the columns or rows of a block."""
+    def bounds(self) -> Program:
+        """Program that computes the extreme values of base and beams over the columns or rows of a block.
+
+        The last value is 1 if all of them were in the previous window.
+        """
         base = ca.SX.sym("base", BASE * self.block)
         beams = [ca.SX.sym(f"beam_{s}", BEAM * self.block) for s in range(self.slots)]
 
         def entries(array: ca.SX, size: int, entry: int) -> list[ca.SX]:
-            return [array[self._entry(k, size, entry) if columns else size * k + entry] for k in range(self.block)]
+            return [array[size * k + entry] for k in range(self.block)]
 
         bounds = [reduce(ca.fmin, entries(base, BASE, 1))]
         for beam in beams:
             along, across, square = (entries(beam, BEAM, e) for e in range(BEAM))
             bounds.append(reduce(ca.fmax, along))
             bounds += [reduce(extreme, values) for values in (across, square) for extreme in (ca.fmin, ca.fmax)]
+        bounds.append(reduce(ca.fmin, entries(base, BASE, 2)))
         inputs = {"base": base, **{f"beam_{s}": beam for s, beam in enumerate(beams)}}
-        return lower_named("columns_bounds" if columns else "rows_bounds", inputs, {"bounds": ca.vertcat(*bounds)})
+        return lower_named("bounds", inputs, {"bounds": ca.vertcat(*bounds)})
 
-    def idle(self) -> Program:
-        """Program that tests which programs a block does not need: `observe`, `clear` (per firing), `cover`, two fades.
+    def whole(self) -> Program:
+        """Program that tests whether all cells of a block were in the previous window."""
+        row, column = (ca.SX.sym(name, self.bounds_size) for name in ("row_bounds", "column_bounds"))
+        return lower_named(
+            "whole", {"row_bounds": row, "column_bounds": column}, {"whole": ca.fmin(row[-1], column[-1])}
+        )
 
-        Where a block has no marks and no firing can mark one, `clear` is enough instead of `observe`.
+    def untouched(self) -> Program:
+        """Program that tests what a block does not need.
+
+        The outputs are 1 if no firing touches the block, if the hull covers none of it, if no mark in it lasts, and if
+        none of its cells is unknown.
         """
         row, column = (ca.SX.sym(name, self.bounds_size) for name in ("row_bounds", "column_bounds"))
-        limits, hull, most = self._limits(), ca.SX.sym("hull", 2), ca.SX.sym("most", self.lanes)
-        unmarked = reduce(ca.fmax, ca.vertsplit(most)) <= 0
+        limits, hull, most = self._limits(), ca.SX.sym("hull", 2), ca.SX.sym("most")
+        off = [self._untouched(*self._bounded(row, column, limit, s), limit) for s, limit in enumerate(limits)]
+        outputs = {
+            "untouched": reduce(ca.logic_and, off),
+            "idle_hull": row[0] + column[0] >= hull[0],
+            "unmarked": most <= self.fades[1],
+            "known": most < -self.known,
+        }
+        bounds = {"row_bounds": row, "column_bounds": column}
+        inputs = {**bounds, **self._limit_symbols(limits), "hull": hull, "most": most}
+        return lower_named("untouched", inputs, outputs)
+
+    def idle(self) -> Program:
+        """Program that tests for each firing whether a block does not need `observe`, and whether it needs no `clear`.
+
+        Where a block has no marks and no firing can mark one, `clear` is enough instead of `observe`; the last output
+        is then 1.
+        """
+        row, column = (ca.SX.sym(name, self.bounds_size) for name in ("row_bounds", "column_bounds"))
+        limits, unmarked = self._limits(), ca.SX.sym("unmarked")
         plain, untouched = unmarked, []
         for s, limit in enumerate(limits):
             beside, least, arc = self._bounded(row, column, limit, s)
-            off = ca.logic_or(beside, ca.logic_and(arc, least >= limit["clear"]))
-            untouched.append(ca.logic_and(off, limit["regular"]))
+            untouched.append(self._untouched(beside, least, arc, limit))
             plain = ca.logic_and(plain, ca.logic_and(ca.logic_or(beside, arc), limit["regular"]))
         outputs = {f"idle_{s}": ca.logic_or(off, plain) for s, off in enumerate(untouched)}
         outputs |= {f"clean_{s}": ca.logic_or(off, ca.logic_not(plain)) for s, off in enumerate(untouched)}
-        outputs["idle_hull"] = row[0] + column[0] >= hull[0]
-        outputs |= {"unmarked": unmarked, "with_marks": ca.logic_not(unmarked)}
         bounds = {"row_bounds": row, "column_bounds": column}
-        inputs = {**bounds, **self._limit_symbols(limits), "hull": hull, "most": most}
-        return lower_named("idle", inputs, outputs)
+        inputs = {**bounds, **self._limit_symbols(limits), "unmarked": unmarked}
+        return lower_named("idle", inputs, {**outputs, "unmarked_next": plain})
 
     def blank_arc(self) -> Program:
         """Program that tests whether no cell of a block can explain a firing, or another cell already explains it."""
@@ -250,22 +285,37 @@ class MapPrograms:
         arc = ca.logic_or(least > limit["far"], most < limit["near"])
         return deepest <= 2 * _TOUCHED * limit["outside"], least, arc
 
+    @staticmethod
+    def _untouched(beside: ca.SX, least: ca.SX, arc: ca.SX, limit: dict[str, ca.SX]) -> ca.SX:
+        off = ca.logic_or(beside, ca.logic_and(arc, least >= limit["clear"]))
+        return ca.logic_and(off, limit["regular"])
+
     # --- what happens to a cell ---------------------------------------------------------------------------------------
 
-    def most(self) -> Program:
-        """Program that computes the largest value of a block's cells; above 0 the block has a mark."""
-        most, value = ca.SX.sym("most"), ca.SX.sym("value")
-        return lower_named("most", {"most": most, "cells": value}, {"most_next": ca.fmax(most, value)})
+    def forget(self) -> Program:
+        """Program that computes the values of a row of cells after the window has moved: new cells are unknown."""
+        cells, row = ca.SX.sym("cells", self.block), ca.SX.sym("row", BASE)
+        columns = ca.SX.sym("column", BASE * self.block)
+        remembered = [_remembered(cells[k], columns[BASE * k : BASE * (k + 1)], row) for k in range(self.block)]
+        return lower_named(
+            "forget", {"cells": cells, "row": row, "column": columns}, {"remembered": ca.vertcat(*remembered)}
+        )
 
-    def fade(self, *, marks: bool) -> Program:
-        """Program that computes a cell's value after a period in which no firing observes the cell.
+    def rise(self) -> Program:
+        """Program that computes the values of a row of cells, if no mark lasts, after a period without a firing.
 
-        Without `marks` the cell must not be marked.
+        It also extends by this row the search for the block's largest value before the limit 0; a mark that lasts is
+        larger than the amount by which a cleared cell approaches 0.
         """
-        value, column, row = ca.SX.sym("value"), ca.SX.sym("column", BASE), ca.SX.sym("row", BASE)
-        inputs = {"cells": value, "column": column, "row": row}
-        faded = self._faded(value, column, row) if marks else self._risen(value, column, row)
-        return lower_named("fade" if marks else "rise", inputs, {"faded": faded})
+        most, cells = ca.SX.sym("most"), ca.SX.sym("cells", self.block)
+        grown = cells + self.fades[1]
+        outputs = {"most_next": reduce(ca.fmax, ca.vertsplit(grown), most), "risen": ca.fmin(grown, 0)}
+        return lower_named("rise", {"most": most, "cells": cells}, outputs)
+
+    def fade(self) -> Program:
+        """Program that computes a cell's value after a period in which no firing observes the cell."""
+        value, risen = ca.SX.sym("value"), ca.SX.sym("risen")
+        return lower_named("fade", {"risen": risen, "cells": value}, {"faded": self._faded(value, risen)})
 
     def seek(self) -> Program:
         """Program that tests whether a cell may have caused an echo: it is on the arc and not known to be free."""
@@ -273,36 +323,57 @@ class MapPrograms:
         column, across, row, down = self._cell()
         limits = ca.SX.sym("limits", len(LIMITS))
         limit, line = named_limits(limits), cell_line(across, down)
-        near = ca.logic_and(self._faded(value, column, row) >= -self.known, line[2] <= limit["cutoff"])
+        old = _remembered(value, column, row)
+        faded = self._faded(old, ca.fmin(old + self.fades[1], 0))
+        near = ca.logic_and(faded >= -self.known, line[2] <= limit["cutoff"])
         after = ca.logic_or(hit, ca.logic_and(on_arc(line, limit), near))
         inputs = {
-            **{"hit": hit, "cells": value, "column": column, "column_beam": across},
+            **{"explained": hit, "cells": value, "column": column, "column_beam": across},
             **{"row": row, "row_beam": down, "limits": limits},
         }
         return lower_named("seek", inputs, {"hit_next": after})
 
     def clear(self) -> Program:
-        """Program that computes the value of a cell without a mark after a firing that marks nothing near it."""
-        value = ca.SX.sym("value")
+        """Program that computes the values of a row of cells without marks after a firing that marks nothing near."""
+        cells, limits = ca.SX.sym("cells", self.block), ca.SX.sym("limits", len(LIMITS))
+        down, columns = ca.SX.sym("row_beam", BEAM), ca.SX.sym("column_beam", BEAM * self.block)
+        limit, after = named_limits(limits), []
+        for k in range(self.block):
+            line = cell_line(columns[BEAM * k : BEAM * (k + 1)], down)
+            after.append(ca.if_else(in_front(line, limit), -1, cells[k]))
+        inputs = {"cells": cells, "row_beam": down, "column_beam": columns, "limits": limits}
+        return lower_named("clear", inputs, {"after": ca.vertcat(*after)})
+
+    def glance(self) -> Program:
+        """Program that computes a cell's value after a firing that neither marks it nor is in front of its mark.
+
+        The first output tests for this. The last ones say whether the firing is in front of the cell, and marks it.
+        """
+        value, explained = ca.SX.sym("value"), ca.SX.sym("explained")
         _, across, _, down = self._cell()
         limits = ca.SX.sym("limits", len(LIMITS))
-        free = in_front(cell_line(across, down), named_limits(limits), value)
-        inputs = {"cells": value, "column_beam": across, "row_beam": down, "limits": limits}
-        return lower_named("clear", inputs, {"after": ca.if_else(free, -1, value)})
+        limit, line, mark = named_limits(limits), cell_line(across, down), value > 0
+        front = in_front(line, limit, value)
+        marked = ca.logic_and(on_arc(line, limit), ca.logic_or(value >= -self.known, ca.logic_not(explained)))
+        finished = ca.logic_not(ca.logic_or(marked, ca.logic_and(front, mark)))
+        after = ca.if_else(ca.logic_and(front, ca.logic_not(mark)), -1, value)
+        inputs = {"cells": value, "column_beam": across, "row_beam": down, "limits": limits, "explained": explained}
+        return lower_named("glance", inputs, {"finished": finished, "after": after, "front": front, "marked": marked})
 
     def observe(self) -> Program:
-        """Program that computes a cell's value after a firing."""
-        value, explained = ca.SX.sym("value"), ca.SX.sym("explained")
+        """Program that computes a cell's value after a firing, where `glance` has not finished it."""
+        value, front, marked = (ca.SX.sym(name) for name in ("value", "front", "marked"))
         _, across, _, down = self._cell()
         limits = ca.SX.sym("limits", len(LIMITS))
         limit, line = named_limits(limits), cell_line(across, down)
         away, near, moved = direction(across, down, limit), nearby(line, limit), line[2] > limit["moved"]
         lasts, remark, blind = by_direction(value, away, near=near, moved=moved)
-        free = ca.logic_and(in_front(line, limit, value), ca.logic_not(lasts))
-        marked = ca.logic_and(on_arc(line, limit), ca.logic_or(value >= -self.known, ca.logic_not(explained)))
+        cleared = ca.logic_or(limit["clears"], level(value) <= BLIND)
+        free = ca.logic_and(ca.logic_and(front, cleared), ca.logic_not(lasts))
         after = ca.if_else(free, -1, ca.if_else(marked, ca.if_else(limit["ranged"], remark, blind), value))
-        inputs = {"cells": value, "column_beam": across, "row_beam": down, "limits": limits, "explained": explained}
-        return lower_named("observe", inputs, {"after": after})
+        inputs = {"finished": ca.SX.sym("finished"), "glanced": ca.SX.sym("glanced"), "cells": value}
+        inputs |= {"column_beam": across, "row_beam": down, "limits": limits, "front": front, "marked": marked}
+        return lower_named("observe", inputs, {"observed": ca.SX(1), "after": after})
 
     def cover(self) -> Program:
         """Program that computes a cell's value near the hull: a cell that the hull covers becomes free."""
@@ -311,25 +382,19 @@ class MapPrograms:
         inputs = {"cells": value, "column": column, "row": row, "hull": hull}
         return lower_named("cover", inputs, {"after": ca.if_else(column[1] + row[1] < hull[0], -1, value)})
 
-    def tally(self) -> Program:
-        """Program that computes the largest value of a block's cells, and the number of cells not known to be free."""
-        largest, count, value = ca.SX.sym("largest"), ca.SX.sym("count"), ca.SX.sym("value")
-        outputs = {"largest_next": ca.fmax(largest, value), "count_next": count + (value >= -self.known)}
-        return lower_named("tally", {"largest": largest, "count": count, "cells": value}, outputs)
-
     # --- the nearest cell of a block ----------------------------------------------------------------------------------
 
-    def without(self) -> Program:
-        """Program that tests whether a block has no marked cell, and whether its unknown cells are ignored."""
-        largest, count = ca.SX.sym("largest", self.lanes), ca.SX.sym("count", self.lanes)
-        held = ca.sum1(count) < self.held
-        outputs = {"no_mark": reduce(ca.fmax, ca.vertsplit(largest)) <= 0, "no_blank": held}
-        return lower_named("without", {"largest": largest, "count": count}, outputs)
+    def count(self) -> Program:
+        """Program that extends by a row the count of a block's cells not known to be free, and tests for enough."""
+        count, cells = ca.SX.sym("count"), ca.SX.sym("cells", self.block)
+        after = count + ca.sum1(cells >= -self.known)
+        inputs = {"enough": ca.SX.sym("enough"), "count": count, "cells": cells}
+        return lower_named("count", inputs, {"enough_next": after >= self.held, "count_next": after})
 
-    def any_hit(self) -> Program:
-        """Program that tests whether any of the cells that the processor computes at once explains the firing."""
-        hits = ca.SX.sym("hits", self.lanes)
-        return lower_named("any_hit", {"hits": hits}, {"hit": reduce(ca.logic_or, ca.vertsplit(hits))})
+    def few(self) -> Program:
+        """Program that tests whether a block has so few cells not known to be free that they are ignored."""
+        enough = ca.SX.sym("enough")
+        return lower_named("few", {"enough": enough}, {"few": ca.logic_not(enough)})
 
     def all_explained(self) -> Program:
         """Program that tests whether every firing is explained by some cell, so that the search can end."""
@@ -350,13 +415,14 @@ class MapPrograms:
         dx, least, which = near[0], near[2], 3 if unknown else 1
         for k in range(self.block):
             value = cells[k]
-            square = columns[self._entry(k, BASE, which)] + row[which]
-            holds = value > 0
+            square = columns[BASE * k + which] + row[which]
+            nearer = square < least  # most cells fail this test, which comes first
             if unknown:
                 blank = ca.logic_and(value >= -self.known, value <= 0)
-                holds = ca.logic_and(blank, square > hull[1])
-            nearer = ca.logic_and(holds, square < least)
-            dx = ca.if_else(nearer, columns[self._entry(k, BASE, 0)], dx)
+                nearer = ca.logic_and(ca.logic_and(nearer, square > hull[1]), blank)
+            else:
+                nearer = ca.logic_and(nearer, value > 0)
+            dx = ca.if_else(nearer, columns[BASE * k], dx)
             least = ca.if_else(nearer, square, least)
         dy = ca.if_else(least < near[2], row[0], near[1])
         inputs = {"near": near, "cells": cells, "row": row, "columns": columns, "hull": hull}
@@ -384,27 +450,17 @@ class MapPrograms:
         return lower_named("farther", {"near": near, "best": best}, {"farther": near[2] >= best[2]})
 
     def enter(self) -> Program:
-        """Program that stores a cell as the nearest cell found so far in its direction."""
-        flag, best = ca.SX.sym("flag"), ca.SX.sym("best", 3 * self.sectors)
-        near, sector = ca.SX.sym("near", 3), ca.SX.sym("sector")
-        rows = [ca.if_else(sector == k, near, best[3 * k : 3 * k + 3]) for k in range(self.sectors)]
-        inputs = {"flag": flag, "best": best, "near": near, "sector": sector}
-        return lower_named("enter", inputs, {"done": ca.SX(1), "best_next": ca.vertcat(*rows)})
+        """Program that computes the nearest cell found so far in the direction `at`, after the nearest of a block."""
+        at, best, near, sector = (
+            ca.SX.sym(name, size) for name, size in (("at", 1), ("best", 3), ("near", 3), ("sector", 1))
+        )
+        inputs = {"at": at, "best": best, "near": near, "sector": sector}
+        return lower_named("enter", inputs, {"best_next": ca.if_else(sector == at, near, best)})
 
     # --- parts --------------------------------------------------------------------------------------------------------
 
-    def _entry(self, column: int, size: int, entry: int) -> int:
-        # `entry` is an entry of the column's base or beam
-        group, lane = divmod(column, self.lanes)
-        return (group * size + entry) * self.lanes + lane
-
-    def _risen(self, value: ca.SX, column: ca.SX, row: ca.SX) -> ca.SX:
-        return ca.fmin(value * (row[2] * column[2]) + self.fades[1], 0)
-
-    def _faded(self, value: ca.SX, column: ca.SX, row: ca.SX) -> ca.SX:
-        old = value * (row[2] * column[2])
-        after = self._risen(value, column, row)
-        return ca.if_else(old > 0, ca.if_else(level(old) <= self.fades[0], 0, old - self.fades[0]), after)
+    def _faded(self, old: ca.SX, risen: ca.SX) -> ca.SX:
+        return ca.if_else(old > 0, ca.if_else(level(old) <= self.fades[0], 0, old - self.fades[0]), risen)
 
     @staticmethod
     def _cell() -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
@@ -418,3 +474,7 @@ class MapPrograms:
     @staticmethod
     def _limit_symbols(limits: list[dict[str, ca.SX]]) -> dict[str, ca.SX]:
         return {f"limits_{s}": ca.vertcat(*one.values()) for s, one in enumerate(limits)}
+
+
+def _remembered(value: ca.SX, column: ca.SX, row: ca.SX) -> ca.SX:
+    return value * (row[2] * column[2])

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple, TypeAlias
 
 import casadi as ca
 
+from surctl.ir import picked, tabulated
 from surctl.marine.sensing.ranging.parameters import MOST_REPEATS, NEVER, TrackerParameters
 
 Value: TypeAlias = Any
@@ -154,11 +155,8 @@ def _moved(tracker: TrackerParameters, old: Mapping[str, Value], inputs: StepInp
     return state
 
 
-def others(
-    tracker: TrackerParameters, old: Mapping[str, Value], samples: list[Value], fresh: Value
-) -> list[tuple[Value, Value, Value]]:
+def others(tracker: TrackerParameters, old: Mapping[str, Value], newest: Value) -> list[tuple[Value, Value, Value]]:
     """Return `StepInputs.others` for all sensors; the entries for sensor i describe sensors i + 1, i + 2, …"""
-    newest = ca.if_else(fresh > 0.5, robust(tracker, samples), old["reading"])
 
     def turned(value: Value, k: int) -> Value:
         return ca.vertcat(value[k:], value[:k])
@@ -232,10 +230,11 @@ def _lateness(step: Step, sound: Value, reading: Value) -> _Late:
     lost = missing * tracker.due
     gap = _both(scene.fired, missing > 0.5, lost <= tracker.longest_delay + 0.5 * tracker.dt, state["known"] > 0.5)
     late_by = ca.if_else(gap, _most(old["late_by"], lost), old["late_by"])
-    away, wall_then = 0.0 * late_by, scene.expected + 0.0 * late_by
-    for k, (shift, wall) in enumerate(zip(state["shifts"], state["walls"][1:], strict=True)):
-        chosen = ca.fabs(late_by - (k + 1) * tracker.dt) < 0.5 * tracker.dt
-        away, wall_then = ca.if_else(chosen, shift, away), ca.if_else(chosen, wall, wall_then)
+    ago: Value = late_by / tracker.dt + 0.5
+    history = zip(state["shifts"], state["walls"][1:], strict=True)
+    then = picked("earlier", tabulated(history), ago - 1.0)
+    then = ca.if_else(_both(ago >= 1.0, ago < 1.0 + len(state["shifts"])), then, ca.vertcat(0.0, scene.expected))
+    away, wall_then = then[0], then[1]
     late = _both(old["late"] > 0.5, ca.logic_not(gap), ca.fabs(away) > 0.4 * _SMALL)
     suspected = _both(late_by > 0.0, ca.logic_not(late))
     distinct = ca.fabs(wall_then - scene.expected) > _TELLING_WALL + scene.unsure

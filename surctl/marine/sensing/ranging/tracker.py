@@ -17,7 +17,7 @@ import casadi as ca
 
 from surctl.ir import Layout, Port, each
 from surctl.marine.sensing.ranging.parameters import NEVER, TrackerParameters
-from surctl.marine.sensing.ranging.rules import StepInputs, others, range_step
+from surctl.marine.sensing.ranging.rules import StepInputs, others, range_step, robust
 
 
 class Ranging(NamedTuple):
@@ -86,7 +86,11 @@ class RangeTracker(TrackerParameters):
         old = {p.name: state[prefix + p.name] for p in ports}
         wide = {p.name for p in ports if len(p.shape) == 2}  # ports that the rules take as lists of columns
         columns = {n: ca.horzsplit(v) if n in wide else v for n, v in old.items()}
-        beside = others(self, columns, [samples[:, j] for j in range(count)], fresh)
+
+        def newest(row: ca.SX, rest: ca.SX) -> tuple[Any]:
+            return (ca.if_else(rest[0] > 0.5, robust(self, ca.vertsplit(row)), rest[1]),)
+
+        beside = others(self, columns, *each("newest", newest, samples, ca.horzcat(fresh, old["reading"])))
 
         def sensor(before: ca.SX, values: ca.SX, around: ca.SX) -> tuple[Any, Any]:
             own = Layout(tuple(replace(p, shape=p.shape[1:] or (1,)) for p in ports)).split(before)

@@ -11,13 +11,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError, nearest
-from surctl.marine.control import Barrier, Gains, Law, Movers, build_law, check_forces, default_law, law_ref, law_source
+from surctl.marine.control import (
+    Barrier,
+    Gains,
+    Law,
+    Movers,
+    build_law,
+    check_forces,
+    default_law,
+    law_options,
+    law_ref,
+    law_source,
+)
 from surctl.marine.guidance import AvoidanceForm, Guidance
 from surctl.marine.simulation.obstacle import Obstacle
 from surctl.marine.simulation.run import Sensing
 from surctl.marine.simulation.scenario import Scenario
 from surctl.marine.simulation.thruster_faults import check_failed
-from surctl.marine.vehicle import Vehicle, parameter_spec
+from surctl.marine.vehicle import SPECS, Vehicle
 from surctl.priority import Mode
 
 Vector = NDArray[np.float64]
@@ -103,18 +114,8 @@ class Case:
 
     def build(self, fallback: str = "exact") -> Law:
         """Build the law of the simulation setup, with a `fallback` as for `build_law`."""
-        return vehicle_law(
-            self.vehicle,
-            self.law,
-            self.scenario,
-            sonar=self.sensing == "sonar",
-            avoidance=self.avoidance,
-            mode=self.mode,
-            guidance=self.guidance,
-            barrier=self.barrier,
-            movers=self.movers,
-            fallback=fallback,
-        )
+        kind = {"sonar": self.sensing == "sonar", "fallback": fallback, **law_options(self)}
+        return vehicle_law(self.vehicle, self.law, self.scenario, **kind)
 
 
 @dataclass(frozen=True)
@@ -158,8 +159,7 @@ def case_parameters(case: Case) -> Mapping[str, CaseParameter]:
         for name, spec in case.gains.specs.items()
     ]
     for name, known in case.vehicle.parameters.items():
-        spec = parameter_spec(name)
-        assert spec is not None  # a vehicle has no other parameters
+        spec = SPECS[name]
         least, above = -inf if spec.signed else 0.0, not spec.zero_allowed
         only = f"{spec.meaning}, of the simulated vehicle only; the controller keeps its model"
         for kind, meaning in (("vehicle", spec.meaning), ("plant", only)):

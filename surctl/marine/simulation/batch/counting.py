@@ -123,8 +123,7 @@ def _directions(old: Mapping[str, ca.SX], w: Mapping[str, ca.SX], tangent: ca.SX
 def path_tangent(waypoints: ca.SX, leg: ca.SX, along: ca.SX, on_last: ca.SX) -> ca.SX:
     """Return the unit direction (2, 1) of the current segment, or of the next segment past its end.
 
-    `leg` is the number of the segment among the `waypoints`, and `along` the arc length on it [m]; as
-    `Follower.directions`.
+    `leg` is the number of the segment among the `waypoints`, and `along` the arc length on it [m].
     """
     chords = [waypoints[k + 1, :].T - waypoints[k, :].T for k in range(waypoints.shape[0] - 1)]
     here, following = chords[0], chords[1]

@@ -189,13 +189,13 @@ class Trace:
     tau: Columns
 
 
-def trace_batch(case: Case, values: Mapping[str, ArrayLike], *, seeds: ArrayLike = 0) -> Iterator[Trace]:
+def trace_batch(case: Case, values: Mapping[str, ArrayLike]) -> Iterator[Trace]:
     """Simulate runs as `simulate_batch` does and yield the signals of each run, without its last control step.
 
     Raises:
         InputError, ToolMissing: as for `simulate_batch`.
     """
-    columns, run_seeds = broadcast(values, seeds)
+    columns, run_seeds = broadcast(values, 0)
     check_values(case, columns)
     loop = build_loop(structure_of(case, columns))
     compiled = compiled_loop(loop.structure)

@@ -15,7 +15,7 @@ import casadi as ca
 from surctl.ir import Block, Call, Layout, Port, Program, Recording, Routine, fold, lower, lower_named
 from surctl.ir.elementary import nearby_angles
 from surctl.ir.folding import shared_divisors
-from surctl.marine.control import WORKING, Law, build_law
+from surctl.marine.control import WORKING, Law, build_law, law_options
 from surctl.marine.guidance import FOLLOWING, MAX_WAYPOINTS, ROW, follow
 from surctl.marine.simulation.batch.counting import SUMS, counted, path_square, path_tangent
 from surctl.marine.simulation.batch.listening import Listening, flat, slots
@@ -88,19 +88,9 @@ def loop_of(structure: Structure, law: Law, *, single: bool = False) -> Loop:
 def build_loop(structure: Structure) -> Loop:
     """Return the closed loop of a loop structure; the result is cached, and its step is built when it is first used."""
     law = build_law(  # no more slots than obstacles, and no filter without input
-        structure.law,
-        avoidance=structure.avoidance,
-        mode=structure.mode,
-        contacts=structure.contacts,
-        sonar=structure.sensing == "sonar",
-        equipment=structure.equipment,
-        moving=structure.moving,
-        guidance=structure.guidance,
-        barrier=structure.barrier,
-        movers=structure.treats,
-        depths=structure.depths,
-        actuators=structure.actuators,
-    )
+        structure.law, contacts=structure.contacts, sonar=structure.sensing == "sonar", equipment=structure.equipment,
+        moving=structure.moving, depths=structure.depths, actuators=structure.actuators, **law_options(structure),
+    )  # fmt: skip
     return loop_of(structure, law)
 
 

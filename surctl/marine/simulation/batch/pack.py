@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.marine.allocation import working_flags
-from surctl.marine.control import WORKING
+from surctl.marine.control import WORKING, law_options
 from surctl.marine.sensing import FaultChances
 from surctl.marine.sensing.sonar.faults import fault_slots
 from surctl.marine.sensing.sonar.returns import echo_keys, echo_number
@@ -57,35 +57,19 @@ def structure_of(case: Case, values: Mapping[str, Columns]) -> Structure:
         moved = values.get(f"obstacle.{obstacle.name}.drift", np.asarray(obstacle.drift_m))
         kinds.append(kind_of(obstacle, drifting=bool(np.any(moved > 0))))
     optional = any(f"obstacle.{obstacle.name}.there" in values for obstacle in case.scenario.obstacles)
-    shared: dict[str, Any] = {
-        "optional": optional,
-        "guidance": case.guidance,
-        "barrier": case.barrier,
-        "treats": case.movers,
-        "heights": any(not obstacle.heights.whole for obstacle in case.scenario.obstacles),
-        "depths": case.scenario.depths is not None,
-        "form": case.vehicle.form,
-        "actuators": case.vehicle.actuators,
-        "points": capacity_for(case.scenario.path),
-        "rises": case.scenario.path.rises is not None,
-    }
-    if case.sensing == "truth":
-        return Structure(case.law, case.avoidance, case.mode, case.sensing, tuple(kinds), **shared)
-    sensors = case.scenario.sensors
-    struck = any(np.any(values.get(f"sonar.{kind}", chance) > 0) for kind, chance in _chances(case))
+    sensors, sonars = case.scenario.sensors, dict[str, Any]()
+    if case.sensing == "sonar":
+        struck = any(np.any(values.get(f"sonar.{kind}", chance) > 0) for kind, chance in _chances(case))
+        late = any(fault.kind == "delay" for fault in sensors.faults)
+        sonars = {"equipment": sensors.on(case.vehicle["radius"]), "faults": len(sensors.faults), "chances": struck}
+        sonars |= {"delays": late, "surfaces": case.scenario.surfaces}
     return Structure(
-        case.law,
-        case.avoidance,
-        case.mode,
-        case.sensing,
-        tuple(kinds),
-        sensors.on(case.vehicle["radius"]),
-        len(sensors.faults),
-        struck,
-        any(fault.kind == "delay" for fault in sensors.faults),
-        surfaces=case.scenario.surfaces,
-        **shared,
-    )
+        law=case.law, sensing=case.sensing, bodies=tuple(kinds), optional=optional,
+        heights=any(not obstacle.heights.whole for obstacle in case.scenario.obstacles),
+        depths=case.scenario.depths is not None, form=case.vehicle.form, actuators=case.vehicle.actuators,
+        points=capacity_for(case.scenario.path), rises=case.scenario.path.rises is not None,
+        **law_options(case), **sonars,
+    )  # fmt: skip
 
 
 def _chances(case: Case) -> list[tuple[str, float]]:

@@ -320,7 +320,7 @@ class Structure:
         optional: whether a run may leave obstacles out.
         heights: whether some obstacle ends above the floor or below the surface.
         depths: whether the mission allows other depths than the depth of the path.
-        barrier, treats: the options `barrier` and `movers` of `build_law`.
+        avoidance, mode, guidance, barrier, movers: the options of `build_law`.
         actuators: the thrusters to which the law allocates its thrust; None: each axis has its own limit.
         points: number of waypoints that a run can hold if the path is fed to the law (`Path.fed`); 0: it is not fed.
         surfaces: how each surface answers a sonar; None: all alike, as the `incidence_limit` of the sonars says.
@@ -338,7 +338,7 @@ class Structure:
     optional: bool = False
     guidance: Guidance = "los"
     barrier: Barrier = "simple"
-    treats: Movers = "predict"
+    movers: Movers = "predict"
     heights: bool = False
     depths: bool = False
     form: PlantForm = field(default_factory=PlantForm)
@@ -363,14 +363,14 @@ class Structure:
         return self.sensing == "sonar" or any(kind not in ("box", "disc") for kind in self.bodies)
 
     @property
-    def movers(self) -> int:
+    def moved(self) -> int:
         """Number of moving obstacles."""
         return self.bodies.count("mover")
 
     @property
     def slots(self) -> int:
         """Number of moving obstacles that a message of the base station contains."""
-        return min(CONTACT_SLOTS, self.movers)
+        return min(CONTACT_SLOTS, self.moved)
 
     def bodies_at(self, w: Mapping[str, ca.SX], time: ca.SX) -> list[Body]:
         """Return the obstacles at a time [s], from the parameters of a run by name."""
@@ -384,7 +384,7 @@ class Structure:
     @property
     def contacts(self) -> int:
         """Number of obstacle points that the law receives."""
-        return min(CONTACT_SLOTS, self.movers if self.sensing == "sonar" else len(self.bodies))
+        return min(CONTACT_SLOTS, self.moved if self.sensing == "sonar" else len(self.bodies))
 
 
 def driven(structure: Structure, law: Law, parameters: Layout) -> Program:

@@ -21,7 +21,7 @@ from pydantic import Field
 from surctl import __version__
 from surctl.errors import InputError, cannot_write
 from surctl.files import Strict, file_name, prepare_folder, read_toml, validate, write_file
-from surctl.marine.control import Barrier, Gains, Law, Movers, law_ref, law_source, load_gains
+from surctl.marine.control import Barrier, Gains, Law, Movers, law_options, law_ref, law_source, load_gains
 from surctl.marine.guidance import AvoidanceForm, Guidance
 from surctl.marine.simulation.batch.case import Case
 from surctl.marine.simulation.batch.engines import simulate_batch, stored_loop
@@ -32,12 +32,12 @@ from surctl.marine.simulation.campaign.summary import RunTable, Summary, assumpt
 from surctl.marine.simulation.campaign.worlds import Plan, SampledRun
 from surctl.marine.simulation.metrics import METRICS
 from surctl.marine.simulation.run import Run, Sensing
-from surctl.marine.simulation.scenario import scenario_from_table
-from surctl.marine.simulation.scenario_table import scenario_table
+from surctl.marine.simulation.scenario import scenario_from_table, scenario_table
 from surctl.marine.simulation.toml_text import toml_text
 from surctl.marine.vehicle import Vehicle, write_vehicle
 from surctl.marine.vehicle.parameters import vehicle_from_table
 from surctl.priority import Mode
+from surctl.recorded_write import write_csv
 from surctl.store import RESUME, ChunkStore
 
 T = TypeVar("T")
@@ -60,7 +60,7 @@ class _RunFile(Strict):
     law: str
     avoidance: AvoidanceForm
     guidance: Guidance = "los"
-    priority_mode: Mode
+    mode: Mode = Field(alias="priority_mode")
     barrier: Barrier = "simple"
     movers: Movers = "predict"
     sensing: Sensing
@@ -160,19 +160,8 @@ def load_replay(path: Path | str, *, trust: bool = False) -> Replay:
             raise InputError("no such vehicle parameter", file=path, key=f"draw.{name}", remedy="remove it")
     vehicle.with_values(file.draw)
     law = law_ref(file.law, file=path, folder=path.parent, trust=trust)
-    case = Case(
-        scenario,
-        vehicle,
-        _gains(file.gains, law, path),
-        law,
-        file.priority_mode,
-        file.sensing,
-        model,
-        file.avoidance,
-        file.guidance,
-        file.barrier,
-        file.movers,
-    )
+    kind = {"sensing": file.sensing, "model": model, **law_options(file)}
+    case = Case(scenario, vehicle, _gains(file.gains, law, path), law, **kind)
     run = SampledRun(case, file.seed, file.draw)
     return Replay(run, file.stopped_because, file.figures, file.campaign, file.broken_assumptions, file.version)
 
@@ -331,7 +320,7 @@ class CampaignFolder:
     def write(self, campaign: Campaign, *, worst: int) -> list[Path]:
         """Write the table of runs and the files of the worst runs; return the paths of the worst runs."""
         name, files = file_name(campaign.plan.name), self.path / "worst"
-        write_file(self.path / f"{name}.csv", campaign.table.to_csv())
+        write_csv(self.path / f"{name}.csv", campaign.table.columns())
         for old in files.glob(f"{name}-worst-*.toml"):
             try:
                 old.unlink()

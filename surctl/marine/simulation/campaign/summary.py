@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import pi
 from typing import Any
@@ -76,19 +74,14 @@ class RunTable:
         draw = {name: float(column[k]) for name, column in self.values.items()}
         return {**result, "broken_assumptions": list(self.broken[k]), "draw": draw}
 
-    def to_csv(self) -> str:
-        """Return all runs as CSV text with one line per run; every number is written with all its digits."""
-        text = io.StringIO()
-        names = [name for name in METRICS if name != "stopped"]
-        writer = csv.writer(text, lineterminator="\n")
-        writer.writerow(["seed", "stopped_because", *names, "broken_assumptions", *self.values])
-        for k in range(len(self)):
-            row = self.row(k)
-            cells = [int(row[name]) if name in _FIRST else repr(row[name]) for name in names]
-            draw = [repr(value) for value in row["draw"].values()]
-            broken = "; ".join(row["broken_assumptions"])
-            writer.writerow([row["seed"], row["stopped_because"], *cells, broken, *draw])
-        return text.getvalue()
+    def columns(self) -> dict[str, Sequence[Any]]:
+        """Return all runs as columns of a table: seed, reason for the end, metrics, violated assumptions, draws."""
+        figures = {name: self.column(name).tolist() for name in METRICS if name != "stopped"}
+        figures |= {name: [int(value) for value in figures[name]] for name in _FIRST}
+        broken = {"broken_assumptions": ["; ".join(names) for names in self.broken]}
+        draws = {name: column.tolist() for name, column in self.values.items()}
+        ends = [self.stopped(k) for k in range(len(self))]
+        return {"seed": self.seeds.tolist(), "stopped_because": ends, **figures, **broken, **draws}
 
 
 MEANINGS: Mapping[str, str] = {
@@ -267,13 +260,10 @@ def summarise(table: RunTable) -> Summary:
     ended = np.round(table.column("stopped"))
     stopped = {reason: Share(int(np.sum(ended == code)), len(table)) for code, reason in enumerate(STOPS)}
     arrived = table.column("reached") > 0.5
-    broken: dict[str, int] = {}
     collided = table.column("collided") > 0.5
     holds = np.array([not names for names in table.broken])
     inside = Share(int(np.sum(collided & holds)), int(np.sum(holds))) if holds.any() else None
-    for k in np.flatnonzero(collided):
-        for name in table.broken[int(k)] or ("none",):
-            broken[name] = broken.get(name, 0) + 1
+    broken = dict(Counter(name for k in np.flatnonzero(collided) for name in table.broken[int(k)] or ("none",)))
     violated = dict(Counter(name for names in table.broken for name in names).most_common())
     clear = table.column("min_clearance_m")
     return Summary(

@@ -38,7 +38,7 @@ from surctl.marine.vehicle.identification.prediction import Prediction, Trial, d
 from surctl.marine.vehicle.identification.solve import beginning, minimise, outliers, simulable, without_outliers
 from surctl.marine.vehicle.motion_log import LOG_MOTION, LOG_THRUST, LOG_TILT, MotionLog
 from surctl.marine.vehicle.parameters import Parameter, Vehicle
-from surctl.marine.vehicle.specs import TERMS, parameter_spec
+from surctl.marine.vehicle.specs import SPECS, TERMS
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +84,7 @@ class Identified:
         below = [
             f"{key} = {value:.3g} ± {half:.2g} {spec.unit}"
             for key, (value, half) in self.estimates.items()
-            if (spec := parameter_spec(key)) is not None and not spec.signed and value + half < 0
+            if not (spec := SPECS[key]).signed and value + half < 0
         ]
         remedy = "check the signs and scales of thrust and motion"
         return f"the log contradicts the model: {', '.join(below)} would be below 0; {remedy}" if below else ""
@@ -99,8 +99,7 @@ class Identified:
 
     def unit(self, name: str) -> str:
         """Return the unit of a parameter."""
-        spec = parameter_spec(name)
-        return spec.unit if spec is not None else ""
+        return SPECS[name].unit
 
 
 _SPAN, _SPAN_ROWS = 2.0, 10  # displacements are compared over this [s], or this many rows, whichever is longer
@@ -489,8 +488,8 @@ def _vehicle(
     span = f"{len(log.time)} rows, {log.time[-1] - log.time[0]:.4g} s"
     known = dict(start.parameters)
     for key, (estimate, half) in estimates.items():
-        prior, spec = known.get(key), parameter_spec(key)
-        if spec is None or (key in kinds.held and prior is None):
+        prior, spec = known.get(key), SPECS[key]
+        if key in kinds.held and prior is None:
             continue  # a constant force that does not differ from 0
         if key in kinds.held and prior is not None:
             said = f"{prior.provenance} (not identifiable from {log.source})"

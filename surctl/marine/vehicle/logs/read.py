@@ -11,7 +11,7 @@ from contextlib import ExitStack, contextmanager, redirect_stderr, redirect_stdo
 from dataclasses import replace
 from io import StringIO
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -19,8 +19,8 @@ from surctl.errors import InputError, check_known
 from surctl.marine.vehicle.logs.joining import LogMap, joined, load_log_map
 from surctl.marine.vehicle.logs.recording import (
     LogRecording,
-    Reader,
     Stream,
+    Topic,
     TopicRows,
     bare_names,
     flattened,
@@ -36,34 +36,31 @@ from surctl.units import in_unit
 _NO_MOTION = ("FMT", "FMTU", "UNIT", "MULT", "PARM")
 
 
-def _read_ardupilot(path: Path, topics: Collection[str] | None) -> LogRecording:
-    """Read messages by type, such as ATT or RCOU; further instances of a type have names such as XKF1[1].
+_Message = tuple[Stream, float, Any]  # stream, time [s], content
+
+
+def _ardupilot(path: Path, topics: Collection[str] | None, notes: list[str]) -> Iterator[_Message]:
+    """Yield messages by type, such as ATT or RCOU; further instances of a type have names such as XKF1[1].
 
     In a telemetry log, types that several systems or components sent have names such as ATTITUDE@1.1. The time is that
     of the autopilot (TimeUS) in a dataflash log, and the time of reception in a telemetry log.
     """
     mavutil = optional_module("pymavlink.mavutil", path=path, extra="ardupilot")
-    rows: dict[Stream, TopicRows] = {}
     kinds = bare_names(topics)
     bad = 0
-    try:
-        log = mavutil.mavlink_connection(str(path), notimestamps=False)
-        while (message := log.recv_match(type=kinds and [*kinds, "BAD_DATA"])) is not None:
-            kind = message.get_type()
-            bad += kind == "BAD_DATA"
-            if kind == "BAD_DATA" or kind in _NO_MOTION:
-                continue
-            values = message.to_dict()
-            values.pop("mavpackettype", None)
-            time = values["TimeUS"] * 1e-6 if "TimeUS" in values else float(message._timestamp)
-            rows.setdefault(_stream(message, values), TopicRows()).append(time, flattened(values))
-        log.close()
-    except (OSError, ValueError, KeyError, IndexError, TypeError) as error:
-        raise InputError(
-            f"cannot be read as a log of ArduPilot ({error})", file=shown(path), remedy="give a .BIN or .tlog file"
-        ) from None
-    notes = [f"{bad} parts of {path.name} are no messages: not used"] if bad else []
-    return recording_of(path, {stream: one.topic() for stream, one in rows.items()}, notes)
+    log = mavutil.mavlink_connection(str(path), notimestamps=False)
+    while (message := log.recv_match(type=kinds and [*kinds, "BAD_DATA"])) is not None:
+        kind = message.get_type()
+        bad += kind == "BAD_DATA"
+        if kind == "BAD_DATA" or kind in _NO_MOTION:
+            continue
+        values = message.to_dict()
+        values.pop("mavpackettype", None)
+        time = values["TimeUS"] * 1e-6 if "TimeUS" in values else float(message._timestamp)
+        yield _stream(message, values), time, values
+    log.close()
+    if bad:
+        notes.append(f"{bad} parts of {path.name} are no messages: not used")
 
 
 def _stream(message: Any, values: dict[str, Any]) -> Stream:
@@ -75,8 +72,8 @@ def _stream(message: Any, values: dict[str, Any]) -> Stream:
     return Stream(message.get_type(), instance, source)
 
 
-def _read_bag(path: Path, topics: Collection[str] | None) -> LogRecording:
-    """Read a bag of ROS 1, or of ROS 2 in a folder with metadata.yaml (a file inside it may be named).
+def _bag(path: Path, topics: Collection[str] | None, _: list[str]) -> Iterator[_Message]:
+    """Yield messages of a bag of ROS 1, or of ROS 2 in a folder with metadata.yaml (a file inside it may be named).
 
     The time is that of the recorder. Custom messages need their definitions in the bag. A topic that several nodes
     published, or that has several types, has names such as `/odom@/filter`.
@@ -89,52 +86,33 @@ def _read_bag(path: Path, topics: Collection[str] | None) -> LogRecording:
         if not (bag / "metadata.yaml").is_file():
             remedy = "give the folder of the bag: ros2 bag reindex"
             raise InputError("has no metadata.yaml beside it", file=shown(path), remedy=remedy)
-    rows: dict[Stream, TopicRows] = {}
     store = typesys.get_typestore(typesys.Stores.LATEST)
-    try:
-        with highlevel.AnyReader([bag], default_typestore=store) as reader:
-            chosen = [c for c in reader.connections if matches(c.topic, topics)]
-            types = {(c.topic, c.msgtype) for c in reader.connections}
-            several = {name for name in {c.topic for c in chosen} if sum(topic == name for topic, _ in types) > 1}
-            for connection, stamp, raw in reader.messages(connections=chosen) if chosen else ():
-                message = reader.deserialize(raw, connection.msgtype)
-                node = getattr(connection.ext, "callerid", None) or ""
-                source = f"{node}:{connection.msgtype}" if connection.topic in several else node
-                rows.setdefault(Stream(connection.topic, None, source), TopicRows()).append(
-                    stamp * 1e-9, flattened(message)
-                )
-    except Exception as error:  # rosbags passes on errors of its own and of every library that it reads with
-        raise InputError(
-            f"cannot be read as a bag ({_line(error)})", file=shown(path), remedy="check it with: ros2 bag info"
-        ) from None
-    return recording_of(path, {stream: one.topic() for stream, one in rows.items()})
+    with highlevel.AnyReader([bag], default_typestore=store) as reader:
+        chosen = [c for c in reader.connections if matches(c.topic, topics)]
+        types = {(c.topic, c.msgtype) for c in reader.connections}
+        several = {name for name in {c.topic for c in chosen} if sum(topic == name for topic, _ in types) > 1}
+        for connection, stamp, raw in reader.messages(connections=chosen) if chosen else ():
+            node = getattr(connection.ext, "callerid", None) or ""
+            source = f"{node}:{connection.msgtype}" if connection.topic in several else node
+            message = reader.deserialize(raw, connection.msgtype)
+            yield Stream(connection.topic, None, source), stamp * 1e-9, message
 
 
-def _read_mcap(path: Path, topics: Collection[str] | None) -> LogRecording:
-    """Read an MCAP file with messages in JSON, ROS 1 or ROS 2 (CDR); the time is that of the recorder.
+def _mcap(path: Path, topics: Collection[str] | None, _: list[str]) -> Iterator[_Message]:
+    """Yield messages of an MCAP file in JSON, ROS 1 or ROS 2 (CDR); the time is that of the recorder.
 
     A topic with several channels has names such as `/odom@3`, with the number of the channel.
     """
     reader_of = optional_module("mcap.reader", path=path, extra="ros").make_reader
-    rows: dict[Stream, TopicRows] = {}
     decoders: dict[int, Callable[[bytes], Any]] = {}
-    try:
-        with path.open("rb") as file:
-            for schema, channel, message in reader_of(file).iter_messages(log_time_order=False):
-                if not matches(channel.topic, topics):
-                    continue
-                if channel.id not in decoders:
-                    decoders[channel.id] = _decoder(path, schema, channel)
-                decoded = decoders[channel.id](message.data)
-                stream = Stream(channel.topic, None, str(channel.id))
-                rows.setdefault(stream, TopicRows()).append(message.log_time * 1e-9, flattened(decoded))
-    except InputError:
-        raise
-    except Exception as error:  # mcap raises errors of its decompressors too
-        raise InputError(
-            f"cannot be read as an MCAP file ({_line(error)})", file=shown(path), remedy="check it with: mcap doctor"
-        ) from None
-    return recording_of(path, {stream: one.topic() for stream, one in rows.items()})
+    with path.open("rb") as file:
+        for schema, channel, message in reader_of(file).iter_messages(log_time_order=False):
+            if not matches(channel.topic, topics):
+                continue
+            if channel.id not in decoders:
+                decoders[channel.id] = _decoder(path, schema, channel)
+            stream = Stream(channel.topic, None, str(channel.id))
+            yield stream, message.log_time * 1e-9, decoders[channel.id](message.data)
 
 
 def _decoder(path: Path, schema: Any, channel: Any) -> Callable[[bytes], Any]:
@@ -151,12 +129,6 @@ def _decoder(path: Path, schema: Any, channel: Any) -> Callable[[bytes], Any]:
     if encoding == "cdr":
         return lambda raw: store.deserialize_cdr(raw, name)
     return lambda raw: store.deserialize_ros1(raw, name)
-
-
-def _line(error: Exception) -> str:
-    with suppress(ValueError, UnicodeError):
-        return " ".join(str(error).split())[:200] or type(error).__name__
-    return type(error).__name__
 
 
 def _read_table(
@@ -194,26 +166,24 @@ _HEADER = 16  # bytes
 _LONGEST = 10_000  # bytes of a message; a longer one is damage, as in pyulog
 
 
-def _read_ulog(path: Path, topics: Collection[str] | None) -> LogRecording:
-    """Read topics by name; further instances of a topic have names such as `sensor_gyro[1]`.
+def _ulog(path: Path, topics: Collection[str] | None, notes: list[str]) -> dict[Stream, Topic]:
+    """Return topics by name; further instances of a topic have names such as `sensor_gyro[1]`.
 
     The time is that of the autopilot (`timestamp`).
     """
     pyulog = optional_module("pyulog", path=path, extra="px4")
-    try:
-        raw = path.read_bytes()
-        with path.open("rb") as file:
-            log = pyulog.ULog(file, bare_names(topics))
-    except Exception as error:  # pyulog raises errors of struct and of types, and Exception itself
-        raise InputError(f"cannot be read as a ULog ({error})", file=shown(path), remedy="give a .ulg file") from None
-    streams = {}
+    raw = path.read_bytes()
+    with path.open("rb") as file:
+        log = pyulog.ULog(file, bare_names(topics))
+    streams: dict[Stream, Topic] = {}
     for data in log.data_list:
         if matches(data.name, topics):
             fields = {k: np.asarray(v, dtype=float) for k, v in data.data.items() if k != "timestamp"}
             source = str(data.msg_id) if Stream(data.name, data.multi_id) in streams else ""
             time = np.asarray(data.data["timestamp"], dtype=float) * 1e-6
             streams[Stream(data.name, data.multi_id, source)] = topic_of(time, fields)
-    return recording_of(path, streams, _ulog_notes(path.name, raw, log, whole=topics is None))
+    notes += _ulog_notes(path.name, raw, log, whole=topics is None)
+    return streams
 
 
 def _ulog_notes(name: str, raw: bytes, log: Any, *, whole: bool) -> list[str]:
@@ -255,15 +225,43 @@ def _ulog_notes(name: str, raw: bytes, log: Any, *, whole: bool) -> list[str]:
     return notes
 
 
-READERS: dict[str, Reader] = {
-    ".bin": _read_ardupilot,
-    ".tlog": _read_ardupilot,
-    ".bag": _read_bag,
-    ".db3": _read_bag,
-    ".mcap": _read_mcap,
-    ".ulg": _read_ulog,
+class _Format(NamedTuple):
+    """A format: what it is, the remedy for a damaged file, and what reads it message by message, or whole topics."""
+
+    what: str
+    remedy: str
+    read: Callable[[Path, Collection[str] | None, list[str]], Iterator[_Message] | dict[Stream, Topic]]
+
+
+_ARDUPILOT = _Format("a log of ArduPilot", "give a .BIN or .tlog file", _ardupilot)
+_BAG = _Format("a bag", "check it with: ros2 bag info", _bag)
+
+FORMATS: dict[str, _Format] = {
+    ".bin": _ARDUPILOT,
+    ".tlog": _ARDUPILOT,
+    ".bag": _BAG,
+    ".db3": _BAG,
+    ".mcap": _Format("an MCAP file", "check it with: mcap doctor", _mcap),
+    ".ulg": _Format("a ULog", "give a .ulg file", _ulog),
 }
-"""Readers by the suffix of the file; a folder is a bag of ROS 2, any other file a table."""
+"""Formats by the suffix of the file; a folder is a bag of ROS 2, any other file a table."""
+
+
+def _recording(form: _Format, path: Path, topics: Collection[str] | None) -> LogRecording:
+    rows, notes = dict[Stream, TopicRows](), list[str]()
+    try:
+        content = form.read(path, topics, notes)
+        for stream, time, message in () if isinstance(content, dict) else content:
+            rows.setdefault(stream, TopicRows()).append(time, flattened(message))
+    except InputError:
+        raise
+    except Exception as error:  # the libraries pass on errors of their own and of every library that they read with
+        cause = type(error).__name__
+        with suppress(ValueError, UnicodeError):
+            cause = " ".join(str(error).split())[:200] or cause
+        raise InputError(f"cannot be read as {form.what} ({cause})", file=shown(path), remedy=form.remedy) from None
+    read = content if isinstance(content, dict) else {stream: one.topic() for stream, one in rows.items()}
+    return recording_of(path, read, notes)
 
 
 @contextmanager
@@ -292,10 +290,10 @@ def read_recording(
     """
     if not path.exists():
         raise InputError("no such file", file=shown(path), remedy="check the path")
-    reader = _read_bag if path.is_dir() else READERS.get(path.suffix.lower())
-    if reader is not None:
+    form = _BAG if path.is_dir() else FORMATS.get(path.suffix.lower())
+    if form is not None:
         with _quiet() as printed:
-            recording = reader(path, topics)
+            recording = _recording(form, path, topics)
         if remarks := [line.strip() for line in printed.getvalue().splitlines() if line.strip()]:
             note = f"the reader of {path.name} gave {len(remarks)} warnings; the first: {shown(remarks[0])[:200]}"
             recording = replace(recording, notes=(*recording.notes, note))

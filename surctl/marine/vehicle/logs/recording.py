@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib
 import re
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -17,9 +17,6 @@ from surctl.recorded import shown
 
 _LONGEST = 64  # numbers of an array that become fields
 _JITTER = 1.0  # [s] messages that are late by at most this are sorted
-
-Reader = Callable[[Path, Collection[str] | None], "LogRecording"]
-"""Reads the topics with some names, or all, from a file."""
 
 
 class Stream(NamedTuple):

@@ -11,7 +11,7 @@ from surctl.certcheck.braking_claim import GuardedLaw
 from surctl.errors import InputError, NotApplicable, nearest
 from surctl.marine.control import Barrier, Gains, build_law
 from surctl.marine.guidance.braking import LEAST_THRUST, Brakes, Watch, brakes_of
-from surctl.marine.vehicle import Vehicle
+from surctl.marine.vehicle import Vehicle, steady_speed
 from surctl.marine.vehicle.dynamics import check_equation_3
 from surctl.marine.verification.assumptions import check_sway_force
 from surctl.marine.verification.braking.claim import BrakingClaim, law_numbers
@@ -158,7 +158,7 @@ def _attained(law: GuardedLaw, brakes: Brakes) -> float:
         mass, linear, quadratic = map(float, axis)
         loop = mass * float(law.k_v)
         thrust, slope = loop * cap + linear * cap + quadratic * cap**2, loop + low
-        steady = max(steady, 2 * thrust / (slope + sqrt(slope**2 + 4 * low2 * thrust)))
+        steady = max(steady, steady_speed(thrust, slope, low2))
     return ceil(_BEYOND * steady * 1e3) / 1e3
 
 
