@@ -171,7 +171,7 @@ def quick() -> dict[str, Any]:
     shells = whole["proof"]["shells"]
     extent = np.sqrt(np.diag(np.linalg.inv(matrix(whole)))[:2] * shells[-3]["level"])
     whole["claim"]["motion"]["ultimate_bound_m"] = [round(float(n) + 1e-3, 6) for n in extent]
-    whole["proof"] |= {"floor": shells[-3]["level"], "shells": shells[-2:], "cells": 16}
+    whole["proof"] |= {"floor": shells[-3]["level"], "shells": shells[-2:]}
     return sealed(whole)
 
 
