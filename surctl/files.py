@@ -515,14 +515,17 @@ def write_file(target: Path, content: str | bytes, **options: str) -> Path:
         >>> write_file(Path("gains.toml"), 'kind = "gains"').read_text()
         'kind = "gains"'
     """
-    staging = target.with_name(f".{target.name}.{os.getpid()}.tmp")
+    place = target.resolve() if target.is_symlink() else target
+    staging = place.with_name(f".{place.name}.{os.getpid()}.tmp")
+    if place.exists() and not (place.is_file() or place.is_dir()):  # renaming over a device would remove it
+        raise cannot_write(target, OSError("no regular file"), **({"remedy": "choose another name"} | options))
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         with staging.open("wb") as file:
             file.write(content.encode("utf-8") if isinstance(content, str) else content)
             file.flush()
             os.fsync(file.fileno())
-        staging.replace(target)
+        staging.replace(place)
     except OSError as error:
         with suppress(OSError):  # no second error if the temporary file does not exist or cannot be removed
             staging.unlink()

@@ -61,6 +61,7 @@ def test_public_names() -> None:
         "check_count",
         "check_known",
         "check_number",
+        "check_once",
         "nearest",
     ]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import resource
 from pathlib import Path
 
@@ -181,6 +182,13 @@ def test_a_file_is_written_whole_or_left_as_it_was(tmp_path: Path) -> None:
     assert target.read_bytes() == b"k = 1\n" and [p.name for p in target.parent.iterdir()] == ["gains.toml"]
     with pytest.raises(InputError, match="cannot be written"):
         write_file(target / "below", "")
+    link = tmp_path / "link.toml"
+    link.symlink_to(target)
+    write_file(link, "k = 2\n")
+    assert link.is_symlink() and target.read_bytes() == b"k = 2\n"
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(InputError, match=r"pipe: cannot be written \(no regular file\); choose another name"):
+        write_file(tmp_path / "pipe", "")
 
 
 class _Numbers(Strict):

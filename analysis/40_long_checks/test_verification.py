@@ -20,9 +20,11 @@ from surctl.verification.sampled_margins import SampledLoop
 from tests.verification import test_claim_file, test_counterexample, test_functions_of_claims, test_margins
 from tests.verification.braking import test_proof as braking
 from tests.verification.linear import test_corners
-from tests.verification.linear.test_margin_speed import GAINS, WU, ranged
+from tests.verification.linear.test_margin_speed import WU, ranged
 from tests.verification.proving import test_squares
 from tests.verification.test_library import one
+
+GAINS = load_gains("default").values
 
 
 def test_an_impossible_rate_of_a_turning_hull_is_not_proved() -> None:

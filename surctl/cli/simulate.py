@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 @click.command
 @click.argument("words", nargs=-1, metavar="FILE.py:FUNCTION NAME=VALUE...")
 @seconds_option
-@click.option("--save", metavar="FORMAT", help="Save each run in --out DIR as csv, mat, nc or mcap.")
+@click.option("--save", metavar="FORMAT", help="Save each run in --out DIR as csv, mat, nc; missions: mcap.")
 @out_folder
 @as_json
 def simulate(

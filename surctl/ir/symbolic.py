@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surctl.errors import InputError
-from surctl.ir.native import runnable
-from surctl.ir.procedure import Procedure
+from surctl.ir.procedure import Dual, Procedure
 from surctl.ir.program import Program
 from surctl.ir.replay import Arrays, run_routine
 from surctl.ir.routine import Block, Feed, Routine, nested
@@ -83,7 +82,7 @@ def to_casadi(block: Block) -> ca.Function:
 
 
 def _procedure(procedure: Procedure) -> ca.Function:
-    """Return a function that executes the procedure, compiled; its derivatives are central differences."""
+    """Return a function that executes the procedure; its derivatives are those of the operations that it executes."""
     function = procedure.__dict__.get("_casadi")  # CasADi does not keep a function of Python alive
     if function is None:
         function = procedure.__dict__["_casadi"] = _Executed(procedure)
@@ -94,25 +93,53 @@ def _procedure(procedure: Procedure) -> ca.Function:
 class _Executed(ca.Callback):
     """A procedure as a function of CasADi."""
 
-    def __init__(self, procedure: Procedure) -> None:
+    def __init__(self, procedure: Procedure, *, slopes: bool = False) -> None:
         ca.Callback.__init__(self)
-        self.procedure, self.run = procedure, runnable(procedure)
-        self.construct(procedure.name, {"enable_fd": True})
+        self.procedure, self.slopes = procedure, slopes
+        self.jacobian_of: list[_Executed] = []
+        self.construct(f"{procedure.name}_slopes" if slopes else procedure.name, {})
 
     def get_n_in(self) -> int:
-        return len(self.procedure.inputs)
+        more = len(self.procedure.outputs) if self.slopes else 0
+        return len(self.procedure.inputs) + more
 
     def get_n_out(self) -> int:
-        return len(self.procedure.outputs)
+        one = len(self.procedure.outputs)
+        return one * len(self.procedure.inputs) if self.slopes else one
 
     def get_sparsity_in(self, i: int) -> ca.Sparsity:
-        return ca.Sparsity.dense(self.procedure.inputs[i][1], 1)
+        ports = (*self.procedure.inputs, *self.procedure.outputs)
+        return ca.Sparsity.dense(ports[i][1], 1)
 
     def get_sparsity_out(self, i: int) -> ca.Sparsity:
-        return ca.Sparsity.dense(self.procedure.outputs[i][1], 1)
+        if not self.slopes:
+            return ca.Sparsity.dense(self.procedure.outputs[i][1], 1)
+        output, source = divmod(i, len(self.procedure.inputs))
+        return ca.Sparsity.dense(self.procedure.outputs[output][1], self.procedure.inputs[source][1])
 
     def eval(self, arguments: Sequence[ca.DM]) -> list[Any]:
-        return self.run(*(np.asarray(x).ravel() for x in arguments))
+        split = len(self.procedure.inputs)
+        flat = [[float(v) for v in np.asarray(x).ravel()] for x in arguments[:split]]
+        if not self.slopes:
+            return [np.array(y) for y in self.procedure.run(flat)]
+        sizes = [len(x) for x in flat]
+        every = np.eye(sum(sizes))
+        at = iter(every)
+        duals = [[Dual(v, next(at)) for v in x] for x in flat]
+        with np.errstate(all="ignore"):
+            outputs = self.procedure.run(duals)
+        rows = [np.array([y.slope if isinstance(y, Dual) else 0 * every[0] for y in out]) for out in outputs]
+        return [part for row in rows for part in np.split(row, np.cumsum(sizes)[:-1], axis=1)]
+
+    def has_jacobian(self) -> bool:
+        return not self.slopes
+
+    def get_jacobian(
+        self, name: str, inames: Sequence[str], onames: Sequence[str], opts: Mapping[str, Any]
+    ) -> ca.Function:
+        if not self.jacobian_of:
+            self.jacobian_of.append(_Executed(self.procedure, slopes=True))
+        return self.jacobian_of[0]
 
 
 def _program(program: Program) -> ca.Function:

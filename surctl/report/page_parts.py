@@ -112,6 +112,9 @@ def plot_locus(
 ) -> Axes:
     """Plot the root locus of loops over the values of a number: the poles of each, those at the picked value marked.
 
+    Raises:
+        InputError: there is no loop, or not one value for each loop.
+
     Example:
         >>> from surctl.report import plot_locus
         >>> from surctl.system import linearise
@@ -122,6 +125,8 @@ def plot_locus(
         (['start: 1', 'picked: 2', 'stability boundary'], 'k [1/s]')
     """
     numbers = np.asarray(values, dtype=float)
+    if numbers.shape != (len(loops),) or not loops:
+        raise InputError("are not as many as the loops", key="values", value=numbers, remedy="give one for each loop")
     marked = {f"start: {numbers[0]:.3g}": loops[0]}
     if picked is not None:
         at = int(np.argmin(np.abs(numbers - picked)))
@@ -131,6 +136,8 @@ def plot_locus(
     dots = ax.lines[0]
     points = ax.scatter(*dots.get_data(), s=5, c=colours, cmap="viridis", zorder=1.9)
     dots.remove()
+    for line, marker in zip(ax.lines, "oD", strict=False):
+        line.set(marker=marker, fillstyle="none")
     bar = ax.figure.colorbar(points, ax=ax)
     dress(bar.ax, y=f"{name} [{unit}]" if unit else name)
     ax.axvline(0.0, color=BAD, linewidth=1.2, label="stability boundary")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
@@ -14,6 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 from surctl.errors import InputError
 from surctl.ir import Layout, Program, lower, replay, to_casadi
 from surctl.ir.native import runnable
+from surctl.ir.procedure import Procedure
+from surctl.ir.routine import nested
 from surctl.system.controller import Controller, SampledController
 from surctl.system.linear_loop import LinearLoop, LoopNames, held_plant
 from surctl.system.loop import System, once_per_system
@@ -278,7 +280,7 @@ def _transient(functions: _Rest, point: Array) -> tuple[Array, bool]:
 def linearise(
     system: System, values: Mapping[str, ArrayLike] | None = None, *, at: Operating | None = None
 ) -> Linearisation:
-    """Return the linear loop about an operating point, from exact derivatives (of procedures: central differences).
+    """Return the linear loop about an operating point, from exact derivatives of plant and controller.
 
     Args:
         at: the operating point; by default the result of `find_equilibrium(system, values)`.
@@ -521,12 +523,26 @@ def _state_labels(system: System) -> list[str]:
 def unresponsive(record: Record) -> dict[str, float]:
     """Return, by label of the command, the share of a run's control instants at which it does not respond.
 
-    There the command stays the same if any one input or state of the controller changes a little, such as at a limit.
-    Commands that never depend on them are left out.
+    There its derivatives by all inputs and states of the controller are 0, such as at a limit; of a controller that
+    contains a procedure, the command stays the same if any one of them changes. Commands that never depend on them are
+    left out.
     """
-    controller = record.system.controller
     z, u, gains = (part.copy() for part in record.controller)
-    run, p = runnable(controller.block), np.tile(gains, (len(u), 1))
+    labels, block = entry_labels(record.system.commands), record.system.controller.block
+    if any(isinstance(inner, Procedure) for inner in nested(block).values()):
+        sizes, depends = _changes(runnable(block), z, u, gains)[:, : len(labels)].T, [True] * len(labels)
+    else:
+        slopes, depends = _slopes(record.system)
+        sizes = np.array(slopes.map(len(u))(z.T, u.T, np.tile(gains[:, None], len(u))))
+    return {name: float(np.mean(row == 0.0)) for name, row, acts in zip(labels, sizes, depends, strict=True) if acts}
+
+
+def _changes(run: Callable[..., list[Array]], z: Array, u: Array, gains: Array) -> Array:
+    """Return the sums of the changes of each command (n, commands) for a small change of each state and input.
+
+    Derivatives of a procedure are those of the operations that it executes in Python, a thousand times slower.
+    """
+    p = np.tile(gains, (len(u), 1))
     before = run(z, u, p)[0]
     total = np.zeros_like(before)
     for part in (z, u):
@@ -536,6 +552,18 @@ def unresponsive(record: Record) -> dict[str, float]:
                 column[:] = own + step * (1.0 + np.abs(own))
                 total += np.abs(run(z, u, p)[0] - before)
             column[:] = own
-    law, labels = law_function(controller), entry_labels(record.system.commands)
-    depends = {row for k in range(2) for row in law.jac_sparsity(0, k).row()}
-    return {name: float(np.mean(total[:, k] == 0.0)) for k, name in enumerate(labels) if k in depends}
+    return total
+
+
+@once_per_system
+def _slopes(system: System) -> tuple[ca.Function, list[bool]]:
+    # sum of the sizes of the derivatives of each command, and whether there are any
+    controller = system.controller
+    law = law_function(controller)
+    z, u, p = (
+        ca.SX.sym(n, v.size)
+        for n, v in zip("zup", (controller.state, controller.inputs, controller.gains), strict=True)
+    )
+    J = ca.jacobian(law(z, u, p)[0], ca.vertcat(z, u))
+    rows = set(J.sparsity().row())
+    return ca.Function("slopes", [z, u, p], [ca.sum2(ca.fabs(J))]), [k in rows for k in range(J.shape[0])]

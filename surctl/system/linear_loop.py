@@ -397,6 +397,9 @@ def held_plant(A: Array, B: Array, E: Array, dt: float | Array) -> tuple[Array, 
     whole = np.zeros((*inputs.shape[:-2], size, size))
     whole[..., :n, :] = inputs * np.asarray(dt)[..., None, None]
     held = (expm(whole) if whole.ndim == 2 else blockwise(expm, whole))[..., :n, :]
+    if not np.isfinite(held).all():
+        remedy = "check units and sizes of the parameters"
+        raise InputError("changes too fast for floating-point numbers", key="the linear plant", remedy=remedy)
     return held[..., :n], held[..., n : n + B.shape[-1]], held[..., n + B.shape[-1] :]
 
 

@@ -75,7 +75,7 @@ _KEYS: Mapping[str, tuple[str, ...]] = {  # of a field whose keys have other nam
     "delay_s": ("delay_margin_s",),
     "disk": ("disk_margin",),
 }
-_SHOWN = {"source": "from", "end": "to"}
+_SHOWN = {"source": "from", "end": "to", "target": "gain"}
 _REMEDIES = {
     "at_most": 'write at_most = { value = ..., unit = "..." }',
     "target": "give frequency_rad_per_s with gain or gain_db",
@@ -143,7 +143,7 @@ def _bound(table: LoopGoalTable, unit: str | None) -> Bound | None:
     # one number, or a profile by points
     profile, most = _target(table), _most(table, unit)
     idle = most is not None and table.frequency_rad_per_s is not None
-    if (profile is None) == (most is None) or (table.gain is not None and table.gain_db is not None) or idle:
+    if (profile is None) == (most is None) or idle:
         remedy = "give at_most, or frequency_rad_per_s with gain or gain_db"
         raise InputError("needs one bound", key="at_most", remedy=remedy)
     return profile or most
@@ -156,6 +156,8 @@ def _profile(table: LoopGoalTable, values: tuple[float, ...]) -> Profile:
 
 
 def _target(table: LoopGoalTable) -> Profile | None:
+    if table.gain is not None and table.gain_db is not None:
+        raise InputError("is given twice", key="gain", remedy="give gain or gain_db")
     values = table.gain if table.gain_db is None else tuple(10 ** (np.array(table.gain_db) / 20))
     return None if values is None else _profile(table, values)
 

@@ -78,6 +78,7 @@ MISTAKES = {
     "no sensor": (["--fault", "dead"], ["--fault", "names no sensor", "KIND:SENSOR"]),
     "a sensor that is not there": (["--fault", "dead:4"], ["--fault", "'dead:4'", "0 to 3"]),
     "a sensor below 0": (["--fault", "dead:-1"], ["--fault", "'-1'", "from 0"]),
+    "a sensor that is no number": (["--fault", "dead:1_0"], ["--fault", "'1_0'", "whole number"]),
     "a start that is no number": (["--fault", "stuck:0:soon"], ["--fault", "start", "'soon'"]),
     "a start before the run": (["--fault", "stuck:0:-1"], ["--fault", "start", "at least 0"]),
     "no duration": (["--fault", "stuck:0:1:0"], ["--fault", "duration", "greater than 0"]),

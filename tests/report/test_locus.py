@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
+from surctl.errors import InputError
 from surctl.report import plot_locus
-from surctl.system import linearise
+from surctl.system import LinearLoop, linearise
 from surctl.testing import cart_system
 from surctl.tuning.loop_responses import rates
 
@@ -22,6 +24,12 @@ def test_every_pole_is_a_point_and_start_and_pick_are_marked() -> None:
     np.testing.assert_array_equal(points.get_array(), np.repeat(VALUES, [len(place) for place in places]))
     np.testing.assert_array_equal(marks["start: 1"], places[0])
     np.testing.assert_array_equal(marks["picked: 2"], places[1])
+
+
+@pytest.mark.parametrize("loops", [[], [linearise(cart_system(1.0))]])
+def test_a_value_for_each_loop(loops: list[LinearLoop]) -> None:
+    with pytest.raises(InputError, match="give one for each loop"):
+        plot_locus(loops, VALUES[: 2 * len(loops)], "k")
 
 
 def test_without_a_choice_only_the_start_is_marked() -> None:

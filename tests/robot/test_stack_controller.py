@@ -214,8 +214,15 @@ def test_a_loop_with_it_is_linearised_through_the_loops_of_the_solver(arm: Robot
     tool = arm.frame_task("link3", target="tool", gain=gain, max_speed=0.5).position
     control = StackController([tool], limits=[arm.joint_limits(acceleration=ACCELERATION)], dt=DT, damping=damping)
     pose = flat_pose(arm.pose("link3", q))
-    poles = linearise(control.system(), {"start.q": [q], "reference.tool": pose[None]}).poles()
-    assert sorted(abs(np.asarray(poles)))[-2:] == pytest.approx([1 - gain * DT] * 2, rel=1e-3)
+    loop = linearise(control.system(), {"start.q": [q], "reference.tool": pose[None]})
+    assert sorted(abs(np.asarray(loop.poles())))[-2:] == pytest.approx([1 - gain * DT] * 2, rel=1e-3)
+    moved = [
+        (arm.pose("link3", np.array(q) + h) - arm.pose("link3", np.array(q) - h))[:2, 3] / 2e-6
+        for h in np.eye(2) * 1e-6
+    ]
+    by_joints, by_target = np.asarray(loop.law[1]), np.asarray(loop.law[2])
+    np.testing.assert_allclose(by_target[:, :2] @ np.transpose(moved), -by_joints, atol=1e-6)
+    assert np.abs(by_target).max() > gain
     assert unresponsive(run_system(control.system(), 0.2)) == {"v[0]": 0.0, "v[1]": 0.0}
 
 

@@ -131,7 +131,10 @@ def test_bounds_count_in_their_units(loop: LinearLoop) -> None:
         ('type = "poles"\ndamping = 0.5\n[[goals]]\nname = "g"\ntype = "poles"\ndamping = 0.5\n', "of two goals"),
         ('type = "sensitivity"\nat = "force"\nfrequency_rad_per_s = [1, 2]\nat_most = "2"\n', "needs one bound"),
         ('type = "gain"\nfrom = "wind"\nto = "place"\nfrequency_rad_per_s = [1, 2]\ngain = [1, 2]\ngain_db = [1, 2]\n',
-         "needs one bound"),
+         r"goals\.g\.gain: is given twice"),
+        ('type = "loop_shape"\nat = "force"\nfrequency_rad_per_s = [1, 2]\ngain = [1, 2]\ngain_db = [1, 2]\n',
+         r"goals\.g\.gain: is given twice"),
+        ('type = "loop_shape"\nat = "force"\n', r"goals\.g\.gain: is missing; give frequency_rad_per_s with gain"),
     ],
 )  # fmt: skip
 def test_contradictions_in_a_file_are_one_line(tmp_path: Path, text: str, problem: str) -> None:

@@ -152,6 +152,11 @@ def test_steady_speeds(name: str, axis: int) -> None:
     np.testing.assert_allclose(np.delete(final[4:8], axis), 0, atol=1e-12)
 
 
+@pytest.mark.parametrize("numbers", [(np.nan, 1.0, 1.0), (1.0, np.nan, 0.0), (1.0, 1.0, -10.0), (-1.0, 1.0, 1.0)])
+def test_a_steady_speed_that_is_not_known_is_nan(numbers: tuple[float, float, float]) -> None:
+    assert np.isnan(steady_speed(*numbers))
+
+
 def test_linear_heave_drag_is_felt() -> None:
     """Z_w is no term of the paper; with it heave is slower, by the same formula."""
     vehicle = load_vehicle("sur400")

@@ -125,6 +125,8 @@ def parse_fault(text: str) -> Fault:
         _refuse(f"a {kind} fault takes no number", text, f"write {kind}:SENSOR")
     if kind == "dead" and len(rest) == 3:
         _refuse("a dead sensor stays dead", text, "use dropout for a fault that ends")
+    if not (rest[0].isascii() and rest[0].isdecimal() and len(rest[0]) < 10):
+        _refuse(f"sensor {rest[0]!r} is not a whole number", text, _PARTS["sensor"][1])
     parts = dict(zip(("sensor", "start_s", "duration_s"), rest, strict=False)) | ({"delay_s": delay} if equals else {})
     try:
         return validate({"faults": [{"kind": kind, **parts}]}, SonarTable, file=None).faults[0]

@@ -13,7 +13,7 @@ import click
 
 from surctl.cli.output import collected
 from surctl.cli.sweep import SweepJob, SweepOptions, SweepSummary, point_rows
-from surctl.errors import check_known
+from surctl.errors import InputError, check_known
 from surctl.marine.cli.robot_options import (
     SPEEDS,
     RobotOptions,
@@ -127,6 +127,8 @@ def sweep(
         chosen = saltelli(parsed, base=64 if options.points is None else options.points)
     if locus is not None:
         check_known(locus, chosen.names, "is not an axis of this sweep", key="--locus")
+        if len(set(chosen.points[:, chosen.names.index(locus)])) < 2:
+            raise InputError("has one value", key=locus, remedy="give a range")
     scenarios, robots = [load_scenario(name) for name in missions.scenarios], [load_vehicle(name) for name in vehicles]
     law, why = choose_law(robot.law, robots or [load_vehicle(scenario.vehicle) for scenario in scenarios])
     own = law_source(law).gains

@@ -20,7 +20,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache
-from math import inf, sqrt
+from math import inf, nan, sqrt
 
 import casadi as ca
 import numpy as np
@@ -373,14 +373,19 @@ def steady_speed(force: float, linear: float, quadratic: float) -> float:
 
     The speed is u = 2 F / (X + √(X² + 4 X₂ F)), with F = `force`, X = `linear` and X₂ = `quadratic`.
 
+    It is NaN for numbers that are NaN, or for which there is no such speed.
+
     Example:
         >>> from surctl.marine.vehicle import load_vehicle, steady_speed
         >>> boat = load_vehicle("sur400")
         >>> round(steady_speed(boat["Fu_max"], boat["Xu"], boat["Xuu"]), 3)  # m/s at full thrust
         0.379
     """
-    root = linear + sqrt(linear**2 + 4 * quadratic * force)
-    return 2 * force / root if root > 0 else 0.0 if quadratic else inf
+    inner = linear * linear + 4 * quadratic * force
+    root = linear + sqrt(inner) if inner >= 0 else nan
+    if root == 0:
+        return 0.0 if quadratic else inf
+    return 2 * force / root
 
 
 _NEEDED = ("mass", "linear_drag", "quadratic_drag", "thrust_limit")

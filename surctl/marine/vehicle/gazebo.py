@@ -98,7 +98,7 @@ def _numbers(body: _Body, link: str, path: Path) -> dict[str, float]:
     for what, value in (("mass", body.mass), ("izz", body.inertia_z)):
         if value is None:
             raise InputError("is missing", file=shown(path), key=f"{link}.{what}", remedy="add it to <inertial>")
-        if not value > 0:
+        if not 0 < value < np.inf:
             remedy = "give a positive number"
             raise InputError("is not positive", file=shown(path), key=f"{link}.{what}", value=value, remedy=remedy)
     mass, inertia = float(body.mass or 0.0), float(body.inertia_z or 0.0)
