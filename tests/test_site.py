@@ -157,6 +157,16 @@ def test_each_package_is_in_the_reference_and_each_example_in_the_gallery() -> N
 
 
 @pytest.mark.usefixtures("tools")
+def test_a_function_with_the_name_of_a_module_has_an_entry_of_its_own() -> None:
+    from api_pages import directives, exported
+
+    lines = directives("system", exported("system")[1]).splitlines()
+    assert "::: surctl.system.from_control.from_control" in lines
+    assert "        - to_control" in lines
+    assert "        - from_control" not in lines
+
+
+@pytest.mark.usefixtures("tools")
 @pytest.mark.parametrize("name", EXAMPLES)
 def test_an_example_runs_and_draws(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     from gallery import run_example

@@ -67,7 +67,7 @@ def pages(*, quick: bool) -> list[Page]:
     for package, purpose in PACKAGES.items():
         said, names = exported(package)
         rows.append((purpose, f"[`surctl.{package}`]({package}.md)", said))
-        body = said + "\n\n" + ", ".join(f"`{name}`" for name in names) if quick else _directive(package, names)
+        body = said + "\n\n" + ", ".join(f"`{name}`" for name in names) if quick else directives(package, names)
         made.append(Page(f"{FOLDER}/{package}.md", f"surctl.{package}", f"# surctl.{package}\n\n{body}\n"))
     text = _HEAD + table(("to", "package", "contents"), rows)
     return [Page(f"{FOLDER}/index.md", "Python", text, index=True), *made]
@@ -82,9 +82,25 @@ radians, with ENU axes for the world and FLU axes for the body.
 """
 
 
-def _directive(package: str, names: list[str]) -> str:
+def directives(package: str, names: list[str]) -> str:
+    """Return what mkdocstrings replaces by the docstrings of the names that a package exports.
+
+    A module hides a function of its own name, so such a function has a directive with the path of its definition.
+    """
     functions = [name for name in names if not re.fullmatch(r"[A-Z0-9_]+", name)]
-    members = "\n".join(f"        - {name}" for name in functions)
+    hidden = {name: path for name in functions if (path := _hidden(package, name))}
+    members = "\n".join(f"        - {name}" for name in functions if name not in hidden)
     constants = [name for name in names if name not in functions]
     said = "Constants: " + ", ".join(f"`{name}`" for name in constants) + ".\n\n" if constants else ""
-    return f"{said}::: surctl.{package}\n    options:\n      members:\n{members}\n"
+    single = "".join(f"\n::: {path}\n    options:\n      show_root_heading: true\n" for path in hidden.values())
+    return f"{said}::: surctl.{package}\n    options:\n      members:\n{members}\n{single}"
+
+
+def _hidden(package: str, name: str) -> str:
+    # path of the definition if a module of the package has the name, otherwise empty
+    place = ROOT.joinpath("surctl", *package.split("."))
+    if not ((place / f"{name}.py").exists() or (place / name).is_dir()):
+        return ""
+    tree = ast.parse((place / "__init__.py").read_text(encoding="utf-8"))
+    sources = (node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom))
+    return next(f"{node.module}.{name}" for node in sources if name in {alias.name for alias in node.names})

@@ -29,7 +29,6 @@ from surctl.files import Strict, validate
 from surctl.ir import Program, lower_named
 from surctl.marine.vehicle import GRAVITY, WATER, Actuators, PlantForm, Vehicle, plant_layout, plant_parameters
 from surctl.marine.vehicle.dynamics import constant_force, drag_of, inertia_matrix, planar_turning, point_of
-from surctl.robot.kinematics import rotation_of
 from surctl.tasks.task import planar_rotation
 
 if TYPE_CHECKING:
@@ -233,6 +232,8 @@ def fluid_program(body: Body) -> Program:
 
 @cache
 def _program(form: PlantForm, dof: int, drag: str, coupled: bool, boxed: bool, actuators: Actuators | None) -> Program:
+    from surctl.robot.kinematics import rotation_of  # this import takes long
+
     q, v = ca.SX.sym("q", 7 if dof == 6 else 4), ca.SX.sym("v", dof)
     single = np.zeros((6, 0)) if actuators is None else np.hstack([one.columns for one in actuators.thrusters])
     thrust, e = ca.SX.sym("thrust", 4 + single.shape[1]), ca.SX.sym("e", 17)
