@@ -43,7 +43,8 @@ EXACT, REST, HELD, CURRENT, LAG, LAG_20 = (
 )
 CASES = (
     (BENT, EXACT, {}), (BENT, EXACT, {"period": 0.05}), (BENT, EXACT, {"current": 0.003}),
-    (SLIGHT, LAG, {"at_rest": False}), (SLIGHT, LAG, {"period": 0.05, "at_rest": False}), (STRAIGHT, LAG_20, {}), (STRAIGHT, REST, {}),
+    (SLIGHT, LAG, {"at_rest": False}), (SLIGHT, LAG, {"period": 0.05, "at_rest": False}),
+    (STRAIGHT, LAG_20, {}), (STRAIGHT, REST, {}),
     (STRAIGHT, HELD, {"at_rest": False}), (STRAIGHT, CURRENT, {"at_rest": False}),
 )  # fmt: skip
 
