@@ -53,8 +53,6 @@ EQUIVALENT = {
     "sizes = [min(cover[k][k] for cover in covers) for k in range(self.states)]": "numbers are scaled by a power of 2",
     "region_exact: is_positive_definite: any(a[i][j] != a[j][i] for i in range(n) for j in range(i)) -> "
     "any(a[i][j] != a[j][i] for i in [*(range(n))][1:] for j in range(i))": "the first row has nothing on its left",
-    "turning_cells: decays: most = max(float(np.trace(sides[i] @ n @ sides[i].T)) for n in axes[i]) -> "
-    "most = min(float(np.trace(sides[i] @ n @ sides[i].T)) for n in axes[i])": "every weight above 0 bounds the sum",
     "slopes: is_definite: inner = min(len(used), max(0, (_CHUNK // len(lower)).bit_length() - 1)) -> inner = "
     "min(len(used), min(0, (_CHUNK // len(lower)).bit_length() - 1))": "the same vertices, one after the other",
     "slopes: _pair: all(x[j] * first[i] == x[i] * first[j] for x in triples.values() for j in range(3)) -> "

@@ -2,8 +2,8 @@
 
 A Cholesky factor R of the scaled matrix minus a multiple of the identity is computed in floats. Its numbers need not be
 correct: matrix − R R' is computed in integers, and a matrix is positive semidefinite if this difference is diagonally
-dominant with a diagonal that is not negative. Small matrices, and singular ones of a moderate size, are decomposed in
-integers.
+dominant with a diagonal that is not negative. Matrices of a moderate size are judged by the characteristic polynomial,
+which FLINT computes in integers.
 """
 
 from __future__ import annotations
@@ -11,13 +11,13 @@ from __future__ import annotations
 from operator import mul
 
 import numpy as np
+from flint import fmpz_mat
 
 from surctl.certcheck.patience import go_on
 
-__all__ = ["by_elimination", "is_semidefinite"]
+__all__ = ["by_spectrum", "is_semidefinite"]
 
-_EXACT, _BITS = 40, 60_000  # largest matrix that is decomposed in integers, and its largest pivot
-_SMALL = 8  # up to this size, integers are faster than floats
+_EXACT, _BITS = 40, 60_000  # largest matrix whose characteristic polynomial is computed, and its most bits
 
 
 def is_semidefinite(matrix: list[list[int]]) -> bool:
@@ -26,10 +26,8 @@ def is_semidefinite(matrix: list[list[int]]) -> bool:
     a = [[matrix[i][j] for j in nonzero] for i in nonzero]
     if not a:
         return True
-    bits = len(a) * max(row[k].bit_length() for k, row in enumerate(a))
-    if len(a) <= _SMALL and bits <= _BITS // _SMALL:
-        return by_elimination(a)
-    return _by_factor(a) or (len(a) <= _EXACT and bits <= _BITS and by_elimination(a))
+    bits = len(a) * max(x.bit_length() for row in a for x in row)
+    return by_spectrum(a) if len(a) <= _EXACT and bits <= _BITS else _by_factor(a)
 
 
 def _by_factor(a: list[list[int]]) -> bool:
@@ -60,22 +58,12 @@ def _by_factor(a: list[list[int]]) -> bool:
     return all(own >= others for own, others in zip(inside, outside, strict=True))
 
 
-def by_elimination(a: list[list[int]], *, strictly: bool = False) -> bool:
+def by_spectrum(a: list[list[int]], *, strictly: bool = False) -> bool:
     """Return whether a symmetric matrix (n, n) is positive semidefinite, or positive definite with `strictly`.
 
-    All pivots of Gaussian elimination are positive or, unless `strictly`, belong to a row of zeros (Bareiss).
+    The coefficients of det(x I + A) = Π (x + λ_k) are sums of products of the eigenvalues: none is negative if and only
+    if no eigenvalue is.
     """
-    m, last = [list(row) for row in a], 1
-    for k in range(len(m)):
-        go_on()
-        pivot = m[k][k]
-        if pivot < 0 or (not pivot and (strictly or any(m[i][k] for i in range(k + 1, len(m))))):
-            return False
-        if not pivot:
-            continue
-        for i in range(k + 1, len(m)):
-            go_on()
-            for j in range(k + 1, i + 1):
-                m[i][j] = (m[i][j] * pivot - m[i][k] * m[j][k]) // last
-        last = pivot
-    return True
+    go_on()
+    sums = fmpz_mat([[-x for x in row] for row in a]).charpoly().coeffs()
+    return min(sums) >= 0 and (sums[0] > 0 or not strictly)

@@ -1,4 +1,4 @@
-"""Ranges of the checker's elementary functions on intervals, with their derivatives, by the ball arithmetic of FLINT.
+"""Ranges of the checker's elementary functions on intervals, by the ball arithmetic of FLINT.
 
 At a number, FLINT (Arb) encloses the value of a function with a proved error bound (Johansson, IEEE Transactions on
 Computers 66 (8), 2017). Both ends of an enclosure are rounded outward to 60 bits. On an interval, the values at its
@@ -6,13 +6,11 @@ ends decide, as each function is monotone between known points. At the arguments
 values, because claims often hold with equality there.
 
 The ends of an interval are raw numbers of mpmath (tuples, not `mpf` objects). A range is None if it has no finite bound
-here: its argument or its logarithm exceeds 2^20, or is infinite. The formulas of the derivatives are those of the
-prover, so that a proof with its wider intervals is accepted.
+here: its argument or its logarithm exceeds 2^20, or is infinite.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from fractions import Fraction
 from functools import lru_cache
 from typing import Any
@@ -28,7 +26,6 @@ __all__ = [
 Interval = Any
 """The pair (lower end, upper end) of an interval, as raw numbers of mpmath."""
 Raw = Any
-Derivatives = Callable[[], tuple[Interval, Interval]]
 
 BITS = 60
 """Precision of the ends of an interval [bits]."""
@@ -36,15 +33,13 @@ BITS = 60
 PRECISION = 160
 """Precision of FLINT's balls [bits]; for large arguments of functions, the bits after the point."""
 
-ELEMENTARY = ("acos", "asin", "cosh", "exp", "log", "powr", "sinh", "tan", "tanh")
+ELEMENTARY = ("acos", "asin", "cosh", "exp", "log", "powr", "sinh", "sqrt", "tan", "tanh")
 """The operations of `elementary`; `powr` is the power with a fractional exponent."""
 
 _FAR = 1100  # above 2^_FAR the bounds of a sine are ±1
 _LARGEST = 20  # |x| < 2^_LARGEST for an exponential
 _TINY_POWER = libmp.mpf_shift(libmp.fone, -(1 << _LARGEST))  # more than e^x for x ≤ -2^_LARGEST
-_ONE = (libmp.fone, libmp.fone)
 _UNIT = (libmp.fnone, libmp.fone)
-_LINE = (libmp.fninf, libmp.finf)
 
 
 class Undefined(Exception):
@@ -220,8 +215,8 @@ def _hyperbolic(name: str, a: Interval) -> Interval | None:
     return _within(whole, libmp.fone, libmp.finf)
 
 
-def elementary(op: str, x: Interval, exponent: Fraction) -> tuple[Interval, Derivatives]:
-    """Return the range of a function on an interval, and a function that returns the ranges of f' and f''.
+def elementary(op: str, x: Interval, exponent: Fraction) -> Interval:
+    """Return the range of a function on an interval.
 
     Args:
         op: a name in `ELEMENTARY`.
@@ -233,34 +228,32 @@ def elementary(op: str, x: Interval, exponent: Fraction) -> tuple[Interval, Deri
     """
     match op:
         case "exp":
-            value = _known(_exponential(x), "an exponential of numbers above 2^20")
-            return value, lambda: (value, value)
+            return _known(_exponential(x), "an exponential of numbers above 2^20")
         case "log":
             if not libmp.mpf_gt(x[0], libmp.fzero):
                 raise Undefined("a logarithm of an interval that contains numbers of at most 0")
-            return _known(_monotone("log", x), "a logarithm of a number that is too large"), lambda: _of_log(x)
+            return _known(_monotone("log", x), "a logarithm of a number that is too large")
         case "sinh" | "cosh":
-            sinh, cosh = (_known(_hyperbolic(f, x), f"a {op} of numbers above 2^20") for f in ("sinh", "cosh"))
-            return (sinh, lambda: (cosh, sinh)) if op == "sinh" else (cosh, lambda: (sinh, cosh))
+            return _known(_hyperbolic(op, x), f"a {op} of numbers above 2^20")
         case "tanh":
-            value = _within(_known(_monotone("tanh", x), "a tanh of an unbounded interval"), *_UNIT)
-            return value, lambda: _of_tangent(value, -1)
+            return _within(_known(_monotone("tanh", x), "a tanh of an unbounded interval"), *_UNIT)
         case "tan":
-            value = _known(tangent(x), "a tangent of an interval that may contain a pole")
-            return value, lambda: _of_tangent(value, 1)
+            return _known(tangent(x), "a tangent of an interval that may contain a pole")
         case "asin" | "acos":
             if not (libmp.mpf_ge(x[0], libmp.fnone) and libmp.mpf_le(x[1], libmp.fone)):
                 raise Undefined(f"an arc{op[1:]} of an interval that is not within [-1, 1]")
-            if op == "asin":
-                return _known(_monotone(op, x), "an arcsine of an unbounded interval"), lambda: _of_arcsin(x)
-            return (_at(op, x[1])[0], _at(op, x[0])[1]), lambda: _of_arccos(x)
+            low, high = x if op == "asin" else x[::-1]
+            return _at(op, low)[0], _at(op, high)[1]
         case "powr":
             if libmp.mpf_lt(x[0], libmp.fzero):
                 raise Undefined("a fractional power of an interval that contains negative numbers")
             if exponent < 0 and x[0] == libmp.fzero:
                 raise Undefined("a negative power of an interval that contains 0")
-            value = _known(real_power(x, exponent), "a power that is too large")
-            return value, lambda: _of_power(x, exponent)
+            return _known(real_power(x, exponent), "a power that is too large")
+        case "sqrt":
+            if libmp.mpf_lt(x[0], libmp.fzero):
+                raise Undefined("a root of an interval that contains negative numbers")
+            return libmp.mpi_sqrt(x, BITS)
     raise Undefined(f"the operation {op!r} is not known")
 
 
@@ -268,54 +261,3 @@ def _known(a: Interval | None, trouble: str) -> Interval:
     if a is None:
         raise Undefined(trouble)
     return a
-
-
-# ---- derivatives
-
-
-def _times(factor: Fraction | int, a: Interval) -> Interval:
-    if a == _LINE:
-        return a
-    p, q = Fraction(factor).as_integer_ratio()
-    ends = libmp.from_rational(p, q, BITS, "f"), libmp.from_rational(p, q, BITS, "c")
-    return libmp.mpi_mul(ends, a, BITS)
-
-
-def _square(a: Interval) -> Interval:
-    return libmp.mpi_pow_int(a, 2, BITS)
-
-
-def _of_log(x: Interval) -> tuple[Interval, Interval]:
-    first = libmp.mpi_div(_ONE, x, BITS)
-    return first, libmp.mpi_neg(_square(first))
-
-
-def _of_tangent(t: Interval, sign: int) -> tuple[Interval, Interval]:
-    # tan' = 1 + tan², tan'' = 2 tan (1 + tan²); tanh' = 1 − tanh², tanh'' = −2 tanh (1 − tanh²)
-    step = libmp.mpi_add if sign > 0 else libmp.mpi_sub
-    first = _within(step(_ONE, _square(t), BITS), libmp.fzero, libmp.finf)
-    return first, _times(2 * sign, libmp.mpi_mul(t, first, BITS))
-
-
-def _of_arcsin(x: Interval) -> tuple[Interval, Interval]:
-    rest = _within(libmp.mpi_sub(_ONE, _square(x), BITS), libmp.fzero, libmp.finf)
-    if rest[0] == libmp.fzero:
-        return _LINE, _LINE
-    root = libmp.mpi_sqrt(rest, BITS)
-    cube = libmp.mpi_mul(rest, root, BITS)
-    return libmp.mpi_div(_ONE, root, BITS), libmp.mpi_mul(x, libmp.mpi_div(_ONE, cube, BITS), BITS)
-
-
-def _of_arccos(x: Interval) -> tuple[Interval, Interval]:
-    first, second = _of_arcsin(x)
-    return libmp.mpi_neg(first), libmp.mpi_neg(second)
-
-
-def _of_power(x: Interval, e: Fraction) -> tuple[Interval, Interval]:
-    return _times(e, _power_or_line(x, e - 1)), _times(e * (e - 1), _power_or_line(x, e - 2))
-
-
-def _power_or_line(x: Interval, e: Fraction) -> Interval:
-    # the whole line if a negative power is unbounded at 0
-    bounds = None if e < 0 and x[0] == libmp.fzero else real_power(x, e)
-    return _LINE if bounds is None else bounds

@@ -10,11 +10,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from functools import lru_cache
+from functools import cache, lru_cache
 from typing import Any
 
 from mpmath import libmp
 
+from surctl.certcheck.derivative import along
 from surctl.certcheck.elementary import BITS, ELEMENTARY, Interval, Undefined, angle, circle, elementary, hull, pi
 from surctl.certcheck.expressions import ExpressionTable
 from surctl.certcheck.patience import afford, go_on
@@ -182,8 +183,13 @@ def _step(op: str, value: Fraction, args: list[Jet], at: tuple[int, ...], box: S
             jet = _power(args[0], abs(value.numerator))
             return jet if value >= 0 else _reciprocal(jet)
         case _ if op in ELEMENTARY:
-            jet, (image, derivatives) = args[0], elementary(op, args[0].value, value)
-            return Jet(image) if jet.slope is None else _chain(jet, image, derivatives())
+            jet, image = args[0], elementary(op, args[0].value, value)
+            return Jet(image) if jet.slope is None else _chain(jet, image, _derivatives(op, value, jet.value, order))
+        case "sin" | "cos":
+            cosine, sine = _circle(args[0].value)
+            if op == "sin":
+                return _chain(args[0], sine, (cosine, minus(sine)))
+            return _chain(args[0], cosine, (minus(sine), minus(cosine)))
         case "atan2":
             return _angle(args[0], args[1])
         case "atan":
@@ -196,8 +202,7 @@ def _step(op: str, value: Fraction, args: list[Jet], at: tuple[int, ...], box: S
             return _chosen(args[1].value, args[0].value, args[0], args[1], greatest(args[0].value, args[1].value))
         case "select":
             return _chosen(args[0].value, args[1].value, args[2], args[3], None)
-        case _:
-            return _unary(op, args[0])
+    raise Undefined(f"the operation {op!r} is not known")
 
 
 def abs_of(a: Interval) -> Interval:
@@ -291,21 +296,25 @@ def _reciprocal(a: Jet) -> Jet:
 _circle = lru_cache(1024)(circle)  # neighbouring boxes share the ranges of most of their variables
 
 
-def _unary(op: str, a: Jet) -> Jet:
-    x = a.value
-    if op in ("sin", "cos"):
-        cosine, sine = _circle(x)
-        if op == "sin":
-            return _chain(a, sine, (cosine, minus(sine)))
-        return _chain(a, cosine, (minus(sine), minus(cosine)))
-    if op == "sqrt":
-        if libmp.mpf_lt(x[0], libmp.fzero):
-            raise Undefined("a root of an interval that contains negative numbers")
-        value = libmp.mpi_sqrt(x, BITS)
-        first = over(rational(Fraction(1, 2)), value)
-        second = minus(over(mul(rational(Fraction(1, 2)), first), x))
-        return _chain(a, value, (first, second))
-    raise Undefined(f"the operation {op!r} is not known")
+@cache
+def _formulas(op: str, exponent: Fraction) -> tuple[ExpressionTable, list[int]]:
+    """Return the first and the second derivative of a function of t."""
+    table = ExpressionTable(["t"])
+    whole, rates = table.put(op, table.put("var"), value=exponent), [table.put("num", value=1)]
+    first = along(table, whole, rates)
+    return table, [first, along(table, first, rates)]
+
+
+def _derivatives(op: str, exponent: Fraction, x: Interval, order: int) -> tuple[Interval, Interval]:
+    """Return the ranges of f' and, with order 2, of f''; the whole real line for one that is unbounded."""
+    table, roots = _formulas(op, exponent)
+    ranges: Slopes = [None, None]
+    for k in range(order):
+        try:
+            ranges[k] = enclose(table, [roots[k]], [x])[0].value
+        except Undefined:
+            ranges[k] = _LINE
+    return ranges[0], ranges[1]
 
 
 def _angle(y: Jet, x: Jet) -> Jet:

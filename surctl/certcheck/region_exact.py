@@ -6,7 +6,9 @@ from collections.abc import Sequence
 from fractions import Fraction
 from math import inf, isqrt, lcm, nextafter, sqrt
 
-from surctl.certcheck.definite import by_elimination
+from flint import fmpq, fmpq_mat
+
+from surctl.certcheck.definite import by_spectrum
 from surctl.certcheck.patience import go_on
 
 __all__ = [
@@ -39,22 +41,10 @@ def quadratic(p: Matrix, x: Sequence[Fraction]) -> Fraction:
 
 
 def inverse(a: Matrix) -> Matrix:
-    """Return A⁻¹ by Gauss-Jordan elimination without pivoting, for positive definite A.
-
-    Raises:
-        ZeroDivisionError: a pivot is 0.
-    """
-    n = len(a)
-    rows = [[*row, *(Fraction(i == k) for k in range(n))] for i, row in enumerate(a)]
-    for k in range(n):
-        pivot = rows[k][k]
-        rows[k] = [entry / pivot for entry in rows[k]]
-        for i in range(n):
-            go_on()
-            if i != k and rows[i][k]:
-                factor = rows[i][k]
-                rows[i] = [x - factor * y for x, y in zip(rows[i], rows[k], strict=True)]
-    return [row[n:] for row in rows]
+    """Return A⁻¹; raise ZeroDivisionError if there is none."""
+    go_on()
+    rows = fmpq_mat([[fmpq(*entry.as_integer_ratio()) for entry in row] for row in a]).inv().tolist()
+    return [[Fraction(int(entry.p), int(entry.q)) for entry in row] for row in rows]
 
 
 def is_positive_definite(a: Matrix) -> bool:
@@ -63,7 +53,7 @@ def is_positive_definite(a: Matrix) -> bool:
     if any(a[i][j] != a[j][i] for i in range(n) for j in range(i)):
         return False
     common = lcm(*(entry.denominator for row in a for entry in row))
-    return by_elimination([[int(entry * common) for entry in row] for row in a], strictly=True)
+    return by_spectrum([[int(entry * common) for entry in row] for row in a], strictly=True)
 
 
 def magnitude(x: Fraction) -> int:

@@ -27,6 +27,7 @@ from itertools import pairwise
 from math import inf, nextafter
 from typing import Any
 
+import numpy as np
 from mpmath import libmp
 
 from surctl.certcheck.document import Rejected, listed, number, record
@@ -37,8 +38,8 @@ from surctl.certcheck.interval import printable, variables_of
 from surctl.certcheck.motion import Motion, require_loop, rest_of
 from surctl.certcheck.radii import least_rate, norm, read_radii, widened
 from surctl.certcheck.region_exact import Matrix, inverse, is_positive_definite
-from surctl.certcheck.slope_rows import Number, Rows
-from surctl.certcheck.slopes import constants, is_definite, multiplied, quadratic_form, require_in_box
+from surctl.certcheck.slope_rows import Rows
+from surctl.certcheck.slopes import is_definite, quadratic_form, require_in_box
 
 __all__ = ["check"]
 
@@ -109,14 +110,8 @@ def check(document: Mapping[str, Any]) -> None:
 
 def _instant(rows: Rows, p: Matrix, knot: Matrix, rate: Fraction) -> None:
     """Raise Rejected unless W(0) < (1 − rate) V after an instant."""
-    n, size = len(p), len(knot)
-    whole = constants([[Fraction(0)] * (n + size) for _ in range(n + size)])
-    for i, row in enumerate(p):
-        whole[i][:n] = constants([[(1 - rate) * x for x in row]])[0]
-    for i, row in enumerate(knot):
-        whole[n + i] = [*rows.rows[i], *constants([row])[0]]
-        for j in range(n):
-            whole[j][n + i] = rows.rows[i][j]
+    jump = np.array(rows.rows, dtype=object)
+    whole = np.block([[np.array(p, dtype=object) * (1 - rate), jump.T], [jump, np.array(knot, dtype=object)]])
     if not is_definite(rows, whole):
         raise Rejected("the slope rule does not show that the function decreases at a sampling instant")
 
@@ -132,15 +127,10 @@ def _piece(
     """Return bounds on the rates at the centre; raise Rejected unless W decreases between two knots in this time."""
     still = [Fraction(0)] * len(between.states)
     rows, drift = _rows(between.names, between.box, between.rates, knots, centre, level, (), still, radii)
-    for knot in knots:
-        loss = [[(y - x) / time for x, y in zip(*pair, strict=True)] for pair in zip(*knots, strict=True)]
-        moved = multiplied(rows, knot, [list(row) for row in zip(*rows.rows, strict=True)])  # Q Aᵀ
-        whole = constants(loss)
-        for i, row in enumerate(moved):
-            for j, entry in enumerate(row):
-                lost = rows.times(Number({(): Fraction(-1)}), entry)
-                whole[i][j] = rows.plus(whole[i][j], lost)
-                whole[j][i] = rows.plus(whole[j][i], lost)  # the diagonal loses twice
+    first, last = (np.array(knot, dtype=object) for knot in knots)
+    for knot in (first, last):
+        moved = knot @ np.array(rows.rows, dtype=object).T  # Q Aᵀ
+        whole = -moved - moved.T + (last - first) * (1 / time)
         if not is_definite(rows, whole):
             raise Rejected(
                 "the slope rule does not show that W, which bounds V between the sampling instants, decreases"

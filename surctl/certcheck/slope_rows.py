@@ -44,9 +44,10 @@ from surctl.certcheck.identity import Exact
 from surctl.certcheck.patience import go_on
 from surctl.certcheck.region_exact import Matrix, magnitude, relative_root_up
 
-__all__ = ["Number", "Poly", "Rows"]
+__all__ = ["Number", "Poly", "Row", "Rows"]
 
 Array = NDArray[np.float64]
+Row = NDArray[np.object_]  # of objects of the class `Number`, or fractions
 Poly = dict[tuple[int, ...], Fraction]
 """A polynomial of degree at most 1 in each slope: coefficients by the sorted indices of the slopes in a term."""
 
@@ -62,10 +63,37 @@ _ZERO = (libmp.fzero, libmp.fzero)
 
 @dataclass(frozen=True)
 class Number:
-    """A polynomial in the slopes with an error bound."""
+    """A polynomial in the slopes with an error bound; sums of them, and products with numbers, are exact."""
 
     poly: Poly
     error: Fraction = Fraction(0)
+
+    def __add__(self, other: Number | Fraction) -> Number:
+        if not isinstance(other, Number):
+            other = Number({(): other} if other else {})
+        if not other.poly and not other.error:
+            return self
+        poly = dict(self.poly)
+        for term, number in other.poly.items():
+            total = poly.get(term, Fraction(0)) + number
+            if total:
+                poly[term] = total
+            else:
+                del poly[term]
+        return Number(poly, self.error + other.error)
+
+    def __mul__(self, factor: Fraction) -> Number:
+        go_on()
+        poly = {term: factor * number for term, number in self.poly.items()} if factor else {}
+        return Number(poly, abs(factor) * self.error)
+
+    __radd__, __rmul__ = __add__, __mul__
+
+    def __neg__(self) -> Number:
+        return self * Fraction(-1)
+
+    def __sub__(self, other: Number | Fraction) -> Number:
+        return self + -other
 
 
 class Rows:
@@ -122,7 +150,7 @@ class Rows:
         self.rest: dict[int, Interval] = {}  # of each node at x*, without disturbances
         self.base: dict[int, int] = {}  # node of which it is a function of one variable; −1 if it has no state
         self.slopes: list[tuple[Fraction, Fraction]] = []
-        self._rows: dict[int, list[Number]] = {}
+        self._rows: dict[int, Row] = {}
         self._values: dict[tuple[str, int], Number] = {}
         self._numeric: dict[int, bool] = {}
         self.limits: dict[int, tuple[int, Fraction, Sequence[Fraction]]] = {}
@@ -262,7 +290,7 @@ class Rows:
         values = [function(piece, 0)[0] for piece in _pieces(self.range[base], self.rest[base])]
         return reduce(hull, values), function(self.rest[base], 0)[0]
 
-    def _support(self, row: list[Number]) -> Fraction:
+    def _support(self, row: Row) -> Fraction:
         """Return an upper bound on |row · (ξ, w)|."""
         used = sorted({k for entry in row for term in entry.poly for k in term})
         n, total = self.states, Fraction(0)
@@ -284,18 +312,18 @@ class Rows:
 
     # ---- rows and values as polynomials in the slopes
 
-    def row(self, at: int) -> list[Number]:
+    def row(self, at: int) -> Row:
         """Return r with e(x, p) = e(x*, p) + r·(ξ, w) on the region, for the node e."""
         if at not in self._rows:
             go_on()
             self._rows[at] = self._row(at)
         return self._rows[at]
 
-    def _row(self, at: int) -> list[Number]:
+    def _row(self, at: int) -> Row:
         entry, base = self.table.entries[at], self.base[at]
         args = entry.args
         if base < 0:
-            return [Number({})] * len(self.linear)
+            return np.array([Number({})] * len(self.linear), dtype=object)
         if base != at:
             return self._scaled(self._slope(self._secant(at)), self.row(base))
         if at in self.limits:
@@ -303,13 +331,13 @@ class Rows:
         match entry.op:
             case "var":
                 own = entry.value.numerator
-                return [Number({(): Fraction(1)} if k == own else {}) for k in self.linear]
+                return np.array([Number({(): Fraction(1)} if k == own else {}) for k in self.linear], dtype=object)
             case "neg":
-                return self._scaled(Number({(): Fraction(-1)}), self.row(args[0]))
-            case "add" | "sub":
-                sign = Fraction(1 if entry.op == "add" else -1)
-                second = self._scaled(Number({(): sign}), self.row(args[1]))
-                return [self.plus(a, b) for a, b in zip(self.row(args[0]), second, strict=True)]
+                return np.negative(self.row(args[0]))
+            case "add":
+                return np.add(self.row(args[0]), self.row(args[1]))
+            case "sub":
+                return np.subtract(self.row(args[0]), self.row(args[1]))
             case "div":
                 return self._scaled(self._inverse(args[1]), self.row(args[0]))
             case "mul":
@@ -319,23 +347,19 @@ class Rows:
                     return self._scaled(self._value(a), self.row(b))
                 a, b = self._ordered(a, b)
                 # a b − a* b* = a (b − b*) + b* (a − a*)
-                first = self._scaled(self._factor(a), self.row(b))
-                second = self._scaled(self._value(b), self.row(a))
-                return [self.plus(x, y) for x, y in zip(first, second, strict=True)]
+                return np.add(self._scaled(self._factor(a), self.row(b)), self._scaled(self._value(b), self.row(a)))
             case "min" | "max":
                 return self.row(self._apart_from(entry.op, args))
         raise Rejected(f"the slope rule does not cover {entry.op} of several variables")
 
-    def _limit_row(self, at: int) -> list[Number]:
+    def _limit_row(self, at: int) -> Row:
         """Return the row G + θ (r_y − G), θ in [0, 1], of a limit of y; raise Rejected if G reaches the limits."""
         y, gap, feedback = self.limits[at]
         if len(feedback) != self.states or self._ellipsoid(list(feedback)) > gap:
             raise Rejected("the feedback of a limit does not stay within the limit")
-        row = [Number({(): x} if x else {}) for x in feedback] + [Number({})] * (len(self.linear) - self.states)
-        back = self._scaled(Number({(): Fraction(-1)}), row)
-        apart = [self.plus(a, b) for a, b in zip(self.row(y), back, strict=True)]
-        share = self._slope((libmp.fzero, libmp.fone))
-        return [self.plus(a, b) for a, b in zip(row, self._scaled(share, apart), strict=True)]
+        row: Row = np.array([*feedback, *[Fraction(0)] * (len(self.linear) - self.states)], dtype=object)
+        apart = np.subtract(self.row(y), row)
+        return np.asarray(self._scaled(self._slope((libmp.fzero, libmp.fone)), apart) + row)
 
     def _ordered(self, a: int, b: int) -> tuple[int, int]:
         """Return two factors so that the first one, whose value becomes a slope, is the better one."""
@@ -379,11 +403,11 @@ class Rows:
             case "var":
                 return None if self.radii else Number({(): self.centre[entry.value.numerator]})
             case "neg":
-                return self.times(Number({(): Fraction(-1)}), self._value(args[0]))
+                return -self._value(args[0])
             case "add":
-                return self.plus(self._value(args[0]), self._value(args[1]))
+                return self._value(args[0]) + self._value(args[1])
             case "sub":
-                return self.plus(self._value(args[0]), self.times(Number({(): Fraction(-1)}), self._value(args[1])))
+                return self._value(args[0]) - self._value(args[1])
             case "mul":
                 a, b = (self._value(a) for a in args)
                 if {k for t in a.poly for k in t} & {k for t in b.poly for k in t}:
@@ -428,23 +452,10 @@ class Rows:
             total += size
         return total
 
-    def plus(self, a: Number, b: Number) -> Number:
-        """Return a + b."""
-        if not b.poly and not b.error:
-            return a
-        poly = dict(a.poly)
-        for term, number in b.poly.items():
-            total = poly.get(term, Fraction(0)) + number
-            if total:
-                poly[term] = total
-            else:
-                del poly[term]
-        return Number(poly, a.error + b.error)
-
-    def _scaled(self, factor: Number, row: list[Number]) -> list[Number]:
+    def _scaled(self, factor: Number, row: Row) -> Row:
         # one copy of a slope that occurs twice serves the whole row
         copies: dict[int, int] = {}
-        return [self.times(factor, entry, copies) for entry in row]
+        return np.array([self.times(factor, entry, copies) for entry in row], dtype=object)
 
     def times(self, a: Number, b: Number, copies: dict[int, int] | None = None) -> Number:
         """Return a b; a slope of both is replaced by a copy, which is also that of other products with `copies`."""

@@ -28,10 +28,10 @@ from surctl.certcheck.inequality import Box
 from surctl.certcheck.patience import afford, go_on
 from surctl.certcheck.radii import least_rate, norm, widened
 from surctl.certcheck.region_exact import Matrix, inverse, is_positive_definite, magnitude, up
-from surctl.certcheck.slope_rows import Number, Poly, Rows
+from surctl.certcheck.slope_rows import Number, Poly, Row, Rows
 
 __all__ = [
-    "Decrease", "check_decrease", "constants", "is_definite", "multiplied", "quadratic_form", "require_in_box",
+    "Decrease", "check_decrease", "is_definite", "quadratic_form", "require_in_box",
 ]  # fmt: skip
 
 Array = NDArray[np.float64]
@@ -40,7 +40,6 @@ _MOST_SLOPES = 20  # in one matrix
 _MOST_STATES = 20
 _UNIT = 2.0**-53
 _CHUNK = 2**18  # numbers of the matrices that are tested together
-_NONE = Number({})
 
 
 @dataclass(frozen=True)
@@ -147,56 +146,28 @@ def check_decrease(
         raise Rejected("the slope rule does not show the decrease")
 
 
-def _decrease(rows: Rows, free: Sequence[Number], needed: Decrease, discrete: bool) -> list[list[Number]]:
+def _decrease(rows: Rows, free: Sequence[Number], needed: Decrease, discrete: bool) -> Row:
     """Return the matrix S(θ) that must be positive definite."""
-    n, p = rows.states, needed.p
-    matrix = [[*row, *([free[k]] if free else [])] for k, row in enumerate(rows.rows)]  # x', or x⁺ − x*
-    width = len(matrix[0])
-    pulled = multiplied(rows, p, matrix)
-    whole = [[_NONE] * (width + n * discrete) for _ in range(width + n * discrete)]
-    for i in range(n):
-        for j in range(n):
-            whole[i][j] = _number(p[i][j] * ((1 if discrete else 0) - needed.rate))
+    n, p = rows.states, np.array(needed.p, dtype=object)
+    matrix = np.array([[*row, *([free[k]] if free else [])] for k, row in enumerate(rows.rows)], dtype=object)
+    pulled, width = p @ matrix, matrix.shape[1]  # of x', or of x⁺ − x*
+    whole = np.full((width + n * discrete,) * 2, Fraction(0), dtype=object)
+    whole[:n, :n] = p * ((1 if discrete else 0) - needed.rate)
     for k, place in enumerate(rows.linear[n:], start=n):
-        whole[k][k] = _number(needed.gains[rows.names[place]])
+        whole[k, k] = needed.gains[rows.names[place]]
     if free:
-        whole[width - 1][width - 1] = _number(needed.constant)
-    for i in range(n):
-        for j in range(width):
-            if discrete:
-                whole[width + i][j] = whole[j][width + i] = pulled[i][j]
-            else:
-                loss = rows.times(_number(Fraction(-1)), pulled[i][j])
-                whole[i][j] = rows.plus(whole[i][j], loss)
-                whole[j][i] = rows.plus(whole[j][i], loss)
-        if discrete:
-            whole[width + i][width:] = [_number(entry) for entry in p[i]]
+        whole[width - 1, width - 1] = needed.constant
+    if discrete:
+        whole[width:, :width], whole[:width, width:], whole[width:, width:] = pulled, pulled.T, p
+    else:
+        whole[:n, :width] = -pulled + whole[:n, :width]
+        whole[:width, :n] = -pulled.T + whole[:width, :n]
     return whole
 
 
-def multiplied(rows: Rows, a: Matrix, b: Sequence[Sequence[Number]]) -> list[list[Number]]:
-    """Return the product A B of a matrix of numbers and a matrix of polynomials in the slopes."""
-    product = [[_NONE] * len(b[0]) for _ in a]
-    for i, row in enumerate(a):
-        for j in range(len(b[0])):
-            for k, x in enumerate(row):
-                if x:
-                    product[i][j] = rows.plus(product[i][j], rows.times(_number(x), b[k][j]))
-    return product
-
-
-def constants(a: Matrix) -> list[list[Number]]:
-    """Return a matrix of numbers as one of polynomials in the slopes."""
-    return [[_number(x) for x in row] for row in a]
-
-
-def _number(x: Fraction) -> Number:
-    return Number({(): x}) if x else _NONE
-
-
-def is_definite(rows: Rows, whole: list[list[Number]]) -> bool:
-    """Return whether the symmetric matrix is shown to be positive definite at all vertices."""
-    size = len(whole)
+def is_definite(rows: Rows, stated: Row) -> bool:
+    """Return whether the symmetric matrix of numbers and polynomials is shown to be positive definite everywhere."""
+    size, whole = len(stated), stated + Number({})
     lower = [(i, j) for i in range(size) for j in range(i + 1)]
     ranges = dict(enumerate(rows.slopes))
     polys = _joined([whole[i][j].poly for i, j in lower], ranges)

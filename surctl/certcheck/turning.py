@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
 from fractions import Fraction
 from typing import Any
 
@@ -30,9 +29,9 @@ from surctl.certcheck.region_exact import (
     quadratic,
     root_up,
 )
-from surctl.certcheck.turning_cells import Trim, check_shell, heading_cells, steady
+from surctl.certcheck.turning_cells import Setting, Trim, check_shell, heading_cells, steady
 from surctl.certcheck.turning_claim import TurningClaim, read_claim
-from surctl.certcheck.turning_form import Form, Phase
+from surctl.certcheck.turning_form import Extent, Form, Phase
 from surctl.certcheck.turning_terms import STILL, coupled_mass, other_forces, other_moment
 
 __all__ = ["check", "cruise_of", "require_bound", "require_starts", "shells_of"]
@@ -67,12 +66,13 @@ def check(document: Mapping[str, Any]) -> None:
     fastest = claim.cruise + claim.current + root_up(largest_eigenvalue([row[2:4] for row in covariance[2:4]]))
     _check_munk_moment(claim, fastest)
     forces = other_forces(claim, fastest)
-    divided = heading_cells(claim, trim, cells)
+    setting, extent = Setting(claim, trim, heading_cells(claim, trim, cells)), Extent.of(covariance)
     weight, phases = _phases(claim, proof)
-    for phase in phases:
-        form = Form(p, weight, claim.k_v * phase.begins)
-        for low, high, growth, rate in shells:
-            check_shell(replace(claim, rate=rate), trim, divided, form, low, high, growth, forces, phase)
+    form = Form.of(p, weight)
+    for shell in shells:
+        bounds = setting.bounds(extent, shell[1], forces)
+        for phase in phases:
+            check_shell(setting, bounds, form, phase, shell)
 
 
 def shells_of(claim: TurningClaim, proof: Mapping[str, Any]) -> list[tuple[Fraction, ...]]:

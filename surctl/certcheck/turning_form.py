@@ -33,12 +33,13 @@ Seuret 2012). As d(σ (1 − σ) |ε|²)/dt = 2 (1 − σ) εᵀ Ḋ − |ε|²/
 With lag, D acts on Ḟ. Without lag, thrust − drag has m_i n_iᵀ D in place of m_i n_iᵀ F, and so has U̇ in Ḋ. Ẇ is affine
 in D = σ ε. For given z, ε and w, all this is affine in σ but for σ (1 − σ) q εᵀ (2 k_v Σ n_i μ_i n_i + a + η) ε, with
 μ_i the mass in the model over the true one, which is at most q (k_v max μ_i/2 + (a + η)/4) |ε|². So the two ends
-decide: at σ = 0, D does not act, and at σ = 1, Ḋ does not count. The matrices of `turning_cells` prove V̇ + (a + η) V <
+decide: at σ = 0, D does not act, and at σ = 1, Ḋ does not count. The matrices of `turning_matrix` prove V̇ + (a + η) V <
 η low at both, and so between.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from fractions import Fraction
 from typing import NamedTuple
 
@@ -46,70 +47,93 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.certcheck.document import Rejected
-from surctl.certcheck.region_exact import Matrix, inverse
+from surctl.certcheck.region_exact import Matrix, root_up
 from surctl.certcheck.turning_claim import TurningClaim
 from surctl.certcheck.turning_terms import UP
 
-__all__ = ["Form", "Phase", "Stir", "axes_of", "stir"]
+__all__ = ["TWIST", "Extent", "Form", "Phase", "Stir", "axes_of", "lipschitz", "stir"]
 
 Array = NDArray[np.float64]
+
+TWIST = np.array([[0.0, 1.0], [-1.0, 0.0]])
+"""J = n_1 n_2ᵀ − n_2 n_1ᵀ; the quarter turn S is Jᵀ."""
 
 _WORST = 1e4  # largest condition of the scaled matrix of V
 
 
 class Form:
-    """V in double precision, with the exact P⁻¹ rounded to doubles.
+    """V in double precision, with the matrices T and T P (n, n), T P Tᵀ ≈ I.
 
     Args:
-        p: matrix P (4, 4), or (6, 6) with thrust lag.
-        weight: the weight q [s⁴/m²]; None for commands that are not held.
-        k_v: the law's gain k_v [1/s], by which an acceleration changes the command; 0 at σ = 1.
+        p: matrix P (n, n), with the weight q of each entry of ε if there is one.
     """
 
-    def __init__(self, p: Matrix, weight: Fraction | None = None, k_v: Fraction = Fraction(0)) -> None:
-        self.exact = inverse(p)
-        own = len(p)
-        size = own + (0 if weight is None else 2)
-        self.p, self.covariance, self.change = np.zeros((3, size, size))
-        for whole, part in ((self.p, p), (self.covariance, self.exact)):
-            whole[:own, :own] = [[float(entry) for entry in row] for row in part]
-        self.change[:own, :own] = np.tril(np.linalg.inv(np.linalg.cholesky(self.p[:own, :own])))  # T P Tᵀ ≈ I
-        for k in range(own, size):
-            self.p[k, k], self.covariance[k, k] = float(weight or 0), 1 / float(weight or 0)
-            self.change[k, k] = 1 / np.sqrt(self.p[k, k])
-        scale = np.abs(self.change) @ np.abs(self.p) @ np.abs(self.change).T
-        if not (scale.max() <= _WORST and np.all(np.diag(self.change) > 0)):  # a NaN fails this test too
-            raise Rejected("P is too ill-conditioned for double precision")
-        velocity, held = np.eye(2, size, 2).T, np.eye(2, size, own).T * float(k_v)
-        self.entry = velocity + held  # what an acceleration of the vehicle changes, and ε with it
-        whole = self.change @ self.p
-        self.levers = whole @ velocity, whole @ held
-        self.lever, self.pulled = whole @ self.entry, whole @ np.eye(2, size, own).T * (k_v > 0)
-        self.thrust = whole[:, 4:6] if own > 4 else np.zeros((size, 2))
-        self._at = np.eye(4, size)[:2], np.eye(4, size)[2:]
-        self.place, self.speed = self.change[:, :2], self.change[:, 2:4]
-        self.force, self.error = self.change[:, 4:own], self.change[:, own:]
+    def __init__(self, p: Array) -> None:
+        self.p = p
+        self.change = np.tril(np.linalg.inv(np.linalg.cholesky(p)))
+        self.left = self.change @ p
 
-    def rows(self, place: Array, speed: Array) -> Array:
-        """Return the matrices (…, 2, n) of functions of position and velocity from their blocks (…, 2, 2)."""
-        return place @ self._at[0] + speed @ self._at[1]
+    @classmethod
+    def of(cls, p: Matrix, weight: Fraction | None = None) -> Form:
+        """Return V for the matrix P without ε, and the weight q [s⁴/m²], None for commands that are not held.
 
-    def largest(self, rows: Array, axes: Array, high: float) -> float:
-        """Return a bound on |n · rows ξ| over V ≤ high and unit vectors n with n nᵀ in the hull of `axes` (k, 2, 2).
-
-        Of several matrices `rows` (…, 2, n), the largest bound is returned.
+        Raises:
+            Rejected: P is too ill-conditioned for double precision.
         """
+        own = len(p)
+        whole = np.eye(own + (0 if weight is None else 2)) * float(weight or 0)
+        whole[:own, :own] = [[float(entry) for entry in row] for row in p]
+        form = cls(whole)
+        scale = np.abs(form.change) @ np.abs(form.p) @ np.abs(form.change).T
+        if not (scale.max() <= _WORST and np.all(np.diag(form.change) > 0)):  # a NaN fails this test too
+            raise Rejected("P is too ill-conditioned for double precision")
+        return form
+
+
+class Extent:
+    """Extent of the set V ≤ level about the steady cruise.
+
+    Args:
+        variances: those of x and y, entries of P⁻¹ [m²].
+        covariance: the entries (4, 4) of P⁻¹ for positions and velocities.
+    """
+
+    def __init__(self, variances: Sequence[Fraction], covariance: Array) -> None:
+        self.variances, self.covariance = variances, covariance
+
+    @classmethod
+    def of(cls, covariance: Matrix) -> Extent:
+        """Return the extent for an exact P⁻¹."""
+        block = np.array([[float(x) for x in row[:4]] for row in covariance[:4]])
+        return cls([covariance[k][k] for k in (0, 1)], block)
+
+    def size(self, k: int, high: Fraction) -> Fraction:
+        """Return a bound on the deviation of x (k = 0) or y (k = 1) in V ≤ high [m]."""
+        return root_up(self.variances[k] * high)
+
+    def largest(self, place: Array, speed: Array, axes: Array, high: float) -> Array:
+        """Return bounds (h,) on |n · rows ξ| over V ≤ high and unit vectors n with n nᵀ in the hull of `axes`.
+
+        Args:
+            place, speed: the blocks (rows, 2, 2) or (h, rows, 2, 2) of several matrices; the largest bound counts.
+            axes: matrices (h, z, 2, 2) of each of h cells.
+            high: the level.
+        """
+        rows = np.concatenate(np.broadcast_arrays(place, speed), axis=-1)
         gram = rows @ self.covariance @ rows.swapaxes(-1, -2)
         size = np.abs(rows) @ np.abs(self.covariance) @ np.abs(rows).swapaxes(-1, -2)
-        flat = axes.reshape(-1, 4).T
-        at = gram.reshape(-1, 4) @ flat + 1e-12 * (size.reshape(-1, 4) @ np.abs(flat))
-        return float(np.sqrt(max(at.max(), 0.0) * high) * UP + 1e-12)
+        flat = axes.reshape(*axes.shape[:2], 4).swapaxes(-1, -2)  # (h, 4, z)
+        at = gram.reshape(*gram.shape[:-2], 4) @ flat + 1e-12 * (size.reshape(*size.shape[:-2], 4) @ np.abs(flat))
+        return np.asarray(np.sqrt(np.maximum(at.max(axis=(-1, -2)), 0.0) * high) * UP + 1e-12)
 
 
 def axes_of(z: Array) -> tuple[Array, Array]:
-    """Return n_1 n_1ᵀ and n_2 n_2ᵀ (k, 2, 2) for points (cos 2ψ, sin 2ψ) (k, 2)."""
-    turned = np.stack([np.stack([z[:, 0], z[:, 1]], 1), np.stack([z[:, 1], -z[:, 0]], 1)], 1)
-    return (np.eye(2) + turned) / 2, (np.eye(2) - turned) / 2
+    """Return n_i n_iᵀ and n_j n_iᵀ (2, ..., 2, 2) of both body axes i, for points (cos 2ψ, sin 2ψ) (..., 2)."""
+    turned = z @ np.array([[1.0, 0.0, 0.0, -1.0], [0.0, 1.0, 1.0, 0.0]])
+    mirror = z @ np.array([[0.0, 1.0, 1.0, 0.0], [-1.0, 0.0, 0.0, 1.0]])  # n_1 n_2ᵀ + n_2 n_1ᵀ
+    turned, mirror = (rows.reshape(*z.shape, 2) for rows in (turned, mirror))
+    axes, crossed = (np.eye(2) + turned, np.eye(2) - turned), (mirror - TWIST, mirror + TWIST)
+    return np.stack(axes) / 2, np.stack(crossed) / 2
 
 
 class Phase(NamedTuple):
@@ -125,15 +149,15 @@ class Phase(NamedTuple):
 
 
 class Stir(NamedTuple):
-    """What moves the commands in a cell of headings and a level of V.
+    """What moves the commands in each cell of headings, in a level of V.
 
-    `spread` is c [1/s²], `ahead` (2,) the rate at which the heading turns the command of the steady cruise [m/s³], and
-    `swing` the largest r H [1/s²].
+    `spread` (h,) is c [1/s²], `ahead` (h, 2) the rate at which the heading turns the command of the steady cruise
+    [m/s³], and `swing` (h,) the largest r H [1/s²].
     """
 
-    spread: float
+    spread: Array
     ahead: Array
-    swing: float
+    swing: Array
 
 
 def lipschitz(claim: TurningClaim, fast: float, beside: float) -> float:
@@ -144,12 +168,20 @@ def lipschitz(claim: TurningClaim, fast: float, beside: float) -> float:
 
 
 def stir(claim: TurningClaim, omega: float, fast: float, limit: float, share: Array, led: Array) -> Stir:
-    """Return what moves the commands; `omega` and `fast` are the largest |ω| and W* [m/s], `limit` is L [1/s]."""
+    """Return what moves the commands.
+
+    Args:
+        claim: the claim.
+        omega, fast: largest |ω| and W* [m/s].
+        limit: L [1/s].
+        share: largest |cosine| (h, 2) between the path and each axis of the body.
+        led: largest |n_i δW| (h, 2) [m/s].
+    """
     k_v, r, cap = float(claim.k_v), float(claim.yaw_rate), float(claim.cap)
     model = np.array([[float(n) for n in pair] for pair in (claim.mass, claim.linear, claim.quadratic)])
-    reached = np.minimum(fast * share + led, cap)
-    slope = (model[1] + 2 * model[2] * reached) / model[0]
-    ahead = r * (k_v * omega + slope * fast) * share[::-1]
-    bent = 2 * model[2] / model[0] * fast * share[::-1] * bool(claim.lag[1])
-    turned = np.linalg.norm([[bent[0], slope[0]], [slope[1], bent[1]]], 2)
-    return Stir(float((k_v + slope.max()) * limit * UP), ahead * UP, float(r * turned) * UP)
+    slope = (model[1] + 2 * model[2] * np.minimum(fast * share + led, cap)) / model[0]
+    ahead = r * (k_v * omega + slope * fast) * share[..., ::-1]
+    bent = 2 * model[2] / model[0] * fast * share[..., ::-1] * bool(claim.lag[1])
+    rows = np.stack([bent[..., 0], slope[..., 0], slope[..., 1], bent[..., 1]], -1)
+    turned = np.linalg.norm(rows.reshape(*share.shape, 2), 2, axis=(-2, -1))
+    return Stir((k_v + slope.max(axis=-1)) * limit * UP, ahead * UP, np.asarray(r * turned * UP))

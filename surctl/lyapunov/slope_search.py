@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from surctl.certcheck import Rejected
 from surctl.certcheck.enclosure import Interval, Undefined, span
-from surctl.certcheck.slope_rows import Number, Rows
+from surctl.certcheck.slope_rows import Row, Rows
 from surctl.errors import UnsupportedOperation
 from surctl.lyapunov.candidates import Candidate
 from surctl.lyapunov.dynamics import Dynamics
@@ -97,10 +97,10 @@ class Embedding(Rows):
         """Return the row of the operand of each limit, in the middle of all slopes."""
         return [self._vertices_of(self.row(y), most=0)[0] for y, _, _ in self.limits.values()]
 
-    def _limit_row(self, at: int) -> list[Number]:
+    def _limit_row(self, at: int) -> Row:
         share = self._slope((libmp.fzero, libmp.fone))
         row = self._scaled(share, self.row(self.limits[at][0]))
-        rest = self.plus(Number({(): Fraction(1)}), self.times(Number({(): Fraction(-1)}), share))
+        rest = -share + Fraction(1)
         row[self.states + list(self.limits).index(at)] = rest
         return row
 
@@ -138,7 +138,7 @@ class Embedding(Rows):
             return _interval(every.mean())
         return _interval(every + _WIDER * np.ptp(every) * np.sign(every - every.mean()))
 
-    def _vertices_of(self, row: list[Number], most: int = _FEW) -> Array:
+    def _vertices_of(self, row: Row, most: int = _FEW) -> Array:
         used = sorted({k for entry in row for term in entry.poly for k in term})[:most]
         ends = np.array(self.slopes, dtype=float).reshape(-1, 2)
         rows = []
@@ -148,7 +148,7 @@ class Embedding(Rows):
             rows.append([sum(float(x) * value[list(t)].prod() for t, x in entry.poly.items()) for entry in row])
         return np.array(rows, dtype=float)
 
-    def _support(self, row: list[Number]) -> Fraction:
+    def _support(self, row: Row) -> Fraction:
         at = self._vertices_of(row)
         return Fraction(float(np.sqrt(np.einsum("ki,cij,kj->ck", at, self.covers, at).clip(0).max())))
 

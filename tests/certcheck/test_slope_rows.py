@@ -213,7 +213,7 @@ def test_products_replace_a_common_slope_by_a_copy() -> None:
     assert rows.slopes[max(next(iter(copies)))] == rows.slopes[k]
     assert square.error == Fraction(1, 8) * (rows.size(one) + 2 * largest + 1)
     assert rows.size(one) == 2 * largest + 1 + Fraction(1, 8)
-    assert rows.plus(one, Number({(k,): Fraction(-2)}, Fraction(1))) == Number({(): Fraction(1)}, Fraction(9, 8))
+    assert one + Number({(k,): Fraction(-2)}, Fraction(1)) == Number({(): Fraction(1)}, Fraction(9, 8))
     assert rows.times(one, Number({})) == Number({})
 
 

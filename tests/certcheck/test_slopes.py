@@ -16,6 +16,7 @@ from scipy.linalg import solve_continuous_lyapunov, solve_discrete_lyapunov
 
 from surctl.certcheck import Rejected, check_document, patience, seal
 from surctl.certcheck.region_exact import inverse
+from surctl.certcheck.slope_rows import Number
 from surctl.certcheck.slopes import (
     Decrease,
     _joined,
@@ -502,5 +503,5 @@ def test_whatever_a_feedback_proves_holds_at_samples() -> None:
 @pytest.mark.parametrize(("least", "shown"), [(1e-13, True), (1e-14, False)])
 def test_what_is_below_the_bound_of_rounding_is_not_shown(least: float, shown: bool) -> None:
     rows = SimpleNamespace(slopes=[(Fraction(0), Fraction(1))], size=lambda _: Fraction(1))
-    entry = SimpleNamespace(poly={(): exact(least), (0,): Fraction(1)}, error=Fraction(0))
-    assert is_definite(rows, [[entry]]) is shown  # type: ignore[arg-type, list-item]
+    entry = Number({(): exact(least), (0,): Fraction(1)})
+    assert is_definite(rows, np.array([[entry]])) is shown  # type: ignore[arg-type]

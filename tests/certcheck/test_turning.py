@@ -16,11 +16,11 @@ import pytest
 from surctl.certcheck import check_document
 from surctl.certcheck.document import Rejected
 from surctl.certcheck.region_claim import axis_pairs, triangle
-from surctl.certcheck.region_exact import quadratic, root_up
+from surctl.certcheck.region_exact import inverse, quadratic
 from surctl.certcheck.turning import _check_munk_moment, cruise_of, require_starts
-from surctl.certcheck.turning_cells import Trim, _axis, _commanded, _lack, heading_cells, steady
+from surctl.certcheck.turning_cells import Setting, Trim, _lack, heading_cells, steady
 from surctl.certcheck.turning_claim import drag_factors, read_claim
-from surctl.certcheck.turning_form import Form, axes_of
+from surctl.certcheck.turning_form import Extent, Form, axes_of
 from surctl.certcheck.turning_terms import coupling_of, inverse_masses, other_forces, other_moment, turn_points
 from surctl.marine.control import build_law, load_gains
 from surctl.marine.control.ports import law_parameters
@@ -79,7 +79,7 @@ def test_the_true_loop_decays_as_each_certificate_claims(name: str) -> None:
     whole = document(name)
     claim, proof = read_claim(whole["claim"]), whole["proof"]
     weight = Fraction(repr(proof["thrust"]["weight"])) if claim.period else None
-    form = Form(triangle(proof["P"], 6 if claim.lag[1] else 4, "proof.P"), weight, claim.k_v)
+    form = Form.of(triangle(proof["P"], 6 if claim.lag[1] else 4, "proof.P"), weight)
     check_samples(claim, cruise_of(claim, proof), form.p, proof["floor"])
 
 
@@ -171,7 +171,7 @@ def quick() -> dict[str, Any]:
     shells = whole["proof"]["shells"]
     extent = np.sqrt(np.diag(np.linalg.inv(matrix(whole)))[:2] * shells[-3]["level"])
     whole["claim"]["motion"]["ultimate_bound_m"] = [round(float(n) + 1e-3, 6) for n in extent]
-    whole["proof"] |= {"floor": shells[-3]["level"], "shells": shells[-2:], "cells": 16}
+    whole["proof"] |= {"floor": shells[-3]["level"], "shells": shells[-2:]}
     return sealed(whole)
 
 
@@ -208,11 +208,12 @@ def test_the_vertices_of_factors_enclose_every_allowed_vehicle() -> None:
 def test_the_waiting_of_the_target_counts_the_error_of_the_place() -> None:
     whole = document("region-cruise-20-noise")
     claim, p = read_claim(whole["claim"]), triangle(whole["proof"]["P"], 4, "proof.P")
-    trim, form = cruise_of(claim, whole["proof"]), Form(p)
-    reach = 2 * (root_up(form.exact[0][0]) + max(map(abs, trim.moved)) / claim.k1 + claim.place_error)
-    _commanded(replace(claim, wait=reach), trim, form, Fraction(1))
+    trim, extent = cruise_of(claim, whole["proof"]), Extent.of(inverse(p))
+    wait = 2 * (extent.size(0, Fraction(1)) + max(map(abs, trim.moved)) / claim.k1 + claim.place_error)
+    cells = heading_cells(claim, trim, 4)
+    Setting(replace(claim, wait=wait), trim, cells).commanded(extent, Fraction(1))
     with pytest.raises(Rejected, match="target waits"):
-        _commanded(replace(claim, wait=reach - Fraction(1, 10**6)), trim, form, Fraction(1))
+        Setting(replace(claim, wait=wait - Fraction(1, 10**6)), trim, cells).commanded(extent, Fraction(1))
 
 
 def test_the_triangles_contain_every_heading() -> None:
@@ -228,7 +229,7 @@ def test_the_triangles_contain_every_heading() -> None:
             for axis, n in enumerate((np.cos(psi), np.sin(psi))):
                 assert np.all((cells.share[k, axis, 0] <= n) & (n <= cells.share[k, axis, 1]))
                 # n nᵀ of this axis is affine in z
-                own = axes_of(z[:2].T)[axis]
+                own = axes_of(z[:2].T)[0][axis]
                 body = np.stack([np.cos(psi), np.sin(psi)] if axis == 0 else [-np.sin(psi), np.cos(psi)])
                 assert np.allclose(own, np.einsum("ik,jk->kij", body, body))
 
@@ -270,14 +271,16 @@ def test_the_corners_that_are_left_out_lie_between_the_others() -> None:
     whole = document("region-turning-20")
     whole["claim"]["vehicle"]["thrust_n"] = [8.0, 8.0]  # so little that the limit binds in V ≤ 9
     claim, trim = read_claim(whole["claim"]), trim_of(whole)
-    form = Form([[Fraction(repr(float(e))) for e in row] for row in matrix(whole)])
+    extent = Extent.of(inverse([[Fraction(repr(float(e))) for e in row] for row in matrix(whole)]))
     cells, directions = heading_cells(claim, trim, 8), np.linspace(0, 2 * np.pi, 181)
-    ahead = np.stack([np.cos(directions), np.sin(directions)])
-    for k in range(8):
-        for i, axis in enumerate(axes_of(cells.corners[k])):
-            kept = _axis(claim, trim, form, i, axis, cells.share[k, i], [np.diag([0.3, 0.2])], 9.0)
+    ahead, plans = np.stack([np.cos(directions), np.sin(directions)]), np.diag([0.3, 0.2])[None]
+    for i, axes in enumerate(axes_of(cells.corners)[0]):
+        led = extent.largest(plans, np.zeros((2, 2)), axes, 9.0)
+        every = Setting(claim, trim, cells).loops(extent, i, axes, plans, led, 9.0)[1]
+        assert every is not None
+        for kept in every:
             gain = float(claim.mass[i] * claim.k_v)
-            assert len(kept) == 6 and np.all(kept[:, 3] == 1)
+            assert len(kept) == 6
             part, (low, top) = kept[:, 1].min() / gain, (kept[:, 2].min(), kept[:, 2].max())
             h0, h1 = (kept[:, 0] / kept[:, 1] - 1).min() * gain, (kept[:, 0] / kept[:, 1] - 1).max() * gain
             kept = np.stack([kept[:, 0], kept[:, 1] + kept[:, 2]], 1)

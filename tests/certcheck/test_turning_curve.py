@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from surctl.certcheck import check_document, turning_cells
+from surctl.certcheck import check_document
 from surctl.certcheck.document import Rejected
 from surctl.certcheck.region_claim import triangle
 from surctl.certcheck.turning import _flow
-from surctl.certcheck.turning_cells import Disturbed, decays
 from surctl.certcheck.turning_claim import read_claim
 from surctl.certcheck.turning_form import Form, Phase, axes_of
+from surctl.certcheck.turning_matrix import Inclusion
 from tests.certcheck.altering import sealed
 from tests.certcheck.turning_truth import true_rate
 
@@ -50,24 +50,22 @@ def test_a_steady_cruise_away_from_the_target_counts_on_a_curve() -> None:
 
 
 @pytest.mark.parametrize("along", [(0.0,), (0.4,), (-0.2, 0.4)])
-def test_the_matrix_of_a_cell_is_that_of_the_equations(
-    monkeypatch: pytest.MonkeyPatch, along: tuple[float, ...]
-) -> None:
+def test_the_matrix_of_a_cell_is_that_of_the_equations(along: tuple[float, ...]) -> None:
     whole, plan = document(), np.array([[0.05, 0.0], [0.0, 0.1]])
-    met: list[Any] = []
-
-    def keep(entries: Any) -> bool:
-        met.append(entries)
-        return True
-
     claim, p = read_claim(whole["claim"]), triangle(whole["proof"]["P"], 4, "P")
-    form, bend, level, growth, v = Form(p), 0.03, 0.5, 0.01, 0.1
-    monkeypatch.setattr(turning_cells, "_positive", keep)
-    bounds = Disturbed(np.zeros(2), 0.0, 0.0, 0.0, np.zeros(2), 0.0, 0.0, Phase(), along)
-    z, loops = np.array([[1.0, 0.0]]), [np.array([[300.0, 150.0, 120.0]])] * 2
-    decays(
-        claim, form, axes_of(z), z, loops, [plan], [(0.0, 0.0, bend, 0.0)], [(0.01, 0.01, 0.0)], bounds, growth, level
+    form, bend, level, growth, v = Form.of(p), 0.03, 0.5, 0.01, 0.1
+    axes, crossed = axes_of(np.array([[[1.0, 0.0]]]))
+    turns, loops, one, two = (
+        np.array([[0.0, 0.0, bend, 0.0]] * len(along)),
+        np.array([[[300.0, 150.0, 120.0]]]),
+        np.zeros(1),
+        np.zeros((1, 2)),
     )
+    at = Inclusion(
+        v, 0.0, axes, crossed, np.array([[0.01, 0.01, 0.0]]), np.ones(2), turns,
+        np.array(along), (loops, loops), plan[None], two, one, 0.0, 0.0, two, one, one, Phase(), np.ones((2, 1)),
+    )  # fmt: skip
+    met = at.losses(form, float(claim.rate), growth, level)
     turn = np.array([[0.0, -1.0], [1.0, 0.0]])
     A = np.kron([[0.0, 1.0], [0.0, 0.0]], np.eye(2)) - bend * np.kron(np.eye(2), turn)
     A[2:] -= np.hstack([3.0 * plan, 2.7 * np.eye(2)])
@@ -76,7 +74,7 @@ def test_the_matrix_of_a_cell_is_that_of_the_equations(
     for k, x in enumerate(along):
         pushed = P @ (-bend * np.concatenate([turn @ [x, 0.0], turn @ [v, 0.0]]))
         expected = -form.change @ (decay + np.outer(pushed, pushed) / level) @ form.change.T
-        for (i, j), found in met[0].items():
+        for (i, j), found in met.items():
             assert found.reshape(len(along))[k] == pytest.approx(expected[i, j], abs=2e-6 * np.abs(expected).max())
 
 

@@ -10,6 +10,8 @@ import pytest
 
 from surctl.certcheck import check_document, check_file
 from surctl.certcheck.turning_claim import read_claim
+from surctl.certcheck.turning_form import Form
+from surctl.certcheck.turning_matrix import indefinite
 from surctl.errors import InputError
 from surctl.marine.control import load_gains
 from surctl.marine.tuning import derived_gains
@@ -26,8 +28,8 @@ from surctl.marine.verification.region import (
     turning_claim,
 )
 from surctl.marine.verification.region.rates import cruise_loop, level_ratios
-from surctl.marine.verification.region.turning_loop import steady_turning, vertices
-from surctl.marine.verification.region.turning_shells import violated, worst_rate
+from surctl.marine.verification.region.turning_loop import selected, steady_turning, vertices
+from surctl.marine.verification.region.turning_shells import excess_of, worst_rate
 from surctl.verification.conic import minimise, symmetric_basis
 from surctl.verification.formula import text_of
 from tests.certcheck.turning_samples import draw_vehicles
@@ -228,49 +230,36 @@ def test_all_vertices_of_a_turning_cruise_are_judged_at_once() -> None:
     claim = turning_claim("test", load_vehicle("sur540-flooded"), load_gains("default"), rate=0.02)
     P = np.diag([50.0, 12.0, 250.0, 160.0])
     P[0, 2] = P[2, 0] = 40.0
-    at = vertices(claim, steady_turning(claim, cells=4), np.linalg.inv(P), 1.0)
-    assert at is not None and at.shape[3] == 6  # the thrust limit binds
-    every = at.matrices(P, claim.rate, 0.05, 0.3)
-    assert every.shape == (4, 4, np.prod(at.shape))
-    some = np.random.default_rng(0).integers(every.shape[2], size=40)
-    A = at.select(some)[0]
-    h, m = np.unravel_index(some, at.shape)[:2]
+    found = vertices(claim, steady_turning(claim, cells=4), np.linalg.inv(P), 1.0)
+    assert found is not None
+    [at] = found
+    assert at.shape[4] == 6  # the thrust limit binds
+    every = at.losses(Form(P), claim.rate, 0.05, 0.05 * 0.3)
+    assert len(every) == 10 and every[0, 0].shape == at.shape
+    some = np.random.default_rng(0).integers(every[0, 0].size, size=40)
+    A, factor, _ = selected(at, some, P)
+    h, m, _, z = np.unravel_index(some, at.shape)[:4]
     change, entry = np.linalg.inv(np.linalg.cholesky(P)), P[:, 2:]
     own = A.swapaxes(1, 2) @ P + P @ A + (claim.rate + 0.05) * P
-    force = np.moveaxis(every[..., some], -1, 0) - change @ own @ change.T  # T P B w wᵀ Bᵀ P Tᵀ/(η low) or more
+    matrices = np.empty((40, 4, 4))
+    for (i, j), row in every.items():
+        matrices[:, i, j] = matrices[:, j, i] = -row.reshape(-1)[some]
+    assert excess_of(every, some) == pytest.approx(np.linalg.eigvalsh(matrices)[:, -1])
+    force = matrices - change @ own @ change.T  # T P B w wᵀ Bᵀ P Tᵀ/(η low) or more
+    weighted = change @ P @ factor
+    assert weighted @ weighted.swapaxes(1, 2) / (0.05 * 0.3) == pytest.approx(force, abs=1e-8)  # rounding
+    lack = at.lack[h] * at.masses[m, :2]
     for sign in (1, -1):
         axes = np.stack([np.cos(at_psi := np.linspace(0, np.pi / 2, 5)[h]), np.sin(at_psi)], 1)
-        w = at.lack[h, m, :1] * axes + sign * at.lack[h, m, 1:] * np.stack([-axes[:, 1], axes[:, 0]], 1)
+        w = lack[:, :1] * axes + sign * lack[:, 1:] * np.stack([-axes[:, 1], axes[:, 0]], 1)
         pushed = (change @ entry @ w[:, :, None])[..., 0]
         least = np.linalg.eigvalsh(force - np.einsum("ki,kj->kij", pushed, pushed) / (0.05 * 0.3))[:, 0]
-        assert least.min() > -1e-9 and np.abs(force).max() > 0
-    values = np.linalg.eigvalsh(np.moveaxis(every, -1, 0))[:, -1]
+        assert not z.any() and least.min() > -1e-9 and np.abs(force).max() > 0
+    values = excess_of(every, np.arange(every[0, 0].size))
     bound = float(np.quantile(values, 0.9))
-    assert set(violated(every, bound)) == set(np.flatnonzero(values >= bound))
+    assert set(np.flatnonzero(indefinite(every, bound))) == set(np.flatnonzero(values >= bound))
     worst, known = worst_rate(every, np.zeros(0, dtype=int))
     assert worst == pytest.approx(values.max(), abs=1e-8) and values[known[0]] == pytest.approx(worst)
-
-
-def test_on_a_curve_the_steady_error_along_the_path_moves_the_position_across_it() -> None:
-    claim = turning_claim("test", load_vehicle("sur540-flooded"), load_gains("default"), cruise=0.1, curvature=1.0)
-    cruise, P = steady_turning(claim, cells=4), np.diag([50.0, 12.0, 250.0, 160.0])
-    at = vertices(claim, cruise, np.linalg.inv(P), 1.0)
-    assert at is not None
-    every, change = at.matrices(P, claim.rate, 0.05, 0.3), np.linalg.inv(np.linalg.cholesky(P))
-    some = np.random.default_rng(0).integers(every.shape[2], size=200)
-    h, _, t = np.unravel_index(some, at.shape)[:3]
-    A = at.select(some)[0]
-    force = (
-        np.moveaxis(every[..., some], -1, 0)
-        - change @ (A.swapaxes(1, 2) @ P + P @ A + (claim.rate + 0.05) * P) @ change.T
-    )
-    shift = np.array([-moved / claim.gains["k1"] for moved in cruise.moved])  # x_e*
-    assert np.abs(at.aside).max() == pytest.approx(0.1 * np.abs(shift).max(), rel=1e-9)
-    steady = at.effect[h, t] @ (change @ P[:, 2:]).T + at.aside[t, None] * (change @ P[:, 1])
-    least = np.linalg.eigvalsh(force - np.einsum("ki,kj->kij", steady, steady) / (0.05 * 0.3))[:, 0]
-    assert least.min() > -1e-9
-    without = replace(at, aside=0 * at.aside).matrices(P, claim.rate, 0.05, 0.3)
-    assert worst_rate(without, np.zeros(0, dtype=int))[0] < worst_rate(every, np.zeros(0, dtype=int))[0] - 1e-4
 
 
 def test_unequal_masses_are_proved_and_a_weak_yaw_thrust_is_not() -> None:

@@ -131,7 +131,7 @@ REGION_CLAIMS: Mapping[str, RegionStatement] = _entries(
     (
         "region-cruise-20-spin",
         "as region-cruise-20-lag, but with a yaw rate up to the gain spin, at which the robot turns to look around",
-        {"sampled": True, "lagged": True, "spinning": True, "attempts": 8},
+        {"sampled": True, "lagged": True, "spinning": True, "attempts": 12},
     ),
     (
         "region-cruise-ranges",
@@ -215,7 +215,7 @@ REGION_CLAIMS: Mapping[str, RegionStatement] = _entries(
         "as region-turning-20-curved, at 0.15 m/s",
         {
             "loop": "turning", "mass_share": 0.2, "mass_asymmetry": 0.0, "curvature_per_m": 0.3334,
-            "cruise_m_per_s": 0.15, "cap_m_per_s": 0.22, "rate_per_s": 0.02, "attempts": 24,
+            "cruise_m_per_s": 0.15, "cap_m_per_s": 0.22, "rate_per_s": 0.02, "attempts": 44,
         },
     ),
     (

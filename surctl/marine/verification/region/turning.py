@@ -8,12 +8,10 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from surctl.certcheck.fields import written
 from surctl.certcheck.turning_claim import EXCLUDES, read_claim
 from surctl.certcheck.turning_claim import TurningClaim as Stated
-from surctl.certcheck.turning_terms import coupling_of, inverse_masses, turn_points
 from surctl.errors import InputError, NotApplicable
 from surctl.marine.control import Gains, build_law
 from surctl.marine.vehicle import Vehicle
@@ -145,16 +143,6 @@ class TurningClaim:
     def stated(self) -> Stated:
         """Return the claim as the checker reads it, with a region that is not yet known."""
         return read_claim(self.document(offset=1.0, rest_offset=None, ultimate_bound=(1.0, 1.0), munk_moment=0.0))
-
-    @cached_property
-    def vertex_numbers(self) -> tuple[float, NDArray[np.float64], NDArray[np.float64]]:
-        """Return the norm of the terms that m12 adds [1/s], the inverse masses [1/kg], and the Coriolis terms [1/s].
-
-        The search needs them in each of hundreds of shells, and they are computed in exact numbers.
-        """
-        coupling = coupling_of(self.stated)
-        masses, turns = inverse_masses(self.stated, coupling), turn_points(self.stated)
-        return float(coupling.loose), np.array(masses), np.array(turns)
 
 
 def turning_claim(

@@ -15,9 +15,17 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
+from surctl.certcheck.turning_form import Form
+from surctl.certcheck.turning_matrix import Inclusion, indefinite
 from surctl.marine.verification.region.turning import TurningClaim
-from surctl.marine.verification.region.turning_loop import Cruise, Vertices, steady_turning, vertices
-from surctl.marine.verification.region.turning_shells import TurningCandidate, fitted, slowness, transformed, violated
+from surctl.marine.verification.region.turning_loop import Cruise, selected, steady_turning, vertices
+from surctl.marine.verification.region.turning_shells import (
+    TurningCandidate,
+    excess_of,
+    fitted,
+    slowness,
+    transformed,
+)
 from surctl.verification.conic import Inequality, minimise
 
 Array = NDArray[np.float64]
@@ -51,7 +59,9 @@ _TRIED = 3  # number of candidates that the checker sees at most
 _ERROR = 0.5  # first E, divided by k_v times the first velocity deviation
 _LOOSE = 4.0  # reserve of the decay rate for each 1/s of the Coriolis terms that m12 adds
 _WEIGHTS = np.array([0.6, 1.0, 1.5])  # of held commands, in units of that of the thrust
-_MARGIN = 0.006  # [1/s] reserve of the decay rate, for points between the grid points
+_MARGIN = 0.001  # [1/s] reserve of the decay rate, for points between the grid points
+_LOWER, _LOWERED, _SAME = 0.65, 2, 0.995  # factor of the floor, number of steps that lower it, and size that they keep
+_CLOSE, _NARROWER = 0.07, 0.922  # share of the size that is close enough, and factor of the position if it jumps
 
 
 @dataclass(frozen=True)
@@ -80,7 +90,7 @@ class _Part:
     """The vertices of one form that decides in the shell `number`, from the level `low`, and its growth η [1/s]."""
 
     number: int
-    shell: Vertices
+    shell: Inclusion
     growth: float
     low: float
 
@@ -108,7 +118,7 @@ def _improve(
     parts = [
         _Part(k, phase, growth, low)
         for k, (one, growth, low) in enumerate(zip(known, start.growths, levels[:-1], strict=True))
-        for phase in one.phases()
+        for phase in one
     ]
     fixed = _starts(claim, cruise, units, basis)
     cost = np.append(_WEIGHT * np.einsum("kii->k", basis), 1.0)
@@ -119,14 +129,14 @@ def _improve(
     if extent is None:
         fixed += _within(np.linalg.inv(bound) * units[:, None] * units, basis)
     rng, margin = np.random.default_rng(0), _MARGIN * slowness(claim)
-    chosen = []
+    chosen, P = [], np.asarray(np.linalg.inv(bound))
     for number, part in enumerate(parts):
         count = int(np.prod(part.shell.shape))
         earlier = {k for k in active.known.get(number, ()) if k < count}
         chosen.append(earlier or set(rng.integers(count, size=_TIGHT).tolist()))
     for _ in range(_ROUNDS):
         own = [
-            _decay(part.shell, some, claim.rate + margin, part.growth, part.low, units, basis)
+            _decay(part.shell, some, P, claim.rate + margin, part.growth, part.low, units, basis)
             for part, some in zip(parts, chosen, strict=True)
         ]
         decay = (np.concatenate([one[0] for one in own]), np.concatenate([one[1] for one in own]))
@@ -136,16 +146,15 @@ def _improve(
         P = np.einsum("k,kij->ij", x[:-1], basis) / (units[:, None] * units)
         if np.linalg.eigvalsh(P * units[:, None] * units)[0] <= 0:
             return None
-        fine = stuck = True
+        fine, stuck, form = True, True, Form(P)
         for part, some in zip(parts, chosen, strict=True):
-            matrices = part.shell.matrices(P, claim.rate, part.growth, part.low)
-            bad = violated(matrices, -margin / 2)
+            losses = part.shell.losses(form, claim.rate, part.growth, part.growth * part.low)
+            bad = np.flatnonzero(indefinite(losses, -margin / 2))
             if len(bad):
                 fine = False
                 bad = bad if len(bad) <= 600 else rng.choice(bad, size=600, replace=False)
-                values = np.linalg.eigvalsh(np.moveaxis(matrices[..., bad], -1, 0))[:, -1]
-                more = set(bad[np.argsort(-values)[:_CUTS]].tolist())
-                stuck = stuck and more <= some  # `matrices` weighs the disturbances by V
+                more = set(bad[np.argsort(-excess_of(losses, bad))[:_CUTS]].tolist())
+                stuck = stuck and more <= some  # `losses` weighs the disturbances by V
                 some |= more
         if fine or stuck:
             return np.asarray(P), _remember(P, parts, chosen, active)
@@ -201,20 +210,24 @@ def _deviations(claim: TurningClaim, cruise: Cruise) -> list[Array]:
 
 
 def _decay(
-    shell: Vertices, some: set[int], rate: float, growth: float, low: float, units: Array, basis: Array
+    shell: Inclusion, some: set[int], P: Array, rate: float, growth: float, low: float, units: Array, basis: Array
 ) -> Inequality:
-    """Return −(Aᵀ P + P A + (a + η) P + P W P/(η low)) ⪰ 0 with a margin, by its Schur complement."""
-    A, factor, weights = shell.select(sorted(some))
+    """Return −(Aᵀ P + P A + (a + η) P + P W P/(η low)) ⪰ 0 with a margin, by its Schur complement.
+
+    The disturbances are weighted as with the given P.
+    """
+    A, factor, weights = selected(shell, sorted(some), P)
     count, n, inner = len(basis), len(units), factor.shape[2]
     half = np.einsum("kij,njl->nkil", basis, A * units / units[:, None])
     whole = np.zeros((len(A), count + 1, n + inner, n + inner))
     whole[:, :-1, :n, :n] = -(half + half.swapaxes(-1, -2) + (rate + growth + _LOOSE * shell.loose) * basis)
     for k in range(4):  # the last entry of V is in units of |ε|²
         whole[:, count - 1, k, k] -= weights[:, k] * (units[k] / units[-1]) ** 2
-    side = np.einsum("kij,njl->nkil", basis, factor / units[:, None])
+    scale = (growth * low) ** 0.25  # both blocks of the complement are of similar size
+    side = np.einsum("kij,njl->nkil", basis, factor / (scale * units[:, None]))
     whole[:, :-1, :n, n:], whole[:, :-1, n:, :n] = side, side.swapaxes(-1, -2)
     constant = np.zeros((len(A), n + inner, n + inner))
-    constant[:] = np.diag([-1e-5] * n + [growth * low] * inner)
+    constant[:] = np.diag([-1e-5] * n + [scale**2] * inner)
     return constant, whole
 
 
@@ -260,8 +273,7 @@ def turning_search(claim: TurningClaim, *, attempts: int, seed: int = 0) -> Iter
     if claim.lag and claim.period:
         yield from _held(claim, fine, turning_search(replace(claim, period=0.0), attempts=attempts, seed=seed))
         return
-    some = slice(None, None, _FINE)
-    cruise = replace(fine, headings=fine.headings[some], lack=fine.lack[some], pushed=fine.pushed[some])
+    cruise = fine.coarse(_FINE)
     away = max(map(abs, cruise.moved)) / claim.gains["k1"]
     rng = np.random.default_rng(seed)
     active = _Active({})
@@ -293,7 +305,9 @@ def turning_search(claim: TurningClaim, *, attempts: int, seed: int = 0) -> Iter
             candidates.append(candidate)
             if _score(claim, candidate) >= score:
                 break
-    yield from sorted(candidates, key=lambda one: -_score(claim, one))
+    for larger in sorted(candidates, key=lambda one: -_score(claim, one)):
+        yield _closer(claim, fine, larger)
+        yield larger
     for _, candidate in further:  # the checker accepts none of the others
         if candidate is not None:
             yield candidate
@@ -340,6 +354,37 @@ def _grown(claim: TurningClaim, cruise: Cruise, region: _Region, most: int, acti
         else:
             growth = float(np.sqrt(growth))
     return region, used
+
+
+def _closer(claim: TurningClaim, fine: Cruise, candidate: TurningCandidate) -> TurningCandidate:
+    """Return the candidate after programs that bring the vehicle closer to the path and keep nearly all of its size.
+
+    They add a shell inside or, for jumps of the velocity, make the region narrower.
+    """
+    size, factor, shrunk = _size(claim, candidate), _LOWER, np.ones(len(candidate.P))
+    shrunk[:2] = _NARROWER if claim.jumps else 1.0
+    for _ in range(_LOWERED):
+        levels, growths = candidate.levels, candidate.growths
+        start = _Start(np.array(levels), np.array(growths), 0.0)
+        if not claim.jumps:
+            if _remains(candidate) < _CLOSE * size:
+                break
+            start = _Start(np.array([factor * levels[0], *levels]), np.array([growths[0], *growths]), size)
+        bound = np.linalg.inv(candidate.P) * shrunk[:, None] * shrunk
+        improved = _improve(claim, fine, bound, start, _Active({}))
+        other = None if improved is None else fitted(claim, fine, improved[0], growths[-1])
+        if other is not None and _size(claim, other) >= _SAME * size and _remains(other) < _remains(candidate):
+            candidate = other
+        elif claim.jumps:
+            break
+        else:
+            factor = np.sqrt(factor)
+    return candidate
+
+
+def _remains(candidate: TurningCandidate) -> float:
+    """Return how close to the path the vehicle settles [m]."""
+    return float(np.sqrt(np.linalg.inv(candidate.P)[1, 1] * candidate.levels[0])) + candidate.cruise.beside
 
 
 def _score(claim: TurningClaim, candidate: TurningCandidate) -> float:

@@ -6,7 +6,7 @@ its stated numbers are rounded to the safe side.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import Any, NamedTuple
@@ -16,10 +16,11 @@ from numpy.typing import NDArray
 
 from surctl.certcheck import seal
 from surctl.certcheck.region_claim import axis_pairs
+from surctl.certcheck.turning_form import Form
+from surctl.certcheck.turning_matrix import Entries, Inclusion, indefinite
 from surctl.certcheck.turning_terms import other_moment
 from surctl.marine.verification.region.turning import TurningClaim
-from surctl.marine.verification.region.turning_behind import split_of
-from surctl.marine.verification.region.turning_loop import Cruise, Vertices, vertices
+from surctl.marine.verification.region.turning_loop import Cruise, selected, split_of, vertices
 
 Array = NDArray[np.float64]
 Numbers = NDArray[np.intp]
@@ -27,7 +28,7 @@ Numbers = NDArray[np.intp]
 _RATIO, _THIN = 0.82, 0.95  # of the two levels of the outermost shell
 _THICKEST, _THINNEST = 0.4, 0.96  # ratios of the two levels of a shell
 _MOST = 20  # largest number of shells
-_MARGIN = 0.005  # [1/s] reserve of the decay rate, for points between the headings of the grid
+_MARGIN = 0.002  # [1/s] reserve of the decay rate: the cells of the checker have other edges than those of the search
 _LEVELS = (1.0, 0.7, 0.5, 0.35, 0.25)  # levels of V that the search tries first
 _WIDEST, _STEPS = 1.5, 6  # a region is enlarged up to this multiple of its level, which is bisected
 _SOME = 150  # number of matrices whose eigenvalues are compared at a time
@@ -66,47 +67,34 @@ def slowness(claim: TurningClaim) -> float:
     return min(claim.cruise / 0.1, 1.0)
 
 
-def violated(matrices: Array, bound: float) -> Numbers:
-    """Return the numbers of the matrices (n, n, k) with an eigenvalue ≥ `bound`, by the pivots of bound I − M."""
-    size = len(matrices)
-    a = {(i, j): -matrices[i, j] for i in range(size) for j in range(i + 1)}
-    good = np.ones(matrices.shape[-1], dtype=bool)
-    for k in range(size):
-        pivot = a[k, k] + bound if k == 0 else a[k, k]
-        good &= pivot > 0
-        share = 1 / np.where(good, pivot, 1.0)
-        for i in range(k + 1, size):
-            if k == 0:
-                a[i, i] = a[i, i] + bound
-            factor = a[i, k] * share
-            for j in range(k + 1, i + 1):
-                a[i, j] = a[i, j] - factor * a[j, k]
-    return np.flatnonzero(~good)
+def excess_of(losses: Entries, chosen: Numbers | Sequence[int]) -> Array:
+    """Return the largest eigenvalue of minus each of some matrices (k,)."""
+    size = max(i for i, _ in losses) + 1
+    matrices = np.empty((len(chosen), size, size))
+    for (i, j), entry in losses.items():
+        matrices[:, i, j] = matrices[:, j, i] = -entry.reshape(-1)[chosen]
+    return np.asarray(np.linalg.eigvalsh(matrices)[:, -1])
 
 
-def _eigenvalues(matrices: Array, chosen: Numbers) -> Array:
-    return np.asarray(np.linalg.eigvalsh(np.moveaxis(matrices[..., chosen], -1, 0))[:, -1])
-
-
-def worst_rate(matrices: Array, first: Numbers) -> tuple[float, Numbers]:
-    """Return the largest eigenvalue of all matrices (n, n, k), and numbers of large ones; `first` is where to look."""
+def worst_rate(losses: Entries, first: Numbers) -> tuple[float, Numbers]:
+    """Return the largest eigenvalue of minus all matrices, and numbers of large ones; `first` is where to look."""
     rng = np.random.default_rng(0)
-    known: Numbers = first if len(first) else rng.integers(matrices.shape[-1], size=_SOME)
-    values = _eigenvalues(matrices, known)
+    known: Numbers = first if len(first) else rng.integers(losses[0, 0].size, size=_SOME)
+    values = excess_of(losses, known)
     while True:
         best = float(values.max())
-        more = violated(matrices, best + 1e-9)
+        more = np.flatnonzero(indefinite(losses, best + 1e-9))
         if not len(more):
             order = np.argsort(-values)[:_SOME]
             return best, known[order]
         if len(more) > _SOME:
             more = rng.choice(more, size=_SOME, replace=False)
-        known, values = np.concatenate([known, more]), np.concatenate([values, _eigenvalues(matrices, more)])
+        known, values = np.concatenate([known, more]), np.concatenate([values, excess_of(losses, more)])
 
 
-def transformed(P: Array, at: Vertices, chosen: Numbers | list[int]) -> tuple[Array, Array]:
+def transformed(P: Array, at: Inclusion, chosen: Numbers | list[int]) -> tuple[Array, Array]:
     """Return T (Aᵀ P + P A) Tᵀ and T P W P Tᵀ (k, n, n) of the vertices with the numbers (k,), where T P Tᵀ = I."""
-    A, factor, weights = at.select(chosen)
+    A, factor, weights = selected(at, chosen, P)
     change = np.linalg.inv(np.linalg.cholesky(P))
     half, side = (change @ P) @ A @ change.T, (change @ P) @ factor
     half = half + half.swapaxes(-1, -2)
@@ -115,16 +103,17 @@ def transformed(P: Array, at: Vertices, chosen: Numbers | list[int]) -> tuple[Ar
     return half, side @ side.swapaxes(-1, -2)
 
 
-def _best_growth(P: Array, phases: list[Vertices], rate: float, low: float, guess: float) -> tuple[float, float]:
+def _best_growth(P: Array, phases: list[Inclusion], rate: float, low: float, guess: float) -> tuple[float, float]:
     """Return the growth η [1/s] that nearly minimises the largest eigenvalue at the vertices, and this eigenvalue.
 
     `phases` are the vertices of each form that decides. The matrices that matter at one η are those that matter close
     to it, so few of them are searched.
     """
-    growth, known = guess, [np.zeros(0, dtype=np.intp) for _ in phases]
+    growth, known, form = guess, [np.zeros(0, dtype=np.intp) for _ in phases], Form(P)
     best = (growth, np.inf)
     for _ in range(4):
-        worst = [worst_rate(at.matrices(P, rate, growth, low), few) for at, few in zip(phases, known, strict=True)]
+        losses = (at.losses(form, rate, growth, growth * low) for at in phases)
+        worst = [worst_rate(one, few) for one, few in zip(losses, known, strict=True)]
         value, known = max(one[0] for one in worst), [one[1] for one in worst]
         if value < best[1] - 1e-6:
             best = (growth, value)
@@ -152,7 +141,7 @@ def fitted(claim: TurningClaim, cruise: Cruise, P: Array, guess: float) -> Turni
 
     def shell(low: float, high: float, growth: float) -> tuple[float, float]:
         at = vertices(claim, cruise, covariance, high)
-        return (growth, np.inf) if at is None else _best_growth(P, at.phases(), claim.rate, low, growth)
+        return (growth, np.inf) if at is None else _best_growth(P, at, claim.rate, low, growth)
 
     def holds(high: float) -> bool:
         return shell(high * _RATIO, high, guess)[1] <= -margin
