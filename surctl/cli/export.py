@@ -196,7 +196,7 @@ class Compared(NamedTuple):
 @click.option(
     "--real", default="float64", metavar="NAME", help="Number type of the C code: float64 (default) or float32."
 )
-@click.option("--check", is_flag=True, help="Compare C code with Python, on each entry of --targets.")
+@click.option("--check", is_flag=True, help="Compare C code with Python, for each target of --targets.")
 @click.option("--prove", is_flag=True, help="Prove by Frama-C that the C code has no run-time error.")
 @click.option("--targets", metavar="A,B", help="Compilers and processors of --check (default: all).")
 @click.option("--steps", type=Count(1), help="Steps at random states in --check (default 100000).")

@@ -225,8 +225,7 @@ priority_mode_option = click.option(
     "--priority-mode",
     default="nsb",
     metavar="M",
-    help="Task priorities: nsb (default; limited afterwards), or within limits: filter, projected, lexicographic "
-    "(strict).",
+    help="Priority mode: nsb (default) limits its result; filter, projected, lexicographic solve within limits.",
 )
 priority_options = together(
     priority_mode_option,

@@ -224,11 +224,9 @@ controller_options = together(
         "--link-loss",
         type=float,
         metavar="P",
-        help="Probability of losing a message to or from C (default 0).",
+        help="Share of lost messages to and from the C code (default 0).",
     ),
-    click.option(
-        "--link-delay", type=float, metavar="S", help="Delay of each command from the C code [s] (default 0)."
-    ),
+    click.option("--link-delay", type=float, metavar="S", help="Time from request to reply of C code [s] (default 0)."),
     click.option(
         "--link-deadline",
         type=float,
@@ -237,7 +235,7 @@ controller_options = together(
     ),
     click.option("--link-compact", is_flag=True, help="Request short replies from the C code, for a slow link."),
     click.option(
-        "--link-timeout", type=float, metavar="S", help="Stop after S seconds without a reply from C (default 5)."
+        "--link-timeout", type=float, metavar="S", help="Stop after S s without a reply from C code (default 5)."
     ),
 )
 

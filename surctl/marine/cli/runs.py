@@ -245,7 +245,7 @@ campaign_options = together(
     click.option("--monte-carlo", is_flag=True, help="Campaign: vary vehicle and obstacles of each run at random."),
     click.option("--random-worlds", "worlds", type=Count(1, 1_000_000), help="Campaign: simulate N random missions."),
     click.option("--worst", type=Count(0, 1000), help="Save the N worst campaign runs (default 5)."),
-    click.option("--threads", type=Count(1, 1024), help="Runs in parallel (default 2; MuJoCo 1)."),
+    click.option("--threads", type=Count(1, 1024), help="Parallel runs (default 2; MuJoCo 1)."),
     click.option("--fresh", is_flag=True, help="Do not resume the campaign in --out; start it again."),
     click.option("--from", "replayed", type=FILE, help="Repeat a worst run that a campaign saved as FILE."),
 )

@@ -266,7 +266,7 @@ def from_gazebo(
     multiple=True,
     default=(5.0,),
     metavar="S",
-    help="Length of a prediction [s], which begins at a measured state (default 5; repeatable).",
+    help="Length of a held-out prediction from a measured state [s] (default 5; repeatable).",
 )
 @click.option("--picture", type=FILE, help="PNG file for a plot of the prediction (default: none).")
 @_name
