@@ -139,12 +139,12 @@ def run_system(system: System, seconds: float, values: Mapping[str, ArrayLike] |
     start, plant, constants, disturbance, gains = (
         row[0] for row in (numbers.start, numbers.plant, numbers.reference, numbers.disturbance, numbers.gains)
     )
-    sense, move, judge, add = _functions(system)
+    sense, move, judge = _functions(system)
     x, z = start, system.controller.initial_state()
     q, memory, noise = numbers.blocks[0], system.blocks.memory.pack(), np.zeros(0)
     if system.blocks.noise:
         noise = noise_states(numbers.seed)[0]
-    sums = np.array(first_sums(system))
+    judged: list[Array] = []
     rows: list[tuple[Array, ...]] = []
     status: list[int] = []
     stopped, lost = ENDED, ""
@@ -159,16 +159,21 @@ def run_system(system: System, seconds: float, values: Mapping[str, ArrayLike] |
         if step.status == NONFINITE or not (np.isfinite(after).all() and np.isfinite(costs).all()):
             stopped, lost = LOST, _lost(system, k, (z, u, gains), costs, after)
             break
-        (sums,) = add(sums, costs, t, np.array([float(np.any(stops != 0))]))
+        judged.append(costs)
         if np.any(stops != 0):
             stopped = list(system.stops)[int(np.flatnonzero(stops)[0])]
             break
         x, z = after, np.asarray(step.x_next)
     has_costs = stopped != LOST and (stopped == ENDED or len(rows) > 1)
+    sums, times = np.array(first_sums(system)), np.arange(float(len(rows))) * system.dt
+    if has_costs and system.costs:
+        ended = np.zeros(len(rows))
+        ended[-1] = stopped != ENDED
+        sums = _sum(system).fold(len(rows))(sums, np.transpose(judged), times[None], ended[None]).full()[:, 0]
     tables = [np.array([row[j] for row in rows]) for j in range(7)]
     return Record(
         system,
-        np.arange(float(len(rows))) * system.dt,
+        times,
         _named(system, tables),
         np.array(status),
         {name: float(value) if has_costs else np.nan for name, value in figures_of(system, sums, len(rows)).items()},
@@ -218,7 +223,7 @@ def _places(system: System) -> dict[str, tuple[str, Layout, str]]:
 
 @once_per_system
 def _functions(system: System) -> tuple[Callable[..., list[Array]], ...]:
-    # outputs with inputs and references; plant state after a period; costs with stops; sums of costs
+    # outputs with inputs and references; plant state after a period; costs with stops
     plant, t = system.plant, ca.SX.sym("t")
     x, p = ca.SX.sym("x", plant.state.size), ca.SX.sym("p", plant.parameters.size)
     r, d = ca.SX.sym("r", system.references.size), ca.SX.sym("d", plant.disturbances.size)
@@ -233,9 +238,14 @@ def _functions(system: System) -> tuple[Callable[..., list[Array]], ...]:
     constants = {"plant": p, "disturbance": d, "blocks": q}
     moved = moved_state(system, x, command, constants, t, count=count, memory=memory, noise=noise)
     move = ca.Function("move", [x, command, t, p, d, q, memory, noise, count], list(moved))
-    sums, costs, ended = ca.SX.sym("sums", len(system.costs)), ca.SX.sym("costs", len(system.costs)), ca.SX.sym("ended")
-    add = ca.Function("add", [sums, costs, t, ended], [summed(system, sums, costs, t, ended)])
-    return on_vectors(sense), on_vectors(move), on_vectors(system.signals), on_vectors(add)
+    return on_vectors(sense), on_vectors(move), on_vectors(system.signals)
+
+
+@once_per_system
+def _sum(system: System) -> ca.Function:
+    sums, costs = ca.SX.sym("sums", len(system.costs)), ca.SX.sym("costs", len(system.costs))
+    t, ended = ca.SX.sym("t"), ca.SX.sym("ended")
+    return ca.Function("sum", [sums, costs, t, ended], [summed(system, sums, costs, t, ended)])
 
 
 # Write a recorded run of a system as CSV, MATLAB's .mat or netCDF, with names, units and identity
