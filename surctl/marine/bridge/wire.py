@@ -21,7 +21,6 @@ from typing import Any, Literal, NamedTuple, TypeAlias, get_args
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from surctl.errors import ToolMissing, check_known, check_number
 from surctl.marine.vehicle import Thruster, Vehicle
@@ -361,10 +360,11 @@ class Wire:
         if boot is None or m.frame_id != local_ned or m.child_frame_id not in body_frd:
             return
         if self._finite(numbers) and abs(sum(v * v for v in m.q) - 1.0) < 0.1:
-            w, *vector = m.q
-            velocity = Rotation.from_quat([*vector, w]).apply(numbers[7:10]).tolist()
-            roll, pitch, yaw = roll_pitch_heading(np.array([[*vector, w]]))[0].tolist()
-            yield Position(m.get_srcSystem(), boot, numbers[:3], (velocity[0], velocity[1], velocity[2]))
+            w, *axis = np.array(m.q) / np.linalg.norm(m.q)
+            across = 2.0 * np.cross(axis, numbers[7:10])
+            north, east, down = (numbers[7:10] + w * across + np.cross(axis, across)).tolist()
+            roll, pitch, yaw = roll_pitch_heading(np.array([[*axis, w]]))[0].tolist()
+            yield Position(m.get_srcSystem(), boot, numbers[:3], (north, east, down))
             yield Attitude(boot, roll, pitch, yaw, numbers[10:])
 
     def _distance(self, m: Any) -> Iterator[Event]:
