@@ -356,7 +356,7 @@ class Kinematics:
 
         Planar and floating joints move along the exponential of their velocity, so a quaternion keeps its length.
         """
-        before, speed = self.checked(q, self.nq, "q"), self.checked(v, self.nv, "v")
+        before, speed = as_numbers(q, key="q", size=self.nq), as_numbers(v, key="v", size=self.nv)
         after = before.copy()
         for place in self.coordinates:
             i, j = place.q, place.v
@@ -367,16 +367,12 @@ class Kinematics:
             after[i : i + size[0]] = _moved(before[i : i + size[0]], dt * speed[j : j + size[1]])
         return after
 
-    def checked(self, value: ArrayLike, size: int, key: str) -> Array:
-        """Return a vector of `size` finite numbers; raise InputError otherwise."""
-        return as_numbers(value, key=key, size=size)
-
     def _numbers(self, link: str, q: ArrayLike) -> tuple[Array, Array, Array]:
         if link not in self._functions:
             frame = self.frame(link)
             results = [ca.densify(part) for part in (frame.rotation, frame.position, frame.jacobian)]
             self._functions[link] = ca.Function("frame", [self.q], results)
-        rotation, position, jacobian = self._functions[link].call([self.checked(q, self.nq, "q")])
+        rotation, position, jacobian = self._functions[link].call([as_numbers(q, key="q", size=self.nq)])
         return np.array(rotation), np.array(position), np.array(jacobian)
 
     def _followers(self, place: Coordinate) -> Iterator[tuple[Joint, float, float]]:

@@ -202,9 +202,9 @@ class Robot(Kinematics):
         default = self.neutral()
         if isinstance(target, Mapping):
             for joint, position in target.items():
-                default[self.coordinate(joint).q] = self.checked([position], 1, f"{name}: {joint}")[0]
+                default[self.coordinate(joint).q] = as_numbers([position], key=f"{name}: {joint}", size=1)[0]
         elif target is not None:
-            default = self.checked(target, self.nq, name)
+            default = as_numbers(target, key=name, size=self.nq)
         units = ", ".join("m" if place.joint.type == "prismatic" else "rad" for place in places)
         port = Port(_checked_name(name), (len(rows),), units, "desired joint positions", default[rows])  # type: ignore[arg-type]
         goal = Input(port, ca.SX.sym(name, len(rows)), tunable=True)

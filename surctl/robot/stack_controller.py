@@ -34,7 +34,7 @@ from surctl.robot.robot import RobotTask, flat_pose
 from surctl.system import NONFINITE, Controller, Cost, Plant, System, run_system
 from surctl.system.loop import Signals
 from surctl.tasks import Limit, SetTask, Stack, Task
-from surctl.units import is_number
+from surctl.units import as_numbers, is_number
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -184,7 +184,7 @@ class StackController:
         """Forget the velocities of the last step, or replace them by v (nv,)."""
         self._state = self.controller.initial_state()
         if v is not None and self._state.size:
-            self._state = self.robot.checked(v, self.robot.nv, "v")
+            self._state = as_numbers(v, key="v", size=self.robot.nv)
 
     @property
     def stage(self) -> Stage:
