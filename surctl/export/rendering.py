@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache, partial
@@ -11,7 +12,7 @@ from typing import Any
 
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from surctl import __version__
 from surctl.export.contract import (
@@ -90,6 +91,11 @@ def comment(text: str) -> str:
 def _cell(text: str) -> str:
     """Return the text in a form that fits one cell of a Markdown table."""
     return _one_line(text).replace("|", "\\|")
+
+
+def _general(numbers: ArrayLike, digits: int = 6) -> str:
+    """Return one or more numbers with at most this many digits, separated by commas."""
+    return ", ".join(f"{number:.{digits}g}" for number in np.atleast_1d(numbers))
 
 
 _TYPES = ("Float32", "Int8", "UInt8", "Int16", "UInt16", "UInt32", "Int64", "UInt64", "Boolean", "String")
@@ -340,9 +346,8 @@ def templates() -> Environment:
         lstrip_blocks=True,
         keep_trailing_newline=True,
     )
-    environment.filters["comment"] = comment
-    environment.filters["cell"] = _cell
-    environment.filters["wrapped"] = _wrapped
+    environment.filters |= {"comment": comment, "cell": _cell, "line": _one_line, "wrapped": _wrapped}
+    environment.filters |= {"g": _general, "degrees": math.degrees}
     return environment
 
 
