@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import cache, partial
 from types import MappingProxyType
 from typing import Any
+from xml.sax.saxutils import escape
 
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
@@ -91,6 +92,10 @@ def comment(text: str) -> str:
 def _cell(text: str) -> str:
     """Return the text in a form that fits one cell of a Markdown table."""
     return _one_line(text).replace("|", "\\|")
+
+
+_IN_QUOTES = {'"': "&quot;", "\n": "&#10;", "\r": "&#13;", "\t": "&#09;"}
+"""Characters that the attribute of an XML element holds in another form, apart from &, < and >."""
 
 
 def _general(numbers: ArrayLike, digits: int = 6) -> str:
@@ -347,7 +352,7 @@ def templates() -> Environment:
         keep_trailing_newline=True,
     )
     environment.filters |= {"comment": comment, "cell": _cell, "line": _one_line, "wrapped": _wrapped}
-    environment.filters |= {"g": _general, "degrees": math.degrees}
+    environment.filters |= {"g": _general, "degrees": math.degrees, "xml": partial(escape, entities=_IN_QUOTES)}
     return environment
 
 
