@@ -226,11 +226,12 @@ def _obstacle(obstacle: Obstacle, depth: float, hull: float) -> tuple[str, Seque
     low = obstacle.heights.bottom if isfinite(obstacle.heights.bottom) else -depth
     high = obstacle.heights.top if isfinite(obstacle.heights.top) else _TOP
     half = (high - low) / 2
-    kind, size = "cylinder", (obstacle.radius_m or hull, half)
-    if obstacle.size_m is not None:
-        kind, size = "box", (obstacle.size_m[0] / 2, obstacle.size_m[1] / 2, half)
+    place, size = (*obstacle.centre_m, (low + high) / 2), (obstacle.radius_m or hull, half)
     colour = "0.8 0.3 0.22 1.0" if obstacle.shape == "moving" else "0.78 0.55 0.28 1.0"
-    return f"{OBSTACLE}{obstacle.name}", (*obstacle.centre_m, (low + high) / 2), colour, kind, size
+    if obstacle.size_m is None:
+        return f"{OBSTACLE}{obstacle.name}", place, colour, "cylinder", size
+    edges = (obstacle.size_m[0] / 2, obstacle.size_m[1] / 2, half)
+    return f"{OBSTACLE}{obstacle.name}", place, colour, "box", edges
 
 
 def _actuators(vehicle: Vehicle) -> list[tuple[str, str, Sequence[float], Sequence[float]]]:
