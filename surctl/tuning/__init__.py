@@ -22,10 +22,22 @@ if TYPE_CHECKING:
     )
     from surctl.tuning.gain_search import search
     from surctl.tuning.goals import LIBRARY, LOOP_GOAL_KEYS, GoalTable, PointTable, RunGoal, load_loop_goals
-    from surctl.tuning.loop_frequency_goals import Effort, LoopShape, MaxGain, Rejection, SensitivityBound, Tracking
+    from surctl.tuning.loop_goal_types import (
+        Effort,
+        LoopShape,
+        Margins,
+        MaxGain,
+        Overshoot,
+        Poles,
+        Rejection,
+        SensitivityBound,
+        Settling,
+        StepRejection,
+        StepTracking,
+        Tracking,
+    )
     from surctl.tuning.loop_goals import LoopGoal
     from surctl.tuning.loop_scores import judge_loops, operating_loops
-    from surctl.tuning.loop_time_goals import Margins, Overshoot, Poles, Settling, StepRejection, StepTracking
     from surctl.tuning.montecarlo import Counterexample, MonteCarlo
     from surctl.tuning.outcome import Tuned, summary
     from surctl.tuning.pool import Condition, Evaluation, Pool, SearchRequest

@@ -15,9 +15,21 @@ from pydantic import Field as Key
 from surctl.errors import InputError, check_known, check_once, mistakes_in, nearest
 from surctl.files import Quantity, Strict, load_model, pick
 from surctl.system import System
-from surctl.tuning.loop_frequency_goals import Effort, LoopShape, MaxGain, Rejection, SensitivityBound, Tracking
+from surctl.tuning.loop_goal_types import (
+    Effort,
+    LoopShape,
+    Margins,
+    MaxGain,
+    Overshoot,
+    Poles,
+    Rejection,
+    SensitivityBound,
+    Settling,
+    StepRejection,
+    StepTracking,
+    Tracking,
+)
 from surctl.tuning.loop_goals import Bound, LoopGoal, Profile
-from surctl.tuning.loop_time_goals import Margins, Overshoot, Poles, Settling, StepRejection, StepTracking
 from surctl.verification.loops import worst_place
 
 if TYPE_CHECKING:
