@@ -82,6 +82,8 @@ class Stability:
         """To what solutions converge, in words."""
         if not self.radii:
             return "the equilibrium"
+        if self.dynamics.shifts:
+            return "the equilibrium of its parameters, which are constant, within the stated radii"
         if any(w.lower < w.upper for w in self.dynamics.parameters):
             return "the box of the radii and, with constant parameters, to the equilibrium in this box"
         return "the equilibrium within the stated radii"
@@ -95,6 +97,7 @@ class Stability:
             "level": float(self.level),
             "rate": None if self.rate is None else float(self.rate),
             **({"radius": dict(self.radii)} if self.radii else {}),
+            **({"constant": True} if self.dynamics.shifts else {}),
         }
 
     def inequalities(self, scales: Sequence[float], positive: Power, decrease: Power | None) -> list[Inequality]:

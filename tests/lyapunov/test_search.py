@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -12,7 +11,7 @@ import pytest
 
 from surctl.errors import InputError
 from surctl.ir import Layout, Port
-from surctl.lyapunov import Dynamics, Range, State, continuous_dynamics, find_barrier, find_stability
+from surctl.lyapunov import Dynamics, continuous_dynamics, find_barrier, find_stability
 from surctl.lyapunov.candidates import candidates
 from surctl.lyapunov.claims import Stability
 from surctl.lyapunov.decide import Decision, prove_motion
@@ -22,24 +21,10 @@ from surctl.lyapunov.from_system import NOT_COVERED
 from surctl.lyapunov.near import short
 from surctl.system import Action, Controller, Plant, System
 from surctl.verification.formula import parse, text_of, variable
+from tests.lyapunov.problems import dynamics
 
 TRUE_AREA = 13.722
 """Area of the region of attraction of the Van der Pol oscillator in reverse time, inside its limit cycle."""
-
-
-def dynamics(
-    states: Mapping[str, tuple[float, ...]],
-    rates: list[str],
-    parameters: Mapping[str, tuple[float, float]] | None = None,
-    *,
-    discrete: bool = False,
-) -> Dynamics:
-    ranges = tuple(Range(name, *ends) for name, ends in (parameters or {}).items())
-    known = {name: variable(name) for name in (*states, *(r.name for r in ranges))}
-    axes = tuple(State(k, v[0], v[1], equilibrium=v[2] if len(v) > 2 else 0.0) for k, v in states.items())
-    return Dynamics(
-        "example", "discrete" if discrete else "continuous", axes, tuple(parse(rate, known) for rate in rates), ranges
-    )
 
 
 def van_der_pol(parameters: dict[str, tuple[float, float]] | None = None) -> Dynamics:
@@ -141,7 +126,7 @@ def test_the_equilibrium_is_found_and_several_are_named() -> None:
     with pytest.raises(InputError, match="the search finds none"):
         at_equilibrium(dynamics({"x": (-2.0, 2.0)}, ["1 + x^2"]))
     with pytest.raises(InputError, match="moves with the parameters"):
-        at_equilibrium(dynamics({"x": (-2.0, 2.0, 0.5)}, ["k - x"], {"k": (0.0, 0.4)}))
+        at_equilibrium(dynamics({"x": (-0.3, 2.0, 0.5)}, ["k - x"], {"k": (-0.4, 0.6)}))
 
 
 def test_one_quadratic_function_for_all_corners_of_the_parameters() -> None:
