@@ -273,7 +273,7 @@ def check_builds(
         [('gcc-O0', 0)]
     """
     law, within = Rounded(plain(controller.law), controller.bundle.real), controller.bundle.envelope
-    guarded = law if within is None else Guarded(law, within, law.real)
+    guarded = law if within is None else Guarded(law, law.real, within)
     recordings = [as_records(law, run) for run in runs]
     alone = trial_steps(law, recordings, steps, real=law.real, within=within)
     records = Records(

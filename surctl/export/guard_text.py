@@ -220,16 +220,20 @@ def _each(members: list[str], first: int) -> list[tuple[str, str]]:
     return [(f"for (int k = 0; k < {len(members)}; ++k) {{", f"@{stem}[{_plus(at)}] - state->last[{_plus(first)}];")]
 
 
+def templates_of(*files: str) -> dict[str, str]:
+    """Return the templates of files whose names are those of their templates, without the ending .j2."""
+    return {file: f"{file}.j2" for file in files}
+
+
 EXAMPLES: Mapping[str, str] = MappingProxyType(
     {
-        **{file: f"{file}.j2" for file in ("main_example.c", "loop.h", "loop.c", "board.h", "board_example.c")},
-        **{f"freertos/{file}": f"freertos/{file}.j2" for file in ("control_task.h", "control_task.c")},
-        **{f"freertos/{file}": f"freertos/{file}.j2" for file in ("main_example.c", "README.md")},
-        **{f"zephyr/{file}": f"zephyr/{file}.j2" for file in ("module.yml", "CMakeLists.txt", "Kconfig", "README.md")},
+        **templates_of("main_example.c", "loop.h", "loop.c", "board.h", "board_example.c", "freertos/control_task.h"),
+        **templates_of("freertos/control_task.c", "freertos/main_example.c", "freertos/README.md", "zephyr/module.yml"),
+        **templates_of("zephyr/CMakeLists.txt", "zephyr/Kconfig", "zephyr/README.md"),
         "zephyr/sample/CMakeLists.txt": "zephyr/sample_CMakeLists.txt.j2",
         "zephyr/sample/prj.conf": "zephyr/sample_prj.conf.j2",
         "zephyr/sample/src/main.c": "zephyr/sample_main.c.j2",
-        **{f"ros2/{file}": f"ros2/{file}.j2" for file in ("package.xml", "CMakeLists.txt", "README.md")},
+        **templates_of("ros2/package.xml", "ros2/CMakeLists.txt", "ros2/README.md"),
         "ros2/src/controller_node.cpp": "ros2/controller_node.cpp.j2",
         "ros2/launch/controller.launch.py": "ros2/controller.launch.py.j2",
         "ros2/config/params.yaml": "ros2/params.yaml.j2",

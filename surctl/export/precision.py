@@ -24,6 +24,8 @@ _NUMPY: dict[Real, type[np.float64] | type[np.float32]] = {"float64": np.float64
 @dataclass(frozen=True, eq=False)
 class _Same(WrappedLaw):
     # shares gains and instruction list with the wrapped law
+    real: Real
+
     @property
     def gains(self) -> Layout:
         return self.law.gains
@@ -31,6 +33,15 @@ class _Same(WrappedLaw):
     @property
     def block(self) -> Block:
         return self.law.block
+
+    def initial_state(self) -> Vector:
+        """Return the controller state before the first step (nx,)."""
+        return rounded(self.law.initial_state(), self.real)
+
+    def step(self, x: Vector, u: Vector, p: Vector) -> ControllerStep:
+        """Run one step, without a check of rates; a refused one gives tau = 0, x_next = x and a negative status."""
+        rows = evaluated(self, *(np.atleast_2d(np.asarray(v, dtype=float)) for v in (x, u, p)))
+        return ControllerStep(rows.tau[0], rows.state[0], int(rows.status[0]), rows.telemetry[0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,14 +54,6 @@ class Rounded(_Same):
     """
 
     real: Real = "float32"
-
-    def initial_state(self) -> Vector:
-        """Return the controller state before the first step (nx,)."""
-        return rounded(self.law.initial_state(), self.real)
-
-    def step(self, x: Vector, u: Vector, p: Vector) -> ControllerStep:
-        """Run one guarded step; a number that is not finite gives tau = 0, x_next = x and status NONFINITE."""
-        return _step(self, x, u, p)
 
     def steps(self, X: Vector, U: Vector, P: Vector) -> Rows:
         """Run one step from each row of X (T, nx), U (T, nu), P (T, np)."""
@@ -82,26 +85,12 @@ class Guarded(_Same):
     """A law in Python that first checks its inputs as the guard of the exported C does."""
 
     envelope: Envelope
-    real: Real = "float64"
-
-    def initial_state(self) -> Vector:
-        """Return the controller state before the first step (nx,)."""
-        return self.law.initial_state()
-
-    def step(self, x: Vector, u: Vector, p: Vector) -> ControllerStep:
-        """Run one step without a check of rates; a number out of range gives tau = 0, x_next = x, negative status."""
-        return _step(self, x, u, p)
-
-
-def _step(law: Rounded | Guarded, x: Vector, u: Vector, p: Vector) -> ControllerStep:
-    rows = evaluated(law, *(np.atleast_2d(np.asarray(v, dtype=float)) for v in (x, u, p)))
-    return ControllerStep(rows.tau[0], rows.state[0], int(rows.status[0]), rows.telemetry[0])
 
 
 def in_precision(law: Exportable, real: Real, envelope: Envelope | None = None) -> Exportable:
     """Return the law as a target computes it: wrapped in `Rounded` for float32, in `Guarded` if `envelope` is given."""
     inner = law if real == "float64" else Rounded(law)
-    return inner if envelope is None else Guarded(inner, envelope, real)
+    return inner if envelope is None else Guarded(inner, real, envelope)
 
 
 def plain(law: Exportable) -> Exportable:

@@ -393,7 +393,7 @@ class LinkedLaw:
         within = self.envelope
         if not self.gains.size:
             within = replace(within, gains=np.zeros((0, 2)), orders=())
-        return Guarded(law, within.fitted(self.shipped, self.real), self.real)
+        return Guarded(law, self.real, within.fitted(self.shipped, self.real))
 
     def report(self) -> LinkReport:
         """Return the statistics of the connection; each reply is compared with a step in Python from the same state.
