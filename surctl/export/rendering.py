@@ -61,6 +61,7 @@ from surctl.ir.c99 import C_TYPE
 from surctl.ir.c99_program import PRAGMA, inline_helpers, own_helpers, program_lines
 from surctl.ir.c99_routine import emit_parts
 from surctl.ir.cache import FLAGS
+from surctl.ir.program import LEAVES, TRUTHS
 
 _FUNCTION = re.compile(r"^static (?:inline )?(?:const )?\w+ \*?(\w+)\(", re.MULTILINE)
 
@@ -132,9 +133,6 @@ def _fmi3_values() -> dict[str, Any]:
     }
 
 
-_TRUTHS = frozenset({"lt", "le", "eq", "ne", "and", "or", "not"})
-
-
 def _direct_law(law: Exportable, block: Program, name: str, real: Real) -> Parts:
     """Return the C text of the function `<name>_law(state, gains, input, next, status, output)`.
 
@@ -200,11 +198,7 @@ def _results(law: Exportable, block: Program) -> list[str]:
     visited, checked = set[int](), list[str]()
     for place, refs in zip(left, block.output_refs, strict=True):
         for to, ref in zip(place, refs, strict=False):
-            if (
-                ref not in visited
-                and block.instructions[ref].op not in ("const", "input")
-                and block.instructions[ref].op not in _TRUTHS
-            ):
+            if ref not in visited and block.instructions[ref].op not in LEAVES | TRUTHS:
                 visited.add(ref)
                 checked.append(to)
     return checked

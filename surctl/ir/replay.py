@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from surctl.errors import InputError
 from surctl.ir.procedure import Procedure
-from surctl.ir.program import OPERATIONS, Program
+from surctl.ir.program import IN_PYTHON, OPERATIONS, TRUTHS, Program
 from surctl.ir.routine import Block, Feed, Gather, Loop, Routine
 
 Real = type[np.float64] | type[np.float32]
@@ -228,22 +228,6 @@ def _checked(program: Block, inputs: tuple[ArrayLike, ...], real: Real) -> list[
     return arrays
 
 
-_TEXTS = {
-    **{op: f"{{0}} {sign} {{1}}" for op, sign in (("add", "+"), ("sub", "-"), ("mul", "*"), ("div", "/"))},
-    **{op: f"{{0}} {sign} {{1}}" for op, sign in (("lt", "<"), ("le", "<="), ("eq", "=="), ("ne", "!="))},
-    **{"neg": "-{0}", "sq": "{0} * {0}", "twice": "{0} + {0}", "inv": "one / {0}"},
-    **{"fmin": "where({1} < {0}, {1}, {0})", "fmax": "where({0} < {1}, {1}, {0})"},  # ties as in C
-    **{"and": "{0} & {1}", "or": "{0} | {1}", "not": "~{0}", "select": "where({0}, {1}, {2})"},
-    "if_else_zero": "where({0}, {1}, zero)",
-}
-"""Python text of an operation, by its name; operations without such a text are called as functions."""
-
-_TRUE = frozenset({"lt", "le", "eq", "ne", "and", "or", "not"})
-"""Names of the operations that return a truth value."""
-
-_TAKE_TRUTHS = {"and": (0, 1), "or": (0, 1), "not": (0,), "select": (0,), "if_else_zero": (0,)}
-
-
 def _python(program: Program) -> Callable[[list[Value], list[Any], Real], list[Any]]:
     """Return a Python function that computes the values of all instructions from inputs and constants."""
     cached = program.__dict__.get("_python")
@@ -256,13 +240,12 @@ def _python(program: Program) -> Callable[[list[Value], list[Any], Real], list[A
             elif op == "input":
                 text = f"inputs[{args[0]}][..., {args[1]}]"
             else:
-                truths = _TAKE_TRUTHS.get(op, ())
-                operands = [_operand(program, a, truth=k in truths) for k, a in enumerate(args)]
-                text = _TEXTS[op].format(*operands) if op in _TEXTS else f"{op}({', '.join(operands)}, dtype=real)"
+                kinds = zip(args, OPERATIONS[op].kinds, strict=False)
+                text = OPERATIONS[op].python.format(*(_operand(program, a, truth=kind == "m") for a, kind in kinds))
             lines.append(f"    v{at} = {text}")
         names = ", ".join(_operand(program, at, truth=False) for at in range(len(program.instructions)))
         lines.append(f"    return [{names}]")
-        scope: dict[str, Any] = {"where": np.where, **_CALLED}
+        scope = dict(IN_PYTHON)
         exec("\n".join(lines), scope)  # the text has only the names above and numbers of instructions
         cached = program.__dict__["_python"] = scope["run"]
     run: Callable[[list[Value], list[Any], Real], list[Any]] = cached
@@ -270,17 +253,10 @@ def _python(program: Program) -> Callable[[list[Value], list[Any], Real], list[A
 
 
 def _operand(program: Program, at: int, *, truth: bool) -> str:
-    is_truth = program.instructions[at].op in _TRUE
+    is_truth = program.instructions[at].op in TRUTHS
     if truth == is_truth:
         return f"v{at}"
     return f"(v{at} != 0)" if truth else f"where(v{at}, one, zero)"
-
-
-def _called(operation: Callable[..., Any]) -> Callable[..., Any]:
-    return lambda *args, dtype: np.asarray(operation(*args), dtype=dtype)
-
-
-_CALLED = {name: _called(operation.numpy) for name, operation in OPERATIONS.items() if name not in _TEXTS}
 
 
 def _stack(entries: list[Value], batch: tuple[int, ...], real: Real) -> Value:
