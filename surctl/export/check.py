@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import subprocess
 import tempfile
@@ -16,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.errors import SurctlError, ToolMissing
+from surctl.errors import SurctlError, ToolMissing, check_known
 from surctl.export.bundle import Bundle, write_bundle
 from surctl.export.contract import Exportable
 from surctl.export.emulated import Target
@@ -25,7 +26,6 @@ from surctl.export.precision import Guarded, Rounded, plain, replayed, rounded
 from surctl.export.process import Controller, code_bytes, compile_controller
 from surctl.ir import Real
 from surctl.ir.cache import compile_program, compiler_version
-from surctl.ir.frames import stack_from_report
 
 Vector = NDArray[np.float64]
 
@@ -407,3 +407,48 @@ def step_stack(bundle: Bundle, code: Sequence[Path]) -> int | None:
         return stack_from_report(reports, text, f"{bundle.name}_step")
     except (SurctlError, FileNotFoundError):
         return None
+
+
+_FUNCTION = re.compile(r"^\w[\w *]*\b(\w+)\([^;{}]*\)\s*\{([^\n]*\}$|\n.*?^\}$)", re.MULTILINE | re.DOTALL)
+_CALL = re.compile(r"\b(\w+)\(")
+
+
+def stack_from_report(report: str, text: str, entry: str) -> int:
+    r"""Return how many bytes of stack a C function uses, including its calls, from a report of `-fstack-usage`.
+
+    That is the sum of the frames along the deepest chain of calls. The C text must not be recursive, and the definition
+    of every function must begin on a line of its own. The stack of libm functions such as sin is not counted. An
+    inlined function is part of the stack frame of its caller.
+
+    `report` may be the concatenated reports of several object files; `text` is the C text, including its own header
+    files.
+
+    Raises:
+        InputError: the text has no function `entry`.
+        SurctlError: a frame has no fixed size.
+    """
+    # every file that includes a header reports the functions of the header again
+    rows = [line.split("\t") for line in dict.fromkeys(report.splitlines())]
+    if any("dynamic" in row[2] and "bounded" not in row[2] for row in rows):
+        raise SurctlError("a frame has no fixed size")
+    # "text.c:12:3:name", or "name.part.0" for a part that the compiler split off
+    frames: dict[str, int] = {}
+    for where, size, _ in rows:
+        function = where.rsplit(":", 1)[-1].split(".")[0]
+        frames[function] = frames.get(function, 0) + int(size)
+    callees = _callees(text)
+    check_known(entry, callees, "is not a function of the compiled C", key="entry")
+    return _deepest(entry, callees, frames, {})
+
+
+def _callees(text: str) -> dict[str, set[str]]:
+    functions = _FUNCTION.findall(text)
+    names = {name for name, _ in functions}
+    return {name: set(_CALL.findall(body)) & names for name, body in functions}
+
+
+def _deepest(function: str, callees: dict[str, set[str]], frames: dict[str, int], known: dict[str, int]) -> int:
+    if function not in known:
+        below = [_deepest(inner, callees, frames, known) for inner in callees[function]]
+        known[function] = frames.get(function, 0) + max(below, default=0)
+    return known[function]
