@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,9 +76,7 @@ class Rounded(_Same):
         number = np.isfinite(np.hstack(outputs)).all(axis=1)
         safe.status[finite[number & (status < 0.0)]] = ITER
         fine = number & (status >= 0.0) & (status <= 32767.0)
-        done = finite[fine]
-        for mine, fresh in zip(safe, (status, *outputs[:2], outputs[3]), strict=True):
-            mine[done] = fresh[fine]
+        _put(safe, finite[fine], (part[fine] for part in (status, *outputs[:2], outputs[3])))
         return safe
 
 
@@ -127,9 +127,14 @@ def _let_in(law: Guarded, records: Records) -> Rows:
     index = np.flatnonzero(status != RANGE)  # the law itself refuses numbers that are not finite
     if index.size:
         computed = evaluated(law.law, records.X[index], records.U[index], records.P[index])
-        for mine, fresh in zip(out, law.envelope.limited(computed), strict=True):
-            mine[index] = fresh
+        _put(out, index, law.envelope.limited(computed))
     return out
+
+
+def _put(rows: Rows, at: NDArray[np.intp] | list[int], others: Iterable[NDArray[Any]]) -> None:
+    """Replace some rows by others."""
+    for mine, fresh in zip(rows, others, strict=True):
+        mine[at] = fresh
 
 
 def replayed(
@@ -148,29 +153,23 @@ def replayed(
     """
     rows = evaluated(law, records.X, records.U, records.P) if rows is None else rows
     counts = np.arange(len(records)) if counts is None else counts
-    if isinstance(law, Guarded):
-        rows = law.envelope.chained(rows, records, load, dt=law.dt, real=law.real, counts=counts)
-    if all(port.gap == "keep" for port in law.state):
+    within = law.envelope if isinstance(law, Guarded) and law.envelope.rates else None
+    ages = any(port.gap != "keep" for port in law.state)
+    if within is None and not ages:
         return rows
-    return _after_gaps(law, rows, records, load, counts)
-
-
-def _after_gaps(
-    law: Exportable, rows: Rows, records: Records, load: NDArray[np.bool_], counts: NDArray[np.int64]
-) -> Rows:
-    # a step is computed again from the aged state, if its sample is not the one after that of the last accepted step
     real: Real = law.real if isinstance(law, Guarded | Rounded) else "float64"
     out = Rows(rows.status.copy(), rows.tau.copy(), rows.state.copy(), rows.telemetry.copy())
-    last = -1
+    last = -1  # the last accepted step
     for k in range(len(records)):
-        gap = int(counts[k] - counts[last]) if last >= 0 and not load[k] else 1
-        if gap > 1 and out.status[k] not in (NONFINITE, RANGE):
-            x = aged(law, rounded(records.X[k], real), gap, real=real)
-            for mine, fresh in zip(
-                out, evaluated(law, x[None], records.U[k : k + 1], records.P[k : k + 1]), strict=True
-            ):
-                mine[k] = fresh[0]
         last = -1 if load[k] else last
+        x, u, p = records.X[k], records.U[k], records.P[k]
+        if last >= 0 and out.status[k] not in (NONFINITE, RANGE):
+            gap = int(counts[k] - counts[last])
+            if within is not None and within.jumped(u, records.U[last], gap, dt=law.dt, real=real):
+                _put(out, [k], _refused(law, np.array([RANGE]), x[None]))
+            elif ages and gap > 1:
+                old = aged(law, rounded(x, real), gap, real=real)
+                _put(out, [k], evaluated(law, old[None], u[None], p[None]))
         last = k if out.status[k] >= 0 else last
     return out
 

@@ -105,34 +105,6 @@ def _general(numbers: ArrayLike, digits: int = 6) -> str:
     return ", ".join(f"{number:.{digits}g}" for number in np.atleast_1d(numbers))
 
 
-_TYPES = ("Float32", "Int8", "UInt8", "Int16", "UInt16", "UInt32", "Int64", "UInt64", "Boolean", "String")
-"""Types of FMI 3.0 of which a unit has no variable, apart from binaries and clocks."""
-
-_SUPPORTED = (
-    *("GetVersion", "SetDebugLogging", "InstantiateCoSimulation", "FreeInstance", "EnterInitializationMode"),
-    *("ExitInitializationMode", "Terminate", "Reset", "GetFloat64", "SetFloat64", "GetInt32", "SetInt32", "DoStep"),
-    *("GetFMUState", "SetFMUState", "FreeFMUState", "SerializedFMUStateSize", "SerializeFMUState"),
-    *("DeserializeFMUState", "InstantiateModelExchange", "InstantiateScheduledExecution"),
-)
-
-
-def _fmi3_values() -> dict[str, Any]:
-    """Return the values of the template of FMI 3.0: names of all functions, and arguments of the unsupported ones.
-
-    The unsupported functions, which return an error, are listed with their arguments after the instance.
-    """
-    listed, _, _ = templates().loader.get_source(templates(), "fmi3_unsupported.txt")  # type: ignore[union-attr]
-    unsupported = [
-        (name, tuple(filter(None, arguments.split(", ")))) for name, arguments in re.findall(r"(\w+)\((.*)\)", listed)
-    ]
-    names = [f"fmi3{name}" for name in (*_SUPPORTED, *(f"{do}{type_}" for type_ in _TYPES for do in ("Get", "Set")))]
-    return {
-        "fmi3_functions": sorted([*names, *(name for name, _ in unsupported)]),
-        "fmi3_types": list(_TYPES),
-        "fmi3_unsupported": unsupported,
-    }
-
-
 def _direct_law(law: Exportable, block: Program, name: str, real: Real) -> Parts:
     """Return the C text of the function `<name>_law(state, gains, input, next, status, output)`.
 
@@ -319,7 +291,6 @@ def render_unit(
         "transfers": transfers,
         "f": lambda text: c_literal(float(text), real),
         "mission_rows": rows,
-        **_fmi3_values(),
         **_words(real),
     }
     return {file: templates().get_template(f"{file}.j2").render(values) for file in (f"fmi{fmi}.c", "fmu.h")}
