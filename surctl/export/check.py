@@ -21,8 +21,8 @@ from surctl.errors import SurctlError, ToolMissing, check_known
 from surctl.export.bundle import Bundle, write_bundle
 from surctl.export.contract import Exportable
 from surctl.export.emulated import Target
-from surctl.export.envelope import Envelope, Records, Rows, as_records
-from surctl.export.precision import Guarded, Rounded, plain, replayed, rounded
+from surctl.export.envelope import Envelope, Records, as_records
+from surctl.export.precision import Guarded, Rounded, differing, plain, replayed, rounded
 from surctl.export.process import Controller, code_bytes, compile_controller
 from surctl.ir import Real
 from surctl.ir.cache import compile_program, compiler_version
@@ -288,7 +288,9 @@ def check_builds(
     came = controller.run(records, load=load).state
     states = np.where(load[:, None], records.X, np.vstack([records.X[:1], came[:-1]]))
     rows = replayed(guarded, Records(states, records.U, records.P), load)
-    want, accepted = _bytes(rows, np.dtype(law.real)), rows.status >= 0
+    numbers = np.hstack([rows.status[:, None].astype(np.float64), rows.tau, rows.state, rows.telemetry])
+    with np.errstate(over="ignore"):
+        want, accepted = numbers.astype(law.real), rows.status >= 0
     stream = controller.stream(records, load=load)
 
     def tried(target: Target) -> BuildReport:
@@ -302,15 +304,8 @@ def check_builds(
     return CheckReport(law.real, at, len(alone), tuple(reports), dict(untried or {}))
 
 
-def _bytes(rows: Rows, dtype: np.dtype[Any]) -> NDArray[np.uint8]:
-    flat = np.hstack([rows.status[:, None].astype(np.float64), rows.tau, rows.state, rows.telemetry])
-    with np.errstate(over="ignore"):
-        exact = np.ascontiguousarray(flat.astype(dtype))
-    return exact.view(np.uint8).reshape(len(flat), -1)
-
-
 def _tried(
-    host: Controller, target: Target, folder: Path, stream: bytes, want: NDArray[np.uint8], accepted: NDArray[np.bool_]
+    host: Controller, target: Target, folder: Path, stream: bytes, want: NDArray[Any], accepted: NDArray[np.bool_]
 ) -> BuildReport:
     bundle, version = host.bundle, compiler_version(target.compiler)
     try:
@@ -318,8 +313,7 @@ def _tried(
         raw = controller.output(stream, len(want))
     except SurctlError as failure:
         return BuildReport(target.name, version, failure=str(failure))
-    have = np.frombuffer(raw, dtype=np.uint8).reshape(len(want), -1)
-    wrong = np.flatnonzero(~_same(have, want, np.dtype(bundle.real)))
+    wrong = differing(np.frombuffer(raw, dtype=want.dtype).reshape(want.shape), want)
     return BuildReport(
         target.name,
         version,
@@ -331,17 +325,6 @@ def _tried(
         None if target.machine is None else step_stack(bundle, code),  # not measured where memory is plentiful
         instructions(counts, accepted),
     )
-
-
-def _same(have: NDArray[np.uint8], want: NDArray[np.uint8], dtype: np.dtype[Any]) -> NDArray[np.bool_]:
-    # (T,): the results have the same bytes; any two NaN count as equal
-    equal = have == want
-    rows: NDArray[np.bool_] = equal.all(axis=1)
-    for k in np.flatnonzero(~rows):
-        a, b = have[k].view(dtype), want[k].view(dtype)
-        bits = f"u{dtype.itemsize}"
-        rows[k] = bool(np.all((a.view(bits) == b.view(bits)) | (np.isnan(a) & np.isnan(b))))
-    return rows
 
 
 def built_for(host: Controller, target: Target, folder: Path) -> tuple[Controller, Path | None, list[Path]]:

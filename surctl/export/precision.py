@@ -174,6 +174,13 @@ def replayed(
     return out
 
 
+def differing(mine: NDArray[Any], theirs: NDArray[Any]) -> NDArray[np.intp]:
+    """Return the indices of the rows in which a number differs in some bit; any two NaN count as equal."""
+    bits = f"u{mine.itemsize}"
+    same = (mine.view(bits) == theirs.view(bits)) | (np.isnan(mine) & np.isnan(theirs))
+    return np.flatnonzero(~same.all(axis=1))
+
+
 def rounded(values: Vector, real: Real = "float32") -> Vector:
     """Return the nearest numbers of the precision `real`, stored as doubles."""
     with np.errstate(over="ignore"):

@@ -43,7 +43,7 @@ def replay(program: Block, *inputs: ArrayLike, real: Real = np.float64) -> list[
         >>> [replay(program, [0.1, 0.2], real=real)[0].tolist() for real in (np.float64, np.float32)]
         [[0.30000000000000004], [0.30000001192092896]]
     """
-    arrays = _checked(program, inputs, real)
+    arrays = checked(program.name, program.inputs, inputs, real)
     batch = np.broadcast_shapes(*(a.shape[:-1] for a in arrays))
     with np.errstate(all="ignore"):  # C also reports no error for 1/0
         outputs = _run(program, arrays, real)
@@ -218,13 +218,16 @@ class _Numbers(Arrays[Value]):
         return piece
 
 
-def _checked(program: Block, inputs: tuple[ArrayLike, ...], real: Real) -> list[Value]:
-    if len(inputs) != len(program.inputs):
-        raise InputError(f"takes {len(program.inputs)} inputs, got {len(inputs)}", key=program.name)
-    arrays: list[Value] = [np.asarray(x, dtype=real) for x in inputs]
-    for array, (name, size) in zip(arrays, program.inputs, strict=True):
+def checked(
+    name: str, ports: tuple[tuple[str, int], ...], inputs: tuple[ArrayLike, ...], dtype: Real | np.dtype[Any]
+) -> list[Value]:
+    """Return the inputs of a block as arrays (…, n); InputError for another number of inputs, or another size."""
+    if len(inputs) != len(ports):
+        raise InputError(f"takes {len(ports)} inputs, got {len(inputs)}", key=name)
+    arrays: list[Value] = [np.asarray(x, dtype=dtype) for x in inputs]
+    for array, (port, size) in zip(arrays, ports, strict=True):
         if array.ndim == 0 or array.shape[-1] != size:
-            raise InputError(f"has shape {array.shape}, expected (…, {size})", key=f"{program.name}.{name}")
+            raise InputError(f"has shape {array.shape}, expected (…, {size})", key=f"{name}.{port}")
     return arrays
 
 
