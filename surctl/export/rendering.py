@@ -35,15 +35,13 @@ from surctl.export.guard_text import (
     ANY_NUMBER,
     EXAMPLES,
     MANY,
+    bound_text,
     box_lines,
     example_values,
     flat_lines,
-    jump_lines,
-    keep_lines,
-    limit_lines,
     number_calls,
-    order_lines,
     range_text,
+    rate_groups,
     templates_of,
 )
 from surctl.export.supplement import (
@@ -318,6 +316,8 @@ def _words(real: Real) -> dict[str, Any]:
         "precision": real,
         "largest": "DBL_MAX" if double else "FLT_MAX",
         "absolute": "fabs" if double else "fabsf",
+        "floor": "floor" if double else "floorf",
+        "turn": 2.0 * math.pi,
     }
 
 
@@ -415,7 +415,7 @@ def _guard(law: Exportable, within: Envelope, real: Real) -> dict[str, Any]:
     ranges = {
         port.name: range_text(box[layout.slice(port.name)]) for layout, box in boxes for port in layout if port.size
     }
-    inputs = entries(law.inputs)
+    inputs, members = entries(law.inputs), entries(law.gains)
     return {
         "box": [
             flat_lines(law.state, within.state, "state->x", real),
@@ -427,10 +427,14 @@ def _guard(law: Exportable, within: Envelope, real: Real) -> dict[str, Any]:
             for (layout, _), struct in zip(boxes, ("state", "input", "gains"), strict=True)
             for call in number_calls(layout, struct)
         ],
-        "limits": limit_lines(_thrusts(law), within.commands, real),
-        "orders": order_lines(law.gains, within),
-        "stored": keep_lines(law.inputs, within),
-        "jumps": jump_lines(law.inputs, within, law.dt, real),
+        "bound": partial(bound_text, real=real),
+        "limits": [
+            (member, ends)
+            for member, ends in zip(_thrusts(law), () if within.commands is None else within.commands, strict=False)
+            if max(-ends[0], ends[1]) < np.finfo(real).max
+        ],
+        "orders": [[members[at] for at in pair] for pair in within.orders],
+        "rates": rate_groups(law.inputs, within),
         "watched": [(k, inputs[rate.entry][0], rate) for k, rate in enumerate(within.rates)],
         "allowed": lambda port: ranges.get(port.name, ""),
         "bounded": lambda port: f"; {ranges[port.name]}" if ranges.get(port.name, ANY_NUMBER) != ANY_NUMBER else "",
