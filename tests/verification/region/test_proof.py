@@ -27,13 +27,13 @@ from surctl.marine.verification.region import (
     refused_regions,
     region_statement,
 )
+from surctl.marine.verification.region.rates import cruise_loop, level_ratios
 from surctl.marine.verification.region.turning_loop import selected, steady_turning, vertices
 from surctl.marine.verification.region.turning_shells import excess_of, worst_rate
 from surctl.verification.conic import minimise, symmetric_basis
 from surctl.verification.formula import text_of
 from tests.certcheck.turning_samples import draw_vehicles
 from tests.certcheck.turning_truth import commanded, true_rate
-from tests.oracles.region_levels import cruise_loop, level_ratios
 
 KEPT = Path(__file__).parents[2] / "certcheck"
 
@@ -81,7 +81,7 @@ def test_a_stored_search_is_only_a_proposal_that_is_checked_again(
         "surctl.marine.verification.region.proof.turning_search", None
     )  # from here on nothing is searched
     again = prove_turning(claimed(name="another"), attempts=1)
-    assert first.verdict == again.verdict == "proved"
+    assert first.verdict == again.verdict == "proved" and again.ratios == first.ratios
     assert again.certificate()["claim"] == first.certificate()["claim"]
     [entry] = folder.glob("*.region")
     found = json.loads(entry.read_bytes()[32:])
