@@ -89,6 +89,36 @@ def least_level(dynamics: Dynamics, function: Node, rate: float | None = None, *
     return Falsified(float(falsifier.values.max()), {}, "none", confirmed=False) if least is None else least
 
 
+def least_where(dynamics: Dynamics, function: Node, reached: Node, *, floor: float = 0.0, seed: int = 0) -> float:
+    """Return the least V ≥ `floor` that is found in the box where an expression is ≥ 0; inf if there is none.
+
+    Args:
+        dynamics: the dynamics.
+        function: V, an expression of the states.
+        reached: the expression.
+        floor: lower bound of V.
+        seed: seed of the samples.
+    """
+    n, least, around, value = len(dynamics.states), np.inf, dynamics, dynamics.compiled(function)
+    for _ in range(_ROUNDS):
+        domain = [-reached, exact(floor) - function]
+        points = _points(inequality("V", around.variables, -function, number(0), domain), *_INSIDE, seed)
+        level = float(value(points[:n, 0], points[n:, 0])) if points.size else np.inf
+        if not level < _LOWER * least:
+            break
+        least, around = level, hugged(dynamics, function, _MARGIN * level)
+    return least
+
+
+def _points(one: Inequality, samples: int, starts: int, seed: int) -> Array:
+    """Return points (n + m, N) of the domain of an inequality −V ≤ 0, that of the least V first; none if none."""
+    quick = replace(one.claim, exact=None)  # in doubles: interval arithmetic may confirm the points
+    try:
+        return search(quick, samples=samples, starts=starts, seed=seed).points
+    except EmptyDomain:
+        return np.zeros((len(one.variables), 0))
+
+
 class _Falsifier:
     def __init__(self, dynamics: Dynamics, function: Node, rate: float, seed: int) -> None:
         d = dynamics
@@ -149,9 +179,9 @@ class _Falsifier:
         """Return the point of least V on each face of the box."""
         d = self.dynamics
         whole = inequality("V on a face", d.states, -self.function, number(0), [])
-        points = [self._least(whole.on(s.name, end), *_ON_FACE)[:, 0] for s in d.states for end in (s.lower, s.upper)]
-        middle = d.ranges.mean(axis=0)
-        return [self._found(np.concatenate([x, middle]), "face", confirmed=True) for x in points]
+        faces = [whole.on(s.name, end) for s in d.states for end in (s.lower, s.upper)]
+        points = [np.append(_points(face, *_ON_FACE, self.seed)[:, 0], d.ranges.mean(axis=0)) for face in faces]
+        return [self._found(x, "face", confirmed=True) for x in points]
 
     def successors(self) -> list[Falsified]:
         """Return points of least V where the successor leaves the box."""
@@ -173,20 +203,13 @@ class _Falsifier:
         near = number(Fraction(repr(_NEAREST**2))) - square
         return self._outwards(around.variables, -self.rise / square / pace, [near], "decrease")
 
-    def _least(self, one: Inequality, samples: int, starts: int) -> Array:
-        """Return points (n + m, N) of the domain of an inequality −V ≤ 0, that of the least V first; none if none."""
-        quick = replace(one.claim, exact=None)  # in doubles: `_outwards` confirms the points
-        try:
-            return search(quick, samples=samples, starts=starts, seed=self.seed).points
-        except EmptyDomain:
-            return np.zeros((len(one.variables), 0))
-
     def _outwards(
         self, variables: Sequence[Range], holds: Node, domain: Sequence[Node], cause: str
     ) -> Falsified | None:
         """Return a point of least V where `holds` < 0, as interval arithmetic confirms there or a little outwards."""
         d, n = self.dynamics, len(self.dynamics.states)
-        least = self._least(inequality(cause, variables, -self.function, number(0), [holds, *domain]), *_INSIDE)
+        sought = inequality(cause, variables, -self.function, number(0), [holds, *domain])
+        least = _points(sought, *_INSIDE, self.seed)
         points = np.repeat(least[:, :_TRIED], len(_OUTWARDS), axis=1)
         away = (points[:n] - d.equilibrium[:, None]) * (1 + np.resize(_OUTWARDS, points.shape[1]))
         points[:n] = np.clip(d.equilibrium[:, None] + away, *d.box[:, :, None])
