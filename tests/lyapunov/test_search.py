@@ -16,7 +16,7 @@ from surctl.lyapunov.candidates import candidates
 from surctl.lyapunov.claims import Stability
 from surctl.lyapunov.decide import Decision, prove_motion
 from surctl.lyapunov.equilibrium import at_equilibrium, common_quadratic, linearisation
-from surctl.lyapunov.falsified import least_level
+from surctl.lyapunov.falsified import least_level, least_where
 from surctl.lyapunov.from_system import NOT_COVERED
 from surctl.lyapunov.near import short
 from surctl.system import Action, Controller, Plant, System
@@ -298,3 +298,13 @@ def test_a_state_rests_in_the_whole_box_or_is_refused(width: float) -> None:
             "pair[1] stay at rest up to rounding"
             in continuous_dynamics(System(plant, law), {"pair[0]": (-1.0, 1.0)}).source
         )
+
+
+def test_the_least_level_at_which_an_expression_is_reached_is_found_above_a_floor() -> None:
+    d = dynamics({"x": (-8.0, 8.0), "y": (-8.0, 8.0)}, ["-x*(1 - x^2/9)", "-y*(1 - y^2/9)"])
+    x = {"x": variable("x"), "y": variable("y")}
+    function = parse("x^2 + y^2", x)
+    rise = d.change(function)  # 0 at the equilibrium, and then from |x| = 3 on
+    assert least_where(d, function, rise, floor=1.0) == pytest.approx(9.0, rel=1e-3)
+    assert least_where(d, function, parse("max(abs(x), abs(y)) - 2", x)) == pytest.approx(4.0, rel=1e-3)
+    assert least_where(d, function, parse("x - 9", x)) == np.inf
