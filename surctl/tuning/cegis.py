@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError, check_count, check_once
-from surctl.tuning.chunked import Progress
+from surctl.tuning.chunked import Journal, Progress
 from surctl.tuning.gain_search import conflict, search
 from surctl.tuning.montecarlo import (
     APART,
@@ -27,7 +27,6 @@ from surctl.tuning.montecarlo import (
     stored_figures,
 )
 from surctl.tuning.pool import ClaimPoint, Pool, SearchRequest, joined_pools
-from surctl.tuning.search import Journal
 
 
 @dataclass(frozen=True)

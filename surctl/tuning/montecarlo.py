@@ -10,10 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.tuning.chunked import Progress
+from surctl.tuning.chunked import Journal, Progress
 from surctl.tuning.goals import RunGoal
 from surctl.tuning.pool import ClaimPoint, Condition, Figures, Pool, SearchRequest, Sets, Simulated, merged, scope
-from surctl.tuning.search import Journal
 
 APART = 10_000_000  # seeds reserved for each tuning, so that two tunings never share a seed
 

@@ -62,16 +62,6 @@ def no_renderer(why: str) -> ToolMissing:
     )
 
 
-def _wrong_renderer(value: str, why: str) -> ToolMissing:
-    """Return the error that MuJoCo cannot be imported with a value of the environment variable MUJOCO_GL."""
-    return ToolMissing(
-        f"MuJoCo cannot be imported with this renderer ({why})",
-        key="environment variable MUJOCO_GL",
-        value=value,
-        remedy="set it to egl, osmesa or glfw, or unset it",
-    )
-
-
 Array = NDArray[np.float64]
 
 
@@ -93,7 +83,9 @@ def mujoco_library() -> ModuleType:
         if isinstance(error, ModuleNotFoundError) and error.name == "mujoco":
             problem, remedy = "needs MuJoCo, which is not installed", "pip install 'surctl[mujoco]'"
         elif renderer and "mujoco" not in sys.modules:
-            raise _wrong_renderer(renderer, str(error)) from None
+            problem, remedy = f"MuJoCo cannot be imported with this renderer ({error})", "set it to egl, osmesa or glfw"
+            key = "environment variable MUJOCO_GL"
+            raise ToolMissing(problem, key=key, value=renderer, remedy=f"{remedy}, or unset it") from None
         else:
             problem = f"the installation of mujoco is broken ({error})"
             remedy = "reinstall it: pip install --force-reinstall mujoco"
