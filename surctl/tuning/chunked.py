@@ -398,8 +398,10 @@ class Journal:
 
     def batches(self, request: str, *, width: int) -> Batches:
         """Return the batches of the search with a request (a text), which have rows of `width` numbers."""
-        store = self._store(request)
-        if store is not None:
+        store = None
+        if self.folder is not None:
+            digest = hashlib.sha256(request.encode()).hexdigest()
+            store = ChunkStore(self.folder / _SEARCHES / digest[:16], digest)
             store.folder.mkdir(parents=True, exist_ok=True)
         return Batches(width, store, self._memory.setdefault(request, {}))
 
@@ -407,10 +409,6 @@ class Journal:
         """Write the best gains so far as text to a file in the folder; InputError if it cannot be written."""
         if self.folder is not None:
             write_file(self.folder / name, text)
-
-    def _store(self, request: str) -> ChunkStore | None:
-        digest = hashlib.sha256(request.encode()).hexdigest()
-        return None if self.folder is None else ChunkStore(self.folder / _SEARCHES / digest[:16], digest)
 
 
 @dataclass

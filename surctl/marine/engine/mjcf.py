@@ -184,7 +184,7 @@ def mjcf(scenario: Scenario, vehicle: Vehicle, *, options: EngineOptions | None 
         quat=(cos(pose[3] / 2), 0, 0, sin(pose[3] / 2)), density=WATER, blunt=blunt, lag=vehicle["thrust_lag"],
         extent=extent, high=extent / tan(radians(_OPENING / 2)), opening=_OPENING, down=(cos(down), sin(down)),
         obstacles=[_obstacle(one, scenario.site[2], radius) for one in scenario.obstacles],
-        thrust=[vehicle[name] if six and name in vehicle.parameters else 0.0 for name in ("xt", "yt", "zt")],
+        thrust=[vehicle.term(name) if six else 0.0 for name in ("xt", "yt", "zt")],
         thrusters=() if vehicle.actuators is None else vehicle.actuators.thrusters, actuators=_actuators(vehicle),
     )  # fmt: skip
 

@@ -120,7 +120,7 @@ class SceneFile:
 
     def _sonars(self, time: float, ranges: Vector) -> None:
         for k, (axis, distance) in enumerate(zip(self.array.azimuths, ranges.tolist(), strict=True)):
-            x, y = self._apex(k)
+            x, y, _ = self.array.apex(k, position=(0.0, 0.0), heading=0.0)
             half = self.array.half_angle
             echo = round(distance, 3) if distance < self.array.maximum else None
             scan = {
@@ -133,10 +133,6 @@ class SceneFile:
                 "intensities": [],
             }
             self.file.write(f"/sonar/{k}", "foxglove.LaserScan", time, scan)
-
-    def _apex(self, sensor: int) -> tuple[float, float]:
-        x, y, _ = self.array.apex(sensor, position=(0.0, 0.0), heading=0.0)
-        return x, y
 
     def _obstacles(self, time: float, bodies: Sequence[Body]) -> None:
         entities: list[dict[str, Any]] = []

@@ -200,16 +200,17 @@ class Vehicle:
 
     def munk(self, cruise: float) -> float:
         """Return μ = m22 − m11 + Nuv + Nv/U [kg]: at a sway speed v, Munk moment and lift are μ u v; U: speed [m/s]."""
-        return self["m22"] - self["m11"] + self._term("Nuv") + self._term("Nv") / cruise
+        return self["m22"] - self["m11"] + self.term("Nuv") + self.term("Nv") / cruise
 
     def centripetal(self, cruise: float) -> float:
         """Return m = m11 + Yur + Yr/U [kg]: a turn at the yaw rate r needs the sway force m u r towards its centre.
 
         It is negative if the fins give more than this force: the craft then drifts inwards.
         """
-        return self["m11"] + self._term("Yur") + self._term("Yr") / cruise
+        return self["m11"] + self.term("Yur") + self.term("Yr") / cruise
 
-    def _term(self, name: str) -> float:
+    def term(self, name: str) -> float:
+        """Return the value of an optional term in its SI unit; 0 if the vehicle does not have it."""
         return self[name] if name in self.parameters else 0.0
 
     @property
