@@ -103,15 +103,11 @@ class _Rays:
             self._cutoff,
         )  # fmt: skip
         audible = distances >= 0
-        if self._faced is not None:
-            incidence = -np.einsum("ij,ij->i", normals.reshape(-1, 3), directions)
-            audible &= incidence >= self._faced[geoms]
-            return origin, np.where(audible, distances, inf), directions
-        if not self._options.floor:
+        if self._faced is None and not self._options.floor:
             audible &= geoms != model.geom("floor").id
-        if self._limit is not None:
-            incidence = -np.einsum("ij,ij->i", normals.reshape(-1, 3), directions)
-            audible &= incidence >= self._limit
+        least = self._limit if self._faced is None else self._faced[geoms]
+        if least is not None:
+            audible &= -np.einsum("ij,ij->i", normals.reshape(-1, 3), directions) >= least
         return origin, np.where(audible, distances, inf), directions
 
 
@@ -166,7 +162,8 @@ class MujocoPhysics:
         self._mujoco = mujoco_library()
         self.world, self.body, self._vehicle = world, body_of(vehicle, options), vehicle.name
         options = self.body.options
-        self.name = ", ".join(filter(None, ("mujoco", f"{options.dof} DoF", _others(options))))
+        others = [part for part in options.text().split(",") if part and not part.startswith("dof=")]
+        self.name = ", ".join(["mujoco", f"{options.dof} DoF", *others])
         scenario = world.scenario
         self.model = self._mujoco.MjModel.from_xml_string(mjcf(scenario, vehicle, options=options))
         self.data = self._mujoco.MjData(self.model)
@@ -333,10 +330,6 @@ class MujocoPhysics:
         return np.array([*place[:3], heading, *nu, *thrust.tolist(), *tilt])
 
 
-def _others(options: EngineOptions) -> str:
-    return ", ".join(part for part in options.text().split(",") if not part.startswith("dof="))
-
-
 # Runs of one case with many seeds, in one process or in several
 
 
@@ -380,7 +373,7 @@ def simulate_with_steppers(
     """
     if processes < 1:
         raise InputError("must be at least 1", key="processes", value=processes, remedy="give 1 or more")
-    law = _build(batch_case)
+    law = batch_case.case.build(batch_case.fallback)
     if processes == 1 or len(seeds) == 1:
         for seed in seeds:
             yield _simulated(batch_case, law, compared, seed)
@@ -392,13 +385,9 @@ def simulate_with_steppers(
             yield replace(run, law=law), report
 
 
-def _build(batch_case: BatchCase) -> Law:
-    return batch_case.case.build(batch_case.fallback)
-
-
 def _begin(batch_case: BatchCase) -> None:
     global _law
-    _law = _build(batch_case)
+    _law = batch_case.case.build(batch_case.fallback)
 
 
 def _in_process(batch_case: BatchCase, compared: bool, seed: int) -> tuple[Run, Any]:
