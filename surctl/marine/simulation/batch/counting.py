@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.ir import Layout
+from surctl.ir import Layout, Port
 from surctl.marine.control import Law
 from surctl.marine.control.closing import thrust_bounds
 from surctl.marine.guidance import PASSED
@@ -17,32 +17,31 @@ from surctl.marine.simulation.metrics import AT_LIMIT, METRICS, MOVING, NEAR_TAR
 
 Columns = NDArray[np.float64]
 
-VARIATIONS = ("surge_n", "sway_n", "heave_n", "yaw_n_m")
-"""Axes of the thrust and their units, as in the names of the metrics."""
+_AXES = ("surge_n", "sway_n", "heave_n", "yaw_n_m")  # of the thrust, as in the names of metrics
 
-SUMS = (
-    ("sum_square", "m^2", "sum of the squared horizontal distance to the path"),
-    ("sum_error", "m^2", "sum of the squared distance to the path outside avoidance"),
-    ("count_error", "1", "number of control steps outside avoidance"),
-    ("sum_effort", "N", "sum of the magnitude of the horizontal thrust command"),
-    ("sum_jump", "N^2", "sum of the squared change of the horizontal thrust command"),
-    ("count_saturated", "1", "number of control steps with a thrust command at its limit"),
-    ("most_away", "m", "largest horizontal distance to the path"),
-    ("most_past", "m", "largest overshoot past the target"),
-    ("most_thrust", "1", "largest thrust command as a share of its limit"),
-    ("length", "m", "length of the path that the robot travelled"),
-    *((f"sum_{name}", "N or N m", "sum of the absolute changes of one thrust command") for name in VARIATIONS),
-    *((f"signs_{name}", "1", "number of sign changes of one thrust command") for name in VARIATIONS),
-    *((f"limited_{name}", "1", "number of control steps with one thrust command at its limit") for name in VARIATIONS),
-    ("sum_energy", "N^1.5", "sum of the magnitudes of the force commands to the power 1.5"),
-    ("sum_needed", "N", "sum of the drag along the path"),
-    ("count_moving", "1", "number of control steps in which the robot moves"),
-    ("count_crab", "1", "number of control steps in which the robot moves and does not avoid an obstacle"),
-    ("sum_crab", "rad", "sum of the absolute crab angle in these steps"),
-    ("sum_heading", "rad^2", "sum of the squared heading error while the robot moves"),
-    ("most_crab", "rad", "largest crab angle in these steps"),
+COUNTED = (
+    Port("sum_square", (1,), "m^2", "sum of the squared horizontal distance to the path"),
+    Port("sum_error", (1,), "m^2", "sum of the squared distance to the path outside avoidance"),
+    Port("count_error", (1,), "1", "number of control steps outside avoidance"),
+    Port("sum_effort", (1,), "N", "sum of the magnitude of the horizontal thrust command"),
+    Port("sum_jump", (1,), "N^2", "sum of the squared change of the horizontal thrust command"),
+    Port("count_saturated", (1,), "1", "number of control steps with a thrust command at its limit"),
+    Port("most_away", (1,), "m", "largest horizontal distance to the path"),
+    Port("most_past", (1,), "m", "largest overshoot past the target"),
+    Port("most_thrust", (1,), "1", "largest thrust command as a share of its limit"),
+    Port("length", (1,), "m", "length of the path that the robot travelled"),
+    Port("sum_change", (4,), "N, N m", "sum of the absolute changes of each thrust command"),
+    Port("count_signs", (4,), "1", "number of sign changes of each thrust command"),
+    Port("count_limited", (4,), "1", "number of control steps with each thrust command at its limit"),
+    Port("sum_energy", (1,), "N^1.5", "sum of the magnitudes of the force commands to the power 1.5"),
+    Port("sum_needed", (1,), "N", "sum of the drag along the path"),
+    Port("count_moving", (1,), "1", "number of control steps in which the robot moves"),
+    Port("count_crab", (1,), "1", "number of control steps in which the robot moves and does not avoid an obstacle"),
+    Port("sum_crab", (1,), "rad", "sum of the absolute crab angle in these steps"),
+    Port("sum_heading", (1,), "rad^2", "sum of the squared heading error while the robot moves"),
+    Port("most_crab", (1,), "rad", "largest crab angle in these steps"),
 )
-"""State variables of a run for its metrics: name, unit, meaning."""
+"""State variables of a run for its metrics: sums, counts and largest values, 0 at the start."""
 
 
 def counted(
@@ -58,16 +57,16 @@ def counted(
     path_depth: ca.SX,
     on_last: ca.SX,
 ) -> dict[str, ca.SX]:
-    """Return the sums, counts and maxima from which the metrics follow, updated for the present control step.
+    """Return `COUNTED`, from which the metrics follow, and what it needs of the last step, after a control step.
 
     `metrics.METRICS` defines the metrics. `square` is the squared distance to the path [m²], `tangent` the direction of
     its segment (2, 1), `path_depth` its z [m]. `on_last` is 1 while the robot is on the last segment of its path.
     """
-    place, depth = old["plant"][:2], old["plant"][2]
+    place = old["plant"][:2]
+    depth, psi, u, v = (old["plant"][k] for k in (2, 3, 4, 5))
     away = ca.sqrt(square)
     excluded = ca.logic_or(avoiding, ca.logic_and(old["away"], away > TUBE))
     first = old["step"] < 0.5
-    thrust, step = tau[:2], place - old["last_place"]
     change = ca.if_else(first, 0, ca.fabs(tau - old["last_thrust"]))
     least, largest = thrust_bounds(w)
     limit = ca.if_else(tau > 0, largest, -least)
@@ -77,46 +76,37 @@ def counted(
     # an axis without a limit of its own has no share: its force is 0, or that of a rudder that turns the craft
     limited = limit > 0
     share = ca.if_else(limited, ca.fabs(tau) / ca.if_else(limited, limit, 1), 0)
-    return {
-        "away": excluded,
-        "last_thrust": tau,
-        "last_signs": signs,
-        "sum_square": old["sum_square"] + square,
-        "sum_error": old["sum_error"] + ca.if_else(excluded, 0, square + (depth - path_depth) ** 2),
-        "count_error": old["count_error"] + ca.logic_not(excluded),
-        "sum_effort": old["sum_effort"] + ca.sqrt(ca.sumsqr(thrust)),
-        "sum_jump": old["sum_jump"] + ca.if_else(first, 0, ca.sumsqr(change[:2])),
-        "count_saturated": old["count_saturated"] + (status - 2 * ca.floor(status / 2)),
-        "most_away": ca.fmax(old["most_away"], away),
-        "most_past": ca.fmax(old["most_past"], past),
-        "most_thrust": ca.fmax(old["most_thrust"], ca.mmax(share)),
-        "length": old["length"] + ca.if_else(first, 0, ca.sqrt(ca.sumsqr(step))),
-        **{f"sum_{name}": old[f"sum_{name}"] + change[k] for k, name in enumerate(VARIATIONS)},
-        **{
-            f"signs_{n}": old[f"signs_{n}"] + (signs[k] * old["last_signs"][k] < -0.5) for k, n in enumerate(VARIATIONS)
-        },
-        **{f"limited_{n}": old[f"limited_{n}"] + (share[k] >= AT_LIMIT) for k, n in enumerate(VARIATIONS)},
-        "sum_energy": old["sum_energy"] + ca.sum1(force * ca.sqrt(force)),
-        **_directions(old, w, tangent, excluded),
-    }
-
-
-def _directions(old: Mapping[str, ca.SX], w: Mapping[str, ca.SX], tangent: ca.SX, excluded: ca.SX) -> dict[str, ca.SX]:
-    """Return the sums about crab angle, heading error and drag along the path segment with direction `tangent`."""
-    psi, u, v = old["plant"][3], old["plant"][4], old["plant"][5]
     hull = ca.vertcat(ca.cos(psi), ca.sin(psi))
     ahead, left = ca.dot(hull, tangent), tangent[0] * hull[1] - tangent[1] * hull[0]  # cos and sin of the heading error
     speed = ca.fmax(u * ahead - v * left - ca.dot(w["current"], tangent), 0)
     moving = u**2 + v**2 > (MOVING * w["cruise"]) ** 2
-    counts = ca.logic_and(moving, ca.logic_not(excluded))
-    crab, off = ca.fabs(ca.atan2(v, u)), ca.atan2(left, ahead)
+    straight = ca.logic_and(moving, ca.logic_not(excluded))
+    crab = ca.if_else(straight, ca.fabs(ca.atan2(v, u)), 0)
+    added = {
+        "sum_square": square,
+        "sum_error": ca.if_else(excluded, 0, square + (depth - path_depth) ** 2),
+        "count_error": ca.logic_not(excluded),
+        "sum_effort": ca.sqrt(ca.sumsqr(tau[:2])),
+        "sum_jump": ca.if_else(first, 0, ca.sumsqr(change[:2])),
+        "count_saturated": status - 2 * ca.floor(status / 2),
+        "length": ca.if_else(first, 0, ca.sqrt(ca.sumsqr(place - old["last_place"]))),
+        "sum_change": change,
+        "count_signs": signs * old["last_signs"] < -0.5,
+        "count_limited": share >= AT_LIMIT,
+        "sum_energy": ca.sum1(force * ca.sqrt(force)),
+        "count_moving": moving,
+        "count_crab": straight,
+        "sum_crab": crab,
+        "sum_heading": ca.if_else(moving, ca.atan2(left, ahead) ** 2, 0),
+    }
+    most = {"most_away": away, "most_past": past, "most_thrust": ca.mmax(share), "most_crab": crab}
     return {
+        "away": excluded,
+        "last_thrust": tau,
+        "last_signs": signs,
+        **{name: old[name] + value for name, value in added.items()},
+        **{name: ca.fmax(old[name], value) for name, value in most.items()},
         "sum_needed": old["sum_needed"] + w["linear_drag"][0] * speed + w["quadratic_drag"][0] * speed**2,
-        "count_moving": old["count_moving"] + moving,
-        "count_crab": old["count_crab"] + counts,
-        "sum_crab": old["sum_crab"] + ca.if_else(counts, crab, 0),
-        "sum_heading": old["sum_heading"] + ca.if_else(moving, off**2, 0),
-        "most_crab": ca.fmax(old["most_crab"], ca.if_else(counts, crab, 0)),
     }
 
 
@@ -170,8 +160,11 @@ def _crab(law: Law, s: Mapping[str, Columns]) -> dict[str, Columns]:
 
 def metrics_table(law: Law, state: Layout, final: Columns) -> Columns:
     """Return the metrics (n, len(METRICS)) of n runs of a law from their final states (n, …) with this layout."""
-    s = {port.name: final[:, state.slice(port.name)][:, 0] for port in state}
+    parts = {port.name: final[:, state.slice(port.name)] for port in state}
+    s = {name: part[:, 0] for name, part in parts.items()}
     rows, dt = s["step"] + 1, law.dt
+    variations = parts["sum_change"] / (np.maximum(rows - 1, 1) * dt)[:, None]
+    signs, limited = parts["count_signs"], parts["count_limited"]
     error = np.divide(s["sum_error"], s["count_error"], out=np.full(len(final), np.nan), where=s["count_error"] > 0)
     columns = {
         "reached": (s["stop"] == STOPS.index("reached")).astype(float),
@@ -189,10 +182,10 @@ def metrics_table(law: Law, state: Layout, final: Columns) -> Columns:
         "saturated_share": s["count_saturated"] / rows,
         "thrust_rate_n_per_s": np.sqrt(s["sum_jump"] / np.maximum(rows - 1, 1)) / dt,
         **_crab(law, s),
-        **{f"variation_{k}_per_s": s[f"sum_{k}"] / (np.maximum(rows - 1, 1) * dt) for k in VARIATIONS},
-        "sign_changes_per_s": np.sum([s[f"signs_{k}"] for k in VARIATIONS], axis=0) / (rows * dt),
-        "axis_sign_changes_per_s": np.max([s[f"signs_{k}"] for k in VARIATIONS], axis=0) / (rows * dt),
-        "axis_saturated_share": np.max([s[f"limited_{k}"] for k in VARIATIONS], axis=0) / rows,
+        **{f"variation_{name}_per_s": each for name, each in zip(_AXES, variations.T, strict=True)},
+        "sign_changes_per_s": signs.sum(axis=1) / (rows * dt),
+        "axis_sign_changes_per_s": signs.max(axis=1) / (rows * dt),
+        "axis_saturated_share": limited.max(axis=1) / rows,
         "energy_n15_s": s["sum_energy"] * dt,
         "stopped": s["stop"],
     }
