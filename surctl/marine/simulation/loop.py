@@ -11,7 +11,7 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cache
-from typing import Any, Protocol, TypeAlias
+from typing import Any, TypeAlias
 
 import casadi as ca
 import numpy as np
@@ -42,11 +42,8 @@ Vector: TypeAlias = NDArray[np.float64]
 Values: TypeAlias = dict[str, Vector]
 
 
-class Stepper(Protocol):
-    """What takes the place of a law in a run, for instance its C in another process."""
-
-    def __call__(self, x: Vector, u: Vector, p: Vector, /) -> ControllerStep:
-        """Return the control step from the law's state x, inputs u and parameters p."""
+Stepper: TypeAlias = Callable[[Vector, Vector, Vector], ControllerStep]
+"""What takes the place of a law in a run, such as its C in another process: a step from state x, inputs u, gains p."""
 
 
 def simulate(
