@@ -1,4 +1,7 @@
-"""Simulate many runs in compiled C, or in CasADi's machine without a compiler; the C text of a loop in the cache."""
+"""Many runs of a case: packed as state and parameter vectors, then simulated in compiled C or in CasADi's machine.
+
+The C text of a loop is in the cache on disk.
+"""
 
 from __future__ import annotations
 
@@ -16,15 +19,252 @@ from surctl.ir import Batch, to_casadi, without_libm
 from surctl.ir.batch import batch_source, compile_batch_source
 from surctl.ir.cache import cached_bytes, source_digest
 from surctl.ir.folding import fused
+from surctl.marine.allocation import working_flags
+from surctl.marine.control import WORKING, law_options
 from surctl.marine.control.build import LAW_SOURCES
-from surctl.marine.simulation.batch.case import Case, check_values
-from surctl.marine.simulation.batch.counting import metrics_table
-from surctl.marine.simulation.batch.loop import build_loop
-from surctl.marine.simulation.batch.pack import pack, structure_of
-from surctl.marine.simulation.batch.structure import Structure
-from surctl.marine.simulation.metrics import METRICS
+from surctl.marine.sensing import FaultChances
+from surctl.marine.sensing.sonar.faults import fault_slots
+from surctl.marine.sensing.sonar.returns import echo_keys, echo_number
+from surctl.marine.simulation.batch.case import Case, case_parameters, check_values
+from surctl.marine.simulation.batch.loop import Loop, build_loop
+from surctl.marine.simulation.batch.structure import (
+    NO_END,
+    Structure,
+    body_columns,
+    capacity_for,
+    kind_of,
+    mission_table,
+)
+from surctl.marine.simulation.metrics import METRICS, metrics_table
+from surctl.marine.simulation.numbers import VISITED, law_numbers
+from surctl.marine.simulation.scenario import check_spacing
+from surctl.marine.simulation.world import WorldDraw, draw_world
+from surctl.marine.vehicle import Vehicle, plant_layout, plant_state
+from surctl.noise import noise_states
 from surctl.own_code import is_own
 from surctl.system.runs import Engine, final_states
+
+Columns = NDArray[np.float64]
+
+_VECTORS = {
+    "mass": ("m11", "m22", "m33", "m44"),
+    "linear_drag": ("Xu", "Yv", "Zw", "Nr"),
+    "quadratic_drag": ("Xuu", "Yvv", "Zww", "Nrr"),
+    "thrust_limit": ("Fu_max", "Fv_max", "Fw_max", "Fr_max"),
+}
+"""Vectors of both plant and model, with the vehicle parameters that they contain."""
+
+
+@dataclass(frozen=True, eq=False)
+class Packed:
+    """The initial states (n, …) and parameters (n, …) of n runs, and the upper limit of their control periods."""
+
+    state: Columns
+    parameters: Columns
+    steps: int
+
+
+def structure_of(case: Case, values: Mapping[str, Columns]) -> Structure:
+    """Return the loop structure to compile; it lets an obstacle drift if the drift amplitude is positive in any run."""
+    kinds = []
+    for obstacle in case.scenario.obstacles:
+        moved = values.get(f"obstacle.{obstacle.name}.drift", np.asarray(obstacle.drift_m))
+        kinds.append(kind_of(obstacle, drifting=bool(np.any(moved > 0))))
+    optional = any(f"obstacle.{obstacle.name}.there" in values for obstacle in case.scenario.obstacles)
+    sensors, sonars = case.scenario.sensors, dict[str, Any]()
+    if case.sensing == "sonar":
+        struck = any(np.any(values.get(f"sonar.{kind}", chance) > 0) for kind, chance in _chances(case))
+        late = any(fault.kind == "delay" for fault in sensors.faults)
+        sonars = {"equipment": sensors.on(case.vehicle["radius"]), "faults": len(sensors.faults), "chances": struck}
+        sonars |= {"delays": late, "surfaces": case.scenario.surfaces}
+    return Structure(
+        law=case.law, sensing=case.sensing, bodies=tuple(kinds), optional=optional,
+        heights=any(not obstacle.heights.whole for obstacle in case.scenario.obstacles),
+        depths=case.scenario.depths is not None, form=case.vehicle.form, actuators=case.vehicle.actuators,
+        points=capacity_for(case.scenario.path), rises=case.scenario.path.rises is not None,
+        **law_options(case), **sonars,
+    )  # fmt: skip
+
+
+def _chances(case: Case) -> list[tuple[str, float]]:
+    chances = case.scenario.sensors.chances
+    return list(zip(chances.kinds(), chances.numbers, strict=True))
+
+
+def pack(case: Case, loop: Loop, values: Mapping[str, Columns], seeds: NDArray[np.int64]) -> Packed:
+    """Return the initial states and the parameters of every run, for checked values (n,) by name and seeds (n,).
+
+    `loop` is the loop of the structure that `structure_of(case, values)` returns.
+    """
+    filler = _Filler(case, loop, values, seeds)
+    return Packed(filler.states(), filler.parameters(), filler.steps)
+
+
+class _Filler:
+    def __init__(self, case: Case, loop: Loop, values: Mapping[str, Columns], seeds: NDArray[np.int64]) -> None:
+        self.case, self.loop, self.values, self.seeds = case, loop, values, seeds
+        self.known = case_parameters(case)
+        limit = np.asarray(self.number("scenario.time_limit"))
+        self.step_limits = np.ceil(limit / loop.law.dt)
+        self.steps = int(np.max(self.step_limits))
+
+    def number(self, name: str) -> Columns:
+        # (n,) if the runs differ in the parameter, otherwise a scalar
+        return np.asarray(self.values.get(name, self.known[name].value), dtype=float)
+
+    def actual(self, name: str) -> Columns:
+        # of the simulated vehicle
+        if f"plant.{name}" in self.values:
+            return self.values[f"plant.{name}"]
+        return self.number(f"vehicle.{name}")
+
+    def believed(self, name: str) -> Columns:
+        # in the controller's model
+        model = self.case.model or self.case.vehicle
+        return np.asarray(self.values.get(f"vehicle.{name}", model[name]), dtype=float)
+
+    def states(self) -> Columns:
+        layout, case = self.loop.state, self.case
+        first = layout.pack(
+            {
+                "plant": plant_state(case.vehicle.form).pack({"eta": case.scenario.start_pose}),
+                **({"law": self.loop.law.initial_state()} if "law" in layout else {}),
+            }
+        )
+        out = np.tile(first, (len(self.seeds), 1))
+        out[:, layout.slice("plant").start + 2] = self.number("scenario.depth")
+        if "noise" in layout:
+            out[:, layout.slice("noise")] = noise_states(self.seeds)
+        return out
+
+    def parameters(self) -> Columns:
+        layout = self.loop.parameters
+        out = np.empty((len(self.seeds), layout.size))
+        self._law(out[:, : self.loop.law.gains.size])
+        if self.loop.structure.points:
+            scenario = self.case.scenario
+            check_spacing(scenario, cap=float(np.max(self.number("scenario.cap"))))
+            table = mission_table(scenario.path, self.loop.structure.points, visits=scenario.corners == "visit")
+            out[:, layout.slice("mission")] = table.ravel()
+        for name, columns in self._world().items():
+            here = layout.slice(name)
+            for k, column in enumerate(columns):
+                out[:, here.start + k] = column
+        return out
+
+    def _law(self, out: Columns) -> None:
+        case, layout = self.case, self.loop.law.gains
+        model = case.model or case.vehicle
+        out[:] = law_numbers(case.scenario, case.gains, model)
+        for name in case.gains.specs:
+            out[:, layout.slice(name).start] = self.number(name)
+        for name in ("depth", "cruise", "cap"):
+            out[:, layout.slice(name).start] = self.number(f"scenario.{name}")
+        if case.scenario.visit is not None:
+            out[:, layout.slice("visit").start] = VISITED * self.number("scenario.arrival_radius")
+        for vector, members in _VECTORS.items():
+            for k, member in enumerate(members):
+                column, reverse = self.believed(member), member.replace("_max", "_reverse")
+                if vector == "thrust_limit" and reverse in model.parameters:
+                    column = np.minimum(column, self.believed(reverse))  # as in Vehicle.thrust_limit
+                if vector == "linear_drag":
+                    for name in [name for axis, name in model.form.ahead() if axis == k]:
+                        column = column + self.believed(name) * self.number("scenario.cruise")  # as Vehicle.drag_at
+                if member == "Fr_max":
+                    column = column * self._grown(model)
+                out[:, layout.slice(vector).start + k] = column
+        out[:, layout.slice("hull").start] = self.believed("radius")
+        if "ahead_limit" in layout:
+            out[:, layout.slice("ahead_limit").start] = self.believed("Fu_max")  # as in Vehicle.ahead_limit
+
+    def _grown(self, vehicle: Vehicle) -> Columns:
+        # yaw moment at the cruise speed over that of the vehicle file, as in Vehicle.at_speed
+        if vehicle.actuators is None or not vehicle.actuators.fins:
+            return np.ones(())
+        speeds, back = np.unique(self.number("scenario.cruise"), return_inverse=True)
+        return np.array([vehicle.at_speed(u)["Fr_max"] / vehicle["Fr_max"] for u in speeds.tolist()])[back]
+
+    def _world(self) -> dict[str, list[Columns]]:
+        scenario, draws = self.case.scenario, self._draws()
+        plant = {vector: [self.actual(m) for m in members] for vector, members in _VECTORS.items()}
+        most = self.case.vehicle.delivered_limit
+        for axis in np.flatnonzero(most > self.case.vehicle.thrust_range[1]).tolist():  # fins act on it
+            plant["thrust_limit"][axis] = np.asarray(most[axis])
+        plant["thrust_lag"] = [self.actual("thrust_lag")]
+        form = self.loop.structure.form
+        plant["terms"] = [self.actual(name) for name in form.terms]
+        leg = scenario.target - scenario.path.waypoints[-2]
+        leg = leg / np.linalg.norm(leg)
+        force, slow = self.number("scenario.wave_force"), self.number("scenario.drift_force")
+        hull, grown = self.actual("radius"), [*([np.ones(())] * 3), self._grown(self.case.vehicle)]
+        columns: dict[str, list[Columns]] = {
+            "plant": [column for port in plant_layout(form) for column in plant[port.name]],
+            "world_hull": [hull],
+            "arrival_radius": [self.number("scenario.arrival_radius")],
+            "legs": [np.asarray(float(len(scenario.path.waypoints) - 1))],
+            "visited": [self.number("scenario.arrival_radius") if scenario.visit is not None else np.zeros(())],
+            "steps": [self.step_limits],
+            "leg": [np.asarray(leg[0]), np.asarray(leg[1])],
+            "current": [self.number("scenario.current_x"), self.number("scenario.current_y")],
+            "wave": [
+                force * draws.wave_direction[:, 0],
+                force * draws.wave_direction[:, 1],
+                2 * np.pi / self.number("scenario.wave_period"),
+                np.asarray(draws.wave_phase),
+            ],
+            "drift": [
+                slow * draws.slow_direction[:, 0],
+                slow * draws.slow_direction[:, 1],
+                2 * np.pi / self.number("scenario.drift_period"),
+                np.asarray(draws.slow_phase),
+            ],
+            "thrust_gain": [1 + self.number("scenario.thrust_error") * draws.gain_error[:, k] for k in range(4)],
+            "thrust_bias": [
+                self.number("scenario.thrust_bias") * draws.bias[:, k] * self.actual(name) * grown[k]
+                for k, name in enumerate(_VECTORS["thrust_limit"])
+            ],
+        }
+        structure = self.loop.structure
+        if structure.may_fail:
+            columns["fault_chances"] = [self.number(f"sonar.{kind}") for kind in FaultChances.kinds()]
+        if structure.draws_echoes:
+            columns["echo_key"] = list(echo_keys(self.seeds).T)
+            columns["echo_numbers"] = [np.asarray(float(echo_number(o.name))) for o in scenario.obstacles]
+        if structure.faults:
+            slots = fault_slots(structure.equipment.array, scenario.sensors.faults, structure.faults)
+            columns["fault_slots"] = [np.asarray(value) for value in slots.ravel()]
+        actuators = self.case.vehicle.actuators
+        if actuators is not None and WORKING in self.loop.parameters:
+            flags = working_flags(actuators, self.case.failed)
+            columns[WORKING] = [np.asarray(flag) for flag in flags]
+        if structure.optional:
+            columns["there"] = [self.number(f"obstacle.{o.name}.there") for o in scenario.obstacles]
+        if structure.heights:
+            ends = [(o.heights.bottom, o.heights.top) for o in scenario.obstacles]
+            columns["heights"] = [np.asarray(z) for z in np.clip(np.ravel(ends), -NO_END, NO_END)]
+        if structure.points:
+            columns["alignment"] = [np.zeros(())] * self.loop.parameters.port("alignment").size
+        if structure.depths:
+            columns["depths"] = [np.asarray(z) for z in scenario.depths or ()]
+        for k, (obstacle, kind) in enumerate(zip(scenario.obstacles, self.loop.structure.bodies, strict=True)):
+            prefix = f"obstacle.{obstacle.name}."
+            columns[f"body{k}"] = body_columns(
+                obstacle,
+                kind,
+                number=lambda name, prefix=prefix: self.number(prefix + name),  # type: ignore[misc]
+                values=self.values,
+                hull=hull,
+                direction=draws.drift_direction[:, k],
+                phase=draws.drift_phase[:, k],
+            )
+        return columns
+
+    def _draws(self) -> WorldDraw:
+        unique, back = np.unique(self.seeds, return_inverse=True)
+        draws = [vars(draw_world(len(self.case.scenario.obstacles), seed=int(seed))) for seed in unique]
+        parts: dict[str, Any] = {name: np.array([draw[name] for draw in draws])[back] for name in draws[0]}
+        return WorldDraw(**parts)
+
 
 _FURTHER = (
     *(f"surctl.{name}" for name in ("files", "own_code", "units")),
@@ -66,9 +306,6 @@ def stored_loop(structure: Structure) -> StoredLoop:
 def _built(structure: Structure) -> StoredLoop:
     step = build_loop(structure).step
     return StoredLoop(step.digest(), batch_source(fused(without_libm(step))))
-
-
-Columns = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

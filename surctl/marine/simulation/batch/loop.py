@@ -17,10 +17,18 @@ from surctl.ir.elementary import nearby_angles
 from surctl.ir.folding import shared_divisors
 from surctl.marine.control import WORKING, Law, build_law, law_options
 from surctl.marine.guidance import FOLLOWING, MAX_WAYPOINTS, ROW, follow
-from surctl.marine.simulation.batch.counting import COUNTED, counted, path_square, path_tangent
 from surctl.marine.simulation.batch.listening import Listening, flat, slots
-from surctl.marine.simulation.batch.structure import ABSENT, Body, Mission, Structure, body_size, driven
-from surctl.marine.simulation.metrics import STANDSTILL, STOPPED_LIMIT, STOPS
+from surctl.marine.simulation.batch.structure import Body, Mission, Structure, body_size, driven
+from surctl.marine.simulation.metrics import (
+    ABSENT,
+    COUNTED,
+    STANDSTILL,
+    STOPPED_LIMIT,
+    STOPS,
+    counted,
+    path_square,
+    path_tangent,
+)
 from surctl.marine.simulation.physics import advance
 from surctl.marine.simulation.sensors import FIRING
 from surctl.marine.simulation.world import LONGEST

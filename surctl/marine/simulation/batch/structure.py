@@ -20,6 +20,7 @@ from surctl.marine.guidance import AHEAD, ROW, SKIPS, AvoidanceForm, Guidance, P
 from surctl.marine.guidance.following import follow_on, window_next, window_values
 from surctl.marine.sensing import Equipment, Surfaces
 from surctl.marine.sensing.sonar.solids import Solid, SolidBox, SolidDisc
+from surctl.marine.simulation.metrics import ABSENT
 from surctl.marine.simulation.obstacle import Obstacle
 from surctl.marine.simulation.run import Sensing
 from surctl.marine.simulation.thruster_faults import fin_excess
@@ -149,7 +150,6 @@ class Mission:
 Columns: TypeAlias = NDArray[np.float64]
 BodyKind = Literal["box", "disc", "drifting box", "drifting disc", "mover"]
 
-ABSENT = 1e30  # [m] clearance of an absent obstacle
 NO_END = 1e6  # [m] height of an end beyond the floor or the surface
 
 

@@ -24,9 +24,8 @@ from surctl.files import Strict, file_name, prepare_folder, read_toml, validate,
 from surctl.marine.control import Barrier, Gains, Law, Movers, law_options, law_ref, law_source, load_gains
 from surctl.marine.guidance import AvoidanceForm, Guidance
 from surctl.marine.simulation.batch.case import Case
-from surctl.marine.simulation.batch.engines import simulate_batch, stored_loop
+from surctl.marine.simulation.batch.engines import simulate_batch, stored_loop, structure_of
 from surctl.marine.simulation.batch.loop import build_loop
-from surctl.marine.simulation.batch.pack import structure_of
 from surctl.marine.simulation.batch.structure import Structure
 from surctl.marine.simulation.campaign.summary import RunTable, Summary, assumptions, summarise
 from surctl.marine.simulation.campaign.worlds import Plan, SampledRun
