@@ -5,7 +5,9 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache
 from math import dist
+from pathlib import Path as FilePath
 from types import MappingProxyType
 from typing import Any
 
@@ -13,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError, SurctlError
+from surctl.files import read_toml
 from surctl.marine.simulation.batch.case import Case
 from surctl.marine.simulation.fit import findings
 from surctl.marine.simulation.loop import simulate_case
@@ -192,9 +195,6 @@ def _named(obstacle: Obstacle, values: Mapping[str, float]) -> dict[str, float]:
     return {f"obstacle.{obstacle.name}.{name}": value for name, value in values.items()}
 
 
-LENGTH, WIDTH = 10.0, 5.0  # [m] size of the tank
-START, TARGET = (0.5, 2.5), (9.5, 2.5)
-
 WORLDS_VEHICLE = "sur540-flooded"
 """Default vehicle in random worlds."""
 
@@ -231,33 +231,24 @@ def random_world(vehicle: Vehicle, *, seed: int) -> Scenario:
     rng = np.random.default_rng([seed, 5])
     count = int(rng.integers(1, 9))
     movers = (count + int(rng.integers(0, 2))) // 2
-    still = count - movers
+    name, site = f"world-{seed}", np.array([_tank()["site"][edge] for edge in ("length_m", "width_m")])
     for _ in range(_TRIES):
-        obstacles = _still(rng, still)
-        world = _feasible(f"world-{seed}", vehicle, obstacles)
+        still = _still(rng, count - movers, site)
+        world = _feasible(vehicle, still, name)
         moving = None if world is None else _moving(rng, movers, world, vehicle)
-        if moving is not None and (world := _feasible(f"world-{seed}", vehicle, [*obstacles, *moving])) is not None:
+        if moving is not None and (world := _feasible(vehicle, [*still, *moving], name)) is not None:
             return world
     raise SurctlError(f"{vehicle.name} fits no random world of seed {seed}")
 
 
-def _world(name: str, vehicle: Vehicle, obstacles: Sequence[Obstacle] = ()) -> Scenario:
+@cache
+def _tank() -> dict[str, Any]:
+    return read_toml(FilePath(__file__).with_name("tank.toml"))
+
+
+def _world(vehicle: Vehicle, obstacles: Sequence[Obstacle] = (), **about: str) -> Scenario:
     """Return the tank with the given obstacles."""
-    table = {
-        "kind": "scenario",
-        "name": name,
-        "title": "A random world",
-        "provenance": "random obstacles; site, path and speeds as in the paper's tank",
-        "vehicle": vehicle.name,
-        "path_m": [list(START), list(TARGET)],
-        "depth_m": -0.15,
-        "cruise_m_per_s": 0.2,
-        "cap_m_per_s": 0.22,
-        "time_limit_s": 300.0,
-        "site": {"length_m": LENGTH, "width_m": WIDTH, "depth_m": 5.0},
-        "obstacles": obstacles,
-        "paper": {"result": "none: a random world"},
-    }
+    table = _tank() | {"vehicle": vehicle.name, "obstacles": obstacles, **about}
     return scenario_from_table(table, source="")
 
 
@@ -269,7 +260,7 @@ def world_template(vehicle: Vehicle) -> Scenario:
         *(_obstacle("cylinder", k, centre_m=middle, radius_m=1.0) for k in range(_CYLINDERS)),
         *(_obstacle("mover", k, centre_m=middle, radius_m=1.0, **motion) for k in range(_MOVERS)),
     )
-    return replace(_world("random-worlds", vehicle), obstacles=obstacles)
+    return replace(_world(vehicle), obstacles=obstacles)
 
 
 @dataclass(frozen=True)
@@ -320,12 +311,12 @@ def _obstacle(kind: str, k: int, **values: Any) -> Obstacle:
     return Obstacle.model_validate({"name": f"{kind}-{k + 1}", "shape": shape, **values})
 
 
-def _still(rng: np.random.Generator, count: int) -> list[Obstacle]:
+def _still(rng: np.random.Generator, count: int, site: NDArray[np.float64]) -> list[Obstacle]:
     boxes = (count + 1) // 2
     obstacles = list[Obstacle]()
     for k in range(count):
         size = rng.uniform(*_EDGES, 2) if k < boxes else np.full(2, 2 * rng.uniform(*_RADII))
-        centre = _millimetres(rng.uniform(size / 2, np.array([LENGTH, WIDTH]) - size / 2))
+        centre = _millimetres(rng.uniform(size / 2, site - size / 2))
         if k < boxes:
             obstacles.append(_obstacle("box", k, centre_m=centre, size_m=_millimetres(size)))
         else:
@@ -336,14 +327,15 @@ def _still(rng: np.random.Generator, count: int) -> list[Obstacle]:
 def _moving(rng: np.random.Generator, count: int, scenario: Scenario, vehicle: Vehicle) -> list[Obstacle] | None:
     # None if one of the obstacles does not fit
     obstacles: list[Obstacle] = []
+    first, last = scenario.path.waypoints[[0, -1]].tolist()
     for k in range(count):
         for _ in range(200):
             radius = round(float(rng.uniform(*_BALLS)), 3)
-            inside = (radius, LENGTH - radius), (radius, WIDTH - radius)
+            inside = [(radius, edge - radius) for edge in scenario.site[:2]]
             start, end = ([round(float(rng.uniform(*ends)), 3) for ends in inside] for _ in range(2))
             speed = round(float(rng.uniform(_SLOWEST, _FASTEST_MOVER)), 4)
             away = radius + vehicle["radius"] + _NEAR
-            if dist(start, START) < away or dist(end, TARGET) < away or dist(start, end) < _LEAST_DISTANCE:
+            if dist(start, first) < away or dist(end, last) < away or dist(start, end) < _LEAST_DISTANCE:
                 continue
             path = np.linspace(start, end, 100).tolist()
             if any(o.distance((x, y)) <= radius for o in scenario.obstacles for x, y in path):
@@ -367,9 +359,9 @@ def _millimetres(vector: NDArray[np.float64]) -> list[float]:
     return [round(float(value), 3) for value in vector]
 
 
-def _feasible(name: str, vehicle: Vehicle, obstacles: Sequence[Obstacle]) -> Scenario | None:
+def _feasible(vehicle: Vehicle, obstacles: Sequence[Obstacle], name: str) -> Scenario | None:
     try:
-        scenario = _world(name, vehicle, obstacles)
+        scenario = _world(vehicle, obstacles, name=name)
         results = findings(scenario, vehicle)
     except InputError:
         return None
