@@ -6,10 +6,10 @@ The C text of a loop is in the cache on disk.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -22,19 +22,13 @@ from surctl.ir.folding import fused
 from surctl.marine.allocation import working_flags
 from surctl.marine.control import WORKING, law_options
 from surctl.marine.control.build import LAW_SOURCES
+from surctl.marine.guidance import Path
 from surctl.marine.sensing import FaultChances
 from surctl.marine.sensing.sonar.faults import fault_slots
 from surctl.marine.sensing.sonar.returns import echo_keys, echo_number
 from surctl.marine.simulation.batch.case import Case, case_parameters, check_values
 from surctl.marine.simulation.batch.loop import Loop, build_loop
-from surctl.marine.simulation.batch.structure import (
-    NO_END,
-    Structure,
-    body_columns,
-    capacity_for,
-    kind_of,
-    mission_table,
-)
+from surctl.marine.simulation.batch.structure import BodyKind, Structure
 from surctl.marine.simulation.metrics import METRICS, metrics_table
 from surctl.marine.simulation.numbers import VISITED, law_numbers
 from surctl.marine.simulation.scenario import check_spacing
@@ -46,6 +40,9 @@ from surctl.system.runs import Engine, final_states
 
 Columns = NDArray[np.float64]
 
+NO_END = 1e6  # [m] height of an end beyond the floor or the surface
+_LEAST = 16  # waypoints: paths of similar length use the same compiled loop
+
 _VECTORS = {
     "mass": ("m11", "m22", "m33", "m44"),
     "linear_drag": ("Xu", "Yv", "Zw", "Nr"),
@@ -53,6 +50,15 @@ _VECTORS = {
     "thrust_limit": ("Fu_max", "Fv_max", "Fw_max", "Fr_max"),
 }
 """Vectors of both plant and model, with the vehicle parameters that they contain."""
+
+_BODY = {
+    "box": ("size_x", "size_y"),
+    "disc": ("radius",),
+    "drifting box": ("size_x", "size_y"),
+    "drifting disc": ("radius",),
+    "mover": ("radius", "to_x", "to_y", "speed"),
+}
+"""Parameters of each kind of obstacle besides its centre and its drift."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +75,8 @@ def structure_of(case: Case, values: Mapping[str, Columns]) -> Structure:
     kinds = []
     for obstacle in case.scenario.obstacles:
         moved = values.get(f"obstacle.{obstacle.name}.drift", np.asarray(obstacle.drift_m))
-        kinds.append(kind_of(obstacle, drifting=bool(np.any(moved > 0))))
+        shape = "drifting " * bool(np.any(moved > 0)) + ("box" if obstacle.shape == "box" else "disc")
+        kinds.append(cast("BodyKind", "mover" if obstacle.shape == "moving" else shape))
     optional = any(f"obstacle.{obstacle.name}.there" in values for obstacle in case.scenario.obstacles)
     sensors, sonars = case.scenario.sensors, dict[str, Any]()
     if case.sensing == "sonar":
@@ -81,9 +88,14 @@ def structure_of(case: Case, values: Mapping[str, Columns]) -> Structure:
         law=case.law, sensing=case.sensing, bodies=tuple(kinds), optional=optional,
         heights=any(not obstacle.heights.whole for obstacle in case.scenario.obstacles),
         depths=case.scenario.depths is not None, form=case.vehicle.form, actuators=case.vehicle.actuators,
-        points=capacity_for(case.scenario.path), rises=case.scenario.path.rises is not None,
+        points=_capacity(case.scenario.path), rises=case.scenario.path.rises is not None,
         **law_options(case), **sonars,
     )  # fmt: skip
+
+
+def _capacity(path: Path) -> int:
+    # number of waypoints in the parameters of a run: a power of two if the path is fed, else 0
+    return max(_LEAST, 1 << (len(path.waypoints) - 1).bit_length()) if path.fed else 0
 
 
 def _chances(case: Case) -> list[tuple[str, float]]:
@@ -144,8 +156,9 @@ class _Filler:
         if self.loop.structure.points:
             scenario = self.case.scenario
             check_spacing(scenario, cap=float(np.max(self.number("scenario.cap"))))
-            table = mission_table(scenario.path, self.loop.structure.points, visits=scenario.corners == "visit")
-            out[:, layout.slice("mission")] = table.ravel()
+            table = scenario.path.table(visits=scenario.corners == "visit")
+            rows = np.minimum(np.arange(self.loop.structure.points), len(table) - 1)  # the last one fills the rest
+            out[:, layout.slice("mission")] = table[rows].ravel()
         for name, columns in self._world().items():
             here = layout.slice(name)
             for k, column in enumerate(columns):
@@ -184,80 +197,76 @@ class _Filler:
         speeds, back = np.unique(self.number("scenario.cruise"), return_inverse=True)
         return np.array([vehicle.at_speed(u)["Fr_max"] / vehicle["Fr_max"] for u in speeds.tolist()])[back]
 
-    def _world(self) -> dict[str, list[Columns]]:
-        scenario, draws = self.case.scenario, self._draws()
-        plant = {vector: [self.actual(m) for m in members] for vector, members in _VECTORS.items()}
+    def _world(self) -> dict[str, Sequence[ArrayLike]]:
+        # the numbers of each entry that the law's parameters do not have: each is (n,), or a number if all runs agree
+        scenario, structure, draws, number = self.case.scenario, self.loop.structure, self._draws(), self.number
+        plant: dict[str, list[ArrayLike]] = {v: [self.actual(m) for m in members] for v, members in _VECTORS.items()}
         most = self.case.vehicle.delivered_limit
         for axis in np.flatnonzero(most > self.case.vehicle.thrust_range[1]).tolist():  # fins act on it
-            plant["thrust_limit"][axis] = np.asarray(most[axis])
+            plant["thrust_limit"][axis] = most[axis]
         plant["thrust_lag"] = [self.actual("thrust_lag")]
-        form = self.loop.structure.form
-        plant["terms"] = [self.actual(name) for name in form.terms]
+        plant["terms"] = [self.actual(name) for name in structure.form.terms]
         leg = scenario.target - scenario.path.waypoints[-2]
-        leg = leg / np.linalg.norm(leg)
-        force, slow = self.number("scenario.wave_force"), self.number("scenario.drift_force")
-        hull, grown = self.actual("radius"), [*([np.ones(())] * 3), self._grown(self.case.vehicle)]
-        columns: dict[str, list[Columns]] = {
-            "plant": [column for port in plant_layout(form) for column in plant[port.name]],
-            "world_hull": [hull],
-            "arrival_radius": [self.number("scenario.arrival_radius")],
-            "legs": [np.asarray(float(len(scenario.path.waypoints) - 1))],
-            "visited": [self.number("scenario.arrival_radius") if scenario.visit is not None else np.zeros(())],
+        grown = [1.0, 1.0, 1.0, self._grown(self.case.vehicle)]
+        arrival, bias = number("scenario.arrival_radius"), number("scenario.thrust_bias")
+        columns: dict[str, Sequence[ArrayLike]] = {
+            "plant": [column for port in plant_layout(structure.form) for column in plant[port.name]],
+            "world_hull": [self.actual("radius")],
+            "arrival_radius": [arrival],
+            "legs": [len(scenario.path.waypoints) - 1],
+            "visited": [0.0 if scenario.visit is None else arrival],
             "steps": [self.step_limits],
-            "leg": [np.asarray(leg[0]), np.asarray(leg[1])],
-            "current": [self.number("scenario.current_x"), self.number("scenario.current_y")],
-            "wave": [
-                force * draws.wave_direction[:, 0],
-                force * draws.wave_direction[:, 1],
-                2 * np.pi / self.number("scenario.wave_period"),
-                np.asarray(draws.wave_phase),
-            ],
-            "drift": [
-                slow * draws.slow_direction[:, 0],
-                slow * draws.slow_direction[:, 1],
-                2 * np.pi / self.number("scenario.drift_period"),
-                np.asarray(draws.slow_phase),
-            ],
-            "thrust_gain": [1 + self.number("scenario.thrust_error") * draws.gain_error[:, k] for k in range(4)],
+            "leg": list(leg / np.linalg.norm(leg)),
+            "current": [number("scenario.current_x"), number("scenario.current_y")],
+            "wave": self._swing("scenario.wave", draws.wave_direction, draws.wave_phase, amplitude="_force"),
+            "drift": self._swing("scenario.drift", draws.slow_direction, draws.slow_phase, amplitude="_force"),
+            "thrust_gain": [1 + number("scenario.thrust_error") * draws.gain_error[:, k] for k in range(4)],
             "thrust_bias": [
-                self.number("scenario.thrust_bias") * draws.bias[:, k] * self.actual(name) * grown[k]
+                bias * draws.bias[:, k] * self.actual(name) * grown[k]
                 for k, name in enumerate(_VECTORS["thrust_limit"])
             ],
         }
-        structure = self.loop.structure
         if structure.may_fail:
-            columns["fault_chances"] = [self.number(f"sonar.{kind}") for kind in FaultChances.kinds()]
+            columns["fault_chances"] = [number(f"sonar.{kind}") for kind in FaultChances.kinds()]
         if structure.draws_echoes:
             columns["echo_key"] = list(echo_keys(self.seeds).T)
-            columns["echo_numbers"] = [np.asarray(float(echo_number(o.name))) for o in scenario.obstacles]
+            columns["echo_numbers"] = [float(echo_number(o.name)) for o in scenario.obstacles]
         if structure.faults:
             slots = fault_slots(structure.equipment.array, scenario.sensors.faults, structure.faults)
-            columns["fault_slots"] = [np.asarray(value) for value in slots.ravel()]
-        actuators = self.case.vehicle.actuators
-        if actuators is not None and WORKING in self.loop.parameters:
-            flags = working_flags(actuators, self.case.failed)
-            columns[WORKING] = [np.asarray(flag) for flag in flags]
+            columns["fault_slots"] = slots.ravel().tolist()
+        if self.case.vehicle.actuators is not None and WORKING in self.loop.parameters:
+            columns[WORKING] = working_flags(self.case.vehicle.actuators, self.case.failed).tolist()
         if structure.optional:
-            columns["there"] = [self.number(f"obstacle.{o.name}.there") for o in scenario.obstacles]
+            columns["there"] = [number(f"obstacle.{o.name}.there") for o in scenario.obstacles]
         if structure.heights:
             ends = [(o.heights.bottom, o.heights.top) for o in scenario.obstacles]
-            columns["heights"] = [np.asarray(z) for z in np.clip(np.ravel(ends), -NO_END, NO_END)]
+            columns["heights"] = np.clip(np.ravel(ends), -NO_END, NO_END).tolist()
         if structure.points:
-            columns["alignment"] = [np.zeros(())] * self.loop.parameters.port("alignment").size
+            columns["alignment"] = [0.0] * self.loop.parameters.port("alignment").size
         if structure.depths:
-            columns["depths"] = [np.asarray(z) for z in scenario.depths or ()]
-        for k, (obstacle, kind) in enumerate(zip(scenario.obstacles, self.loop.structure.bodies, strict=True)):
-            prefix = f"obstacle.{obstacle.name}."
-            columns[f"body{k}"] = body_columns(
-                obstacle,
-                kind,
-                number=lambda name, prefix=prefix: self.number(prefix + name),  # type: ignore[misc]
-                values=self.values,
-                hull=hull,
-                direction=draws.drift_direction[:, k],
-                phase=draws.drift_phase[:, k],
-            )
-        return columns
+            columns["depths"] = scenario.depths or ()
+        return columns | {f"body{k}": self._body(k, draws) for k in range(len(structure.bodies))}
+
+    def _body(self, k: int, draws: WorldDraw) -> list[ArrayLike]:
+        # the numbers of obstacle k that `body_at` needs
+        obstacle, kind = self.case.scenario.obstacles[k], self.loop.structure.bodies[k]
+        name = f"obstacle.{obstacle.name}"
+        x, y, *others = (self.number(f"{name}.{end}") for end in ("x", "y", *_BODY[kind]))
+        if kind != "mover":
+            drift = self._swing(f"{name}.drift", draws.drift_direction[:, k], draws.drift_phase[:, k])
+            return [x, y, *others, *(drift if kind.startswith("drifting") else ())]
+        radius, to_x, to_y, speed = others
+        if obstacle.radius_m is None and f"{name}.radius" not in self.values:
+            radius = self.actual("radius")
+        displacement = np.stack(np.broadcast_arrays(to_x - x, to_y - y))
+        distance = np.hypot(*displacement)
+        unit = displacement / np.where(distance > 0, distance, 1.0)
+        return [x, y, radius, *unit, distance, speed, float(not obstacle.removed)]
+
+    def _swing(self, name: str, direction: Columns, phase: ArrayLike, *, amplitude: str = "") -> list[ArrayLike]:
+        # of a sinusoidal motion or force: amplitude along x and y of {E}, rate [rad/s], phase [rad]
+        size, rate = self.number(f"{name}{amplitude}"), 2 * np.pi / self.number(f"{name}_period")
+        return [size * direction[:, 0], size * direction[:, 1], rate, phase]
 
     def _draws(self) -> WorldDraw:
         unique, back = np.unique(self.seeds, return_inverse=True)
