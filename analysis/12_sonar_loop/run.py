@@ -22,8 +22,8 @@ from surctl.ir import Block, memory
 from surctl.marine.control import build_law, load_gains
 from surctl.marine.sensing import BaseStation, Delivery, Equipment, Fault, FaultChances, OwnState, SonarArray
 from surctl.marine.simulation import STOPS, BatchResult, Case, Sensors, load_scenario, simulate_batch
+from surctl.marine.simulation.batch.engines import structure_of
 from surctl.marine.simulation.batch.loop import build_loop
-from surctl.marine.simulation.batch.pack import structure_of
 from surctl.marine.vehicle import load_vehicle
 from tests.stack import stack_bytes
 
