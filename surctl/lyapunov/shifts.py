@@ -37,9 +37,9 @@ def shifted(dynamics: Dynamics) -> Dynamics | None:
         "newton", [x, w], [rates, ca.jacobian(rates, x), d.compiled(*(c.value for c in commands))(x, w)]
     )
     low, high = d.ranges[:, :, None]
-    drawn = low + (high - low) * np.random.default_rng(0).random((len(low), _TRIALS))
+    random = low + (high - low) * np.random.default_rng(0).random((len(low), _TRIALS))
     still, zeros = _REST * np.maximum(d.size(), 1e-300), list[Array]()
-    for draw in np.hstack([d.corners(most=6), drawn]).T:
+    for draw in np.hstack([d.corners(most=6), random]).T:
         at = d.equilibrium
         for share in np.linspace(0, 1, _STAGES + 1)[1:]:
             p = d.ranges.mean(axis=0) * (1 - share) + draw * share

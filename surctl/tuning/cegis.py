@@ -183,8 +183,8 @@ def tune(
         used = 1 + max(c.seed for c in request.conditions)
         for k in range(rounds):
             progress(f"round {k + 1} of at most {rounds}: {len(current.conditions)} runs for each gain set")
-            found = _searched(current, done, _longer(trials, done), journal, progress)
-            last, pool = _round(current, found, runs, k, journal, progress, used=used)
+            searched = _searched(current, done, _longer(trials, done), journal, progress)
+            last, pool = _round(current, searched, runs, k, journal, progress, used=used)
             journal.note_best(*request.so_far(last.gains, f"the gains of round {k + 1} of an unfinished tuning"))
             done.append(last)
             if _ended(done) or k + 1 == rounds:

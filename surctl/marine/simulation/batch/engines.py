@@ -207,7 +207,7 @@ class _Filler:
         plant["thrust_lag"] = [self.actual("thrust_lag")]
         plant["terms"] = [self.actual(name) for name in structure.form.terms]
         leg = scenario.target - scenario.path.waypoints[-2]
-        grown = [1.0, 1.0, 1.0, self._grown(self.case.vehicle)]
+        grown: list[Columns | float] = [1.0, 1.0, 1.0, self._grown(self.case.vehicle)]
         arrival, bias = number("scenario.arrival_radius"), number("scenario.thrust_bias")
         columns: dict[str, Sequence[ArrayLike]] = {
             "plant": [column for port in plant_layout(structure.form) for column in plant[port.name]],
