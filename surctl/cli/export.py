@@ -162,7 +162,13 @@ class ExportOptions:
             **{name: part.to_dict() for name, part in parts.items() if part is not None},
         }
         further = [line for one in (proof, report) if one is not None for line in ("", one.summary())]
-        verdict = f"exported; {assessment.verdict()}"
+        problems = {
+            "C and Python differ over the run": not same,
+            "C and Python differ in --check": report is not None and not report.passed,
+            "a run-time error is not excluded": proof is not None and not proof.proved,
+        }
+        failing = "; ".join(problem for problem, is_one in problems.items() if is_one)
+        verdict = f"exported; NOT accepted: {failing}" if failing else f"exported; {assessment.verdict()}"
         first, last = about
         lines = [*first, *(f"{file.sha256[:12]}  {file.path}" for file in files), "", f"replayed: {replayed}", *last]
         lines += [sil.summary(), *further, verdict, *assessment.decisive]
@@ -171,9 +177,8 @@ class ExportOptions:
             brief += [f"replayed: {replayed}"] * assessment.accepted()
         else:  # what differs first
             brief += [" ".join(build.line().split()) for build in sorted(report.builds, key=lambda one: one.same)]
-        passed = (report is None or report.passed) and (proof is None or proof.proved)
         finish(
-            data, lines, as_json=as_json, passed=same and passed and assessment.accepted(), then=then,
+            data, lines, as_json=as_json, passed=not failing and assessment.accepted(), then=then,
             brief=brief, files=[f"code {self.out} ({len(files)} files)"],
         )  # fmt: skip
 
