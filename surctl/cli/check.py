@@ -9,7 +9,8 @@ from typing import Any
 
 import click
 
-from surctl.cli.output import FOLDER, FiniteRange, as_json, finish, printable
+from surctl.cli.options import FOLDER, FiniteRange
+from surctl.cli.output import as_json, finish, printable
 
 
 @click.command

@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 import click
 
 from surctl.cli.application import to_application
-from surctl.cli.output import FOLDER, Count, as_json, collected, finish, note_replaced, progress, result_command
+from surctl.cli.options import FOLDER, Count, option, options
+from surctl.cli.output import as_json, finish, note_replaced, progress, result_command
 from surctl.cli.subject import (
     OwnSystem,
     assigned,
@@ -47,14 +48,18 @@ TARGETS = ("c99", "fmu", "fmu3")
 class ExportOptions:
     """The options about the bundle: prefix, output, number type, checks, proof, folder."""
 
-    name: str | None
-    target: str
-    real: str
-    check: bool
-    targets: str | None
-    steps: int | None
-    prove: bool
-    out: Path
+    name: str | None = option("--name", "Prefix of all names in C (default: name of the law).", metavar="TEXT")
+    target: str = option(
+        "--target", "c99 (default), fmu, fmu3, mjcf, or a processor (--targets).", "c99", metavar="NAME"
+    )
+    real: str = option("--real", "Number type of the C code: float64 (default) or float32.", "float64", metavar="NAME")
+    check: bool = option("--check", "Compare C code with Python, for each target of --targets.", False)
+    prove: bool = option("--prove", "Prove by Frama-C that the C code has no run-time error.", False)
+    targets: str | None = option("--targets", "Compilers and processors of --check (default: all).", metavar="A,B")
+    steps: int | None = option("--steps", "Steps at random states in --check (default 100000).", type=Count(1))
+    out: Path = option(
+        "--out", "Folder for the bundle (default surctl-out/export).", Path("surctl-out", "export"), type=FOLDER
+    )
 
     def for_processor(self) -> ExportOptions:
         """Return the options with C as output, and `--check` on the compiler or processor that `--target` names."""
@@ -189,25 +194,8 @@ class Compared(NamedTuple):
 @click.command
 @click.argument("words", nargs=-1, metavar="[FILE.py:FUNCTION [NAME=VALUE]...]")
 @seconds_option
-@click.option("--name", metavar="TEXT", help="Prefix of all names in C (default: name of the law).")
-@click.option(
-    "--target", default="c99", metavar="NAME", help="c99 (default), fmu, fmu3, mjcf, or a processor (--targets)."
-)
-@click.option(
-    "--real", default="float64", metavar="NAME", help="Number type of the C code: float64 (default) or float32."
-)
-@click.option("--check", is_flag=True, help="Compare C code with Python, for each target of --targets.")
-@click.option("--prove", is_flag=True, help="Prove by Frama-C that the C code has no run-time error.")
-@click.option("--targets", metavar="A,B", help="Compilers and processors of --check (default: all).")
-@click.option("--steps", type=Count(1), help="Steps at random states in --check (default 100000).")
-@click.option(
-    "--out",
-    type=FOLDER,
-    default=Path("surctl-out", "export"),
-    help="Folder for the bundle (default surctl-out/export).",
-)
+@options(options=ExportOptions)
 @as_json
-@collected(options=ExportOptions)
 def export(words: tuple[str, ...], seconds: float | None, options: ExportOptions, as_json: bool, **_: Any) -> None:
     """Write the controller as C99 and compare it with Python at each step of a run."""
     options = options.for_processor()

@@ -9,7 +9,8 @@ from pathlib import Path
 
 import click
 
-from surctl.cli.output import FILE, as_json, finish
+from surctl.cli.options import FILE
+from surctl.cli.output import as_json, finish
 from surctl.errors import InputError
 
 _TEMPLATES = Path(__file__).parent / "templates"

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import click
 
 from surctl.cli.application import to_application
-from surctl.cli.output import as_json, finish, out_folder, prepare_out, progress, saving, stoppable
+from surctl.cli.options import out_folder
+from surctl.cli.output import as_json, finish, prepare_out, progress, saving, stoppable
 from surctl.cli.subject import (
     OwnSystem,
     assigned,

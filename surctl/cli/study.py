@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from surctl.cli.application import to_application
-from surctl.cli.output import FOLDER, Count, as_json, finish, note_replaced, same_command, stoppable
+from surctl.cli.options import FOLDER, Count
+from surctl.cli.output import as_json, finish, note_replaced, same_command, stoppable
 from surctl.cli.subject import is_system, seconds_option
 
 if TYPE_CHECKING:

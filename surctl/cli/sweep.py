@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from surctl.cli.application import to_application
-from surctl.cli.output import FOLDER, Count, as_json, collected, finish, progress, same_command, saving, stoppable
+from surctl.cli.options import FOLDER, Count, option, options
+from surctl.cli.output import as_json, finish, progress, same_command, saving, stoppable
 from surctl.cli.subject import OwnSystem, command_line, is_system, load_system, seconds_option
 from surctl.errors import InputError, check_known
 
@@ -35,13 +36,24 @@ _MOST_JSON = 100_000  # largest number of points printed as JSON
 class SweepOptions:
     """The options about the points of a sweep of any subject, and about what computes it."""
 
-    design: str
-    points: int | None
-    sensitivity: str | None
-    seeds: int
-    workers: int | None
-    dask: str | None
-    out: Path
+    design: str = option("--design", "Points: grid (default), lhs (Latin hypercube) or sobol.", "grid", metavar="NAME")
+    points: int | None = option("--points", "Number of points of --design lhs or sobol.", type=Count(1))
+    sensitivity: str | None = option(
+        "--sensitivity",
+        "Compute Sobol' indices of a cost from N (d + 2) points: d swept parameters, N = --points (default 64).",
+        metavar="COST",
+    )
+    seeds: int = option(
+        "--seeds", "Simulate each point with the seeds 0 to N-1 (default 1).", 1, type=Count(1, 1_000_000)
+    )
+    workers: int | None = option("--workers", "Number of processes or threads (default 2).", type=Count(1))
+    dask: str | None = option("--dask", "Run on the Dask scheduler at ADDRESS, not locally.", metavar="ADDRESS")
+    out: Path = option(
+        "--out",
+        "Folder for sweep.nc (default surctl-out). The same command continues an interrupted sweep.",
+        Path("surctl-out"),
+        type=FOLDER,
+    )
 
     def executor(self) -> Executor:
         """Return what computes the chunks."""
@@ -57,31 +69,8 @@ class SweepOptions:
     "words", nargs=-1, required=True, metavar="[FILE.py:FUNCTION] PARAMETER=V1,V2,...|LOW..HIGH[:COUNT][:log] ..."
 )
 @seconds_option
-@click.option(
-    "--design",
-    default="grid",
-    metavar="NAME",
-    help="Points: grid (default), lhs (Latin hypercube) or sobol.",
-)
-@click.option("--points", type=Count(1), help="Number of points of --design lhs or sobol.")
-@click.option(
-    "--sensitivity",
-    metavar="COST",
-    help="Compute Sobol' indices of a cost from N (d + 2) points: d swept parameters, N = --points (default 64).",
-)
-@click.option(
-    "--seeds", type=Count(1, 1_000_000), default=1, help="Simulate each point with the seeds 0 to N-1 (default 1)."
-)
-@click.option("--workers", type=Count(1), help="Number of processes or threads (default 2).")
-@click.option("--dask", metavar="ADDRESS", help="Run on the Dask scheduler at ADDRESS, not locally.")
-@click.option(
-    "--out",
-    type=FOLDER,
-    default=Path("surctl-out"),
-    help="Folder for sweep.nc (default surctl-out). The same command continues an interrupted sweep.",
-)
+@options(options=SweepOptions)
 @as_json
-@collected(options=SweepOptions)
 def sweep(words: tuple[str, ...], options: SweepOptions, seconds: float | None, as_json: bool, **_: Any) -> None:
     """Compute costs over values of parameters, and select the best point."""
     if options.sensitivity is not None and options.design != "grid":

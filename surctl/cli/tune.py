@@ -14,11 +14,9 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from surctl.cli.application import to_application
+from surctl.cli.options import FOLDER, Count, option, options
 from surctl.cli.output import (
-    FOLDER,
-    Count,
     as_json,
-    collected,
     finish,
     finite,
     note_replaced,
@@ -55,17 +53,35 @@ if TYPE_CHECKING:
 class TuneOptions:
     """The options about a search of any subject, and about its page."""
 
-    gain: tuple[str, ...]
-    goals_file: str | None
-    trials: int
-    seed: int
-    rounds: int
-    runs: int | None
-    workers: int
-    out: Path
-    page: bool
-    port: int | None
-    no_browser: bool
+    gain: tuple[str, ...] = option(
+        "--gain", "Gain to tune, with its range from A to B; repeatable.", (), metavar="NAME[=A..B]"
+    )
+    goals_file: str | None = option(
+        "--goals", "Goals: name or file (default: those of the study, else the built-in goals).", metavar="FILE"
+    )
+    trials: int = option(
+        "--trials",
+        "Number of gain sets in a round, each simulated in all scenarios (default 256; multiple of 32).",
+        256,
+        type=Count(1),
+    )
+    seed: int = option("--seed", "Seed of the search and of the random test runs (default 0).", 0, type=Count(0))
+    rounds: int = option("--rounds", "Largest number of tuning rounds (default 3).", 3, type=Count(1))
+    runs: int | None = option(
+        "--monte-carlo",
+        "Number of random runs that test the best gains of a round (default 2000; 0 for FILE.py).",
+        type=Count(0),
+    )
+    workers: int = option("--workers", "Number of parallel threads (default 2).", 2, type=Count(1))
+    out: Path = option(
+        "--out",
+        "Folder for results (default surctl-out). The same command continues an interrupted search.",
+        Path("surctl-out"),
+        type=FOLDER,
+    )
+    page: bool = option("--page", "Do not search: open a web page with a slider per gain.", False)
+    port: int | None = option("--port", "TCP port of --page (default: a free port).", type=Count(1, 65535))
+    no_browser: bool = option("--no-browser", "Print the address of --page, and open no browser.", False)
 
     @property
     def ranges(self) -> dict[str, tuple[float, float] | None]:
@@ -78,42 +94,9 @@ class TuneOptions:
 
 @click.command
 @click.argument("words", nargs=-1, metavar="FILE.py:FUNCTION [NAME=VALUE,...]...]")
-@click.option(
-    "--gain", "gain", multiple=True, metavar="NAME[=A..B]", help="Gain to tune, with its range from A to B; repeatable."
-)
-@click.option(
-    "--goals",
-    "goals_file",
-    metavar="FILE",
-    help="Goals: name or file (default: those of the study, else the built-in goals).",
-)
-@click.option(
-    "--trials",
-    type=Count(1),
-    default=256,
-    help="Number of gain sets in a round, each simulated in all scenarios (default 256; multiple of 32).",
-)
-@click.option("--seed", type=Count(0), default=0, help="Seed of the search and of the random test runs (default 0).")
-@click.option("--rounds", type=Count(1), default=3, help="Largest number of tuning rounds (default 3).")
-@click.option(
-    "--monte-carlo",
-    "runs",
-    type=Count(0),
-    help="Number of random runs that test the best gains of a round (default 2000; 0 for FILE.py).",
-)
-@click.option("--workers", type=Count(1), default=2, help="Number of parallel threads (default 2).")
-@click.option(
-    "--out",
-    type=FOLDER,
-    default=Path("surctl-out"),
-    help="Folder for results (default surctl-out). The same command continues an interrupted search.",
-)
-@click.option("--page", is_flag=True, help="Do not search: open a web page with a slider per gain.")
-@click.option("--port", type=Count(1, 65535), help="TCP port of --page (default: a free port).")
-@click.option("--no-browser", is_flag=True, help="Print the address of --page, and open no browser.")
+@options(options=TuneOptions)
 @seconds_option
 @as_json
-@collected(options=TuneOptions)
 def tune(words: tuple[str, ...], options: TuneOptions, seconds: float | None, as_json: bool, **_: Any) -> None:
     """Search for gains that meet goals, and test them."""
     ranges = options.ranges

@@ -13,10 +13,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import click
 
 from surctl.cli.application import to_application
+from surctl.cli.options import FOLDER, Count, FiniteRange
 from surctl.cli.output import (
-    FOLDER,
-    Count,
-    FiniteRange,
     as_json,
     finish,
     prepare_out,

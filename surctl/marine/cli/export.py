@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 import shutil
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,62 +13,58 @@ import click
 from click.core import ParameterSource
 
 from surctl.cli.export import TARGETS, ExportOptions
-from surctl.cli.output import FILE, Count, collected, finish, progress
+from surctl.cli.options import FILE, Count, collected, only, option, options
+from surctl.cli.output import finish, progress
 from surctl.errors import InputError
 from surctl.marine.cli.robot_options import (
-    GAINS_HELP,
     MISSION,
     RobotOptions,
-    barrier_options,
     check_barrier,
     choose_gains,
     choose_law,
     choose_sensing,
     choose_vehicle,
-    form_options,
-    law_option,
-    priority_options,
 )
-from surctl.marine.cli.sensor_options import SensorOptions, sensor_data, sensor_options, split_faults
+from surctl.marine.cli.sensor_options import SensorOptions, sensor_data, split_faults
 
 if TYPE_CHECKING:
     from surctl.assessment import Assessment
     from surctl.marine.simulation import Run
 
 
+@dataclass(frozen=True)
+class _Robot(RobotOptions):
+    sensing: str | None = option(
+        "--sensing", "Obstacles: sonar (default if the law allows it) or truth.", metavar="NAME"
+    )
+
+
+@dataclass(frozen=True)
+class _Mission:
+    """The mission of an exported law, and what its bundle holds besides."""
+
+    scenario: str = option(
+        "--scenario", "Mission and sensors: name or file (default pool-static).", MISSION, metavar="FILE"
+    )
+    constant_gains: bool = option(
+        "--constant-gains", "Write gains and mission as constants; needs --sensing truth.", False
+    )
+    certificates: tuple[Path, ...] = option(
+        "--certificate", "Certificate file to add to the bundle; repeatable.", (), type=FILE, metavar="F"
+    )
+    seed: int = option("--seed", "Seed of noise, drift and waves (default 0).", 0, type=Count(0))
+
+
 @click.command
 @click.argument("words", nargs=-1, metavar="")
-@click.option("--gains", metavar="FILE", help=GAINS_HELP)
-@click.option("--vehicle", metavar="FILE", help="Vehicle: name or file (default: that of the scenario).")
-@click.option(
-    "--scenario", default=MISSION, metavar="FILE", help="Mission and sensors: name or file (default pool-static)."
-)
-@law_option
-@form_options
-@priority_options
-@barrier_options
-@click.option("--sensing", metavar="NAME", help="Obstacles: sonar (default if the law allows it) or truth.")
-@sensor_options
-@click.option("--constant-gains", is_flag=True, help="Write gains and mission as constants; needs --sensing truth.")
-@click.option(
-    "--certificate",
-    "certificates",
-    multiple=True,
-    type=FILE,
-    metavar="F",
-    help="Certificate file to add to the bundle; repeatable.",
-)
-@click.option("--seed", type=Count(0), default=0, help="Seed of noise, drift and waves (default 0).")
-@collected(robot=RobotOptions, sensors=SensorOptions, options=ExportOptions)
+@options(robot=_Robot, sensors=only(SensorOptions, "faults", "chances"), ship=_Mission)
+@collected(options=ExportOptions)
 def export(
     words: tuple[str, ...],
-    scenario: str,
     robot: RobotOptions,
     sensors: SensorOptions,
+    ship: _Mission,
     options: ExportOptions,
-    constant_gains: bool,
-    certificates: tuple[Path, ...],
-    seed: int,
     as_json: bool,
 ) -> None:
     """Write the controller as C99, compile the C code, and compare C with Python in every step of a simulated run.
@@ -101,11 +97,12 @@ def export(
 
     options = options.for_processor()
     if options.target == "mjcf":
-        export_scene(scenario, robot.vehicle, out=options.out, as_json=as_json)
+        export_scene(ship.scenario, robot.vehicle, out=options.out, as_json=as_json)
     real, tools = options.checked((*TARGETS, "mjcf"))
     refused = "give the exported step the input `working`, or use surctl simulate"
     sensors = replace(sensors, faults=split_faults(sensors.faults, refused=refused)[0])
-    mission = load_scenario(scenario)
+    mission = load_scenario(ship.scenario)
+    constant_gains, certificates, seed = ship.constant_gains, ship.certificates, ship.seed
     choice = choose_vehicle(robot.vehicle, (mission.name, mission.vehicle))
     vehicle = load_vehicle(choice.word)
     check_barrier(robot.barrier, robot.movers)

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from surctl.cli.output import FOLDER, Count, FiniteRange, Stopped, as_json, finish, progress, waiting
+from surctl.cli.options import FOLDER, Count, FiniteRange, only, option, options
+from surctl.cli.output import Stopped, as_json, finish, progress, waiting
 from surctl.errors import InputError, SurctlError, check_known
-from surctl.marine.cli.robot_options import GAINS_HELP, choose_gains, choose_law, law_option
+from surctl.marine.cli.robot_options import RobotOptions, choose_gains, choose_law
 
 if TYPE_CHECKING:
     from surctl.marine.bridge import Act, Bridge, LinkQuality, RehearsalResult
@@ -20,90 +22,72 @@ if TYPE_CHECKING:
 _SYSTEM = click.IntRange(1, 255)
 
 
+@dataclass(frozen=True)
+class _Link:
+    """How surctl meets the autopilot, or the simulated one of a rehearsal."""
+
+    mavlink: str | None = option(
+        "--mavlink", "Link to the autopilot: udp:HOST:PORT (listen) or udpout:HOST:PORT (send).", metavar="URL"
+    )
+    dry_run: bool = option("--dry-run", "Rehearse with a simulated autopilot, in simulated time.", False)
+    mode: str = option(
+        "--mode",
+        "Mode of the autopilot in which surctl steers: alt_hold (default), manual or guided.",
+        "alt_hold",
+        metavar="NAME",
+    )
+    send: str = option(
+        "--send",
+        "MAVLink message for thrust: rc (channel overrides, default) or manual (MANUAL_CONTROL).",
+        "rc",
+        metavar="NAME",
+    )
+    origin: str = option(
+        "--origin",
+        "Origin of the autopilot's coordinates: X,Y in the scenario [m], and compass direction [deg] of the "
+        "scenario's x axis (default 0,0,90).",
+        "0,0,90",
+        metavar="X,Y,DEG",
+    )
+    yaw_rate: float = option(
+        "--yaw-rate",
+        "Yaw rate of the vehicle at full stick [deg/s] (default 45).",
+        45.0,
+        type=FiniteRange(min=1.0, max=360.0),
+        metavar="DEG/S",
+    )
+    target: int = option("--target", "MAVLink system id of the autopilot (default 1).", 1, type=_SYSTEM, metavar="N")
+    system: int = option("--system", "MAVLink system id of surctl fly (default 255).", 255, type=_SYSTEM, metavar="N")
+    loss: float = option(
+        "--loss",
+        "Rehearsal: probability that a message is lost (default 0).",
+        0.0,
+        type=FiniteRange(0.0, 1.0),
+        metavar="P",
+    )
+    delay: float = option(
+        "--delay",
+        "Rehearsal: delay of each message [s] (default 0).",
+        0.0,
+        type=FiniteRange(0.0, 60.0),
+        metavar="S",
+    )
+    acts: tuple[str, ...] = option(
+        "--act",
+        "Rehearsal: event ACT at time S [s], repeatable: arm, disarm, a mode of --mode, reboot (of the autopilot), "
+        "cut (no link), blind (no position), join (ends cut and blind) or quit (surctl fly is killed).",
+        (),
+        metavar="S:ACT",
+    )
+    seed: int = option("--seed", "Rehearsal: seed of the message loss (default 0).", 0, type=Count(0))
+
+
 @click.command
 @click.argument("scenario")
-@click.option(
-    "--mavlink", metavar="URL", help="Link to the autopilot: udp:HOST:PORT (listen) or udpout:HOST:PORT (send)."
-)
-@click.option("--dry-run", is_flag=True, help="Rehearse with a simulated autopilot, in simulated time.")
-@click.option("--vehicle", metavar="FILE", help="Vehicle: name or file (default: the scenario's).")
-@click.option("--gains", metavar="FILE", help=GAINS_HELP)
-@law_option
-@click.option("--sensing", default="truth", metavar="NAME", help="Obstacles: true positions (truth, default) or sonar.")
-@click.option(
-    "--mode",
-    default="alt_hold",
-    metavar="NAME",
-    help="Mode of the autopilot in which surctl steers: alt_hold (default), manual or guided.",
-)
-@click.option(
-    "--send",
-    default="rc",
-    metavar="NAME",
-    help="MAVLink message for thrust: rc (channel overrides, default) or manual (MANUAL_CONTROL).",
-)
-@click.option(
-    "--origin",
-    default="0,0,90",
-    metavar="X,Y,DEG",
-    help="Origin of the autopilot's coordinates: X,Y in the scenario [m], and compass direction [deg] of the "
-    "scenario's x axis (default 0,0,90).",
-)
-@click.option(
-    "--yaw-rate",
-    type=FiniteRange(min=1.0, max=360.0),
-    default=45.0,
-    metavar="DEG/S",
-    help="Yaw rate of the vehicle at full stick [deg/s] (default 45).",
-)
-@click.option("--target", type=_SYSTEM, default=1, metavar="N", help="MAVLink system id of the autopilot (default 1).")
-@click.option("--system", type=_SYSTEM, default=255, metavar="N", help="MAVLink system id of surctl fly (default 255).")
-@click.option(
-    "--loss",
-    type=FiniteRange(0.0, 1.0),
-    default=0.0,
-    metavar="P",
-    help="Rehearsal: probability that a message is lost (default 0).",
-)
-@click.option(
-    "--delay",
-    type=FiniteRange(0.0, 60.0),
-    default=0.0,
-    metavar="S",
-    help="Rehearsal: delay of each message [s] (default 0).",
-)
-@click.option(
-    "--act",
-    "acts",
-    multiple=True,
-    metavar="S:ACT",
-    help="Rehearsal: event ACT at time S [s], repeatable: arm, disarm, a mode of --mode, reboot (of the autopilot), "
-    "cut (no link), blind (no position), join (ends cut and blind) or quit (surctl fly is killed).",
-)
-@click.option("--seed", type=Count(0), default=0, help="Rehearsal: seed of the message loss (default 0).")
+@options(robot=only(RobotOptions, "vehicle", "gains", "law", "sensing"), link=_Link)
 @click.option("--out", type=FOLDER, help="Folder for the record (default surctl-out/fly; in a rehearsal, none).")
 @as_json
-def fly(
-    scenario: str,
-    mavlink: str | None,
-    dry_run: bool,
-    vehicle: str | None,
-    gains: str | None,
-    law: str | None,
-    sensing: str,
-    mode: str,
-    send: str,
-    origin: str,
-    yaw_rate: float,
-    target: int,
-    system: int,
-    loss: float,
-    delay: float,
-    acts: tuple[str, ...],
-    seed: int,
-    out: Path | None,
-    as_json: bool,
-) -> None:
+def fly(scenario: str, robot: RobotOptions, link: _Link, out: Path | None, as_json: bool) -> None:
     """Steer a vehicle whose autopilot is ArduSub along the path of a scenario by an exported law, over MAVLink.
 
     surctl fly steers only after the operator arms the vehicle in the mode of --mode, and never arms the vehicle. If the
@@ -126,48 +110,46 @@ def fly(
     from surctl.marine.simulation import SENSING, load_scenario
     from surctl.marine.vehicle import load_vehicle
 
-    if (mavlink is None) == (not dry_run):
+    if (link.mavlink is None) == (not link.dry_run):
         raise InputError("needs one of --mavlink and --dry-run", key="surctl fly", remedy="begin with --dry-run")
-    alone = [key for key, value in (("--loss", loss), ("--delay", delay), ("--act", acts)) if value and not dry_run]
+    rehearsed = (("--loss", link.loss), ("--delay", link.delay), ("--act", link.acts))
+    alone = [key for key, value in rehearsed if value and not link.dry_run]
     if alone:
         raise InputError("is only for a rehearsal", key=alone[0], remedy="add --dry-run, and leave out --mavlink")
-    if target == system:
-        raise InputError(
-            "is the system id of the bridge", key="--target", value=target, remedy="give two different ids"
-        )
-    check_known(sensing, SENSING, key="--sensing")
-    address = None if mavlink is None else parse_address(mavlink)
-    mode_of(mode)
-    site, wire, script = (
-        parse_site(origin),
-        Wire(target=target, system=system, send=send),
-        [_act(text) for text in acts],
-    )
+    if link.target == link.system:
+        remedy = "give two different ids"
+        raise InputError("is the system id of the bridge", key="--target", value=link.target, remedy=remedy)
+    check_known(robot.sensing, SENSING, key="--sensing")
+    address = None if link.mavlink is None else parse_address(link.mavlink)
+    mode_of(link.mode)
+    wire, script = Wire(target=link.target, system=link.system, send=link.send), [_act(text) for text in link.acts]
+    site = parse_site(link.origin)
     mission = load_scenario(scenario)
-    choice = choose_vehicle(vehicle, (mission.name, mission.vehicle))
-    robot = load_vehicle(choice.word)
-    reference, lines = choose_law(law, [robot])
-    tuned = choose_gains(gains, robot, cruise=mission.cruise, own=law_source(reference).gains)
+    choice = choose_vehicle(robot.vehicle, (mission.name, mission.vehicle))
+    vehicle = load_vehicle(choice.word)
+    reference, lines = choose_law(robot.law, [vehicle])
+    tuned = choose_gains(robot.gains, vehicle, cruise=mission.cruise, own=law_source(reference).gains)
     progress("building and compiling the law")
     plan = plan_session(
         mission,
-        robot,
+        vehicle,
         gains=tuned.gains,
         law=reference,
-        sonar=sensing == "sonar",
-        mode=mode,
+        sonar=robot.sensing == "sonar",
+        mode=link.mode,
         site=site,
-        full_rate=radians(yaw_rate),
+        full_rate=radians(link.yaw_rate),
     )
     bridge = Bridge(plan, wire)
-    lines += [choice.line(robot.name), *tuned.lines]
-    lines.append(f"controller {plan.controller.bundle.id[:12]}; mode {mode}: {plan.mapping.mode.what}")
+    lines += [choice.line(vehicle.name), *tuned.lines]
+    lines.append(f"controller {plan.controller.bundle.id[:12]}; mode {link.mode}: {plan.mapping.mode.what}")
     if out is not None or address is not None:
         out = out or Path("surctl-out", "fly")
         prepare_folder(out)
     if address is None:
-        result = _rehearsed(bridge, LinkQuality(loss=loss, delay=delay), script, out=out, seed=seed)
-        files = [] if out is None else sorted(str(path) for path in out.glob(f"{_stem(mission, seed)}.*"))
+        quality = LinkQuality(loss=link.loss, delay=link.delay)
+        result = _rehearsed(bridge, quality, script, out=out, seed=link.seed)
+        files = [] if out is None else sorted(str(path) for path in out.glob(f"{_stem(mission, link.seed)}.*"))
         lines += [f"{at:8.2f} s  {text}" for at, text in result.texts] + [_summary(result), *files]
         passed, brief = result.arrived and not result.touched, [_summary(result), *(text for _, text in result.texts)]
         data, where = _data(result) | {"files": files}, [] if out is None else [f"record {out}"]

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING
 import click
 
 from surctl.cli.new import write_new
-from surctl.cli.output import FILE, FiniteRange, as_json, finish
+from surctl.cli.options import FILE, FiniteRange
+from surctl.cli.output import as_json, finish
 from surctl.errors import InputError
 from surctl.marine.cli.robot_options import derive_words, margin_short
 

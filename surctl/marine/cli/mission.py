@@ -8,7 +8,8 @@ from pathlib import Path
 
 import click
 
-from surctl.cli.output import FILE, FiniteRange, as_json, finish
+from surctl.cli.options import FILE, FiniteRange
+from surctl.cli.output import as_json, finish
 
 _SPEED = 0.15  # m/s, if neither the command nor the file gives a speed
 

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from surctl.cli.output import Count, as_json, finish, out_folder, progress, result_command, saving, stoppable
+from surctl.cli.options import Count, out_folder
+from surctl.cli.output import as_json, finish, progress, result_command, saving, stoppable
 
 if TYPE_CHECKING:
     from surctl.marine.reproduction import Row

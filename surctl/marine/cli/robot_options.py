@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import click
 
-from surctl.cli.output import together
+from surctl.cli.options import option
 from surctl.errors import InputError, check_known
 
 if TYPE_CHECKING:
@@ -66,10 +66,6 @@ def at_hand(scenario: Scenario, vehicle: Vehicle, gains: str) -> list[str]:
 
     mission, robot = word(scenario.source, SCENARIOS) or scenario.name, word(vehicle.source, VEHICLES) or vehicle.name
     return ["--scenario", mission, "--vehicle", robot, "--gains", gains]
-
-
-GAINS_HELP = "Gain set: name or file (default: built-in for the vehicle, else derived)."
-"""Help of the option `--gains`. The default is the set `default` for the SUR vehicles, and derived gains for others."""
 
 
 class GainsChoice(NamedTuple):
@@ -142,13 +138,6 @@ def margin_of_all(assessment: Assessment) -> float:
     return max(filter(math.isfinite, short), default=math.nan)
 
 
-law_option = click.option(
-    "--law",
-    metavar="NAME",
-    help="Law: guarded (default), steered (default without sway thrust), calm, paper, closed_form or FILE.py:FUNCTION.",
-)
-
-
 def choose_law(law: str | None, vehicles: Sequence[Vehicle]) -> tuple[str, list[str]]:
     """Return the reference of the law for the vehicles, and a line that says why, unless it is the usual default.
 
@@ -203,54 +192,8 @@ def law_words(reference: str) -> list[str]:
     return ["--law", own_file(reference)]
 
 
-trust_option = click.option("--trust", is_flag=True, help="Permit running the Python law of a study or saved run.")
-
-
-form_options = together(
-    click.option(
-        "--avoidance",
-        default="corrected",
-        metavar="NAME",
-        help="Equation (20) of --law paper: corrected (default), printed, or consistent (every angle "
-        "counter-clockwise).",
-    ),
-    click.option(
-        "--guidance", default="los", metavar="NAME", help="Path guidance: los (default); for currents ilos or alos."
-    ),
-)
-"""A decorator that adds these options to a command; the command receives them as `avoidance` and `guidance`."""
-
-
-priority_mode_option = click.option(
-    "--priority-mode",
-    default="nsb",
-    metavar="M",
-    help="Priority mode: nsb (default) limits its result; filter, projected, lexicographic solve within limits.",
-)
-priority_options = together(
-    priority_mode_option,
-    click.option(
-        "--fallback",
-        default="exact",
-        metavar="NAME",
-        help="Solver if limits conflict: exact (default), bounded (fast).",
-    ),
-)
-"""A decorator that adds these options to a command; the command receives them as `priority_mode` and `fallback`."""
-
-
-barrier_options = together(
-    click.option(
-        "--barrier", default="simple", metavar="NAME", help="Braking model near obstacles: simple (default), inertia."
-    ),
-    click.option(
-        "--movers",
-        default="predict",
-        metavar="NAME",
-        help="Moving obstacles: predict (default), barrier (brakes only).",
-    ),
-)
-"""A decorator that adds these options to a command; the command receives them as `barrier` and `movers`."""
+TRUST = "Permit running the Python law of a study or saved run."
+"""Help of the option `--trust`."""
 
 
 def check_barrier(barrier: str, movers: str) -> None:
@@ -265,26 +208,45 @@ def check_barrier(barrier: str, movers: str) -> None:
 class RobotOptions:
     """The options that select the robot and its law; those that a command does not have keep their defaults.
 
-    Attributes:
-        vehicle, gains: name or file; None: that of the scenario, those of the vehicle.
-        law: name or FILE.py:FUNCTION; None: that of the vehicle.
-        avoidance: form of equation (20).
-        guidance: path guidance.
-        priority_mode, fallback: how the law treats priorities, and limits that conflict.
-        barrier, movers: bound on the approach speed, and how moving obstacles enter it.
-        sensing: `truth` or `sonar`; None: as the law has it.
+    The defaults of vehicle, gains and law are those that the scenario, the vehicle and its forces imply.
     """
 
-    vehicle: str | None = None
-    gains: str | None = None
-    law: str | None = None
-    avoidance: str = "corrected"
-    guidance: str = "los"
-    priority_mode: str = "nsb"
-    fallback: str = "exact"
-    barrier: str = "simple"
-    movers: str = "predict"
-    sensing: str | None = "truth"
+    vehicle: str | None = option("--vehicle", "Vehicle: name or file (default: that of the scenario).", metavar="FILE")
+    gains: str | None = option(
+        "--gains", "Gain set: name or file (default: built-in for the vehicle, else derived).", metavar="FILE"
+    )
+    law: str | None = option(
+        "--law",
+        "Law: guarded (default), steered (default without sway thrust), calm, paper, closed_form or FILE.py:FUNCTION.",
+        metavar="NAME",
+    )
+    avoidance: str = option(
+        "--avoidance",
+        "Equation (20) of --law paper: corrected (default), printed, or consistent (every angle counter-clockwise).",
+        "corrected",
+        metavar="NAME",
+    )
+    guidance: str = option(
+        "--guidance", "Path guidance: los (default); for currents ilos or alos.", "los", metavar="NAME"
+    )
+    priority_mode: str = option(
+        "--priority-mode",
+        "Priority mode: nsb (default) limits its result; filter, projected, lexicographic solve within limits.",
+        "nsb",
+        metavar="M",
+    )
+    fallback: str = option(
+        "--fallback", "Solver if limits conflict: exact (default), bounded (fast).", "exact", metavar="NAME"
+    )
+    sensing: str | None = option(
+        "--sensing", "Obstacles: true positions (truth, default) or sonar.", "truth", metavar="NAME"
+    )
+    barrier: str = option(
+        "--barrier", "Braking model near obstacles: simple (default), inertia.", "simple", metavar="NAME"
+    )
+    movers: str = option(
+        "--movers", "Moving obstacles: predict (default), barrier (brakes only).", "predict", metavar="NAME"
+    )
 
     def case(self, law: str, scenario: Scenario, vehicle: Vehicle, gains: Gains) -> Case:
         """Return the case of a scenario with a vehicle, gains and a law."""

@@ -9,9 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import click
-
-from surctl.cli.output import doing, progress, saving, together
+from surctl.cli.options import FILE, option
+from surctl.cli.output import doing, progress, saving
 from surctl.errors import InputError
 
 if TYPE_CHECKING:
@@ -21,24 +20,6 @@ if TYPE_CHECKING:
     from surctl.marine.export import CompiledLaw, LinkedLaw, LinkFaults
     from surctl.marine.simulation import Case, Run, ThrusterFault
     from surctl.marine.vehicle import Vehicle
-
-
-class NamedFile(click.Path):
-    """The name of a file to write, which is not empty (an empty name would be the present folder)."""
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """Return the path; raise InputError if the name is empty."""
-        if value == "":
-            raise InputError("is empty", key=param.opts[0] if param else None, value=value, remedy="name a file")
-        return super().convert(value, param, ctx)
-
-
-animate_option = click.option(
-    "--animate",
-    type=NamedFile(path_type=Path),
-    metavar="FILE",
-    help="Write an animation of the run: FILE.gif or FILE.mp4.",
-)
 
 
 def check_animate(path: Path | None, *, runs: int, campaign: bool, film: Path | None = None) -> None:
@@ -63,36 +44,14 @@ def check_animate(path: Path | None, *, runs: int, campaign: bool, film: Path | 
     prepare_folder(check_animation(path).parent, key="--animate", value=path)
 
 
-plant_options = together(
-    click.option(
-        "--plant", default="own", metavar="NAME", help="Physics: own (surctl's, default), mujoco[:KEY=VALUE,..]."
-    ),
-    click.option(
-        "--film",
-        type=NamedFile(path_type=Path),
-        metavar="FILE",
-        help="Film of a run with --plant mujoco: FILE.gif or FILE.mp4.",
-    ),
-    click.option("--view", is_flag=True, help="Show a run with --plant mujoco in a window."),
-)
-"""A decorator that adds these options to a command, which receives them as `plant`, `film` and `view`."""
-
-
 @dataclass(frozen=True)
 class PlantOptions:
-    """The options for the physics on the command line.
+    """The options for the physics on the command line, and the number of processes."""
 
-    Attributes:
-        plant: name of the physics with its options.
-        film: file of the film, or None.
-        view: whether MuJoCo's window shows the run.
-        threads: number of processes, or None.
-    """
-
-    plant: str
-    film: Path | None
-    view: bool
-    threads: int | None
+    plant: str = option("--plant", "Physics: own (surctl's, default), mujoco[:KEY=VALUE,..].", "own", metavar="NAME")
+    film: Path | None = option("--film", "Film of a run with --plant mujoco: FILE.gif or FILE.mp4.", type=FILE)
+    view: bool = option("--view", "Show a run with --plant mujoco in a window.", False)
+    threads: int | None = None
 
     @property
     def own(self) -> bool:
@@ -218,38 +177,26 @@ class PlantOptions:
         return lines
 
 
-controller_options = together(
-    click.option("--controller", metavar="URL", help="C controller: c (local), tcp://HOST:PORT, qemu:cortex-m4f."),
-    click.option(
-        "--link-loss",
-        type=float,
-        metavar="P",
-        help="Share of lost messages to and from the C code (default 0).",
-    ),
-    click.option("--link-delay", type=float, metavar="S", help="Time from request to reply of C code [s] (default 0)."),
-    click.option(
-        "--link-deadline",
-        type=float,
-        metavar="S",
-        help="Thrust 0 if a command is older than S s (default 0.25).",
-    ),
-    click.option("--link-compact", is_flag=True, help="Request short replies from the C code, for a slow link."),
-    click.option(
-        "--link-timeout", type=float, metavar="S", help="Stop after S s without a reply from C code (default 5)."
-    ),
-)
-
-
 @dataclass(frozen=True)
 class ControllerOptions:
     """The options for the controller process and its connection; an option that is not given has the value None."""
 
-    controller: str | None
-    link_loss: float | None
-    link_delay: float | None
-    link_deadline: float | None
-    link_timeout: float | None
-    link_compact: bool = False
+    controller: str | None = option(
+        "--controller", "C controller: c (local), tcp://HOST:PORT, qemu:cortex-m4f.", metavar="URL"
+    )
+    link_loss: float | None = option(
+        "--link-loss", "Share of lost messages to and from the C code (default 0).", type=float, metavar="P"
+    )
+    link_delay: float | None = option(
+        "--link-delay", "Time from request to reply of C code [s] (default 0).", type=float, metavar="S"
+    )
+    link_deadline: float | None = option(
+        "--link-deadline", "Thrust 0 if a command is older than S s (default 0.25).", type=float, metavar="S"
+    )
+    link_compact: bool = option("--link-compact", "Request short replies from the C code, for a slow link.", False)
+    link_timeout: float | None = option(
+        "--link-timeout", "Stop after S s without a reply from C code (default 5).", type=float, metavar="S"
+    )
 
     def check(self, *, campaign: bool) -> None:
         """Raise InputError for options that exclude each other, or that require another option that is not given."""

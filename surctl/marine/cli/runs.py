@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 import click
 from click.core import ParameterSource
 
-from surctl.cli.output import FILE, Count, finish, prepare_out, progress, same_command, saving, stoppable, together
+from surctl.cli.options import FILE, Count, option
+from surctl.cli.output import finish, prepare_out, progress, same_command, saving, stoppable
 from surctl.cli.simulate import Ran, conduct_runs
 from surctl.errors import InputError
 from surctl.marine.cli.robot_options import RobotOptions, choose_gains, choose_vehicle
@@ -145,16 +146,13 @@ class RunOutput:
     Attributes:
         out: folder of files, or None.
         save: format of `--save`, or None.
-        frame: axes in these files.
-        explained: whether to say when which limits override which tasks of the law.
-        animate: file of the animation, or None.
     """
 
     out: Path | None = None
     save: str | None = None
-    frame: str = "enu"
-    explained: bool = False
-    animate: Path | None = None
+    explained: bool = option("--explain", "Print which limits override tasks of the law, and when.", False)
+    animate: Path | None = option("--animate", "Write an animation of the run: FILE.gif or FILE.mp4.", type=FILE)
+    frame: str | None = option("--frame", "Axes in the files of --save: enu (default) or ned.", metavar="NAME")
 
     def ran(
         self, run: Run, data: dict[str, Any], *, head: str = "", passed: bool = True, middle: Sequence[str] = (),
@@ -193,7 +191,7 @@ class RunOutput:
             lines.append(f"  {brief[-1]}")
         if self.save is not None and self.out is not None:
             with saving("record"):
-                data["file"] = str(save_record(run, self.out, kind=self.save, frame=self.frame))
+                data["file"] = str(save_record(run, self.out, kind=self.save, frame=self.frame or "enu"))
                 lines.append(f"  {data['file']}")
         lines += self.further(run, data)
         if link is not None:
@@ -241,43 +239,25 @@ class RunOutput:
 
 MOST_ROWS = 100  # largest number of runs printed as JSON; the files in the output folder hold all runs
 
-campaign_options = together(
-    click.option("--monte-carlo", is_flag=True, help="Campaign: vary vehicle and obstacles of each run at random."),
-    click.option("--random-worlds", "worlds", type=Count(1, 1_000_000), help="Campaign: simulate N random missions."),
-    click.option("--worst", type=Count(0, 1000), help="Save the N worst campaign runs (default 5)."),
-    click.option("--threads", type=Count(1, 1024), help="Parallel runs (default 2; MuJoCo 1)."),
-    click.option("--fresh", is_flag=True, help="Do not resume the campaign in --out; start it again."),
-    click.option("--from", "replayed", type=FILE, help="Repeat a worst run that a campaign saved as FILE."),
-)
-"""A decorator that adds these options to a command.
-
-The command receives them as `monte_carlo`, `worlds`, `worst`, `threads`, `fresh` and `replayed`."""
-
 
 @dataclass(frozen=True)
 class CampaignOptions:
-    """The campaign options of the command line; an option that is not given has the value None.
+    """The options about seeds and campaigns; an option that is not given has the value None."""
 
-    Attributes:
-        monte_carlo: whether plant and obstacles are drawn at random.
-        worlds: number of random worlds.
-        worst: number of the worst runs that are saved.
-        threads: number of threads of the compiled loop.
-        fresh: whether to discard earlier results and start again.
-    """
-
-    monte_carlo: bool = False
-    worlds: int | None = None
-    worst: int | None = None
-    threads: int | None = None
-    fresh: bool = False
+    seed: int = option("--seed", "Seed of the first run (default 0).", 0, type=Count(0))
+    runs: int = option("--runs", "Runs per scenario, one for each seed (default 1).", 1, type=Count(1))
+    monte_carlo: bool = option("--monte-carlo", "Campaign: vary vehicle and obstacles of each run at random.", False)
+    worlds: int | None = option("--random-worlds", "Campaign: simulate N random missions.", type=Count(1, 1_000_000))
+    worst: int | None = option("--worst", "Save the N worst campaign runs (default 5).", type=Count(0, 1000))
+    threads: int | None = option("--threads", "Parallel runs (default 2; MuJoCo 1).", type=Count(1, 1024))
+    fresh: bool = option("--fresh", "Do not resume the campaign in --out; start it again.", False)
 
     @property
     def any(self) -> bool:
         """Return whether the options request a campaign of random runs."""
         return self.monte_carlo or self.worlds is not None
 
-    def check(self, *, scenarios: tuple[str, ...], runs: int, explained: bool, out: Path | None) -> None:
+    def check(self, *, scenarios: tuple[str, ...], explained: bool, out: Path | None) -> None:
         """Raise InputError for options that exclude each other, or that require another option that is not given."""
         if not self.any:
             for key, value in (("--worst", self.worst), ("--threads", self.threads), ("--fresh", self.fresh or None)):
@@ -293,7 +273,7 @@ class CampaignOptions:
         if self.worlds is not None and scenarios:
             remedy = "drop the scenario or this option"
             raise InputError("draws its own scenarios", key="--random-worlds", value=scenarios[0], remedy=remedy)
-        if self.worlds is not None and runs != 1:
+        if self.worlds is not None and self.runs != 1:
             raise InputError(
                 "already sets the number of runs", key="--random-worlds", value=self.worlds, remedy="drop --runs"
             )
@@ -302,9 +282,7 @@ class CampaignOptions:
         if len(set(scenarios)) < len(scenarios) and self.any:
             raise InputError("is named twice", key="SCENARIOS", value=" ".join(scenarios), remedy="name each once")
 
-    def plans(
-        self, scenarios: tuple[str, ...], robot: RobotOptions, sensors: SensorOptions, *, law: str, seed: int
-    ) -> list[Plan]:
+    def plans(self, scenarios: tuple[str, ...], robot: RobotOptions, sensors: SensorOptions, *, law: str) -> list[Plan]:
         """Return the plans of the requested campaigns.
 
         Raises:
@@ -331,9 +309,9 @@ class CampaignOptions:
         for line in dict.fromkeys(lines):
             progress(line)
         plans: list[Plan] = (
-            [MonteCarlo(case, seed) for case in cases]
+            [MonteCarlo(case, self.seed) for case in cases]
             if self.worlds is None
-            else [RandomWorlds(case, seed, self.monte_carlo) for case in cases]
+            else [RandomWorlds(case, self.seed, self.monte_carlo) for case in cases]
         )
         for plan in plans[:1]:
             law_of(plan)  # reports a mistake before any file is written
@@ -345,7 +323,6 @@ class CampaignOptions:
         first: Sequence[str] = (),
         *,
         vehicle: str | None,
-        runs: int,
         out: Path | None,
         as_json: bool,
     ) -> None:
@@ -356,7 +333,7 @@ class CampaignOptions:
         from surctl.files import write_file
         from surctl.marine.simulation.campaign.campaign import CampaignFolder, law_of, run_campaign
 
-        names = [plan.name for plan in plans]
+        names, runs = [plan.name for plan in plans], self.worlds or self.runs
         if len(set(names)) < len(names):
             raise InputError(
                 "two scenarios have the same name", key="SCENARIOS", value=" ".join(names), remedy="rename one"

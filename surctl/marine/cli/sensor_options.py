@@ -7,9 +7,7 @@ from dataclasses import dataclass, replace
 from math import degrees, inf, isfinite
 from typing import TYPE_CHECKING, Any, NoReturn
 
-import click
-
-from surctl.cli.output import together
+from surctl.cli.options import option
 from surctl.errors import InputError, check_known, nearest
 
 if TYPE_CHECKING:
@@ -25,46 +23,23 @@ _PARTS = {
     "duration_s": ("duration", "give seconds, greater than 0"),
     "delay_s": ("delay", "give 0.1 to 0.8 s"),
 }
-sensor_options = together(
-    click.option(
-        "--fault",
-        "faults",
-        multiple=True,
-        metavar="FAULT",
-        help="Such as stuck:0:5:2 (sonar 0 at 5 s for 2 s), thruster:T2.",
-    ),
-    click.option(
-        "--chance",
-        "chances",
-        multiple=True,
-        metavar="KIND=P",
-        help="Probability P per ping of fault KIND in a run; repeatable.",
-    ),
-)
-"""A decorator that adds these options to a command.
-
-The command receives them as `faults` and `chances`."""
-
-
-simulated_echoes = click.option(
-    "--echoes", metavar="NAME", help="Sonar echoes: ideal (default), webots, specular, diffuse."
-)
-"""The option of the simulated echoes, which a law does not know."""
 
 
 @dataclass(frozen=True)
 class SensorOptions:
     """The sensor options of the command line; an option that is not given leaves the scenario's value unchanged.
 
-    Attributes:
-        faults: faults in the form of `parse_fault`; they replace all faults of the scenario.
-        chances: fault probabilities in the form of `parse_chances`; they replace all probabilities of the scenario.
-        echoes: name of an echo model, see `surctl.marine.simulation.ECHOES`.
+    Faults have the form of `parse_fault` or `parse_thruster_fault`, probabilities that of `parse_chances`; they replace
+    all of the scenario.
     """
 
-    faults: Sequence[str] = ()
-    chances: Sequence[str] = ()
-    echoes: str | None = None
+    faults: Sequence[str] = option(
+        "--fault", "Such as stuck:0:5:2 (sonar 0 at 5 s for 2 s), thruster:T2.", (), metavar="FAULT"
+    )
+    chances: Sequence[str] = option(
+        "--chance", "Probability P per ping of fault KIND in a run; repeatable.", (), metavar="KIND=P"
+    )
+    echoes: str | None = option("--echoes", "Sonar echoes: ideal (default), webots, specular, diffuse.", metavar="NAME")
 
     def check(self, *, sensing: str) -> None:
         """Raise InputError for an option that has no effect on the runs, or for an unknown value."""

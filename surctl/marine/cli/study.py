@@ -4,47 +4,48 @@ from __future__ import annotations
 
 import math
 import shlex
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
+from surctl.cli.options import option, options
 from surctl.cli.output import progress, refusal_line, saving
 from surctl.cli.study import conduct_study
 from surctl.marine.cli.claims import claim_line
-from surctl.marine.cli.robot_options import SPEEDS, at_hand, derive_words, law_words, margin_of_all, trust_option
+from surctl.marine.cli.robot_options import SPEEDS, TRUST, at_hand, derive_words, law_words, margin_of_all
 
 if TYPE_CHECKING:
     from surctl.assessment import Assessment
 
 
+@dataclass(frozen=True)
+class _Options:
+    """What is studied; None: as the study file, or the built-in study, has it."""
+
+    vehicle: str | None = option(
+        "--vehicle",
+        "Vehicle (name or file) of the built-in study; a large vehicle gets larger missions.",
+        metavar="FILE",
+    )
+    gains: str | None = option(
+        "--gains", "Gain set to study: name or file (default: the best of its sweep).", metavar="FILE"
+    )
+    cruise: tuple[float, ...] | None = option(
+        "--cruise",
+        "Cruise speeds [m/s] of the loop margins; the worst margin counts (default: speeds of the missions).",
+        type=SPEEDS,
+        metavar="U1,U2,...",
+    )
+    film: bool = option("--film", "Show the run of the report also as a MuJoCo film.", False)
+    trust: bool = option("--trust", TRUST, False)
+
+
 @click.command
 @click.argument("words", nargs=-1, metavar="[FILE")
-@click.option(
-    "--vehicle",
-    metavar="FILE",
-    help="Vehicle (name or file) of the built-in study; a large vehicle gets larger missions.",
-)
-@click.option("--gains", metavar="FILE", help="Gain set to study: name or file (default: the best of its sweep).")
-@click.option(
-    "--cruise",
-    type=SPEEDS,
-    metavar="U1,U2,...",
-    help="Cruise speeds [m/s] of the loop margins; the worst margin counts (default: speeds of the missions).",
-)
-@click.option("--film", is_flag=True, help="Show the run of the report also as a MuJoCo film.")
-@trust_option
-def study(
-    words: tuple[str, ...],
-    out: Path,
-    workers: int,
-    vehicle: str | None,
-    gains: str | None,
-    cruise: tuple[float, ...] | None,
-    film: bool,
-    trust: bool,
-    as_json: bool,
-) -> None:
+@options(options=_Options)
+def study(words: tuple[str, ...], out: Path, workers: int, options: _Options, as_json: bool) -> None:
     """Sweep gains, select the best gains, verify the claims, simulate the scenarios, and export and check the C code.
 
     FILE is a study file or a vehicle file; without FILE, the built-in study runs. If a vehicle cannot sway, or fits
@@ -65,13 +66,18 @@ def study(
     find_compiler()  # before the imports and the plan, which take seconds
     from surctl.marine.study import Study, load_plan
 
-    file = words[0] if words else None
-
+    file, vehicle, gains, cruise, film = (
+        words[0] if words else None,
+        options.vehicle,
+        options.gains,
+        options.cruise,
+        options.film,
+    )
     chosen = [f"--vehicle {vehicle}"] if vehicle else [file] if file else []
     chosen += [f"--gains {gains}"] if gains else []
     chosen += [f"--cruise {','.join(f'{speed:g}' for speed in cruise)}"] if cruise else []
     command = " ".join(["surctl study", *chosen, f"--out {out}", *["--film"] * film])
-    plan = load_plan(file, vehicle=vehicle, trust=trust)
+    plan = load_plan(file, vehicle=vehicle, trust=options.trust)
     plan = plan if gains is None else plan.with_gains(gains)
     plan = plan if cruise is None else plan.at_speeds(cruise, key="--cruise")
     if film:
@@ -90,7 +96,7 @@ def study(
     def then() -> list[str]:
         about = at_hand(study.plan.deciding[0].scenario, plan.vehicle, str(study.gain_file))
         cruise = None if plan.derivation is None else plan.derivation.cruise
-        tuning = ["surctl", "tune", *([file] if file else []), *(["--trust"] if trust else [])]
+        tuning = ["surctl", "tune", *([file] if file else []), *(["--trust"] if options.trust else [])]
         # a search about missions that the study has made for the vehicle has no study file
         search = [shlex.join(tuning)] if tunable(study.assessment) and not plan.unheard else []
         return [*changes(study.assessment, about[3], cruise), *search, shlex.join(_examined(plan.law, about))]

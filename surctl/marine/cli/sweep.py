@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from surctl.cli.output import collected
+from surctl.cli.options import collected, only, option, options
 from surctl.cli.sweep import SweepJob, SweepOptions, SweepSummary, point_rows
 from surctl.errors import InputError, check_known
 from surctl.marine.cli.robot_options import (
@@ -21,9 +21,7 @@ from surctl.marine.cli.robot_options import (
     choose_law,
     choose_shared,
     choose_vehicle,
-    law_option,
     law_words,
-    priority_mode_option,
 )
 
 if TYPE_CHECKING:
@@ -48,51 +46,41 @@ _EXPLAINED = ("deviation_m", "path_error_m")  # columns whose meaning is printed
 class SweptMissions:
     """The options about the missions of a sweep, besides those of `RobotOptions`."""
 
-    scenarios: Sequence[str]
-    vehicles: Sequence[str]
-    locus: str | None
-    cruise: Sequence[float] | None
+    scenarios: Sequence[str] = option(
+        "--scenario",
+        "Scenario to simulate at each point: name or file; repeatable (default tank-static and pool-static).",
+        ("tank-static", "pool-static"),
+        metavar="FILE",
+    )
+    vehicles: Sequence[str] = option(
+        "--vehicle", "Vehicle: name or file; repeatable (default: scenario's).", (), metavar="FILE"
+    )
+    locus: str | None = option("--locus", "Plot poles over a swept PARAMETER, at the best gains.", metavar="PARAMETER")
+    cruise: Sequence[float] | None = option(
+        "--cruise",
+        "Cruise speeds [m/s] of the loop margins; the worst margin counts (default: speeds of the scenarios).",
+        type=SPEEDS,
+        metavar="U1,U2,...",
+    )
+
+
+@dataclass(frozen=True)
+class _Robot(RobotOptions):
+    gains: str | None = option(
+        "--gains", "Gain set for the gains not swept (default: built-in for the vehicle, else derived).", metavar="FILE"
+    )
+    guidance: str = option(
+        "--guidance",
+        "Path guidance of simulated runs: los (default), ilos or alos. Loop margins and --locus always use los.",
+        "los",
+        metavar="NAME",
+    )
 
 
 @click.command
 @click.argument("words", nargs=-1, metavar="")
-@click.option(
-    "--scenario",
-    "scenarios",
-    multiple=True,
-    default=("tank-static", "pool-static"),
-    metavar="FILE",
-    help="Scenario to simulate at each point: name or file; repeatable (default tank-static and pool-static).",
-)
-@click.option(
-    "--vehicle",
-    "vehicles",
-    multiple=True,
-    metavar="FILE",
-    help="Vehicle: name or file; repeatable (default: scenario's).",
-)
-@click.option("--sensing", default="truth", metavar="NAME", help="Obstacles: true positions (truth, default) or sonar.")
-@click.option(
-    "--gains",
-    metavar="FILE",
-    help="Gain set for the gains not swept (default: built-in for the vehicle, else derived).",
-)
-@law_option
-@priority_mode_option
-@click.option(
-    "--guidance",
-    default="los",
-    metavar="NAME",
-    help="Path guidance of simulated runs: los (default), ilos or alos. Loop margins and --locus always use los.",
-)
-@click.option("--locus", metavar="PARAMETER", help="Plot poles over a swept PARAMETER, at the best gains.")
-@click.option(
-    "--cruise",
-    type=SPEEDS,
-    metavar="U1,U2,...",
-    help="Cruise speeds [m/s] of the loop margins; the worst margin counts (default: speeds of the scenarios).",
-)
-@collected(options=SweepOptions, missions=SweptMissions, robot=RobotOptions)
+@options(missions=SweptMissions, robot=only(_Robot, "gains", "law", "guidance", "priority_mode", "sensing"))
+@collected(options=SweepOptions)
 def sweep(
     words: Sequence[str], options: SweepOptions, missions: SweptMissions, robot: RobotOptions, **_: Any
 ) -> SweepJob:

@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from surctl.cli.output import Count, collected, progress
+from surctl.cli.options import Count, collected, option, options
+from surctl.cli.output import progress
 from surctl.cli.tune import More, Task, TuneOptions
 from surctl.errors import InputError, NotApplicable
-from surctl.marine.cli.robot_options import SPEEDS, at_hand, export_command, law_words, trust_option
+from surctl.marine.cli.robot_options import SPEEDS, TRUST, at_hand, export_command, law_words
 
 if TYPE_CHECKING:
     from surctl.assessment import Assessment, Figure, Part
@@ -34,39 +35,32 @@ class TunedMissions:
     `seeds` simulate each gain set, and `cruise` are the speeds [m/s] of goals about the loop without speeds.
     """
 
-    cruise: tuple[float, ...] | None
-    seeds: int
-    vehicles: tuple[str, ...]
-    guidance: str | None
-    law: str | None
-    scenario: str | None
-    gains_file: str | None
-    trust: bool
+    cruise: tuple[float, ...] | None = option(
+        "--cruise", "Cruise speeds [m/s] for loop goals without speeds.", type=SPEEDS, metavar="U1,U2,..."
+    )
+    seeds: int = option(
+        "--seeds", "Simulate each gain set with the seeds 0 to N-1 (default 4).", 4, type=Count(1, 1_000_000)
+    )
+    vehicles: tuple[str, ...] = option(
+        "--vehicle", "Vehicle, repeatable: name or file (default: STUDY's).", (), metavar="FILE"
+    )
+    guidance: str | None = option(
+        "--guidance",
+        "Path guidance of simulated runs: los, ilos, alos (default: that of STUDY). Margins always use los.",
+        metavar="NAME",
+    )
+    law: str | None = option("--law", "Law: NAME or FILE.py:FUNCTION (default: that of STUDY).", metavar="NAME")
+    scenario: str | None = option("--scenario", "Scenario of --page (default: the first of the study).", metavar="FILE")
+    gains_file: str | None = option(
+        "--gains", "Initial gain set: name or file (default: that of STUDY).", metavar="FILE"
+    )
+    trust: bool = option("--trust", TRUST, False)
 
 
 @click.command
 @click.argument("words", nargs=-1, metavar="[STUDY")
-@click.option("--cruise", type=SPEEDS, metavar="U1,U2,...", help="Cruise speeds [m/s] for loop goals without speeds.")
-@click.option(
-    "--seeds", type=Count(1, 1_000_000), default=4, help="Simulate each gain set with the seeds 0 to N-1 (default 4)."
-)
-@click.option(
-    "--vehicle",
-    "vehicles",
-    multiple=True,
-    metavar="FILE",
-    help="Vehicle, repeatable: name or file (default: STUDY's).",
-)
-@click.option(
-    "--guidance",
-    metavar="NAME",
-    help="Path guidance of simulated runs: los, ilos, alos (default: that of STUDY). Margins always use los.",
-)
-@click.option("--law", metavar="NAME", help="Law: NAME or FILE.py:FUNCTION (default: that of STUDY).")
-@click.option("--scenario", metavar="FILE", help="Scenario of --page (default: the first of the study).")
-@click.option("--gains", "gains_file", metavar="FILE", help="Initial gain set: name or file (default: that of STUDY).")
-@trust_option
-@collected(options=TuneOptions, missions=TunedMissions)
+@options(missions=TunedMissions)
+@collected(options=TuneOptions)
 def tune(words: Sequence[str], options: TuneOptions, missions: TunedMissions, **_: Any) -> Task | Bench:
     """Search for gains that meet goals, test the gains in random runs, and search again with the runs that fail.
 

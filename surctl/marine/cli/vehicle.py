@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from surctl.cli.output import FILE, FiniteRange, as_json, finish, out_folder, saving
+from surctl.cli.options import FILE, FiniteRange, option, options, out_folder
+from surctl.cli.output import as_json, finish, saving
 from surctl.errors import InputError
 
 if TYPE_CHECKING:
@@ -230,62 +232,54 @@ def from_gazebo(
     _write(robot, out, force, _parameter_lines(robot), _summary(robot), as_json=as_json)
 
 
+@dataclass(frozen=True)
+class _Fitting:
+    """How logs are read, fitted and predicted."""
+
+    start: str = option(
+        "--start",
+        "Vehicle (name or file) with hull, limits, and initial values of the fit (default sur540-flooded).",
+        "sur540-flooded",
+        metavar="FILE",
+    )
+    map_file: Path | None = option(
+        "--map",
+        "TOML file that says which topics and fields of the log are motion and thrust (not needed for tables of "
+        "surctl simulate).",
+        type=FILE,
+    )
+    topics: bool = option("--topics", "Print the topics and fields of the log, and fit nothing.", False)
+    frame: str | None = option(
+        "--frame",
+        "Axes of a table: enu (ENU/FLU) or ned (NED/FRD) (default: as in the table's first line, else enu).",
+        metavar="NAME",
+    )
+    share: float = option(
+        "--held-out",
+        "Fraction of the log, at its end, to predict by a fit to the rest (default 0.4; 0: no prediction).",
+        0.4,
+        type=FiniteRange(0.0, 0.9),
+        metavar="X",
+    )
+    windows: tuple[float, ...] = option(
+        "--window",
+        "Length of a held-out prediction from a measured state [s] (default 5; repeatable).",
+        (5.0,),
+        type=FiniteRange(min=0.0, min_open=True),
+        metavar="S",
+    )
+    picture: Path | None = option("--picture", "PNG file for a plot of the prediction (default: none).", type=FILE)
+
+
 @vehicle.command("from-log")
 @click.argument("logs", metavar="LOG...", nargs=-1, required=True, type=click.Path(path_type=Path))
-@click.option(
-    "--start",
-    default="sur540-flooded",
-    metavar="FILE",
-    help="Vehicle (name or file) with hull, limits, and initial values of the fit (default sur540-flooded).",
-)
-@click.option(
-    "--map",
-    "map_file",
-    type=FILE,
-    help="TOML file that says which topics and fields of the log are motion and thrust (not needed for tables of "
-    "surctl simulate).",
-)
-@click.option("--topics", is_flag=True, help="Print the topics and fields of the log, and fit nothing.")
-@click.option(
-    "--frame",
-    metavar="NAME",
-    help="Axes of a table: enu (ENU/FLU) or ned (NED/FRD) (default: as in the table's first line, else enu).",
-)
-@click.option(
-    "--held-out",
-    "share",
-    type=FiniteRange(0.0, 0.9),
-    default=0.4,
-    metavar="X",
-    help="Fraction of the log, at its end, to predict by a fit to the rest (default 0.4; 0: no prediction).",
-)
-@click.option(
-    "--window",
-    "windows",
-    type=FiniteRange(min=0.0, min_open=True),
-    multiple=True,
-    default=(5.0,),
-    metavar="S",
-    help="Length of a held-out prediction from a measured state [s] (default 5; repeatable).",
-)
-@click.option("--picture", type=FILE, help="PNG file for a plot of the prediction (default: none).")
+@options(fitting=_Fitting)
 @_name
 @_out
 @_over
 @as_json
 def from_log(
-    logs: tuple[Path, ...],
-    start: str,
-    map_file: Path | None,
-    topics: bool,
-    frame: str | None,
-    share: float,
-    windows: tuple[float, ...],
-    picture: Path | None,
-    name: str,
-    out: Path | None,
-    force: bool,
-    as_json: bool,
+    logs: tuple[Path, ...], fitting: _Fitting, name: str, out: Path | None, force: bool, as_json: bool
 ) -> None:
     """Fit masses, drag, thrust lag and a constant force to logs of motion and thrust, with 95 % intervals.
 
@@ -313,7 +307,8 @@ def from_log(
     from surctl.marine.vehicle.logs.read import read_recording, topic_lines
     from surctl.marine.vehicle.motion_log import in_sequence
 
-    if topics:
+    share, picture, map_file = fitting.share, fitting.picture, fitting.map_file
+    if fitting.topics:
         from surctl.marine.vehicle.logs.joining import load_log_map
 
         if len(logs) > 1:
@@ -325,10 +320,10 @@ def from_log(
         finish({"topics": fields, "notes": list(recording.notes)}, lines, as_json=as_json, passed=True)
     if picture is not None and share == 0:
         raise click.UsageError("--picture needs a prediction: --held-out above 0")
-    robot = load_vehicle(start)
-    measured = in_sequence([_read_log(log, map_file, frame) for log in logs])
+    robot = load_vehicle(fitting.start)
+    measured = in_sequence([_read_log(log, map_file, fitting.frame) for log in logs])
     fit = identify(measured, robot, name=name)
-    predictions = held_out_windows(measured, robot, windows, share=share) if share > 0 else ()
+    predictions = held_out_windows(measured, robot, fitting.windows, share=share) if share > 0 else ()
     windowed = [
         {"window_s": p.window, "windows": p.windows, "model": p.model, "last_velocity_held": p.hold}
         for p in predictions

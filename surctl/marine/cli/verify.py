@@ -5,14 +5,15 @@ from __future__ import annotations
 import math
 import shlex
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from surctl.cli.output import FiniteRange, collected, finish, prepare_out, progress, refusal_line, saving
+from surctl.cli.options import FiniteRange, only, option, options
+from surctl.cli.output import finish, prepare_out, progress, refusal_line, saving
 from surctl.cli.verify import Claimed, decide_claims, failed_lines, next_check, refused
 from surctl.errors import InputError
 from surctl.marine.cli.claims import (
@@ -29,11 +30,9 @@ from surctl.marine.cli.claims import (
 )
 from surctl.marine.cli.linear_part import LinearPart, linear_part, over_speeds, speed_lines
 from surctl.marine.cli.robot_options import (
-    GAINS_HELP,
     MISSION,
     SPEEDS,
     RobotOptions,
-    barrier_options,
     check_barrier,
     choose_gains,
     choose_law,
@@ -57,43 +56,49 @@ _GAIN_FILE = "gains.toml"  # in the printed commands, if the gains are derived
 _SPEED = FiniteRange(min=0, max=100, min_open=True)
 
 
+@dataclass(frozen=True)
+class _Robot(RobotOptions):
+    vehicle: str | None = option(
+        "--vehicle", "Vehicle (default: that of --scenario, else sur540-flooded).", metavar="FILE"
+    )
+    law: str | None = option("--law", "Law or FILE.py:FUNCTION (default guarded; no sway: steered).", metavar="NAME")
+    sensing: str | None = option(
+        "--sensing", "Obstacles: sonar (default if the law allows it) or truth.", metavar="NAME"
+    )
+
+
+@dataclass(frozen=True)
+class _Stated:
+    """What claims and margins are about, besides the robot; None: see the help."""
+
+    uncertainty: float = option(
+        "--uncertainty", "Error of mass, drag: 0.2 = ±20 % (default: vehicle's ranges).", 0.0, metavar="X"
+    )
+    cruise: tuple[float, ...] | None = option(
+        "--cruise",
+        "Cruise speeds [m/s], or LOW..HIGH:COUNT: margins at each, claims at the largest "
+        "(default: scenario's, else 0.15).",
+        type=SPEEDS,
+        metavar="V1,V2",
+    )
+    cap: float | None = option(
+        "--cap", "Largest commanded speed [m/s] (default: that of --scenario, else 0.22).", type=_SPEED, metavar="V"
+    )
+    scenario: str | None = option(
+        "--scenario", "Mission whose no-contact claim is checked: name or file.", metavar="FILE"
+    )
+    show: bool = option("--show", "Print claims as claim files, and check no claim.", False)
+
+
 @click.command
 @click.argument("words", nargs=-1, metavar="[CLAIM | FILE.toml")
-@click.option("--vehicle", metavar="FILE", help="Vehicle (default: that of --scenario, else sur540-flooded).")
-@click.option("--gains", metavar="FILE", help=GAINS_HELP)
-@click.option(
-    "--uncertainty",
-    type=float,
-    default=0.0,
-    metavar="X",
-    help="Error of mass, drag: 0.2 = ±20 % (default: vehicle's ranges).",
-)
-@click.option(
-    "--cruise",
-    type=SPEEDS,
-    metavar="V1,V2",
-    help="Cruise speeds [m/s], or LOW..HIGH:COUNT: margins at each, claims at the largest "
-    "(default: scenario's, else 0.15).",
-)
-@click.option(
-    "--cap", type=_SPEED, metavar="V", help="Largest commanded speed [m/s] (default: that of --scenario, else 0.22)."
-)
-@click.option("--scenario", metavar="FILE", help="Mission whose no-contact claim is checked: name or file.")
-@click.option("--law", metavar="NAME", help="Law or FILE.py:FUNCTION (default guarded; no sway: steered).")
-@click.option("--sensing", metavar="NAME", help="Obstacles: sonar (default if the law allows it) or truth.")
-@barrier_options
-@click.option("--show", is_flag=True, help="Print claims as claim files, and check no claim.")
-@collected(robot=RobotOptions)
+@options(robot=only(_Robot, "vehicle", "gains", "law", "sensing", "barrier", "movers"), stated=_Stated)
 def verify(
     words: tuple[str, ...],
     robot: RobotOptions,
-    uncertainty: float,
-    cruise: tuple[float, ...] | None,
-    cap: float | None,
-    scenario: str | None,
+    stated: _Stated,
     seed: int,
     time_limit: float | None,
-    show: bool,
     out: Path | None,
     as_json: bool,
 ) -> None:
@@ -127,7 +132,8 @@ def verify(
     from surctl.verification import Inapplicable
 
     # claims of one's own alone concern no vehicle, so nothing is said of one
-    law, gains = robot.law, robot.gains
+    law, gains, scenario = robot.law, robot.gains, stated.scenario
+    cruise, cap, uncertainty = stated.cruise, stated.cap, stated.uncertainty
     named_things = (robot.vehicle, gains, cruise, cap, scenario, law, robot.sensing)
     alone = bool(words) and all(map(_is_claim_file, words)) and all(word is None for word in named_things)
     mission = None if scenario is None else load_scenario(scenario)
@@ -147,7 +153,7 @@ def verify(
         kinds[next((kind for kind in kinds if kind is not None and kind(one)), None)].append(one)
     regions, missions, braking, named = kinds.values()
     chosen, left_out = library_claims(named, at_hand, vehicle, law=about) if named or not words else ([], [])
-    if show:
+    if stated.show:
         _show(chosen, regions, [*missions, *braking], left_out, as_json=as_json)
     check_held(cruise or (), vehicle, cap=speeds[1], key="--cruise")
     if out is not None:
