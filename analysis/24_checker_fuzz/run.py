@@ -194,15 +194,15 @@ def missed(text: str, points: int, seed: int) -> tuple[int, int, float]:
         if looked == points:
             break
         try:
-            (jet,) = enclose(sheet, [at], [doubles(*ends) for ends in box])
+            (value,) = enclose(sheet, [at], [doubles(*ends) for ends in box])
         except Undefined:
             if text != "tan(x)" or box[0][0] == box[0][1]:  # the tangent has poles
                 outside += 1
             continue
         looked += 1
-        outside += not held(text, jet.value, x, y)
+        outside += not held(text, value, x, y)
         if is_number(box):
-            widest = max(widest, relative_width(jet.value))
+            widest = max(widest, relative_width(value))
     return looked, outside, widest
 
 

@@ -338,6 +338,6 @@ class Derivation(Numbers):
             Undefined: an argument is not defined on the whole box.
         """
         entries = [self.table.entries[at] for at in self.table.needed(roots)]
-        for jet in enclose(self.table, [e.args[0] for e in entries if e.op in ("sin", "cos")], box):
-            if not libmp.mpf_le(libmp.mpi_abs(jet.value, BITS)[1], libmp.from_float(_LARGEST)):
+        for value in enclose(self.table, [e.args[0] for e in entries if e.op in ("sin", "cos")], box):
+            if not libmp.mpf_le(libmp.mpi_abs(value, BITS)[1], libmp.from_float(_LARGEST)):
                 raise Rejected("the code has no sine or cosine of an argument beyond 2^20")

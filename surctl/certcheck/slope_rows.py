@@ -13,17 +13,18 @@ exact at the border of the region (Hu and Lin, Control Systems with Actuator Sat
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from functools import reduce
-from itertools import pairwise, product
+from itertools import product
 from typing import Any
 
 import numpy as np
 from mpmath import libmp
 from numpy.typing import NDArray
 
+from surctl.certcheck import arrays as iv
+from surctl.certcheck.arrays import Ends
 from surctl.certcheck.document import Rejected
 from surctl.certcheck.elementary import BITS, hull
 from surctl.certcheck.enclosure import (
@@ -33,20 +34,19 @@ from surctl.certcheck.enclosure import (
     enclose,
     greatest,
     least,
-    minus,
-    mul,
+    outward,
     over,
     plus,
     rational,
-)
+)  # fmt: skip
 from surctl.certcheck.expressions import ExpressionTable
 from surctl.certcheck.identity import Exact
+from surctl.certcheck.jets import Jet, Tape, mean_value
 from surctl.certcheck.patience import go_on
 from surctl.certcheck.region_exact import Matrix, magnitude, relative_root_up
 
 __all__ = ["Number", "Poly", "Row", "Rows"]
 
-Array = NDArray[np.float64]
 Row = NDArray[np.object_]  # of objects of the class `Number`, or fractions
 Poly = dict[tuple[int, ...], Fraction]
 """A polynomial of degree at most 1 in each slope: coefficients by the sorted indices of the slopes in a term."""
@@ -274,9 +274,7 @@ class Rows:
             return self.box[entry.value.numerator]
         small = ExpressionTable([str(k) for k in range(len(entry.args))])
         root = small.put(entry.op, *(small.put("var", value=k) for k in range(len(entry.args))), value=entry.value)
-        own, rest = (
-            enclose(small, [root], [known[a] for a in entry.args])[0].value for known in (self.range, self.rest)
-        )
+        own, rest = (enclose(small, [root], [known[a] for a in entry.args])[0] for known in (self.range, self.rest))
         if 0 <= self.base[at] != at:
             image, still = self._image(at)
             own, rest = _common(own, image), _common(rest, still)
@@ -287,8 +285,8 @@ class Rows:
     def _image(self, at: int) -> tuple[Interval, Interval]:
         """Return the range on the region, and that at x*, of a function of its base."""
         function, base = self._function(at), self.base[at]
-        values = [function(piece, 0)[0] for piece in _pieces(self.range[base], self.rest[base])]
-        return reduce(hull, values), function(self.rest[base], 0)[0]
+        pieces = _pieces(self.range[base], self.rest[base])
+        return _hull(_run(function, pieces).value), _hull(_run(function, _array(self.rest[base])).value)
 
     def _support(self, row: Row) -> Fraction:
         """Return an upper bound on |row · (ξ, w)|."""
@@ -484,28 +482,32 @@ class Rows:
 
     # ---- functions of one variable
 
-    def _function(self, at: int) -> Callable[[Interval, int], tuple[Interval, Interval]]:
-        """Return value and slope of the node `at` as a function of its base."""
+    def _function(self, at: int) -> Tape:
+        """Return the node `at` as a function of its base."""
         small, base = ExpressionTable(["t"]), self.base[at]
         new = {base: small.put("var", value=0)}
         for k in self.table.needed([at]):
             entry = self.table.entries[k]
             if k not in new and all(a in new for a in entry.args) and entry.op != "var":
                 new[k] = small.put(entry.op, *(new[a] for a in entry.args), value=entry.value)
-        root = new[at]
-
-        def function(t: Interval, order: int) -> tuple[Interval, Interval]:
-            [jet] = enclose(small, [root], [t], order=order)
-            return jet.value, (jet.slope[0] or _ZERO) if jet.slope else _ZERO
-
-        return function
+        return Tape(small, (new[at],))
 
     def _secant(self, at: int) -> Interval:
         """Return the range of (g(t) − g(c))/(t − c), for t in the range of the base and c its value at x*."""
         function, base = self._function(at), self.base[at]
-        c = self.rest[base]
-        value = function(c, 0)[0]
-        return reduce(hull, (_secant_on(function, piece, c, value) for piece in _pieces(self.range[base], c)))
+        pieces, c = _pieces(self.range[base], self.rest[base]), _array(self.rest[base])
+        value = _run(function, c).value
+        between = _run(function, (np.minimum(pieces[0], c[0]), np.maximum(pieces[1], c[1])), order=1).slope
+        assert between is not None  # it bounds the secant slope by the mean value theorem
+        jet, apart = _run(function, pieces, order=1), iv.subtract(pieces, c)
+        assert jet.slope is not None
+        at_middle = iv.point(pieces[0] / 2 + pieces[1] / 2)
+        with np.errstate(all="ignore"):
+            secant = _both(between, iv.divide(iv.subtract(jet.value, value), apart))
+            # s' = (g' − s)/(t − c), and s(t) = s(m) + s'(τ)(t − m)
+            bend = iv.divide(iv.subtract(jet.slope, secant), apart)
+            first = iv.divide(iv.subtract(_run(function, at_middle).value, value), iv.subtract(at_middle, c))
+            return _hull(_both(secant, iv.add(first, iv.multiply(bend, iv.subtract(pieces, at_middle)))))
 
     def resting(self, k: int, moved: Fraction) -> Number:
         """Return f_k(centre, w) − moved without disturbances; it is the number 0 only if it is exactly 0."""
@@ -525,12 +527,9 @@ class Rows:
         if not exactly.of(apart)[0] and not exactly.assumed:
             return Number({})
         # the mean value theorem bounds it more closely where terms in the parameters cancel
-        box = [own for own, _ in self.box]
-        middle = [rational((_fraction(low) + _fraction(high)) / 2) for low, high in box]
-        total = enclose(small, [apart], middle)[0].value
-        [jet] = enclose(small, [apart], box, order=1)
-        for slope, own, at_middle in zip(jet.slope or (), box, middle, strict=True):
-            total = plus(total, mul(slope, plus(own, minus(at_middle))))
+        tape, box = Tape(small, (apart,)), _array(*(own for own, _ in self.box))
+        middle = iv.point(box[0] / 2 + box[1] / 2)
+        total = _hull(mean_value(_run(tape, box, order=1), _run(tape, middle), iv.subtract(box, middle)))
         return self._slope(_common(plus(self.rest[self.roots[k]], rational(-moved)), total))
 
 
@@ -568,33 +567,37 @@ def _evaluated(poly: Poly, value: Mapping[int, Fraction]) -> Fraction:
     return total
 
 
-def _pieces(ends: Interval, c: Interval) -> list[Interval]:
-    """Return intervals that cover an interval; they are shorter near c, where the mean value theorem decides."""
-    low, high = (_fraction(end) for end in ends)
+def _array(*intervals: Interval) -> Ends:
+    """Return intervals as ends (n, 1) of doubles, rounded outward."""
+    low, high = np.array([outward(one) for one in intervals]).T[:, :, None]
+    return low, high
+
+
+def _hull(ends: Ends) -> Interval:
+    """Return the smallest interval that contains all intervals of an array."""
+    return libmp.from_float(float(ends[0].min())), libmp.from_float(float(ends[1].max()))
+
+
+def _both(a: Ends, b: Ends) -> Ends:
+    """Return the intersections of intervals, which contain the same number."""
+    return np.maximum(a[0], b[0]), np.minimum(a[1], b[1])
+
+
+def _run(function: Tape, box: Ends, *, order: int = 0) -> Jet:
+    """Return the enclosures of a function on boxes; raise Undefined unless it is defined on all of them."""
+    (jet,), (fine,) = function.run(box, order=order)
+    if not fine.all():
+        raise Undefined("a function of one variable, or a sum, that is not defined on its whole range")
+    return jet
+
+
+def _pieces(ends: Interval, c: Interval) -> Ends:
+    """Return intervals (1, B) that cover an interval; they are shorter near c, where the mean value theorem decides."""
+    (low, high), middle = outward(ends), sum(outward(c)) / 2
     if low == high:
-        return [ends]
-    middle = min(max((_fraction(c[0]) + _fraction(c[1])) / 2, low), high)
-    steps = [Fraction(1, _PIECES * 2**k) for k in range(_HALVED, 0, -1)] + [
-        Fraction(k, _PIECES) for k in range(1, _PIECES)
-    ]
-    below = [middle - (middle - low) * step for step in reversed(steps)]
-    inside = [x for x in [*below, middle, *(middle + (high - middle) * step for step in steps)] if low < x < high]
-    return list(pairwise([ends[0], *(rational(x)[0] for x in dict.fromkeys(inside)), ends[1]]))
-
-
-def _secant_on(
-    function: Callable[[Interval, int], tuple[Interval, Interval]], piece: Interval, c: Interval, value: Interval
-) -> Interval:
-    """Return the range of (g(t) − g(c))/(t − c) for t in `piece`."""
-    between = function(hull(piece, c), 1)[1]  # the mean value theorem
-    apart = libmp.mpi_sub(piece, c, BITS)
-    if not (above(apart) or libmp.mpf_lt(apart[1], libmp.fzero)):
-        return between
-    at, own = function(piece, 1)
-    secant = _common(between, over(plus(at, minus(value)), apart))
-    # s' = (g' − s)/(t − c), and s(t) = s(m) + s'(τ)(t − m)
-    bend = over(plus(own, minus(secant)), apart)
-    low, high = (_fraction(end) for end in piece)
-    middle = rational((low + high) / 2)
-    first = over(plus(function(middle, 0)[0], minus(value)), libmp.mpi_sub(middle, c, BITS))
-    return _common(secant, plus(first, mul(bend, libmp.mpi_sub(piece, middle, BITS))))
+        return _array(ends)
+    middle = min(max(middle, low), high)
+    steps = np.array([0.0, *(0.5**k / _PIECES for k in range(_HALVED, 0, -1)), *np.arange(1, _PIECES) / _PIECES])
+    inside = np.unique([*(middle - (middle - low) * steps), *(middle + (high - middle) * steps)])
+    cuts = np.array([low, *inside[(low < inside) & (inside < high)], high])
+    return cuts[None, :-1], cuts[None, 1:]

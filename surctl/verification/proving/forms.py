@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from surctl.certcheck.arrays import Ends
 from surctl.sos.polynomial import Monomial, Polynomial
 from surctl.verification.claim import Claim
 from surctl.verification.formula import (
@@ -25,7 +26,6 @@ from surctl.verification.formula import (
     reread,
 )
 from surctl.verification.proving.algebra import Algebra, Ratio, TooLarge, Written
-from surctl.verification.proving.intervals import Ends
 from surctl.verification.proving.tape import build_tape
 from surctl.verification.proving.touching import touching_form
 

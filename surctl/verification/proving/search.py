@@ -9,14 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.verification.proving.intervals import Ends
-from surctl.verification.proving.rules import apply_rules, middle
+from surctl.certcheck.arrays import Array, Ends
+from surctl.certcheck.rules import DIMENSIONS, Rules, middle
+from surctl.verification.proving.rules import apply_rules
 from surctl.verification.proving.tape import Tape
-
-Array = NDArray[np.float64]
-
-DIMENSIONS = "0123456789ABCDEFGHIJKLMNOPQRSTUVWXYZ"
-"""The letters of the variables along which a box is bisected; rules have lower-case letters."""
 
 _CHUNK = 2048
 _NARROWEST = 1e-12  # least width to bisect, as a share of the root box
@@ -27,18 +23,14 @@ class BoxTask:
     """The inequality to prove on a box.
 
     Attributes:
-        bound: instruction list of the function to be proved ≤ 0 and of the factors of its denominator.
-        constraints: instruction list of the constraints.
+        rules: the inequality and its rules.
         written: instruction list of the claim as written; it shows on which boxes the claim is defined.
         box: lower and upper bounds of the root box, each (n,).
-        slack: amount by which the function, divided by its denominator, may exceed 0.
     """
 
-    bound: Tape
-    constraints: Tape
+    rules: Rules
     written: Tape
     box: tuple[Array, Array]
-    slack: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,7 +138,7 @@ def _decide(
     defined = np.ones(count, dtype=bool)
     if not everywhere:
         defined = np.logical_and.reduce(task.written.run(box).defined)
-    verdicts = apply_rules(task.bound, task.constraints, box, task.slack, defined)
+    verdicts = apply_rules(task.rules, box, defined)
     for k in np.flatnonzero(verdicts.rule != ""):
         tree.letters[ids[k]] = str(verdicts.rule[k])
         if verdicts.rule[k] == "c":
