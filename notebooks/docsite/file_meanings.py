@@ -207,7 +207,8 @@ MEANINGS: Mapping[str, Mapping[str, str]] = {
     },
     "GoalsFile": _KIND | {"points": "operating points of a system", "goals": "the goals"},
     "PointTable": {"name": "name of the operating point", "values": "numbers of the system by name"},
-    "LoopGoalTable": {
+    "GoalTable": {
+        "name": "name in tables and pictures",
         "type": "type of a goal about the loop, see below",
         "points": "operating points at which it holds; default: all",
         "at": "signal at which the loop is opened, or several",
@@ -231,9 +232,6 @@ MEANINGS: Mapping[str, Mapping[str, str]] = {
         "phase_margin_deg": "least phase margin",
         "delay_margin_s": "least delay margin",
         "disk_margin": "least disk margin",
-    },
-    "GoalTable": {
-        "name": "name in tables and pictures",
         "metric": "a metric of the tables below",
         "at_most": "upper bound, with unit",
         "at_least": "lower bound, with unit",

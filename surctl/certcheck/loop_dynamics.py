@@ -122,7 +122,7 @@ def compare_dynamics(
         error = rounding_error(table, root, whole, derived.constants)
         if not error <= (SHARE * _largest(table, root, whole) or _RESTS):
             unknown.append(f"{what}: the rounding of the code may change it by {error:.3g}")
-    derived.require_angles(roots, [span(*ends) for ends in whole])
+    derived.require_arguments(roots, [span(*ends) for ends in whole])
     return differs, unknown
 
 

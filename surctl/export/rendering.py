@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import itertools
+import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache, partial
 from types import MappingProxyType
 from typing import Any
+from xml.sax.saxutils import escape
 
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from surctl import __version__
 from surctl.export.contract import (
@@ -90,6 +92,15 @@ def comment(text: str) -> str:
 def _cell(text: str) -> str:
     """Return the text in a form that fits one cell of a Markdown table."""
     return _one_line(text).replace("|", "\\|")
+
+
+_IN_QUOTES = {'"': "&quot;", "\n": "&#10;", "\r": "&#13;", "\t": "&#09;"}
+"""Characters that the attribute of an XML element holds in another form, apart from &, < and >."""
+
+
+def _general(numbers: ArrayLike, digits: int = 6) -> str:
+    """Return one or more numbers with at most this many digits, separated by commas."""
+    return ", ".join(f"{number:.{digits}g}" for number in np.atleast_1d(numbers))
 
 
 _TYPES = ("Float32", "Int8", "UInt8", "Int16", "UInt16", "UInt32", "Int64", "UInt64", "Boolean", "String")
@@ -340,9 +351,8 @@ def templates() -> Environment:
         lstrip_blocks=True,
         keep_trailing_newline=True,
     )
-    environment.filters["comment"] = comment
-    environment.filters["cell"] = _cell
-    environment.filters["wrapped"] = _wrapped
+    environment.filters |= {"comment": comment, "cell": _cell, "line": _one_line, "wrapped": _wrapped}
+    environment.filters |= {"g": _general, "degrees": math.degrees, "xml": partial(escape, entities=_IN_QUOTES)}
     return environment
 
 

@@ -13,7 +13,7 @@ from surctl.ir.c99_procedure import emit_procedure
 from surctl.ir.c99_routine import RoutineText, Writer, feeds_of, function_key
 from surctl.ir.folding import shortened
 from surctl.ir.procedure import Procedure
-from surctl.ir.program import Instruction, Program
+from surctl.ir.program import LIBM, Instruction, Program
 from surctl.ir.routine import Block, Gather, Loop, Routine
 
 _INLINE = 300  # largest number of operations of a function that may be inlined
@@ -32,7 +32,7 @@ _IN_PLACE = {  # operations that some dialects compute number by number
     "sqrt": "ROOT({0})",
     "floor": "ROUND_DOWN({0})",
     "atan2": "LIBRARY_2(atan2, {0}, {1})",
-    **{name: f"LIBRARY({name}, {{0}})" for name in ("sin", "cos", "acos")},
+    **{name: f"LIBRARY({name}, {{0}})" for name in LIBM - {"atan2"}},
 }
 
 

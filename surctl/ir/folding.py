@@ -36,6 +36,10 @@ class Numbering:
         at = self._known.get(key)
         return self._append(key, Instruction(op, args)) if at is None else at
 
+    def do(self, op: str, *args: int | float) -> int:
+        """Return the list position of an operation; an operand of type float is a constant, an int a position."""
+        return self.add(op, tuple([self.constant(a) if isinstance(a, float) else a for a in args]))
+
     def copy(self, instruction: Instruction, moved: list[int]) -> int:
         """Return the position of a copy of an instruction from another list; `moved` maps old to new positions."""
         if instruction.op == "const":

@@ -117,35 +117,26 @@ _TABLE = (
     Operation("cos", 1, np.cos),
     Operation("atan2", 2, np.arctan2),
     Operation("acos", 1, np.arccos),
+    Operation("tan", 1, np.tan),
+    Operation("exp", 1, np.exp),
+    Operation("log", 1, np.log),
+    Operation("tanh", 1, np.tanh),
 )
 
 OPERATIONS: Mapping[str, Operation] = MappingProxyType({op.name: op for op in _TABLE})
 """The operations by name."""
 
-LIBM = frozenset({"sin", "cos", "atan2", "acos"})
+LIBM = frozenset({"sin", "cos", "atan2", "acos", "tan", "exp", "log", "tanh"})
 """Operations whose last bits depend on the platform's mathematical library."""
 
 SUBSTITUTES: Mapping[str, str] = MappingProxyType(
     {
-        "asin": "write atan2(x, sqrt(1 - x*x))",
         "assertion": "check outside the law",
-        "atan": "write atan2(x, 1)",
         "call": "build the inner function without never_inline",
-        "ceil": "write -floor(-x)",
-        "constpow": "multiply it out, or use sqrt",
-        "copysign": "write if_else(y < 0, -fabs(x), fabs(x))",
-        "exp": "approximate it by a polynomial or a rational function",
-        "fmod": "write x - y*floor(x/y) (result has the sign of y)",
-        "hypot": "write sqrt(x*x + y*y)",
-        "log": "approximate it by a polynomial or a rational function",
+        "erf": "approximate it by a polynomial or a rational function",
         "monitor": "remove it",
         "parameter": "make it an input of the function",
-        "pow": "multiply it out, or use sqrt",
         "printme": "remove it",
-        "remainder": "write x - y*floor(x/y + 0.5)",
-        "sign": "write if_else(x < 0, -1, if_else(x > 0, 1, 0))",
-        "tan": "write sin(x)/cos(x)",
-        "tanh": "write x/sqrt(1 + x*x) or a clamp",
     }
 )
 """For operations that the instruction list does not support, the replacement that an error message suggests."""

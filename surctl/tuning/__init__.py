@@ -21,12 +21,23 @@ if TYPE_CHECKING:
         spread,
     )
     from surctl.tuning.gain_search import search
-    from surctl.tuning.goals import LIBRARY, GoalTable, RunGoal, load_loop_goals
-    from surctl.tuning.loop_frequency_goals import Effort, LoopShape, MaxGain, Rejection, SensitivityBound, Tracking
-    from surctl.tuning.loop_goal_file import LOOP_GOAL_KEYS, LoopGoalTable, PointTable
+    from surctl.tuning.goals import LIBRARY, LOOP_GOAL_KEYS, GoalTable, PointTable, RunGoal, load_loop_goals
+    from surctl.tuning.loop_goal_types import (
+        Effort,
+        LoopShape,
+        Margins,
+        MaxGain,
+        Overshoot,
+        Poles,
+        Rejection,
+        SensitivityBound,
+        Settling,
+        StepRejection,
+        StepTracking,
+        Tracking,
+    )
     from surctl.tuning.loop_goals import LoopGoal
     from surctl.tuning.loop_scores import judge_loops, operating_loops
-    from surctl.tuning.loop_time_goals import Margins, Overshoot, Poles, Settling, StepRejection, StepTracking
     from surctl.tuning.montecarlo import Counterexample, MonteCarlo
     from surctl.tuning.outcome import Tuned, summary
     from surctl.tuning.pool import Condition, Evaluation, Pool, SearchRequest
@@ -38,7 +49,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "LIBRARY", "LOOP_GOAL_KEYS", "ONE_POINT", "SEED", "Axis", "Condition", "Counterexample", "DaskExecutor", "Design",
-    "Effort", "Evaluation", "Executor", "GoalTable", "LocalExecutor", "LoopGoal", "LoopGoalTable", "LoopShape",
+    "Effort", "Evaluation", "Executor", "GoalTable", "LocalExecutor", "LoopGoal", "LoopShape",
     "Margins", "MaxGain", "MonteCarlo", "Overshoot", "PointTable", "Poles", "Pool", "Rejection", "Round", "RunGoal",
     "SearchRequest", "SensitivityBound", "Settling", "Share", "SobolIndices", "Span", "StepRejection", "StepTracking",
     "SweepSubject", "SweepTable", "SystemRequest", "SystemSweep", "Tracking", "Tuned", "Tuning", "grid", "judge_loops",

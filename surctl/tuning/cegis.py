@@ -1,21 +1,16 @@
-"""Tuning by counterexamples: rounds of search and test, when they end, which round wins, `rounds.json`."""
+"""Tuning by counterexamples: rounds of search and test, when they end, which round wins."""
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import cache
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, TypeAdapter
 
 from surctl.errors import InputError, check_count, check_once
-from surctl.files import write_file
 from surctl.tuning.chunked import Progress
 from surctl.tuning.gain_search import conflict, search
 from surctl.tuning.montecarlo import (
@@ -56,7 +51,7 @@ class Round:
     feasible: bool
     missed: tuple[str, ...]
     training: tuple[Counterexample, ...]
-    verified: Annotated[MonteCarlo | None, Field(alias="monte_carlo")]
+    verified: MonteCarlo | None
     claims: tuple[ClaimPoint, ...]
     others: tuple[Mapping[str, float], ...]
 
@@ -74,50 +69,7 @@ class Round:
 
     def to_dict(self) -> dict[str, Any]:
         """The round as plain data for JSON."""
-        return dict(_rounds().dump_python([self], mode="json", by_alias=True)[0])
-
-
-@cache
-def _rounds() -> TypeAdapter[list[Round]]:
-    return TypeAdapter(list[Round])
-
-
-class RoundsFile:
-    """JSON file with the finished rounds of one request; the whole file is written again after each round.
-
-    Args:
-        folder: folder of `rounds.json`; None stores nothing.
-        request: text that determines the rounds completely; a file that belongs to another request is ignored.
-    """
-
-    def __init__(self, folder: Path | None, request: str) -> None:
-        self.path = None if folder is None else folder / "rounds.json"
-        self.digest = hashlib.sha256(request.encode()).hexdigest()
-        self.rounds: list[Round] = self._load()
-
-    def round(self, k: int) -> Round | None:
-        """Return the k-th round if it is finished, otherwise None."""
-        return self.rounds[k] if k < len(self.rounds) else None
-
-    def add(self, one: Round) -> None:
-        """Store a finished round."""
-        self.rounds.append(one)
-        if self.path is None:
-            return
-        text = json.dumps({"request": self.digest, "rounds": [r.to_dict() for r in self.rounds]}, indent=1)
-        write_file(self.path, text)
-
-    def _load(self) -> list[Round]:
-        # a file that belongs to another request is ignored
-        if self.path is None or not self.path.exists():
-            return []
-        try:
-            table = json.loads(self.path.read_text(encoding="utf-8"))
-            if table["request"] != self.digest:
-                return []
-            return _rounds().validate_python(table["rounds"])
-        except (OSError, ValueError, KeyError, TypeError, AttributeError):  # also a mistake that pydantic finds
-            return []
+        return {"monte_carlo" if name == "verified" else name: value for name, value in asdict(self).items()}
 
 
 _WORTH = 0.01  # smallest relative improvement of the score for which tuning continues
@@ -200,8 +152,8 @@ def tune(
         rounds: largest number of rounds, at least 1.
         runs: number of fresh runs that verify the gains of each round. Before them, ten times as many training runs
             screen the gain sets of the round. With 0, neither kind of run is simulated.
-        folder: folder that stores trials and rounds; an interrupted tuning with an identical request resumes from this
-            folder.
+        folder: folder that stores all trials and test runs; an interrupted tuning with an identical request resumes
+            from it.
         progress: function that receives one line of text at each step of the work.
 
     Raises:
@@ -222,7 +174,6 @@ def tune(
     """
     _check(request, trials, rounds, runs)
     runs = runs if request.fresh(runs=1, first=0) else 0
-    record = RoundsFile(folder, f"{request.digest} {trials} {runs}")
     journal = Journal(folder)
     done: list[Round] = []
     current, requested = request, len(request.conditions)
@@ -230,27 +181,18 @@ def tune(
         if journal.batches(request.digest, width=request.width).known(request.size) is None:
             # a file of best gains from the first moment on
             journal.note_best(*request.so_far({}, "the start gains of a tuning without a finished trial"))
+        used = 1 + max(c.seed for c in request.conditions)
         for k in range(rounds):
-            known = record.round(k)
             progress(f"round {k + 1} of at most {rounds}: {len(current.conditions)} runs for each gain set")
-            pool = None
-            if known is None:
-                pool = _searched(current, done, _longer(trials, done), journal, progress)
-                known, pool = _round(
-                    current, pool, runs, k, journal, progress, used=1 + max(c.seed for c in request.conditions)
-                )
-                record.add(known)
-                journal.note_best(*request.so_far(known.gains, f"the gains of round {k + 1} of an unfinished tuning"))
-            done.append(known)
+            found = _searched(current, done, _longer(trials, done), journal, progress)
+            last, pool = _round(current, found, runs, k, journal, progress, used=used)
+            journal.note_best(*request.so_far(last.gains, f"the gains of round {k + 1} of an unfinished tuning"))
+            done.append(last)
             if _ended(done) or k + 1 == rounds:
                 break
-            if not _barren(known):
-                current = harder(current, (*known.training, *known.fresh), known.claims)
-        final = harder(current, done[-1].training)
-        if pool is None:  # every round was loaded from the record
-            pool = _searched(current, done[:-1], _longer(trials, done[:-1]), journal, progress)
-            figures = stored_figures(final, journal, progress)
-            pool = reduced_pool(final, pool, done[-1].gains, figures=figures)
+            if not _barren(last):
+                current = harder(current, (*last.training, *last.fresh), last.claims)
+        final = harder(current, last.training)
     hand, candidates = (
         final.judge({name: np.array([value]) for name, value in request.begun.items()}),
         _candidates(final, done),

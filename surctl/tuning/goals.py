@@ -1,23 +1,35 @@
-"""Goals files; goals on costs of a system's runs; which linear goals do not describe a run at a limit."""
+"""Goals files: keys of `[[goals]]` and `[[points]]`; goals on costs of runs; linear goals beyond a run at a limit."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import MISSING, Field, dataclass, fields
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import Field as Key
 
-from surctl.errors import InputError, check_once, mistakes_in, nearest
+from surctl.errors import InputError, check_known, check_once, mistakes_in, nearest
 from surctl.files import Quantity, Strict, load_model, pick
 from surctl.system import System
-from surctl.tuning.loop_goal_file import LoopGoalTable, PointTable, check_points, loop_goal
-from surctl.tuning.loop_goals import LoopGoal
-from surctl.tuning.loop_time_goals import Overshoot, Settling, StepRejection, StepTracking
+from surctl.tuning.loop_goal_types import (
+    Effort,
+    LoopShape,
+    Margins,
+    MaxGain,
+    Overshoot,
+    Poles,
+    Rejection,
+    SensitivityBound,
+    Settling,
+    StepRejection,
+    StepTracking,
+    Tracking,
+)
+from surctl.tuning.loop_goals import Bound, LoopGoal, Profile
 from surctl.verification.loops import worst_place
 
 if TYPE_CHECKING:
@@ -31,29 +43,44 @@ Kind = Literal["hard", "soft"]
 Sense = Literal["at most", "at least"]
 
 
-class GoalTable(LoopGoalTable):
-    """Content of a `[[goals]]` table in a goals file or a study file; with `type`, a goal about the loop."""
+class GoalTable(Strict):
+    """Content of a `[[goals]]` table in a goals file or a study file: a goal about a metric, or about the loop.
 
-    type: str | None = None  # type: ignore[assignment]
+    With `type`, it is a goal about the loop, and `LOOP_GOAL_KEYS` says which keys it has.
+    """
+
+    name: str = Key(min_length=1)
+    type: str | None = None
+    kind: Kind = "soft"
+    points: tuple[str, ...] = ()
+    at: str | tuple[str, ...] = ()
+    source: str | None = Key(default=None, alias="from")
+    end: str | None = Key(default=None, alias="to")
+    frequency_rad_per_s: tuple[float, ...] | None = None
+    gain: tuple[float, ...] | None = None
+    gain_db: tuple[float, ...] | None = None
+    attenuation: float | tuple[float, ...] | None = None
+    at_most: Quantity | None = None
+    band_db: float = 3.0
+    side: Literal["both", "above", "below"] = "both"
+    response_s: float | None = None
+    steady_error: float = 0.01
+    peak_error: float = 1.0
+    time_constant_s: float | None = None
+    natural_frequency_rad_per_s: float | None = None
+    damping: float | None = None
+    decay_per_s: float = 0.0
+    fastest_rad_per_s: float | None = None
+    gain_margin: float = 0.0
+    phase_margin_deg: float = 0.0
+    delay_margin_s: float = 0.0
+    disk_margin: float = 0.0
     metric: str | None = None
     at_least: Quantity | None = None
     over: Over = "worst"
     cases: tuple[str, ...] = ()
     plants: Plants = "all"
     cruise_m_per_s: tuple[float, ...] | None = None
-
-    def loop(self) -> LoopGoalTable:
-        """Return the table of a goal about the loop.
-
-        Raises:
-            InputError: it has a key of a goal about a metric.
-        """
-        for name in ("metric", "at_least", "over", "cases"):
-            if name in self.model_fields_set:
-                problem = f"is not a key of a goal of type {self.type}"
-                raise InputError(problem, key=f"goals.{self.name}.{name}", remedy="leave it out, or drop type")
-        left = self.model_dump(by_alias=True, exclude_unset=True)
-        return LoopGoalTable.model_validate({k: v for k, v in left.items() if k not in ("plants", "cruise_m_per_s")})
 
     def bound(self, unit: str | None) -> tuple[Sense, Quantity]:
         """Return the sense and the bound of a goal about a metric, in its unit; None: in the stated one.
@@ -71,6 +98,17 @@ class GoalTable(LoopGoalTable):
             return sense, bound if unit is None else bound.within(unit)
 
 
+class PointTable(Strict):
+    """Content of a `[[points]]` table: an operating point, that is, numbers of the system by name."""
+
+    name: str = Key(min_length=1)
+    values: dict[str, float | tuple[float, ...]]
+
+    def numbers(self) -> dict[str, Any]:
+        """Return the numbers by name, as in `run_numbers`."""
+        return {name: [list(value)] if isinstance(value, tuple) else value for name, value in self.values.items()}
+
+
 TWICE: Mapping[str, str] = {"problem": "is the name of two goals", "key": "goals.name", "remedy": "rename one"}
 """What is wrong with the tables of goals of which two have the same name, see `check_once`."""
 
@@ -79,10 +117,10 @@ class GoalsFile(Strict):
     """Content of a goals file."""
 
     kind: Literal["goals"]
-    name: str = Field(min_length=1)
+    name: str = Key(min_length=1)
     note: str = ""
     points: tuple[PointTable, ...] = ()
-    goals: tuple[GoalTable, ...] = Field(min_length=1)
+    goals: tuple[GoalTable, ...] = Key(min_length=1)
 
 
 Array = NDArray[np.float64]
@@ -195,6 +233,148 @@ class RunGoal:
         return {"name": self.name, **bound, "kind": self.kind, "over": self.over}
 
 
+_TYPES: Mapping[str, type[LoopGoal]] = {
+    kind.TYPE: kind
+    for kind in (
+        LoopShape, SensitivityBound, Rejection, MaxGain, Effort, Tracking, Overshoot, Settling, StepTracking,
+        StepRejection, Poles, Margins,
+    )
+}  # fmt: skip
+_COMMON = {"name", "type", "kind", "points", "plants", "cruise_m_per_s"}
+_OF_METRICS = ("metric", "at_least", "over", "cases")
+_PROFILE = ("frequency_rad_per_s", "gain", "gain_db")
+_KEYS: Mapping[str, tuple[str, ...]] = {  # of a field whose keys have other names than the field
+    "target": _PROFILE,
+    "attenuation": ("attenuation", "frequency_rad_per_s"),
+    "model": ("time_constant_s", "natural_frequency_rad_per_s", "damping"),
+    "unit": (),  # that of at_most
+    "gain": ("gain_margin",),
+    "phase_deg": ("phase_margin_deg",),
+    "delay_s": ("delay_margin_s",),
+    "disk": ("disk_margin",),
+}
+_SHOWN = {"source": "from", "end": "to", "target": "gain"}
+_REMEDIES = {
+    "at_most": 'write at_most = { value = ..., unit = "..." }',
+    "target": "give frequency_rad_per_s with gain or gain_db",
+    "attenuation": "give a factor, or one for each frequency",
+    "response_s": "give the response time [s]",
+}
+
+
+def _keys(one: Field[Any]) -> tuple[str, ...]:
+    return _KEYS.get(one.name, (one.name, *(_PROFILE if one.type == "Bound" else ())))
+
+
+LOOP_GOAL_KEYS: Mapping[str, frozenset[str]] = {
+    name: frozenset(key for one in fields(kind) if one.name not in _COMMON for key in _keys(one))
+    for name, kind in _TYPES.items()
+}
+"""Types of goals about the loop, with the keys of their tables."""
+
+
+def loop_goal(table: GoalTable) -> LoopGoal:
+    """Build the goal that a table describes; an InputError names the key."""
+    key, problem = f"goals.{table.name}", f"is not a key of a goal of type {table.type}"
+    for name in _OF_METRICS:
+        if name in table.model_fields_set:
+            raise InputError(problem, key=f"{key}.{name}", remedy="leave it out, or drop type")
+    check_known(table.type, _TYPES, "is not a type of goal", key=f"{key}.type")
+    allowed, kind = LOOP_GOAL_KEYS[str(table.type)], _TYPES[str(table.type)]
+    for name in sorted(table.model_fields_set - _COMMON - allowed):
+        known = ", ".join(sorted(_SHOWN.get(one, one) for one in allowed))
+        raise InputError(problem, key=f"{key}.{_SHOWN.get(name, name)}", remedy=f"it has: {known}")
+    try:
+        values = {one.name: _value(table, kind, one) for one in fields(kind)}
+        for one in fields(kind):
+            if values[one.name] in (None, "", ()) and one.default is MISSING:
+                remedy = _REMEDIES.get(one.name, "name a signal of the loop")
+                raise InputError("is missing", key=_SHOWN.get(one.name, one.name), remedy=remedy)
+        return kind(**{name: value for name, value in values.items() if value is not None})
+    except InputError as error:
+        raise error.inside(
+            None, error.key if error.key and error.key.startswith(key) else f"{key}.{error.key}"
+        ) from None
+
+
+def check_points(goals: Sequence[LoopGoal], points: Mapping[str, Any]) -> None:
+    """Raise InputError if a goal names an operating point that does not exist."""
+    for goal in goals:
+        for name in goal.points:
+            if name not in points:
+                key, remedy = f"goals.{goal.name}.points", nearest(name, points) if points else "add a [[points]] table"
+                raise InputError("is not an operating point", key=key, value=name, remedy=remedy)
+
+
+def _value(table: GoalTable, kind: type[LoopGoal], one: Field[Any]) -> Any:
+    """Return the value of a field of a goal of this kind; None: it keeps its default."""
+    if one.name in _BUILT:
+        return _BUILT[one.name](table)
+    if one.name != "at_most":
+        (name,) = _keys(one)
+        return getattr(table, name)
+    unit = None if "unit" in {other.name for other in fields(kind)} else kind.UNIT
+    return _bound(table, unit) if one.type == "Bound" else _most(table, unit)
+
+
+def _bound(table: GoalTable, unit: str | None) -> Bound | None:
+    # one number, or a profile by points
+    profile, most = _target(table), _most(table, unit)
+    idle = most is not None and table.frequency_rad_per_s is not None
+    if (profile is None) == (most is None) or idle:
+        remedy = "give at_most, or frequency_rad_per_s with gain or gain_db"
+        raise InputError("needs one bound", key="at_most", remedy=remedy)
+    return profile or most
+
+
+def _profile(table: GoalTable, values: tuple[float, ...]) -> Profile:
+    if table.frequency_rad_per_s is None:
+        raise InputError("is missing", key="frequency_rad_per_s", remedy="give a frequency for each value")
+    return Profile(table.frequency_rad_per_s, tuple(float(value) for value in values))
+
+
+def _target(table: GoalTable) -> Profile | None:
+    if table.gain is not None and table.gain_db is not None:
+        raise InputError("is given twice", key="gain", remedy="give gain or gain_db")
+    values = table.gain if table.gain_db is None else tuple(10 ** (np.array(table.gain_db) / 20))
+    return None if values is None else _profile(table, values)
+
+
+def _most(table: GoalTable, unit: str | None) -> float | None:
+    if table.at_most is None:
+        return None
+    with mistakes_in(None, "at_most.unit"):
+        return (table.at_most if unit is None else table.at_most.within(unit)).value
+
+
+def _attenuation(table: GoalTable) -> Bound | None:
+    return _profile(table, table.attenuation) if isinstance(table.attenuation, tuple) else table.attenuation
+
+
+def _model(table: GoalTable) -> Any:
+    import control  # takes seconds to import
+
+    lag, w, zeta = table.time_constant_s, table.natural_frequency_rad_per_s, table.damping
+    if (lag is None) == (w is None) or (w is None) != (zeta is None):
+        remedy = "give time_constant_s, or natural_frequency_rad_per_s and damping"
+        raise InputError("needs one reference model", key="time_constant_s", remedy=remedy)
+    for key, value in (("time_constant_s", lag), ("natural_frequency_rad_per_s", w), ("damping", zeta)):
+        if value is not None and not value > 0:
+            raise InputError("must be greater than 0", key=key, value=value, remedy="correct it")
+    if w is None or zeta is None:
+        return control.tf([1.0], [lag, 1.0])
+    return control.tf([w**2], [1.0, 2 * zeta * w, w**2])
+
+
+_BUILT: Mapping[str, Callable[[GoalTable], Any]] = {
+    "at": lambda table: (table.at,) if isinstance(table.at, str) else table.at,
+    "target": _target,
+    "attenuation": _attenuation,
+    "model": _model,
+    "unit": lambda table: None if table.at_most is None else table.at_most.unit,
+}
+
+
 def load_loop_goals(path: Path | str) -> tuple[tuple[LoopGoal, ...], dict[str, dict[str, Any]]]:
     """Load the goals about the loop from a goals file, and its operating points by name (values as in `run_numbers`).
 
@@ -220,12 +400,12 @@ def load_loop_goals(path: Path | str) -> tuple[tuple[LoopGoal, ...], dict[str, d
         >>> goals[0].name, points
         ('robust', {'rain': {'disturbance.rain': 0.1}})
     """
-    goals, points, _ = _load(path, None)
+    goals, points, _ = load_system_goals(path, None)
     return goals, points
 
 
 def load_system_goals(
-    path: Path | str, system: System
+    path: Path | str, system: System | None
 ) -> tuple[tuple[LoopGoal, ...], dict[str, dict[str, Any]], tuple[RunGoal, ...]]:
     """Load the goals of a system: those about the loop, the operating points by name, and those about costs of runs.
 
@@ -234,19 +414,16 @@ def load_system_goals(
     Raises:
         InputError: as for `load_loop_goals`, or the system has no such cost.
     """
-    return _load(path, system)
-
-
-def _load(
-    path: Path | str, system: System | None
-) -> tuple[tuple[LoopGoal, ...], dict[str, dict[str, Any]], tuple[RunGoal, ...]]:
     path = pick(str(path), LIBRARY, what="goals")
     content = load_model(path, GoalsFile)
     with mistakes_in(path):
         check_once((table.name for table in content.goals), **TWICE)
         runs = tuple(_run_goal(table, system) for table in content.goals if table.type is None)
-        points = _points(content.points)
-        goals = tuple(loop_goal(table.loop()) for table in content.goals if table.type is not None)
+        check_once(
+            (p.name for p in content.points), "is the name of two points", key="points.name", remedy="rename one"
+        )
+        points = {point.name: point.numbers() for point in content.points}
+        goals = tuple(loop_goal(table) for table in content.goals if table.type is not None)
         check_points(goals, points)
     return goals, points, runs
 
@@ -267,18 +444,6 @@ def _run_goal(table: GoalTable, system: System | None) -> RunGoal:
         where = f"{key}.{sense.replace(' ', '_')}"
         raise InputError("must be finite and greater than 0", key=where, value=bound.value, remedy="correct it")
     return RunGoal(table.name, cost, bound.unit, bound.value, sense, table.kind, "mean")
-
-
-def _points(tables: tuple[PointTable, ...]) -> dict[str, dict[str, Any]]:
-    """Return the values of each operating point by its name."""
-    points: dict[str, dict[str, Any]] = {}
-    for table in tables:
-        if table.name in points:
-            raise InputError("is the name of two points", key="points.name", value=table.name, remedy="rename one")
-        points[table.name] = {
-            name: [list(value)] if isinstance(value, tuple) else value for name, value in table.values.items()
-        }
-    return points
 
 
 _ACTIVE = 0.01

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from surctl.errors import InputError
 from surctl.plotted import Plotted
 from surctl.system import LinearLoop, System, linearise
-from surctl.tuning.loop_goal_file import check_points
+from surctl.tuning.goals import check_points
 from surctl.tuning.loop_goals import Judgement, LoopGoal
 
 
@@ -119,7 +119,7 @@ def judge_loops(goals: Sequence[LoopGoal], loops: Mapping[str, LinearLoop]) -> L
         met     peak (soft): 0.556, 1.111 for 2, at 31.4 rad/s; nominal
         met     phase (soft): 0.712, 84.26 deg for 60, phase margin 84.3 deg at force; nominal
     """
-    check_points(tuple(goals), loops)
+    check_points(goals, loops)
     return LoopScores(
         tuple(
             Score(goal, name, goal.judge(loop))

@@ -12,7 +12,7 @@ from math import cos, isfinite, pi, radians, sin, tan
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
-from xml.etree import ElementTree
+from xml.sax.saxutils import escape
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +28,8 @@ from surctl.marine.vehicle import WATER
 from surctl.marine.vehicle.specs import AXES
 
 if TYPE_CHECKING:
+    from jinja2 import Template
+
     from surctl.marine.simulation import Obstacle, Scenario
     from surctl.marine.vehicle import Vehicle
 
@@ -154,9 +156,7 @@ HULL, OBSTACLE, THRUSTER = "hull", "obstacle/", "thruster/"
 WALLS = ("wall/x0", "wall/x1", "wall/y0", "wall/y1")
 _ACTUATORS = AXES[:4]
 
-_THICK = 0.1  # [m] of walls and floor
-_TOP = 0.06  # [m] height of walls above the water
-_Node = ElementTree.Element
+_TOP = 0.06  # [m] height of obstacles above the water, as that of the walls in the template
 
 
 def mjcf(scenario: Scenario, vehicle: Vehicle, *, options: EngineOptions | None = None) -> str:
@@ -182,155 +182,72 @@ def mjcf(scenario: Scenario, vehicle: Vehicle, *, options: EngineOptions | None 
         >>> 'mass="50.0"' in text, 'name="obstacle/OM1"' in text
         (True, True)
     """
-    body = body_of(vehicle, options or EngineOptions())
-    root = ElementTree.Element("mujoco", model=f"{scenario.name}-{vehicle.name}")
-    _node(root, "compiler", angle="radian", autolimits="false")
-    water = {"density": str(WATER)} if body.options.drag == "ellipsoid" else {}
-    _node(root, "option", timestep=body.options.step, integrator="RK4", gravity=(0, 0, -9.81), **water)
-    _look(root, scenario)
-    world = _node(root, "worldbody")
-    _site(world, scenario)
-    for obstacle in scenario.obstacles:
-        _obstacle(world, obstacle, scenario, vehicle["radius"])
-    _hull(world, scenario, vehicle, body)
-    _thrusters(root, vehicle)
-    ElementTree.indent(root)
-    return ElementTree.tostring(root, encoding="unicode") + "\n"
+    body, radius = body_of(vehicle, options or EngineOptions()), vehicle["radius"]
+    six, pose = body.options.dof == 6, scenario.start_pose.tolist()
+    extent, down = max(0.55 * scenario.site[0] * 9 / 16, 0.56 * scenario.site[1]), radians(_DOWN)
+    # MuJoCo's model has no factor 1/2: its coefficient of blunt drag is Cd / 2
+    blunt = vehicle["Xuu"] / (WATER * pi * radius**2) if body.options.drag == "ellipsoid" else None
+    return _scene().render(
+        scenario=scenario, vehicle=vehicle, body=body, options=body.options, radius=radius, six=six, pose=pose,
+        quat=(cos(pose[3] / 2), 0, 0, sin(pose[3] / 2)), density=WATER, blunt=blunt, lag=vehicle["thrust_lag"],
+        extent=extent, high=extent / tan(radians(_OPENING / 2)), opening=_OPENING, down=(cos(down), sin(down)),
+        obstacles=[_obstacle(one, scenario.site[2], radius) for one in scenario.obstacles],
+        thrust=[vehicle[name] if six and name in vehicle.parameters else 0.0 for name in ("xt", "yt", "zt")],
+        thrusters=() if vehicle.actuators is None else vehicle.actuators.thrusters, actuators=_actuators(vehicle),
+    )  # fmt: skip
 
 
-def _node(parent: _Node, tag: str, **attributes: object) -> _Node:
-    return ElementTree.SubElement(
-        parent, tag, {key.rstrip("_"): _text(value) for key, value in attributes.items() if value is not None}
-    )
+@cache
+def _scene() -> Template:
+    from jinja2 import Environment, PackageLoader, StrictUndefined  # takes long
+
+    environment = Environment(
+        loader=PackageLoader("surctl.marine.engine", ""), undefined=StrictUndefined, finalize=_text, autoescape=False,
+        trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True,
+    )  # fmt: skip
+    return environment.get_template("scene.txt")
 
 
 def _text(value: object) -> str:
-    if isinstance(value, Sequence) and not isinstance(value, str):
+    """Return a value of the template as the text of an attribute."""
+    if isinstance(value, str):
+        return escape(value, {'"': "&quot;", "\r": "&#13;", "\n": "&#10;", "\t": "&#09;"})
+    if isinstance(value, Sequence):
         return " ".join(map(_text, value))
     return repr(float(value)) if isinstance(value, float) else str(value)
-
-
-def _look(root: _Node, scenario: Scenario) -> None:
-    length, width, _ = scenario.site
-    far = max(length, width)
-    visual = _node(root, "visual")
-    _node(visual, "global", offwidth=1280, offheight=720)
-    _node(visual, "quality", shadowsize=0, offsamples=0)
-    _node(visual, "headlight", ambient=(0.38, 0.42, 0.45), diffuse=(0.35, 0.38, 0.4), specular=(0.1, 0.1, 0.1))
-    _node(visual, "map", znear=0.005, zfar=20.0, fogstart=0.35 * far, fogend=2.2 * far)
-    _node(visual, "rgba", fog=(0.10, 0.30, 0.38, 1.0), haze=(0.10, 0.30, 0.38, 1.0))
-    _node(root, "statistic", extent=far, center=(length / 2, width / 2, 0.0))
-    asset = _node(root, "asset")
-    sky = {"type": "skybox", "builtin": "gradient", "rgb1": (0.55, 0.75, 0.82), "rgb2": (0.06, 0.20, 0.27)}
-    _node(asset, "texture", name="water", width=64, height=64, **sky)
-    tiles = {"type": "2d", "builtin": "checker", "rgb1": (0.20, 0.42, 0.50), "rgb2": (0.24, 0.47, 0.55)}
-    _node(asset, "texture", name="tiles", width=256, height=256, **tiles)
-    _node(asset, "material", name="tiles", texture="tiles", texrepeat=(2 * length, 2 * width), reflectance=0.0)
-
-
-def _site(world: _Node, scenario: Scenario) -> None:
-    length, width, depth = scenario.site
-    half = (depth + _TOP) / 2
-    middle = _TOP - half
-    for x, y in ((0.25, 0.3), (0.75, 0.7)):
-        place = {"pos": (x * length, y * width, 3.0), "dir": (0, 0, -1)}
-        _node(world, "light", diffuse=(0.35, 0.4, 0.4), castshadow="false", **place)
-    thick = _THICK / 2
-    middles = ((-thick, width / 2), (length + thick, width / 2), (length / 2, -thick), (length / 2, width + thick))
-    sizes = ((thick, width / 2 + _THICK), (thick, width / 2 + _THICK), (length / 2, thick), (length / 2, thick))
-    for name, centre, size in zip(WALLS, middles, sizes, strict=True):
-        box = {"pos": (*centre, middle), "size": (*size, half)}
-        _node(world, "geom", name=name, type="box", rgba=(0.62, 0.76, 0.80, 0.30), **box)
-    floor = {"pos": (length / 2, width / 2, -depth - thick), "size": (length / 2, width / 2, thick)}
-    _node(world, "geom", name="floor", type="box", material="tiles", **floor)
-    surface = {"pos": (length / 2, width / 2, 0.0), "size": (length / 2, width / 2, 0.1)}
-    look = {"rgba": (0.55, 0.80, 0.95, 0.10), "contype": 0, "conaffinity": 0, "group": 3}
-    _node(world, "geom", name="surface", type="plane", zaxis=(0, 0, -1), **surface, **look)
-    # both cameras see the whole site in pictures of 16 to 9; without perspective, the view from above shows true gaps,
-    # but MuJoCo takes no such picture that is higher than 180 m
-    extent = max(0.55 * length * 9 / 16, 0.56 * width)
-    high = extent / tan(radians(_OPENING / 2))
-    above = (length / 2, width / 2, high)
-    flat = {"projection": "orthographic", "fovy": 2 * extent} if extent < 90.0 else {"fovy": _OPENING}
-    _node(world, "camera", name="above", pos=above, xyaxes=(1, 0, 0, 0, 1, 0), **flat)
-    down, back = radians(_DOWN), 1.25 * high
-    side = (length / 2, width / 2 - back * cos(down), back * sin(down))
-    _node(world, "camera", name="side", pos=side, xyaxes=(1, 0, 0, 0, sin(down), cos(down)), fovy=_OPENING)
 
 
 _OPENING = 48.0  # [deg] of the cameras, from top to bottom
 _DOWN = 28.0  # [deg] by which the camera at the side looks down
 
 
-def _obstacle(world: _Node, obstacle: Obstacle, scenario: Scenario, hull: float) -> None:
-    low = obstacle.heights.bottom if isfinite(obstacle.heights.bottom) else -scenario.site[2]
+def _obstacle(obstacle: Obstacle, depth: float, hull: float) -> tuple[str, Sequence[float], str, str, Sequence[float]]:
+    # name, place, colour, shape and size
+    low = obstacle.heights.bottom if isfinite(obstacle.heights.bottom) else -depth
     high = obstacle.heights.top if isfinite(obstacle.heights.top) else _TOP
-    body = _node(
-        world, "body", name=f"{OBSTACLE}{obstacle.name}", mocap="true", pos=(*obstacle.centre_m, (low + high) / 2)
-    )
     half = (high - low) / 2
-    if obstacle.size_m is not None:
-        shape: dict[str, object] = {"type": "box", "size": (obstacle.size_m[0] / 2, obstacle.size_m[1] / 2, half)}
-    else:
-        shape = {"type": "cylinder", "size": (obstacle.radius_m or hull, half)}
-    colour = (0.80, 0.30, 0.22, 1.0) if obstacle.shape == "moving" else (0.78, 0.55, 0.28, 1.0)
-    _node(body, "geom", name=f"{OBSTACLE}{obstacle.name}", rgba=colour, **shape)
+    place, size = (*obstacle.centre_m, (low + high) / 2), (obstacle.radius_m or hull, half)
+    colour = "0.8 0.3 0.22 1.0" if obstacle.shape == "moving" else "0.78 0.55 0.28 1.0"
+    if obstacle.size_m is None:
+        return f"{OBSTACLE}{obstacle.name}", place, colour, "cylinder", size
+    edges = (obstacle.size_m[0] / 2, obstacle.size_m[1] / 2, half)
+    return f"{OBSTACLE}{obstacle.name}", place, colour, "box", edges
 
 
-def _hull(world: _Node, scenario: Scenario, vehicle: Vehicle, body: Body) -> None:
-    x, y, z, heading = (float(value) for value in scenario.start_pose)
-    six = body.options.dof == 6
-    place: dict[str, object] = {"pos": (x, y, z), "quat": (cos(heading / 2), 0, 0, sin(heading / 2))} if six else {}
-    hull = _node(world, "body", name=HULL, gravcomp=1, **place)
-    if six:
-        _node(hull, "freejoint", name="free")
-    else:
-        for name, axis in zip("xyz", ((1, 0, 0), (0, 1, 0), (0, 0, 1)), strict=True):
-            _node(hull, "joint", name=name, type="slide", axis=axis)
-        _node(hull, "joint", name="heading", type="hinge", axis=(0, 0, 1))
-    _node(hull, "inertial", pos=(0, 0, 0), mass=body.mass, diaginertia=body.inertia)
-    radius = vehicle["radius"]
-    fluid: dict[str, object] = {}
-    if body.options.drag == "ellipsoid":
-        # MuJoCo's model has no factor 1/2: its coefficient of blunt drag is Cd / 2
-        blunt = vehicle["Xuu"] / (WATER * pi * radius**2)
-        fluid = {"fluidshape": "ellipsoid", "fluidcoef": (blunt, 0.0, 0.0, 0.0, 0.0)}
-    _node(hull, "geom", name=HULL, type="sphere", size=(radius,), rgba=(0.95, 0.80, 0.15, 1.0), **fluid)
-    visual = {"contype": 0, "conaffinity": 0, "mass": 0}
-    band = {"size": (1.004 * radius, 0.05 * radius), "rgba": (0.15, 0.15, 0.18, 1.0)}
-    _node(hull, "geom", name="band", type="cylinder", **band, **visual)
-    nose = {"pos": (0.97 * radius, 0, 0), "size": (0.16 * radius,), "rgba": (0.85, 0.20, 0.15, 1.0)}
-    _node(hull, "geom", name="nose", type="sphere", **nose, **visual)
-    names = ("xt", "yt", "zt")
-    thrust = [vehicle[name] if six and name in vehicle.parameters else 0.0 for name in names]
-    _node(hull, "site", name="thrust", pos=thrust, size=(0.05 * radius,))
+def _actuators(vehicle: Vehicle) -> list[tuple[str, str, Sequence[float], Sequence[float]]]:
+    # name, site, gear and limits; an axis without thrust has no gear, and neither it nor a fin has limits
+    rows: list[tuple[str, str, Sequence[float], Sequence[float]]] = []
+    for axis, (name, low, high) in enumerate(zip(_ACTUATORS, *vehicle.delivered_range.tolist(), strict=True)):
+        gear = [int(low < high and place == (0, 1, 2, 5)[axis]) for place in range(6)]
+        rows.append((name, "thrust", gear, (low, high) if low < high else ()))
     for one in () if vehicle.actuators is None else vehicle.actuators.thrusters:
-        _node(hull, "site", name=f"{THRUSTER}{one.name}", pos=one.at, size=(0.05 * radius,))
-    front = (1.15 * radius, 0, 0.25 * radius)
-    _node(hull, "camera", name="nose", pos=front, xyaxes=(0, -1, 0, 0, 0, 1), fovy=75.0)
-
-
-def _thrusters(root: _Node, vehicle: Vehicle) -> None:
-    actuators = _node(root, "actuator")
-    lag = vehicle["thrust_lag"]
-    filtered: dict[str, object] = {"dyntype": "filter", "dynprm": (lag,)} if lag > 0 else {}
-    for axis, (name, low, high) in enumerate(zip(_ACTUATORS, *vehicle.delivered_range, strict=True)):
-        gear = [0] * 6
-        gear[axis if axis < 3 else 5] = 1
-        limits: dict[str, object] = {}
-        if low < high:
-            limits = {"ctrllimited": "true", "ctrlrange": (float(low), float(high))}
-        else:
-            gear = [0] * 6
-        _node(actuators, "general", name=name, site="thrust", gear=gear, gainprm=(1,), **limits, **filtered)
-    for one in () if vehicle.actuators is None else vehicle.actuators.thrusters:
-        site, ends = f"{THRUSTER}{one.name}", zip(one.corners.min(axis=0), one.corners.max(axis=0), strict=True)
-        for k, (low, high) in enumerate(ends):
+        site = f"{THRUSTER}{one.name}"
+        ends = zip(one.corners.min(axis=0).tolist(), one.corners.max(axis=0).tolist(), strict=True)
+        for k, limits in enumerate(ends):
             gear = [*one.directions[:, k].tolist(), 0, 0, 0]
             # the limits of a fin grow with the speed
-            limits = {} if one.fin else {"ctrllimited": "true", "ctrlrange": (float(low), float(high))}
-            name = f"{site}/across" if k else site
-            _node(actuators, "general", name=name, site=site, gear=gear, gainprm=(1,), **limits, **filtered)
+            rows.append((f"{site}/across" if k else site, site, gear, () if one.fin else limits))
+    return rows
 
 
 _TEXT = files("surctl.marine.engine").joinpath("water.txt").read_text(encoding="utf-8")

@@ -8,7 +8,7 @@ adds the drift amplitude of an obstacle to its size, so that the clearance is av
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from math import floor
 
@@ -174,7 +174,7 @@ def _met(scenario: Scenario, vehicle: Vehicle) -> list[Obstacle]:
 
 def end_findings(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
     """Return the findings at the start and the target only, without the slow search for gaps on the way."""
-    results = _at_walls(scenario, vehicle, _ends(scenario))
+    results = list(_at_walls(scenario, vehicle, _ends(scenario)))
     for obstacle in _met(scenario, vehicle):
         results += _at_still(obstacle, scenario, vehicle) if obstacle.still else _at_moving(obstacle, scenario, vehicle)
     return results
@@ -182,7 +182,7 @@ def end_findings(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
 
 def start_findings(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
     """Return the findings about walls at the start only."""
-    return _at_walls(scenario, vehicle, _ends(scenario)[:1])
+    return list(_at_walls(scenario, vehicle, _ends(scenario)[:1]))
 
 
 def _ends(scenario: Scenario) -> list[tuple[str, NDArray[np.float64], float]]:
@@ -191,9 +191,8 @@ def _ends(scenario: Scenario) -> list[tuple[str, NDArray[np.float64], float]]:
     return [("start", scenario.start, 0.0), *visited, ("target", scenario.target, 0.0)]
 
 
-def _launch(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
+def _launch(scenario: Scenario, vehicle: Vehicle) -> Iterator[Finding]:
     # the law takes the launch area as free before its first echoes
-    results = []
     start = (float(scenario.start[0]), float(scenario.start[1]))
     for obstacle in _met(scenario, vehicle):
         own = vehicle["radius"] if not obstacle.still and obstacle.radius_m is None else 0.0
@@ -203,25 +202,21 @@ def _launch(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
         if scenario.launch > 0 and clearance < scenario.launch:
             hull = f"the hull of {vehicle.name} at the start"
             text = f"obstacle {obstacle.name!r} may come within {clearance:.3f} m of {hull}"
-            results.append(Finding("error", "launch_m", f"{text}, but launch_m declares {scenario.launch:g} m free"))
-    return results
+            yield Finding("error", "launch_m", f"{text}, but launch_m declares {scenario.launch:g} m free")
 
 
 def _at_walls(
     scenario: Scenario, vehicle: Vehicle, ends: list[tuple[str, NDArray[np.float64], float]]
-) -> list[Finding]:
-    results = []
+) -> Iterator[Finding]:
     for name, point, near in ends:
         clearance = min(wall.nearest(point)[0] for wall in scenario.walls) - vehicle["radius"] + near
         if clearance < _CLEARANCE:
             where = f"{-clearance:.3f} m inside a wall" if clearance < 0 else f"only {clearance:.3f} m from a wall"
             text = f"the {vehicle['radius']:g} m hull of {vehicle.name} is {where} at the {name}"
-            results.append(Finding("error", "path_m", text, clearance))
-    return results
+            yield Finding("error", "path_m", text, clearance)
 
 
-def _at_still(obstacle: Obstacle, scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
-    results = []
+def _at_still(obstacle: Obstacle, scenario: Scenario, vehicle: Vehicle) -> Iterator[Finding]:
     for name, point, near in _ends(scenario):
         clearance = obstacle.distance((float(point[0]), float(point[1]))) - vehicle["radius"] + near
         if clearance - obstacle.drift_m > 0:
@@ -234,8 +229,7 @@ def _at_still(obstacle: Obstacle, scenario: Scenario, vehicle: Vehicle) -> list[
                 f"at the {name} the hull of {vehicle.name} is {clearance:.3f} m from obstacle {obstacle.name!r}, which "
                 f"drifts by up to {obstacle.drift_m:g} m: they may touch"
             )
-        results.append(Finding("error", f"obstacles.{obstacle.name}", text, clearance))
-    return results
+        yield Finding("error", f"obstacles.{obstacle.name}", text, clearance)
 
 
 def _at_moving(obstacle: Obstacle, scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
@@ -258,17 +252,15 @@ def _at_moving(obstacle: Obstacle, scenario: Scenario, vehicle: Vehicle) -> list
     return [Finding("error", f"{key}.to_m", text)]
 
 
-def _drifting_together(scenario: Scenario) -> list[Finding]:
+def _drifting_together(scenario: Scenario) -> Iterator[Finding]:
     still = [o for o in scenario.obstacles if o.still]
-    results = []
     for k, one in enumerate(still):
         for other in still[k + 1 :]:
             clearance, drift = one.apart(other), one.drift_m + other.drift_m
             if drift > 0 and clearance < drift and one.heights.shares(other.heights):
                 pair = f"obstacles {one.name!r} and {other.name!r}"
                 text = f"{pair} are {clearance:.3f} m apart and may drift into each other"
-                results.append(Finding("warning", f"obstacles.{other.name}.drift_m", text))
-    return results
+                yield Finding("warning", f"obstacles.{other.name}.drift_m", text)
 
 
 def _gap(scenario: Scenario, vehicle: Vehicle, gains: Gains) -> list[Finding]:
@@ -325,10 +317,10 @@ def layers(scenario: Scenario, vehicle: Vehicle, gains: Gains) -> list[float]:
     return [scenario.depth + k * pitch for k in (*range(1, above + 1), *range(-1, -below - 1, -1))]
 
 
-def _surface(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
+def _surface(scenario: Scenario, vehicle: Vehicle) -> Iterator[Finding]:
     out = vehicle["radius"] + scenario.depth_range[1]
     if out <= 0 or vehicle["Fw_max"] == 0:  # a craft without heave force keeps its depth by its weight
-        return []
+        return
     radius, heave = vehicle["radius"], float(vehicle.thrust_range[1, 2])
     missing = missing_buoyancy(radius, scenario.depth_range[1])
     text = f"at this depth, the top of the hull is {out:.2f} m above the water surface; the model has no buoyancy"
@@ -338,4 +330,4 @@ def _surface(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
             f"; a flooded hull needs {missing:.3g} N upwards at this depth, and the heave thrust gives {heave:g} N: "
             f"unless ballast makes the hull float, the hull sinks to z = {sunk:.3f} m; use {-radius:g} m or less"
         )
-    return [Finding("warning", "depth_m", text)]
+    yield Finding("warning", "depth_m", text)

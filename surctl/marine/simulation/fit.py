@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from math import atan, atan2, degrees, hypot, inf, pi, tan
 
 import numpy as np
@@ -35,37 +35,36 @@ def _number(vehicle: Vehicle, name: str) -> float:
     return vehicle[name] if name in vehicle.parameters else 0.0
 
 
-def _buoyancy(vehicle: Vehicle) -> list[Finding]:
+def _buoyancy(vehicle: Vehicle) -> Iterator[Finding]:
     least, most = vehicle.thrust_range[:, 2]
     up = _number(vehicle, "Z0") + _number(vehicle, "buoyancy") - _number(vehicle, "weight")
     if up == 0 or -most < up < -least:
-        return []
+        return
     limit = f"the heave thrust reaches {-least if up > 0 else most:g} N"
     text = f"{vehicle.name} {'rises' if up > 0 else 'sinks'}: {abs(up):.3g} N act on it vertically, and {limit}"
-    return [Finding("error", "vehicle", f"{text}; ballast it")]
+    yield Finding("error", "vehicle", f"{text}; ballast it")
 
 
-def _tilt(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
+def _tilt(scenario: Scenario, vehicle: Vehicle) -> Iterator[Finding]:
     # [N m/rad] about the axes of roll and pitch
     righting = vehicle["buoyancy"] * _number(vehicle, "zb") - vehicle["weight"] * _number(vehicle, "zg")
     if righting <= 0:
         text = f"{vehicle.name} capsizes: its centre of gravity is not below its centre of buoyancy"
-        return [Finding("error", "vehicle", f"{text} (zg, zb)")]
+        yield Finding("error", "vehicle", f"{text} (zg, zb)")
+        return
     height = abs(_number(vehicle, "zt"))
     pull = {"pitch": max(abs(vehicle.thrust_range[:, 0])), "roll": max(abs(vehicle.thrust_range[:, 1]))}
     tilts = {axis: degrees(atan2(force * height, righting)) for axis, force in pull.items()}
     axis = max(tilts, key=lambda name: tilts[name])
-    results = []
     if tilts[axis] > _WIDE:
         text = f"full thrust tilts {vehicle.name} by {tilts[axis]:.0f} deg in {axis}, because it acts {height:g} m from"
         remedy = "move the thrusters to the height of the centre, lower the centre of gravity, or limit the thrust"
-        results.append(Finding("warning", "vehicle", f"{text} the centre of the hull; {remedy}"))
+        yield Finding("warning", "vehicle", f"{text} the centre of the hull; {remedy}")
     tilt = np.asarray(trim_function(vehicle.form)([scenario.cruise, 0, 0, 0], plant_parameters(vehicle))[1]).ravel()
     steady = degrees(hypot(*tilt[:2]))
     if not steady <= _WIDE:  # also where the vehicle has no trim
         text = f"at the cruise speed of {scenario.cruise:g} m/s {vehicle.name} is tilted by {steady:.0f} deg"
-        results.append(Finding("warning", "cruise_m_per_s", text))
-    return results
+        yield Finding("warning", "cruise_m_per_s", text)
 
 
 _LIMITS = {"Fu_max": "surge", "Fv_max": "sway", "Fw_max": "heave", "Fr_max": "yaw"}
@@ -81,7 +80,7 @@ def thruster_findings(vehicle: Vehicle) -> list[Finding]:
     force whose allocation keeps yaw may lose surge force while it turns: this is said as information. Fins have the
     limits of the speed `Vehicle.speed`.
     """
-    results = _drag(vehicle)
+    results = list(_drag(vehicle))
     if vehicle.actuators is None:
         return results
     results += [*_odd(vehicle), *_not_simulated(vehicle)]
@@ -113,41 +112,39 @@ def thruster_findings(vehicle: Vehicle) -> list[Finding]:
     return results
 
 
-def _drag(vehicle: Vehicle) -> list[Finding]:
+def _drag(vehicle: Vehicle) -> Iterator[Finding]:
     # linear drag of sway and yaw takes energy at every v and r only if its symmetric part is positive semidefinite
     yaw, sway = (vehicle[name] if name in vehicle.parameters else 0.0 for name in ("Yr", "Nv"))
     bound = 2 * float(np.sqrt(vehicle["Yv"] * vehicle["Nr"]))
     if abs(yaw + sway) <= bound * (1 + _SLACK) + _SLACK:
-        return []
+        return
     text = (
         f"the linear drag adds energy at some sway speed and yaw rate: |Yr + Nv| = {abs(yaw + sway):.4g} N s is above "
         f"2 sqrt(Yv Nr) = {bound:.4g} N s. If these are not published numbers, check signs and units of Yr and Nv"
     )
-    return [Finding("info", "drag.Yr" if abs(yaw) >= abs(sway) else "drag.Nv", text)]
+    yield Finding("info", "drag.Yr" if abs(yaw) >= abs(sway) else "drag.Nv", text)
 
 
-def _odd(vehicle: Vehicle) -> list[Finding]:
+def _odd(vehicle: Vehicle) -> Iterator[Finding]:
     # numbers that look like another unit
     assert vehicle.actuators is not None
-    results = []
     for one in vehicle.actuators.thrusters:
         distance, hull = float(np.linalg.norm(one.at)), vehicle["radius"]
         if distance > _HULLS * hull:
             text = (
                 f"{one.name} is {distance:g} m from the middle, beyond {_HULLS:g} hull radii of {hull:g} m: give metres"
             )
-            results.append(Finding("warning", f"thruster.{one.name}.at_m", text))
+            yield Finding("warning", f"thruster.{one.name}.at_m", text)
         if one.fin is not None and degrees(one.fin.limit) < _LEAST_DEG:
             limit = degrees(one.fin.limit)
             text = f"{one.name} deflects by {limit:.4g}° only, which looks like radians: {degrees(limit):.3g}°?"
-            results.append(Finding("warning", f"thruster.{one.name}.fin.limit_deg", text))
-    return results
+            yield Finding("warning", f"thruster.{one.name}.fin.limit_deg", text)
 
 
-def _not_simulated(vehicle: Vehicle) -> list[Finding]:
+def _not_simulated(vehicle: Vehicle) -> Iterator[Finding]:
     # what the file states or implies, and the plant does not contain
     assert vehicle.actuators is not None
-    results, worst, worst_name = [], 0.0, ""
+    worst, worst_name = 0.0, ""
     point = np.array([vehicle[name] if name in vehicle.parameters else 0.0 for name in ("xt", "yt", "zt")])
     for one in vehicle.actuators.thrusters:
         rate = None if one.swivel is None else one.swivel.rate
@@ -156,7 +153,7 @@ def _not_simulated(vehicle: Vehicle) -> list[Finding]:
                 f"a quarter turn of {one.name} takes {pi / 2 / rate:.3g} s, but simulation and margins turn joints at "
                 f"once, with the lag of {vehicle['thrust_lag']:.3g} s: use a faster joint, or state a longer thrust_lag"
             )
-            results.append(Finding("warning", f"thruster.{one.name}.swivel.rate_deg_per_s", text))
+            yield Finding("warning", f"thruster.{one.name}.swivel.rate_deg_per_s", text)
         arm = (one.columns[3:5] - np.cross(point, one.directions, axisb=0).T[:2]) @ one.corners.T
         most = float(np.linalg.norm(arm, axis=0).max())
         if vehicle.form.tilts and most > worst + _SLACK:
@@ -166,8 +163,7 @@ def _not_simulated(vehicle: Vehicle) -> list[Finding]:
             f"the roll and pitch moment of {worst_name} is simulated by --plant mujoco only: {worst:.3g} N m beside "
             "that of its force at (xt, yt, zt); in the own plant, total force and yaw moment of the thrusters act"
         )
-        results.append(Finding("warning", f"thruster.{worst_name}.at_m", text))
-    return results
+        yield Finding("warning", f"thruster.{worst_name}.at_m", text)
 
 
 def held_share(vehicle: Vehicle, failed: Sequence[str] = ()) -> float:
@@ -266,17 +262,17 @@ def _widest_gap(array: SonarArray) -> float:
     return widest
 
 
-def _floor(scenario: Scenario) -> list[Finding]:
+def _floor(scenario: Scenario) -> Iterator[Finding]:
     floor, depth = scenario.sensors.equipment.floor, scenario.site[2]
     if floor is None or abs(floor - depth) <= _SAME_FLOOR:
-        return []
+        return
     how = (
         "echoes of the floor mark obstacles"
         if floor > depth
         else "echoes from the range of that floor, or from beyond, mark no obstacle"
     )
     text = f"the law assumes a floor {floor:g} m deep, but the site is {depth:g} m deep: {how}"
-    return [Finding("warning", "sonar.floor_m", text)]
+    yield Finding("warning", "sonar.floor_m", text)
 
 
 def _short(scenario: Scenario, vehicle: Vehicle, gains: Gains) -> list[Finding]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from itertools import combinations, pairwise
 from math import acos, ceil, degrees, floor, inf, log10, tan
 
@@ -35,11 +36,11 @@ def planned_radius(vehicle: Vehicle, gains: Gains, speed: float) -> tuple[float,
     return radius, f"planned turning radius at {speed:g} m/s is {radius:.2g} m {with_gain}"
 
 
-def steering_findings(scenario: Scenario, vehicle: Vehicle, gains: Gains) -> list[Finding]:
-    """Return the findings about turning, holding a place and depth; empty for a vehicle that has all four forces."""
-    results = _depths(scenario, vehicle)
+def steering_findings(scenario: Scenario, vehicle: Vehicle, gains: Gains) -> Iterator[Finding]:
+    """Yield the findings about turning, holding a place and depth; none for a vehicle that has all four forces."""
+    yield from _depths(scenario, vehicle)
     if vehicle["Fv_max"] > 0:
-        return results
+        return
     radius, about = planned_radius(vehicle, gains, scenario.cruise)
     at_rest = vehicle.fin_share(scenario.cruise) * 100
     text = (
@@ -48,24 +49,21 @@ def steering_findings(scenario: Scenario, vehicle: Vehicle, gains: Gains) -> lis
     )
     if at_rest > 0:
         text += f"; rudders or fins give {at_rest:.0f} % of its yaw moment, and nothing at rest"
-    return [
-        *results,
-        Finding("info", "vehicle", text),
-        *_corners(scenario, radius),
-        *_turning_circle(scenario, vehicle, radius),
-        *_arrival_findings(scenario, vehicle, radius),
-        *_station(scenario, vehicle),
-    ]
+    yield Finding("info", "vehicle", text)
+    yield from _corners(scenario, radius)
+    yield from _turning_circle(scenario, vehicle, radius)
+    yield from _arrival_findings(scenario, vehicle, radius)
+    yield from _station(scenario, vehicle)
 
 
-def _depths(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
+def _depths(scenario: Scenario, vehicle: Vehicle) -> Iterator[Finding]:
     if vehicle["Fw_max"] > 0 or scenario.depths is None:
-        return []
+        return
     text = f"{vehicle.name} has no heave force (Fw_max = 0), so it cannot leave the path's depth; remove depths_m"
-    return [Finding("error", "depths_m", text)]
+    yield Finding("error", "depths_m", text)
 
 
-def _corners(scenario: Scenario, radius: float) -> list[Finding]:
+def _corners(scenario: Scenario, radius: float) -> Iterator[Finding]:
     """Report the worst reversal, and the worst corner whose wheel-over distance R tan(α/2) exceeds half a leg."""
     reversals, sharp = [], []
     points, legs = scenario.path.waypoints[1:-1], np.diff(scenario.path.waypoints, axis=0)
@@ -87,24 +85,21 @@ def _corners(scenario: Scenario, radius: float) -> list[Finding]:
                 f"of the shorter leg is {half:.2g} m: it leaves the path; lower cruise_m_per_s or lengthen the leg"
             )
             sharp.append((wheel_over - half, text))
-    results = []
     for listed, others in ((reversals, "also turn back"), (sharp, "are also too sharp")):
         if listed:
             more = f" (the worst; {len(listed) - 1} other corners {others})" if len(listed) > 1 else ""
-            results.append(Finding("warning", "path_m", max(listed)[1] + more))
-    return results
+            yield Finding("warning", "path_m", max(listed)[1] + more)
 
 
-def _turning_circle(scenario: Scenario, vehicle: Vehicle, radius: float) -> list[Finding]:
+def _turning_circle(scenario: Scenario, vehicle: Vehicle, radius: float) -> Iterator[Finding]:
     needed, hull = 2 * radius, vehicle["radius"]
-    results = []
     width = min(scenario.site[:2]) - 2 * hull
     if width < needed:
         text = (
             f"the site leaves {width:.2g} m for the centre of {vehicle.name}, less than its planned turning circle of "
             f"{needed:.2g} m at the cruise speed: it must slow down to turn round; lower cruise_m_per_s"
         )
-        results.append(Finding("warning", "site", text))
+        yield Finding("warning", "site", text)
     gap = tightest_gap(scenario, hull + radius)
     if gap is not None and 0 < gap.always - 2 * hull < needed:
         text = (
@@ -112,20 +107,19 @@ def _turning_circle(scenario: Scenario, vehicle: Vehicle, radius: float) -> list
             f"centre of {vehicle.name}, less than its planned turning circle of {needed:.2g} m at the cruise speed: "
             "it cannot turn back there without slowing down"
         )
-        results.append(Finding("info", "obstacles", text))
-    return results
+        yield Finding("info", "obstacles", text)
 
 
-def _arrival_findings(scenario: Scenario, vehicle: Vehicle, radius: float) -> list[Finding]:
+def _arrival_findings(scenario: Scenario, vehicle: Vehicle, radius: float) -> Iterator[Finding]:
     if vehicle.fin_share(scenario.cruise) < 0.5 or not scenario.arrival_radius < _PASSES * radius < inf:
-        return []
+        return
     needed = _rounded_up(_PASSES * radius)
     text = (
         f"{vehicle.name} steers by rudders or fins and passes its target at speed, to within about {needed:g} m, "
         f"{100 * _PASSES:g} % of its planned turning radius: in {scenario.arrival_radius:g} m it may turn round "
         f"several times; set arrival_m = {needed:g}"
     )
-    return [Finding("warning", "arrival_m", text)]
+    yield Finding("warning", "arrival_m", text)
 
 
 def _rounded_up(value: float) -> float:
@@ -134,12 +128,12 @@ def _rounded_up(value: float) -> float:
     return float(f"{ceil(value / step) * step:.2g}")
 
 
-def _station(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
+def _station(scenario: Scenario, vehicle: Vehicle) -> Iterator[Finding]:
     d = scenario.disturbance
     if not scenario.visit or not (np.hypot(*d.current_m_per_s) > 0 or d.drift_force_n > 0):
-        return []
+        return
     text = f"{vehicle.name} has no sway force, so a current or a drift force moves it away from a corner to visit"
-    return [Finding("warning", "corners", text)]
+    yield Finding("warning", "corners", text)
 
 
 Array = NDArray[np.float64]
@@ -158,18 +152,19 @@ def mission_findings(scenario: Scenario, vehicle: Vehicle, gains: Gains) -> list
     return [*_arcs(scenario, vehicle, gains), *_climb(scenario, vehicle), *_short(scenario, gains)]
 
 
-def _arcs(scenario: Scenario, vehicle: Vehicle, gains: Gains) -> list[Finding]:
+def _arcs(scenario: Scenario, vehicle: Vehicle, gains: Gains) -> Iterator[Finding]:
     """Report the arc that needs most of the yaw rate or of the sway force, if it needs more than there is."""
     kinds, speeds, lengths = scenario.path.kinds, _leg_speeds(scenario), scenario.path.lengths
     if kinds is None or not np.any(kinds[1:-1] == BEND):
-        return []
+        return
     curvature = np.where(kinds[1:-1] == BEND, scenario.turns / ((lengths[1:] + lengths[:-1]) / 2), 0.0)
     speed = np.maximum(speeds[1:], speeds[:-1])
     if vehicle["Fv_max"] > 0:
-        return _forced_arcs(scenario, vehicle, curvature, speed)
+        yield from _forced_arcs(scenario, vehicle, curvature, speed)
+        return
     # the drift of the hull carries the force towards the centre: the radius of a planned turn counts, as at corners
     tightest = [(v, float(np.max(curvature[speed == v]))) for v in np.unique(speed)]
-    results = []
+    tight = []
     for v, most in tightest:
         radius, about = planned_radius(vehicle, gains, float(v))
         if most * radius > 1:
@@ -177,12 +172,12 @@ def _arcs(scenario: Scenario, vehicle: Vehicle, gains: Gains) -> list[Finding]:
                 f"an arc of radius {1 / most:.2g} m is tighter than {vehicle.name} turns: its {about}, so it "
                 "leaves the path; lower the speed or enlarge the radius"
             )
-            results.append((most * radius, Finding("warning", "leg.radius_m", text)))
-    return [max(results, key=lambda one: one[0])[1]] if results else []
+            tight.append((most * radius, text))
+    if tight:
+        yield Finding("warning", "leg.radius_m", max(tight, key=lambda one: one[0])[1])
 
 
-def _forced_arcs(scenario: Scenario, vehicle: Vehicle, curvature: Array, speed: Array) -> list[Finding]:
-    results = []
+def _forced_arcs(scenario: Scenario, vehicle: Vehicle, curvature: Array, speed: Array) -> Iterator[Finding]:
     most = vehicle.at_speed(scenario.cruise).steady_yaw(YAW_SHARE, scenario.cruise)
     k = int(np.argmax(curvature * speed))
     if curvature[k] * speed[k] > most:
@@ -190,7 +185,7 @@ def _forced_arcs(scenario: Scenario, vehicle: Vehicle, curvature: Array, speed: 
             f"an arc of radius {1 / curvature[k]:.2g} m at {speed[k]:g} m/s turns at {curvature[k] * speed[k]:.2g} "
             f"rad/s, but {vehicle.name} sustains {most:.2g} rad/s: its hull will lag behind the path"
         )
-        results.append(Finding("warning", "leg.radius_m", text))
+        yield Finding("warning", "leg.radius_m", text)
     # the force towards the centre turns with the hull, which heads along the path: sway thrust
     force = vehicle["m11"] * speed**2 * curvature
     k = int(np.argmax(force))
@@ -199,26 +194,25 @@ def _forced_arcs(scenario: Scenario, vehicle: Vehicle, curvature: Array, speed: 
             f"an arc of radius {1 / curvature[k]:.2g} m at {speed[k]:g} m/s needs {force[k]:.2f} N towards its centre, "
             f"but the sway thrust of {vehicle.name} is {vehicle['Fv_max']:g} N"
         )
-        results.append(Finding("error", "leg.radius_m", text))
-    return results
+        yield Finding("error", "leg.radius_m", text)
 
 
-def _climb(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
+def _climb(scenario: Scenario, vehicle: Vehicle) -> Iterator[Finding]:
     rises = scenario.path.rises
     if rises is None or not rises.any():
-        return []
+        return
     climb = float(np.max(np.abs(np.diff(rises)) / scenario.path.lengths * _leg_speeds(scenario)))
     needed = vehicle["Zw"] * climb + vehicle["Zww"] * climb**2
     if needed <= vehicle["Fw_max"]:
-        return []
+        return
     text = (
         f"a change of depth at {climb:.2g} m/s needs {needed:.2f} N, but the heave thrust of {vehicle.name} is "
         f"{vehicle['Fw_max']:g} N"
     )
-    return [Finding("error", "climb_m_per_s", text)]
+    yield Finding("error", "climb_m_per_s", text)
 
 
-def _short(scenario: Scenario, gains: Gains) -> list[Finding]:
+def _short(scenario: Scenario, gains: Gains) -> Iterator[Finding]:
     """Report corners that are closer together than the look-ahead distance: the law smooths such a path."""
     path = scenario.path
     kinds = path.table(visits=scenario.corners == "visit")[1:-1, 4]
@@ -226,12 +220,12 @@ def _short(scenario: Scenario, gains: Gains) -> list[Finding]:
     at = np.concatenate([[0.0], np.cumsum(path.lengths)])[corner]
     near = int(np.sum(np.diff(at) < gains["lookahead"]))
     if len(path.waypoints) <= 2 or not near:
-        return []
+        return
     text = (
         f"{near} of {len(at) - 1} stretches between corners are shorter than the look-ahead distance of "
         f"{gains['lookahead']:g} m: the robot cuts these corners"
     )
-    return [Finding("info", "path_m", text)]
+    yield Finding("info", "path_m", text)
 
 
 _SAME = 1e-6  # [m] distance of points that are one
@@ -250,27 +244,20 @@ def motion_findings(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
     ]
 
 
-def _obstacle_speeds(scenario: Scenario) -> list[Finding]:
-    return [
-        Finding(
-            "warning",
-            f"obstacles.{o.name}.speed_m_per_s",
-            f"obstacle {o.name!r} at {o.speed_m_per_s:g} m/s is faster than the cap of {scenario.cap:g} m/s: "
-            "the robot can evade it only sideways",
-        )
-        for o in scenario.obstacles
-        if o.speed_m_per_s is not None and o.speed_m_per_s > scenario.cap
-    ]
+def _obstacle_speeds(scenario: Scenario) -> Iterator[Finding]:
+    for o in scenario.obstacles:
+        if o.speed_m_per_s is not None and o.speed_m_per_s > scenario.cap:
+            text = f"obstacle {o.name!r} at {o.speed_m_per_s:g} m/s is faster than the cap of {scenario.cap:g} m/s"
+            text += ": the robot can evade it only sideways"
+            yield Finding("warning", f"obstacles.{o.name}.speed_m_per_s", text)
 
 
-def _meetings(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
-    results = []
+def _meetings(scenario: Scenario, vehicle: Vehicle) -> Iterator[Finding]:
     for a, b in combinations([o for o in scenario.obstacles if o.shape == "moving"], 2):
         apart = closest(a, b, until=scenario.time_limit) - sum(o.radius_m or vehicle["radius"] for o in (a, b))
         if apart < 0:
             text = f"obstacles {a.name!r} and {b.name!r} collide with each other: they overlap by {-apart:.2f} m"
-            results.append(Finding("error", f"obstacles.{b.name}.to_m", text))
-    return results
+            yield Finding("error", f"obstacles.{b.name}.to_m", text)
 
 
 def closest(a: Obstacle, b: Obstacle, *, until: float) -> float:
@@ -303,9 +290,9 @@ def _at(obstacle: Obstacle, time: float) -> NDArray[np.float64]:
     return np.asarray(start + (end - start) * (min(time / arrival, 1.0) if 0 < arrival < inf else 0.0))
 
 
-def _braking(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
+def _braking(scenario: Scenario, vehicle: Vehicle) -> Iterator[Finding]:
     # by braking alone, at the worst values of the vehicle's ranges
-    brakes, results = brakes_of(vehicle), []
+    brakes = brakes_of(vehicle)
     most, sight = fastest_obstacle(brakes), scenario.sensors.equipment.array.maximum
     for o in scenario.obstacles:
         speed = o.speed_m_per_s or 0.0
@@ -316,19 +303,18 @@ def _braking(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
         if speed >= most:
             why = f"drag equals the least thrust at {most:.3f} m/s"
         text = f"braking cannot avoid obstacle {o.name!r} at {speed:g} m/s: evasion must; with {vehicle.name} {why}"
-        results.append(Finding("info", f"obstacles.{o.name}.speed_m_per_s", text))
-    return results
+        yield Finding("info", f"obstacles.{o.name}.speed_m_per_s", text)
 
 
-def _current(scenario: Scenario) -> list[Finding]:
+def _current(scenario: Scenario) -> Iterator[Finding]:
     current = float(np.hypot(*scenario.disturbance.current_m_per_s))
     if current < scenario.cap:
-        return []
+        return
     text = f"the current of {current:g} m/s is not below the speed cap of {scenario.cap:g} m/s"
-    return [Finding("error", "disturbance.current_m_per_s", text)]
+    yield Finding("error", "disturbance.current_m_per_s", text)
 
 
-def _thrust(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
+def _thrust(scenario: Scenario, vehicle: Vehicle) -> Iterator[Finding]:
     """Report a thrust below the drag at cruise speed.
 
     The check takes the heading with less drag: along the path segment or into the current.
@@ -351,7 +337,7 @@ def _thrust(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
         if needed / limit > worst:
             worst, figures, worst_leg = needed / limit, (cruise, speed, needed, limit), k
     if worst <= 1:
-        return []
+        return
     cruise, speed, needed, limit = figures
     key = _speed_key(scenario, worst_leg)
     of = "the cruise speed" if key == "cruise_m_per_s" else "this leg's speed"
@@ -364,7 +350,7 @@ def _thrust(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
             f"at {of} of {cruise:g} m/s {vehicle.name} needs {needed:.3g} N ahead; the law gives at most "
             f"{limit:.3g} N, the smaller of ahead and astern; {WITHIN_LAW}"
         )
-    return [Finding("error", key, text)]
+    yield Finding("error", key, text)
 
 
 def _speed_key(scenario: Scenario, segment: int) -> str:
@@ -407,13 +393,13 @@ def _drag(vehicle: Vehicle, axis: str, speed: float) -> float:
     return vehicle[axis] * speed + vehicle[quadratic] * speed**2
 
 
-def _time(scenario: Scenario) -> list[Finding]:
+def _time(scenario: Scenario) -> Iterator[Finding]:
     length, least = scenario.path.length, scenario.duration
     if scenario.time_limit >= least:
-        return []
+        return
     text = (
         f"the path is {length:.2f} m long and takes {least:.1f} s at the cruise speed of {scenario.cruise:g} m/s"
         f"{' and the speeds of its legs' if scenario.path.speeds is not None else ''}; "
         f"the run ends at {scenario.time_limit:g} s"
     )
-    return [Finding("error", "time_limit_s", text)]
+    yield Finding("error", "time_limit_s", text)

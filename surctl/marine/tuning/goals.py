@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,8 +18,7 @@ from surctl.marine.simulation import METRICS
 from surctl.marine.simulation.metrics import MetricSpec
 from surctl.marine.verification import LINEAR_METRICS
 from surctl.marine.verification.speeds import cruise_speeds
-from surctl.tuning.goals import LIBRARY, TWICE, GoalsFile, GoalTable, RunGoal
-from surctl.tuning.loop_goal_file import loop_goal
+from surctl.tuning.goals import LIBRARY, TWICE, GoalsFile, GoalTable, RunGoal, loop_goal
 from surctl.tuning.loop_goals import LoopGoal
 
 ASSESSED: Mapping[str, MetricSpec] = {
@@ -168,14 +166,14 @@ def load_goals(name_or_path: str = "default") -> tuple[Goal, ...]:
         [('deviation_m', 'at most', 0.5, 'm'), ('time_s', 'at most', 53.0, 's'), ('effort_n', 'at most', 4.2, 'N')]
     """
     path = pick(str(name_or_path), LIBRARY, what="goals")
-    return _robot_goals(load_model(path, GoalsFile), path)
-
-
-def _robot_goals(content: GoalsFile, path: Path) -> tuple[Goal, ...]:
+    content = load_model(path, GoalsFile)
     if content.points:
         remedy = "use cruise_m_per_s and plants of each goal; [[points]] are for a system: surctl tune FILE.py:FUNCTION"
-        raise InputError("apply only to a system of your own, not to the robot", file=path, key="points", remedy=remedy)
+        raise InputError(_OF_SYSTEMS, file=path, key="points", remedy=remedy)
     return goals_from_tables(content.goals, file=path)
+
+
+_OF_SYSTEMS = "apply only to a system of your own, not to the robot"
 
 
 def goals_from_tables(tables: Sequence[GoalTable], *, file: object) -> tuple[Goal, ...]:
@@ -185,39 +183,33 @@ def goals_from_tables(tables: Sequence[GoalTable], *, file: object) -> tuple[Goa
         return tuple(_goal(table) for table in tables)
 
 
-def _loop_goal(table: GoalTable) -> Goal:
-    if table.points:
-        remedy = "use cruise_m_per_s: operating points of the robot are its cruise speeds"
-        raise InputError(
-            "apply only to a system of your own, not to the robot", key=f"goals.{table.name}.points", remedy=remedy
-        )
-    goal = Goal(table.name, LOOP_METRIC, "1", 1.0, kind=table.kind, plants=table.plants, loop=loop_goal(table.loop()))
-    if table.cruise_m_per_s is None:
-        return goal
-    return replace(goal, cruise=cruise_speeds(table.cruise_m_per_s, key=goal.cruise_key))
-
-
 def _goal(table: GoalTable) -> Goal:
+    key = f"goals.{table.name}"
     if (table.type is None) == (table.metric is None):
         remedy = "write metric = ... for one number of a run or loop, or type = ... for a goal about the loop"
-        raise InputError("needs either a metric or a type", key=f"goals.{table.name}", remedy=remedy)
-    if table.type is not None or table.metric is None:
-        return _loop_goal(table)
-    _check_keys(table)
-    spec = {**METRICS, **LINEAR_METRICS, **ASSESSED}.get(table.metric)  # if it is unknown, Goal raises the error
-    sense, bound = table.bound(None if spec is None else spec.unit)
-    about = (table.kind, table.over, table.cases, table.plants)
-    goal = Goal(table.name, table.metric, bound.unit, bound.value, sense, *about)
+        raise InputError("needs either a metric or a type", key=key, remedy=remedy)
+    if table.metric is not None:
+        goal = _metric_goal(table, table.metric)
+    elif table.points:
+        remedy = "use cruise_m_per_s: operating points of the robot are its cruise speeds"
+        raise InputError(_OF_SYSTEMS, key=f"{key}.points", remedy=remedy)
+    else:
+        about = loop_goal(table)
+        goal = Goal(table.name, LOOP_METRIC, "1", 1.0, kind=table.kind, plants=table.plants, loop=about)
     if table.cruise_m_per_s is None:
         return goal
     return replace(goal, cruise=cruise_speeds(table.cruise_m_per_s, key=goal.cruise_key))
 
 
-def _check_keys(table: GoalTable) -> None:
+def _metric_goal(table: GoalTable, metric: str) -> Goal:
     own = {"name", "metric", "at_most", "at_least", "kind", "over", "cases", "plants", "cruise_m_per_s"}
     for name in sorted(table.model_fields_set - own):
         remedy = "write type instead of metric, or leave the key out"
         raise InputError("is not a valid key of a goal with a metric", key=f"goals.{table.name}.{name}", remedy=remedy)
+    spec = {**METRICS, **LINEAR_METRICS, **ASSESSED}.get(metric)  # if it is unknown, Goal raises the error
+    sense, bound = table.bound(None if spec is None else spec.unit)
+    about = (table.kind, table.over, table.cases, table.plants)
+    return Goal(table.name, metric, bound.unit, bound.value, sense, *about)
 
 
 def goals_at(goals: Sequence[Goal], cruise: Sequence[float]) -> tuple[Goal, ...]:

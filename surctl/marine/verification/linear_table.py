@@ -29,8 +29,8 @@ from surctl.marine.verification.cruise_loop import (
     each_loop,
 )
 from surctl.system import LinearLoop
+from surctl.tuning.loop_goal_types import Overshoot, Settling
 from surctl.tuning.loop_goals import LoopGoal
-from surctl.tuning.loop_time_goals import Overshoot, Settling
 from surctl.verification.sampled_margins import SampledLoop, corners_of, margins_of
 
 LOOP_NAMES = {name: name for name in THRUSTS} | dict(

@@ -1,14 +1,14 @@
 """Falsifier of a region: random search for the least level at which V decays too slowly, in the true loops.
 
-The function of a loop takes deviations ξ (n, k) from the steady cruise and random numbers (n, DRAWS) in [0, 1], which
+The function of a loop takes deviations ξ (n, k) from the steady cruise and random numbers (n, 10) in [0, 1], which
 choose the true vehicle, the heading and the other uncertain quantities. The function of a loop returns ξ̇ (n, k) and
-the largest ratio of a commanded thrust to its limit (n,). No proof uses these functions.
+the largest ratio of a commanded thrust to its limit (n,).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import NamedTuple
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,13 +71,21 @@ class LevelRatios(NamedTuple):
     falsifier: float
     thrust: float
 
-    @property
-    def sentence(self) -> str:
-        """Return a sentence that states both ratios."""
-        return (
-            f"certified level: {self.falsifier:.0%} of the smallest level with a counterexample, {self.thrust:.0%} of "
-            "the level at which thrust saturates" + (", so no thrust limit acts in it" if self.thrust < 1 else "")
-        )
+
+def certified_ratios(claim: TurningClaim, proof: Mapping[str, Any]) -> LevelRatios | None:
+    """Return the ratios of a certified region; None if the masses differ, or the claim has more than drag and limits.
+
+    Args:
+        claim: the claim.
+        proof: the entry `proof` of its certificate.
+    """
+    more = (claim.mass_asymmetry, claim.lag, claim.period, claim.current, claim.curvature, claim.terms)
+    if claim.mass[0] != claim.mass[1] or any((*more, claim.force, claim.place_error, claim.velocity_error)):
+        return None
+    lower = proof["P"]
+    P = np.array([[lower[max(i, j)][min(i, j)] for j in range(len(lower))] for i in range(len(lower))])
+    first, second = proof["trim"]
+    return level_ratios(cruise_loop(claim, (first, second)), P, claim.rate)
 
 
 def level_ratios(loop: Loop, P: Array, rate: float, *, seed: int = 0) -> LevelRatios:
