@@ -25,10 +25,11 @@ import numpy as np
 from mpmath import libmp
 
 from surctl.certcheck.arrays import Ends, Flags, decimals, has_gradual_underflow
+from surctl.certcheck.derivative import branches_of, composed, taken
 from surctl.certcheck.document import Rejected, listed, number, record
 from surctl.certcheck.elementary import BITS, pi
 from surctl.certcheck.enclosure import Interval, Undefined, above, enclose, greatest, mul, plus, rational, span
-from surctl.certcheck.expressions import BRANCHES, ExpressionTable
+from surctl.certcheck.expressions import ExpressionTable
 from surctl.certcheck.identity import Exact, Fraction_, Sum
 from surctl.certcheck.jets import Tape
 from surctl.certcheck.patience import go_on
@@ -67,36 +68,22 @@ class Inequality:
     ) -> None:
         self.expressions, self.box, self.slack = expressions, box, slack
         self.normal = Exact(expressions) if normal is None else normal
-        self.parts = self._substituted(parts)
-        self.everywhere = self.defined(box)
+        ends = (Fraction(repr(low)) if low == high else None for low, high in box)
+        fixed = {k: expressions.put("num", value=end) for k, end in enumerate(ends) if end is not None}
+        self.parts = [composed(expressions, part, fixed) for part in parts] if fixed else list(parts)
+        self.everywhere = expressions.total(self.parts) or self._is_defined()
 
-    def _substituted(self, roots: Sequence[int]) -> list[int]:
-        """Replace each variable whose range has zero width by its decimal number."""
-        if all(low < high for low, high in self.box):
-            return list(roots)
-
-        def change(at: int, _: tuple[int, ...]) -> int | None:
-            entry = self.expressions.entries[at]
-            if entry.op != "var":
-                return None
-            low, high = self.box[entry.value.numerator]
-            return self.expressions.put("num", value=Fraction(repr(low))) if low == high else None
-
-        return self.expressions.rewritten(roots, change)
-
-    def defined(self, box: Box) -> bool:
+    def _is_defined(self) -> bool:
         """Return whether left, right and the constraints are defined everywhere on the box."""
-        if self.expressions.total(self.parts):
-            return True
         try:
-            enclose(self.expressions, self.parts, [span(*ends) for ends in box])
+            enclose(self.expressions, self.parts, [span(*ends) for ends in self.box])
         except Undefined:
             return False
         return True
 
     def check(self, cases: Sequence[Mapping[str, Any]]) -> None:
         """Raise Rejected unless the cases prove the inequality."""
-        branches = self._branches()
+        branches = branches_of(self.expressions, self.parts)
         choices = [case["choice"] for case in cases]
         if choices != [""]:
             if len(branches) > _MOST_BRANCHES:
@@ -110,24 +97,11 @@ class Inequality:
             picked = dict(zip(branches, case["choice"], strict=True)) if case["choice"] else {}
             _Case(self, case, picked).check()
 
-    def _branches(self) -> list[int]:
-        """Return the distinct abs, max, min and select entries: of the left side, the right side, the constraints."""
-        met, visited, waiting = list[int](), set[int](), list(reversed(self.parts))
-        while waiting:
-            at = waiting.pop()
-            if at not in visited:
-                visited.add(at)
-                entry = self.expressions.entries[at]
-                if entry.op in BRANCHES:
-                    met.append(at)
-                waiting += reversed(entry.args)
-        return met
-
 
 class _Case:
     def __init__(self, claim: Inequality, case: Mapping[str, Any], picked: Mapping[int, str]) -> None:
         self.claim, self.expressions = claim, claim.expressions
-        chosen, conditions = self._chosen(picked)
+        chosen, conditions = taken(self.expressions, claim.parts, picked)
         self.margin = self.expressions.put("sub", chosen[0], chosen[1])
         self.constraints = [*chosen[2:], *conditions]
         stated = case["numerator"]
@@ -138,27 +112,6 @@ class _Case:
         self.tree, self.points = case.get("tree", ""), list(reversed(listed(case.get("points", []))))
         if not isinstance(self.tree, str):
             raise Rejected("the division of the box ('tree') is not a text")
-
-    def _chosen(self, picked: Mapping[int, str]) -> tuple[list[int], list[int]]:
-        """Return the claim's expressions after all choices, and expressions that are ≤ 0 where the choices hold."""
-        if not picked:
-            return list(self.claim.parts), []
-        put, conditions = self.expressions.put, dict[int, int]()
-
-        def change(at: int, args: tuple[int, ...]) -> int | None:
-            if at not in picked:
-                return None
-            entry, second = self.expressions.entries[at], picked[at] == "1"
-            if entry.op == "abs":
-                conditions[at] = args[0] if second else put("neg", args[0])
-                return put("neg", args[0]) if second else args[0]
-            a, b = args[:2]
-            first_is_less = entry.op != "max"
-            conditions[at] = put("sub", b, a) if second == first_is_less else put("sub", a, b)
-            return args[len(args) // 2 + second] if entry.op == "select" else args[int(second)]
-
-        chosen = self.expressions.rewritten(self.claim.parts, change)
-        return chosen, [conditions[at] for at in picked]
 
     def check(self) -> None:
         root = [span(*ends) for ends in self.claim.box]
