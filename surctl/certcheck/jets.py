@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cache, cached_property, lru_cache
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 from mpmath import libmp
@@ -171,11 +171,8 @@ def _times(factor: float, a: Ends) -> Ends:
 # Expressions on many boxes
 
 
-class Functions(Protocol):
-    """Ranges of functions whose derivatives are those of their expressions, and of atan2."""
-
-    def __call__(self, op: str, exponent: Fraction, args: Sequence[Ends]) -> tuple[Ends, Flags]:
-        """Return the range of a function on B intervals of its arguments, and where it is defined on all of them."""
+Functions = Callable[[str, Fraction, Sequence[Ends]], tuple[Ends, Flags]]
+"""Range of a function, from its name, exponent and arguments' intervals, and where it is defined on all of them."""
 
 
 class Read(NamedTuple):
@@ -317,10 +314,12 @@ class Tape:
                 zero = iv.point(np.zeros(count))
                 return choose(args[0].value, zero, -args[0], args[0], iv.magnitude(args[0].value)), None
             case "min" | "max":
-                (a, b), hull = (arg.value for arg in args), iv.hull_min if entry.op == "min" else iv.hull_max
-                return choose(a, b, *(args if entry.op == "min" else args[::-1]), hull(a, b)), None
+                a, b = args[0].value, args[1].value
+                if entry.op == "min":
+                    return choose(a, b, args[0], args[1], iv.hull_min(a, b)), None
+                return choose(a, b, args[1], args[0], iv.hull_max(a, b)), None
             case "select":
-                return choose(args[0].value, args[1].value, *args[2:]), None
+                return choose(args[0].value, args[1].value, args[2], args[3]), None
         value, fine = self.functions(entry.op, entry.value, [args[0].value])
         return self._through(entry, value, args[0]), fine
 

@@ -50,7 +50,8 @@ class Face(NamedTuple):
 
     def among(self, boxes: NDArray[np.intp]) -> Face:
         """Return the faces of some boxes."""
-        return Face(*(part[..., boxes] for part in self))
+        low, high, free = self.low[:, boxes], self.high[:, boxes], self.free[:, boxes]
+        return Face(low, high, free, self.limit[boxes], self.defined[boxes])
 
 
 @dataclass(frozen=True, eq=False)

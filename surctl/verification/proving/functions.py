@@ -8,7 +8,7 @@ libraries.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from fractions import Fraction
 from types import MappingProxyType
 
@@ -78,51 +78,27 @@ def atan2(y: Ends, x: Ends) -> Ends:
     return np.where(cut, -whole, low), np.where(cut, whole, high)
 
 
-def acos(a: Ends) -> Ends:
-    """Return arccos of the part of a in [−1, 1]."""
-    low, high = np.clip(a[0], -1.0, 1.0), np.clip(a[1], -1.0, 1.0)
-    bottom, top = widened((np.arccos(high), np.arccos(low)))
-    return np.maximum(bottom, 0.0), np.where(low >= 1.0, 0.0, top)
+_MONOTONE: Mapping[str, tuple[np.ufunc, float, tuple[float, float], tuple[float, float]]] = MappingProxyType(
+    {"exp": (np.exp, 0.0, (-np.inf, LARGEST_EXPONENT), (0.0, np.inf)),
+     "log": (np.log, 1.0, (0.0, np.inf), (-np.inf, np.inf)),
+     "sinh": (np.sinh, 0.0, (-LARGEST_EXPONENT, LARGEST_EXPONENT), (-np.inf, np.inf)),
+     "cosh": (np.cosh, 0.0, (-LARGEST_EXPONENT, LARGEST_EXPONENT), (1.0, np.inf)),
+     "tanh": (np.tanh, 0.0, (-np.inf, np.inf), (-1.0, 1.0)),
+     "asin": (np.arcsin, 0.0, (-1.0, 1.0), (-np.inf, np.inf)),
+     "acos": (np.arccos, 1.0, (-1.0, 1.0), (0.0, np.inf))}
+)  # fmt: skip
+"""Functions with their argument whose value is exact, and the ranges of arguments and values; cosh is one of |a|."""
 
 
-def _increasing(a: Ends, function: Callable[[Array], Array], *, fixed: float, least: float = -np.inf) -> Ends:
-    """Return the range of an increasing function with values ≥ `least` and the exact value `function(fixed)`."""
-    low, high = function(a[0]), function(a[1])
+def _monotone(op: str, a: Ends) -> Ends:
+    function, fixed, domain, values = _MONOTONE[op]
+    ends = np.clip(a[0], *domain), np.clip(a[1], *domain)
+    first, last = iv.magnitude(ends) if op == "cosh" else ends[::-1] if op == "acos" else ends
+    low, high = function(first), function(last)
     # an overflow at the lower end: the value is at least the largest double
     bottom, top = widened((np.minimum(low, _LARGEST), np.maximum(high, -_LARGEST)))
-    bottom, top = np.maximum(bottom, least), np.where(np.isnan(top), np.inf, top)
-    return np.where(a[0] == fixed, low, bottom), np.where(a[1] == fixed, high, top)
-
-
-def exp(a: Ends) -> Ends:
-    """Return e^a."""
-    return _increasing(a, np.exp, fixed=0.0, least=0.0)
-
-
-def log(a: Ends) -> Ends:
-    """Return the natural logarithm of the positive part of a."""
-    return _increasing((np.maximum(a[0], 0.0), np.maximum(a[1], 0.0)), np.log, fixed=1.0)
-
-
-def sinh(a: Ends) -> Ends:
-    """Return the hyperbolic sine."""
-    return _increasing(a, np.sinh, fixed=0.0)
-
-
-def cosh(a: Ends) -> Ends:
-    """Return the hyperbolic cosine, which increases with |a|."""
-    return _increasing(iv.magnitude(a), np.cosh, fixed=0.0, least=1.0)
-
-
-def tanh(a: Ends) -> Ends:
-    """Return the hyperbolic tangent."""
-    low, high = _increasing(a, np.tanh, fixed=0.0)
-    return np.maximum(low, -1.0), np.minimum(high, 1.0)
-
-
-def arcsine(a: Ends) -> Ends:
-    """Return the arcsine of the part of a in [−1, 1]."""
-    return _increasing((np.clip(a[0], -1.0, 1.0), np.clip(a[1], -1.0, 1.0)), np.arcsin, fixed=0.0)
+    bottom, top = np.maximum(bottom, values[0]), np.where(np.isnan(top), np.inf, np.minimum(top, values[1]))
+    return np.where(first == fixed, low, bottom), np.where(last == fixed, high, top)
 
 
 def tan(a: Ends) -> Ends:
@@ -165,33 +141,17 @@ def _logs(x: Array, exponent: float) -> Array:
     return np.clip(exponent * np.log(np.maximum(x, 5e-324)), -1e3, 1e3)
 
 
-_FUNCTIONS: Mapping[str, Callable[..., Ends]] = MappingProxyType(
-    {"sin": sine, "cos": cosine, "atan2": atan2, "acos": acos, "asin": arcsine, "tan": tan, "exp": exp, "log": log,
-     "sinh": sinh, "cosh": cosh, "tanh": tanh}
-)  # fmt: skip
-
-
 def quick_functions(op: str, exponent: Fraction, args: Sequence[Ends]) -> tuple[Ends, Flags]:
     """Return the range of a function on intervals of its arguments, and where it is defined on all of them."""
-    value = powr(args[0], exponent) if op == "powr" else _FUNCTIONS[op](*args)
-    return value, _defined(op, exponent, args)
-
-
-def _defined(op: str, exponent: Fraction, args: Sequence[Ends]) -> Flags:
     low, high = args[0]
     match op:
+        case "sin" | "cos":
+            return (sine if op == "sin" else cosine)(args[0]), np.ones(low.shape, dtype=bool)
         case "atan2":
-            return np.logical_or.reduce([(below > 0) | (above < 0) for below, above in args])
-        case "exp":
-            return high <= LARGEST_EXPONENT
-        case "sinh" | "cosh":
-            return (low >= -LARGEST_EXPONENT) & (high <= LARGEST_EXPONENT)
-        case "log":
-            return low > 0
-        case "asin" | "acos":
-            return (low >= -1) & (high <= 1)
+            return atan2(*args), np.logical_or.reduce([(below > 0) | (above < 0) for below, above in args])
         case "tan":
-            return _between_poles(args[0])
+            return tan(args[0]), _between_poles(args[0])
         case "powr":
-            return low >= 0 if exponent > 0 else low > 0
-    return np.ones(low.shape, dtype=bool)
+            return powr(args[0], exponent), low >= 0 if exponent > 0 else low > 0
+    least, most = _MONOTONE[op][2]
+    return _monotone(op, args[0]), (low > least if op == "log" else low >= least) & (high <= most)

@@ -12,7 +12,7 @@ from surctl.certcheck.jets import Tape
 from surctl.certcheck.rules import Rules
 from surctl.verification.formula import number, parse, variable
 from surctl.verification.proving import functions as fn
-from surctl.verification.proving.rules import apply_rules
+from surctl.verification.proving.search import apply_rules
 from surctl.verification.proving.tape import build_tape
 from tests.verification.expressions import worth
 
@@ -154,17 +154,21 @@ def test_a_root_holds_the_exact_one() -> None:
         assert high <= np.sqrt(max(most, 0.0)) * (1 + 1e-15)
 
 
+def quick(op: str, a: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    return fn.quick_functions(op, Fraction(0), [a])[0]
+
+
 def test_what_a_library_computes_holds_the_value_of_sixty_digits() -> None:
     rng = np.random.default_rng(21)
     x, y = rng.uniform(-9, 9, 300), rng.uniform(-9, 9, 300) * 10.0 ** rng.uniform(-8, 0, 300)
     share = rng.uniform(-1, 1, 300)
     sine, cosine = fn.sine(iv.point(x)), fn.cosine(iv.point(x))
     told = (
-        (sine, mp.sin, (x,)), (cosine, mp.cos, (x,)), (fn.acos(iv.point(share)), mp.acos, (share,)),
-        (fn.atan2(iv.point(y), iv.point(x)), mp.atan2, (y, x)), (fn.arcsine(iv.point(share)), mp.asin, (share,)),
-        (fn.tanh(iv.point(y)), mp.tanh, (y,)), (fn.exp(iv.point(share)), mp.exp, (share,)),
-        (fn.sinh(iv.point(share)), mp.sinh, (share,)), (fn.cosh(iv.point(share)), mp.cosh, (share,)),
-        (fn.tan(iv.point(share)), mp.tan, (share,)), (fn.log(iv.point(abs(y))), mp.log, (abs(y),)),
+        (sine, mp.sin, (x,)), (cosine, mp.cos, (x,)), (quick("acos", iv.point(share)), mp.acos, (share,)),
+        (fn.atan2(iv.point(y), iv.point(x)), mp.atan2, (y, x)), (quick("asin", iv.point(share)), mp.asin, (share,)),
+        (quick("tanh", iv.point(y)), mp.tanh, (y,)), (quick("exp", iv.point(share)), mp.exp, (share,)),
+        (quick("sinh", iv.point(share)), mp.sinh, (share,)), (quick("cosh", iv.point(share)), mp.cosh, (share,)),
+        (fn.tan(iv.point(share)), mp.tan, (share,)), (quick("log", iv.point(abs(y))), mp.log, (abs(y),)),
         *((fn.powr(iv.point(abs(x)), e), lambda b, e=e: mp.mpf(b) ** (mpf(e.numerator) / e.denominator), (abs(x),))
           for e in (Fraction(1, 2), Fraction(3, 2), Fraction(-1, 10), Fraction(2, 3))),
     )  # fmt: skip
