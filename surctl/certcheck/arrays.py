@@ -57,6 +57,12 @@ def enclosed(value: Fraction) -> tuple[float, float]:
     return low, near if above >= 0 else nextafter(near, inf)
 
 
+_DIGITS = Fraction("3.14159265358979323846264338327950288")  # first digits of π
+_HEAD = round(float(_DIGITS / 2) * 2**31) / 2**31  # π/2 to 32 bits
+_TAIL = [enclosed((_DIGITS + more) / 2 - Fraction(_HEAD))[k] for k, more in enumerate((0, Fraction(1, 10**35)))]
+"""Bounds on π/2 − _HEAD."""
+
+
 def decimals(low: Array, high: Array) -> Ends:
     """Return intervals that contain the ends and the decimals that are printed for them."""
     ends = []
@@ -196,8 +202,7 @@ def magnitude(a: Ends) -> Ends:
 def cosine_and_sine(a: Ends) -> tuple[Ends, Ends, Flags]:
     """Return cosine and sine of intervals, and whether they are known: the ends must lie within ±1000."""
     at_ends = [_at(end) for end in a]
-    quarter = PI[0] / 2
-    first, last = np.ceil(a[0] / quarter - 1e-9), np.floor(a[1] / quarter + 1e-9)  # quarter turns inside
+    first, last = np.ceil(a[0] / _HEAD - 1e-6), np.floor(a[1] / _HEAD + 1e-6)  # quarter turns inside
     ranges = []
     for both, crest in (([one[0] for one in at_ends], 0), ([one[1] for one in at_ends], 1)):
         low, high = np.maximum(hull_min(*both)[0], -1.0), np.minimum(hull_max(*both)[1], 1.0)
@@ -214,8 +219,9 @@ def _at(x: Array) -> tuple[Ends, Ends, Flags]:
     """
     fine = np.abs(x) <= _LARGEST_ANGLE
     x = np.where(fine, x, 0.0)
-    k = np.rint(x / (PI[0] / 2))
-    r = subtract(point(x), multiply(point(k), (np.full_like(x, PI[0] / 2), np.full_like(x, PI[1] / 2))))
+    k = np.rint(x / _HEAD)
+    rest = multiply(point(k), (np.full_like(x, _TAIL[0]), np.full_like(x, _TAIL[1])))
+    r = subtract(subtract(point(x), point(k * _HEAD)), rest)  # the product is exact
     u, bounds = square(r), []
     fine &= u[1] <= 1
     for begin in (1, 2):

@@ -230,16 +230,16 @@ def _concave(rules: Rules, face: Face) -> tuple[Flags, Array]:
     good[down] = rules.tangent(face.among(down), points[:, down])
     again = down[~good[down]]
     if again.size:
-        points[:, again] = _climbed(rules.bound, face.among(again), points[:, again])
+        points[:, again] = _climbed(rules, face.among(again), points[:, again])
         good[again] = rules.tangent(face.among(again), points[:, again])
     return good, points
 
 
-def _climbed(bound: Tape, face: Face, at: Array) -> Array:
+def _climbed(rules: Rules, face: Face, at: Array) -> Array:
     # Newton's method
     n = len(at)
     for _ in range(_NEWTON):
-        jet = bound.run(iv.point(at), order=2).jets[0]
+        jet = rules.bound.run(iv.point(at), order=2).jets[0]
         assert jet.slope is not None and jet.bend is not None
         slope, bend = middle(*jet.slope), middle(*jet.bend)
         # fix a variable at its bound if the step would move it beyond this bound
