@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from functools import cache, cached_property, lru_cache
+from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -187,18 +187,24 @@ class Read(NamedTuple):
     defined: tuple[Flags, ...]
 
 
-@lru_cache(65_536)
+@lru_cache(8192)
 def _of_numbers(op: str, exponent: Fraction, *ends: float) -> tuple[float, float]:
     """Return the range of a function on one interval of each argument; (NaN, NaN) where it is not defined on it."""
     if not np.all(np.isfinite(ends)):
         return np.nan, np.nan
-    table = ExpressionTable([f"t{k}" for k in range(len(ends) // 2)])
-    root = table.put(op, *(table.put("var", value=k) for k in range(len(table.names))), value=exponent)
+    table, root = _alone(op, exponent, len(ends) // 2)
     raw = [libmp.from_float(end) for end in ends]
     try:
         return outward(enclose(table, [root], [*zip(raw[::2], raw[1::2], strict=True)])[0])
     except Undefined:
         return np.nan, np.nan
+
+
+@lru_cache(256)
+def _alone(op: str, exponent: Fraction, count: int) -> tuple[ExpressionTable, int]:
+    """Return a table with one operation of some variables, and its position."""
+    table = ExpressionTable([f"t{k}" for k in range(count)])
+    return table, table.put(op, *(table.put("var", value=k) for k in range(count)), value=exponent)
 
 
 def exact_functions(op: str, exponent: Fraction, args: Sequence[Ends]) -> tuple[Ends, Flags]:
@@ -218,11 +224,11 @@ def exact_functions(op: str, exponent: Fraction, args: Sequence[Ends]) -> tuple[
     return (np.where(fine, low, -np.inf), np.where(fine, high, np.inf)), fine
 
 
-@cache
+@lru_cache(256)
 def _derivatives(op: str, exponent: Fraction, functions: Functions) -> list[Tape]:
     """Return the first and the second derivative of a function of one argument."""
-    table = ExpressionTable(["t"])
-    whole, rates = table.put(op, table.put("var"), value=exponent), [table.put("num", value=1)]
+    table, whole = _alone(op, exponent, 1)
+    rates = [table.put("num", value=1)]
     first = along(table, whole, rates)
     return [Tape(table, (root,), functions) for root in (first, along(table, first, rates))]
 
