@@ -12,16 +12,12 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable, Mapping
-from pathlib import Path
 from typing import NamedTuple
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # the oracles are beside the tests
 
 from surctl.certcheck import check_document
 from surctl.marine.control import load_gains
 from surctl.marine.vehicle import load_vehicle
-from surctl.marine.verification.region import REGION_CLAIMS, RegionProof, TurningClaim, prove_statement
-from tests.oracles.region_levels import certified_ratios
+from surctl.marine.verification.region import REGION_CLAIMS, RegionProof, prove_statement
 
 VEHICLE, GAINS = "sur540-flooded", "default"
 LEVEL = 0.9  # share of the smaller of the falsifier's level and the saturation level, for every claim that has both
@@ -77,8 +73,7 @@ def main(arguments: list[str]) -> int:
         good = good and again.accepted
         bar = BARS.get(name)
         met = bar is None or bar.met(proof, took, checked)
-        cruise = isinstance(proof.claim, TurningClaim)
-        ratios = certified_ratios(proof.claim, proof.document["proof"]) if cruise else None
+        ratios = proof.ratios
         high = ratios is None or max(ratios) >= LEVEL
         good = good and met and high
         shown = "–" if bar is None else f"{bar.text}: {'met' if met else '**missed**'}"

@@ -19,11 +19,13 @@ from mpmath import libmp
 from surctl.certcheck import arrays as iv
 from surctl.certcheck.arrays import Ends, Flags
 from surctl.certcheck.derivative import along
-from surctl.certcheck.enclosure import Undefined, enclose, outward
+from surctl.certcheck.enclosure import Interval, Undefined, enclose, outward
 from surctl.certcheck.expressions import Entry, ExpressionTable
 from surctl.certcheck.patience import afford, go_on
 
-__all__ = ["Functions", "Jet", "Read", "Tape", "choose", "exact_functions", "mean_value"]
+__all__ = [
+    "Functions", "Jet", "Read", "Tape", "as_array", "as_interval", "choose", "exact_functions", "mean_value",
+]  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -283,6 +285,13 @@ class Tape:
                     del jets[a]
         return Read(tuple(jets[r] for r in self.roots), tuple(defined.get(r, everywhere) for r in self.roots))
 
+    def everywhere(self, box: Ends, *, order: int = 0) -> tuple[Jet, ...]:
+        """Return the enclosures on boxes; raise Undefined unless the expressions are defined on all of them."""
+        read = self.run(box, order=order)
+        if not all(fine.all() for fine in read.defined):
+            raise Undefined("an operation that is not defined on its whole range")
+        return read.jets
+
     def _step(self, entry: Entry, args: list[Jet], box: Ends, order: int) -> tuple[Jet, Flags | None]:
         """Return the enclosures of an operation, and where it is defined; None if it is defined everywhere."""
         n, count = box[0].shape
@@ -349,6 +358,17 @@ def _jet(value: Ends, at: int | None, n: int, order: int) -> Jet:
         slope[at] = 1.0
     bend = iv.point(np.zeros((n, n, value[0].size))) if order > 1 else None
     return Jet(value, iv.point(slope), bend, at is None)
+
+
+def as_array(*intervals: Interval) -> Ends:
+    """Return intervals as ends (n, 1) of doubles, rounded outward."""
+    low, high = np.array([outward(one) for one in intervals]).reshape(-1, 2).T[:, :, None]
+    return low, high
+
+
+def as_interval(ends: Ends) -> Interval:
+    """Return the smallest interval that contains all intervals of an array."""
+    return libmp.from_float(float(ends[0].min())), libmp.from_float(float(ends[1].max()))
 
 
 def mean_value(jet: Jet, there: Jet, offset: Ends) -> Ends:

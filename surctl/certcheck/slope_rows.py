@@ -17,33 +17,20 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from itertools import product
-from typing import Any
 
 import numpy as np
 from mpmath import libmp
 from numpy.typing import NDArray
 
-from surctl.certcheck import arrays as iv
-from surctl.certcheck.arrays import Ends
 from surctl.certcheck.document import Rejected
 from surctl.certcheck.elementary import BITS, hull
-from surctl.certcheck.enclosure import (
-    Interval,
-    Undefined,
-    above,
-    enclose,
-    greatest,
-    least,
-    outward,
-    over,
-    plus,
-    rational,
-)  # fmt: skip
+from surctl.certcheck.enclosure import Interval, above, enclose, mul, outward, over, plus, rational
 from surctl.certcheck.expressions import ExpressionTable
 from surctl.certcheck.identity import Exact
-from surctl.certcheck.jets import Jet, Tape, mean_value
+from surctl.certcheck.jets import Tape, as_array, as_interval
 from surctl.certcheck.patience import go_on
 from surctl.certcheck.region_exact import Matrix, magnitude, relative_root_up
+from surctl.certcheck.secants import common, fraction, pieces, secant
 
 __all__ = ["Number", "Poly", "Row", "Rows"]
 
@@ -51,13 +38,11 @@ Row = NDArray[np.object_]  # of objects of the class `Number`, or fractions
 Poly = dict[tuple[int, ...], Fraction]
 """A polynomial of degree at most 1 in each slope: coefficients by the sorted indices of the slopes in a term."""
 
-_PIECES, _HALVED = 24, 4  # parts of a range on each side of x* for a secant slope; halvings of the part next to x*
 _FEW = 6  # slopes of a row whose vertices are tried for its support
 _NARROW = Fraction(1, 2**33)  # a slope with a smaller relative width counts as a number with an error
 _MORE = 1 + Fraction(1, 10**6)  # least ratio of two costs that differ
 _MOST_TERMS = 4096  # of a polynomial
 _DIGITS = 26  # bits of the ends of a slope's range
-_MOST_EXPONENT = 20_000  # of 2, in an end of a range
 _ZERO = (libmp.fzero, libmp.fzero)
 
 
@@ -167,7 +152,7 @@ class Rows:
             if k < self.states:
                 at = _around(rational(self.centre[k]), self.radii[k]) if self.radii else rational(self.centre[k])
                 extent = self._ellipsoid([Fraction(j == k) for j in range(self.states)])
-                ends.append((_common(own, _around(at, extent)), at))
+                ends.append((common(own, _around(at, extent)), at))
             elif k in self.linear:
                 ends.append((hull(own, _ZERO), _ZERO))
             else:
@@ -261,7 +246,7 @@ class Rows:
             return None
         other, y = entry.args if free[0] else entry.args[::-1]
         low, high = (other, outer) if op == "min" else (outer, other)
-        gap = min(_fraction(self._apart(high, y)[0]), _fraction(self._apart(y, low)[0]))
+        gap = min(fraction(self._apart(high, y)[0]), fraction(self._apart(y, low)[0]))
         return (y, gap) if gap > 0 else None
 
     def _apart(self, a: int, b: int) -> Interval:
@@ -277,16 +262,17 @@ class Rows:
         own, rest = (enclose(small, [root], [known[a] for a in entry.args])[0] for known in (self.range, self.rest))
         if 0 <= self.base[at] != at:
             image, still = self._image(at)
-            own, rest = _common(own, image), _common(rest, still)
+            own, rest = common(own, image), common(rest, still)
         elif self.base[at] == at and (entry.op not in ("min", "max") or at in self.limits):
-            own = _common(own, _around(rest, self._support(self.row(at))))
+            own = common(own, _around(rest, self._support(self.row(at))))
         return own, rest
 
     def _image(self, at: int) -> tuple[Interval, Interval]:
         """Return the range on the region, and that at x*, of a function of its base."""
         function, base = self._function(at), self.base[at]
-        pieces = _pieces(self.range[base], self.rest[base])
-        return _hull(_run(function, pieces).value), _hull(_run(function, _array(self.rest[base])).value)
+        covered = pieces(self.range[base], outward(self.rest[base]))
+        ends, [rest] = function.everywhere(covered)[0].value, function.everywhere(as_array(self.rest[base]))
+        return as_interval(ends), as_interval(rest.value)
 
     def _support(self, row: Row) -> Fraction:
         """Return an upper bound on |row · (ξ, w)|."""
@@ -306,7 +292,7 @@ class Rows:
     def _extent(self, k: int) -> Fraction:
         """Return an upper bound on |ξ_k|, or on the disturbance of this place."""
         own, rest = self.box[self.linear[k]]
-        return _fraction(libmp.mpi_abs(libmp.mpi_sub(own, rest, BITS), BITS)[1])
+        return fraction(libmp.mpi_abs(libmp.mpi_sub(own, rest, BITS), BITS)[1])
 
     # ---- rows and values as polynomials in the slopes
 
@@ -365,7 +351,7 @@ class Rows:
 
         def cost(one: int, other: int) -> Fraction:
             low, high = self.range[one]
-            return (_fraction(high) - _fraction(low)) * self._support(self.row(other))
+            return (fraction(high) - fraction(low)) * self._support(self.row(other))
 
         # rounding must not decide between equal costs
         swap = zero[0] and not zero[1] if zero[0] != zero[1] else cost(a, b) > cost(b, a) * _MORE
@@ -390,7 +376,7 @@ class Rows:
         if entry.op == "num":
             return Number({(): entry.value} if entry.value else {})
         if narrow[0] == narrow[1]:
-            number = _fraction(narrow[0])
+            number = fraction(narrow[0])
             return Number({(): number} if number else {})
         if self._numeric[at]:
             return None
@@ -431,9 +417,9 @@ class Rows:
 
         With radii, a range that is narrow relative to `whole`, the values in the region, is narrow too.
         """
-        low, high = (_fraction(end) for end in ends)
+        low, high = (fraction(end) for end in ends)
         middle, half = (low + high) / 2, (high - low) / 2
-        if half <= _NARROW * max([abs(middle), *(abs(_fraction(end)) for end in whole if self.radii)]):
+        if half <= _NARROW * max([abs(middle), *(abs(fraction(end)) for end in whole if self.radii)]):
             return Number({(): middle} if middle else {}, half)
         self.slopes.append(_rounded(ends))
         return Number({(len(self.slopes) - 1,): Fraction(1)})
@@ -494,20 +480,8 @@ class Rows:
 
     def _secant(self, at: int) -> Interval:
         """Return the range of (g(t) − g(c))/(t − c), for t in the range of the base and c its value at x*."""
-        function, base = self._function(at), self.base[at]
-        pieces, c = _pieces(self.range[base], self.rest[base]), _array(self.rest[base])
-        value = _run(function, c).value
-        between = _run(function, (np.minimum(pieces[0], c[0]), np.maximum(pieces[1], c[1])), order=1).slope
-        assert between is not None  # it bounds the secant slope by the mean value theorem
-        jet, apart = _run(function, pieces, order=1), iv.subtract(pieces, c)
-        assert jet.slope is not None
-        at_middle = iv.point(pieces[0] / 2 + pieces[1] / 2)
-        with np.errstate(all="ignore"):
-            secant = _both(between, iv.divide(iv.subtract(jet.value, value), apart))
-            # s' = (g' − s)/(t − c), and s(t) = s(m) + s'(τ)(t − m)
-            bend = iv.divide(iv.subtract(jet.slope, secant), apart)
-            first = iv.divide(iv.subtract(_run(function, at_middle).value, value), iv.subtract(at_middle, c))
-            return _hull(_both(secant, iv.add(first, iv.multiply(bend, iv.subtract(pieces, at_middle)))))
+        base = self.base[at]
+        return secant(self._function(at), self.range[base], self.rest[base])
 
     def resting(self, k: int, moved: Fraction) -> Number:
         """Return f_k(centre, w) − moved without disturbances; it is the number 0 only if it is exactly 0."""
@@ -527,29 +501,19 @@ class Rows:
         if not exactly.of(apart)[0] and not exactly.assumed:
             return Number({})
         # the mean value theorem bounds it more closely where terms in the parameters cancel
-        tape, box = Tape(small, (apart,)), _array(*(own for own, _ in self.box))
-        middle = iv.point(box[0] / 2 + box[1] / 2)
-        total = _hull(mean_value(_run(tape, box, order=1), _run(tape, middle), iv.subtract(box, middle)))
-        return self._slope(_common(plus(self.rest[self.roots[k]], rational(-moved)), total))
-
-
-def _fraction(x: Any) -> Fraction:
-    """Return one of mpmath's raw numbers as a fraction."""
-    sign, man, exp, _ = x
-    if x in (libmp.finf, libmp.fninf, libmp.fnan) or abs(exp) > _MOST_EXPONENT:
-        raise Undefined("a slope that is unbounded, or too large or small to be written")
-    return Fraction(-int(man) if sign else int(man)) * Fraction(2) ** int(exp)
+        box = [own for own, _ in self.box]
+        middle = [rational((fraction(low) + fraction(high)) / 2) for low, high in box]
+        [total], [jet] = enclose(small, [apart], middle), Tape(small, (apart,)).everywhere(as_array(*box), order=1)
+        assert jet.slope is not None
+        for low, high, own, at_middle in zip(*jet.slope, box, middle, strict=True):
+            total = plus(total, mul(as_interval((low, high)), libmp.mpi_sub(own, at_middle, BITS)))
+        return self._slope(common(plus(self.rest[self.roots[k]], rational(-moved)), total))
 
 
 def _rounded(a: Interval) -> tuple[Fraction, Fraction]:
     """Return an interval around `a` whose ends have few digits."""
     low, high = libmp.mpf_pos(a[0], _DIGITS, "f"), libmp.mpf_pos(a[1], _DIGITS, "c")
-    return _fraction(low), _fraction(high)
-
-
-def _common(a: Interval, b: Interval) -> Interval:
-    """Return the intersection of two intervals, both of which contain the same number."""
-    return greatest(a, b)[0], least(a, b)[1]
+    return fraction(low), fraction(high)
 
 
 def _around(a: Interval, extent: Fraction) -> Interval:
@@ -565,39 +529,3 @@ def _evaluated(poly: Poly, value: Mapping[int, Fraction]) -> Fraction:
             number *= value[k]
         total += number
     return total
-
-
-def _array(*intervals: Interval) -> Ends:
-    """Return intervals as ends (n, 1) of doubles, rounded outward."""
-    low, high = np.array([outward(one) for one in intervals]).T[:, :, None]
-    return low, high
-
-
-def _hull(ends: Ends) -> Interval:
-    """Return the smallest interval that contains all intervals of an array."""
-    return libmp.from_float(float(ends[0].min())), libmp.from_float(float(ends[1].max()))
-
-
-def _both(a: Ends, b: Ends) -> Ends:
-    """Return the intersections of intervals, which contain the same number."""
-    return np.maximum(a[0], b[0]), np.minimum(a[1], b[1])
-
-
-def _run(function: Tape, box: Ends, *, order: int = 0) -> Jet:
-    """Return the enclosures of a function on boxes; raise Undefined unless it is defined on all of them."""
-    (jet,), (fine,) = function.run(box, order=order)
-    if not fine.all():
-        raise Undefined("a function of one variable, or a sum, that is not defined on its whole range")
-    return jet
-
-
-def _pieces(ends: Interval, c: Interval) -> Ends:
-    """Return intervals (1, B) that cover an interval; they are shorter near c, where the mean value theorem decides."""
-    (low, high), middle = outward(ends), sum(outward(c)) / 2
-    if low == high:
-        return _array(ends)
-    middle = min(max(middle, low), high)
-    steps = np.array([0.0, *(0.5**k / _PIECES for k in range(_HALVED, 0, -1)), *np.arange(1, _PIECES) / _PIECES])
-    inside = np.unique([*(middle - (middle - low) * steps), *(middle + (high - middle) * steps)])
-    cuts = np.array([low, *inside[(low < inside) & (inside < high)], high])
-    return cuts[None, :-1], cuts[None, 1:]

@@ -10,7 +10,7 @@ from functools import partial
 import numpy as np
 
 from surctl.errors import InputError
-from surctl.ir.program import LEAVES, OPERATIONS, Instruction, Program, drop_dead
+from surctl.ir.program import LEAVES, OPERATIONS, TRUTHS, Instruction, Program, drop_dead
 from surctl.ir.routine import Block, Call, Routine, changed_programs
 
 
@@ -245,7 +245,7 @@ class _Folding(Numbering):
         return self.add(op, args) if simplified is None else simplified
 
     def is_truth(self, at: int) -> bool:
-        return self.instructions[at].op in _TRUTHS
+        return self.instructions[at].op in TRUTHS
 
     def op(self, at: int) -> str:
         return self.instructions[at].op
@@ -258,8 +258,7 @@ class _Folding(Numbering):
         return at if self.is_truth(at) else self.folded("ne", (at, self.constant(0.0)))
 
 
-_TRUTHS = frozenset({"lt", "le", "eq", "ne", "and", "or", "not"})
-_POSITIVE = frozenset({"fabs", "sq", "sqrt"}) | _TRUTHS
+_POSITIVE = frozenset({"fabs", "sq", "sqrt"}) | TRUTHS
 
 
 def _sum(text: _Folding, args: tuple[int, ...]) -> int | None:

@@ -20,9 +20,8 @@ from surctl.report.design_bench import DesignBench, Slider, View
 from surctl.report.panel import Curve, Panel, Shade, draw_panel, draw_panels, panel_svg
 from surctl.report.theme import BAD, dress, legend_above, new_axes, png
 from surctl.system import LinearLoop
-from surctl.tuning.loop_goals import LoopView
+from surctl.tuning.loop_goals import LoopScores, LoopView, Score, judge_loops
 from surctl.tuning.loop_responses import frequencies, rates, response, step_series
-from surctl.tuning.loop_scores import LoopScores, Score, judge_loops
 from surctl.verification.linear import LEAST_DISK_MARGIN
 from surctl.verification.sampled_margins import system_margins
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import accumulate
 from typing import Any, NamedTuple, Protocol
 
 import casadi as ca
@@ -234,13 +235,8 @@ def finite_step(
 
 def command_ports(controller: SampledController) -> Layout:
     """Return the layout of the commands, which are the first outputs of a controller."""
-    size, ports, at = controller.block.outputs[0][1], [], 0
-    for port in controller.outputs:
-        if at >= size:
-            break
-        ports.append(port)
-        at += port.size
-    return Layout(tuple(ports))
+    size, ends = controller.block.outputs[0][1], accumulate(port.size for port in controller.outputs)
+    return Layout(tuple(port for port, end in zip(controller.outputs, ends, strict=True) if end <= size))
 
 
 def step_results(controller: SampledController) -> tuple[tuple[str, Layout], ...]:

@@ -6,7 +6,6 @@ import re
 import unicodedata
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from numbers import Real
 from typing import Any
 
 import casadi as ca
@@ -20,6 +19,7 @@ from surctl.system.linear_loop import LinearLoop
 from surctl.system.loop import System
 from surctl.system.parts import entry_labels
 from surctl.system.plant import Plant
+from surctl.units import is_number
 
 # A state space of a transfer function with several inputs and outputs (python-control needs slycot for it)
 
@@ -202,16 +202,12 @@ def _checked(system: Any, *, key: str) -> None:
                 raise InputError("has a number that is not finite", key=_name(system), remedy="correct its matrices")
 
 
-def _is_time(dt: Any) -> bool:
-    return dt is not True and isinstance(dt, Real) and bool(0 < float(dt) < np.inf)
-
-
 def _sampled(system: Any, dt: float | None) -> tuple[float, Any]:
     # control period and system in discrete time; a static gain has any period
     import control  # takes seconds to import
 
     linear = isinstance(system, control.StateSpace | control.TransferFunction)
-    if dt is not None and not _is_time(dt):
+    if dt is not None and not (is_number(dt) and dt > 0):
         raise InputError("is not a positive time", key="dt", value=dt, remedy="give seconds")
     if system.isdtime(strict=True):
         own = dt if system.dt is True else float(system.dt)

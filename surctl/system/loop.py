@@ -348,20 +348,15 @@ class System:
                 if not isinstance(cast(object, block), Sampled):
                     remedy = "give a surctl.system.Sampled"
                     raise InputError(f"has an element of type {type(block).__name__}", key=kind, remedy=remedy)
-        measured, outputs = self.plant.measurements, self.blocks.outputs
-        sides = (
-            (self.blocks.sensors, (CLOCK, measured, *outputs["sensors"]), 2, "measured output"),
-            (
-                self.blocks.actuators,
-                (CLOCK, measured, self.commands, *outputs["actuators"]),
-                3,
-                "command or measured output",
-            ),
-        )  # fmt: skip
-        for blocks, layouts, first, to in sides:
-            for k, block in enumerate(blocks):
+        measured, commanded = [CLOCK, self.plant.measurements], [CLOCK, self.plant.measurements, self.commands]
+        for blocks, layouts, to in (
+            (self.blocks.sensors, measured, "measured output"),
+            (self.blocks.actuators, commanded, "command or measured output"),
+        ):
+            for block in blocks:
                 for port in block.inputs:
-                    _connected(port, connected(*layouts[: first + k]), key=f"{block.name}.inputs", to=to)
+                    _connected(port, connected(*layouts), key=f"{block.name}.inputs", to=to)
+                layouts.append(block.outputs)
 
     def _check_names(self) -> None:
         """Raise InputError if two signals of a record have one name; a measured output may have that of its state."""

@@ -143,7 +143,7 @@ def every_combination(*groups: Mapping[str, ArrayLike]) -> dict[str, Array]:
 
 def check_scalar(system: System, name: str) -> None:
     """Raise InputError if a name does not denote a scalar of the system; for a vector, it lists the entries."""
-    size = len(_entries(system, name))
+    size = len(_named(system, name)[0])
     if size > 1:
         entries = ", ".join(f"{name}[{k}]" for k in range(min(size, _NAMED))) + ", …" * (size > _NAMED)
         raise InputError(f"has {size} entries", key=name, remedy=f"name one: {entries}")
@@ -171,14 +171,12 @@ def checked_ranges(
 
 def default_of(system: System, name: str) -> float:
     """Return the system's own value of a single number, which has a name as in `run_numbers`."""
-    layouts = _layouts(system)
-    group, place = _place(name, layouts)
-    return float(layouts[group].pack()[place][0])
+    return float(_named(system, name)[1][0])
 
 
 def unit_of(system: System, name: str) -> str:
     """Return the unit of a single number of the system, which has a name as in `run_numbers`."""
-    return _entries(system, name)[0]
+    return _named(system, name)[0][0]
 
 
 def place_of(system: System, name: str) -> tuple[str, slice]:
@@ -186,11 +184,11 @@ def place_of(system: System, name: str) -> tuple[str, slice]:
     return _place(name, _layouts(system))
 
 
-def _entries(system: System, name: str) -> list[str]:
-    # units of the entries that the name denotes
+def _named(system: System, name: str) -> tuple[list[str], Array]:
+    # units and own values of the entries that the name denotes
     layouts = _layouts(system)
     group, place = _place(name, layouts)
-    return entry_units(layouts[group])[place]
+    return entry_units(layouts[group])[place], layouts[group].pack()[place]
 
 
 def _layouts(system: System) -> dict[str, Layout]:

@@ -36,8 +36,7 @@ if TYPE_CHECKING:
         StepTracking,
         Tracking,
     )
-    from surctl.tuning.loop_goals import LoopGoal
-    from surctl.tuning.loop_scores import judge_loops, operating_loops
+    from surctl.tuning.loop_goals import LoopGoal, judge_loops, operating_loops
     from surctl.tuning.montecarlo import Counterexample, MonteCarlo
     from surctl.tuning.outcome import Tuned, summary
     from surctl.tuning.pool import Condition, Evaluation, Pool, SearchRequest

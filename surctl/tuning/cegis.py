@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError, check_count, check_once
-from surctl.tuning.chunked import Progress
+from surctl.tuning.chunked import Journal, Progress
 from surctl.tuning.gain_search import conflict, search
 from surctl.tuning.montecarlo import (
     APART,
@@ -27,7 +27,6 @@ from surctl.tuning.montecarlo import (
     stored_figures,
 )
 from surctl.tuning.pool import ClaimPoint, Pool, SearchRequest, joined_pools
-from surctl.tuning.search import Journal
 
 
 @dataclass(frozen=True)
@@ -184,8 +183,8 @@ def tune(
         used = 1 + max(c.seed for c in request.conditions)
         for k in range(rounds):
             progress(f"round {k + 1} of at most {rounds}: {len(current.conditions)} runs for each gain set")
-            found = _searched(current, done, _longer(trials, done), journal, progress)
-            last, pool = _round(current, found, runs, k, journal, progress, used=used)
+            searched = _searched(current, done, _longer(trials, done), journal, progress)
+            last, pool = _round(current, searched, runs, k, journal, progress, used=used)
             journal.note_best(*request.so_far(last.gains, f"the gains of round {k + 1} of an unfinished tuning"))
             done.append(last)
             if _ended(done) or k + 1 == rounds:
@@ -193,10 +192,8 @@ def tune(
             if not _barren(last):
                 current = harder(current, (*last.training, *last.fresh), last.claims)
         final = harder(current, last.training)
-    hand, candidates = (
-        final.judge({name: np.array([value]) for name, value in request.begun.items()}),
-        _candidates(final, done),
-    )
+    hand = final.judge({name: np.array([value]) for name, value in request.begun.items()})
+    candidates = final.judge({s.name: np.array([r.gains[s.name] for r in done]) for s in request.space})
     start = hand.evaluation.normalised[0]
     chosen = _chosen(done, candidates, start)
     last, clash = done[chosen], tuple[str, ...]()
@@ -205,10 +202,6 @@ def tune(
         clash = conflict(harder(final, last.fresh, last.claims), pool, last.refuted, trials=trials, progress=progress)
     front = pool.subset(pool.front(pool.evaluation.normalised[0]))
     return Tuning(final, requested, hand, candidates.subset([chosen]), front, tuple(done), chosen, clash)
-
-
-def _candidates(request: SearchRequest, done: Sequence[Round]) -> Pool:
-    return request.judge({s.name: np.array([r.gains[s.name] for r in done]) for s in request.space})
 
 
 def _chosen(done: Sequence[Round], candidates: Pool, start: NDArray[np.float64]) -> int:

@@ -1,7 +1,8 @@
-"""Evaluate a sweep in chunks: processes, Dask, resume, progress; its file `sweep.nc`, and that of another request."""
+"""Evaluate a sweep in chunks: processes, Dask, resume, progress; its file `sweep.nc`; journal of a search for gains."""
 
 from __future__ import annotations
 
+import hashlib
 import logging
 import os
 import re
@@ -13,7 +14,7 @@ from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import CancelledError, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, nullcontext
 from dataclasses import dataclass, field
 from itertools import count
 from multiprocessing import get_context, parent_process
@@ -25,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError, SurctlError, cannot_write
+from surctl.files import write_file
 from surctl.store import RESUME, ChunkStore, one_at_a_time
 
 Chunk = tuple[int, NDArray[np.float64]]
@@ -369,3 +371,84 @@ class _Pace:
         left = round((whole - self.done[k]) / rate)
         eta = f"{left // 3600}:{left // 60 % 60:02d}:{left % 60:02d}"
         return f"{stage.name} {self.done[k]}/{whole} {stage.counted}, {rate * stage.each:.3g} {stage.unit}/s, ETA {eta}"
+
+
+# The batches of a search for gains, in the same stores
+
+
+_SEARCHES = "tune.chunks"
+
+
+class Journal:
+    """The finished batches of searches in a folder; only one process at a time can hold it.
+
+    Args:
+        folder: output folder of a tuning; None keeps the batches in memory.
+    """
+
+    def __init__(self, folder: Path | None) -> None:
+        self.folder = folder
+        self._memory: dict[str, dict[int, Floats]] = {}
+
+    @contextmanager
+    def held(self) -> Iterator[None]:
+        """Lock the folder inside the `with` statement; InputError if it cannot be written, or is in use."""
+        with nullcontext() if self.folder is None else ChunkStore(self.folder / _SEARCHES, "").open():
+            yield
+
+    def batches(self, request: str, *, width: int) -> Batches:
+        """Return the batches of the search with a request (a text), which have rows of `width` numbers."""
+        store = None
+        if self.folder is not None:
+            digest = hashlib.sha256(request.encode()).hexdigest()
+            store = ChunkStore(self.folder / _SEARCHES / digest[:16], digest)
+            store.folder.mkdir(parents=True, exist_ok=True)
+        return Batches(width, store, self._memory.setdefault(request, {}))
+
+    def note_best(self, name: str, text: str) -> None:
+        """Write the best gains so far as text to a file in the folder; InputError if it cannot be written."""
+        if self.folder is not None:
+            write_file(self.folder / name, text)
+
+
+@dataclass
+class Batches:
+    """The batches of one search, in the order of their evaluation: rows of a set of numbers and its results.
+
+    Attributes:
+        width: numbers in a row.
+        store: the stored batches; None without a folder.
+        memory: tables of the request in this process, by the index of the batch.
+        tables: the tables (rows, width) so far.
+    """
+
+    width: int
+    store: ChunkStore | None
+    memory: dict[int, Floats]
+    tables: list[Floats] = field(default_factory=list)
+
+    def known(self, count: int, after: int = 0) -> Floats | None:
+        """Return the stored table of the next batch, with `count` rows, or of one `after` it; None if there is none."""
+        index, shape = len(self.tables) + after, (count, self.width)
+        if self.store is None:
+            return self.memory.get(index)
+        if not self.store.has(index, shape):
+            return None
+        return np.column_stack([self.store.column(index, shape, k) for k in range(self.width)])
+
+    def add(self, table: Floats, *, restored: bool = False) -> None:
+        """Add the table of the next batch, and store it unless it is `restored`; InputError if the disk is full."""
+        if not restored and self.store is not None:
+            self.store.write(len(self.tables), table)
+        elif not restored:
+            self.memory[len(self.tables)] = table
+        self.tables.append(table)
+
+    def evaluated(self, sets: Floats, evaluate: Callable[[Floats], Floats]) -> Floats:
+        """Return the rows (n, width) of the next batch of sets (n, d): the stored ones, or those of `evaluate`."""
+        table = self.known(len(sets))
+        restored = table is not None and np.array_equal(table[:, : sets.shape[1]], sets)
+        if table is None or not restored:
+            table = np.column_stack([sets, evaluate(sets)])
+        self.add(table, restored=restored)
+        return table

@@ -118,10 +118,10 @@ def parse_axis(text: str) -> Axis | Span:
         Span(name='lookahead', low=0.3, high=1.2, log=False)
     """
     name, equals, spec = (part.strip() for part in text.partition("="))
-    if not (name and equals and spec):
-        raise _unreadable(text)
     low, dots, rest = spec.partition("..")
     try:
+        if not (name and equals and spec):
+            raise ValueError
         if not dots:
             return Axis(name, tuple(float(v) for v in spec.split(",")))
         high, *how = rest.split(":")
@@ -132,16 +132,8 @@ def parse_axis(text: str) -> Axis | Span:
             raise ValueError
         return span.axis(int(counts[0])) if counts else span
     except ValueError:
-        raise _unreadable(text) from None
-
-
-def _unreadable(text: str) -> InputError:
-    return InputError(
-        "is not an axis",
-        key="axis",
-        value=text,
-        remedy="write PARAMETER=V1,V2,... or PARAMETER=LOW..HIGH:COUNT, and append :log for logarithmic spacing",
-    )
+        remedy = "write PARAMETER=V1,V2,... or PARAMETER=LOW..HIGH:COUNT, and append :log for logarithmic spacing"
+        raise InputError("is not an axis", key="axis", value=text, remedy=remedy) from None
 
 
 def _check_seeds(name: str, values: tuple[float, ...]) -> None:

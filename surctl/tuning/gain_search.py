@@ -12,11 +12,23 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
-from surctl.tuning.chunked import Progress
+from surctl.tuning.chunked import Journal, Progress
 from surctl.tuning.goals import RunGoal
-from surctl.tuning.pool import CAP, Condition, Figures, Pool, SearchRequest, joined_pools, merged, scope
-from surctl.tuning.search import Array, Journal, evolve
+from surctl.tuning.pool import (
+    CAP,
+    Condition,
+    Figures,
+    Pool,
+    SearchRange,
+    SearchRequest,
+    joined_pools,
+    merged,
+    scope,
+)
+
+Array = NDArray[np.float64]
 
 _FIRST = 0.1  # first step as a share of each range's width on its scale
 _LAST = 1e-3  # the descent from a start ends when its step is shorter
@@ -219,10 +231,55 @@ def search(
         return pools[-1].merit(start)
 
     begun = [[s.clip(gains[s.name]) for s in request.space] for gains in ({**request.start}, *first)]
-    evolve(merit, request.space, size=size, batches=count, seed=request.seed, first=begun)
+    _evolve(merit, request.space, size=size, batches=count, seed=request.seed, first=begun)
     if not request.descends:
         return joined_pools(pools)
     return descend(request, joined_pools(pools), trials=trials, journal=journal, progress=progress)
+
+
+def _evolve(
+    value: Callable[[Array], Array],
+    ranges: Sequence[SearchRange],
+    *,
+    size: int,
+    batches: int,
+    seed: int,
+    first: Sequence[Sequence[float]] = (),
+) -> None:
+    """Minimise a function of sets of numbers by scipy's differential evolution, whose generations are the batches.
+
+    The proposals of a batch depend on the seed and on the values of the batches before, but not on their number.
+
+    Args:
+        value: function from sets (n, numbers) to values (n,); smaller is better.
+        ranges: the numbers.
+        size: about the number of sets in a batch, at least 5.
+        batches: number of batches.
+        seed: seed of the proposals.
+        first: sets with which the first batch begins; the others of this batch fill the ranges evenly.
+    """
+    from scipy.optimize import differential_evolution
+
+    count = len(ranges)
+    begun = [list(one) for one in first[:size]]
+    start: Array | str = "latinhypercube"
+    if begun:
+        from scipy.stats import qmc  # takes half a second to import
+
+        own = np.column_stack([r.unit(column) for r, column in zip(ranges, np.array(begun).T, strict=True)])
+        start = np.vstack([own, qmc.LatinHypercube(count, rng=seed).random(size - len(begun))])
+
+    def of(points: Array) -> Array:
+        nonlocal begun
+        sets = np.column_stack([r.place(share) for r, share in zip(ranges, points, strict=True)])
+        sets[: len(begun)] = begun or sets[:0]  # exactly, not by way of its share of the range
+        begun = []
+        return value(sets)
+
+    differential_evolution(
+        of, [(0.0, 1.0)] * count, init=start, popsize=max(1, round(size / count)), maxiter=max(0, batches - 1),
+        seed=seed, polish=False, vectorized=True, updating="deferred", tol=0,
+    )  # fmt: skip
 
 
 _PAUSE = 0.2  # s between two lines of progress

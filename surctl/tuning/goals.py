@@ -29,7 +29,7 @@ from surctl.tuning.loop_goal_types import (
     StepTracking,
     Tracking,
 )
-from surctl.tuning.loop_goals import Bound, LoopGoal, Profile
+from surctl.tuning.loop_goals import Bound, LoopGoal, Profile, check_points
 from surctl.verification.loops import worst_place
 
 if TYPE_CHECKING:
@@ -295,15 +295,6 @@ def loop_goal(table: GoalTable) -> LoopGoal:
         raise error.inside(
             None, error.key if error.key and error.key.startswith(key) else f"{key}.{error.key}"
         ) from None
-
-
-def check_points(goals: Sequence[LoopGoal], points: Mapping[str, Any]) -> None:
-    """Raise InputError if a goal names an operating point that does not exist."""
-    for goal in goals:
-        for name in goal.points:
-            if name not in points:
-                key, remedy = f"goals.{goal.name}.points", nearest(name, points) if points else "add a [[points]] table"
-                raise InputError("is not an operating point", key=key, value=name, remedy=remedy)
 
 
 def _value(table: GoalTable, kind: type[LoopGoal], one: Field[Any]) -> Any:

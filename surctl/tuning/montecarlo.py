@@ -10,10 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.tuning.chunked import Progress
+from surctl.tuning.chunked import Journal, Progress
 from surctl.tuning.goals import RunGoal
 from surctl.tuning.pool import ClaimPoint, Condition, Figures, Pool, SearchRequest, Sets, Simulated, merged, scope
-from surctl.tuning.search import Journal
 
 APART = 10_000_000  # seeds reserved for each tuning, so that two tunings never share a seed
 
@@ -106,7 +105,9 @@ def monte_carlo(
         missed[goal.name], normalised[goal.name] = float((apiece > 1).mean()), whole
         if whole > 1:
             chosen = _chosen(goal, figure, apiece, [conditions[k].case.name for k in own], each)
-            counterexamples += [_counterexample(goal, conditions[own[k]], figure[k], apiece[k]) for k in chosen]
+            for k in chosen:
+                run, numbers = conditions[own[k]], (float(figure[k]), float(apiece[k]))
+                counterexamples.append(Counterexample(goal.name, run.case.name, run.seed, run.plant, *numbers))
     return MonteCarlo(
         len(conditions), (conditions[0].seed, conditions[-1].seed), missed, normalised, tuple(counterexamples)
     )
@@ -130,10 +131,6 @@ def _chosen(
         else:
             chosen += [k for k in own if normalised[k] > 1][:most]
     return sorted(chosen, key=order.index)
-
-
-def _counterexample(goal: RunGoal, run: Condition, figure: float, normalised: float) -> Counterexample:
-    return Counterexample(goal.name, run.case.name, run.seed, run.plant, float(figure), float(normalised))
 
 
 TRAINING = 10  # training runs for each verifying run: a set that passes 10 n runs seldom fails in n fresh runs

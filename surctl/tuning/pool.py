@@ -16,7 +16,6 @@ from surctl import __version__
 from surctl.errors import check_known
 from surctl.tuning.chunked import Progress
 from surctl.tuning.goals import RunGoal
-from surctl.tuning.search import SearchRange
 
 Floats = NDArray[np.float64]
 Sets = Mapping[str, Floats]
@@ -138,6 +137,36 @@ def judged(goals: Sequence[RunGoal], conditions: Sequence[Condition], table: Fig
 def row(sets: Sets, k: int) -> dict[str, float]:
     """Return the k-th gain set: the value of each gain by name."""
     return {name: float(values[k]) for name, values in sets.items()}
+
+
+@dataclass(frozen=True)
+class SearchRange:
+    """A searched number and its range low … high, which includes both ends; a range above 0 has a log scale."""
+
+    name: str
+    low: float
+    high: float
+
+    @property
+    def log(self) -> bool:
+        """Whether the search uses a log scale."""
+        return self.low > 0
+
+    def clip(self, value: float) -> float:
+        """Clip a value to the range."""
+        return min(max(value, self.low), self.high)
+
+    def place(self, unit: Floats) -> Floats:
+        """Convert shares 0 … 1 of the range, on its scale, to values."""
+        share = np.asarray(unit, dtype=float)
+        at = self.low * (self.high / self.low) ** share if self.log else self.low + (self.high - self.low) * share
+        return np.clip(at, self.low, self.high)
+
+    def unit(self, values: Floats) -> Floats:
+        """Convert values to shares of the range, limited to 0 … 1; the inverse of `place`."""
+        at = np.asarray(values, dtype=float)
+        share = np.log(at / self.low) / np.log(self.high / self.low) if self.log else at - self.low
+        return np.clip(share if self.log else share / (self.high - self.low), 0.0, 1.0)
 
 
 @dataclass(frozen=True)

@@ -288,11 +288,8 @@ def sweep(
     about = {
         name: (column.unit, column.meaning, column.dimensions or tuple(sizes)) for name, column in variables.items()
     }
-    return SweepTable(attributes, about, lambda name, at: _shaped(variables[name], about[name][2], sizes)[at])
-
-
-def _shaped(column: Column, dimensions: Sequence[str], sizes: Mapping[str, int]) -> NDArray[Any]:
-    return column.values.reshape([sizes[dimension] for dimension in dimensions])
+    shapes = {name: [sizes[dimension] for dimension in dimensions] for name, (*_, dimensions) in about.items()}
+    return SweepTable(attributes, about, lambda name, at: variables[name].values.reshape(shapes[name])[at])
 
 
 def _variables(

@@ -21,12 +21,10 @@ from surctl.tuning.cegis import tune
 from surctl.tuning.chunked import Progress
 from surctl.tuning.design import Span, random_draws
 from surctl.tuning.goals import GOALS, NO_NUMBERS, RunGoal
-from surctl.tuning.loop_goals import LoopGoal
-from surctl.tuning.loop_scores import judge_loops, operating_loops
+from surctl.tuning.loop_goals import LoopGoal, judge_loops, operating_loops
 from surctl.tuning.montecarlo import APART
 from surctl.tuning.outcome import Tuned, check_finals
-from surctl.tuning.pool import CAP, Condition, SearchRequest, Sets, row
-from surctl.tuning.search import SearchRange
+from surctl.tuning.pool import CAP, Condition, SearchRange, SearchRequest, Sets, row
 from surctl.tuning.system_sweep import request_digest
 from surctl.units import as_range
 from surctl.verification.linear import LEAST_DISK_MARGIN

@@ -7,9 +7,9 @@ from surctl.marine.tuning import Goal, figures
 from surctl.marine.tuning.evaluation import fresh
 from surctl.tuning import cegis, search, tune
 from surctl.tuning.cegis import Round, _chosen, _ended
+from surctl.tuning.chunked import Journal
 from surctl.tuning.gain_search import descend
 from surctl.tuning.montecarlo import Counterexample, MonteCarlo, monte_carlo, reduced_pool, screen, stored_figures
-from surctl.tuning.search import Journal
 from tests.tuning.synthetic import CLEAR, GAINS, NEAR, THRIFT, Loop, heavy, install, request
 
 

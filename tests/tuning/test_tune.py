@@ -15,11 +15,11 @@ from surctl.marine.tuning import Goal, conditions, evaluate, figures, gain_range
 from surctl.marine.tuning.evaluation import fresh
 from surctl.marine.tuning.request import expected_to_hold, refuted_claims
 from surctl.tuning import Counterexample, search, summary, tune
+from surctl.tuning.chunked import Journal
 from surctl.tuning.gain_search import demands, minimal_subset
 from surctl.tuning.montecarlo import monte_carlo
 from surctl.tuning.outcome import advice, misses, tuning_dict
 from surctl.tuning.pool import ClaimPoint, Pool, judged
-from surctl.tuning.search import Journal
 from tests.tuning.synthetic import CLEAR, GAINS, MARGIN, NEAR, THRIFT, Loop, case, heavy, install, request
 
 

@@ -153,6 +153,7 @@ class Inputs:
         self._fresh = np.zeros(self._array.size)
         self._fired = np.full(self._array.size, -inf)
         self._reports = 0
+        self._working = np.ones(self.law.inputs.port("working").size if "working" in self.law.inputs else 0)
         world = build_world(self.scenario, self.vehicle, seed=0)
         drifts = {o.name: o.drift_m for o in self.scenario.obstacles}
         self._still = [(b, drifts[b.name]) for b in world.bodies(0.0) if not b.moving]
@@ -223,7 +224,7 @@ class Inputs:
         known = self.estimate
         assert known is not None
         eta, nu = known.at(now)
-        values: dict[str, object] = {"eta": eta, "nu": nu, "working": self._working(), "column": np.zeros(2)}
+        values: dict[str, object] = {"eta": eta, "nu": nu, "working": self._working, "column": np.zeros(2)}
         values |= {"samples": self._samples, "fresh": self._fresh}
         rows = self._rows(now, eta, still=self.law.perception is None)
         values |= {"contacts": rows, "contacts_fresh": float(self._reports > 0), **self._fix(known)}
@@ -241,10 +242,6 @@ class Inputs:
         if fresh:
             self._fixed = known.placed
         return {"fix": known.eta[:3], "fix_fresh": float(fresh)}
-
-    def _working(self) -> Vector:
-        size = self.law.inputs.port("working").size if "working" in self.law.inputs else 0
-        return np.ones(size)
 
     def _radius(self, system: int) -> float:
         # moving obstacles in the order of their systems' ids; with more systems than obstacles the order says nothing

@@ -187,12 +187,8 @@ class Rehearsal:
 
     def act(self, action: Action) -> None:
         """Do what an `Act` says, now."""
-        if action == "arm":
-            self.sub.arm(self.now)
-        elif action == "disarm":
-            self.sub.disarm(self.now)
-        elif action == "reboot":
-            self.sub.reboot(self.now)
+        if action in ("arm", "disarm", "reboot"):
+            getattr(self.sub, action)(self.now)
         elif action in ("cut", "mute", "deaf", "blind", "join"):
             self.down.cut, self.up.cut = action in ("cut", "mute"), action in ("cut", "deaf")
             self.sub.blind = action == "blind"

@@ -62,16 +62,6 @@ def no_renderer(why: str) -> ToolMissing:
     )
 
 
-def _wrong_renderer(value: str, why: str) -> ToolMissing:
-    """Return the error that MuJoCo cannot be imported with a value of the environment variable MUJOCO_GL."""
-    return ToolMissing(
-        f"MuJoCo cannot be imported with this renderer ({why})",
-        key="environment variable MUJOCO_GL",
-        value=value,
-        remedy="set it to egl, osmesa or glfw, or unset it",
-    )
-
-
 Array = NDArray[np.float64]
 
 
@@ -93,7 +83,9 @@ def mujoco_library() -> ModuleType:
         if isinstance(error, ModuleNotFoundError) and error.name == "mujoco":
             problem, remedy = "needs MuJoCo, which is not installed", "pip install 'surctl[mujoco]'"
         elif renderer and "mujoco" not in sys.modules:
-            raise _wrong_renderer(renderer, str(error)) from None
+            problem, remedy = f"MuJoCo cannot be imported with this renderer ({error})", "set it to egl, osmesa or glfw"
+            key = "environment variable MUJOCO_GL"
+            raise ToolMissing(problem, key=key, value=renderer, remedy=f"{remedy}, or unset it") from None
         else:
             problem = f"the installation of mujoco is broken ({error})"
             remedy = "reinstall it: pip install --force-reinstall mujoco"
@@ -192,7 +184,7 @@ def mjcf(scenario: Scenario, vehicle: Vehicle, *, options: EngineOptions | None 
         quat=(cos(pose[3] / 2), 0, 0, sin(pose[3] / 2)), density=WATER, blunt=blunt, lag=vehicle["thrust_lag"],
         extent=extent, high=extent / tan(radians(_OPENING / 2)), opening=_OPENING, down=(cos(down), sin(down)),
         obstacles=[_obstacle(one, scenario.site[2], radius) for one in scenario.obstacles],
-        thrust=[vehicle[name] if six and name in vehicle.parameters else 0.0 for name in ("xt", "yt", "zt")],
+        thrust=[vehicle.term(name) if six else 0.0 for name in ("xt", "yt", "zt")],
         thrusters=() if vehicle.actuators is None else vehicle.actuators.thrusters, actuators=_actuators(vehicle),
     )  # fmt: skip
 

@@ -103,15 +103,11 @@ class _Rays:
             self._cutoff,
         )  # fmt: skip
         audible = distances >= 0
-        if self._faced is not None:
-            incidence = -np.einsum("ij,ij->i", normals.reshape(-1, 3), directions)
-            audible &= incidence >= self._faced[geoms]
-            return origin, np.where(audible, distances, inf), directions
-        if not self._options.floor:
+        if self._faced is None and not self._options.floor:
             audible &= geoms != model.geom("floor").id
-        if self._limit is not None:
-            incidence = -np.einsum("ij,ij->i", normals.reshape(-1, 3), directions)
-            audible &= incidence >= self._limit
+        least = self._limit if self._faced is None else self._faced[geoms]
+        if least is not None:
+            audible &= -np.einsum("ij,ij->i", normals.reshape(-1, 3), directions) >= least
         return origin, np.where(audible, distances, inf), directions
 
 
@@ -166,7 +162,8 @@ class MujocoPhysics:
         self._mujoco = mujoco_library()
         self.world, self.body, self._vehicle = world, body_of(vehicle, options), vehicle.name
         options = self.body.options
-        self.name = ", ".join(filter(None, ("mujoco", f"{options.dof} DoF", _others(options))))
+        others = [part for part in options.text().split(",") if part and not part.startswith("dof=")]
+        self.name = ", ".join(["mujoco", f"{options.dof} DoF", *others])
         scenario = world.scenario
         self.model = self._mujoco.MjModel.from_xml_string(mjcf(scenario, vehicle, options=options))
         self.data = self._mujoco.MjData(self.model)
@@ -333,10 +330,6 @@ class MujocoPhysics:
         return np.array([*place[:3], heading, *nu, *thrust.tolist(), *tilt])
 
 
-def _others(options: EngineOptions) -> str:
-    return ", ".join(part for part in options.text().split(",") if not part.startswith("dof="))
-
-
 # Runs of one case with many seeds, in one process or in several
 
 
@@ -360,9 +353,6 @@ class BatchCase:
     stepper: Callable[[Law], Any] | None = None
 
 
-_law: Any = None  # of this process
-
-
 def simulate_seeds(batch_case: BatchCase, seeds: Sequence[int], *, processes: int = 1) -> Iterator[Run]:
     """Yield the runs of a case with the given seeds in their order; each process builds the law once.
 
@@ -380,33 +370,24 @@ def simulate_with_steppers(
     """
     if processes < 1:
         raise InputError("must be at least 1", key="processes", value=processes, remedy="give 1 or more")
-    law = _build(batch_case)
     if processes == 1 or len(seeds) == 1:
         for seed in seeds:
-            yield _simulated(batch_case, law, compared, seed)
+            yield _simulated(batch_case, compared, seed)
         return
+    law = batch_case.case.build(batch_case.fallback)
     # started afresh: a copy of this process would share its threads' locks and its connection to the display
-    pool = ProcessPoolExecutor(processes, mp_context=get_context("spawn"), initializer=_begin, initargs=(batch_case,))
-    with pool:
+    with ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as pool:
         for run, report in pool.map(partial(_in_process, batch_case, compared), seeds):
             yield replace(run, law=law), report
 
 
-def _build(batch_case: BatchCase) -> Law:
-    return batch_case.case.build(batch_case.fallback)
-
-
-def _begin(batch_case: BatchCase) -> None:
-    global _law
-    _law = _build(batch_case)
-
-
 def _in_process(batch_case: BatchCase, compared: bool, seed: int) -> tuple[Run, Any]:
-    run, report = _simulated(batch_case, _law, compared, seed)
+    run, report = _simulated(batch_case, compared, seed)
     return replace(run, law=None), report  # type: ignore[arg-type]  # a law cannot be sent
 
 
-def _simulated(batch_case: BatchCase, law: Law, compared: bool, seed: int) -> tuple[Run, Any]:
+def _simulated(batch_case: BatchCase, compared: bool, seed: int) -> tuple[Run, Any]:
+    law = batch_case.case.build(batch_case.fallback)  # each process builds it once
     stepper = None if batch_case.stepper is None else batch_case.stepper(law)
     options: dict[str, Any] = {"thruster_faults": batch_case.thruster_faults, "physics": batch_case.physics}
     run = simulate_case(batch_case.case, seed=seed, law=law, stepper=stepper, **options)

@@ -139,14 +139,11 @@ def draw(mujoco: Any, scene: Any, scenario: Scenario, moment: Moment, *, lines: 
         _line(mujoco, scene, moment.track[::apart], 0.012, _TRACK)
     for x, y, axis, half, length, echo in moment.beams:
         apex, colour = np.array([x, y, z]), _ECHO if echo else _SILENT
-        rim = [apex + length * _direction(axis + half * k / 4) for k in range(-4, 5)]
+        angles = [axis + half * k / 4 for k in range(-4, 5)]
+        rim = [apex + length * np.array([cos(angle), sin(angle), 0.0]) for angle in angles]
         for end in (rim[0], rim[-1]):
             _line(mujoco, scene, np.array([apex, end]), 0.006, colour)
         _line(mujoco, scene, np.array(rim), 0.012 if echo else 0.006, colour)
-
-
-def _direction(angle: float) -> NDArray[np.float64]:
-    return np.array([cos(angle), sin(angle), 0.0])
 
 
 def _line(mujoco: Any, scene: Any, points: Iterable[Any], radius: float, colour: Sequence[float]) -> None:

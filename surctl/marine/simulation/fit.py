@@ -31,13 +31,9 @@ def tilt_findings(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
     return [*_buoyancy(vehicle), *(_tilt(scenario, vehicle) if vehicle.form.tilts else [])]
 
 
-def _number(vehicle: Vehicle, name: str) -> float:
-    return vehicle[name] if name in vehicle.parameters else 0.0
-
-
 def _buoyancy(vehicle: Vehicle) -> Iterator[Finding]:
     least, most = vehicle.thrust_range[:, 2]
-    up = _number(vehicle, "Z0") + _number(vehicle, "buoyancy") - _number(vehicle, "weight")
+    up = vehicle.term("Z0") + vehicle.term("buoyancy") - vehicle.term("weight")
     if up == 0 or -most < up < -least:
         return
     limit = f"the heave thrust reaches {-least if up > 0 else most:g} N"
@@ -47,12 +43,12 @@ def _buoyancy(vehicle: Vehicle) -> Iterator[Finding]:
 
 def _tilt(scenario: Scenario, vehicle: Vehicle) -> Iterator[Finding]:
     # [N m/rad] about the axes of roll and pitch
-    righting = vehicle["buoyancy"] * _number(vehicle, "zb") - vehicle["weight"] * _number(vehicle, "zg")
+    righting = vehicle["buoyancy"] * vehicle.term("zb") - vehicle["weight"] * vehicle.term("zg")
     if righting <= 0:
         text = f"{vehicle.name} capsizes: its centre of gravity is not below its centre of buoyancy"
         yield Finding("error", "vehicle", f"{text} (zg, zb)")
         return
-    height = abs(_number(vehicle, "zt"))
+    height = abs(vehicle.term("zt"))
     pull = {"pitch": max(abs(vehicle.thrust_range[:, 0])), "roll": max(abs(vehicle.thrust_range[:, 1]))}
     tilts = {axis: degrees(atan2(force * height, righting)) for axis, force in pull.items()}
     axis = max(tilts, key=lambda name: tilts[name])
@@ -114,7 +110,7 @@ def thruster_findings(vehicle: Vehicle) -> list[Finding]:
 
 def _drag(vehicle: Vehicle) -> Iterator[Finding]:
     # linear drag of sway and yaw takes energy at every v and r only if its symmetric part is positive semidefinite
-    yaw, sway = (vehicle[name] if name in vehicle.parameters else 0.0 for name in ("Yr", "Nv"))
+    yaw, sway = map(vehicle.term, ("Yr", "Nv"))
     bound = 2 * float(np.sqrt(vehicle["Yv"] * vehicle["Nr"]))
     if abs(yaw + sway) <= bound * (1 + _SLACK) + _SLACK:
         return
@@ -145,7 +141,7 @@ def _not_simulated(vehicle: Vehicle) -> Iterator[Finding]:
     # what the file states or implies, and the plant does not contain
     assert vehicle.actuators is not None
     worst, worst_name = 0.0, ""
-    point = np.array([vehicle[name] if name in vehicle.parameters else 0.0 for name in ("xt", "yt", "zt")])
+    point = np.array([vehicle.term(name) for name in ("xt", "yt", "zt")])
     for one in vehicle.actuators.thrusters:
         rate = None if one.swivel is None else one.swivel.rate
         if rate is not None and pi / 2 > rate * vehicle["thrust_lag"]:

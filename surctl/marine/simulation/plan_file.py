@@ -91,10 +91,8 @@ def _geofence(fence: Any, path: Path) -> tuple[_Places, list[str]]:
     try:
         circles, polygons = (list((fence or {}).get(key) or []) for key in ("circles", "polygons"))
         for number, part in enumerate(circles, start=1):
-            (latitude, longitude), radius = (
-                (float(v) for v in part["circle"]["center"]),
-                float(part["circle"]["radius"]),
-            )
+            latitude, longitude = (float(v) for v in part["circle"]["center"])
+            radius = float(part["circle"]["radius"])
             if part.get("inclusion", True):
                 notes.append(f"not used: inclusion circle {number}, of radius {radius:g} m")
             else:
@@ -151,13 +149,8 @@ def read_mission(path: Path) -> Mission:
         raise InputError(f"has {len(places):,} waypoints", file=shown(path), remedy=remedy)
     for k, (latitude, longitude, _) in enumerate(places):
         if not (-90 < latitude < 90 and -180 <= longitude <= 180):
-            raise InputError(
-                "is not a position",
-                file=shown(path),
-                key=f"waypoint {k + 1}",
-                value=(latitude, longitude),
-                remedy="correct it",
-            )
+            key, value = f"waypoint {k + 1}", (latitude, longitude)
+            raise InputError("is not a position", file=shown(path), key=key, value=value, remedy="correct it")
     points: list[NDArray[np.float64]] = []
     heights: list[float] = []
     for latitude, longitude, height in places:
@@ -196,11 +189,8 @@ def mission_scenario(
     heights = mission.heights[np.isfinite(mission.heights)]
     if depth is None:
         if not len(heights) or float(heights.min()) >= 0:
-            raise InputError(
-                "; ".join(["is not below the surface", *notes]) if not len(heights) else "is not below the surface",
-                key="--depth",
-                remedy="give the depth of the path: -0.1 for a boat",
-            )
+            problem = "; ".join(["is not below the surface", *(() if len(heights) else notes)])
+            raise InputError(problem, key="--depth", remedy="give the depth of the path: -0.1 for a boat")
         depth = float(heights.min())
         if float(np.ptp(heights)) > _LEAST:
             notes.append(
@@ -306,9 +296,7 @@ def _plan(raw: bytes, path: Path) -> _Content:
             else:
                 skipped.setdefault(f"command {command}", []).append(number)
         except InputError as error:
-            raise InputError(
-                error.problem, file=shown(path), key=f"item {number}", value=error.value, remedy=error.remedy
-            ) from None
+            raise error.inside(shown(path), f"item {number}") from None
         except (KeyError, TypeError, ValueError, IndexError):
             remedy = "correct this item in QGroundControl and save the plan again"
             raise InputError(

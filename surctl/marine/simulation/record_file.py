@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from importlib.resources import files
 from math import degrees, isfinite, isinf
 from pathlib import Path
 from typing import Any
@@ -119,7 +120,7 @@ class SceneFile:
 
     def _sonars(self, time: float, ranges: Vector) -> None:
         for k, (axis, distance) in enumerate(zip(self.array.azimuths, ranges.tolist(), strict=True)):
-            x, y = self._apex(k)
+            x, y, _ = self.array.apex(k, position=(0.0, 0.0), heading=0.0)
             half = self.array.half_angle
             echo = round(distance, 3) if distance < self.array.maximum else None
             scan = {
@@ -132,10 +133,6 @@ class SceneFile:
                 "intensities": [],
             }
             self.file.write(f"/sonar/{k}", "foxglove.LaserScan", time, scan)
-
-    def _apex(self, sensor: int) -> tuple[float, float]:
-        x, y, _ = self.array.apex(sensor, position=(0.0, 0.0), heading=0.0)
-        return x, y
 
     def _obstacles(self, time: float, bodies: Sequence[Body]) -> None:
         entities: list[dict[str, Any]] = []
@@ -239,36 +236,8 @@ def write_layout(folder: Path, *, sonars: int = 0) -> Path:
 
     The layout shows the echoes of `sonars` sonars.
     """
-    topics = {name: {"visible": True} for name in ("/pose", "/path", "/scene", *(f"/sonar/{k}" for k in range(sonars)))}
-    lists = {
-        "Thrust [N]": ["/thrust.surge_n", "/thrust.sway_n", "/thrust.heave_n"],
-        "Speed [m/s]": ["/state.surge_m_per_s", "/state.sway_m_per_s"],
-        "Clearance [m]": ["/status.clearance_m"],
-    }
-    plots = {
-        f"Plot!{k}": {
-            "foxglovePanelTitle": title,
-            "paths": [{"value": path, "enabled": True, "timestampMethod": "receiveTime"} for path in paths],
-            "showLegend": True,
-            "xAxisVal": "timestamp",
-        }
-        for k, (title, paths) in enumerate(lists.items())
-    }
-    view = {"followTf": "world", "topics": topics, "scene": {"transforms": {"visible": False}}}
-    panels = {"3D!scene": view, **plots, "Log!log": {"topicToRender": "/log"}}
-    right = {
-        "direction": "column",
-        "first": "Plot!0",
-        "second": {"direction": "column", "first": "Plot!1", "second": "Plot!2"},
-    }
-    left = {"direction": "column", "first": "3D!scene", "second": "Log!log", "splitPercentage": 80}
-    layout = {
-        "configById": panels,
-        "globalVariables": {},
-        "userNodes": {},
-        "playbackConfig": {"speed": 1},
-        "layout": {"direction": "row", "first": left, "second": right, "splitPercentage": 60},
-    }
+    layout = json.loads(files("surctl.marine.simulation").joinpath(LAYOUT).read_text(encoding="utf-8"))
+    layout["configById"]["3D!scene"]["topics"] |= {f"/sonar/{k}": {"visible": True} for k in range(sonars)}
     return write_file(folder / LAYOUT, json.dumps(layout, indent=2) + "\n")
 
 

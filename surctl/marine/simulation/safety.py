@@ -6,7 +6,7 @@ margin, because it does not follow this speed bound exactly.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from math import ceil, degrees, floor, inf, isfinite
@@ -32,7 +32,6 @@ from surctl.marine.guidance.braking import (
 from surctl.marine.sensing import INCIDENCE_LIMIT
 from surctl.marine.simulation.echo_fit import unanswered
 from surctl.marine.simulation.scenario import Scenario
-from surctl.marine.simulation.toml_text import toml_text
 from surctl.marine.simulation.world import BAND, FOOTPRINT
 from surctl.marine.vehicle import Vehicle, steady_speed
 from surctl.marine.vehicle.dynamics import check_equation_3
@@ -122,6 +121,17 @@ def turned(brakes: Brakes, turning: float) -> Brakes:
     return replace(brakes, least=brakes.least / (1 + (turning * brakes.lag) ** 2))
 
 
+def _largest(enough: Callable[[float], bool], high: float, resolution: float) -> float:
+    """Return the largest number up to `high` for which a margin is enough, to a resolution; 0 if there is none."""
+    low = 0.0
+    if not enough(0.0):
+        return 0.0
+    while high - low > resolution:
+        middle = (low + high) / 2
+        low, high = (middle, high) if enough(middle) else (low, middle)
+    return low
+
+
 @dataclass(frozen=True)
 class Bound:
     """The law's speed bound, with the data that decide whether the law's margin is enough to brake.
@@ -149,23 +159,12 @@ class Bound:
             turning_brakes = replace(self.brakes, disturbance=disturbance)
             return max(replace(self, brakes=turning_brakes).margins(obstacle).values()) <= self.gains["margin"]
 
-        low, high = 0.0, self.brakes.least / (turning * self.cap)
-        if not enough(0.0):
-            return 0.0
-        while high - low > _LIGHTEST:
-            middle = (low + high) / 2
-            low, high = (middle, high) if enough(middle) else (low, middle)
-        return low
+        return _largest(enough, self.brakes.least / (turning * self.cap), _LIGHTEST)
 
     def limit(self, detection: float) -> float:
         """Return the largest obstacle speed [m/s] for which detection range and margin suffice; 0 if there is none."""
-        low, high = 0.0, min(_NEAR * fastest_obstacle(self.brakes), 10.0)
-        if not self.suffices(0.0, detection):
-            return 0.0
-        while high - low > _FINEST:
-            middle = (low + high) / 2
-            low, high = (middle, high) if self.suffices(middle, detection) else (low, middle)
-        return low
+        most = min(_NEAR * fastest_obstacle(self.brakes), 10.0)
+        return _largest(lambda speed: self.suffices(speed, detection), most, _FINEST)
 
     def suffices(self, obstacle: float, detection: float) -> bool:
         """Return whether detection range and margin are enough for an obstacle of the given speed [m/s]."""
@@ -261,15 +260,6 @@ class SafetyClaim:
     def to_dict(self) -> dict[str, Any]:
         """Return the claim as plain data for JSON; the writer converts numbers that are not finite."""
         return asdict(self)
-
-    def to_toml(self) -> str:
-        """Return the claim as the text of a TOML file; an unbounded number is written as the text "inf"."""
-
-        def rows(figures: tuple[Figure, ...]) -> list[dict[str, Any]]:
-            return [{**asdict(f), "value": f.value if isfinite(f.value) else str(f.value)} for f in figures]
-
-        table = {**self.to_dict(), "assumptions": rows(self.assumptions), "derived": rows(self.derived)}
-        return toml_text({"kind": "safety claim", **table})
 
     def lines(self) -> list[str]:
         """Return the claim as lines of text."""

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from surctl.errors import InputError, mistakes_in
+from surctl.errors import InputError, check_once, mistakes_in
 from surctl.files import Strict, pick, read_toml, validate
 from surctl.marine.guidance import MAX_WAYPOINTS, VISIT, Follower, Path
 from surctl.marine.sensing import Surfaces
@@ -436,7 +436,9 @@ def _check(scenario: Scenario) -> None:
             raise InputError(
                 "lies outside the site", file=source, key=key, value=[x, y], remedy="correct the point or the site"
             )
-    _unique([o.name for o in scenario.obstacles], source)
+    with mistakes_in(source):
+        names = [o.name for o in scenario.obstacles]
+        check_once(names, "is the name of two obstacles", key="obstacles.name", remedy="rename one")
     _apart([o for o in scenario.obstacles if o.still], scenario)
 
 
@@ -475,14 +477,6 @@ def check_spacing(scenario: Scenario, *, cap: float) -> None:
         value=[round(float(c), 4) for c in scenario.path.waypoints[near]],
         remedy="leave out points, raise arc_error_m, or lower the cap",
     )
-
-
-def _unique(names: Sequence[str], source: str) -> None:
-    for name in names:
-        if names.count(name) > 1:
-            raise InputError(
-                "is the name of two obstacles", file=source, key="obstacles.name", value=name, remedy="rename one"
-            )
 
 
 def _apart(still: Sequence[Obstacle], scenario: Scenario) -> None:

@@ -122,17 +122,12 @@ class World(WorldDraw):
         displacement = np.array(obstacle.to_m) - centre
         distance, speed = float(np.linalg.norm(displacement)), float(obstacle.speed_m_per_s or 0)
         radius = obstacle.radius_m or self.hull
-        if speed * time >= distance:
-            here = Disc(centre + displacement, radius)
-            return (
-                None
-                if obstacle.removed
-                else Body(obstacle.name, here, np.zeros(2), moving=True, heights=obstacle.heights)
-            )
-        velocity = speed * displacement / distance
-        return Body(
-            obstacle.name, Disc(centre + velocity * time, radius), velocity, moving=True, heights=obstacle.heights
-        )
+        arrived = speed * time >= distance
+        if arrived and obstacle.removed:
+            return None
+        velocity = np.zeros(2) if arrived else speed * displacement / distance
+        place = Disc(centre + (displacement if arrived else velocity * time), radius)
+        return Body(obstacle.name, place, velocity, moving=True, heights=obstacle.heights)
 
 
 def draw_world(obstacles: int, *, seed: int) -> WorldDraw:

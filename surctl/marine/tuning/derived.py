@@ -25,7 +25,6 @@ from surctl.marine.vehicle.linearise import check_cruise
 from surctl.marine.verification import law_corners
 from surctl.marine.verification.corners import corners
 from surctl.marine.verification.cruise_loop import POSE, THRUSTS, CruisePoint, cruise_groups
-from surctl.system import LinearLoop
 from surctl.verification.linear import LEAST_DISK_MARGIN, screened_peaks
 from surctl.verification.loops import LEAST_DELAY_MARGIN
 from surctl.verification.sampled_margins import delays_at, open_loop
@@ -223,7 +222,8 @@ def _estimates(
     vehicle: Vehicle, inner: Array, cruise: float, dt: float, *, speed: float, plant: Vehicle | None = None
 ) -> Array:
     # disk margin of the vehicle at both places together; of a plant, the lesser of both places
-    loops = _loops(vehicle, inner, cruise, speed, dt, plant or vehicle)
+    points = [CruisePoint(plant or vehicle, vehicle, rule(vehicle, one, cruise=cruise, dt=dt), speed) for one in inner]
+    ((_, loops),) = cruise_groups(points, dt=dt)
     thrusts, pose = ([name for name in names if name in loops.channels()] for names in (THRUSTS, POSE))
     places = ([*thrusts, *pose],) if plant is None else (thrusts, pose)
     peaks = np.max([screened_peaks(open_loop(loops, *signals)) for signals in places], axis=0)
@@ -234,12 +234,6 @@ def _estimates(
         late = delays_at(loops[stable], [*thrusts, *pose]).min(axis=0) / (_ABOVE * LEAST_DELAY_MARGIN)
         shares[stable] = np.minimum(shares[stable], np.maximum(late, _UNSTABLE))
     return shares
-
-
-def _loops(vehicle: Vehicle, inner: Array, cruise: float, speed: float, dt: float, plant: Vehicle) -> LinearLoop:
-    points = [CruisePoint(plant, vehicle, rule(vehicle, one, cruise=cruise, dt=dt), speed) for one in inner]
-    ((_, loops),) = cruise_groups(points, dt=dt)
-    return loops
 
 
 TUNED_FOR = ("sur400", "sur400-tilting", "sur540-flooded", "sur540-light", "sur540-tilting")

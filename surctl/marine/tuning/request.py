@@ -24,8 +24,7 @@ from surctl.tuning.cegis import Tuning
 from surctl.tuning.chunked import Progress
 from surctl.tuning.design import default_range
 from surctl.tuning.outcome import outcome_text
-from surctl.tuning.pool import ClaimPoint, Condition, SearchRequest, Sets, row
-from surctl.tuning.search import SearchRange
+from surctl.tuning.pool import ClaimPoint, Condition, SearchRange, SearchRequest, Sets, row
 from surctl.verification.counterexample import evaluate
 from surctl.verification.falsifier import falsify
 from surctl.verification.verdict import Verdict

@@ -20,6 +20,7 @@ from surctl.marine.control import Gains, GainSpec, build_law, law_options, law_r
 from surctl.marine.guidance.tracking import check_guidance
 from surctl.marine.simulation import METRICS, Case, Scenario, Sensing, simulate_batch, vehicle_law
 from surctl.marine.simulation.batch.case import case_parameters, check_speeds
+from surctl.marine.simulation.metrics import MetricSpec
 from surctl.marine.vehicle import Vehicle, load_vehicle
 from surctl.marine.verification import LINEAR_METRICS, linear_table
 from surctl.marine.verification.cruise_loop import has_cruise_loop
@@ -45,38 +46,30 @@ _OFTEN_ABSENT = ("path_error_m", "crab_angle_deg", "max_crab_angle_deg", "headin
 # NaN here means that the run has no path error or that the law turns the hull to scan, not that the run failed
 
 
-@dataclass(frozen=True)
-class ColumnSpec:
-    """Unit and meaning of a column of results."""
-
-    unit: str
-    meaning: str
-
-
 _AVERAGED = {name: spec for name, spec in METRICS.items() if spec.better is not None}  # a status code has no mean
 
-CASE_COLUMNS: Mapping[str, ColumnSpec] = {
-    **{name: ColumnSpec(spec.unit, f"{spec.meaning}, mean") for name, spec in _AVERAGED.items()},
-    **{name + _WORST: ColumnSpec(spec.unit, f"{spec.meaning}, worst") for name, spec in _AVERAGED.items()},
+CASE_COLUMNS: Mapping[str, MetricSpec] = {
+    **{name: MetricSpec(spec.unit, f"{spec.meaning}, mean") for name, spec in _AVERAGED.items()},
+    **{name + _WORST: MetricSpec(spec.unit, f"{spec.meaning}, worst") for name, spec in _AVERAGED.items()},
 }
 """Closed-loop columns, for one case over its seeds and for all runs at a point: mean and worst value of every metric
 for which low or high is better. In a mean all cases have the same weight. Runs without a path error do not count in its
 mean; any other NaN makes the result NaN."""
 
-RUN_COLUMNS: Mapping[str, ColumnSpec] = {
+RUN_COLUMNS: Mapping[str, MetricSpec] = {
     **CASE_COLUMNS,
-    "strayed": ColumnSpec("1", "rms horizontal distance to the path in hull radii, mean"),
-    "time_ratio": ColumnSpec("1", "arrival time divided by the ideal time (path length / cruise speed), worst"),
+    "strayed": MetricSpec("1", "rms horizontal distance to the path in hull radii, mean"),
+    "time_ratio": MetricSpec("1", "arrival time divided by the ideal time (path length / cruise speed), worst"),
 }
 """Columns over all runs at a point."""
 
-LINEAR_COLUMNS: Mapping[str, ColumnSpec] = {
-    name: ColumnSpec(spec.unit, f"{spec.meaning}; worst vehicle") for name, spec in LINEAR_METRICS.items()
+LINEAR_COLUMNS: Mapping[str, MetricSpec] = {
+    name: MetricSpec(spec.unit, f"{spec.meaning}; worst vehicle") for name, spec in LINEAR_METRICS.items()
 }
 """Columns of the linearised loops at each vehicle's largest cruise speed, or the worst over the sweep's speeds."""
 
 WORST_SPEED = {
-    "disk_margin_at_m_per_s": ColumnSpec("m/s", "cruise speed at which the disk margin of the loops is least")
+    "disk_margin_at_m_per_s": MetricSpec("m/s", "cruise speed at which the disk margin of the loops is least")
 }
 """Additional column if the sweep names cruise speeds."""
 
@@ -150,7 +143,7 @@ class MissionSweep(SweepSubject):
         inputs: dict[str, Floats] = {}
         inverse, point = _linear_rows(design)[1], tuple(dimensions)
 
-        def described(quantity: ColumnSpec, values: Floats, *, by_case: bool = False) -> Column:
+        def described(quantity: MetricSpec, values: Floats, *, by_case: bool = False) -> Column:
             meaning = quantity.meaning + ", by case" * by_case
             return Column(values, quantity.unit, meaning, ("case", *point) if by_case else point)
 
@@ -170,9 +163,9 @@ class MissionSweep(SweepSubject):
             inputs[name] = of_loops(list(LINEAR_COLUMNS).index(name))
         verdict = judged(inputs)
         meaning = "mean deviation in hull radii plus worst time ratio"
-        yield "score", described(ColumnSpec("1", meaning), verdict["score"])
+        yield "score", described(MetricSpec("1", meaning), verdict["score"])
         meaning = "1 if the point may be picked, otherwise 0"
-        yield "feasible", described(ColumnSpec("1", meaning), verdict["feasible"])
+        yield "feasible", described(MetricSpec("1", meaning), verdict["feasible"])
         count = len(self.cases)
         for k, (name, quantity) in enumerate(CASE_COLUMNS.items()):
             places = [len(RUN_COLUMNS) + c * len(CASE_COLUMNS) + k for c in range(count)]
@@ -198,7 +191,7 @@ class MissionSweep(SweepSubject):
         }
 
     @property
-    def linear_columns(self) -> Mapping[str, ColumnSpec]:
+    def linear_columns(self) -> Mapping[str, MetricSpec]:
         """Columns of results that describe the linearised loops."""
         return {**LINEAR_COLUMNS, **(WORST_SPEED if self.cruise else {})}
 

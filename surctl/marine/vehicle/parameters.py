@@ -7,6 +7,7 @@ import json
 from collections.abc import Container, Mapping
 from dataclasses import dataclass, replace
 from itertools import product
+from math import degrees
 from pathlib import Path
 from typing import Any, Literal
 
@@ -22,9 +23,10 @@ from surctl.marine.vehicle.specs import (
     PARAMETERS,
     SPECS,
     TERMS,
+    ParameterSpec,
     PlantForm,
 )
-from surctl.marine.vehicle.thruster_file import axis_ends, axis_limits, common_lag, read_actuators, thruster_text
+from surctl.marine.vehicle.thruster_file import axis_ends, axis_limits, common_lag, read_actuators
 from surctl.marine.vehicle.thrusters import Actuators
 
 _NAMES = ("Fu_max", "Fv_max", "Fw_max", "Fr_max")
@@ -198,16 +200,17 @@ class Vehicle:
 
     def munk(self, cruise: float) -> float:
         """Return μ = m22 − m11 + Nuv + Nv/U [kg]: at a sway speed v, Munk moment and lift are μ u v; U: speed [m/s]."""
-        return self["m22"] - self["m11"] + self._term("Nuv") + self._term("Nv") / cruise
+        return self["m22"] - self["m11"] + self.term("Nuv") + self.term("Nv") / cruise
 
     def centripetal(self, cruise: float) -> float:
         """Return m = m11 + Yur + Yr/U [kg]: a turn at the yaw rate r needs the sway force m u r towards its centre.
 
         It is negative if the fins give more than this force: the craft then drifts inwards.
         """
-        return self["m11"] + self._term("Yur") + self._term("Yr") / cruise
+        return self["m11"] + self.term("Yur") + self.term("Yr") / cruise
 
-    def _term(self, name: str) -> float:
+    def term(self, name: str) -> float:
+        """Return the value of an optional term in its SI unit; 0 if the vehicle does not have it."""
         return self[name] if name in self.parameters else 0.0
 
     @property
@@ -454,18 +457,18 @@ def write_vehicle(vehicle: Vehicle) -> str:
         >>> load_vehicle("heavier.toml")["m11"]
         60.0
     """
-    lines = ['kind = "vehicle"', f"name = {quoted(vehicle.name)}", f"note = {quoted(vehicle.note)}"]
-    specs = {name: spec for name, spec in SPECS.items() if name in vehicle.parameters}
-    for table in dict.fromkeys(spec.table for spec in specs.values()):
-        lines += ["", f"[{table}]"]
-        for name, spec in specs.items():
-            if spec.table != table:
-                continue
-            known = vehicle.parameters[name]
-            bounds = f", range = [{known.range[0]!r}, {known.range[1]!r}]" if known.range is not None else ""
-            lines += [
-                f"# {spec.meaning}",
-                f'{name} = {{ value = {known.value!r}, unit = "{known.unit}"{bounds}, '
-                f"provenance = {quoted(known.provenance)} }}",
-            ]
-    return "\n".join([*lines, *thruster_text(vehicle.actuators)]) + "\n"
+    from jinja2 import Environment, PackageLoader, StrictUndefined  # takes long
+
+    def text(value: object) -> str:
+        return value if isinstance(value, str) else json.dumps(value)
+
+    environment = Environment(
+        loader=PackageLoader("surctl.marine.vehicle", ""), undefined=StrictUndefined, finalize=text, autoescape=False,
+        trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True,
+    )  # fmt: skip
+    environment.filters["quoted"] = quoted
+    tables: dict[str, dict[str, ParameterSpec]] = {}
+    for name, spec in SPECS.items():
+        if name in vehicle.parameters:
+            tables.setdefault(spec.table, {})[name] = spec
+    return environment.get_template("vehicle.txt").render(vehicle=vehicle, tables=tables, degrees=degrees)

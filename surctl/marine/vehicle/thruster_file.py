@@ -1,9 +1,9 @@
-"""Tables `[[thruster]]` and `[allocation]` of a vehicle file: keys, refusals, writing; largest force on each axis."""
+"""Tables `[[thruster]]` and `[allocation]` of a vehicle file: keys, refusals; largest force on each axis."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from math import degrees, isclose, radians
+from math import isclose, radians
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from surctl.errors import InputError, mistakes_in, nearest
-from surctl.files import Quantity, Strict, quoted, validate
+from surctl.files import Quantity, Strict, validate
 from surctl.marine.vehicle.specs import AXES
 from surctl.marine.vehicle.thrusters import (
     DEFAULT_ORDER,
@@ -139,39 +139,6 @@ def _alone(forces: Attainable, shares: NDArray[np.float64]) -> NDArray[np.float6
 
 
 _YAW = 3
-
-
-def thruster_text(actuators: Actuators | None) -> list[str]:
-    """Return the lines of `[allocation]` and `[[thruster]]` of a vehicle file; none without thrusters."""
-    if actuators is None:
-        return []
-    lines = ["", "[allocation]", f"order = [{', '.join(map(quoted, actuators.order))}]"]
-    for one in actuators.thrusters:
-        lines += [
-            "",
-            "[[thruster]]",
-            f"name = {quoted(one.name)}",
-            f"at_m = {list(one.at)!r}",
-            f"push = {list(one.direction)!r}",
-            *_force_lines(one),
-        ]
-        if one.swivel is not None:
-            low, high = (degrees(end) for end in one.swivel.range)
-            rate = "" if one.swivel.rate is None else f", rate_deg_per_s = {degrees(one.swivel.rate)!r}"
-            lines.append(f"swivel = {{ axis = {list(one.swivel.axis)!r}, range_deg = [{low!r}, {high!r}]{rate} }}")
-        lines.append(f"provenance = {quoted(one.provenance)}")
-    return lines
-
-
-def _force_lines(one: Thruster) -> list[str]:
-    if one.fin is not None:
-        lift = quoted(f"{one.fin.lift!r} {_LIFT}")
-        return [f"fin = {{ lift = {lift}, limit_deg = {degrees(one.fin.limit)!r} }}"]
-    return [
-        f"forward = {quoted(f'{one.forward!r} N')}",
-        f"reverse = {quoted(f'{one.reverse!r} N')}",
-        f"curve = {[list(point) for point in one.curve]!r}",
-    ]
 
 
 def _thruster(table: _ThrusterTable, *, names: Sequence[str]) -> Thruster:

@@ -27,13 +27,14 @@ from surctl.marine.verification.region import (
     refused_regions,
     region_statement,
 )
+from surctl.marine.verification.region.nominal import uncertain_cruise
+from surctl.marine.verification.region.rates import level_ratios
 from surctl.marine.verification.region.turning_loop import selected, steady_turning, vertices
 from surctl.marine.verification.region.turning_shells import excess_of, worst_rate
 from surctl.verification.conic import minimise, symmetric_basis
 from surctl.verification.formula import text_of
 from tests.certcheck.turning_samples import draw_vehicles
 from tests.certcheck.turning_truth import commanded, true_rate
-from tests.oracles.region_levels import cruise_loop, level_ratios
 
 KEPT = Path(__file__).parents[2] / "certcheck"
 
@@ -81,7 +82,7 @@ def test_a_stored_search_is_only_a_proposal_that_is_checked_again(
         "surctl.marine.verification.region.proof.turning_search", None
     )  # from here on nothing is searched
     again = prove_turning(claimed(name="another"), attempts=1)
-    assert first.verdict == again.verdict == "proved"
+    assert first.verdict == again.verdict == "proved" and again.ratios == first.ratios
     assert again.certificate()["claim"] == first.certificate()["claim"]
     [entry] = folder.glob("*.region")
     found = json.loads(entry.read_bytes()[32:])
@@ -149,12 +150,9 @@ def test_the_library_builds_what_it_says(name: str) -> None:
     assert {k: v for k, v in stated.items() if k != "sha256_law"} == {k: v for k, v in own.items() if k != "sha256_law"}
 
 
-def test_the_ratio_to_the_falsifier_is_that_of_a_loop_with_a_known_level() -> None:
-    def loop(xi: np.ndarray, draws: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return -xi * (1 - xi**2 / 9), np.abs(xi).max(axis=1) / 2  # V̇ < 0 on |x| < 3, thrust binds at |x| = 2
-
-    told = level_ratios(loop, np.eye(2), 1e-9)
-    assert np.isclose(told.falsifier, 1 / 9, rtol=0.1) and np.isclose(told.thrust, 1 / 4, rtol=0.1)
+def test_the_ratios_of_a_region_are_those_of_a_long_random_search() -> None:
+    told = level_ratios(json.loads((KEPT / "region-cruise-20.json").read_text()))
+    assert told.falsifier >= 0.40 and told.thrust >= 11.88 and "1195% of the level at which" in told.sentence
 
 
 @pytest.mark.parametrize("name", ["region-cruise-20", "region-cruise-20-sampled", "region-cruise-20-spin"])
@@ -203,15 +201,23 @@ def test_simulated_motions_from_the_edge_stay_below_the_envelope(name: str) -> N
 
 
 def test_the_loop_of_the_falsifier_is_that_of_the_certificate() -> None:
-    claim, slopes, draws = claimed(), (0.002, 0.007), np.full((1, 10), 0.5)
-    xi = np.array([[0.1, -0.2, 0.02, 0.03]])
-    rate, share = cruise_loop(claim, slopes)(xi, draws)
-    nominal = {key: np.ones((1, 2)) for key in ("mass", "linear", "quadratic")}
-    nominal |= {"term_mass": np.ones(1), "term": np.ones(1)}
-    state, psi = xi + np.array([0, 0, claim.cruise, 0]), np.array([np.pi])
-    assert rate == pytest.approx(true_rate(claim.stated, nominal, state, psi, np.zeros(1)))
-    strong = replace(claim.stated, thrust=(Fraction(10**6),) * 2)
-    assert share == pytest.approx(np.abs(commanded(strong, state, psi)).max() / claim.thrust[0])
+    whole = json.loads((KEPT / "region-cruise-20.json").read_text())
+    claim, slopes, n, rng = read_claim(whole["claim"]), whole["proof"]["trim"], 50, np.random.default_rng(0)
+    d, _, loads = uncertain_cruise(whole)
+    xi = rng.uniform(*d.box[:, :, None], (4, n))
+    w = dict(zip([one.name for one in d.parameters], rng.uniform(*d.ranges[:, :, None], (6, n)), strict=True))
+    boat = {"mass": np.tile(w["mass"], (2, 1)).T, "term_mass": np.ones(n), "term": np.ones(n)}
+    for name in ("linear", "quadratic"):
+        both = w[name], np.clip(w[name] * w[f"{name}_ratio"], *map(float, claim.drag_factor))
+        boat[name] = np.stack(both, axis=1)
+    omega = sum(s * (boat[k].mean(axis=1) - 1) for s, k in zip(slopes, ("linear", "quadratic"), strict=True))
+    state, psi = xi.T + np.array([0, 0, float(claim.cruise), 0]), w["heading"]
+    state[:, 0] -= omega / float(claim.k1)
+    numbers = np.stack(list(w.values()))
+    assert d.evaluate(xi, numbers) == pytest.approx(true_rate(claim, boat, state, psi, np.zeros(n)).T)
+    strong = replace(claim, thrust=(Fraction(10**6),) * 2)
+    shares = np.abs(commanded(strong, state, psi)).T / np.array([[float(x)] for x in claim.thrust])
+    assert np.asarray(d.compiled(*loads)(xi, numbers)) == pytest.approx(shares)
 
 
 def test_the_conic_solver_finds_the_largest_eigenvalue() -> None:

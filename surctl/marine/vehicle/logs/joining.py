@@ -252,7 +252,6 @@ def _angles(sources: _Sources, log_map: LogMap, time: Array) -> Array | None:
     part = log_map.attitude
     if part is None:
         return None
-    topic = sources.topic("attitude", part)
     values = sources.fields("attitude", part)
     if len(part.fields) == 4:
         _check_norm(values, sources, part)
@@ -264,7 +263,7 @@ def _angles(sources: _Sources, log_map: LogMap, time: Array) -> Array | None:
     for k in (0, 2):
         known = np.isfinite(angles[:, k])
         angles[known, k] = np.unwrap(angles[known, k])
-    return _interpolated(sources.time("attitude", part), angles, time) if len(topic.time) else None
+    return _interpolated(sources.time("attitude", part), angles, time) if len(values) else None
 
 
 def _check_norm(quaternion: Array, sources: _Sources, part: Source) -> None:

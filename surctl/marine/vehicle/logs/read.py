@@ -6,7 +6,7 @@ import json
 import os
 import struct
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator
 from contextlib import ExitStack, contextmanager, redirect_stderr, redirect_stdout, suppress
 from dataclasses import replace
 from io import StringIO
@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from surctl.errors import InputError, check_known
-from surctl.marine.vehicle.logs.joining import LogMap, joined, load_log_map
+from surctl.marine.vehicle.logs.joining import ClockTable, LogMap, joined, load_log_map
 from surctl.marine.vehicle.logs.recording import (
     LogRecording,
     Stream,
@@ -131,18 +131,17 @@ def _decoder(path: Path, schema: Any, channel: Any) -> Callable[[bytes], Any]:
     return lambda raw: store.deserialize_ros1(raw, name)
 
 
-def _read_table(
-    path: Path, *, time: str, unit: str, columns: Sequence[str] | None = None, skip_lines: int = 0, map_name: str = ""
-) -> LogRecording:
+def _read_table(path: Path, clock: ClockTable, *, map_name: str = "") -> LogRecording:
     """Read the numeric columns of a table as the fields of one topic with an empty name.
 
     Args:
-        path: a file .csv, .mat or .nc; with `columns`, a text file of numbers without a header.
+        path: a file .csv, .mat or .nc; if the clock has `columns`, a text file of numbers without a header.
         map_name: file that names the time, for errors; default: the table.
     """
-    table = read_recorded(path) if columns is None else read_unnamed(path, columns, skip=skip_lines)
+    time, names = clock.time, clock.columns
+    table = read_recorded(path) if names is None else read_unnamed(path, names, skip=clock.skip_lines)
     check_known(time, table.columns, f"is not a column of {table.name}", key="log.time", file=map_name or table.name)
-    seconds = table.numbers(time) * in_unit(1.0, unit, "s")
+    seconds = table.numbers(time) * in_unit(1.0, clock.time_unit, "s")
     fields = {name: column for name in table.columns if name != time and (column := _numbers(table, name)) is not None}
     known = np.isfinite(seconds)
     if np.count_nonzero(known) == 1:
@@ -300,17 +299,7 @@ def read_recording(
         if topics is None and not recording.topics:
             raise InputError("has no messages with numbers", file=shown(path), remedy="check the file")
         return recording
-    if log_map is None:
-        return _read_table(path, time="t_s", unit="s")
-    clock = log_map.log
-    return _read_table(
-        path,
-        time=clock.time,
-        unit=clock.time_unit,
-        columns=clock.columns,
-        skip_lines=clock.skip_lines,
-        map_name=map_name,
-    )
+    return _read_table(path, ClockTable(frame="enu") if log_map is None else log_map.log, map_name=map_name)
 
 
 def read_mapped_log(path: Path, map_path: Path) -> MotionLog:

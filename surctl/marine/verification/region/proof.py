@@ -11,6 +11,7 @@ import numpy as np
 
 from surctl.certcheck import Checked, check_document, seal
 from surctl.ir.cache import stored_numbers
+from surctl.marine.verification.region.rates import LevelRatios, level_ratios
 from surctl.marine.verification.region.steering import SteeringClaim
 from surctl.marine.verification.region.turning import TurningClaim
 from surctl.marine.verification.region.turning_search import turning_search
@@ -34,6 +35,8 @@ class RegionProof(Certified):
         seconds: total time of the attempt [s].
         check_seconds: duration of the check by the independent checker [s].
         extent: largest |y_e| [m] of any point of the region.
+        ratios: ratio of the certified level to the least level with a counterexample, and ratio of the certified level
+            to the level of thrust saturation; None if the falsifier has no model of the claim.
         rest_offset: largest |y_e| [m] in the region for x_e = 0 and a vehicle at rest; None if the claim states none.
         by: name of the stronger claim that the certificate states, if it is not the claim itself.
     """
@@ -44,6 +47,7 @@ class RegionProof(Certified):
     seconds: float
     check_seconds: float
     extent: float = 0.0
+    ratios: LevelRatios | None = None
     rest_offset: float | None = None
     by: str = ""
 
@@ -74,6 +78,7 @@ class RegionProof(Certified):
         return (
             f"{lead}: {beside}{rest}, the Lyapunov function decays at {self.claim.rate:g}/s until the robot is within "
             f"{x} m along and {y} m across the path; checked in {self.check_seconds:.2f} s"
+            + ("" if self.ratios is None else f"; {self.ratios.sentence}")
         )
 
     def to_dict(self) -> dict[str, Any]:
@@ -84,6 +89,7 @@ class RegionProof(Certified):
             "rest_offset_m": self.rest_offset,
             "ultimate_bound_m": list(self.ultimate_bound),
             "extent_m": self.extent,
+            "level_ratios": None if self.ratios is None else self.ratios._asdict(),
             "rate_per_s": self.claim.rate,
             "useful": self.useful,
             "by_stronger_claim": self.by or None,
@@ -124,7 +130,8 @@ def prove_turning(claim: TurningClaim, *, attempts: int = 40, seed: int = 0) -> 
     x, y = result["stated"]["ultimate_bound"]
     return RegionProof(
         claim, "proved", document, "", result["stated"]["offset"], (x, y), time.perf_counter() - began,
-        checked.seconds, result["extent"], rest_offset=result["stated"]["rest_offset"],
+        checked.seconds, result["extent"], None if result["ratios"] is None else LevelRatios(*result["ratios"]),
+        rest_offset=result["stated"]["rest_offset"],
     )  # fmt: skip
 
 
@@ -155,6 +162,7 @@ def _searched(claim: TurningClaim, attempts: int, seed: int, checks: list[Checke
                 "ultimate_bound": motion["ultimate_bound_m"], "munk_moment": moment,
             },
             "extent": float(np.sqrt(np.linalg.inv(one.P)[1, 1])),
+            "ratios": level_ratios(document) if claim.ideal else None,
         }  # fmt: skip
     return {"reason": reason}
 

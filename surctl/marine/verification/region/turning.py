@@ -128,6 +128,12 @@ class TurningClaim:
         """Number of pairs of states that thrust lag and held commands add."""
         return (self.lag > 0) + (self.period > 0)
 
+    @property
+    def ideal(self) -> bool:
+        """Whether the masses are equal, and there is no lag, held command, current, curve, force or error."""
+        more = (self.mass_asymmetry, self.lag, self.period, self.current, self.curvature, self.terms)
+        return self.mass[0] == self.mass[1] and not any((*more, self.force, self.place_error, self.velocity_error))
+
     @cached_property
     def stated(self) -> Stated:
         """Return the claim as the checker reads it, with a region that is not yet known."""
