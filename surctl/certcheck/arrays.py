@@ -59,7 +59,7 @@ def enclosed(value: Fraction) -> tuple[float, float]:
 
 _DIGITS = Fraction("3.14159265358979323846264338327950288")  # first digits of π
 _HEAD = round(float(_DIGITS / 2) * 2**31) / 2**31  # π/2 to 32 bits
-_TAIL = [enclosed((_DIGITS + more) / 2 - Fraction(_HEAD))[k] for k, more in enumerate((0, Fraction(1, 10**35)))]
+_TAIL = enclosed(_DIGITS / 2 - Fraction(_HEAD))[0], enclosed((_DIGITS + Fraction(1, 10**35)) / 2 - Fraction(_HEAD))[1]
 """Bounds on π/2 − _HEAD."""
 
 

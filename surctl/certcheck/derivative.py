@@ -8,7 +8,7 @@ from surctl.certcheck.document import Rejected
 from surctl.certcheck.expressions import BRANCHES, ExpressionTable
 from surctl.certcheck.patience import go_on
 
-__all__ = ["along", "branches_of", "composed", "taken"]
+__all__ = ["along", "branched", "branches_of", "composed"]
 
 
 def along(table: ExpressionTable, root: int, rates: Sequence[int]) -> int:
@@ -98,7 +98,7 @@ def branches_of(table: ExpressionTable, roots: Sequence[int]) -> list[int]:
     return met
 
 
-def taken(table: ExpressionTable, roots: Sequence[int], picked: Mapping[int, str]) -> tuple[list[int], list[int]]:
+def branched(table: ExpressionTable, roots: Sequence[int], picked: Mapping[int, str]) -> tuple[list[int], list[int]]:
     """Return expressions after a choice for branches, and expressions that are ≤ 0 where the choice holds.
 
     Args:

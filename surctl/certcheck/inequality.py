@@ -25,7 +25,7 @@ import numpy as np
 from mpmath import libmp
 
 from surctl.certcheck.arrays import Ends, Flags, decimals, has_gradual_underflow
-from surctl.certcheck.derivative import branches_of, composed, taken
+from surctl.certcheck.derivative import branched, branches_of, composed
 from surctl.certcheck.document import Rejected, listed, number, record
 from surctl.certcheck.elementary import BITS, pi
 from surctl.certcheck.enclosure import Interval, Undefined, above, enclose, greatest, mul, plus, rational, span
@@ -101,7 +101,7 @@ class Inequality:
 class _Case:
     def __init__(self, claim: Inequality, case: Mapping[str, Any], picked: Mapping[int, str]) -> None:
         self.claim, self.expressions = claim, claim.expressions
-        chosen, conditions = taken(self.expressions, claim.parts, picked)
+        chosen, conditions = branched(self.expressions, claim.parts, picked)
         self.margin = self.expressions.put("sub", chosen[0], chosen[1])
         self.constraints = [*chosen[2:], *conditions]
         stated = case["numerator"]

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from surctl.certcheck.arrays import Ends
-from surctl.certcheck.derivative import branches_of, taken
+from surctl.certcheck.derivative import branched, branches_of
 from surctl.sos.polynomial import Monomial, Polynomial
 from surctl.verification.claim import Claim
 from surctl.verification.formula import Node, Statement, from_casadi, number, ordered, power, reread, substitute
@@ -75,7 +75,7 @@ def cases_of(parts: Sequence[Node]) -> list[Case]:
     if not 0 < len(branches) <= MOST_BRANCHES:
         return [Case("", parts[0] - parts[1], tuple(parts[2:]))]
     choices = [format(bits, f"0{len(branches)}b") for bits in range(2 ** len(branches))]
-    split = [taken(table, roots, dict(zip(branches, choice, strict=True))) for choice in choices]
+    split = [branched(table, roots, dict(zip(branches, choice, strict=True))) for choice in choices]
     nodes = nodes_of(table)
     return [
         Case(choice, nodes[left] - nodes[right], tuple(nodes[k] for k in (*rows, *conditions)))
