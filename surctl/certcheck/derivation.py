@@ -20,12 +20,11 @@ from itertools import product
 from typing import Any, TypeAlias
 
 import numpy as np
-from mpmath import libmp
 from numpy.typing import NDArray
 
 from surctl.certcheck.document import Rejected
 from surctl.certcheck.elementary import Interval
-from surctl.certcheck.enclosure import enclose
+from surctl.certcheck.enclosure import enclose, outward
 from surctl.certcheck.expressions import BRANCHES, ExpressionTable
 from surctl.certcheck.identity import Exact
 from surctl.certcheck.instructions import Numbers
@@ -429,9 +428,8 @@ class Derivation(Numbers):
         """
         entries = [self.table.entries[at] for at in self.table.needed(roots)]
         limited = [e for e in entries if e.op in _ARGUMENTS]
-        for entry, jet in zip(limited, enclose(self.table, [e.args[0] for e in limited], box), strict=True):
-            low, high = _ARGUMENTS[entry.op]
-            if not libmp.mpf_ge(jet.value[0], libmp.from_float(low)) or not libmp.mpf_le(
-                jet.value[1], libmp.from_float(high)
-            ):
-                raise Rejected(f"the code has no {entry.op} of an argument beyond {low:g} to {high:g}")
+        for entry, value in zip(limited, enclose(self.table, [e.args[0] for e in limited], box), strict=True):
+            low, high = outward(value)
+            least, most = _ARGUMENTS[entry.op]
+            if not least <= low <= high <= most:
+                raise Rejected(f"the code has no {entry.op} of an argument beyond {least:g} to {most:g}")

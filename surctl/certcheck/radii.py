@@ -25,16 +25,17 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from math import inf, nextafter
+from math import inf, isfinite, nextafter
 from typing import Any, TypeAlias
 
 import numpy as np
-from mpmath import libmp
 
+from surctl.certcheck.arrays import Ends
 from surctl.certcheck.document import Rejected, number
-from surctl.certcheck.enclosure import Interval, Undefined, enclose, rational
+from surctl.certcheck.enclosure import Undefined, rational
 from surctl.certcheck.expressions import ExpressionTable
 from surctl.certcheck.inequality import Box
+from surctl.certcheck.jets import Tape, as_array
 from surctl.certcheck.region_exact import Matrix, relative_root_up
 
 __all__ = ["least_rate", "narrowed", "norm", "read_constant", "read_radii", "require_rest", "widened"]
@@ -91,7 +92,7 @@ def require_rest(
         Undefined: a residual is not defined near a zero.
     """
     table = ExpressionTable(names)
-    newton = _Newton(table, [table.read(text) for text in residuals], centre, radii)
+    newton = _Newton(Tape(table, tuple(table.read(text) for text in residuals)), centre, radii)
     whole = [(Fraction(low), Fraction(high)) for low, high in ranges]
     waiting = [whole]
     for _ in range(_MOST_RANGES):
@@ -115,23 +116,22 @@ def require_rest(
 
 @dataclass(frozen=True)
 class _Newton:
-    """Newton's method in intervals for residuals G(x, p) (n,), the roots of a table, on B (`centre`, `radii`)."""
+    """Newton's method in intervals for residuals G(x, p) (n,) on B (`centre`, `radii`)."""
 
-    table: ExpressionTable
-    roots: Sequence[int]
+    residuals: Tape
     centre: Sequence[Fraction]
     radii: Sequence[Fraction]
 
     def derivatives(self, *box: _Ends) -> tuple[list[_Ends], list[list[_Ends]]]:
         """Return values of G, and its derivatives by x and p, on a box."""
-        around = [(rational(low)[0], rational(high)[1]) for low, high in box]
-        jets = enclose(self.table, self.roots, around, order=1)
-        zero = [None] * len(box)
-        return [_ends(jet.value) for jet in jets], [[_ends(s) for s in jet.slope or zero] for jet in jets]
+        around = as_array(*((rational(low)[0], rational(high)[1]) for low, high in box))
+        jets = self.residuals.everywhere(around, order=1)
+        values, slopes = [jet.value for jet in jets], [jet.slope for jet in jets if jet.slope is not None]
+        return [*map(_ends, values)], [[_ends((low[k], high[k])) for k in range(len(box))] for low, high in slopes]
 
     def inverse(self, slopes: Sequence[Sequence[_Ends]]) -> list[list[Fraction]]:
         """Return about the inverse of the derivatives by x."""
-        middles = [[float(low + high) / 2 for low, high in row[: len(self.roots)]] for row in slopes]
+        middles = [[float(low + high) / 2 for low, high in row[: len(self.centre)]] for row in slopes]
         return [[Fraction(x) for x in row] for row in np.linalg.pinv(np.array(middles)).tolist()]
 
     def zero(self, p: Sequence[Fraction]) -> list[Fraction] | None:
@@ -196,14 +196,12 @@ def _size(ends: _Ends) -> Fraction:
     return max(abs(ends[0]), abs(ends[1]))
 
 
-def _ends(a: Interval | None) -> _Ends:
-    """Return an interval of numbers; None means 0."""
-    if a is None:
-        return Fraction(0), Fraction(0)
-    if libmp.finf in a or libmp.fninf in a:
+def _ends(a: Ends) -> _Ends:
+    """Return the ends of the only interval of an array."""
+    low, high = (end.item() for end in a)
+    if not (isfinite(low) and isfinite(high)):
         raise Undefined("a derivative that is not bounded near an equilibrium")
-    low, high = (Fraction(*libmp.to_rational(end)) for end in a)
-    return low, high
+    return Fraction(low), Fraction(high)
 
 
 def norm(p: Matrix, sizes: Sequence[Fraction]) -> Fraction:

@@ -57,14 +57,14 @@ def rounding_error(table: ExpressionTable, root: int, box: Box, constants: Mappi
 def _error(table: ExpressionTable, root: int, box: Box, constants: Mapping[int, float]) -> float:
     needed = table.needed([root])
     try:
-        jets = enclose(table, needed, [span(*ends) for ends in box])
+        ranges = enclose(table, needed, [span(*ends) for ends in box])
     except Undefined:
         return inf
     errors: dict[int, float] = {}
     ends: dict[int, Ends] = {}
-    for at, jet in zip(needed, jets, strict=True):
+    for at, value in zip(needed, ranges, strict=True):
         entry = table.entries[at]
-        low, high = ends[at] = libmp.to_float(jet.value[0]), libmp.to_float(jet.value[1])
+        low, high = ends[at] = libmp.to_float(value[0]), libmp.to_float(value[1])
         size = max(abs(low), abs(high))
         if not entry.args:
             errors[at] = constants.get(at, 0.0)

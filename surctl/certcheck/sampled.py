@@ -25,14 +25,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from fractions import Fraction
 from itertools import pairwise
-from math import inf, nextafter
 from typing import Any
 
 import numpy as np
-from mpmath import libmp
 
 from surctl.certcheck.document import Rejected, listed, number, record
-from surctl.certcheck.enclosure import Undefined, greatest, least, span
+from surctl.certcheck.enclosure import Undefined, greatest, least, outward, span
 from surctl.certcheck.expressions import ExpressionTable
 from surctl.certcheck.inequality import Box
 from surctl.certcheck.interval import printable, variables_of
@@ -102,7 +100,7 @@ def check(document: Mapping[str, Any]) -> None:
     texts = [*(after.get(name, name) for name in states), *(row["value"] for row in commands)]
     jump, drift = _rows(*at_samples, texts, [cover], centre[:n], wide, feedbacks, centre, radii[:n])
     ends = [(least(a, b)[0], greatest(a, b)[1]) for a, b in ((jump.range[k], jump.rest[k]) for k in jump.roots)]
-    ranges = [(nextafter(libmp.to_float(low), -inf), nextafter(libmp.to_float(high), inf)) for low, high in ends]
+    ranges = [outward(one) for one in ends]
     rates = [flow.get(name, "0") for name in names[:size]]  # a command is held
     between = Motion(names[:size], names, [*box, *ranges[n:], *whole[size:]], rates, discrete=False)
     table = ExpressionTable(names)

@@ -1,86 +1,77 @@
-"""Ranges of secant slopes of functions of one variable, in interval arithmetic."""
+"""Ranges of secant slopes of functions of one variable, in intervals of doubles."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from fractions import Fraction
-from functools import reduce
 from itertools import pairwise
-from typing import Any, TypeAlias
+from typing import Any
 
+import numpy as np
 from mpmath import libmp
 
-from surctl.certcheck.elementary import BITS, hull
-from surctl.certcheck.enclosure import Interval, Undefined, above, greatest, least, minus, mul, over, plus, rational
+from surctl.certcheck import arrays as iv
+from surctl.certcheck.arrays import Ends
+from surctl.certcheck.enclosure import Interval, Undefined, greatest, least, outward
+from surctl.certcheck.jets import Tape, as_interval
 
 __all__ = ["common", "fraction", "pieces", "secant"]
-
-Function: TypeAlias = Callable[[Interval, int], tuple[Interval, Interval]]
-"""Value and, with order 1, slope of a function on an interval."""
 
 _PIECES, _HALVED = 24, 4  # parts of a range on each side of x* for a secant slope; halvings of the part next to x*
 _FINE, _MOST_PARTS = 24, 12  # parts of x* as wide as the range, where x* has radii; most of them
 _MOST_EXPONENT = 20_000  # of 2, in an end of a range
-_NARROW = Fraction(1, 2**33)  # relative width of a number that counts as a point
+_NARROW = 2.0**-33  # relative width of a number that counts as a point
 
 
-def secant(function: Function, whole: Interval, rest: Interval) -> Interval:
+def secant(function: Tape, whole: Interval, rest: Interval) -> Interval:
     """Return the range of (g(t) − g(c))/(t − c), for t in `whole` and c in `rest`."""
-    secants = []
-    for c in _parts(rest, whole):
-        value = function(c, 0)[0]
-        secants += [_secant_on(function, piece, c, value) for piece in pieces(whole, c)]
-    return reduce(hull, secants)
+    low, high = outward(rest)
+    first, last = outward(whole)
+    if not math.isfinite(high - low + last - first):
+        raise Undefined("a slope that is unbounded")
+    # parts that cover c and are short relative to `whole`
+    count = max(1, min(_MOST_PARTS, math.ceil((high - low) * _FINE / (last - first)))) if last > first else 1
+    cuts = [low, *(low + (high - low) * k / count for k in range(1, count)), high]
+    with np.errstate(all="ignore"):
+        ends = [_secants(function, pieces(whole, c), c) for c in pairwise(cuts)]
+    return as_interval((np.hstack([one[0] for one in ends]), np.hstack([one[1] for one in ends])))
 
 
-def pieces(ends: Interval, c: Interval) -> list[Interval]:
-    """Return intervals that cover an interval; they are shorter near c, where the mean value theorem decides."""
-    low, high = (fraction(end) for end in ends)
-    if low == high:
-        return [ends]
-    middle = min(max((fraction(c[0]) + fraction(c[1])) / 2, low), high)
-    steps = [Fraction(1, _PIECES * 2**k) for k in range(_HALVED, 0, -1)] + [
-        Fraction(k, _PIECES) for k in range(1, _PIECES)
-    ]
-    below = [middle - (middle - low) * step for step in reversed(steps)]
-    inside = [x for x in [*below, middle, *(middle + (high - middle) * step for step in steps)] if low < x < high]
-    return list(pairwise([ends[0], *(rational(x)[0] for x in dict.fromkeys(inside)), ends[1]]))
+def pieces(whole: Interval, c: tuple[float, float]) -> Ends:
+    """Return intervals (1, B) that cover an interval; they are shorter near c, where the mean value theorem decides."""
+    low, high = outward(whole)
+    middle = min(max(c[0] / 2 + c[1] / 2, low), high)
+    steps = np.array([0.0, *(0.5**k / _PIECES for k in range(_HALVED, 0, -1)), *np.arange(1, _PIECES) / _PIECES])
+    inside = np.unique([*(middle - (middle - low) * steps), *(middle + (high - middle) * steps)])
+    cuts = np.array([low, *inside[(low < inside) & (inside < high)], high])
+    return cuts[None, :-1], cuts[None, 1:]
 
 
-def _parts(c: Interval, whole: Interval) -> list[Interval]:
-    """Return intervals that cover c; they are short relative to `whole`."""
-    low, high = (fraction(end) for end in c)
-    width = fraction(whole[1]) - fraction(whole[0])
-    if not width or (high - low) * _FINE <= width:
-        return [c]
-    count = min(_MOST_PARTS, math.ceil((high - low) * _FINE / width))
-    inner = [rational(low + (high - low) * Fraction(k, count))[0] for k in range(1, count)]
-    return list(pairwise([c[0], *inner, c[1]]))
-
-
-def _secant_on(function: Function, piece: Interval, c: Interval, value: Interval) -> Interval:
-    """Return the range of s = (g(t) − g(c))/(t − c) for t in `piece`."""
-    between = function(hull(piece, c), 1)[1]  # the mean value theorem
-    apart = libmp.mpi_sub(piece, c, BITS)
-    if not (above(apart) or libmp.mpf_lt(apart[1], libmp.fzero)):
-        return between
-    at, own = function(piece, 1)
-    secant = common(between, over(plus(at, minus(value)), apart))
-    width = fraction(c[1]) - fraction(c[0])
-    if width > _NARROW * max(
-        abs(fraction(end)) for end in apart
-    ):  # s_c = (s − g'(c))/(t − c), and s(c) = s(m) + s_c(γ)(c − m)
-        m = rational((fraction(c[0]) + fraction(c[1])) / 2)
-        bend = over(plus(secant, minus(function(c, 1)[1])), apart)
-        first = _secant_on(function, piece, (m[0], m[0]), function((m[0], m[0]), 0)[0])
-        return common(secant, plus(first, mul(bend, libmp.mpi_sub(c, (m[0], m[0]), BITS))))
+def _secants(function: Tape, t: Ends, c: tuple[float, float]) -> Ends:
+    """Return the range of s = (g(t) − g(c))/(t − c) for each piece t (1, B)."""
+    own = np.array([[c[0]]]), np.array([[c[1]]])
+    m = iv.point(own[0] / 2 + own[1] / 2)
+    [at_c], [jet] = function.everywhere(own, order=1), function.everywhere(t, order=1)
+    [joined] = function.everywhere((np.minimum(t[0], c[0]), np.maximum(t[1], c[1])), order=1)
+    assert at_c.slope is not None and jet.slope is not None and joined.slope is not None
+    apart = iv.subtract(t, own)
+    # the slopes between bound it by the mean value theorem
+    secants = _common(joined.slope, iv.divide(iv.subtract(jet.value, at_c.value), apart))
+    if c[1] - c[0] > _NARROW * max(np.abs(end).max() for end in apart):
+        # s_c = (s − g'(c))/(t − c), and s(c) = s(m) + s_c(γ)(c − m)
+        bend = iv.divide(iv.subtract(secants, at_c.slope), apart)
+        first = _secants(function, t, (m[0].item(), m[0].item()))
+        return _common(secants, iv.add(first, iv.multiply(bend, iv.subtract(own, m))))
     # s' = (g' − s)/(t − c), and s(t) = s(m) + s'(τ)(t − m)
-    bend = over(plus(own, minus(secant)), apart)
-    low, high = (fraction(end) for end in piece)
-    middle = rational((low + high) / 2)
-    first = over(plus(function(middle, 0)[0], minus(value)), libmp.mpi_sub(middle, c, BITS))
-    return common(secant, plus(first, mul(bend, libmp.mpi_sub(piece, middle, BITS))))
+    middle = iv.point(t[0] / 2 + t[1] / 2)
+    [at_middle] = function.everywhere(middle)
+    bend = iv.divide(iv.subtract(jet.slope, secants), apart)
+    first = iv.divide(iv.subtract(at_middle.value, at_c.value), iv.subtract(middle, own))
+    return _common(secants, iv.add(first, iv.multiply(bend, iv.subtract(t, middle))))
+
+
+def _common(a: Ends, b: Ends) -> Ends:
+    return np.maximum(a[0], b[0]), np.minimum(a[1], b[1])
 
 
 def common(a: Interval, b: Interval) -> Interval:

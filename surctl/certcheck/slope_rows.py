@@ -13,10 +13,9 @@ exact at the border of the region (Hu and Lin, Control Systems with Actuator Sat
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from functools import reduce
 from itertools import product
 
 import numpy as np
@@ -25,25 +24,16 @@ from numpy.typing import NDArray
 
 from surctl.certcheck.document import Rejected
 from surctl.certcheck.elementary import BITS, hull
-from surctl.certcheck.enclosure import (
-    Interval,
-    above,
-    enclose,
-    minus,
-    mul,
-    over,
-    plus,
-    rational,
-)
+from surctl.certcheck.enclosure import Interval, above, enclose, mul, outward, over, plus, rational
 from surctl.certcheck.expressions import ExpressionTable
 from surctl.certcheck.identity import Exact
+from surctl.certcheck.jets import Tape, as_array, as_interval
 from surctl.certcheck.patience import go_on
 from surctl.certcheck.region_exact import Matrix, magnitude, relative_root_up
 from surctl.certcheck.secants import common, fraction, pieces, secant
 
 __all__ = ["Number", "Poly", "Row", "Rows"]
 
-Array = NDArray[np.float64]
 Row = NDArray[np.object_]  # of objects of the class `Number`, or fractions
 Poly = dict[tuple[int, ...], Fraction]
 """A polynomial of degree at most 1 in each slope: coefficients by the sorted indices of the slopes in a term."""
@@ -269,9 +259,7 @@ class Rows:
             return self.box[entry.value.numerator]
         small = ExpressionTable([str(k) for k in range(len(entry.args))])
         root = small.put(entry.op, *(small.put("var", value=k) for k in range(len(entry.args))), value=entry.value)
-        own, rest = (
-            enclose(small, [root], [known[a] for a in entry.args])[0].value for known in (self.range, self.rest)
-        )
+        own, rest = (enclose(small, [root], [known[a] for a in entry.args])[0] for known in (self.range, self.rest))
         if 0 <= self.base[at] != at:
             image, still = self._image(at)
             own, rest = common(own, image), common(rest, still)
@@ -282,8 +270,9 @@ class Rows:
     def _image(self, at: int) -> tuple[Interval, Interval]:
         """Return the range on the region, and that at x*, of a function of its base."""
         function, base = self._function(at), self.base[at]
-        values = [function(piece, 0)[0] for piece in pieces(self.range[base], self.rest[base])]
-        return reduce(hull, values), function(self.rest[base], 0)[0]
+        covered = pieces(self.range[base], outward(self.rest[base]))
+        ends, [rest] = function.everywhere(covered)[0].value, function.everywhere(as_array(self.rest[base]))
+        return as_interval(ends), as_interval(rest.value)
 
     def _support(self, row: Row) -> Fraction:
         """Return an upper bound on |row · (ξ, w)|."""
@@ -479,21 +468,15 @@ class Rows:
 
     # ---- functions of one variable
 
-    def _function(self, at: int) -> Callable[[Interval, int], tuple[Interval, Interval]]:
-        """Return value and slope of the node `at` as a function of its base."""
+    def _function(self, at: int) -> Tape:
+        """Return the node `at` as a function of its base."""
         small, base = ExpressionTable(["t"]), self.base[at]
         new = {base: small.put("var", value=0)}
         for k in self.table.needed([at]):
             entry = self.table.entries[k]
             if k not in new and all(a in new for a in entry.args) and entry.op != "var":
                 new[k] = small.put(entry.op, *(new[a] for a in entry.args), value=entry.value)
-        root = new[at]
-
-        def function(t: Interval, order: int) -> tuple[Interval, Interval]:
-            [jet] = enclose(small, [root], [t], order=order)
-            return jet.value, (jet.slope[0] or _ZERO) if jet.slope else _ZERO
-
-        return function
+        return Tape(small, (new[at],))
 
     def _secant(self, at: int) -> Interval:
         """Return the range of (g(t) − g(c))/(t − c), for t in the range of the base and c its value at x*."""
@@ -520,10 +503,10 @@ class Rows:
         # the mean value theorem bounds it more closely where terms in the parameters cancel
         box = [own for own, _ in self.box]
         middle = [rational((fraction(low) + fraction(high)) / 2) for low, high in box]
-        total = enclose(small, [apart], middle)[0].value
-        [jet] = enclose(small, [apart], box, order=1)
-        for slope, own, at_middle in zip(jet.slope or (), box, middle, strict=True):
-            total = plus(total, mul(slope, plus(own, minus(at_middle))))
+        [total], [jet] = enclose(small, [apart], middle), Tape(small, (apart,)).everywhere(as_array(*box), order=1)
+        assert jet.slope is not None
+        for low, high, own, at_middle in zip(*jet.slope, box, middle, strict=True):
+            total = plus(total, mul(as_interval((low, high)), libmp.mpi_sub(own, at_middle, BITS)))
         return self._slope(common(plus(self.rest[self.roots[k]], rational(-moved)), total))
 
 

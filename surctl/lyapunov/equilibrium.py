@@ -229,8 +229,7 @@ def inexact(dynamics: Dynamics) -> bool:
     try:
         for corner in d.corners(most=4).T:
             point = [rational(x) for x in (*rests, *(Fraction(repr(float(w))) for w in corner))]
-            for s, jet in zip(d.states, enclose(table, roots, point), strict=True):
-                low, high = jet.value
+            for s, (low, high) in zip(d.states, enclose(table, roots, point), strict=True):
                 still = rational(s.rest if d.discrete else Fraction(0))
                 if libmp.mpf_gt(low, still[1]) or libmp.mpf_lt(high, still[0]):
                     return True

@@ -75,7 +75,7 @@ def derived(text: str, points: np.ndarray) -> np.ndarray:
     ]
     roots = [one if algebra.table.entries[place].op in TRUTHS else place
              for one, place in zip(chosen, np.vstack(outputs)[:, 0].tolist(), strict=True)]  # fmt: skip
-    return np.array([[middle(jet.value) for jet in enclose(algebra.table, roots, [exact(x) for x in point])]
+    return np.array([[middle(value) for value in enclose(algebra.table, roots, [exact(x) for x in point])]
                      for point in points.T.tolist()]).T  # fmt: skip
 
 
