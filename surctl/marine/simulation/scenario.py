@@ -350,11 +350,8 @@ def _route_table(scenario: Scenario) -> dict[str, Any]:
 
 
 def _equal(one: Path, other: Path) -> bool:
-    for name in ("waypoints", "rises", "speeds", "kinds"):
-        a, b = getattr(one, name), getattr(other, name)
-        if (a is None) != (b is None) or (a is not None and not np.array_equal(a, b)):
-            return False
-    return True
+    columns = ("waypoints", "rises", "speeds", "kinds")  # each an array or None
+    return all(np.array_equal(getattr(one, name), getattr(other, name)) for name in columns)
 
 
 def load_scenario(name_or_path: str) -> Scenario:
