@@ -322,9 +322,9 @@ class System:
                 if not isinstance(cast(object, block), Sampled):
                     remedy = "give a surctl.system.Sampled"
                     raise InputError(f"has an element of type {type(block).__name__}", key=kind, remedy=remedy)
-        seen, commanded = [CLOCK, self.plant.measurements], [CLOCK, self.plant.measurements, self.commands]
+        measured, commanded = [CLOCK, self.plant.measurements], [CLOCK, self.plant.measurements, self.commands]
         for blocks, layouts, to in (
-            (self.blocks.sensors, seen, "measured output"),
+            (self.blocks.sensors, measured, "measured output"),
             (self.blocks.actuators, commanded, "command or measured output"),
         ):
             for block in blocks:

@@ -184,8 +184,8 @@ def tune(
         for k in range(rounds):
             progress(f"round {k + 1} of at most {rounds}: {len(current.conditions)} runs for each gain set")
             longer = 2 if done and _barren(done[-1]) else 1  # the last round added no counterexample
-            found = _searched(current, done, longer * trials, journal, progress)
-            last, pool = _round(current, found, runs, k, journal, progress, used=used)
+            searched = _searched(current, done, longer * trials, journal, progress)
+            last, pool = _round(current, searched, runs, k, journal, progress, used=used)
             journal.note_best(*request.so_far(last.gains, f"the gains of round {k + 1} of an unfinished tuning"))
             done.append(last)
             if _ended(done) or k + 1 == rounds:

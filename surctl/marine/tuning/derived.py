@@ -377,11 +377,11 @@ def derive_gains(vehicle: Vehicle, *, cruise: float, dt: float = _DT) -> Derivat
         if not (np.isfinite(value) and value > 0):
             raise InputError("must be greater than 0", key=key, value=value, remedy="correct it")
     check_cruise(vehicle, cruise)
-    asked = vehicle.name, vehicle.digest(), float(cruise), float(dt)
-    if asked not in _known:
-        numbers: Any = stored_numbers(["surctl"], asked, lambda: asdict(_derivation(vehicle, *asked[2:])))
-        _known[asked] = Derivation(**(numbers | {"gains": Gains(**numbers["gains"])}))
-    return _known[asked]
+    case = vehicle.name, vehicle.digest(), float(cruise), float(dt)
+    if case not in _known:
+        numbers: Any = stored_numbers(["surctl"], case, lambda: asdict(_derivation(vehicle, *case[2:])))
+        _known[case] = Derivation(**(numbers | {"gains": Gains(**numbers["gains"])}))
+    return _known[case]
 
 
 def has_tuned(vehicle: Vehicle) -> bool:

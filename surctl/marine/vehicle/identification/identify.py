@@ -292,7 +292,7 @@ def identify(log: MotionLog, start: Vehicle, *, name: str) -> Identified:
     values = model.values(theta)
     coloured = notes_of(model, full.left)
     present = model.present
-    found = Identified(
+    result = Identified(
         start,
         start,
         estimates,
@@ -305,7 +305,7 @@ def identify(log: MotionLog, start: Vehicle, *, name: str) -> Identified:
         (*log.notes, *velocity_notes(log), *notes, *coloured),
         len(model.sections),
     )
-    return replace(found, vehicle=_vehicle(found, values, log, name, coloured=bool(coloured)))
+    return replace(result, vehicle=_vehicle(result, values, log, name, coloured=bool(coloured)))
 
 
 def _check_tilt(log: MotionLog, start: Vehicle) -> None:
@@ -467,36 +467,36 @@ def _negative_notes(zeroed: tuple[str, ...], estimates: Mapping[str, tuple[float
     return notes
 
 
-def _vehicle(found: Identified, values: Mapping[str, float], log: MotionLog, name: str, *, coloured: bool) -> Vehicle:
+def _vehicle(result: Identified, values: Mapping[str, float], log: MotionLog, name: str, *, coloured: bool) -> Vehicle:
     # `coloured`: the residuals show that the model misses something
     span = f"{len(log.time)} rows, {log.time[-1] - log.time[0]:.4g} s"
-    known = dict(found.start.parameters)
-    for key, (estimate, half) in found.estimates.items():
+    known = dict(result.start.parameters)
+    for key, (estimate, half) in result.estimates.items():
         prior, spec = known.get(key), SPECS[key]
-        if key in found.held and prior is None:
+        if key in result.held and prior is None:
             continue  # a constant force that does not differ from 0
-        if key in found.held and prior is not None:
+        if key in result.held and prior is not None:
             said = f"{prior.provenance} (not identifiable from {log.source})"
             known[key] = Parameter(prior.value, prior.unit, prior.range, said)
             continue
         value = values[key] if spec.signed else max(values[key], 0.0)
         low, high = min(estimate - half, value), max(estimate + half, value)
         bounds = (low if spec.signed else max(low, 0.0), high)
-        if key in found.zeroed:
+        if key in result.zeroed:
             said = f"fixed at 0, because its estimate from {log.source} is {estimate:.4g} ± {half:.2g}"
             wrong = estimate + half < 0
             known[key] = Parameter(0.0, spec.unit, None if wrong else bounds, said + "; the model is wrong" * wrong)
-        elif key in found.identified:
+        elif key in result.identified:
             said = f"identified from {log.source}, {span}; range: 95 % interval"
             said += " of a model that misses something, so the true value may lie outside" * coloured
             known[key] = Parameter(value, spec.unit, bounds, said)
-        elif key in found.drifting:
+        elif key in result.drifting:
             said = f"mean of a force that drifts, fitted to {log.source}, {span}"
             known[key] = Parameter(value, spec.unit, bounds, said)
         else:
-            said = f"fitted to {log.source}, {span}, together with the start values of {', '.join(found.held)}"
+            said = f"fitted to {log.source}, {span}, together with the start values of {', '.join(result.held)}"
             known[key] = Parameter(value, spec.unit, None, said)
-    return replace(found.start, name=name, note=f"{found.start.name} fitted to a log", parameters=known, source="")
+    return replace(result.start, name=name, note=f"{result.start.name} fitted to a log", parameters=known, source="")
 
 
 def _roughness(values: Array) -> float:
