@@ -18,7 +18,7 @@ from surctl.ir.folding import shared_divisors
 from surctl.marine.control import WORKING, Law, build_law, law_options
 from surctl.marine.guidance import FOLLOWING, MAX_WAYPOINTS, ROW, follow
 from surctl.marine.simulation.batch.listening import Listening, flat, slots
-from surctl.marine.simulation.batch.structure import Body, Mission, Structure, body_size, driven
+from surctl.marine.simulation.batch.structure import BODY_SIZES, Body, Mission, Structure
 from surctl.marine.simulation.metrics import (
     ABSENT,
     COUNTED,
@@ -31,6 +31,7 @@ from surctl.marine.simulation.metrics import (
 )
 from surctl.marine.simulation.physics import advance
 from surctl.marine.simulation.sensors import FIRING
+from surctl.marine.simulation.thruster_faults import fin_excess
 from surctl.marine.simulation.world import LONGEST
 from surctl.marine.vehicle import PLANT_DISTURBANCE, PLANT_STATE, plant_layout, plant_state
 from surctl.noise import NOISE_STATE
@@ -119,7 +120,7 @@ def _parameter_ports(law: Law, structure: Structure) -> tuple[Port, ...]:
         Port("thrust_gain", (4,), "1", "ratio of delivered to commanded thrust, per axis"),
         Port("thrust_bias", (4,), "N, N m", "bias of the delivered thrust, per axis"),
     )
-    bodies = (Port(f"body{k}", (body_size(kind),), "SI", kind) for k, kind in enumerate(structure.bodies))
+    bodies = (Port(f"body{k}", (BODY_SIZES[kind],), "SI", kind) for k, kind in enumerate(structure.bodies))
     heights = Port("heights", (len(structure.bodies), 2), "m", "z of each obstacle's bottom and top")
     allowed = Port("depths", (2,), "m", "lowest and highest z that the hull may use")
     upright = (*((heights,) if structure.heights else ()), *((allowed,) if structure.depths else ()))
@@ -218,7 +219,23 @@ class _Builder:
         return self.listening.late if self.sonar else Layout(())
 
     def drive(self) -> Program:
-        return driven(self.structure, self.law, self.parameters)
+        # from the law's command to the thrust with the errors of the scenario; with fins, a fin gives the force of its
+        # deflection at the speed through the water, as in `Thrusters.achieved`
+        w, known = self.parameters.symbols("w")
+        tau, inputs, actuators = ca.SX.sym("tau", 4), dict[str, ca.SX](), self.structure.actuators
+        delivered = tau
+        if actuators is not None and actuators.fins:
+            sizes = {"plant": plant_state(self.structure.form).size, "telemetry": self.law.outputs.size - 4}
+            inputs = {name: ca.SX.sym(name, size) for name, size in sizes.items()}
+            forces, commands = (
+                inputs["telemetry"][self.law.telemetry_slice(name)] for name in ("thruster_force", "thruster_command")
+            )
+            psi = inputs["plant"][3]
+            along = ca.dot(ca.vertcat(ca.cos(psi), ca.sin(psi)), known["current"])
+            speed = ca.fmax(inputs["plant"][4] - along, 0)
+            delivered += fin_excess(actuators, forces, commands, speed * speed)
+        thrust = delivered * known["thrust_gain"] + known["thrust_bias"]
+        return lower_named("drive", {"w": w, "tau": tau, **inputs}, {"thrust": thrust})
 
     def between(self) -> Program:
         # second sonar firing and clearances, 25 ms after the beginning of the control step

@@ -22,9 +22,8 @@ from surctl.marine.sensing import Equipment, Surfaces
 from surctl.marine.sensing.sonar.solids import Solid, SolidBox, SolidDisc
 from surctl.marine.simulation.metrics import ABSENT
 from surctl.marine.simulation.run import Sensing
-from surctl.marine.simulation.thruster_faults import fin_excess
 from surctl.marine.simulation.world import BAND, FOOTPRINT, LONGEST
-from surctl.marine.vehicle import Actuators, PlantForm, plant_state
+from surctl.marine.vehicle import Actuators, PlantForm
 from surctl.priority import Mode
 
 _AROUND = SKIPS + 4  # rows around the robot: from the waypoint before its segment on
@@ -228,9 +227,8 @@ class Body:
         return SolidDisc(self.centre, self.size, present=self.present)
 
 
-def body_size(kind: BodyKind) -> int:
-    """Return the number of parameters that describe an obstacle of this kind."""
-    return {"box": 4, "disc": 3, "drifting box": 8, "drifting disc": 7, "mover": 8}[kind]
+BODY_SIZES: Mapping[BodyKind, int] = {"box": 4, "disc": 3, "drifting box": 8, "drifting disc": 7, "mover": 8}
+"""Number of parameters that describe an obstacle of each kind."""
 
 
 def body_at(kind: BodyKind, numbers: ca.SX, time: ca.SX) -> Body:
@@ -326,26 +324,3 @@ class Structure:
     def contacts(self) -> int:
         """Number of obstacle points that the law receives."""
         return min(CONTACT_SLOTS, self.moved if self.sensing == "sonar" else len(self.bodies))
-
-
-def driven(structure: Structure, law: Law, parameters: Layout) -> Program:
-    """Return the program from a run's parameters and the law's command to the thrust, with the errors of the scenario.
-
-    With fins, the state of the plant and the law's telemetry are inputs too: a fin gives the force of its deflection at
-    the speed through the water, as in `Thrusters.achieved`.
-    """
-    w, known = parameters.symbols("w")
-    tau, inputs = ca.SX.sym("tau", 4), dict[str, ca.SX]()
-    delivered = tau
-    if structure.actuators is not None and structure.actuators.fins:
-        sizes = {"plant": plant_state(structure.form).size, "telemetry": law.outputs.size - 4}
-        inputs = {name: ca.SX.sym(name, size) for name, size in sizes.items()}
-        forces, commands = (
-            inputs["telemetry"][law.telemetry_slice(name)] for name in ("thruster_force", "thruster_command")
-        )
-        psi = inputs["plant"][3]
-        along = ca.dot(ca.vertcat(ca.cos(psi), ca.sin(psi)), known["current"])
-        speed = ca.fmax(inputs["plant"][4] - along, 0)
-        delivered += fin_excess(structure.actuators, forces, commands, speed * speed)
-    thrust = delivered * known["thrust_gain"] + known["thrust_bias"]
-    return lower_named("drive", {"w": w, "tau": tau, **inputs}, {"thrust": thrust})
