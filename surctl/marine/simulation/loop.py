@@ -25,7 +25,7 @@ from surctl.marine.guidance import ROW
 from surctl.marine.simulation.batch.case import Case, vehicle_law
 from surctl.marine.simulation.batch.engines import Packed, loop_sources, structure_of
 from surctl.marine.simulation.batch.loop import Loop, loop_of
-from surctl.marine.simulation.batch.structure import Mission, Structure
+from surctl.marine.simulation.batch.structure import ROWS, Structure
 from surctl.marine.simulation.metrics import (
     ABSENT,
     GONE,
@@ -186,7 +186,7 @@ def _record(world: World, run: SingleRun, rows: Sequence[tuple[object, ...]], fe
         np.array(status),
         np.array(telemetry),
         [world.bodies(at) for at in time],
-        np.array(fed) if run.mission else None,
+        np.array(fed) if run.fed else None,
         states[:, 12:14] if states.shape[1] > 12 else None,
     )
 
@@ -233,7 +233,7 @@ class SingleRun:
         self.gains = case.gains
         self.law, self.state, self.parameters = law, packed.state[0], packed.parameters[0]
         self.law_state, self.steps = law.initial_state(), packed.steps
-        self.mission = Mission(law, structure.points, rises=structure.rises) if structure.points else None
+        self.fed = structure.points > 0
         self._gain, self._bias, self._current = map(self.part, ("thrust_gain", "thrust_bias", "current"))
         self.law_parameters = self.parameters[: law.gains.size].copy()
         self._move, self._plant = advanced(structure.form), self.part("plant")
@@ -246,11 +246,11 @@ class SingleRun:
     def sense(self, measured: Mapping[str, Vector] | None = None) -> Values:
         """Return what a control period begins with: the law's state x, its inputs u, its parameters p, and the rest."""
         values: Values = {"s": self.state, "w": self.parameters, "x": self.law_state, "law_state": self.law_state}
-        if self.mission is None:
+        if not self.fed:
             values["p"] = self.parameters[: self.law.gains.size]
         else:
             places = self.call["places"](values)
-            for name in self.mission.rows:
+            for name in ROWS:
                 at = ROW * int(places[f"at_{name}"][0])
                 values[name] = self.parameters[at : at + ROW]
             values |= self.call["feed"](values)
