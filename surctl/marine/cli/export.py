@@ -95,7 +95,7 @@ def export(
     from surctl.marine.export.robot_bundle import replay_of
     from surctl.marine.guidance import MAX_WAYPOINTS
     from surctl.marine.simulation import law_numbers, load_scenario, simulate
-    from surctl.marine.simulation.numbers import fed_ranges
+    from surctl.marine.simulation.batch.case import fed_ranges
     from surctl.marine.vehicle import load_vehicle
     from surctl.marine.vehicle.linearise import command_range
 

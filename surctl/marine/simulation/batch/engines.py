@@ -25,11 +25,10 @@ from surctl.marine.control.build import LAW_SOURCES
 from surctl.marine.sensing import FaultChances
 from surctl.marine.sensing.sonar.faults import fault_slots
 from surctl.marine.sensing.sonar.returns import echo_keys, echo_number
-from surctl.marine.simulation.batch.case import Case, case_parameters, check_values
+from surctl.marine.simulation.batch.case import VISITED, Case, case_parameters, check_values, law_numbers
 from surctl.marine.simulation.batch.loop import Loop, build_loop
 from surctl.marine.simulation.batch.structure import BodyKind, Structure
 from surctl.marine.simulation.metrics import METRICS, metrics_table
-from surctl.marine.simulation.numbers import VISITED, law_numbers
 from surctl.marine.simulation.scenario import check_spacing
 from surctl.marine.simulation.world import WorldDraw, draw_world
 from surctl.marine.vehicle import Vehicle, plant_layout, plant_state
