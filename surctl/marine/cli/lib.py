@@ -60,7 +60,7 @@ if TYPE_CHECKING:
     from surctl.marine.simulation.explanation import failure, stop_reason
     from surctl.marine.simulation.fit import held_share, thruster_findings
     from surctl.marine.simulation.loop import simulate_case
-    from surctl.marine.simulation.numbers import fed_ranges
+    from surctl.marine.simulation.batch.case import fed_ranges
     from surctl.marine.simulation.plan_file import mission_scenario, read_mission
     from surctl.marine.simulation.run import depth_changes
     from surctl.marine.simulation.scaling import mission_size, straight_mission
